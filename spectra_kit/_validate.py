@@ -1,0 +1,103 @@
+"""Checks at the border: every public constructor and reader passes its arrays through here, once."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit.errors import InvalidInputError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return a read-only view of `array` (no copy)."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def real_array(name: str, values: ArrayLike) -> Floats:
+    """Return `values` as a finite C-ordered float64 array."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        raise InvalidInputError(f"`{name}` must hold real numbers, got dtype {array.dtype}")
+    array = np.ascontiguousarray(array, dtype=np.float64)
+    bad = ~np.isfinite(array)
+    if bad.any():
+        first = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise InvalidInputError(
+            f"`{name}` must be finite, got {int(bad.sum())} NaN or infinite values,"
+            f" the first at {first}; remove or repair those rows"
+        )
+    return array
+
+
+def check_points(name: str, values: ArrayLike) -> Floats:
+    """Return `values` as finite float64 points of shape (n, 3), n >= 1."""
+    shape = np.shape(values)
+    if len(shape) != 2 or shape[1] != 3:
+        hint = "; did you pass its transpose?" if len(shape) == 2 and shape[0] == 3 else ""
+        raise InvalidInputError(f"`{name}` must have shape (n, 3), got {shape}{hint}")
+    if shape[0] == 0:
+        raise InvalidInputError(f"`{name}` must hold at least one point, got shape {shape}")
+    return real_array(name, values)
+
+
+def check_indices(name: str, values: ArrayLike, n: int) -> Ints:
+    """Return `values` as int64 indices into `n` points; any shape."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "iu":
+        raise InvalidInputError(f"`{name}` must hold integers, got dtype {array.dtype}")
+    if array.size and (array.min() < 0 or array.max() >= n):
+        worst = int(array.min()) if array.min() < 0 else int(array.max())
+        hint = "; indices count from 0" if array.min() >= 1 and array.max() == n else ""
+        raise InvalidInputError(f"`{name}` must be in [0, {n}), got {worst}{hint}")
+    return np.ascontiguousarray(array, dtype=np.int64)
+
+
+def check_faces(name: str, values: ArrayLike, n: int) -> Ints:
+    """Return `values` as int64 faces of shape (f, 3), f >= 1, indexing `n` points."""
+    shape = np.shape(values)
+    if len(shape) != 2 or shape[1] != 3:
+        hint = "; did you pass its transpose?" if len(shape) == 2 and shape[0] == 3 else ""
+        raise InvalidInputError(f"`{name}` must have shape (f, 3), got {shape}{hint}")
+    if shape[0] == 0:
+        raise InvalidInputError(
+            f"`{name}` must hold at least one triangle, got shape {shape}; use PointCloud for bare points"
+        )
+    return check_indices(name, values, n)
+
+
+def check_mass(name: str, values: ArrayLike, n: int) -> Floats:
+    """Return `values` as n positive float64 weights."""
+    if np.shape(values) != (n,):
+        raise InvalidInputError(f"`{name}` must have shape ({n},), got {np.shape(values)}")
+    array = real_array(name, values)
+    if not (array > 0).all():
+        raise InvalidInputError(
+            f"`{name}` must be positive, got {int((array <= 0).sum())} entries <= 0"
+            f" (smallest {array.min():.3g}); drop unreferenced vertices with"
+            " `mesh.without_unreferenced()` or duplicate points with `cloud.without_duplicates()`"
+        )
+    return array
+
+
+def check_count(name: str, value: int, *, low: int, high: int | None = None) -> int:
+    """Return the integer `value` if ``low <= value <= high``."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise InvalidInputError(f"`{name}` must be an integer, got {value!r}")
+    if value < low or (high is not None and value > high):
+        bound = f"at least {low}" if high is None else f"in [{low}, {high}]"
+        raise InvalidInputError(f"`{name}` must be {bound}, got {value}")
+    return int(value)
+
+
+def check_positive(name: str, value: float) -> float:
+    """Return `value` if it is a finite number above zero."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise InvalidInputError(f"`{name}` must be a number, got {value!r}")
+    if not (np.isfinite(value) and value > 0):
+        raise InvalidInputError(f"`{name}` must be positive and finite, got {value!r}")
+    return float(value)

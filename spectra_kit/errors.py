@@ -1,0 +1,46 @@
+"""Exceptions of spectra_kit; every one derives from `SpectraKitError`.
+
+Each also derives from the builtin a caller would expect, so ``except ValueError`` keeps working.
+A message names the argument, what was expected, what arrived, and what to do next.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from spectra_kit.spectrum import Spectrum
+
+
+class SpectraKitError(Exception):
+    """Base class of every error spectra_kit raises on purpose."""
+
+
+class InvalidInputError(SpectraKitError, ValueError):
+    """An argument, or the content of a file, has the wrong shape, type or values."""
+
+
+class InvalidSpectrumError(SpectraKitError, RuntimeError):
+    """A solver returned pairs that break the invariants of `Spectrum`."""
+
+
+class ConvergenceError(SpectraKitError, RuntimeError):
+    """An iterative solver stopped short of its tolerance.
+
+    Attributes
+    ----------
+    partial : Spectrum or None
+        The certified modes that had converged; None where there were none.
+    """
+
+    def __init__(self, message: str, *, partial: Spectrum | None = None) -> None:
+        super().__init__(message)
+        self.partial = partial
+
+
+class MissingDependencyError(SpectraKitError, ImportError):
+    """An optional package is needed for this call and is not installed."""
+
+
+class WeightsError(SpectraKitError, RuntimeError):
+    """A weights file is missing, damaged, or does not fit the network."""

@@ -1,0 +1,193 @@
+"""`TriangleMesh` and `PointCloud`: the two kinds of input, frozen and validated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from spectra_kit._validate import check_faces, check_points, frozen
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points sampled from a surface, in the order they came.
+
+    Parameters
+    ----------
+    points : array_like of shape (n, 3)
+        Coordinates, in any unit of length.
+
+    Raises
+    ------
+    InvalidInputError
+        If `points` is empty, has another shape, or holds NaN or infinite values.
+
+    Examples
+    --------
+    >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    >>> cloud.n
+    3
+    """
+
+    points: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", frozen(check_points("points", self.points)))
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+        return len(self.points)
+
+    def with_points(self, points: Floats) -> PointCloud:
+        """Return the same cloud at other coordinates of shape (n, 3)."""
+        return PointCloud(points)
+
+    def without_duplicates(self) -> PointCloud:
+        """Return the cloud with each distinct point kept once, at its first place.
+
+        Returns
+        -------
+        PointCloud
+            At most n points, in their original order. Only exactly equal coordinates count.
+        """
+        _, first = np.unique(self.points, axis=0, return_index=True)
+        return PointCloud(self.points[np.sort(first)])
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleMesh:
+    """A triangle mesh: any topology, boundary and non-manifold edges allowed.
+
+    The constructor refuses what no operator can use (NaN, indices out of range, no faces) and keeps
+    everything else as it came; `geometry.diagnose` reports dirt, the ``without_*`` methods
+    return a cleaned copy.
+
+    Parameters
+    ----------
+    points : array_like of shape (n, 3)
+        Vertex coordinates, in any unit of length.
+    faces : array_like of shape (f, 3)
+        Vertex indices of each triangle, counted from 0.
+
+    Raises
+    ------
+    InvalidInputError
+        If an array is empty, has another shape or dtype, or an index is out of range.
+
+    Examples
+    --------
+    >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    >>> mesh.area
+    0.5
+    """
+
+    points: Floats
+    faces: Ints
+
+    def __post_init__(self) -> None:
+        points = check_points("points", self.points)
+        faces = check_faces("faces", self.faces, len(points))
+        object.__setattr__(self, "points", frozen(points))
+        object.__setattr__(self, "faces", frozen(faces))
+
+    @property
+    def n(self) -> int:
+        """Number of vertices."""
+        return len(self.points)
+
+    @cached_property
+    def face_areas(self) -> Floats:
+        """Area of each triangle, shape (f,), in length^2."""
+        a, b, c = (self.points[self.faces[:, i]] for i in range(3))
+        return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+    @property
+    def area(self) -> float:
+        """Total surface area, in length^2."""
+        return float(self.face_areas.sum())
+
+    @cached_property
+    def edges(self) -> Ints:
+        """Undirected edges, one row (smaller index, larger index) per side of a face: (3f, 2)."""
+        sides = self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        return np.sort(sides, axis=1)
+
+    @cached_property
+    def boundary_vertices(self) -> Ints:
+        """Vertices of edges that belong to exactly one face, ascending."""
+        edges, counts = np.unique(self.edges, axis=0, return_counts=True)
+        return np.unique(edges[counts == 1])
+
+    @cached_property
+    def component_labels(self) -> Ints:
+        """Connected component of each vertex, shape (n,); an unreferenced vertex is its own."""
+        i, j = self.edges.T
+        graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(self.n, self.n))
+        return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+    def with_points(self, points: Floats) -> TriangleMesh:
+        """Return the same connectivity at other coordinates of shape (n, 3)."""
+        return TriangleMesh(points, self.faces)
+
+    def as_cloud(self) -> PointCloud:
+        """Return the vertices as a point cloud."""
+        return PointCloud(self.points)
+
+    def without_unreferenced(self) -> TriangleMesh:
+        """Return the mesh with only those vertices that a face uses, in their original order."""
+        used = np.unique(self.faces)
+        new_index = np.full(self.n, -1)
+        new_index[used] = np.arange(len(used))
+        return TriangleMesh(self.points[used], new_index[self.faces])
+
+    def without_degenerate_faces(self, *, relative_area: float = 0.0) -> TriangleMesh:
+        """Return the mesh without faces of repeated vertices or (near) zero area.
+
+        Parameters
+        ----------
+        relative_area : float, default 0
+            Faces of area <= relative_area * (longest side)^2 go as well.
+
+        Returns
+        -------
+        TriangleMesh
+            The vertices are untouched; some may have become unreferenced.
+        """
+        return TriangleMesh(self.points, self.faces[~self.degenerate_faces(relative_area)])
+
+    def degenerate_faces(self, relative_area: float = 0.0) -> NDArray[np.bool_]:
+        """Mark faces with a repeated vertex or area <= relative_area * (longest side)^2."""
+        corners = self.points[self.faces]
+        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        sorted_faces = np.sort(self.faces, axis=1)
+        repeated = (np.diff(sorted_faces, axis=1) == 0).any(axis=1)
+        return np.asarray(repeated | (self.face_areas <= relative_area * longest**2))
+
+    def without_duplicate_faces(self) -> TriangleMesh:
+        """Return the mesh with one face per vertex triple (first kept, orientation ignored)."""
+        _, first = np.unique(np.sort(self.faces, axis=1), axis=0, return_index=True)
+        return TriangleMesh(self.points, self.faces[np.sort(first)])
+
+    def with_merged_vertices(self) -> TriangleMesh:
+        """Return the mesh with exactly coincident vertices joined, first kept.
+
+        STL files store every triangle with its own three corners: without this they fall apart
+        into as many components as faces.
+        """
+        _, first, inverse = np.unique(self.points, axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        rank = np.empty(len(order), dtype=np.int64)
+        rank[order] = np.arange(len(order))
+        return TriangleMesh(self.points[first[order]], rank[inverse.ravel()][self.faces])
+
+
+Geometry = TriangleMesh | PointCloud
