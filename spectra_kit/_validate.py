@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -9,9 +11,10 @@ from spectra_kit.errors import InvalidInputError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Array = TypeVar("Array", bound=NDArray[np.generic])
 
 
-def frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:
+def frozen(array: Array) -> Array:
     """Return a read-only view of `array` (no copy)."""
     view = array.view()
     view.flags.writeable = False

@@ -1,1 +1,14 @@
-"""."""
+"""Meshes and point clouds."""
+
+from spectra_kit.geometry.sampling import GaussianDensity, Samples, sample, sample_with_origin
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+
+__all__ = [
+    "GaussianDensity",
+    "Geometry",
+    "PointCloud",
+    "Samples",
+    "TriangleMesh",
+    "sample",
+    "sample_with_origin",
+]
