@@ -1,0 +1,229 @@
+"""The corpus on disk: folders of plain .npy files, written whole, read through memory maps.
+
+::
+
+    corpus/shard_0000/points.npy         (s, n, 3) float32
+                      mass.npy           (s, n)    float32, each row sums to 1
+                      eigenvectors.npy   (s, n, k) float16, M-orthonormal for that mass, so O(1)
+                      labels.npz         one integer array of shape (s,) per label
+    corpus/shard_0001/...
+
+A shard appears under its name only when it is complete, so training may read a folder that
+generation still fills.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit.errors import InvalidInputError
+
+_NAME = re.compile(r"shard_\d{4,}")
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Samples as arrays.
+
+    Parameters
+    ----------
+    points : ndarray of shape (b, n, 3), float32
+        Coordinates, in any unit of length.
+    mass : ndarray of shape (b, n), float32
+        Weights that sum to one.
+    eigenvectors : ndarray of shape (b, n, k), float16
+        Ground truth, M-orthonormal for `mass`.
+    """
+
+    points: NDArray[np.float32]
+    mass: NDArray[np.float32]
+    eigenvectors: NDArray[np.float16]
+
+
+@dataclass(frozen=True, eq=False)
+class Corpus:
+    """The samples of a folder of shards, numbered through; made by `open_shards`.
+
+    Parameters
+    ----------
+    shards : tuple of Batch
+        Memory maps, one per shard.
+    labels : dict of str to ndarray of shape (len(corpus),)
+        Integer labels of all samples.
+    """
+
+    shards: tuple[Batch, ...]
+    labels: dict[str, NDArray[np.int64]]
+
+    def __len__(self) -> int:
+        return sum(len(shard.mass) for shard in self.shards)
+
+    @property
+    def n_points(self) -> int:
+        """Points per sample."""
+        return self.shards[0].mass.shape[1]
+
+    @property
+    def k(self) -> int:
+        """Modes per sample."""
+        return self.shards[0].eigenvectors.shape[2]
+
+    def batch(self, indices: ArrayLike) -> Batch:
+        """Read the samples `indices`, shape (b,), into memory, in that order."""
+        ends = np.cumsum([len(shard.mass) for shard in self.shards])
+        places = []
+        for index in np.asarray(indices):
+            which = int(np.searchsorted(ends, index, side="right"))
+            places.append((self.shards[which], int(index - ends[which])))
+        return Batch(
+            np.stack([shard.points[i] for shard, i in places]),
+            np.stack([shard.mass[i] for shard, i in places]),
+            np.stack([shard.eigenvectors[i] for shard, i in places]),
+        )
+
+
+def write_shard(
+    folder: str | os.PathLike[str],
+    index: int,
+    points: ArrayLike,
+    mass: ArrayLike,
+    eigenvectors: ArrayLike,
+    labels: Mapping[str, ArrayLike],
+) -> Path:
+    """Write one shard: all of it, or nothing.
+
+    Parameters
+    ----------
+    folder : path
+        The corpus; made if missing.
+    index : int
+        Number of the shard. An existing shard is never overwritten.
+    points : array_like of shape (s, n, 3)
+        Coordinates, in any unit; stored as float32.
+    mass : array_like of shape (s, n)
+        Positive weights; stored as float32.
+    eigenvectors : array_like of shape (s, n, k)
+        M-orthonormal for `mass`; stored as float16, which holds 3 digits of values of size one.
+    labels : mapping of str to array_like of shape (s,)
+        Integers that say what each sample is, e.g. its family and seed.
+
+    Returns
+    -------
+    Path
+        The folder of the new shard.
+
+    Raises
+    ------
+    InvalidInputError
+        If shapes disagree, a mass does not sum to one, a value is not finite, or the shard exists.
+
+    Examples
+    --------
+    >>> import numpy as np, tempfile
+    >>> corpus = tempfile.mkdtemp()
+    >>> mass = np.full((2, 5), 0.2)
+    >>> path = write_shard(corpus, 0, np.zeros((2, 5, 3)), mass, np.ones((2, 5, 1)), {"seed": [3, 4]})
+    >>> open_shards(corpus).labels["seed"]
+    array([3, 4])
+    """
+    arrays = {
+        "points": np.asarray(points, dtype=np.float32),
+        "mass": np.asarray(mass, dtype=np.float32),
+        "eigenvectors": np.asarray(eigenvectors, dtype=np.float16),
+    }
+    names = {name: np.asarray(values, dtype=np.int64) for name, values in labels.items()}
+    _check(arrays, names)
+    path = Path(folder) / f"shard_{index:04d}"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=".writing_", dir=path.parent))
+    try:
+        for name, array in arrays.items():
+            np.save(temporary / f"{name}.npy", array)
+        np.savez(temporary / "labels.npz", allow_pickle=False, **names)
+        try:
+            temporary.rename(path)
+        except OSError as error:
+            raise InvalidInputError(
+                f"shard {index} of {folder} exists; delete {path} or take another index"
+            ) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return path
+
+
+def open_shards(folder: str | os.PathLike[str]) -> Corpus:
+    """Open every complete shard of a corpus, in the order of their numbers, without reading it.
+
+    Parameters
+    ----------
+    folder : path
+        Where `write_shard` wrote.
+
+    Returns
+    -------
+    Corpus
+        Opening again later sees shards that were added since.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no shard, or shards differ in points or modes per sample.
+    """
+    root = Path(folder)
+    entries = root.iterdir() if root.is_dir() else iter(())
+    paths = sorted(
+        (path for path in entries if _NAME.fullmatch(path.name)),
+        key=lambda path: int(path.name.removeprefix("shard_")),
+    )
+    if not paths:
+        raise InvalidInputError(
+            f"`folder` must hold shards, found none in {root}; generate a corpus first"
+        )
+    shards, labels = [], []
+    for path in paths:
+        names = ("points", "mass", "eigenvectors")
+        shards.append(Batch(*(np.load(path / f"{name}.npy", mmap_mode="r") for name in names)))
+        with np.load(path / "labels.npz", allow_pickle=False) as file:
+            labels.append({name: file[name] for name in file.files})
+    sizes = {shard.eigenvectors.shape[1:] for shard in shards}
+    if len(sizes) > 1:
+        raise InvalidInputError(
+            f"all shards of {root} must have the same (points, modes), got {sorted(sizes)};"
+            " keep corpora of different sizes in different folders"
+        )
+    common = set.intersection(*(set(label) for label in labels))
+    joined = {name: np.concatenate([label[name] for label in labels]) for name in sorted(common)}
+    return Corpus(tuple(shards), joined)
+
+
+def _check(arrays: Mapping[str, NDArray[np.floating]], labels: Mapping[str, NDArray[np.int64]]) -> None:
+    points, mass, eigenvectors = arrays["points"], arrays["mass"], arrays["eigenvectors"]
+    s, n = mass.shape if mass.ndim == 2 else (0, 0)
+    if s == 0 or points.shape != (s, n, 3) or eigenvectors.shape[:-1] != (s, n):
+        raise InvalidInputError(
+            "`points`, `mass` and `eigenvectors` must have shapes (s, n, 3), (s, n) and (s, n, k)"
+            f" with s >= 1, got {points.shape}, {mass.shape} and {eigenvectors.shape}"
+        )
+    for name, label in labels.items():
+        if label.shape != (s,):
+            raise InvalidInputError(
+                f"label `{name}` must have one integer for each of {s} samples, got {label.shape}"
+            )
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise InvalidInputError(f"`{name}` must be finite in the precision that is stored")
+    sums = mass.sum(axis=1, dtype=np.float64)
+    if not ((mass > 0).all() and np.allclose(sums, 1, atol=1e-4)):
+        raise InvalidInputError(
+            f"`mass` must be positive with rows that sum to 1, got sums in [{sums.min():.6g},"
+            f" {sums.max():.6g}]; divide by the sum and multiply the eigenvectors by its root"
+        )
