@@ -1,1 +1,12 @@
-"""."""
+"""From a geometry to a discrete Laplacian: ``L u = lambda M u``, L positive semi-definite.
+
+>>> from spectra_kit.geometry import sphere
+>>> laplacian = robust_laplacian(sphere(subdivisions=2).geometry)
+>>> laplacian.n, laplacian.kernel_dimension
+(162, 1)
+"""
+
+from spectra_kit.operators.assemble import cotan_laplacian, knn_laplacian, robust_laplacian
+from spectra_kit.operators.laplacian import Laplacian
+
+__all__ = ["Laplacian", "cotan_laplacian", "knn_laplacian", "robust_laplacian"]

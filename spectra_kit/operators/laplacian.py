@@ -1,0 +1,198 @@
+"""`Laplacian`: a weak Laplace-Beltrami operator and the lumped mass that goes with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from spectra_kit._validate import check_indices, check_mass, check_points, frozen
+from spectra_kit.errors import InvalidInputError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Laplacian:
+    """A symmetric positive semi-definite stiffness matrix L and a lumped mass M on n points.
+
+    Its eigenproblem is ``L u = lambda M u``, lambda >= 0. Build one with `robust_laplacian`,
+    `cotan_laplacian` or `knn_laplacian`, or bring your own matrices: nothing is clamped or rescaled.
+
+    Parameters
+    ----------
+    stiffness : sparse array of shape (n, n)
+        L, symmetric, positive semi-definite (libigl's cotangent matrix has the other sign).
+    mass : array_like of shape (n,), or diagonal sparse array of shape (n, n)
+        The diagonal of M, positive, in length^2.
+    points : array_like of shape (n, 3)
+        Where the unknowns live; learned and Fourier subspaces are functions of it.
+    operator : str, default "user"
+        How L was made, for the record.
+    seconds : float, default 0.0
+        Time spent on assembly.
+    fixed : array_like of int, default ()
+        Points held at zero (homogeneous Dirichlet). None of them means Neumann.
+
+    Raises
+    ------
+    InvalidInputError
+        If the sizes disagree, a value is not finite, the mass is not positive and diagonal, or L
+        is not symmetric or has a negative diagonal entry.
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    >>> laplacian = Laplacian(path, [1, 1, 1], [[0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    >>> laplacian.n, laplacian.n_components
+    (3, 1)
+    """
+
+    stiffness: sparse.csr_array
+    mass: Floats
+    points: Floats
+    operator: str = "user"
+    seconds: float = 0.0
+    fixed: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    def __post_init__(self) -> None:
+        points = check_points("points", self.points)
+        stiffness = _check_stiffness(self.stiffness, len(points))
+        mass = check_mass("mass", _diagonal(self.mass), len(points))
+        fixed = np.unique(check_indices("fixed", np.asarray(self.fixed, dtype=int), len(points)))
+        if len(fixed) == len(points):
+            raise InvalidInputError(
+                f"`fixed` must leave at least one point free, got all {len(points)} points"
+            )
+        for name, value in (("points", points), ("mass", mass), ("fixed", fixed)):
+            object.__setattr__(self, name, frozen(value))
+        object.__setattr__(self, "stiffness", stiffness)
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+        return len(self.points)
+
+    @property
+    def area(self) -> float:
+        """Total mass, in length^2."""
+        return float(self.mass.sum())
+
+    @cached_property
+    def free(self) -> Ints:
+        """Points that are not `fixed`, ascending."""
+        return np.setdiff1d(np.arange(self.n), self.fixed, assume_unique=True)
+
+    @cached_property
+    def eigenvalue_spacing(self) -> float:
+        """Typical gap between neighbouring eigenvalues, in 1/length^2.
+
+        ``4 median(diag L) / tr M``: on a surface mesh of equilateral triangles within a tenth of
+        Weyl's ``4 pi / area``, and of the right unit for any other pair. Shifts and the test
+        for zero modes are relative to it, so nothing depends on millimetres or metres.
+        """
+        return float(4 * np.median(self.stiffness.diagonal()) / self.area)
+
+    @cached_property
+    def component_labels(self) -> Ints:
+        """Connected component of each point, shape (n,), from 0; -1 for fixed points."""
+        labels = np.full(self.n, -1, dtype=np.int64)
+        graph = self.stiffness[self.free][:, self.free] if len(self.fixed) else self.stiffness
+        labels[self.free] = connected_components(graph, directed=False)[1]
+        return labels
+
+    @property
+    def n_components(self) -> int:
+        """Number of connected components of the free points."""
+        return int(self.component_labels.max()) + 1
+
+    @cached_property
+    def kernel_dimension(self) -> int:
+        """Number of zero modes: components on which constants have no energy.
+
+        Neumann: one for each component. A component that touches a fixed point, or one whose
+        user-made L has a potential, has none.
+        """
+        ones = np.zeros(self.n)
+        ones[self.free] = 1.0
+        flux = np.abs(self.stiffness @ ones)[self.free]
+        strength = self.stiffness.diagonal()[self.free]
+        leaks = flux > 1e-8 * np.maximum(strength, np.median(strength))
+        labels = self.component_labels[self.free]
+        return self.n_components - len(np.unique(labels[leaks]))
+
+    def dirichlet(self, vertices: ArrayLike) -> Laplacian:
+        """Return the same operator with u = 0 at `vertices` (indices, or a mesh's boundary).
+
+        Examples
+        --------
+        >>> from spectra_kit.geometry import TriangleMesh
+        >>> from spectra_kit.operators import cotan_laplacian
+        >>> corners = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]]
+        >>> mesh = TriangleMesh(corners, [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+        >>> cotan_laplacian(mesh).dirichlet(mesh.boundary_vertices).free
+        array([4])
+        """
+        indices = check_indices("vertices", np.asarray(vertices, dtype=int), self.n)
+        return replace(self, fixed=np.union1d(self.fixed, indices))
+
+    def restricted(self, indices: Ints) -> Laplacian:
+        """Return the operator on the points `indices` alone, the others held at zero."""
+        return Laplacian(
+            sparse.csr_array(self.stiffness[indices][:, indices]),
+            self.mass[indices],
+            self.points[indices],
+            operator=self.operator,
+            seconds=self.seconds,
+        )
+
+
+def _diagonal(mass: object) -> ArrayLike:
+    """Return the diagonal of a diagonal mass matrix, anything else as it is."""
+    if not sparse.issparse(mass):
+        return mass  # type: ignore[return-value]
+    diagonal: Floats = mass.diagonal()
+    coordinates = sparse.coo_array(mass)
+    off = coordinates.row != coordinates.col
+    if np.any(coordinates.data[off] != 0):
+        raise InvalidInputError(
+            "`mass` must be lumped (diagonal), got a matrix with off-diagonal entries;"
+            " pass its row sums instead"
+        )
+    return diagonal
+
+
+def _check_stiffness(matrix: object, n: int) -> sparse.csr_array:
+    """Return `matrix` as a canonical csr_array that may be a (semi-)definite L."""
+    if not sparse.issparse(matrix) or matrix.shape != (n, n):
+        raise InvalidInputError(
+            f"`stiffness` must be a scipy sparse array of shape ({n}, {n}),"
+            f" got {type(matrix).__name__} of shape {np.shape(matrix)}"
+        )
+    stiffness = sparse.csr_array(matrix, dtype=np.float64, copy=True)
+    stiffness.sum_duplicates()
+    stiffness.eliminate_zeros()
+    if not np.isfinite(stiffness.data).all():
+        raise InvalidInputError(
+            "`stiffness` must be finite, got"
+            f" {int((~np.isfinite(stiffness.data)).sum())} NaN or infinite entries;"
+            " degenerate faces cause them: see `mesh.without_degenerate_faces()`"
+        )
+    largest = np.abs(stiffness.data).max(initial=0.0)
+    if (asymmetry := abs(stiffness - stiffness.T).max() if stiffness.nnz else 0.0) > 1e-8 * largest:
+        raise InvalidInputError(
+            f"`stiffness` must be symmetric, got |L - L.T| up to {asymmetry:.2e};"
+            " pass (L + L.T) / 2 if that is meant"
+        )
+    if stiffness.diagonal().min() < -1e-12 * largest:
+        raise InvalidInputError(
+            "`stiffness` must be positive semi-definite, got a negative diagonal entry"
+            f" ({stiffness.diagonal().min():.3g}); libigl's cotmatrix has the opposite sign: pass -L"
+        )
+    return stiffness

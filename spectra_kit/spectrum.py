@@ -1,0 +1,365 @@
+"""`Spectrum`: the one object every eigensolver produces and every application consumes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit._spectrum_file import read_spectrum_file, write_spectrum_file
+from spectra_kit._validate import check_count, check_positive, frozen, real_array
+from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
+from spectra_kit.operators.laplacian import Laplacian
+
+if TYPE_CHECKING:
+    import torch
+
+Floats = NDArray[np.float64]
+
+# Relative to Weyl's spacing 4 pi / area; only for spectra that come without a certificate.
+_ZERO = 1e-8
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Certificate:
+    """What was checked about each mode, against the operator itself.
+
+    Attributes
+    ----------
+    residuals : ndarray of shape (k,)
+        ``||L u - lambda M u||`` in the M^-1 norm, in 1/length^2. Some true eigenvalue lies within
+        this distance of lambda (Weinstein's bound; u has unit M-norm), whatever made the pair.
+    relative_residuals : ndarray of shape (k,)
+        ``residuals / max(lambda, spacing)``, with the typical gap ``Laplacian.eigenvalue_spacing``;
+        dimensionless, and meaningful for zero modes too.
+    orthonormality_error : float
+        Largest entry of ``|U^T M U - I|``.
+    n_zero_modes : int
+        Modes whose eigenvalue is zero to rounding.
+    kernel_dimension : int
+        Zero modes that the operator has: one for each component without a fixed point.
+    n_components : int
+        Connected components of the operator.
+
+    Notes
+    -----
+    Residuals say that each pair is near *some* true pair. That none was skipped in between is not
+    implied; the count of zero modes is the only completeness check made here.
+    """
+
+    residuals: Floats
+    relative_residuals: Floats
+    orthonormality_error: float
+    n_zero_modes: int
+    kernel_dimension: int
+    n_components: int
+
+    def __post_init__(self) -> None:
+        for name in ("residuals", "relative_residuals"):
+            object.__setattr__(self, name, frozen(real_array(name, getattr(self, name))))
+
+    def kernel_is_complete(self, k: int) -> bool:
+        """Whether all zero modes that can be among the first `k` were found, and no more."""
+        return self.n_zero_modes == min(self.kernel_dimension, k)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """Where a spectrum comes from.
+
+    Attributes
+    ----------
+    solver, operator : str
+        The backend with its hyper-parameters, and how the matrices were built.
+    seed : int or None
+        The backend's random seed, where it has one.
+    seconds : mapping of str to float
+        Wall time of each stage: ``assembly``, the solver's own stages, ``certify``.
+    input_hash : str
+        BLAKE2b of stiffness, mass, points and fixed points: equal input, equal hash.
+    version : str
+        Version of spectra_kit.
+    """
+
+    solver: str = "user"
+    operator: str = "user"
+    seed: int | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    input_hash: str = ""
+    version: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """The k lowest eigenpairs of ``L u = lambda M u`` on n points.
+
+    Immutable. Signs, and bases inside an eigenspace, are unspecified and never "fixed".
+
+    Parameters
+    ----------
+    eigenvalues : array_like of shape (k,)
+        Ascending, >= 0, in 1/length^2.
+    eigenvectors : array_like of shape (n, k)
+        Columns, M-orthonormal: ``U.T @ (mass[:, None] * U) == I``; in 1/length.
+    mass : array_like of shape (n,)
+        Lumped mass, positive, in length^2.
+    certificate : Certificate, optional
+        Residuals and counts; `eigensolve` always fills it.
+    provenance : Provenance, optional
+        Solver, operator, seed, times, input hash.
+
+    Raises
+    ------
+    InvalidSpectrumError
+        If shapes disagree, a value is not finite, eigenvalues are negative or out of order, or
+        the mass is not positive. (`eigensolve` also checks orthonormality.)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> s = Spectrum(np.array([0.0]), np.full((4, 1), 0.5), np.ones(4))
+    >>> s.project(np.array([1.0, 2.0, 3.0, 4.0]))
+    array([5.])
+    """
+
+    eigenvalues: Floats
+    eigenvectors: Floats
+    mass: Floats
+    certificate: Certificate | None = None
+    provenance: Provenance = Provenance()
+
+    def __post_init__(self) -> None:
+        values, vectors, mass = (
+            _as_float64(name, getattr(self, name), ndim)
+            for name, ndim in (("eigenvalues", 1), ("eigenvectors", 2), ("mass", 1))
+        )
+        if vectors.shape != (len(mass), len(values)):
+            hint = "; transposed?" if vectors.shape == (len(values), len(mass)) else ""
+            raise InvalidSpectrumError(
+                f"`eigenvectors` must have shape ({len(mass)}, {len(values)}) for {len(mass)} masses"
+                f" and {len(values)} eigenvalues, got {vectors.shape}{hint}"
+            )
+        if np.any(np.diff(values) < 0) or (len(values) and values[0] < 0):
+            raise InvalidSpectrumError(
+                "`eigenvalues` must be non-negative and ascending, got a smallest value of"
+                f" {values.min():.3g} and steps down to {np.diff(values).min(initial=0):.3g};"
+                " sort the pairs, and turn the sign of a negative Laplacian"
+            )
+        if not (mass > 0).all():
+            raise InvalidSpectrumError(
+                f"`mass` must be positive, got {int((mass <= 0).sum())} entries <= 0"
+            )
+        if self.certificate is not None and len(self.certificate.residuals) != len(values):
+            raise InvalidSpectrumError(
+                f"`certificate` must cover {len(values)} modes,"
+                f" got {len(self.certificate.residuals)}"
+            )
+        for name, array in (("eigenvalues", values), ("eigenvectors", vectors), ("mass", mass)):
+            object.__setattr__(self, name, frozen(array))
+
+    @property
+    def k(self) -> int:
+        """Number of modes."""
+        return len(self.eigenvalues)
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+        return len(self.mass)
+
+    @property
+    def area(self) -> float:
+        """Total mass, in length^2."""
+        return float(self.mass.sum())
+
+    @property
+    def n_zero_modes(self) -> int:
+        """Number of modes in the kernel: certified where possible, else lambda * area < 1e-7."""
+        if self.certificate is not None:
+            return self.certificate.n_zero_modes
+        return int((self.eigenvalues <= _ZERO * 4 * np.pi / self.area).sum())
+
+    def truncate(self, k: int) -> Spectrum:
+        """Return the first `k` modes, 1 <= k <= self.k."""
+        return self._modes(slice(0, check_count("k", k, low=1, high=self.k)))
+
+    def nonzero(self) -> Spectrum:
+        """Return the modes outside the kernel: what deflation, GPS and descriptors need."""
+        return self._modes(slice(self.n_zero_modes, self.k))
+
+    def rescale(self, factor: float) -> Spectrum:
+        """Return the spectrum of the same surface with lengths multiplied by `factor`."""
+        square = check_positive("factor", factor) ** 2
+        certificate = self.certificate and replace(
+            self.certificate, residuals=self.certificate.residuals / square
+        )
+        return replace(
+            self,
+            eigenvalues=self.eigenvalues / square,
+            eigenvectors=self.eigenvectors / factor,
+            mass=self.mass * square,
+            certificate=certificate,
+        )
+
+    def project(self, values: ArrayLike) -> Floats:
+        """Return the coefficients U^T M f of functions `values`: (n,) to (k,), (n, c) to (k, c)."""
+        f = np.asarray(values, dtype=np.float64)
+        if f.ndim not in (1, 2) or f.shape[0] != self.n:
+            raise InvalidInputError(
+                f"`values` must have shape ({self.n},) or ({self.n}, c), got {f.shape}"
+            )
+        return np.asarray(self.eigenvectors.T @ (self.mass * f.T).T)
+
+    def reconstruct(self, coefficients: ArrayLike) -> Floats:
+        """Return the functions U c with these `coefficients`: (k,) to (n,), (k, c) to (n, c)."""
+        c = np.asarray(coefficients, dtype=np.float64)
+        if c.ndim not in (1, 2) or c.shape[0] != self.k:
+            raise InvalidInputError(
+                f"`coefficients` must have shape ({self.k},) or ({self.k}, c), got {c.shape}"
+            )
+        return np.asarray(self.eigenvectors @ c)
+
+    def filter(self, response: Callable[[Floats], Floats], values: ArrayLike) -> Floats:
+        """Return U g(lambda) U^T M f: `values` with each mode multiplied by ``response(lambda)``.
+
+        Examples
+        --------
+        Heat diffusion for a time t (in length^2):
+
+        >>> import numpy as np
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> s.filter(lambda lam: np.exp(-0.5 * lam), np.array([1.0, 1.0]))
+        array([1.      , 0.6065...])
+        """
+        gain = np.asarray(response(self.eigenvalues), dtype=np.float64)
+        if gain.shape != (self.k,):
+            raise InvalidInputError(
+                f"`response` must return shape ({self.k},) for {self.k} eigenvalues,"
+                f" got {gain.shape}"
+            )
+        return self.reconstruct((gain * self.project(values).T).T)
+
+    def residuals(self, laplacian: Laplacian) -> Floats:
+        """Return ``||L u - lambda M u||`` in the M^-1 norm for each mode, shape (k,), in 1/length^2.
+
+        Rows of fixed (Dirichlet) points are left out: there u is prescribed, not solved for.
+        """
+        if laplacian.n != self.n:
+            raise InvalidInputError(
+                f"`laplacian` must live on the {self.n} points of this spectrum, got {laplacian.n}"
+            )
+        squared = np.empty(self.k)
+        mass = laplacian.mass[laplacian.free, None]
+        for start in range(0, self.k, 32):  # blocks of columns bound the temporaries
+            columns = slice(start, start + 32)
+            U = self.eigenvectors[:, columns]
+            r = (laplacian.stiffness @ U)[laplacian.free]
+            r -= mass * U[laplacian.free] * self.eigenvalues[columns]
+            squared[columns] = np.einsum("ij,ij->j", r / mass, r)
+        return np.sqrt(squared)
+
+    def orthonormality_error(self) -> float:
+        """Return the largest entry of ``|U^T M U - I|``."""
+        gram = self.eigenvectors.T @ (self.mass[:, None] * self.eigenvectors)
+        return float(np.abs(gram - np.eye(self.k)).max(initial=0.0))
+
+    def certify(self, laplacian: Laplacian) -> Spectrum:
+        """Return this spectrum with a `Certificate` against `laplacian`, whoever computed it."""
+        residuals = self.residuals(laplacian)
+        spacing = laplacian.eigenvalue_spacing
+        return replace(
+            self,
+            certificate=Certificate(
+                residuals=residuals,
+                relative_residuals=residuals / np.maximum(self.eigenvalues, spacing),
+                orthonormality_error=self.orthonormality_error(),
+                n_zero_modes=int((self.eigenvalues <= _ZERO * spacing).sum()),
+                kernel_dimension=laplacian.kernel_dimension,
+                n_components=laplacian.n_components,
+            ),
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write everything to one versioned ``.npz`` file, whole or not at all.
+
+        float64, uncompressed and aligned, so `load` can map it; plain ``numpy.load`` reads it too.
+        """
+        write_spectrum_file(
+            Path(path),
+            {n: getattr(self, n) for n in ("eigenvalues", "eigenvectors", "mass")},
+            self.certificate and vars(self.certificate),
+            vars(self.provenance),
+        )
+
+    @classmethod
+    def load(cls, path: str | Path, *, mmap: bool = False) -> Spectrum:
+        """Read a spectrum written by `save`.
+
+        Parameters
+        ----------
+        path : str or Path
+            The ``.npz`` file.
+        mmap : bool, default False
+            Map the eigenvectors instead of reading them: instant, paged in as they are used.
+
+        Raises
+        ------
+        InvalidInputError
+            If the file is not a spectrum, is truncated, or has a newer format version.
+        """
+        arrays, certificate, provenance = read_spectrum_file(Path(path), mmap=mmap)
+        return cls(
+            **arrays,
+            certificate=Certificate(**certificate) if certificate else None,
+            provenance=Provenance(**provenance),
+        )
+
+    def to_torch(
+        self, *, device: str = "cpu", dtype: torch.dtype | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return (eigenvalues, eigenvectors, mass) as new tensors; `dtype` float64 by default."""
+        import torch
+
+        def tensor(a: Floats) -> Any:
+            return torch.tensor(np.array(a), device=device, dtype=dtype or torch.float64)
+
+        return tensor(self.eigenvalues), tensor(self.eigenvectors), tensor(self.mass)
+
+    def _modes(self, columns: slice) -> Spectrum:
+        """Return the modes in `columns`, certificate included."""
+        old = self.certificate
+        start, stop, _ = columns.indices(self.k)
+        certificate = old and replace(
+            old,
+            residuals=old.residuals[columns],
+            relative_residuals=old.relative_residuals[columns],
+            n_zero_modes=max(min(old.n_zero_modes, stop) - start, 0),
+            # Leading modes dropped on purpose are not missing from the kernel.
+            kernel_dimension=max(old.kernel_dimension - start, 0),
+        )
+        return replace(
+            self,
+            eigenvalues=self.eigenvalues[columns],
+            eigenvectors=self.eigenvectors[:, columns],
+            certificate=certificate,
+        )
+
+
+def _as_float64(name: str, values: ArrayLike, ndim: int) -> Floats:
+    """Return a finite float64 array of `ndim` dimensions, without a copy where possible."""
+    array = np.asarray(values)
+    if array.ndim != ndim or array.dtype.kind not in "fiu":
+        raise InvalidSpectrumError(
+            f"`{name}` must be a real array with {ndim} dimensions,"
+            f" got shape {array.shape} of {array.dtype}"
+        )
+    array = np.asarray(array, dtype=np.float64)
+    if not isinstance(array, np.memmap) and not np.isfinite(array).all():
+        raise InvalidSpectrumError(
+            f"`{name}` must be finite, got {int((~np.isfinite(array)).sum())} NaN or infinite values"
+        )
+    return array
