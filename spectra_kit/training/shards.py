@@ -70,12 +70,12 @@ class Corpus:
     @property
     def n_points(self) -> int:
         """Points per sample."""
-        return self.shards[0].mass.shape[1]
+        return int(self.shards[0].mass.shape[1])
 
     @property
     def k(self) -> int:
         """Modes per sample."""
-        return self.shards[0].eigenvectors.shape[2]
+        return int(self.shards[0].eigenvectors.shape[2])
 
     def batch(self, indices: ArrayLike) -> Batch:
         """Read the samples `indices`, shape (b,), into memory, in that order."""
@@ -131,11 +131,12 @@ def write_shard(
     >>> import numpy as np, tempfile
     >>> corpus = tempfile.mkdtemp()
     >>> mass = np.full((2, 5), 0.2)
-    >>> path = write_shard(corpus, 0, np.zeros((2, 5, 3)), mass, np.ones((2, 5, 1)), {"seed": [3, 4]})
+    >>> points, modes = np.zeros((2, 5, 3)), np.ones((2, 5, 1))
+    >>> path = write_shard(corpus, 0, points, mass, modes, {"seed": [3, 4]})
     >>> open_shards(corpus).labels["seed"]
     array([3, 4])
     """
-    arrays = {
+    arrays: dict[str, NDArray[np.floating]] = {
         "points": np.asarray(points, dtype=np.float32),
         "mass": np.asarray(mass, dtype=np.float32),
         "eigenvectors": np.asarray(eigenvectors, dtype=np.float16),
@@ -205,7 +206,9 @@ def open_shards(folder: str | os.PathLike[str]) -> Corpus:
     return Corpus(tuple(shards), joined)
 
 
-def _check(arrays: Mapping[str, NDArray[np.floating]], labels: Mapping[str, NDArray[np.int64]]) -> None:
+def _check(
+    arrays: Mapping[str, NDArray[np.floating]], labels: Mapping[str, NDArray[np.int64]]
+) -> None:
     points, mass, eigenvectors = arrays["points"], arrays["mass"], arrays["eigenvectors"]
     s, n = mass.shape if mass.ndim == 2 else (0, 0)
     if s == 0 or points.shape != (s, n, 3) or eigenvectors.shape[:-1] != (s, n):

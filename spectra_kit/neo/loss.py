@@ -1,0 +1,91 @@
+"""What training minimises: the energy of the true modes outside the predicted span."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+
+def mode_residuals(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -> Tensor:
+    """Return the energy share of each mode outside the span of `F`.
+
+    With G = F^T M F = L_c L_c^T this is r_j = 1 - |L_c^-1 F^T M u_j|^2 / |u_j|_M^2: the value and
+    the gradient of an M-weighted QR of F, from two matrix products and an m x m Cholesky. As each
+    mode is divided by its own norm, `U` need not be M-orthonormal (say, after subsampling).
+
+    Parameters
+    ----------
+    F : Tensor of shape (B, N, m)
+        Predicted functions. Their scale does not matter.
+    mass : Tensor of shape (B, N)
+        Positive weights. Their scale does not matter.
+    U : Tensor of shape (B, N, k)
+        True modes.
+    ridge : float, default 1e-6
+        Added to the diagonal of G after its columns are normalised, of the order of the
+        rounding of a float32 product, so that a rank-deficient F has a loss and a gradient too.
+
+    Returns
+    -------
+    Tensor of shape (B, k)
+        Each in [0, 1] up to rounding, float32.
+    """
+    root = mass.float().sqrt().unsqueeze(-1)
+    # Unit columns make the Cholesky factor see directions, not magnitudes.
+    Z = functional.normalize(root * F.float(), dim=-2)
+    V = functional.normalize(root * U.float(), dim=-2)
+    # The m x m part is cheap: double precision keeps a nearly dependent F factorable.
+    G = (Z.transpose(-1, -2) @ Z).double()
+    G = G + ridge * torch.eye(G.shape[-1], dtype=G.dtype, device=G.device)
+    factor = torch.linalg.cholesky(G)
+    overlap = (Z.transpose(-1, -2) @ V).double()
+    inside = torch.linalg.solve_triangular(factor, overlap, upper=False).square().sum(-2)
+    return (1 - inside).float()
+
+
+def span_loss(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -> Tensor:
+    """Return the mean of `mode_residuals` over modes and clouds (paper, Eq. "span_loss").
+
+    Examples
+    --------
+    >>> F = torch.eye(5)[None, :, :3]
+    >>> U = torch.eye(5)[None, :, 1:4]
+    >>> span_loss(F, torch.ones(1, 5), U).item()
+    0.3333
+    """
+    return mode_residuals(F, mass, U, ridge=ridge).mean()
+
+
+def span_loss_qr(F: Tensor, mass: Tensor, U: Tensor) -> Tensor:
+    """Return `span_loss` by the paper's route, a weighted QR: the slow, readable reference."""
+    root = mass.sqrt().unsqueeze(-1)
+    Q, _ = torch.linalg.qr(root * F)
+    V = functional.normalize(root * U, dim=-2)
+    return 1 - (Q.transpose(-1, -2) @ V).square().sum(-2).mean()
+
+
+def ortho_loss(F: Tensor, mass: Tensor) -> Tensor:
+    """Return |F^T M F - I|_F^2 / m^2 for masses that sum to one, averaged over clouds.
+
+    The paper's regulariser (Eq. "ortho_loss") per entry of the matrix. The span loss is a mean of
+    numbers in [0, 1]; the plain sum over m^2 entries times the paper's weight of 1e-3 would be
+    about 26 times that mean for m = 160 functions of unit norm and random directions. The mean
+    over entries keeps the paper's weight and makes the term what the paper calls it, weak.
+
+    Parameters
+    ----------
+    F : Tensor of shape (B, N, m)
+        Predicted functions.
+    mass : Tensor of shape (B, N)
+        Positive weights.
+
+    Examples
+    --------
+    >>> ortho_loss(torch.full((1, 5, 1), 2.0), torch.ones(1, 5)).item()
+    9.0
+    """
+    F = F.float()
+    weights = (mass / mass.sum(-1, keepdim=True)).float().unsqueeze(-1)
+    G = F.transpose(-1, -2) @ (weights * F)
+    return (G - torch.eye(G.shape[-1], device=G.device)).square().mean()

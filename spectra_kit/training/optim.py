@@ -1,0 +1,141 @@
+"""Muon for the matrices, AdamW for the rest, and the warmup-stable-decay schedule."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from typing import Any, cast
+
+import torch
+from torch import Tensor, nn
+from torch.optim import AdamW, Optimizer
+
+_QUINTIC = (3.4445, -4.7750, 2.0315)  # Newton-Schulz coefficients, Jordan et al. 2024
+
+
+def orthogonalise(matrices: Tensor, *, steps: int = 5) -> Tensor:
+    """Return (b, rows, columns) matrices with all singular values pushed to about one.
+
+    Quintic Newton-Schulz iteration in the precision of the argument.
+    """
+    tall = matrices.shape[-2] > matrices.shape[-1]
+    X = matrices.transpose(-1, -2) if tall else matrices
+    X = X / X.norm(dim=(-2, -1), keepdim=True).clamp_min(1e-7)
+    a, b, c = _QUINTIC
+    for _ in range(steps):
+        A = X @ X.transpose(-1, -2)
+        X = a * X + (b * A + c * A @ A) @ X
+    return X.transpose(-1, -2) if tall else X
+
+
+class Muon(Optimizer):
+    """Momentum orthogonalised by Newton-Schulz, with step sizes that match AdamW's.
+
+    The update of `torch.optim.Muon` with ``adjust_lr_fn="match_rms_adamw"`` (a test compares
+    them), but matrices of equal shape go through one batched product and, on a CPU, in float32:
+    torch's always runs in bfloat16, which processors without such units emulate. Measured for
+    the `small` network on two AVX2 cores: 1.7 s a step there, 0.1 s here.
+
+    Parameters
+    ----------
+    params : iterable of Tensor
+        Matrices (2-D).
+    lr : float
+        Step size, as for AdamW.
+    weight_decay : float, default 0.04
+        Decoupled decay.
+    momentum : float, default 0.95
+        Of the exponential average of gradients, used in Nesterov's form.
+    """
+
+    def __init__(
+        self,
+        params: Iterable[Tensor],
+        lr: float,
+        *,
+        weight_decay: float = 0.04,
+        momentum: float = 0.95,
+    ) -> None:
+        defaults = {"lr": lr, "weight_decay": weight_decay, "momentum": momentum}
+        super().__init__(params, defaults)
+
+    @torch.no_grad()
+    def step(self, closure: Callable[[], float] | None = None) -> float | None:  # type: ignore[override]
+        """Update every parameter that has a gradient."""
+        loss = None if closure is None else torch.enable_grad()(closure)()
+        for group in self.param_groups:
+            alike: dict[torch.Size, list[Tensor]] = defaultdict(list)
+            for parameter in group["params"]:
+                if parameter.grad is not None:
+                    alike[parameter.shape].append(parameter)
+            for shape, parameters in alike.items():
+                update = orthogonalise(torch.stack([self._blend(p, group) for p in parameters]))
+                step = group["lr"] * 0.2 * math.sqrt(max(shape))
+                for parameter, direction in zip(parameters, update, strict=True):
+                    parameter.mul_(1 - group["lr"] * group["weight_decay"])
+                    parameter.add_(direction.to(parameter.dtype), alpha=-step)
+        return loss
+
+    def _blend(self, parameter: Tensor, group: dict[str, Any]) -> Tensor:
+        gradient = cast("Tensor", parameter.grad)
+        state = self.state[parameter]
+        if not state:
+            state["momentum_buffer"] = torch.zeros_like(gradient)
+        average = state["momentum_buffer"].lerp_(gradient, 1 - group["momentum"])
+        blend = gradient.lerp(average, group["momentum"])
+        return blend.bfloat16() if blend.is_cuda else blend
+
+
+def make_optimizers(
+    network: nn.Module, *, lr: float, weight_decay: float = 0.04
+) -> tuple[Muon, AdamW]:
+    """Split the parameters as the paper does.
+
+    Parameters
+    ----------
+    network : Module
+        Matrices with both sizes above 32 go to `Muon`; biases, norms and latent queries to AdamW
+        with betas (0.9, 0.99).
+    lr, weight_decay : float
+        For both.
+
+    Returns
+    -------
+    tuple of Muon and AdamW
+    """
+    parameters = list(network.parameters())
+    matrices = [p for p in parameters if p.ndim == 2 and min(p.shape) > 32]
+    chosen = {id(p) for p in matrices}
+    rest = [p for p in parameters if id(p) not in chosen]
+    return (
+        Muon(matrices, lr, weight_decay=weight_decay),
+        AdamW(rest, lr=lr, betas=(0.9, 0.99), weight_decay=weight_decay),
+    )
+
+
+def warmup_stable_decay(
+    progress: float, *, warmup: float = 0.1, decay: float = 0.2, final: float = 1e-2
+) -> float:
+    """Return the learning-rate factor at a share of the training.
+
+    Linear rise over the first `warmup`, one, then an exponential fall to `final` over the last
+    `decay`.
+
+    Parameters
+    ----------
+    progress : float
+        Share of the budget that is used up, in [0, 1].
+    warmup, decay : float
+        Shares of the budget.
+    final : float, default 1e-2
+        Factor at the end.
+
+    Examples
+    --------
+    >>> [warmup_stable_decay(p) for p in (0.05, 0.5, 0.9, 1.0)]
+    [0.5, 1.0, 0.1, 0.01]
+    """
+    if progress < warmup:
+        return progress / warmup
+    return final ** (max(0.0, min(progress, 1.0) - (1 - decay)) / decay)
