@@ -358,7 +358,7 @@ def _as_float64(name: str, values: ArrayLike, ndim: int) -> Floats:
             f" got shape {array.shape} of {array.dtype}"
         )
     array = np.asarray(array, dtype=np.float64)
-    if not isinstance(array, np.memmap) and not np.isfinite(array).all():
+    if not isinstance(values, np.memmap) and not np.isfinite(array).all():
         raise InvalidSpectrumError(
             f"`{name}` must be finite, got {int((~np.isfinite(array)).sum())} NaN or infinite values"
         )

@@ -1,1 +1,8 @@
-"""."""
+"""Interchangeable eigensolvers behind `eigensolve`."""
+
+from spectra_kit.eigensolvers.arpack import Arpack
+from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
+from spectra_kit.eigensolvers.dense import Dense
+from spectra_kit.eigensolvers.solve import eigensolve
+
+__all__ = ["Arpack", "Dense", "Eigenpairs", "Eigensolver", "NotConvergedError", "eigensolve"]

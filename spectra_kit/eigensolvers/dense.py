@@ -1,0 +1,50 @@
+"""LAPACK on the full matrix: exact, for small n."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+
+from spectra_kit.eigensolvers.base import Eigenpairs
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.operators.laplacian import Laplacian
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dense:
+    """LAPACK on the dense ``M^-1/2 L M^-1/2``: O(n^3) time, 8 n^2 bytes.
+
+    Parameters
+    ----------
+    max_points : int, default 20_000
+        Refuse larger components (3.2 GB a matrix at 20,000) rather than exhaust the memory.
+
+    Raises
+    ------
+    InvalidInputError
+        If a component has more than `max_points` points.
+
+    Examples
+    --------
+    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit.geometry import sphere
+    >>> laplacian = robust_laplacian(sphere(subdivisions=2).geometry)
+    >>> eigensolve(laplacian, 4, Dense()).eigenvalues[1:].round(1)
+    array([2., 2., 2.])
+    """
+
+    max_points: int = 20_000
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
+        """See `Eigensolver.eigenpairs`."""
+        if laplacian.n > self.max_points:
+            raise InvalidInputError(
+                f"`laplacian` must have at most {self.max_points} points for Dense, got"
+                f" {laplacian.n}; use Arpack, or raise `max_points`"
+            )
+        root = np.sqrt(laplacian.mass)
+        standard = laplacian.stiffness.toarray() / root / root[:, None]
+        values, vectors = eigh(standard, subset_by_index=[0, k - 1], overwrite_a=True)
+        return Eigenpairs(values, vectors / root[:, None])
