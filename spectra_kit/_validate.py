@@ -1,4 +1,4 @@
-"""Checks at the border: every public constructor and reader passes its arrays through here, once."""
+"""Checks at the border: public constructors and readers pass their arrays through here, once."""
 
 from __future__ import annotations
 
@@ -68,7 +68,8 @@ def check_faces(name: str, values: ArrayLike, n: int) -> Ints:
         raise InvalidInputError(f"`{name}` must have shape (f, 3), got {shape}{hint}")
     if shape[0] == 0:
         raise InvalidInputError(
-            f"`{name}` must hold at least one triangle, got shape {shape}; use PointCloud for bare points"
+            f"`{name}` must hold at least one triangle, got shape {shape};"
+            " use PointCloud for bare points"
         )
     return check_indices(name, values, n)
 

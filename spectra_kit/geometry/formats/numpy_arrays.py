@@ -1,0 +1,60 @@
+"""NumPy's npy (points) and npz (points with faces, or alone)."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from pathlib import Path
+from tokenize import TokenError
+
+import numpy as np
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.formats._arrays import Arrays
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+
+# What NumPy, zipfile and zlib raise on damaged files; an OSError here is a seek to a bad place.
+BROKEN = (
+    ValueError,
+    EOFError,
+    OSError,
+    NotImplementedError,
+    TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+KEYS = (("points", "faces"), ("V", "F"))
+
+
+def read_npy(path: Path) -> Arrays:
+    """Return the array as points."""
+    try:
+        return np.load(path, allow_pickle=False), None
+    except BROKEN as error:
+        raise InvalidInputError(f"not a whole npy file of numbers ({error})") from error
+
+
+def write_npy(cloud: PointCloud, path: Path) -> None:
+    """Write the points as they are."""
+    np.save(path, cloud.points)
+
+
+def read_npz(path: Path) -> Arrays:
+    """Return ``points`` and ``faces``, or ``V`` and ``F``; the faces may be absent."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            for points, faces in KEYS:
+                if points in archive:
+                    return archive[points], archive.get(faces)
+            found = ", ".join(archive.files) or "nothing"
+    except BROKEN as error:
+        raise InvalidInputError(f"not a whole npz file of numbers ({error})") from error
+    raise InvalidInputError(f"must hold the arrays points and faces, or V and F, got {found}")
+
+
+def write_npz(geometry: Geometry, path: Path) -> None:
+    """Write the arrays as they are."""
+    if isinstance(geometry, TriangleMesh):
+        np.savez(path, points=geometry.points, faces=geometry.faces)
+    else:
+        np.savez(path, points=geometry.points)

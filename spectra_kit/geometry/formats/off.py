@@ -1,0 +1,73 @@
+"""Object File Format (OFF), ASCII; colours, normals and texture columns are skipped."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.formats._arrays import Arrays, text_lines, triangle_fans
+from spectra_kit.geometry.shapes import TriangleMesh
+
+
+def read(path: Path) -> Arrays:
+    """Return vertices and faces in file order; no faces where the header announces none."""
+    lines = list(text_lines(path))
+    n_points, n_faces, body = _header(lines)
+    if len(body) != n_points + n_faces:
+        raise InvalidInputError(
+            f"the header announces {n_points} vertices and {n_faces} faces,"
+            f" but {len(body)} lines follow; the file may be cut short"
+        )
+    points: list[list[float]] = []
+    polygons: list[list[int]] = []
+    for i, (number, words) in enumerate(body):
+        try:
+            if i < n_points:
+                x, y, z = words[:3]
+                points.append([float(x), float(y), float(z)])
+            else:
+                polygons.append(_corners(words))
+        except ValueError as error:
+            raise InvalidInputError(
+                f"line {number} is broken: {' '.join(words)[:60]!r}; the file may be cut short"
+            ) from error
+    return points, triangle_fans(polygons) if polygons else None
+
+
+def _corners(words: list[str]) -> list[int]:
+    """Return the vertices of a face line: their number, the vertices, perhaps a colour."""
+    size = int(words[0])
+    corners = [int(word) for word in words[1 : size + 1]]
+    if len(corners) != size:
+        raise ValueError(f"{len(corners)} corners where {size} are announced")
+    return corners
+
+
+def _header(lines: list[tuple[int, list[str]]]) -> tuple[int, int, list[tuple[int, list[str]]]]:
+    """Return the announced numbers of vertices and faces, and the lines after the header."""
+    words = lines[0][1] if lines else []
+    # Some files glue the counts to the keyword, as in "OFF490 518 0".
+    keyword = re.fullmatch(r"(?:ST)?C?N?OFF(\d*)", words[0]) if words else None
+    if keyword is None:
+        start = words[0][:20] if words else ""
+        raise InvalidInputError(f"must start with the keyword OFF, got {start!r}")
+    counts, body = [*keyword.groups(), *words[1:]], lines[1:]
+    counts = [count for count in counts if count]
+    if not counts and body:
+        counts, body = body[0][1], body[1:]
+    try:
+        n_points, n_faces = (int(count) for count in counts[:2])
+    except ValueError as error:
+        raise InvalidInputError(
+            f"must announce its numbers of vertices and faces, got {' '.join(counts)[:60]!r}"
+        ) from error
+    return n_points, n_faces, body
+
+
+def write(mesh: TriangleMesh, path: Path) -> None:
+    """Write with the shortest digits that give back the same float64."""
+    with path.open("w", encoding="ascii", newline="\n") as file:
+        file.write(f"OFF\n{mesh.n} {len(mesh.faces)} 0\n")
+        file.writelines(f"{x!r} {y!r} {z!r}\n" for x, y, z in mesh.points.tolist())
+        file.writelines(f"3 {a} {b} {c}\n" for a, b, c in mesh.faces.tolist())

@@ -1,0 +1,165 @@
+"""Polygon File Format (PLY), ASCII and binary: coordinates and faces, other properties skipped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.formats._arrays import Arrays, triangle_fans
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+
+TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+} | {f"{kind}{8 * size}": f"{kind[0]}{size}" for kind in ("int", "uint") for size in (1, 2, 4, 8)}
+TYPES |= {"float32": "f4", "float64": "f8"}
+ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+Columns = dict[str, NDArray[np.generic] | list[NDArray[np.generic]]]
+
+
+@dataclass(frozen=True)
+class _Property:
+    name: str
+    dtype: np.dtype[np.generic]
+    size_dtype: np.dtype[np.generic] | None  # of the length in front of a list; None for a number
+
+
+@dataclass(frozen=True)
+class _Element:
+    name: str
+    count: int
+    properties: list[_Property]
+
+
+def read(path: Path) -> Arrays:
+    """Return vertices and faces in file order; no faces where the file announces none."""
+    elements, body = _split(path.read_bytes())
+    columns: dict[str, Columns] = {}
+    offset = 0
+    for element in elements:
+        columns[element.name], offset = _read_element(element, body, offset)
+    if body[offset:].strip():
+        raise InvalidInputError(
+            f"holds {len(body) - offset} bytes more than its header announces; it may be damaged"
+        )
+    if "tristrips" in columns:
+        raise InvalidInputError("stores triangle strips; convert it to a list of faces first")
+    try:
+        points = np.column_stack([columns["vertex"][axis] for axis in "xyz"])
+    except KeyError as error:
+        raise InvalidInputError(f"has no vertices with x, y and z (missing {error})") from error
+    return points, _faces(columns.get("face", {}))
+
+
+def _split(data: bytes) -> tuple[list[_Element], bytes]:
+    """Parse the header; return the announced elements and the bytes after it."""
+    header, mark, body = data.partition(b"end_header")
+    lines = [line.split() for line in header.decode("latin-1").splitlines() if line.strip()]
+    if not mark or not lines or lines[0] != ["ply"]:
+        raise InvalidInputError("must begin with a PLY header; the file may be cut short")
+    body = body[body.find(b"\n") + 1 :]
+    encoding = next((" ".join(words[1:2]) for words in lines if words[0] == "format"), "")
+    if encoding not in ORDERS:
+        raise InvalidInputError(f"the format must be one of {', '.join(ORDERS)}, got {encoding!r}")
+    is_ascii, elements = encoding == "ascii", list[_Element]()
+    try:
+        for words in lines[1:]:
+            if words[0] == "element":
+                elements.append(_Element(words[1], int(words[2]), []))
+            elif words[0] == "property":
+                types = [ORDERS[encoding] + TYPES[word] for word in words[1:-1] if word != "list"]
+                # ASCII bodies are turned into doubles below, so that one reader serves both.
+                dtypes = [np.dtype("<f8" if is_ascii else name) for name in types]
+                size = dtypes[0] if words[1] == "list" else None
+                elements[-1].properties.append(_Property(words[-1], dtypes[-1], size))
+    except (ValueError, LookupError) as error:
+        raise InvalidInputError(f"the header line {' '.join(words)!r} is broken") from error
+    return elements, _doubles(body) if is_ascii else body
+
+
+def _doubles(text: bytes) -> bytes:
+    try:
+        return np.array(text.decode("latin-1").split(), dtype="<f8").tobytes()
+    except ValueError as error:
+        raise InvalidInputError(f"must hold numbers only after its header ({error})") from error
+
+
+def _read_element(element: _Element, body: bytes, start: int) -> tuple[Columns, int]:
+    """Return the columns of `element`, and where the next one begins."""
+    if element.count == 0 or not element.properties:
+        return {}, start
+    first, _ = _read_rows(element, body, start, 1)
+    # Nearly always the lists have one length, that of the first row: then all is one table.
+    sizes = {p.name: len(first[p.name][0]) for p in element.properties if p.size_dtype is not None}
+    fields: list[tuple[str, np.dtype[np.generic], tuple[int, ...]]] = []
+    for p in element.properties:
+        if p.size_dtype is not None:
+            fields.append((f"size of {p.name}", p.size_dtype, ()))
+        fields.append((p.name, p.dtype, (sizes[p.name],) if p.name in sizes else ()))
+    row = np.dtype(fields)
+    if len(body) - start >= element.count * row.itemsize:
+        table = np.frombuffer(body, row, element.count, start)
+        if all((table[f"size of {name}"] == size).all() for name, size in sizes.items()):
+            return {p.name: table[p.name] for p in element.properties}, start + table.nbytes
+    return _read_rows(element, body, start, element.count)
+
+
+def _read_rows(element: _Element, body: bytes, offset: int, count: int) -> tuple[Columns, int]:
+    """Read `count` rows one by one, whose lists may have any length."""
+    columns: dict[str, list[NDArray[np.generic]]] = {p.name: [] for p in element.properties}
+    try:
+        for _ in range(count):
+            for p in element.properties:
+                size = 1
+                if p.size_dtype is not None:
+                    size = int(np.frombuffer(body, p.size_dtype, 1, offset)[0])
+                    offset += p.size_dtype.itemsize
+                values = np.frombuffer(body, p.dtype, size, offset) if size else np.empty(0)
+                columns[p.name].append(values)
+                offset += values.nbytes
+    except ValueError as error:
+        raise InvalidInputError(
+            f"ends before the {element.count} rows of {element.name!r} that its header"
+            " announces; the file may be cut short"
+        ) from error
+    return dict(columns), offset
+
+
+def _faces(columns: Columns) -> NDArray[np.int64] | None:
+    if not columns:
+        return None
+    name = next((name for name in ("vertex_indices", "vertex_index") if name in columns), None)
+    if name is None:
+        raise InvalidInputError(f"faces must have vertex_indices, got {', '.join(columns)}")
+    corners = columns[name]
+    flat = np.concatenate([np.ravel(row) for row in corners]).astype(np.float64)
+    if (flat != np.rint(flat)).any():
+        raise InvalidInputError("faces must hold whole numbers")
+    if isinstance(corners, np.ndarray) and corners.shape[1] == 3:
+        return corners.astype(np.int64)
+    return triangle_fans([row.astype(np.int64).tolist() for row in corners])
+
+
+def write(geometry: Geometry, path: Path) -> None:
+    """Write little-endian binary with double coordinates, which loses nothing."""
+    faces = geometry.faces if isinstance(geometry, TriangleMesh) else None
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {geometry.n}"]
+    header += [f"property double {axis}" for axis in "xyz"]
+    body = geometry.points.astype("<f8").tobytes()
+    if faces is not None:
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        rows = np.zeros(len(faces), dtype=[("size", "u1"), ("corners", "<i4", 3)])
+        rows["size"], rows["corners"] = 3, faces
+        body += rows.tobytes()
+    path.write_bytes("\n".join([*header, "end_header", ""]).encode("ascii") + body)

@@ -1,0 +1,79 @@
+"""STL, binary and ASCII: loose triangles, whose coincident corners are one vertex."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.formats._arrays import Arrays
+from spectra_kit.geometry.shapes import TriangleMesh
+
+HEADER = 80
+FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+def read(path: Path) -> Arrays:
+    """Return the mesh with exactly coincident corners joined, in order of first use.
+
+    The format repeats a vertex in each of its triangles; joining them is reading it, not repair.
+    """
+    data = path.read_bytes()
+    corners = _ascii_corners(data) if _is_ascii(data) else _binary_corners(data)
+    if len(corners) == 0:
+        raise InvalidInputError("holds no triangle")
+    faces = np.arange(len(corners)).reshape(-1, 3)
+    mesh = TriangleMesh(corners, faces).with_merged_vertices()
+    return mesh.points, mesh.faces
+
+
+def _is_ascii(data: bytes) -> bool:
+    # Binary files may begin with "solid" too, but hold zero bytes early on.
+    return data.lstrip()[:5].lower() == b"solid" and b"\0" not in data[:512]
+
+
+def _binary_corners(data: bytes) -> NDArray[np.float64]:
+    count = int.from_bytes(data[HEADER : HEADER + 4], "little")
+    expected = HEADER + 4 + count * FACET.itemsize
+    if len(data) != expected:
+        raise InvalidInputError(
+            f"the header announces {count} triangles, {expected} bytes, got {len(data)} bytes;"
+            " the file may be cut short or no STL"
+        )
+    facets = np.frombuffer(data, dtype=FACET, offset=HEADER + 4)
+    return np.asarray(facets["corners"].reshape(-1, 3), dtype=np.float64)
+
+
+def _ascii_corners(data: bytes) -> NDArray[np.float64]:
+    text = data.decode("utf-8", errors="replace").lower()
+    keywords = re.findall(r"^\s*(solid|endsolid|facet|endfacet|vertex)\b(.*)$", text, re.MULTILINE)
+    counts = {key: sum(key == word for word, _ in keywords) for key, _ in keywords}
+    facets = counts.get("facet", 0)
+    if (
+        counts.get("endsolid") != counts.get("solid")
+        or counts.get("endfacet", 0) != facets
+        or counts.get("vertex", 0) != 3 * facets
+    ):
+        raise InvalidInputError(
+            f"facets, vertices and end marks do not add up ({counts}); the file may be cut short"
+        )
+    try:
+        rows = [rest.split() for word, rest in keywords if word == "vertex"]
+        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+    except ValueError as error:
+        raise InvalidInputError(f"a vertex line must hold three numbers ({error})") from error
+
+
+def write(mesh: TriangleMesh, path: Path) -> None:
+    """Write binary STL: coordinates are rounded to float32, unused vertices are lost."""
+    facets = np.zeros(len(mesh.faces), dtype=FACET)
+    corners = mesh.points[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    facets["normal"] = np.divide(normals, lengths, out=normals, where=lengths > 0)
+    facets["corners"] = corners
+    count = len(facets).to_bytes(4, "little")
+    path.write_bytes(bytes(HEADER) + count + facets.tobytes())

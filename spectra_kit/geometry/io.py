@@ -1,0 +1,168 @@
+"""Reading meshes and point clouds from files, and writing them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+from spectra_kit._files import atomic_path
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.formats import gltf, numpy_arrays, obj, off, ply, stl, xyz
+from spectra_kit.geometry.formats._arrays import Arrays
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+
+READERS: dict[str, Callable[[Path], Arrays]] = {
+    ".glb": gltf.read,
+    ".gltf": gltf.read,
+    ".npy": numpy_arrays.read_npy,
+    ".npz": numpy_arrays.read_npz,
+    ".obj": obj.read,
+    ".off": off.read,
+    ".ply": ply.read,
+    ".stl": stl.read,
+    ".xyz": xyz.read,
+}
+MESH_WRITERS: dict[str, Callable[[Any, Path], None]] = {
+    ".glb": gltf.write,
+    ".gltf": gltf.write,
+    ".npz": numpy_arrays.write_npz,
+    ".obj": obj.write,
+    ".off": off.write,
+    ".ply": ply.write,
+    ".stl": stl.write,
+}
+CLOUD_WRITERS: dict[str, Callable[[Any, Path], None]] = {
+    ".npy": numpy_arrays.write_npy,
+    ".npz": numpy_arrays.write_npz,
+    ".ply": ply.write,
+    ".xyz": xyz.write,
+}
+
+
+def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None = None) -> Geometry:
+    """Read a mesh or a point cloud, with vertices and faces in the order of the file.
+
+    Parameters
+    ----------
+    path : path-like
+        A file of one of the formats below; the extension says which, in any case.
+    kind : {"mesh", "cloud"}, optional
+        What the caller needs: "mesh" refuses a file without faces, "cloud" drops the faces. By
+        default a file with faces gives a mesh and a file without them a cloud.
+
+    Returns
+    -------
+    TriangleMesh or PointCloud
+        In the unit of the file.
+
+    Raises
+    ------
+    InvalidInputError
+        If the file does not exist, is empty, cut short or of an unknown format, if it is not of
+        the wanted `kind`, or if its content is no valid geometry (NaN, index out of range).
+        The message begins with the path.
+
+    Notes
+    -----
+    ============  ====================================================================
+    obj           every vertex once, whichever texture, group or material uses it
+    off           ASCII; without faces where it announces none
+    ply           ASCII or binary; without faces where it announces none
+    stl           exactly coincident corners are one vertex: the format repeats them
+    glb, gltf     all meshes of the scene, moved to their places and stacked; a file may
+                  repeat vertices along texture seams, see `with_merged_vertices`
+    npz           arrays points and faces, or V and F; the faces may be absent
+    npy           points of shape (n, 3)
+    xyz           the first three columns (spaces or commas); others, such as normals,
+                  are ignored
+    ============  ====================================================================
+
+    Polygons of four and more corners become triangles around their first corner. OBJ and XYZ do
+    not say how long they are: such a file, cut between two lines or inside its very last number,
+    cannot be told from a whole one.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from spectra_kit.geometry import TriangleMesh, read, write
+    >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    >>> with TemporaryDirectory() as folder:
+    ...     write(mesh, Path(folder) / "triangle.ply")
+    ...     copy = read(Path(folder) / "triangle.ply")
+    >>> bool((copy.points == mesh.points).all())
+    True
+    """
+    path = Path(path)
+    if kind not in (None, "mesh", "cloud"):
+        raise InvalidInputError(f'`kind` must be "mesh", "cloud" or None, got {kind!r}')
+    reader = _lookup(READERS, path, "read")
+    if path.is_dir():
+        raise InvalidInputError(f"{path}: this is a folder, expected a file")
+    if not path.exists():
+        raise InvalidInputError(f"{path}: there is no such file; looked from {Path.cwd()}")
+    if path.stat().st_size == 0:
+        raise InvalidInputError(f"{path}: the file is empty")
+    try:
+        points, faces = reader(path)
+        return _geometry(points, faces, kind)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path}: {error}") from error
+
+
+def _geometry(points: Any, faces: Any, kind: str | None) -> Geometry:
+    if faces is not None and kind != "cloud":
+        return TriangleMesh(points, faces)
+    if kind == "mesh":
+        raise InvalidInputError('holds points without faces, expected a mesh; use kind="cloud"')
+    return PointCloud(points)
+
+
+def write(geometry: Geometry, path: str | os.PathLike[str]) -> None:
+    r"""Write a mesh or a point cloud; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        What to write.
+    path : path-like
+        Where. The extension names the format: obj, off, ply, stl, glb, gltf or npz for a mesh;
+        ply, xyz, npy or npz for a cloud. A file that is there is replaced.
+
+    Raises
+    ------
+    InvalidInputError
+        If the format is unknown or cannot hold this geometry, or the folder does not exist.
+
+    Notes
+    -----
+    All formats give the same float64 numbers back when read again, except stl, glb and gltf, which
+    store float32. STL also forgets unused vertices and the vertex order.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from spectra_kit.geometry import PointCloud, write
+    >>> with TemporaryDirectory() as folder:
+    ...     write(PointCloud([[0.1, 0.2, 0.3]]), Path(folder) / "point.xyz")
+    ...     (Path(folder) / "point.xyz").read_text()
+    '0.1 0.2 0.3\n'
+    """
+    path = Path(path)
+    writers = MESH_WRITERS if isinstance(geometry, TriangleMesh) else CLOUD_WRITERS
+    writer = _lookup(writers, path, f"write a {type(geometry).__name__} to")
+    with atomic_path(path) as part:
+        writer(geometry, part)
+
+
+def _lookup(table: dict[str, Any], path: Path, action: str) -> Any:
+    try:
+        return table[path.suffix.lower()]
+    except KeyError as error:
+        known = ", ".join(sorted(table))
+        raise InvalidInputError(
+            f"{path}: cannot {action} the format {path.suffix!r}; known are {known}"
+        ) from error
