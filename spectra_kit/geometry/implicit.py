@@ -1,0 +1,146 @@
+"""Signed-distance fields and their meshes: the clay of the demo creature and of the corpus.
+
+A field maps points (n, 3) to values (n,), negative inside. The primitives are exact distances
+except `ellipsoid`, whose values are a first-order estimate near the surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import igl
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Field = Callable[[Floats], Floats]
+
+
+def _norm(rows: Floats) -> Floats:
+    """Length of each row; einsum is four times faster than linalg.norm here."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
+
+
+def limb(start: ArrayLike, end: ArrayLike, start_radius: float, end_radius: float) -> Field:
+    """Segment whose radius runs linearly from one end to the other (a tapered capsule)."""
+    a = np.asarray(start, dtype=np.float64)
+    axis = np.asarray(end, dtype=np.float64) - a
+    scale = 1.0 / max(float(axis @ axis), 1e-12)
+
+    def field(points: Floats) -> Floats:
+        t = np.clip((points @ axis - a @ axis) * scale, 0.0, 1.0)
+        radius = start_radius + (end_radius - start_radius) * t
+        return _norm(points - a - t[:, None] * axis) - radius
+
+    return field
+
+
+def ellipsoid(centre: ArrayLike, radii: ArrayLike, rotation: Floats | None = None) -> Field:
+    """Ellipsoid; the columns of `rotation` (3, 3) are its axes, by default x, y, z."""
+    c, r = np.asarray(centre, dtype=np.float64), np.asarray(radii, dtype=np.float64)
+    frame = np.eye(3) if rotation is None else rotation
+
+    def field(points: Floats) -> Floats:
+        q = (points - c) @ (frame / r)
+        length = _norm(q)
+        gradient = _norm(q / r)
+        return length * (length - 1.0) / np.maximum(gradient, 1e-9)
+
+    return field
+
+
+def box(centre: ArrayLike, half: ArrayLike, rotation: Floats | None = None) -> Field:
+    """Box with half side lengths `half` (3,) along the columns of `rotation`."""
+    c, h = np.asarray(centre, dtype=np.float64), np.asarray(half, dtype=np.float64)
+    frame = np.eye(3) if rotation is None else rotation
+
+    def field(points: Floats) -> Floats:
+        q = np.abs((points - c) @ frame) - h
+        return np.asarray(_norm(np.maximum(q, 0.0)) + np.minimum(q.max(axis=1), 0.0))
+
+    return field
+
+
+def cylinder(
+    centre: ArrayLike, radius: float, half_height: float, rotation: Floats | None = None
+) -> Field:
+    """Solid cylinder along the last column of `rotation`."""
+    c = np.asarray(centre, dtype=np.float64)
+    frame = np.eye(3) if rotation is None else rotation
+
+    def field(points: Floats) -> Floats:
+        q = (points - c) @ frame
+        d = np.column_stack([np.hypot(q[:, 0], q[:, 1]) - radius, np.abs(q[:, 2]) - half_height])
+        return np.asarray(_norm(np.maximum(d, 0.0)) + np.minimum(d.max(axis=1), 0.0))
+
+    return field
+
+
+def ring(centre: ArrayLike, major: float, minor: float, rotation: Floats | None = None) -> Field:
+    """Torus around the last column of `rotation`."""
+    c = np.asarray(centre, dtype=np.float64)
+    frame = np.eye(3) if rotation is None else rotation
+
+    def field(points: Floats) -> Floats:
+        q = (points - c) @ frame
+        return np.hypot(np.hypot(q[:, 0], q[:, 1]) - major, q[:, 2]) - minor
+
+    return field
+
+
+def smooth_union(fields: Sequence[Field], blend: float) -> Field:
+    """Union whose creases are filled over a width `blend` (0: sharp).
+
+    Quilez' cubic smooth minimum, folded over the fields in their order.
+    """
+
+    def field(points: Floats) -> Floats:
+        total = fields[0](points)
+        for other in fields[1:]:
+            value = other(points)
+            if blend > 0:
+                gap = np.maximum(blend - np.abs(total - value), 0.0) / blend
+                total = np.minimum(total, value) - gap**3 * (blend / 6.0)
+            else:
+                total = np.minimum(total, value)
+        return total
+
+    return field
+
+
+def polygonize(
+    field: Field, low: ArrayLike, high: ArrayLike, *, n_cells: int
+) -> tuple[Floats, Ints]:
+    """Marching cubes of the zero set inside a box.
+
+    Parameters
+    ----------
+    field : callable
+        Points (n, 3) to values (n,), negative inside.
+    low, high : array_like of shape (3,)
+        Corners of the box; a surface that leaves it stays open there.
+    n_cells : int
+        About how many cubes; they are equal in all directions, so a long box wastes none.
+
+    Returns
+    -------
+    points : ndarray of shape (n, 3)
+    faces : ndarray of shape (f, 3)
+        Oriented outwards. Both are empty where the field has no zero.
+
+    Examples
+    --------
+    >>> points, faces = polygonize(ring([0, 0, 0], 1.0, 0.4), [-2] * 3, [2] * 3, n_cells=8000)
+    >>> len(points) - len(faces) // 2  # Euler characteristic of a torus
+    0
+    """
+    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+    cell = float(np.prod(high - low) / n_cells) ** (1 / 3)
+    nx, ny, nz = (int(n) for n in np.ceil((high - low) / cell) + 1)
+    x, y, z = (low[i] + cell * np.arange(n) for i, n in enumerate((nx, ny, nz)))
+    grid = np.empty((nz, ny, nx, 3))
+    grid[..., 0], grid[..., 1], grid[..., 2] = x, y[:, None], z[:, None, None]
+    flat = grid.reshape(-1, 3)
+    points, faces, _ = igl.marching_cubes(field(flat), flat, nx, ny, nz, 0.0)
+    return np.asarray(points), np.asarray(faces, dtype=np.int64)

@@ -1,0 +1,183 @@
+"""Organic families of the corpus: limbs and balls melted together on random skeletons."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit.geometry import implicit as clay
+from spectra_kit.geometry.shapes import TriangleMesh
+from spectra_kit.training import surfaces as s
+
+Floats = NDArray[np.float64]
+Rng = np.random.Generator
+CELLS = 60_000  # marching cubes per implicit surface: finer than 2,048 samples resolve
+
+
+def polygonized(field: clay.Field, low: Floats, high: Floats) -> TriangleMesh:
+    """Largest part of a zero set; `TriangleMesh` raises where there is none."""
+    return s.largest_part(TriangleMesh(*clay.polygonize(field, low, high, n_cells=CELLS)))
+
+
+def _chain(
+    rng: Rng, start: Floats, direction: Floats, length: float, n: int, bend: float
+) -> Floats:
+    """Joints (n + 1, 3) of a limb that sets out in `direction` and bends at each joint."""
+    joints, step = [start], direction / np.linalg.norm(direction)
+    for _ in range(n):
+        step = step + bend * rng.normal(size=3)
+        step /= np.linalg.norm(step)
+        joints.append(joints[-1] + step * length / n * rng.uniform(0.8, 1.2))
+    return np.array(joints)
+
+
+class _Body:
+    """Collects the limbs of one organic body, with the box that holds them."""
+
+    def __init__(self) -> None:
+        self.fields: list[clay.Field] = []
+        self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
+
+    def _hold(self, point: Floats, reach: float) -> None:
+        self.low = np.minimum(self.low, point - reach)
+        self.high = np.maximum(self.high, point + reach)
+
+    def chain(self, joints: Floats, radii: Floats) -> None:
+        pairs = zip(joints[:-1], joints[1:], radii[:-1], radii[1:], strict=True)
+        for a, b, ra, rb in pairs:
+            self.fields.append(clay.limb(a, b, ra, rb))
+        for joint, radius in zip(joints, radii, strict=True):
+            self._hold(joint, radius)
+
+    def ball(self, centre: Floats, radii: Floats, rotation: Floats | None = None) -> None:
+        self.fields.append(clay.ellipsoid(centre, radii, rotation))
+        self._hold(centre, float(radii.max()))
+
+    def mesh(self, blend: float) -> TriangleMesh:
+        margin = blend + 0.08 * float((self.high - self.low).max())
+        field = clay.smooth_union(self.fields, blend)
+        return polygonized(field, self.low - margin, self.high + margin)
+
+
+def quadruped(rng: Rng) -> TriangleMesh:
+    """Four legs, neck, head, ears or horns, tail: from dachshund to horse, any pose."""
+    body, width = _Body(), rng.uniform(0.18, 0.4)
+    n = 5
+    spine = np.column_stack(
+        [np.linspace(-0.9, 0.9, n), 0.06 * rng.normal(size=n), 0.1 * rng.normal(size=n)]
+    )
+    girth = width * rng.uniform(0.75, 1.25, n)
+    body.chain(spine, girth)
+    leg, thick = rng.uniform(0.4, 1.3), width * rng.uniform(0.25, 0.5)
+    for x, side in ((0, 1), (0, -1), (n - 1, 1), (n - 1, -1)):
+        hip = spine[x] + [0, side * 0.6 * width, -0.3 * width]
+        aim = np.array([0.35 * rng.normal(), 0.15 * side, -1.0])
+        joints = _chain(rng, hip, aim, leg, 3, 0.22)
+        body.chain(joints, thick * np.array([1.4, 1.0, 0.7, rng.uniform(0.6, 1.0)]))
+    neck = np.array([rng.uniform(0.3, 1), 0.2 * rng.normal(), rng.uniform(-0.1, 1.0)])
+    joints = _chain(rng, spine[-1], neck, rng.uniform(0.25, 1.1), 2, 0.15)
+    body.chain(joints, width * np.array([0.8, 0.6, 0.5]) * rng.uniform(0.7, 1.1))
+    _head(rng, body, joints[-1], width * rng.uniform(0.5, 0.95))
+    if rng.random() < 0.85:
+        aim = np.array([-1, 0.3 * rng.normal(), 0.6 * rng.normal()])
+        joints = _chain(rng, spine[0], aim, rng.uniform(0.2, 1.2), 4, 0.3)
+        body.chain(joints, np.linspace(0.3, rng.uniform(0.1, 0.2), 5) * width + 0.015)
+    return body.mesh(rng.uniform(0.08, 0.3))
+
+
+def _head(rng: Rng, body: _Body, centre: Floats, size: float) -> None:
+    """Skull, snout, and often a pair of ears."""
+    body.ball(centre, size * rng.uniform(0.8, 1.2, 3))
+    aim = np.array([1.0, 0.1 * rng.normal(), rng.uniform(-0.8, 0.2)])
+    snout = centre + size * rng.uniform(0.8, 1.8) * aim
+    body.chain(np.array([centre, snout]), size * np.array([0.7, rng.uniform(0.3, 0.6)]))
+    if rng.random() < 0.75:
+        length, spread, thin = rng.uniform(0.5, 2.2), rng.uniform(0.3, 1.0), rng.uniform(0.15, 0.3)
+        for side in (1, -1):
+            root = centre + size * np.array([-0.2, 0.5 * side, 0.6])
+            aim = np.array([0.3 * rng.normal() - 0.2, side * spread, 1.0])
+            joints = _chain(rng, root, aim, size * length, 2, 0.15)
+            body.chain(joints, size * np.array([thin, 1.3 * thin, 0.7 * thin]))
+
+
+def biped(rng: Rng) -> TriangleMesh:
+    """Trunk upright, two arms, two legs, a head: humans, apes, monsters, with hands at times."""
+    body, width = _Body(), rng.uniform(0.16, 0.34)
+    spine = _chain(rng, np.zeros(3), np.array([0, 0, 1.0]), rng.uniform(0.7, 1.1), 3, 0.12)
+    body.chain(spine, width * rng.uniform(0.75, 1.25, 4))
+    shoulder, leg, arm = rng.uniform(1.0, 1.5) * width, rng.uniform(0.7, 1.2), rng.uniform(0.7, 1.1)
+    body.chain(
+        spine[2] + np.array([[0, -shoulder, 0.05], [0, shoulder, 0.05]]), np.full(2, 0.55 * width)
+    )
+    stance, lift = rng.uniform(0.05, 0.5), rng.uniform(-1.2, 0.8)
+    for side in (1, -1):
+        hip = spine[0] + [0, side * 0.55 * width, -0.2 * width]
+        aim = np.array([0.25 * rng.normal(), side * stance, -1.0])
+        joints = _chain(rng, hip, aim, leg, 3, 0.12)
+        body.chain(joints, width * np.array([0.6, 0.5, 0.35, 0.3]) * rng.uniform(0.8, 1.1))
+        foot = joints[-1] + [rng.uniform(0.1, 0.25), 0.02 * side, -0.03]
+        body.chain(np.array([joints[-1], foot]), width * np.array([0.3, 0.25]))
+        aim = np.array([0.4 * rng.normal(), side, lift + 0.3 * rng.normal()])
+        joints = _chain(rng, spine[2] + [0, side * shoulder, 0.05], aim, arm, 3, 0.18)
+        body.chain(joints, width * np.array([0.5, 0.36, 0.3, 0.24]) * rng.uniform(0.8, 1.1))
+        if rng.random() < 0.6:
+            body.ball(joints[-1], width * np.array([0.42, 0.3, 0.36]))
+    if rng.random() < 0.25:
+        tail = _chain(rng, spine[0], np.array([-1, 0, -0.5]), rng.uniform(0.5, 1.2), 4, 0.25)
+        body.chain(tail, width * np.linspace(0.6, 0.2, 5))
+    neck = spine[3] + [0, 0, width * rng.uniform(0.7, 1.2)]
+    body.chain(np.array([spine[3], neck]), width * np.array([0.5, 0.45]))
+    if rng.random() < 0.4:
+        _head(rng, body, neck, width * rng.uniform(0.6, 0.9))
+    else:
+        body.ball(
+            np.add(neck, [0, 0, 0.4 * width]),
+            width * rng.uniform(0.6, 1.0) * np.array([0.9, 0.8, 1.1]),
+        )
+    return body.mesh(rng.uniform(0.06, 0.2))
+
+
+def organism(rng: Rng) -> TriangleMesh:
+    """A trunk of one to four balls with any number of limbs: hands, octopuses, insects, trees."""
+    body, n = _Body(), int(rng.integers(1, 5))
+    trunk = _chain(rng, np.zeros(3), rng.normal(size=3), 0.45 * (n - 1) + 0.01, n, 0.5)[:n]
+    radii = rng.uniform(0.2, 0.55, n)
+    for centre, radius in zip(trunk, radii, strict=True):
+        body.ball(centre, radius * rng.uniform(0.6, 1.3, 3), s.random_rotation(rng))
+    thick, length, wiggle = rng.uniform(0.06, 0.2), rng.uniform(0.5, 1.6), rng.uniform(0.05, 0.5)
+    for _ in range(rng.integers(2, 9)):
+        i, aim = int(rng.integers(n)), rng.normal(size=3)
+        aim /= np.linalg.norm(aim)
+        start = trunk[i] + 0.6 * radii[i] * aim
+        joints = _chain(rng, start, aim, length * rng.uniform(0.5, 1.3), 4, wiggle)
+        body.chain(joints, thick * np.linspace(1.2, rng.uniform(0.4, 1.0), 5))
+        if rng.random() < 0.3:
+            body.ball(joints[-1], thick * rng.uniform(1.0, 2.2, 3))
+    return body.mesh(rng.uniform(0.05, 0.3))
+
+
+def blob(rng: Rng) -> TriangleMesh:
+    """Ellipsoids melted together: busts, bunnies, stones, fruit."""
+    body, centre = _Body(), np.zeros(3)
+    for _ in range(rng.integers(2, 9)):
+        radii = rng.uniform(0.18, 0.6) * rng.uniform(0.5, 1.4, 3)
+        body.ball(centre, radii, s.random_rotation(rng))
+        centre = centre + rng.uniform(0.2, 0.6) * s.random_rotation(rng)[0] * rng.choice([1.0, 1.5])
+    return body.mesh(rng.uniform(0.05, 0.5))
+
+
+def porous(rng: Rng) -> TriangleMesh:
+    """A ball or block with random tunnels, or a shell of them: sponges of high genus."""
+    frame, half = s.random_rotation(rng), rng.uniform(0.6, 1.0, 3)
+    outer = clay.box(np.zeros(3), half) if rng.random() < 0.5 else clay.ellipsoid(np.zeros(3), half)
+    waves = s.random_rotation(rng) * rng.uniform(2.5, 5.0)
+    phase, level = rng.uniform(0, 6.28, 3), rng.uniform(-0.2, 0.6)
+
+    def field(points: Floats) -> Floats:
+        # The gyroid in a random pose, sliced by a level; the factor makes its slope about one.
+        q = points @ waves + phase
+        value = (np.sin(q) * np.cos(np.roll(q, 1, axis=1))).sum(axis=1) - level
+        return np.asarray(np.maximum(outer(points), 0.25 * value))
+
+    mesh = polygonized(field, -half - 0.1, half + 0.1)
+    return mesh.with_points(mesh.points @ frame)

@@ -1,0 +1,342 @@
+"""The corpus: random surfaces, points on them, and the exact modes of these points.
+
+Every sample follows from (seed, index) alone, so any number of processes writes the same corpus,
+and an interrupted run continues where it stopped.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from spectra_kit._files import atomic_path
+from spectra_kit._validate import check_count
+from spectra_kit.eigensolvers import Arpack, eigensolve
+from spectra_kit.errors import ConvergenceError, InvalidInputError, InvalidSpectrumError
+from spectra_kit.geometry.sampling import GaussianDensity, sample
+from spectra_kit.geometry.shapes import PointCloud
+from spectra_kit.operators import robust_laplacian
+from spectra_kit.training.families import FAMILIES, draw_family, make_mesh
+from spectra_kit.training.shards import open_shards, write_shard
+
+Floats = NDArray[np.float64]
+_PATIENCE = 10  # rejections after which a sample tries another family
+_THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorpusConfig:
+    """What a corpus is made of; two runs with equal configurations write equal samples.
+
+    Parameters
+    ----------
+    seed : int
+        Use different ones for training and validation.
+    n_points : int
+        Points per sample.
+    k : int
+        Modes per sample, the constant one included.
+    shard_size : int
+        Samples per shard.
+    nonuniform : float
+        Fraction of samples whose points crowd around one spot.
+
+    Raises
+    ------
+    InvalidInputError
+        If a count is too small, or there are not clearly more points than modes.
+    """
+
+    seed: int
+    n_points: int = 2048
+    k: int = 96
+    shard_size: int = 128
+    nonuniform: float = 0.1
+
+    def __post_init__(self) -> None:
+        check_count("seed", self.seed, low=0)
+        check_count("k", self.k, low=1)
+        check_count("n_points", self.n_points, low=max(64, 2 * self.k))
+        check_count("shard_size", self.shard_size, low=1)
+        if not 0 <= self.nonuniform <= 1:
+            raise InvalidInputError(f"`nonuniform` must be in [0, 1], got {self.nonuniform!r}")
+
+    def fingerprint(self) -> dict[str, object]:
+        """Everything that decides the content of the shards, as JSON."""
+        weights = {name: weight for name, (_, weight) in FAMILIES.items()}
+        return {"format": 1, **asdict(self), "families": weights}
+
+
+@dataclass(frozen=True)
+class CorpusReport:
+    """What lies in a corpus, and what was turned down on the way.
+
+    Parameters
+    ----------
+    samples : int
+        Number of samples.
+    families : dict of str to int
+        Samples of each family.
+    rejected : dict of str to int
+        Draws that were thrown away and drawn again: an empty ``mesh``, a cloud whose Laplacian
+        falls apart into several ``components``, an eigensolve that failed (``solve``).
+    """
+
+    samples: int
+    families: dict[str, int]
+    rejected: dict[str, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One cloud with its modes: mass of sum one, eigenvectors M-orthonormal for it."""
+
+    points: Floats
+    mass: Floats
+    eigenvectors: Floats
+    labels: dict[str, int]
+
+
+_REASONS = ("mesh", "components", "solve")
+
+
+def make_sample(config: CorpusConfig, index: int) -> Sample:
+    """Make sample number `index` of a corpus.
+
+    Parameters
+    ----------
+    config : CorpusConfig
+    index : int
+        From 0; any order.
+
+    Returns
+    -------
+    Sample
+        Points centred in the unit box. Labels: ``family`` (place in `FAMILIES`), ``index``,
+        ``nonuniform`` (0 or 1) and how often each reason of rejection came up before.
+
+    Examples
+    --------
+    >>> cloud = make_sample(CorpusConfig(seed=0, n_points=256, k=8), 3)
+    >>> gram = cloud.eigenvectors.T @ (cloud.mass[:, None] * cloud.eigenvectors)
+    >>> bool(np.allclose(gram, np.eye(8), atol=1e-9))
+    True
+    """
+    rejected = dict.fromkeys(_REASONS, 0)
+    for attempt in itertools.count():
+        # The family does not depend on the attempt: else rejections would thin out the hard ones.
+        family = draw_family(np.random.default_rng((config.seed, index, attempt // _PATIENCE)))
+        drawn = _draw_cloud(config, list(FAMILIES)[family], (config.seed, index, attempt))
+        if drawn is None:
+            rejected["mesh"] += 1
+            continue
+        points, nonuniform = drawn
+        try:
+            solved = _modes(points, config.k)
+        except (InvalidInputError, InvalidSpectrumError, ConvergenceError):
+            rejected["solve"] += 1
+            continue
+        if solved is None:
+            rejected["components"] += 1
+            continue
+        mass, eigenvectors = solved
+        labels = {"family": family, "index": index, "nonuniform": int(nonuniform)}
+        labels |= {f"rejected_{reason}": count for reason, count in rejected.items()}
+        area = mass.sum()
+        return Sample(points, mass / area, eigenvectors * np.sqrt(area), labels)
+    raise AssertionError("itertools.count ended")
+
+
+def _draw_cloud(
+    config: CorpusConfig, family: str, seed: tuple[int, ...]
+) -> tuple[Floats, bool] | None:
+    """Points (n, 3) in the unit box, and whether they crowd; None if the surface is empty."""
+    rng = np.random.default_rng((*seed, 1))
+    nonuniform = rng.random() < config.nonuniform
+    sigma = rng.uniform(0.15, 0.5) if nonuniform else 0.0
+    try:
+        mesh = make_mesh(family, seed)
+        cloud = sample(
+            mesh,
+            config.n_points,
+            seed=int(rng.integers(2**32)),
+            density=GaussianDensity(sigma=sigma) if nonuniform else "uniform",
+        )
+    except InvalidInputError:
+        return None
+    points = cloud.points - cloud.points.mean(axis=0)
+    return points / np.abs(points).max(), nonuniform
+
+
+def _modes(points: Floats, k: int) -> tuple[Floats, Floats] | None:
+    """Mass and exact eigenvectors of a cloud; None if its Laplacian has several components."""
+    laplacian = robust_laplacian(PointCloud(points))
+    if laplacian.n_components > 1:
+        return None
+    spectrum = eigensolve(laplacian, k, Arpack(tol=1e-9))
+    return spectrum.mass, spectrum.eigenvectors
+
+
+def generate(
+    folder: str | os.PathLike[str],
+    n: int,
+    *,
+    config: CorpusConfig,
+    workers: int = 1,
+    progress: bool = True,
+) -> CorpusReport:
+    """Generate a corpus of `n` samples, or what is missing of it.
+
+    Parameters
+    ----------
+    folder : path
+        Made if missing. Shards that it already holds are kept.
+    n : int
+        Samples in all, existing ones included.
+    config : CorpusConfig
+        Must equal the one that the folder was begun with.
+    workers : int, default 1
+        Processes, each of one thread; 1 works in this process. The result does not depend on it.
+    progress : bool, default True
+        Show a progress bar on a terminal.
+
+    Returns
+    -------
+    CorpusReport
+        Counts over the whole folder.
+
+    Raises
+    ------
+    InvalidInputError
+        If the folder was begun with another configuration, or a shard in it has another length
+        than `n` asks for.
+
+    Notes
+    -----
+    Shards appear one by one and whole: training may start on the first, and Ctrl-C loses at most
+    the one in work. With ``workers > 1`` a script must guard its top level with
+    ``if __name__ == "__main__"``, because the processes are spawned.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> config = CorpusConfig(seed=1, n_points=128, k=4, shard_size=2)
+    >>> generate(tempfile.mkdtemp(), 3, config=config, progress=False).samples
+    3
+    """
+    check_count("n", n, low=1)
+    check_count("workers", workers, low=1)
+    root = Path(folder)
+    root.mkdir(parents=True, exist_ok=True)
+    _claim(root, config)
+    shards = range(-(-n // config.shard_size))
+    sizes = {i: min(config.shard_size, n - i * config.shard_size) for i in shards}
+    missing = [i for i in shards if not _is_there(root, i, sizes[i])]
+    indices = [i * config.shard_size + j for i in missing for j in range(sizes[i])]
+    with _mapped(partial(make_sample, config), indices, workers) as samples:
+        bar = iter(
+            tqdm(samples, total=len(indices), unit="sample", disable=None if progress else True)
+        )
+        for i in missing:
+            _write(root, i, list(itertools.islice(bar, sizes[i])))
+    return report(root)
+
+
+def report(folder: str | os.PathLike[str]) -> CorpusReport:
+    """Count the samples of a corpus and the draws that were rejected for them.
+
+    Parameters
+    ----------
+    folder : path
+        Where `generate` wrote.
+
+    Returns
+    -------
+    CorpusReport
+        Of the complete shards.
+    """
+    labels = open_shards(folder).labels
+    counts = np.bincount(labels["family"], minlength=len(FAMILIES))
+    return CorpusReport(
+        samples=len(labels["family"]),
+        families={name: int(c) for name, c in zip(FAMILIES, counts, strict=True)},
+        rejected={reason: int(labels[f"rejected_{reason}"].sum()) for reason in _REASONS},
+    )
+
+
+def _claim(root: Path, config: CorpusConfig) -> None:
+    """Write the fingerprint of a new corpus, or compare it with that of an old one."""
+    path = root / "corpus.json"
+    ours = config.fingerprint()
+    if not path.exists():
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps(ours, indent=1))
+        return
+    theirs = json.loads(path.read_text())
+    differing = sorted(key for key in ours if ours[key] != theirs.get(key))
+    if differing:
+        raise InvalidInputError(
+            f"`folder` {root} was begun with another configuration: {differing} differ;"
+            " take that one, or another folder"
+        )
+
+
+def _is_there(root: Path, index: int, size: int) -> bool:
+    path = root / f"shard_{index:04d}" / "mass.npy"
+    if not path.exists():
+        return False
+    there = len(np.load(path, mmap_mode="r"))
+    if there != size:
+        raise InvalidInputError(
+            f"shard {index} of {root} holds {there} samples where `n` asks for {size};"
+            " delete it, or ask for a multiple of the shard size"
+        )
+    return True
+
+
+def _write(root: Path, index: int, samples: list[Sample]) -> None:
+    write_shard(
+        root,
+        index,
+        np.stack([sample.points for sample in samples]),
+        np.stack([sample.mass for sample in samples]),
+        np.stack([sample.eigenvectors for sample in samples]),
+        {name: [sample.labels[name] for sample in samples] for name in samples[0].labels},
+    )
+
+
+@contextmanager
+def _mapped(make: partial[Sample], indices: list[int], workers: int) -> Iterator[Iterable[Sample]]:
+    """Yield the samples in order, made here or by `workers` processes."""
+    if workers == 1 or len(indices) < 2:
+        yield map(make, indices)
+        return
+    before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
+    # Spawned processes read these when they load their own BLAS: one thread each.
+    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
+    try:
+        pool = multiprocessing.get_context("spawn").Pool(workers, initializer=_ignore_interrupt)
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
+    with pool:  # leaving the block ends the processes, also on Ctrl-C
+        yield pool.imap(make, indices, chunksize=2)
+
+
+def _ignore_interrupt() -> None:
+    """Leave Ctrl-C to the parent, which ends its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

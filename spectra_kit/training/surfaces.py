@@ -1,0 +1,214 @@
+"""Parametric surfaces and deformations: arrays in, arrays out; the other clay of the corpus."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit.geometry.shapes import TriangleMesh
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def grid_mesh(points: Floats, *, wrap_u: bool = False, wrap_v: bool = False) -> TriangleMesh:
+    """Triangulate a grid of points (nu, nv, 3); a wrapped direction is closed.
+
+    Examples
+    --------
+    >>> u, v = np.meshgrid(np.arange(3.0), np.arange(4.0), indexing="ij")
+    >>> grid_mesh(np.stack([u, v, 0 * u], axis=-1)).area
+    6.0
+    """
+    nu, nv = points.shape[:2]
+    index = np.arange(nu * nv).reshape(nu, nv)
+    index = np.concatenate([index, index[:1]], axis=0) if wrap_u else index
+    index = np.concatenate([index, index[:, :1]], axis=1) if wrap_v else index
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    quads = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+    return TriangleMesh(points.reshape(-1, 3), quads)
+
+
+def join(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
+    """Put meshes side by side in one; nothing is welded.
+
+    Examples
+    --------
+    >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    >>> join([mesh, mesh]).faces
+    array([[0, 1, 2], [3, 4, 5]])
+    """
+    offsets = np.cumsum([0] + [mesh.n for mesh in meshes[:-1]])
+    return TriangleMesh(
+        np.concatenate([mesh.points for mesh in meshes]),
+        np.concatenate([mesh.faces + o for mesh, o in zip(meshes, offsets, strict=True)]),
+    )
+
+
+def largest_part(mesh: TriangleMesh) -> TriangleMesh:
+    """Return the connected component of the largest area.
+
+    Examples
+    --------
+    >>> small = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    >>> largest_part(join([small, small.with_points(3 * small.points)])).area
+    4.5
+    """
+    labels = mesh.component_labels[mesh.faces[:, 0]]
+    largest = np.bincount(labels, weights=mesh.face_areas).argmax()
+    return TriangleMesh(mesh.points, mesh.faces[labels == largest]).without_unreferenced()
+
+
+def random_rotation(rng: np.random.Generator) -> Floats:
+    """Uniform rotation matrix (3, 3), from a uniform quaternion."""
+    w, x, y, z = (q := rng.normal(size=4)) / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def superquadric(
+    exponents: tuple[float, float], radii: ArrayLike, *, n_u: int = 40, n_v: int = 60
+) -> TriangleMesh:
+    """Closed superellipsoid: exponents (1, 1) an ellipsoid, towards 0 a box, (0, 1) a cylinder.
+
+    Barr, *Superquadrics and angle-preserving transformations*, IEEE CG&A 1(1), 1981.
+
+    Examples
+    --------
+    >>> float(superquadric((1.0, 1.0), [1, 1, 1]).area / (4 * np.pi)).__round__(2)
+    1.0
+    """
+    u = np.linspace(-np.pi / 2, np.pi / 2, n_u)[:, None]
+    v = np.arange(n_v) * (2 * np.pi / n_v)
+
+    def power(x: Floats, e: float) -> Floats:
+        return np.asarray(np.sign(x) * np.abs(x) ** e)
+
+    e1, e2 = exponents
+    ring = power(np.cos(u), e1)
+    coordinates = [ring * power(np.cos(v), e2), ring * power(np.sin(v), e2), power(np.sin(u), e1)]
+    points = np.stack(np.broadcast_arrays(*coordinates), axis=-1) * np.asarray(radii)
+    return grid_mesh(points, wrap_v=True)
+
+
+def revolve(profile: Floats, *, n_v: int = 64) -> TriangleMesh:
+    """Turn a profile of (radius, height) rows (p, 2) around the z axis.
+
+    Examples
+    --------
+    >>> revolve(np.array([[1.0, 0.0], [1.0, 1.0]])).area / np.pi
+    2.00
+    """
+    v = np.arange(n_v) * (2 * np.pi / n_v)
+    r, z = profile[:, :1], profile[:, 1:]
+    points = np.stack(np.broadcast_arrays(r * np.cos(v), r * np.sin(v), z), axis=-1)
+    return grid_mesh(points, wrap_v=True)
+
+
+def sweep(
+    curve: Floats, radius: ArrayLike, *, closed: bool, aspect: float = 1.0, turns: float = 0.0
+) -> TriangleMesh:
+    """Tube around a curve (p, 3), with an elliptic section that turns along it.
+
+    Parameters
+    ----------
+    curve : ndarray of shape (p, 3)
+        The centre line; a closed one does not repeat its first point.
+    radius : float or array_like of shape (p,)
+        Half the width of the section.
+    closed : bool
+        Join the last section to the first; else both ends stay open.
+    aspect : float
+        Height over width of the section.
+    turns : float
+        Turns of the section along the curve, besides those that close it; whole or half ones
+        keep a closed tube smooth.
+
+    Examples
+    --------
+    >>> t = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    >>> circle = np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
+    >>> sweep(circle, 0.25, closed=True).area / (np.pi**2)
+    1.0
+    """
+    if closed:
+        tangent = np.roll(curve, -1, axis=0) - np.roll(curve, 1, axis=0)
+    else:
+        tangent = np.gradient(curve, axis=0)
+    tangent = tangent / np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
+    # Parallel transport: carry the normal along, project it, and undo the turn it came back with.
+    normal = np.empty_like(curve)
+    normal[0] = np.linalg.svd(tangent[:1])[2][-1]
+    for i in range(1, len(curve)):
+        n = normal[i - 1] - (normal[i - 1] @ tangent[i]) * tangent[i]
+        normal[i] = n / max(float(np.linalg.norm(n)), 1e-12)
+    binormal = np.cross(tangent, normal)
+    turn = 2 * np.pi * turns
+    if closed:
+        last = normal[-1] - (normal[-1] @ tangent[0]) * tangent[0]
+        turn -= np.arctan2(last @ binormal[0], last @ normal[0])
+    twist = np.linspace(0, turn, len(curve), endpoint=not closed)[:, None]
+    v = np.arange(24) * (2 * np.pi / 24)
+    r = np.broadcast_to(np.asarray(radius, dtype=np.float64), len(curve))[:, None]
+    x, y = r * np.cos(v), aspect * r * np.sin(v)
+    along_n, along_b = x * np.cos(twist) - y * np.sin(twist), x * np.sin(twist) + y * np.cos(twist)
+    points = (
+        curve[:, None]
+        + along_n[..., None] * normal[:, None]
+        + along_b[..., None] * binormal[:, None]
+    )
+    return grid_mesh(points, wrap_u=closed, wrap_v=True)
+
+
+def waves(
+    points: Floats, rng: np.random.Generator, *, frequency: float, n_waves: int = 6
+) -> Floats:
+    """Random smooth function (n,) of unit variance: plane waves of about `frequency` radians."""
+    directions = rng.normal(size=(3, n_waves)) * frequency
+    phase = rng.uniform(0, 2 * np.pi, n_waves)
+    return np.asarray(np.sin(points @ directions + phase).sum(axis=1) * np.sqrt(2 / n_waves))
+
+
+def bend(points: Floats, angle: float) -> Floats:
+    """Bend the x axis into an arc of `angle` radians in the plane of x and z."""
+    x, z = points[:, 0], points[:, 2]
+    length = np.ptp(x)
+    if abs(angle) < 1e-6 or length == 0:
+        return points
+    radius = length / angle
+    theta = (x - x.mean()) / radius
+    bent = (radius - z) * np.sin(theta), points[:, 1], radius - (radius - z) * np.cos(theta)
+    return np.column_stack(bent)
+
+
+def twist(points: Floats, angle: float) -> Floats:
+    """Turn sections along the x axis, by `angle` radians from end to end."""
+    x, y, z = points.T
+    theta = angle * (x - x.mean()) / max(float(np.ptp(x)), 1e-12)
+    c, s = np.cos(theta), np.sin(theta)
+    return np.column_stack([x, c * y - s * z, s * y + c * z])
+
+
+def taper(points: Floats, amount: float) -> Floats:
+    """Scale sections along the x axis, from 1 - amount to 1 + amount."""
+    x, y, z = points.T
+    scale = 1 + 2 * amount * (x - x.mean()) / max(float(np.ptp(x)), 1e-12)
+    return np.column_stack([x, scale * y, scale * z])
+
+
+def vertex_normals(mesh: TriangleMesh) -> Floats:
+    """Area-weighted unit normals (n, 3); zero where no face has area."""
+    a, b, c = (mesh.points[mesh.faces[:, i]] for i in range(3))
+    face_normals = np.cross(b - a, c - a)
+    normals = np.zeros_like(mesh.points)
+    for i in range(3):
+        for axis in range(3):
+            normals[:, axis] += np.bincount(mesh.faces[:, i], face_normals[:, axis], mesh.n)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
