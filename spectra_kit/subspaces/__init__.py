@@ -1,1 +1,7 @@
-"""."""
+"""Subspaces that hold the low eigenfunctions, as functions of points and mass alone."""
+
+from spectra_kit.subspaces.ambient_fourier import AmbientFourier
+from spectra_kit.subspaces.base import Subspace, Union
+from spectra_kit.subspaces.frame import POSES, Frame, canonical_frame
+
+__all__ = ["POSES", "AmbientFourier", "Frame", "Subspace", "Union", "canonical_frame"]

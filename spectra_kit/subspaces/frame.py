@@ -36,7 +36,7 @@ class Frame(NamedTuple):
     rotation: Floats
     scale: float
 
-    def pose(self, points: Floats) -> Floats:
+    def pose(self, points: NDArray[np.floating]) -> Floats:
         """Return `points` of shape (n, 3) in this frame, dimensionless."""
         return np.asarray((points - self.centre) @ self.rotation / self.scale)
 
