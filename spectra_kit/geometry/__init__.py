@@ -1,16 +1,58 @@
-"""Meshes and point clouds."""
+"""Meshes and point clouds: from a file to clean, normalised input for an operator.
 
+::
+
+    read ──> diagnose ──> repair ──> normalize ──> Laplacian       (spectra_kit.operators)
+    sphere, rectangle, torus …  ──┘      └──> sample ──> PointCloud ──> Laplacian
+
+Every step is optional and returns a new object; nothing is repaired, moved or scaled unasked.
+
+>>> from pathlib import Path
+>>> from tempfile import TemporaryDirectory
+>>> from spectra_kit.geometry import TriangleMesh, diagnose, normalize, read, repair, sample, write
+>>> square = TriangleMesh(
+...     [[0, 0, 0], [900, 0, 0], [900, 900, 0], [0, 900, 0], [1, 2, 3]], [[0, 1, 2], [0, 2, 3]]
+... )
+>>> with TemporaryDirectory() as folder:
+...     write(square, Path(folder) / "square.obj")
+...     mesh = read(Path(folder) / "square.obj")
+>>> diagnose(mesh).problems
+('1 vertices have no face: mesh.without_unreferenced()',)
+>>> repaired = repair(mesh)
+>>> repaired.report.unreferenced_vertices, repaired.vertex_index
+(1, array([0, 1, 2, 3]))
+>>> unit, normalization = normalize(repaired.geometry)
+>>> unit.area, normalization.scale
+(1.0, 900.0)
+>>> sample(unit, 1000, seed=0).points.shape
+(1000, 3)
+"""
+
+from spectra_kit.geometry.components import Component, components, largest_component
+from spectra_kit.geometry.diagnose import Diagnosis, diagnose
 from spectra_kit.geometry.io import read, write
+from spectra_kit.geometry.normalize import Normalization, normalize
+from spectra_kit.geometry.repair import Repaired, RepairReport, repair
 from spectra_kit.geometry.sampling import GaussianDensity, Samples, sample, sample_with_origin
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
 __all__ = [
+    "Component",
+    "Diagnosis",
     "GaussianDensity",
     "Geometry",
+    "Normalization",
     "PointCloud",
+    "RepairReport",
+    "Repaired",
     "Samples",
     "TriangleMesh",
+    "components",
+    "diagnose",
+    "largest_component",
+    "normalize",
     "read",
+    "repair",
     "sample",
     "sample_with_origin",
     "write",

@@ -40,7 +40,9 @@ class PointCloud:
     points: Floats
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points", frozen(check_points("points", self.points)))
+        # A copy: what the caller later writes into the array must not reach in here.
+        points = check_points("points", self.points).copy()
+        object.__setattr__(self, "points", frozen(points))
 
     @property
     def n(self) -> int:
@@ -59,8 +61,8 @@ class PointCloud:
         PointCloud
             At most n points, in their original order. Only exactly equal coordinates count.
         """
-        _, first = np.unique(self.points, axis=0, return_index=True)
-        return PointCloud(self.points[np.sort(first)])
+        first, _ = distinct_rows(self.points)
+        return PointCloud(self.points[first])
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +96,8 @@ class TriangleMesh:
     faces: Ints
 
     def __post_init__(self) -> None:
-        points = check_points("points", self.points)
-        faces = check_faces("faces", self.faces, len(points))
+        points = check_points("points", self.points).copy()
+        faces = check_faces("faces", self.faces, len(points)).copy()
         object.__setattr__(self, "points", frozen(points))
         object.__setattr__(self, "faces", frozen(faces))
 
@@ -128,6 +130,11 @@ class TriangleMesh:
         return np.unique(edges[counts == 1])
 
     @cached_property
+    def referenced_vertices(self) -> Ints:
+        """Vertices that a face uses, ascending."""
+        return np.unique(self.faces)
+
+    @cached_property
     def component_labels(self) -> Ints:
         """Connected component of each vertex, shape (n,); an unreferenced vertex is its own."""
         i, j = self.edges.T
@@ -144,17 +151,15 @@ class TriangleMesh:
 
     def without_unreferenced(self) -> TriangleMesh:
         """Return the mesh with only those vertices that a face uses, in their original order."""
-        used = np.unique(self.faces)
-        new_index = np.full(self.n, -1)
-        new_index[used] = np.arange(len(used))
-        return TriangleMesh(self.points[used], new_index[self.faces])
+        used = self.referenced_vertices
+        return TriangleMesh(self.points[used], np.searchsorted(used, self.faces))
 
-    def without_degenerate_faces(self, *, relative_area: float = 0.0) -> TriangleMesh:
+    def without_degenerate_faces(self, *, relative_area: float = 1e-12) -> TriangleMesh:
         """Return the mesh without faces of repeated vertices or (near) zero area.
 
         Parameters
         ----------
-        relative_area : float, default 0
+        relative_area : float, default 1e-12
             Faces of area <= relative_area * (longest side)^2 go as well.
 
         Returns
@@ -164,7 +169,7 @@ class TriangleMesh:
         """
         return TriangleMesh(self.points, self.faces[~self.degenerate_faces(relative_area)])
 
-    def degenerate_faces(self, relative_area: float = 0.0) -> NDArray[np.bool_]:
+    def degenerate_faces(self, relative_area: float = 1e-12) -> NDArray[np.bool_]:
         """Mark faces with a repeated vertex or area <= relative_area * (longest side)^2."""
         corners = self.points[self.faces]
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
@@ -183,11 +188,36 @@ class TriangleMesh:
         STL files store every triangle with its own three corners: without this they fall apart
         into as many components as faces.
         """
-        _, first, inverse = np.unique(self.points, axis=0, return_index=True, return_inverse=True)
-        order = np.argsort(first)
-        rank = np.empty(len(order), dtype=np.int64)
-        rank[order] = np.arange(len(order))
-        return TriangleMesh(self.points[first[order]], rank[inverse.ravel()][self.faces])
+        first, label = distinct_rows(self.points)
+        return TriangleMesh(self.points[first], label[self.faces])
+
+
+def distinct_rows(points: Floats) -> tuple[Ints, Ints]:
+    """Find the distinct rows of `points`, in order of first appearance.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n, 3)
+        Only exactly equal coordinates count as equal.
+
+    Returns
+    -------
+    first : ndarray of shape (d,)
+        Index of the first appearance of each distinct row, ascending.
+    label : ndarray of shape (n,)
+        The distinct row that each row equals: ``points[first][label]`` is `points`.
+    """
+    # Sorting brings equal rows together; lexsort is stable, so each group starts with its first.
+    order = np.lexsort(points.T)
+    is_new = np.ones(len(points), dtype=bool)
+    is_new[1:] = (points[order[1:]] != points[order[:-1]]).any(axis=1)
+    first = order[is_new]
+    by_appearance = np.argsort(first)
+    rank = np.empty_like(by_appearance)
+    rank[by_appearance] = np.arange(len(first))
+    label = np.empty_like(order)
+    label[order] = rank[np.cumsum(is_new) - 1]
+    return first[by_appearance], label
 
 
 Geometry = TriangleMesh | PointCloud

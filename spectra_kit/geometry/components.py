@@ -1,0 +1,83 @@
+"""Splitting a mesh into its connected components."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._validate import frozen
+from spectra_kit.geometry.shapes import TriangleMesh
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """One connected part of a mesh.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The part alone, vertices and faces in their original order.
+    vertex_index : ndarray of shape (n,)
+        The vertex of the whole mesh that each vertex of the part is, ascending.
+    face_index : ndarray of shape (f,)
+        The face of the whole mesh that each face of the part is, ascending.
+    """
+
+    mesh: TriangleMesh
+    vertex_index: Ints
+    face_index: Ints
+
+
+def components(mesh: TriangleMesh) -> list[Component]:
+    """Split `mesh` into connected components.
+
+    Two faces are connected if they share a vertex (index); faces that only touch in space are
+    not, see `TriangleMesh.with_merged_vertices`.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The mesh to split. Its unreferenced vertices belong to no component.
+
+    Returns
+    -------
+    list of Component
+        In the order of their first face.
+
+    Examples
+    --------
+    >>> from spectra_kit.geometry import TriangleMesh, components
+    >>> points = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 0, 0], [6, 0, 0], [5, 1, 0]]
+    >>> parts = components(TriangleMesh(points, [[3, 4, 5], [0, 1, 2]]))
+    >>> [part.vertex_index.tolist() for part in parts]
+    [[3, 4, 5], [0, 1, 2]]
+    """
+    labels = mesh.component_labels[mesh.faces[:, 0]]
+    order = np.argsort(labels, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+    parts = []
+    for face_index in sorted(groups, key=lambda group: int(group[0])):
+        vertex_index, corners = np.unique(mesh.faces[face_index], return_inverse=True)
+        part = TriangleMesh(mesh.points[vertex_index], corners.reshape(-1, 3))
+        parts.append(Component(part, frozen(vertex_index), frozen(face_index)))
+    return parts
+
+
+def largest_component(mesh: TriangleMesh) -> Component:
+    """Return the connected component of largest area.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The mesh to choose from.
+
+    Returns
+    -------
+    Component
+        The first of the largest, if several are equal.
+    """
+    return max(components(mesh), key=lambda part: part.mesh.area)

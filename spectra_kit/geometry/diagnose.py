@@ -1,0 +1,187 @@
+"""Counting what may be wrong with a geometry, without changing it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh, distinct_rows
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis:
+    """What a geometry consists of, and what about it deserves attention.
+
+    Counts that only a mesh can have are 0 for a cloud.
+
+    Parameters
+    ----------
+    n_points, n_faces : int
+        Vertices or points, and triangles.
+    n_components : int
+        Connected components that have faces; for a cloud they are a matter of its Laplacian.
+    dimension : int
+        0 if all points coincide, 1 on a line, 2 in a plane, 3 otherwise.
+    boundary_edges : int
+        Edges of exactly one face; 0 on a closed surface.
+    nonmanifold_edges : int
+        Edges of three or more faces.
+    nonmanifold_vertices : int
+        Vertices whose faces do not form a single fan, such as the tip of two touching cones.
+    degenerate_faces : int
+        Faces with a repeated vertex or (numerically) without area.
+    duplicate_faces : int
+        Faces that repeat the vertices of an earlier face, in any order.
+    unreferenced_vertices : int
+        Vertices of no face.
+    duplicate_points : int
+        Points at exactly the place of an earlier one.
+    euler_characteristic : int
+        Vertices in use - edges + faces; 2 - 2 * genus for one closed orientable surface.
+    area : float
+        In length^2; nan for a cloud.
+    lower, upper : tuple of 3 floats
+        Corners of the bounding box.
+    """
+
+    n_points: int
+    n_faces: int
+    n_components: int
+    dimension: int
+    boundary_edges: int
+    nonmanifold_edges: int
+    nonmanifold_vertices: int
+    degenerate_faces: int
+    duplicate_faces: int
+    unreferenced_vertices: int
+    duplicate_points: int
+    euler_characteristic: int
+    area: float
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """One sentence for each thing that an operator may refuse, with what to do about it."""
+        is_mesh = self.n_faces > 0
+        merge = "mesh.with_merged_vertices()" if is_mesh else "cloud.without_duplicates()"
+        non_manifold = "robust_laplacian accepts them, cotan_laplacian does not"
+        findings = (
+            (self.duplicate_points, f"points lie exactly on earlier ones: {merge}"),
+            (self.degenerate_faces, "faces have no area: mesh.without_degenerate_faces()"),
+            (self.duplicate_faces, "faces repeat earlier ones: mesh.without_duplicate_faces()"),
+            (self.unreferenced_vertices, "vertices have no face: mesh.without_unreferenced()"),
+            (self.nonmanifold_edges, f"edges have three or more faces: {non_manifold}"),
+            (self.nonmanifold_vertices, f"vertices join separate fans: {non_manifold}"),
+        )
+        flat = ("all points coincide: no surface", "all points lie on one line: no surface")
+        sentences = [f"{count} {text}" for count, text in findings if count]
+        return (*sentences, *flat[self.dimension : self.dimension + 1])
+
+    @property
+    def is_clean(self) -> bool:
+        """Whether there are no problems; boundaries and several components are none."""
+        return not self.problems
+
+
+def diagnose(geometry: Geometry) -> Diagnosis:
+    """Count what may be wrong with `geometry`.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        Is left as it is.
+
+    Returns
+    -------
+    Diagnosis
+        Counts; ``problems`` says in sentences which matter and which method helps.
+
+    Examples
+    --------
+    >>> from spectra_kit.geometry import TriangleMesh, diagnose
+    >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [9, 9, 9]], [[0, 1, 2]])
+    >>> diagnose(mesh).problems
+    ('1 vertices have no face: mesh.without_unreferenced()',)
+    """
+    points = geometry.points
+    counts = _face_counts(geometry) if isinstance(geometry, TriangleMesh) else _NO_FACES
+    first, _ = distinct_rows(points)
+    lower, upper = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return Diagnosis(
+        n_points=geometry.n,
+        dimension=_dimension(points),
+        duplicate_points=geometry.n - len(first),
+        area=geometry.area if isinstance(geometry, TriangleMesh) else float("nan"),
+        lower=(lower[0], lower[1], lower[2]),
+        upper=(upper[0], upper[1], upper[2]),
+        **counts,
+    )
+
+
+_NO_FACES = dict.fromkeys(
+    (
+        "n_faces",
+        "n_components",
+        "boundary_edges",
+        "nonmanifold_edges",
+        "nonmanifold_vertices",
+        "degenerate_faces",
+        "duplicate_faces",
+        "unreferenced_vertices",
+        "euler_characteristic",
+    ),
+    0,
+)
+
+
+def _face_counts(mesh: TriangleMesh) -> dict[str, int]:
+    edges, faces_at_edge = np.unique(mesh.edges, axis=0, return_counts=True)
+    n_used = len(mesh.referenced_vertices)
+    n_faces = len(mesh.faces)
+    return {
+        "n_faces": n_faces,
+        "n_components": len(np.unique(mesh.component_labels[mesh.referenced_vertices])),
+        "boundary_edges": int((faces_at_edge == 1).sum()),
+        "nonmanifold_edges": int((faces_at_edge > 2).sum()),
+        "nonmanifold_vertices": _count_split_fans(mesh),
+        "degenerate_faces": int(mesh.degenerate_faces().sum()),
+        "duplicate_faces": n_faces - len(mesh.without_duplicate_faces().faces),
+        "unreferenced_vertices": mesh.n - n_used,
+        "euler_characteristic": n_used - len(edges) + n_faces,
+    }
+
+
+def _count_split_fans(mesh: TriangleMesh) -> int:
+    """Count vertices whose faces are not connected through edges at that vertex."""
+    # Corner c = 3 * face + i is vertex faces[face, i]. Side s of a face has the corners c and
+    # c + 1 (cyclic). Two faces on one edge join their corners at each of its two vertices.
+    corner = np.arange(mesh.faces.size).reshape(-1, 3)
+    sides = np.stack([corner, np.roll(corner, -1, axis=1)], axis=2).reshape(-1, 2)
+    ends = mesh.faces.ravel()[sides]
+    sides = np.take_along_axis(sides, np.argsort(ends, axis=1), axis=1)
+    order = np.lexsort(mesh.edges.T)
+    same_edge = (np.diff(mesh.edges[order], axis=0) == 0).all(axis=1)
+    i, j = sides[order[:-1][same_edge]].ravel(), sides[order[1:][same_edge]].ravel()
+    graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(corner.size, corner.size))
+    _, fan = connected_components(graph, directed=False)
+    fans = np.unique(np.column_stack([mesh.faces.ravel(), fan]), axis=0)
+    return int((np.unique(fans[:, 0], return_counts=True)[1] > 1).sum())
+
+
+def _dimension(points: NDArray[np.float64]) -> int:
+    """Return the dimension of the affine hull, up to rounding."""
+    offsets = points - points[0]
+    extent = np.abs(offsets).max()
+    if extent == 0:
+        return 0
+    offsets /= extent
+    # Squares of the singular values of the offsets, hence a relative cut of 1e-7 on those.
+    spread = np.linalg.eigvalsh(offsets.T @ offsets)
+    return int((spread > 1e-14 * spread[-1]).sum())

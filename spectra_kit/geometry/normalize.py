@@ -1,0 +1,162 @@
+"""Moving and scaling a geometry to unit size, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._validate import check_points, check_positive, frozen
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+
+Floats = NDArray[np.float64]
+Movable = TypeVar("Movable", bound=Floats | TriangleMesh | PointCloud)
+
+
+@dataclass(frozen=True, eq=False)
+class Normalization:
+    """The map ``x -> (x - centre) / scale`` of points, and its inverse.
+
+    Parameters
+    ----------
+    centre : array_like of shape (3,)
+        The point that goes to the origin, in the unit of the geometry.
+    scale : float
+        The length that becomes 1, in the same unit.
+
+    Raises
+    ------
+    InvalidInputError
+        If `centre` is not one finite point or `scale` is not positive.
+
+    Notes
+    -----
+    A spectrum of the normalised geometry belongs to the original after
+    ``spectrum.rescale(scale)``: eigenvalues are divided by scale^2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from spectra_kit.geometry import Normalization, PointCloud
+    >>> cloud = PointCloud([[0, 0, 0], [4000, 0, 0], [0, 2000, 0]])
+    >>> to_unit = Normalization.unit_box(cloud)
+    >>> to_unit.apply(cloud).points[1]
+    array([ 0.5 , -0.25,  0.  ])
+    >>> bool(np.array_equal(to_unit.invert(to_unit.apply(cloud.points)), cloud.points))
+    True
+    """
+
+    centre: Floats
+    scale: float
+
+    def __post_init__(self) -> None:
+        centre = check_points("centre", np.array(self.centre)[None])[0]
+        object.__setattr__(self, "centre", frozen(centre))
+        object.__setattr__(self, "scale", check_positive("scale", self.scale))
+
+    @classmethod
+    def unit_box(cls, geometry: Geometry) -> Normalization:
+        """Centre the bounding box at the origin and make its longest side 1.
+
+        Parameters
+        ----------
+        geometry : TriangleMesh or PointCloud
+            Must not be a single point.
+
+        Returns
+        -------
+        Normalization
+            Takes the geometry into [-0.5, 0.5]^3.
+
+        Raises
+        ------
+        InvalidInputError
+            If all points coincide.
+        """
+        low, high = geometry.points.min(axis=0), geometry.points.max(axis=0)
+        side = float((high - low).max())
+        if side == 0:
+            raise InvalidInputError(
+                f"`geometry` must have an extent to be normalised, got {geometry.n} points at"
+                f" {tuple(low.tolist())}"
+            )
+        return cls(low + 0.5 * (high - low), side)
+
+    @classmethod
+    def unit_area(cls, mesh: TriangleMesh) -> Normalization:
+        """Centre the surface at its centroid and make its area 1.
+
+        Parameters
+        ----------
+        mesh : TriangleMesh
+            Must have area.
+
+        Returns
+        -------
+        Normalization
+            With scale = sqrt(area) in the unit of the mesh.
+
+        Raises
+        ------
+        InvalidInputError
+            If `mesh` is a cloud or all its faces are degenerate.
+        """
+        if not isinstance(mesh, TriangleMesh):
+            raise InvalidInputError(
+                f"`mesh` must be a TriangleMesh, got a {type(mesh).__name__}, which has no area;"
+                " use Normalization.unit_box"
+            )
+        if mesh.area == 0:
+            raise InvalidInputError("`mesh` must have area, got only degenerate faces")
+        weights = mesh.face_areas / mesh.area
+        centroids = mesh.points[mesh.faces].mean(axis=1)
+        return cls(weights @ centroids, float(np.sqrt(mesh.area)))
+
+    def apply(self, geometry: Movable) -> Movable:
+        """Return the normalised copy of a geometry, or of points of shape (n, 3)."""
+        return _moved(geometry, lambda points: (points - self.centre) / self.scale)
+
+    def invert(self, geometry: Movable) -> Movable:
+        """Return the copy in the original place and size; the inverse of `apply`."""
+        return _moved(geometry, lambda points: points * self.scale + self.centre)
+
+
+def _moved(geometry: Movable, move: Callable[[Floats], Floats]) -> Movable:
+    if isinstance(geometry, TriangleMesh | PointCloud):
+        return cast("Movable", geometry.with_points(move(geometry.points)))
+    return cast("Movable", move(geometry))
+
+
+def normalize(geometry: Geometry) -> tuple[Geometry, Normalization]:
+    """Return the geometry in the unit box, and the map that took it there.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        Must not be a single point.
+
+    Returns
+    -------
+    normalized : TriangleMesh or PointCloud
+        With its bounding box centred at the origin and its longest side 1.
+    normalization : Normalization
+        ``normalization.invert`` brings points and geometries back.
+
+    Raises
+    ------
+    InvalidInputError
+        If all points coincide.
+
+    Examples
+    --------
+    >>> from spectra_kit.geometry import PointCloud, normalize
+    >>> unit, to_unit = normalize(PointCloud([[0, 0, 0], [10, 0, 0]]))
+    >>> unit.points[:, 0], to_unit.scale
+    (array([-0.5,  0.5]), 10.0)
+    """
+    normalization = Normalization.unit_box(geometry)
+    return normalization.apply(geometry), normalization
