@@ -36,12 +36,13 @@ def mode_residuals(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -
     Z = functional.normalize(root * F.float(), dim=-2)
     V = functional.normalize(root * U.float(), dim=-2)
     # The m x m part is cheap: double precision keeps a nearly dependent F factorable.
-    G = (Z.transpose(-1, -2) @ Z).double()
+    G = (Z.mT @ Z).double()
     G = G + ridge * torch.eye(G.shape[-1], dtype=G.dtype, device=G.device)
     factor = torch.linalg.cholesky(G)
-    overlap = (Z.transpose(-1, -2) @ V).double()
+    overlap = (Z.mT @ V).double()
     inside = torch.linalg.solve_triangular(factor, overlap, upper=False).square().sum(-2)
-    return (1 - inside).float()
+    residuals: Tensor = (1 - inside).float()
+    return residuals
 
 
 def span_loss(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -> Tensor:
@@ -62,7 +63,8 @@ def span_loss_qr(F: Tensor, mass: Tensor, U: Tensor) -> Tensor:
     root = mass.sqrt().unsqueeze(-1)
     Q, _ = torch.linalg.qr(root * F)
     V = functional.normalize(root * U, dim=-2)
-    return 1 - (Q.transpose(-1, -2) @ V).square().sum(-2).mean()
+    loss: Tensor = 1 - (Q.mT @ V).square().sum(-2).mean()
+    return loss
 
 
 def ortho_loss(F: Tensor, mass: Tensor) -> Tensor:
@@ -87,5 +89,5 @@ def ortho_loss(F: Tensor, mass: Tensor) -> Tensor:
     """
     F = F.float()
     weights = (mass / mass.sum(-1, keepdim=True)).float().unsqueeze(-1)
-    G = F.transpose(-1, -2) @ (weights * F)
+    G = F.mT @ (weights * F)
     return (G - torch.eye(G.shape[-1], device=G.device)).square().mean()

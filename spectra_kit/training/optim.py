@@ -20,13 +20,14 @@ def orthogonalise(matrices: Tensor, *, steps: int = 5) -> Tensor:
     Quintic Newton-Schulz iteration in the precision of the argument.
     """
     tall = matrices.shape[-2] > matrices.shape[-1]
-    X = matrices.transpose(-1, -2) if tall else matrices
-    X = X / X.norm(dim=(-2, -1), keepdim=True).clamp_min(1e-7)
+    Z = matrices.mT if tall else matrices
+    Z = Z / Z.norm(dim=(-2, -1), keepdim=True).clamp_min(1e-7)
     a, b, c = _QUINTIC
     for _ in range(steps):
-        A = X @ X.transpose(-1, -2)
-        X = a * X + (b * A + c * A @ A) @ X
-    return X.transpose(-1, -2) if tall else X
+        A = Z @ Z.mT
+        Z = a * Z + (b * A + c * A @ A) @ Z
+    result: Tensor = Z.mT if tall else Z
+    return result
 
 
 class Muon(Optimizer):
@@ -138,4 +139,4 @@ def warmup_stable_decay(
     """
     if progress < warmup:
         return progress / warmup
-    return final ** (max(0.0, min(progress, 1.0) - (1 - decay)) / decay)
+    return math.pow(final, max(0.0, min(progress, 1.0) - (1 - decay)) / decay)

@@ -1,0 +1,194 @@
+"""Weights files: safetensors with the configuration and the training record in their metadata."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from spectra_kit._files import atomic_path
+from spectra_kit.errors import InvalidInputError, WeightsError
+from spectra_kit.neo.model import NeoConfig, NeoNetwork
+
+_FORMAT = "1"
+
+#: Shipped weights: name -> (file in neo/weights, sha256 of the file).
+WEIGHTS: dict[str, tuple[str, str]] = {}
+
+
+class Pretrained(NamedTuple):
+    """A network from a file, its configuration, and where it comes from.
+
+    Attributes
+    ----------
+    network : NeoNetwork
+        In evaluation mode, float32.
+    config : NeoConfig
+        Sizes and frame.
+    name : str
+        What was asked for.
+    sha256 : str
+        Of the file.
+    record : dict
+        How it was trained: steps, samples, minutes, validation curve.
+    """
+
+    network: NeoNetwork
+    config: NeoConfig
+    name: str
+    sha256: str
+    record: dict[str, Any]
+
+
+def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -> Pretrained:
+    """Load a shipped network by its name, or any weights file by its path.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        A key of `WEIGHTS`, or a file that `save_weights` wrote (recognised by its suffix
+        ``.safetensors``).
+    device : str, default "cpu"
+        Where to put the network.
+
+    Returns
+    -------
+    Pretrained
+        ``network, config, name, sha256, record``.
+
+    Raises
+    ------
+    WeightsError
+        If the name is unknown, the file is missing, damaged, or not the one that was shipped, or
+        its tensors do not fit the network that its metadata describes.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> network = NeoNetwork(NeoConfig.named("small"))
+    >>> path = tempfile.mkdtemp() + "/mine.safetensors"
+    >>> digest = save_weights(path, network, {"steps": 0})
+    >>> load_pretrained(path).config.m
+    160
+    """
+    path, expected = _locate(name_or_path)
+    digest = _sha256(path)
+    if expected is not None and digest != expected:
+        raise WeightsError(
+            f"{path} must have sha256 {expected}, got {digest}; the file was changed or damaged,"
+            " reinstall spectra_kit"
+        )
+    try:
+        with safe_open(path, framework="pt", device="cpu") as file:
+            metadata = file.metadata() or {}
+            tensors = {key: file.get_tensor(key).float() for key in file.keys()}  # noqa: SIM118
+    except SafetensorError as error:
+        raise WeightsError(f"{path} is no complete safetensors file ({error})") from error
+    if metadata.get("format") != _FORMAT:
+        raise WeightsError(
+            f"{path} must carry weights of format {_FORMAT}, got {metadata.get('format')!r};"
+            " was it written by `save_weights`?"
+        )
+    try:
+        config = NeoConfig(**json.loads(metadata["config"]))
+        record = json.loads(metadata["record"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise WeightsError(f"{path} has unreadable metadata ({error!r})") from error
+    network = NeoNetwork(config)
+    _check_tensors(path, network, tensors)
+    network.load_state_dict(tensors, strict=True)
+    network.requires_grad_(False).eval().to(device)
+    return Pretrained(network, config, os.fspath(name_or_path), digest, record)
+
+
+def save_weights(
+    path: str | os.PathLike[str],
+    network: NeoNetwork,
+    record: dict[str, Any],
+    *,
+    dtype: torch.dtype = torch.float32,
+) -> str:
+    """Write a network with its configuration and training record, atomically.
+
+    Parameters
+    ----------
+    path : path
+        Where to; should end in ``.safetensors``.
+    network : NeoNetwork
+        The weights.
+    record : dict
+        JSON values about the training.
+    dtype : torch.dtype, default float32
+        Precision on disk. Loading always gives float32.
+
+    Returns
+    -------
+    str
+        The sha256 of the file.
+
+    Raises
+    ------
+    InvalidInputError
+        If the record is no JSON, or the folder does not exist.
+    """
+    try:
+        metadata = {
+            "format": _FORMAT,
+            "config": json.dumps(asdict(network.config)),
+            "record": json.dumps(record),
+        }
+    except TypeError as error:
+        raise InvalidInputError(f"`record` must hold JSON values only: {error}") from error
+    tensors = {
+        name: tensor.detach().to("cpu", dtype).contiguous()
+        for name, tensor in network.state_dict().items()
+    }
+    with atomic_path(path) as temporary:
+        save_file(tensors, temporary, metadata=metadata)
+    return _sha256(Path(path))
+
+
+def _locate(name_or_path: str | os.PathLike[str]) -> tuple[Path, str | None]:
+    """Return the file and, for a shipped one, the hash that it must have."""
+    if isinstance(name_or_path, str) and name_or_path in WEIGHTS:
+        file, digest = WEIGHTS[name_or_path]
+        path = Path(str(resources.files("spectra_kit.neo") / "weights" / file))
+        hint = "reinstall spectra_kit"
+    else:
+        path, digest = Path(name_or_path), None
+        if path.suffix != ".safetensors":
+            raise WeightsError(
+                f"weights must be one of {sorted(WEIGHTS)} or the path of a .safetensors file,"
+                f" got {os.fspath(name_or_path)!r}"
+            )
+        hint = "check the path"
+    if not path.is_file():
+        raise WeightsError(f"the weights file {path} does not exist; {hint}")
+    return path, digest
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _check_tensors(path: Path, network: NeoNetwork, tensors: dict[str, torch.Tensor]) -> None:
+    ours = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+    theirs = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    wrong = sorted(
+        name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name)
+    )
+    if wrong:
+        name = wrong[0]
+        raise WeightsError(
+            f"{path} must hold the tensors of its configuration, {len(wrong)} do not fit, the"
+            f" first is {name!r}: expected shape {ours.get(name)}, got {theirs.get(name)}"
+        )

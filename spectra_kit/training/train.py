@@ -1,0 +1,463 @@
+"""The training loop: batches that follow from (seed, step), checkpoints that resume exactly."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from tqdm import tqdm
+
+from spectra_kit._files import atomic_path
+from spectra_kit._validate import check_count, check_positive
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.neo.loss import ortho_loss, span_loss
+from spectra_kit.neo.model import NeoConfig, NeoNetwork
+from spectra_kit.subspaces.frame import POSES, canonical_frame
+from spectra_kit.training.optim import make_optimizers, warmup_stable_decay
+from spectra_kit.training.shards import Batch, Corpus
+
+_DTYPES = {"float32": None, "bfloat16": torch.bfloat16, "float16": torch.float16}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """Everything a training run follows from, next to its corpus.
+
+    Parameters
+    ----------
+    network : NeoConfig
+        Sizes, and the frame in which the network will be asked to predict.
+    steps : int
+        Length of the schedule in steps. With `minutes`, an upper bound.
+    minutes : float, optional
+        Length of the schedule in wall-clock time; such a run ends when it must, but does not
+        repeat bit by bit.
+    batch, points : int
+        Clouds per step, and points drawn from each.
+    lr, weight_decay, clip : float
+        Peak learning rate, decoupled decay, bound on the gradient's norm.
+    alpha : float, default 1e-3
+        Weight of `ortho_loss`.
+    flips : float, default 0.25
+        In the principal frame: share of samples that are shown in a random one of the four
+        proper flips, for clouds whose third moments are unclear and for prediction in many poses.
+    jitter : float, default 0.03
+        In the principal frame: size of random rotations, in radians, and of random shrinking.
+    precision : {"float32", "bfloat16", "float16"}, default "float32"
+        Of the matrix products (autocast). Losses are always float32.
+    validation : int, default 64
+        How many samples of the validation corpus, the first ones, to validate on.
+    every : int, default 200
+        Steps between validations, which are also the checkpoints.
+    workers : int, default 1
+        Threads that take equal shares of each batch. They meet once per step, so on a busy CPU
+        two of them with one thread each are several times faster than one whose every matrix
+        product waits for two threads.
+    seed : int, default 0
+        Of initial weights, order, points and poses.
+
+    Raises
+    ------
+    InvalidInputError
+        If a value is out of its range.
+    """
+
+    network: NeoConfig
+    steps: int
+    minutes: float | None = None
+    batch: int = 16
+    points: int = 1024
+    lr: float = 2e-3
+    weight_decay: float = 0.04
+    clip: float = 1.0
+    alpha: float = 1e-3
+    flips: float = 0.25
+    jitter: float = 0.03
+    precision: Literal["float32", "bfloat16", "float16"] = "float32"
+    validation: int = 64
+    every: int = 200
+    workers: int = 1
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch", "points", "validation", "every", "workers"):
+            check_count(name, getattr(self, name), low=1)
+        for name in ("lr", "clip"):
+            check_positive(name, getattr(self, name))
+        if self.minutes is not None:
+            check_positive("minutes", self.minutes)
+        if self.points <= self.network.m:
+            raise InvalidInputError(
+                f"`points` must exceed the {self.network.m} functions of the network, which span"
+                f" everything on fewer, got {self.points}"
+            )
+        if self.precision not in _DTYPES:
+            raise InvalidInputError(
+                f"`precision` must be one of {sorted(_DTYPES)}, got {self.precision!r}"
+            )
+
+
+@dataclass
+class TrainState:
+    """What a checkpoint holds beside weights and optimiser states; it grows with every step."""
+
+    step: int = 0
+    seconds: float = 0.0
+    history: list[dict[str, float]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class TrainResult:
+    """A trained network and how it came about.
+
+    Parameters
+    ----------
+    network : NeoNetwork
+        In evaluation mode.
+    record : dict
+        Plain JSON values: configuration, steps, samples, minutes, validation curve.
+    finished : bool
+        False where Ctrl-C ended the run before its schedule; the checkpoint continues it.
+    """
+
+    network: NeoNetwork
+    record: dict[str, Any]
+    finished: bool
+
+
+def train(
+    corpus: Corpus,
+    validation: Corpus,
+    config: TrainConfig,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    device: str = "cpu",
+    stop_after: int | None = None,
+) -> TrainResult:
+    """Train a network on a corpus.
+
+    The batch of a step follows from (seed, step) alone, so a run that is stopped and resumed from
+    its checkpoint gives the same weights as one in a single go, bit by bit on a CPU.
+
+    Parameters
+    ----------
+    corpus, validation : Corpus
+        What to learn from, and other samples to measure the span error on.
+    config : TrainConfig
+        The run.
+    out : path, optional
+        Folder for ``checkpoint.pt`` and ``log.csv``; nothing is written without it.
+    resume : bool, default False
+        Continue from the checkpoint in `out`. The corpus may have grown since.
+    device : str, default "cpu"
+        Where to compute.
+    stop_after : int, optional
+        Stop, with a checkpoint, once this many steps are done in all, as if by Ctrl-C.
+
+    Returns
+    -------
+    TrainResult
+
+    Raises
+    ------
+    InvalidInputError
+        If the corpus does not fit the configuration, or there is no checkpoint of this
+        configuration to resume.
+    """
+    _check_corpora(corpus, validation, config)
+    torch.manual_seed(config.seed)
+    network = NeoNetwork(config.network).to(device)
+    optimizers = make_optimizers(network, lr=config.lr, weight_decay=config.weight_decay)
+    scaler = torch.amp.GradScaler(device, enabled=config.precision == "float16")
+    state = TrainState()
+    folder = None if out is None else Path(out)
+    if resume:
+        state = _load(folder, config, network, optimizers)
+    elif folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    start = time.perf_counter() - state.seconds
+    limit = config.steps if stop_after is None else min(stop_after, config.steps)
+    losses: list[float] = []
+    with (
+        ThreadPoolExecutor(config.workers) as pool,
+        _until_interrupt() as interrupted,
+        tqdm(total=config.steps, initial=state.step, unit="step", disable=None) as bar,
+    ):
+        while state.step < limit and _progress(config, state) < 1 and not interrupted():
+            lr = config.lr * warmup_stable_decay(_progress(config, state))
+            losses.append(_step(network, optimizers, scaler, corpus, config, state.step, lr, pool))
+            state.step += 1
+            state.seconds = time.perf_counter() - start
+            bar.update()
+            bar.set_postfix(span=f"{np.mean(losses[-50:]):.4f}", refresh=False)
+            if state.step % config.every == 0 or _progress(config, state) >= 1:
+                error = validate(network, validation, config, pool=pool)
+                _note(state, losses, lr, error)
+                _save(folder, config, network, optimizers, state)
+    _save(folder, config, network, optimizers, state)
+    record = _record(corpus, config, state)
+    return TrainResult(network.eval(), record, _progress(config, state) >= 1)
+
+
+def _step(
+    network: NeoNetwork,
+    optimizers: tuple[torch.optim.Optimizer, ...],
+    scaler: torch.amp.GradScaler,
+    corpus: Corpus,
+    config: TrainConfig,
+    step: int,
+    lr: float,
+    pool: ThreadPoolExecutor,
+) -> float:
+    """Make one step of the optimisers; return its span loss."""
+    parameters = list(network.parameters())
+    device = parameters[0].device
+    shares = [
+        part.to(device).chunk(config.workers) for part in training_batch(corpus, config, step)
+    ]
+
+    def work(points: Tensor, mass: Tensor, U: Tensor) -> tuple[float, tuple[Tensor, ...]]:
+        with _autocast(device.type, config.precision):
+            F = network(points, mass)
+        share = len(points) / config.batch
+        loss = share * span_loss(F, mass, U)
+        total = loss + share * config.alpha * ortho_loss(F, mass)
+        return loss.item(), torch.autograd.grad(scaler.scale(total), parameters)
+
+    losses, gradients = zip(*pool.map(work, *shares), strict=True)
+    for parameter, *parts in zip(parameters, *gradients, strict=True):
+        parameter.grad = torch.stack(parts).sum(0)
+    for optimizer in optimizers:
+        scaler.unscale_(optimizer)
+    torch.nn.utils.clip_grad_norm_(parameters, config.clip)
+    for optimizer in optimizers:
+        for group in optimizer.param_groups:
+            group["lr"] = lr
+        scaler.step(optimizer)
+        optimizer.zero_grad()
+    scaler.update()
+    return sum(losses)
+
+
+def validate(
+    network: NeoNetwork,
+    corpus: Corpus,
+    config: TrainConfig,
+    *,
+    pool: ThreadPoolExecutor | None = None,
+) -> float:
+    """Return the mean span error over the first samples of a corpus, with all their points.
+
+    Without a canonical frame each sample is shown in one random rotation, the same every time.
+    """
+    device = next(network.parameters()).device
+    n = min(config.validation, len(corpus))
+
+    @torch.no_grad()
+    def error(first: int) -> float:
+        batch = corpus.batch(range(first, min(first + 8, n)))
+        if config.network.frame == "principal":
+            posed = [canonical_frame(p, w).pose(p) for p, w in _pairs(batch)]
+        else:
+            rng = np.random.default_rng((config.seed, 2, first))
+            posed = [_pose_random(p, w, rng) for p, w in _pairs(batch)]
+        points = torch.from_numpy(np.stack(posed)).float().to(device)
+        mass = torch.from_numpy(batch.mass).to(device)
+        with _autocast(device.type, config.precision):
+            F = network(points, mass)
+        U = torch.from_numpy(batch.eigenvectors).to(device)
+        return span_loss(F, mass, U).item() * len(posed)
+
+    apply = map if pool is None else pool.map
+    total: float = sum(apply(error, range(0, n, 8)))
+    return total / n
+
+
+def training_batch(corpus: Corpus, config: TrainConfig, step: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Return points (B, N, 3), mass (B, N) and modes (B, N, k) of a step, float32.
+
+    Every sample comes once per epoch, in an order drawn from (seed, epoch); the points and the
+    pose are drawn from (seed, step).
+    """
+    n = len(corpus)
+    places = np.arange(step * config.batch, (step + 1) * config.batch)
+    orders = {
+        int(epoch): np.random.default_rng((config.seed, 0, int(epoch))).permutation(n)
+        for epoch in np.unique(places // n)
+    }
+    chosen = [orders[int(place // n)][place % n] for place in places]
+    batch = corpus.batch(chosen)
+    rng = np.random.default_rng((config.seed, 1, step))
+    points, mass, modes = [], [], []
+    for (x, w), U in zip(_pairs(batch), batch.eigenvectors, strict=True):
+        posed = _pose_principal(x, w, rng, config) if config.network.frame == "principal" else None
+        posed = _pose_random(x, w, rng) if posed is None else posed
+        keep = np.sort(rng.choice(len(x), config.points, replace=False))
+        points.append(posed[keep])
+        mass.append(w[keep])
+        modes.append(U[keep])
+    return (
+        torch.from_numpy(np.stack(points)).float(),
+        torch.from_numpy(np.stack(mass)).float(),
+        torch.from_numpy(np.stack(modes)).float(),
+    )
+
+
+def random_rotation(rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return a rotation (3, 3), uniform on SO(3) (a normal quaternion, Shoemake 1992)."""
+    w, x, y, z = (q := rng.standard_normal(4)) / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _pairs(batch: Batch) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    return zip(batch.points, batch.mass, strict=True)
+
+
+def _pose_principal(
+    points: NDArray[np.float32],
+    mass: NDArray[np.float32],
+    rng: np.random.Generator,
+    config: TrainConfig,
+) -> NDArray[np.float64]:
+    posed = canonical_frame(points, mass).pose(points)
+    if rng.random() < config.flips:
+        posed = posed * POSES[rng.integers(4)]
+    a, b, c = config.jitter * rng.standard_normal(3)
+    # The orthogonal polar factor of a rotation's first-order expansion: small, never a shear.
+    left, _, right = np.linalg.svd(np.array([[1, -c, b], [c, 1, -a], [-b, a, 1]]))
+    posed = posed @ (left @ right)
+    shrink = 1 - config.jitter * rng.random()
+    return np.asarray(shrink * posed / np.abs(posed).max())
+
+
+def _pose_random(
+    points: NDArray[np.float32], mass: NDArray[np.float32], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    weights = mass.astype(np.float64) / mass.sum()
+    centred = points - weights @ points
+    posed = centred @ random_rotation(rng).T
+    return np.asarray(posed / np.abs(posed).max())
+
+
+def _progress(config: TrainConfig, state: TrainState) -> float:
+    """Return the share of the schedule behind us, by steps or by the clock."""
+    share = state.step / config.steps
+    if config.minutes is not None:
+        share = max(share, state.seconds / (60 * config.minutes))
+    return share
+
+
+def _note(state: TrainState, losses: list[float], lr: float, error: float) -> None:
+    row = {"step": state.step, "seconds": round(state.seconds, 1), "lr": lr}
+    state.history.append(row | {"loss": float(np.mean(losses)), "validation": error})
+    losses.clear()
+
+
+def _record(corpus: Corpus, config: TrainConfig, state: TrainState) -> dict[str, Any]:
+    return {
+        "config": asdict(config),
+        "steps": state.step,
+        "samples": state.step * config.batch,
+        "minutes": round(state.seconds / 60, 2),
+        "corpus": {"samples": len(corpus), "points": corpus.n_points, "k": corpus.k},
+        "span_error": state.history[-1]["validation"] if state.history else None,
+        "history": state.history,
+    }
+
+
+def _save(
+    folder: Path | None,
+    config: TrainConfig,
+    network: NeoNetwork,
+    optimizers: tuple[torch.optim.Optimizer, ...],
+    state: TrainState,
+) -> None:
+    if folder is None:
+        return
+    content = {
+        "config": asdict(config),
+        "state": asdict(state),
+        "network": network.state_dict(),
+        "optimizers": [optimizer.state_dict() for optimizer in optimizers],
+    }
+    with atomic_path(folder / "checkpoint.pt") as path:
+        torch.save(content, path)
+    if state.history:
+        with atomic_path(folder / "log.csv") as path, path.open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(state.history[0]))
+            writer.writeheader()
+            writer.writerows(state.history)
+
+
+def _load(
+    folder: Path | None,
+    config: TrainConfig,
+    network: NeoNetwork,
+    optimizers: tuple[torch.optim.Optimizer, ...],
+) -> TrainState:
+    path = None if folder is None else folder / "checkpoint.pt"
+    if path is None or not path.is_file():
+        raise InvalidInputError(f"`out` must hold a checkpoint to resume, found none at {path}")
+    content = torch.load(path, map_location="cpu", weights_only=True)
+    ours, theirs = asdict(config), content["config"]
+    differing = sorted(name for name in ours if ours[name] != theirs.get(name))
+    if differing:
+        raise InvalidInputError(
+            f"the checkpoint {path} was written with other values of {differing};"
+            " resume with those, or train into another folder"
+        )
+    network.load_state_dict(content["network"])
+    for optimizer, saved in zip(optimizers, content["optimizers"], strict=True):
+        optimizer.load_state_dict(saved)
+    return TrainState(**content["state"])
+
+
+def _check_corpora(corpus: Corpus, validation: Corpus, config: TrainConfig) -> None:
+    for name, samples, n in (
+        ("corpus", corpus, config.points),
+        ("validation", validation, config.network.m + 1),
+    ):
+        if samples.k != config.network.k or samples.n_points < n:
+            raise InvalidInputError(
+                f"`{name}` must have samples of at least {n} points and {config.network.k} modes,"
+                f" got {samples.n_points} and {samples.k}"
+            )
+
+
+def _autocast(device: str, precision: str) -> torch.autocast:
+    dtype = _DTYPES[precision]
+    return torch.autocast(torch.device(device).type, dtype=dtype, enabled=dtype is not None)
+
+
+@contextmanager
+def _until_interrupt() -> Iterator[Any]:
+    """Yield a function that tells whether Ctrl-C was pressed, which then ends nothing by itself."""
+    pressed: list[int] = []
+    try:
+        before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    except ValueError:  # not in the main thread, which alone may set handlers
+        yield lambda: False
+        return
+    try:
+        yield lambda: bool(pressed)
+    finally:
+        signal.signal(signal.SIGINT, before)
