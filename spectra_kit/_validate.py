@@ -21,57 +21,68 @@ def frozen(array: Array) -> Array:
     return view
 
 
+def _as_array(name: str, values: ArrayLike) -> NDArray[np.generic]:
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        raise InvalidInputError(f"`{name}` must have rows of one length ({error})") from error
+
+
 def real_array(name: str, values: ArrayLike) -> Floats:
     """Return `values` as a finite C-ordered float64 array."""
-    array = np.asarray(values)
+    array = _as_array(name, values)
     if array.dtype.kind not in "fiu":
         raise InvalidInputError(f"`{name}` must hold real numbers, got dtype {array.dtype}")
-    array = np.ascontiguousarray(array, dtype=np.float64)
-    bad = ~np.isfinite(array)
+    floats = np.asarray(array, dtype=np.float64, order="C")
+    bad = ~np.isfinite(floats)
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])
         raise InvalidInputError(
             f"`{name}` must be finite, got {int(bad.sum())} NaN or infinite values,"
             f" the first at {first}; remove or repair those rows"
         )
-    return array
+    return floats
 
 
 def check_points(name: str, values: ArrayLike) -> Floats:
     """Return `values` as finite float64 points of shape (n, 3), n >= 1."""
-    shape = np.shape(values)
-    if len(shape) != 2 or shape[1] != 3:
-        hint = "; did you pass its transpose?" if len(shape) == 2 and shape[0] == 3 else ""
-        raise InvalidInputError(f"`{name}` must have shape (n, 3), got {shape}{hint}")
-    if shape[0] == 0:
-        raise InvalidInputError(f"`{name}` must hold at least one point, got shape {shape}")
-    return real_array(name, values)
+    array = _as_array(name, values)
+    _check_three_columns(name, array, "n")
+    if len(array) == 0:
+        raise InvalidInputError(f"`{name}` must hold at least one point, got shape {array.shape}")
+    return real_array(name, array)
+
+
+def _check_three_columns(name: str, array: NDArray[np.generic], rows: str) -> None:
+    if array.ndim != 2 or array.shape[1] != 3:
+        hint = "; did you pass its transpose?" if array.ndim == 2 and len(array) == 3 else ""
+        raise InvalidInputError(f"`{name}` must have shape ({rows}, 3), got {array.shape}{hint}")
 
 
 def check_indices(name: str, values: ArrayLike, n: int) -> Ints:
     """Return `values` as int64 indices into `n` points; any shape."""
-    array = np.asarray(values)
+    array = _as_array(name, values)
     if array.dtype.kind not in "iu":
-        raise InvalidInputError(f"`{name}` must hold integers, got dtype {array.dtype}")
+        raise InvalidInputError(
+            f"`{name}` must hold integers, got dtype {array.dtype}; count from 0"
+        )
     if array.size and (array.min() < 0 or array.max() >= n):
         worst = int(array.min()) if array.min() < 0 else int(array.max())
         hint = "; indices count from 0" if array.min() >= 1 and array.max() == n else ""
         raise InvalidInputError(f"`{name}` must be in [0, {n}), got {worst}{hint}")
-    return np.ascontiguousarray(array, dtype=np.int64)
+    return np.asarray(array, dtype=np.int64, order="C")
 
 
 def check_faces(name: str, values: ArrayLike, n: int) -> Ints:
     """Return `values` as int64 faces of shape (f, 3), f >= 1, indexing `n` points."""
-    shape = np.shape(values)
-    if len(shape) != 2 or shape[1] != 3:
-        hint = "; did you pass its transpose?" if len(shape) == 2 and shape[0] == 3 else ""
-        raise InvalidInputError(f"`{name}` must have shape (f, 3), got {shape}{hint}")
-    if shape[0] == 0:
+    array = _as_array(name, values)
+    _check_three_columns(name, array, "f")
+    if len(array) == 0:
         raise InvalidInputError(
-            f"`{name}` must hold at least one triangle, got shape {shape};"
+            f"`{name}` must hold at least one triangle, got shape {array.shape};"
             " use PointCloud for bare points"
         )
-    return check_indices(name, values, n)
+    return check_indices(name, array, n)
 
 
 def check_mass(name: str, values: ArrayLike, n: int) -> Floats:

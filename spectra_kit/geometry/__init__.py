@@ -3,7 +3,7 @@
 ::
 
     read ──> diagnose ──> repair ──> normalize ──> Laplacian       (spectra_kit.operators)
-    sphere, rectangle, torus …  ──┘      └──> sample ──> PointCloud ──> Laplacian
+    sphere, torus, creature … ───┘      └──> sample ──> PointCloud ──> Laplacian
 
 Every step is optional and returns a new object; nothing is repaired, moved or scaled unasked.
 
@@ -29,9 +29,11 @@ Every step is optional and returns a new object; nothing is repaired, moved or s
 """
 
 from spectra_kit.geometry.components import Component, components, largest_component
+from spectra_kit.geometry.creature import creature
 from spectra_kit.geometry.diagnose import Diagnosis, diagnose
 from spectra_kit.geometry.io import read, write
 from spectra_kit.geometry.normalize import Normalization, normalize
+from spectra_kit.geometry.reference import Reference, disk, rectangle, sphere, torus
 from spectra_kit.geometry.repair import Repaired, RepairReport, repair
 from spectra_kit.geometry.sampling import GaussianDensity, Samples, sample, sample_with_origin
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
@@ -43,17 +45,23 @@ __all__ = [
     "Geometry",
     "Normalization",
     "PointCloud",
+    "Reference",
     "RepairReport",
     "Repaired",
     "Samples",
     "TriangleMesh",
     "components",
+    "creature",
     "diagnose",
+    "disk",
     "largest_component",
     "normalize",
     "read",
+    "rectangle",
     "repair",
     "sample",
     "sample_with_origin",
+    "sphere",
+    "torus",
     "write",
 ]

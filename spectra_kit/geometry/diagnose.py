@@ -71,14 +71,12 @@ class Diagnosis:
         """One sentence for each thing that an operator may refuse, with what to do about it."""
         is_mesh = self.n_faces > 0
         merge = "mesh.with_merged_vertices()" if is_mesh else "cloud.without_duplicates()"
-        non_manifold = "robust_laplacian accepts them, cotan_laplacian does not"
         findings = (
             (self.duplicate_points, f"points lie exactly on earlier ones: {merge}"),
             (self.degenerate_faces, "faces have no area: mesh.without_degenerate_faces()"),
             (self.duplicate_faces, "faces repeat earlier ones: mesh.without_duplicate_faces()"),
             (self.unreferenced_vertices, "vertices have no face: mesh.without_unreferenced()"),
-            (self.nonmanifold_edges, f"edges have three or more faces: {non_manifold}"),
-            (self.nonmanifold_vertices, f"vertices join separate fans: {non_manifold}"),
+            (self.nonmanifold_edges, "edges have three or more faces: use robust_laplacian"),
         )
         flat = ("all points coincide: no surface", "all points lie on one line: no surface")
         sentences = [f"{count} {text}" for count, text in findings if count]
@@ -86,7 +84,7 @@ class Diagnosis:
 
     @property
     def is_clean(self) -> bool:
-        """Whether there are no problems; boundaries and several components are none."""
+        """Whether there are no problems; boundaries, fans and several components are none."""
         return not self.problems
 
 
@@ -142,7 +140,7 @@ _NO_FACES = dict.fromkeys(
 
 
 def _face_counts(mesh: TriangleMesh) -> dict[str, int]:
-    edges, faces_at_edge = np.unique(mesh.edges, axis=0, return_counts=True)
+    edges, faces_at_edge = mesh.unique_edges
     n_used = len(mesh.referenced_vertices)
     n_faces = len(mesh.faces)
     return {
@@ -171,8 +169,9 @@ def _count_split_fans(mesh: TriangleMesh) -> int:
     i, j = sides[order[:-1][same_edge]].ravel(), sides[order[1:][same_edge]].ravel()
     graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(corner.size, corner.size))
     _, fan = connected_components(graph, directed=False)
-    fans = np.unique(np.column_stack([mesh.faces.ravel(), fan]), axis=0)
-    return int((np.unique(fans[:, 0], return_counts=True)[1] > 1).sum())
+    vertex_and_fan = np.column_stack([mesh.faces.ravel(), fan])
+    first, _ = distinct_rows(vertex_and_fan)
+    return int((np.bincount(vertex_and_fan[first, 0]) > 1).sum())
 
 
 def _dimension(points: NDArray[np.float64]) -> int:

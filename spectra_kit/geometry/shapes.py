@@ -124,9 +124,16 @@ class TriangleMesh:
         return np.sort(sides, axis=1)
 
     @cached_property
+    def unique_edges(self) -> tuple[Ints, Ints]:
+        """Distinct rows of `edges`, sorted, shape (e, 2), and how often each occurs, shape (e,)."""
+        low, high = self.edges.T
+        keys, counts = np.unique(low * self.n + high, return_counts=True)
+        return np.column_stack(np.divmod(keys, self.n)), counts
+
+    @cached_property
     def boundary_vertices(self) -> Ints:
         """Vertices of edges that belong to exactly one face, ascending."""
-        edges, counts = np.unique(self.edges, axis=0, return_counts=True)
+        edges, counts = self.unique_edges
         return np.unique(edges[counts == 1])
 
     @cached_property
@@ -179,8 +186,8 @@ class TriangleMesh:
 
     def without_duplicate_faces(self) -> TriangleMesh:
         """Return the mesh with one face per vertex triple (first kept, orientation ignored)."""
-        _, first = np.unique(np.sort(self.faces, axis=1), axis=0, return_index=True)
-        return TriangleMesh(self.points, self.faces[np.sort(first)])
+        first, _ = distinct_rows(np.sort(self.faces, axis=1))
+        return TriangleMesh(self.points, self.faces[first])
 
     def with_merged_vertices(self) -> TriangleMesh:
         """Return the mesh with exactly coincident vertices joined, first kept.
@@ -192,25 +199,25 @@ class TriangleMesh:
         return TriangleMesh(self.points[first], label[self.faces])
 
 
-def distinct_rows(points: Floats) -> tuple[Ints, Ints]:
-    """Find the distinct rows of `points`, in order of first appearance.
+def distinct_rows(rows: Floats | Ints) -> tuple[Ints, Ints]:
+    """Find the distinct ones among `rows`, in order of first appearance.
 
     Parameters
     ----------
-    points : ndarray of shape (n, 3)
-        Only exactly equal coordinates count as equal.
+    rows : ndarray of shape (n, d)
+        Only exactly equal numbers count as equal.
 
     Returns
     -------
     first : ndarray of shape (d,)
         Index of the first appearance of each distinct row, ascending.
     label : ndarray of shape (n,)
-        The distinct row that each row equals: ``points[first][label]`` is `points`.
+        The distinct row that each row equals: ``rows[first][label]`` equals `rows`.
     """
     # Sorting brings equal rows together; lexsort is stable, so each group starts with its first.
-    order = np.lexsort(points.T)
-    is_new = np.ones(len(points), dtype=bool)
-    is_new[1:] = (points[order[1:]] != points[order[:-1]]).any(axis=1)
+    order = np.lexsort(rows.T)
+    is_new = np.ones(len(rows), dtype=bool)
+    is_new[1:] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
     first = order[is_new]
     by_appearance = np.argsort(first)
     rank = np.empty_like(by_appearance)

@@ -18,7 +18,7 @@ def text_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield (line number, words) of each line that is not blank, without ``#`` comments."""
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     for number, line in enumerate(text.splitlines(), start=1):
-        words = line.split("#", 1)[0].split()
+        words = (line.partition("#")[0] if "#" in line else line).split()
         if words:
             yield number, words
 

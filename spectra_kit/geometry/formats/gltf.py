@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays
@@ -20,6 +19,8 @@ def read(path: Path) -> Arrays:
     Vertices stay in the order of the file, mesh after mesh. Curves, and point sets that stand next
     to meshes, are left out; a scene of point sets alone gives a cloud.
     """
+    import trimesh  # here, because it is slow to import and no other format needs it
+
     try:
         parts = trimesh.load_scene(path, process=False, skip_materials=True).dump()
     except (
@@ -46,6 +47,8 @@ def read(path: Path) -> Arrays:
 
 def write(mesh: TriangleMesh, path: Path) -> None:
     """Write a scene of one mesh; coordinates are rounded to float32, the format knows no other."""
+    import trimesh
+
     scene: Any = trimesh.Scene(trimesh.Trimesh(mesh.points, mesh.faces, process=False))
     if path.suffix.lower() == ".glb":
         path.write_bytes(scene.export(file_type="glb", include_normals=False))

@@ -143,8 +143,8 @@ def _faces(columns: Columns) -> NDArray[np.int64] | None:
     if name is None:
         raise InvalidInputError(f"faces must have vertex_indices, got {', '.join(columns)}")
     corners = columns[name]
-    flat = np.concatenate([np.ravel(row) for row in corners]).astype(np.float64)
-    if (flat != np.rint(flat)).any():
+    flat = np.ravel(corners) if isinstance(corners, np.ndarray) else np.concatenate(corners)
+    if (flat != np.rint(flat.astype(np.float64))).any():
         raise InvalidInputError("faces must hold whole numbers")
     if isinstance(corners, np.ndarray) and corners.shape[1] == 3:
         return corners.astype(np.int64)
