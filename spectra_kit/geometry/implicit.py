@@ -29,9 +29,10 @@ def limb(start: ArrayLike, end: ArrayLike, start_radius: float, end_radius: floa
     scale = 1.0 / max(float(axis @ axis), 1e-12)
 
     def field(points: Floats) -> Floats:
-        t = np.clip((points @ axis - a @ axis) * scale, 0.0, 1.0)
-        radius = start_radius + (end_radius - start_radius) * t
-        return _norm(points - a - t[:, None] * axis) - radius
+        rest = points - a
+        t = np.clip(rest @ axis * scale, 0.0, 1.0)
+        rest -= t[:, None] * axis
+        return _norm(rest) - (start_radius + (end_radius - start_radius) * t)
 
     return field
 
@@ -99,18 +100,17 @@ def smooth_union(fields: Sequence[Field], blend: float) -> Field:
         total = fields[0](points)
         for other in fields[1:]:
             value = other(points)
-            if blend > 0:
-                gap = np.maximum(blend - np.abs(total - value), 0.0) / blend
-                total = np.minimum(total, value) - gap**3 * (blend / 6.0)
-            else:
-                total = np.minimum(total, value)
+            gap = np.abs(total - value)
+            total = np.minimum(total, value)
+            near = np.flatnonzero(gap < blend)  # few: most points meet one field only
+            total[near] -= (1 - gap[near] / blend) ** 3 * (blend / 6.0)
         return total
 
     return field
 
 
 def polygonize(
-    field: Field, low: ArrayLike, high: ArrayLike, *, n_cells: int
+    field: Field, low: ArrayLike, high: ArrayLike, *, n_cells: int, stride: int = 1
 ) -> tuple[Floats, Ints]:
     """Marching cubes of the zero set inside a box.
 
@@ -122,6 +122,10 @@ def polygonize(
         Corners of the box; a surface that leaves it stays open there.
     n_cells : int
         About how many cubes; they are equal in all directions, so a long box wastes none.
+    stride : int, default 1
+        Above 1, look at every stride-th node first and at the others only near the surface: much
+        faster, but right only for fields whose slope stays below 1.5, as that of the primitives
+        here does.
 
     Returns
     -------
@@ -142,5 +146,16 @@ def polygonize(
     grid = np.empty((nz, ny, nx, 3))
     grid[..., 0], grid[..., 1], grid[..., 2] = x, y[:, None], z[:, None, None]
     flat = grid.reshape(-1, 3)
-    points, faces, _ = igl.marching_cubes(field(flat), flat, nx, ny, nz, 0.0)
+    if stride == 1:
+        values = field(flat)
+    else:
+        # Each node takes the value of a node less than stride cells away in every direction.
+        some = grid[::stride, ::stride, ::stride]
+        values = field(some.reshape(-1, 3)).reshape(some.shape[:3])
+        for axis in range(3):
+            values = np.repeat(values, stride, axis=axis)
+        values = values[:nz, :ny, :nx].ravel()
+        near = np.abs(values) < 1.5 * 3**0.5 * stride * cell
+        values[near] = field(flat[near])
+    points, faces, _ = igl.marching_cubes(values, flat, nx, ny, nz, 0.0)
     return np.asarray(points), np.asarray(faces, dtype=np.int64)
