@@ -1,0 +1,62 @@
+"""Certified Laplace-Beltrami spectra of meshes and point clouds.
+
+>>> import spectra_kit as sk
+>>> laplacian = sk.robust_laplacian(sk.geometry.sphere(subdivisions=3).geometry)
+>>> spectrum = sk.eigensolve(laplacian, 9)
+>>> spectrum.eigenvalues.round(1)
+array([0., 2., 2., 2., 6., 6., 6., 6., 6.])
+
+A file becomes a geometry (`read`), a geometry a `Laplacian` (`robust_laplacian` and others), that
+a `Spectrum` (`eigensolve`, with the backend of your choice), and a spectrum everything else.
+
+Conventions, everywhere the same:
+
+- Letters: n points, f faces, k modes, m basis functions.
+- Rows are points: ``points (n, 3)``, ``faces (f, 3)``, ``eigenvectors (n, k)``, ``basis (n, m)``.
+- L is the positive semi-definite weak Laplacian, M the lumped mass: ``L u = lambda M u``.
+- Units are the input's: eigenvalues in 1/length^2, mass in length^2, eigenvectors in 1/length.
+- Eigenvectors are M-orthonormal; their signs, and bases inside an eigenspace, are unspecified.
+"""
+
+from spectra_kit import geometry
+from spectra_kit.eigensolvers import Arpack, Dense, Lobpcg, RayleighRitz, eigensolve
+from spectra_kit.errors import (
+    ConvergenceError,
+    InvalidInputError,
+    InvalidSpectrumError,
+    MissingDependencyError,
+    SpectraKitError,
+    WeightsError,
+)
+from spectra_kit.geometry import PointCloud, TriangleMesh, read, write
+from spectra_kit.operators import Laplacian, cotan_laplacian, knn_laplacian, robust_laplacian
+from spectra_kit.spectrum import Certificate, Provenance, Spectrum
+from spectra_kit.subspaces import AmbientFourier, Union
+
+__all__ = [
+    "AmbientFourier",
+    "Arpack",
+    "Certificate",
+    "ConvergenceError",
+    "Dense",
+    "InvalidInputError",
+    "InvalidSpectrumError",
+    "Laplacian",
+    "Lobpcg",
+    "MissingDependencyError",
+    "PointCloud",
+    "Provenance",
+    "RayleighRitz",
+    "SpectraKitError",
+    "Spectrum",
+    "TriangleMesh",
+    "Union",
+    "WeightsError",
+    "cotan_laplacian",
+    "eigensolve",
+    "geometry",
+    "knn_laplacian",
+    "read",
+    "robust_laplacian",
+    "write",
+]

@@ -58,7 +58,7 @@ def read_spectrum_file(
         with zipfile.ZipFile(path) as archive, path.open("rb") as raw:
             header = json.loads(str(_read_member(archive, "header")))
             if header["format"] != "spectra_kit spectrum":
-                raise KeyError("format")
+                raise KeyError("format")  # noqa: TRY301
             if header["version"] > FORMAT_VERSION:
                 raise InvalidInputError(
                     f"{path} has format version {header['version']}, this spectra_kit reads up to"
@@ -94,9 +94,7 @@ def _read_member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
         return np.asarray(np.lib.format.read_array(member, allow_pickle=False))
 
 
-def _map_member(
-    path: Path, raw: IO[bytes], archive: zipfile.ZipFile, name: str
-) -> NDArray[Any]:
+def _map_member(path: Path, raw: IO[bytes], archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
     """Map ``name.npy`` read-only, straight out of the archive."""
     info = archive.getinfo(f"{name}.npy")
     if info.compress_type != zipfile.ZIP_STORED:

@@ -140,8 +140,8 @@ class Spectrum:
         if vectors.shape != (len(mass), len(values)):
             hint = "; transposed?" if vectors.shape == (len(values), len(mass)) else ""
             raise InvalidSpectrumError(
-                f"`eigenvectors` must have shape ({len(mass)}, {len(values)}) for {len(mass)} masses"
-                f" and {len(values)} eigenvalues, got {vectors.shape}{hint}"
+                f"`eigenvectors` must have shape ({len(mass)}, {len(values)}) for {len(mass)}"
+                f" masses and {len(values)} eigenvalues, got {vectors.shape}{hint}"
             )
         if np.any(np.diff(values) < 0) or (len(values) and values[0] < 0):
             raise InvalidSpectrumError(
@@ -244,7 +244,7 @@ class Spectrum:
         return self.reconstruct((gain * self.project(values).T).T)
 
     def residuals(self, laplacian: Laplacian) -> Floats:
-        """Return ``||L u - lambda M u||`` in the M^-1 norm for each mode, shape (k,), in 1/length^2.
+        """Return ``||L u - lambda M u||`` in the M^-1 norm of each mode: (k,), in 1/length^2.
 
         Rows of fixed (Dirichlet) points are left out: there u is prescribed, not solved for.
         """
@@ -291,7 +291,7 @@ class Spectrum:
         write_spectrum_file(
             Path(path),
             {n: getattr(self, n) for n in ("eigenvalues", "eigenvectors", "mass")},
-            self.certificate and vars(self.certificate),
+            vars(self.certificate) if self.certificate else None,
             vars(self.provenance),
         )
 
@@ -360,6 +360,7 @@ def _as_float64(name: str, values: ArrayLike, ndim: int) -> Floats:
     array = np.asarray(array, dtype=np.float64)
     if not isinstance(values, np.memmap) and not np.isfinite(array).all():
         raise InvalidSpectrumError(
-            f"`{name}` must be finite, got {int((~np.isfinite(array)).sum())} NaN or infinite values"
+            f"`{name}` must be finite, got {int((~np.isfinite(array)).sum())} NaN or infinite"
+            " values"
         )
     return array

@@ -3,6 +3,17 @@
 from spectra_kit.eigensolvers.arpack import Arpack
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
+from spectra_kit.eigensolvers.lobpcg import Lobpcg
+from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
 from spectra_kit.eigensolvers.solve import eigensolve
 
-__all__ = ["Arpack", "Dense", "Eigenpairs", "Eigensolver", "NotConvergedError", "eigensolve"]
+__all__ = [
+    "Arpack",
+    "Dense",
+    "Eigenpairs",
+    "Eigensolver",
+    "Lobpcg",
+    "NotConvergedError",
+    "RayleighRitz",
+    "eigensolve",
+]

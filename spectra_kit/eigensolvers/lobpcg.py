@@ -39,8 +39,8 @@ class Lobpcg:
     max_steps : int, default 200
         Iterations before giving up.
     preconditioner : {"cholesky", "amg"}, default "cholesky"
-        A sparse factor of the shifted operator, or smoothed aggregation (needs pyamg), whose memory grows only
-        linearly.
+        A sparse factor of the shifted operator, or smoothed aggregation (needs pyamg), whose
+        memory grows only linearly.
     start : Subspace, optional
         Where to start from, such as a `NeoSubspace`; random (seeded) without it.
     shift : float, default 0.1
@@ -148,7 +148,11 @@ class Lobpcg:
             ) from error
         shifted = laplacian.stiffness - sigma * sparse.diags_array(laplacian.mass)
         cycle = pyamg.smoothed_aggregation_solver(
-            sparse.csr_matrix(shifted), B=np.ones((laplacian.n, 1)), symmetry="symmetric"
+            sparse.csr_matrix(shifted),
+            B=np.ones((laplacian.n, 1)),
+            symmetry="symmetric",
+            # Local weights: the default estimates a spectral radius from a random start.
+            smooth=("jacobi", {"omega": 4 / 3, "weighting": "local"}),
         ).aspreconditioner()
         return lambda x: column * np.column_stack([cycle @ c for c in (column * x).T])
 
@@ -182,9 +186,9 @@ def lobpcg(
     Notes
     -----
     scipy's LOBPCG iterates until the guard columns have converged too, to one absolute tolerance
-    for all modes; here only the k wanted ones count, each by its own. The trial space is orthonormalised as a whole
-    (Duersch et al., *A Robust and Efficient Implementation of LOBPCG*, 2018), so it neither breaks
-    down nor loses accuracy near convergence.
+    for all modes; here only the k wanted ones count, each by its own. The trial space is
+    orthonormalised as a whole (Duersch et al., *A Robust and Efficient Implementation of LOBPCG*,
+    2018), so it neither breaks down nor loses accuracy near convergence.
     """
     ones = np.ones(len(start))
     values, rotation = np.linalg.eigh(start.T @ (operator @ start))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections import Counter
 from importlib.metadata import version
 
 import numpy as np
@@ -29,8 +28,8 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
     """Compute the k lowest modes of a Laplacian with the backend of your choice, and certify them.
 
     Each connected component is solved on its own and the modes are merged: as many exact zero
-    modes as components, no coupling through rounding, and a learned backend sees the single surfaces
-    it knows.
+    modes as components, no coupling through rounding, and a learned backend sees the single
+    surfaces it knows.
 
     Parameters
     ----------
@@ -77,7 +76,7 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
             " or sample more points"
         )
     start = time.perf_counter()
-    stages: Counter[str] = Counter()
+    stages: dict[str, float] = {}
     try:
         values, vectors = _solve_components(laplacian, k, solver, stages)
     except NotConvergedError as error:
@@ -89,7 +88,7 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
 
 
 def _solve_components(
-    laplacian: Laplacian, k: int, solver: Eigensolver, stages: Counter[str]
+    laplacian: Laplacian, k: int, solver: Eigensolver, stages: dict[str, float]
 ) -> tuple[Floats, Floats]:
     """Solve each component and merge the k lowest pairs of all, eigenvectors padded with zeros."""
     if laplacian.n_components == 1 and not len(laplacian.fixed):
@@ -113,12 +112,12 @@ def _solve_components(
                     )
                 except NotConvergedError as error:
                     raise _padded_error(error, part, laplacian.n) from error
-        pairs = [p for p in solved if p is not None]
-        cut = np.sort(np.concatenate([p.eigenvalues for p in pairs]))[k - 1 : k]
+        found = [p for p in solved if p is not None]
+        cut = np.sort(np.concatenate([p.eigenvalues for p in found]))[k - 1 : k]
         # A component whose last mode is below the cut may hold more modes below it: ask for more.
         short = [
             i
-            for i, p in enumerate(pairs)
+            for i, p in enumerate(found)
             if wanted[i] < min(len(parts[i]), k) and (not len(cut) or p.eigenvalues.max() < cut[0])
         ]
         if not short:
@@ -126,7 +125,7 @@ def _solve_components(
         for i in short:
             wanted[i] = min(len(parts[i]), k, 2 * wanted[i])
             solved[i] = None
-    return _merge(pairs, parts, laplacian.n, k)
+    return _merge(found, parts, laplacian.n, k)
 
 
 def _component_indices(laplacian: Laplacian) -> list[Ints]:
@@ -159,7 +158,7 @@ def _padded_error(error: NotConvergedError, part: Ints, n: int) -> NotConvergedE
 
 
 def _solve_connected(
-    laplacian: Laplacian, k: int, solver: Eigensolver, stages: Counter[str]
+    laplacian: Laplacian, k: int, solver: Eigensolver, stages: dict[str, float]
 ) -> Eigenpairs:
     """Call the backend on one component and check the form of its answer."""
     start = time.perf_counter()
@@ -170,7 +169,8 @@ def _solve_connected(
             f"{solver!r} must return shapes ({k},) and ({laplacian.n}, {k}),"
             f" got {values.shape} and {vectors.shape}"
         )
-    stages.update(dict(pairs.seconds) or {"solve": time.perf_counter() - start})
+    for stage, seconds in (pairs.seconds or {"solve": time.perf_counter() - start}).items():
+        stages[stage] = stages.get(stage, 0.0) + seconds
     return Eigenpairs(values, vectors, pairs.seconds)
 
 
@@ -178,7 +178,7 @@ def _pack(
     laplacian: Laplacian,
     pairs: Eigenpairs,
     solver: Eigensolver,
-    stages: Counter[str],
+    stages: dict[str, float],
     start: float,
 ) -> Spectrum:
     """Sort, check and certify `pairs`."""
@@ -196,15 +196,20 @@ def _pack(
     assert spectrum.certificate is not None
     if (error := spectrum.certificate.orthonormality_error) > _ORTHONORMAL:
         raise InvalidSpectrumError(
-            f"{solver!r} returned modes that are not M-orthonormal: |U^T M U - I| reaches {error:.2e}"
+            f"{solver!r} returned modes that are not M-orthonormal: |U^T M U - I| is {error:.2e}"
         )
     certified = time.perf_counter()
-    stages["other"] += max(solved - start - sum(stages.values()), 0.0)
+    other = max(solved - start - sum(stages.values()), 0.0)
     provenance = Provenance(
         solver=repr(solver),
         operator=laplacian.operator,
         seed=getattr(solver, "seed", None),
-        seconds={"assembly": laplacian.seconds, **stages, "certify": certified - solved},
+        seconds={
+            "assembly": laplacian.seconds,
+            **stages,
+            "other": other,
+            "certify": certified - solved,
+        },
         input_hash=_fingerprint(laplacian),
         version=version("spectra_kit"),
     )
@@ -218,5 +223,5 @@ def _fingerprint(laplacian: Laplacian) -> str:
     digest = hashlib.blake2b(digest_size=16)
     L = laplacian.stiffness
     for array in (L.indptr, L.indices, L.data, laplacian.mass, laplacian.points, laplacian.fixed):
-        digest.update(np.ascontiguousarray(array))
+        digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()

@@ -62,7 +62,8 @@ class SparseCholesky:
             )
         except ValueError as error:
             raise InvalidInputError(
-                f"`matrix` could not be factorised ({error}); it must be symmetric positive definite"
+                f"`matrix` could not be factorised ({error});"
+                " it must be symmetric positive definite"
             ) from error
 
     def solve(self, rhs: Floats) -> Floats:

@@ -81,7 +81,6 @@ def orthonormalize(basis: NDArray[np.floating], mass: Floats, *, rank_tol: float
     return np.asarray(q / root)
 
 
-
 def _multiply_rows(q: Floats, factor: Floats) -> None:
     """Overwrite the leading columns of `q` by ``q @ factor``, a block of rows at a time."""
     for start in range(0, len(q), _ROWS):

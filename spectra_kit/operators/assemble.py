@@ -80,8 +80,8 @@ def robust_laplacian(
 def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     """Build the cotangent Laplacian with the mixed Voronoi mass, as libigl has it.
 
-    Edge weights may be negative on obtuse triangles; prefer `robust_laplacian` unless you need this one
-    to compare with others.
+    Edge weights may be negative on obtuse triangles; prefer `robust_laplacian` unless you
+    need this one to compare with others.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     Examples
     --------
     >>> from spectra_kit.geometry import rectangle
-    >>> laplacian = cotan_laplacian(rectangle(100).geometry)
+    >>> laplacian = cotan_laplacian(rectangle(n=100).geometry)
     >>> laplacian.kernel_dimension
     1
     """
@@ -162,9 +162,9 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     Notes
     -----
     Weights ``W = exp(-d^2 / eps)`` with ``eps`` the squared median over points of the mean
-    neighbour distance, symmetrised by averaging, then ``K = Q^-1 W Q^-1`` with ``Q`` the row sums of W,
-    which takes the sampling density out (Coifman and Lafon, *Diffusion maps*, 2006). It is the
-    graph operator to which the NEO paper transfers its network (Table "Robustness analysis").
+    neighbour distance, symmetrised by averaging, then ``K = Q^-1 W Q^-1`` with ``Q`` the row sums
+    of W, which takes the sampling density out (Coifman and Lafon, *Diffusion maps*, 2006). It is
+    the graph operator to which the NEO paper transfers its network (Table "Robustness analysis").
 
     Examples
     --------

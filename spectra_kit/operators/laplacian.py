@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +23,8 @@ class Laplacian:
     """A symmetric positive semi-definite stiffness matrix L and a lumped mass M on n points.
 
     Its eigenproblem is ``L u = lambda M u``, lambda >= 0. Build one with `robust_laplacian`,
-    `cotan_laplacian` or `knn_laplacian`, or bring your own matrices: nothing is clamped or rescaled.
+    `cotan_laplacian` or `knn_laplacian`, or bring your own matrices: nothing is clamped or
+    rescaled.
 
     Parameters
     ----------
@@ -64,7 +66,7 @@ class Laplacian:
     def __post_init__(self) -> None:
         points = check_points("points", self.points)
         stiffness = _check_stiffness(self.stiffness, len(points))
-        mass = check_mass("mass", _diagonal(self.mass), len(points))
+        mass = check_mass("mass", lumped_diagonal(self.mass), len(points))
         fixed = np.unique(check_indices("fixed", np.asarray(self.fixed, dtype=int), len(points)))
         if len(fixed) == len(points):
             raise InvalidInputError(
@@ -153,10 +155,10 @@ class Laplacian:
         )
 
 
-def _diagonal(mass: object) -> ArrayLike:
+def lumped_diagonal(mass: Any) -> ArrayLike:
     """Return the diagonal of a diagonal mass matrix, anything else as it is."""
     if not sparse.issparse(mass):
-        return mass  # type: ignore[return-value]
+        return np.asarray(mass)
     diagonal: Floats = mass.diagonal()
     coordinates = sparse.coo_array(mass)
     off = coordinates.row != coordinates.col
@@ -168,7 +170,7 @@ def _diagonal(mass: object) -> ArrayLike:
     return diagonal
 
 
-def _check_stiffness(matrix: object, n: int) -> sparse.csr_array:
+def _check_stiffness(matrix: Any, n: int) -> sparse.csr_array:
     """Return `matrix` as a canonical csr_array that may be a (semi-)definite L."""
     if not sparse.issparse(matrix) or matrix.shape != (n, n):
         raise InvalidInputError(
@@ -193,6 +195,7 @@ def _check_stiffness(matrix: object, n: int) -> sparse.csr_array:
     if stiffness.diagonal().min() < -1e-12 * largest:
         raise InvalidInputError(
             "`stiffness` must be positive semi-definite, got a negative diagonal entry"
-            f" ({stiffness.diagonal().min():.3g}); libigl's cotmatrix has the opposite sign: pass -L"
+            f" ({stiffness.diagonal().min():.3g}); libigl's cotmatrix has the opposite"
+            " sign: pass -L"
         )
     return stiffness

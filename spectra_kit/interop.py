@@ -1,0 +1,205 @@
+"""Adapters to and from pyFM, geomfum and DiffusionNet: arrays in, arrays out, none imported.
+
+Each ``to_*`` returns what that toolkit stores, under its own names; each ``from_*`` takes these
+and returns a `Spectrum`. Their tiny negative eigenvalues (rounding of zero modes) become zero;
+larger ones are refused.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import sparse
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.operators.laplacian import Laplacian, lumped_diagonal
+from spectra_kit.spectrum import Provenance, Spectrum
+
+if TYPE_CHECKING:
+    import torch
+
+_NEGATIVE = 1e-6  # relative to Weyl's spacing 4 pi / area: ARPACK's rounding of a zero mode
+
+
+class PyfmArrays(TypedDict):
+    """Attributes of pyFM's ``TriMesh``."""
+
+    stiffness: sparse.csc_matrix
+    mass: sparse.dia_matrix
+    eigenvalues: Any
+    eigenvectors: Any
+
+
+class GeomfumArrays(TypedDict):
+    """Arguments of geomfum's ``Laplacian`` and ``LaplaceEigenBasis``."""
+
+    stiffness_matrix: sparse.csc_matrix
+    mass_matrix: sparse.dia_matrix
+    vals: Any
+    vecs: Any
+
+
+def from_arrays(
+    eigenvalues: ArrayLike, eigenvectors: ArrayLike, mass: ArrayLike, *, solver: str = "user"
+) -> Spectrum:
+    """Make a spectrum of anybody's eigenpairs.
+
+    Parameters
+    ----------
+    eigenvalues : array_like of shape (k,)
+        Ascending, in 1/length^2.
+    eigenvectors : array_like of shape (n, k)
+        M-orthonormal columns.
+    mass : array_like of shape (n,), or diagonal sparse array of shape (n, n)
+        Lumped mass, in length^2.
+    solver : str, default "user"
+        For the provenance.
+
+    Returns
+    -------
+    Spectrum
+        Without a certificate; ``.certify(laplacian)`` adds one.
+
+    Raises
+    ------
+    InvalidInputError
+        If the columns are not M-orthonormal to 1e-4, or eigenvalues are clearly negative.
+    InvalidSpectrumError
+        If shapes disagree or eigenvalues descend.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from_arrays([-1e-15, 2.0], np.eye(2), np.ones(2)).eigenvalues
+    array([0., 2.])
+    """
+    values = np.array(eigenvalues, dtype=np.float64)
+    diagonal = np.asarray(lumped_diagonal(mass), dtype=np.float64)
+    floor = -_NEGATIVE * 4 * np.pi / diagonal.sum()
+    if values.size and values.min() < floor:
+        raise InvalidInputError(
+            f"`eigenvalues` must be >= 0 up to rounding, got {values.min():.3g};"
+            " a negative semi-definite Laplacian needs its sign turned"
+        )
+    spectrum = Spectrum(
+        np.maximum(values, 0.0),
+        np.asarray(eigenvectors, dtype=np.float64),
+        diagonal,
+        provenance=Provenance(solver=solver),
+    )
+    if (error := spectrum.orthonormality_error()) > 1e-4:
+        raise InvalidInputError(
+            f"`eigenvectors` must be M-orthonormal, got |U^T M U - I| up to {error:.2e};"
+            " is `mass` the one they were computed with, in the same unit?"
+        )
+    return spectrum
+
+
+def to_pyfm(spectrum: Spectrum, laplacian: Laplacian) -> PyfmArrays:
+    """Return the attributes that make a pyFM ``TriMesh`` use this spectrum.
+
+    Assign them after construction, ``for name, a in arrays.items(): setattr(mesh, name, a)``;
+    ``mesh.process(k)`` with k <= spectrum.k then keeps them.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+    laplacian : Laplacian
+        The one it was computed from.
+
+    Returns
+    -------
+    dict
+        ``stiffness`` and ``mass`` (sparse, (n, n)), ``eigenvalues`` (k,), ``eigenvectors`` (n, k).
+    """
+    return PyfmArrays(
+        stiffness=sparse.csc_matrix(laplacian.stiffness),
+        mass=sparse.diags(spectrum.mass),
+        eigenvalues=np.array(spectrum.eigenvalues),
+        eigenvectors=np.array(spectrum.eigenvectors),
+    )
+
+
+def from_pyfm(mass: ArrayLike, eigenvalues: ArrayLike, eigenvectors: ArrayLike) -> Spectrum:
+    """Return the spectrum of ``mesh.mass, mesh.eigenvalues, mesh.eigenvectors`` of pyFM."""
+    return from_arrays(eigenvalues, eigenvectors, mass, solver="pyFM")
+
+
+def to_geomfum(spectrum: Spectrum, laplacian: Laplacian) -> GeomfumArrays:
+    """Return the arrays of geomfum's ``Laplacian`` and ``LaplaceEigenBasis``.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+    laplacian : Laplacian
+        The one it was computed from.
+
+    Returns
+    -------
+    dict
+        ``stiffness_matrix``, ``mass_matrix`` (sparse, (n, n)), ``vals`` (k,), ``vecs`` (n, k).
+    """
+    return GeomfumArrays(
+        stiffness_matrix=sparse.csc_matrix(laplacian.stiffness),
+        mass_matrix=sparse.diags(spectrum.mass),
+        vals=np.array(spectrum.eigenvalues),
+        vecs=np.array(spectrum.eigenvectors),
+    )
+
+
+def from_geomfum(mass_matrix: ArrayLike, vals: ArrayLike, vecs: ArrayLike) -> Spectrum:
+    """Return the spectrum of geomfum's ``laplacian.mass_matrix, basis.vals, basis.vecs``."""
+    return from_arrays(vals, vecs, mass_matrix, solver="geomfum")
+
+
+def to_diffusion_net(
+    spectrum: Spectrum, laplacian: Laplacian, *, dtype: torch.dtype | None = None
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return ``(mass, L, evals, evecs)``, the spectral part of DiffusionNet's operator tuple.
+
+    Its frames and gradients are left to its own ``get_operators``.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+    laplacian : Laplacian
+        The one it was computed from.
+    dtype : torch.dtype, optional
+        float32 by default, as DiffusionNet has it.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Shapes (n,), (n, n) sparse COO, (k,), (n, k).
+    """
+    import torch
+
+    dtype = dtype or torch.float32
+    evals, evecs, mass = spectrum.to_torch(dtype=dtype)
+    L = sparse.coo_array(laplacian.stiffness)
+    indices = torch.tensor(np.vstack([L.row, L.col]), dtype=torch.int64)
+    stiffness = torch.sparse_coo_tensor(
+        indices, torch.tensor(L.data, dtype=dtype), L.shape, check_invariants=True
+    ).coalesce()
+    return mass, stiffness, evals, evecs
+
+
+def from_diffusion_net(operators: tuple[Any, ...]) -> Spectrum:
+    """Return the spectrum inside DiffusionNet's ``frames, mass, L, evals, evecs, gradX, gradY``.
+
+    Raises
+    ------
+    InvalidInputError
+        If `operators` does not have these seven entries.
+    """
+    if len(operators) != 7:
+        raise InvalidInputError(
+            "`operators` must be (frames, mass, L, evals, evecs, gradX, gradY),"
+            f" got {len(operators)} entries"
+        )
+    _, mass, _, evals, evecs, _, _ = operators
+    return from_arrays(
+        *(np.asarray(a, dtype=np.float64) for a in (evals, evecs, mass)), solver="DiffusionNet"
+    )

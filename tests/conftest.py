@@ -1,0 +1,114 @@
+"""Geometries and backends shared by the tests, and the real shapes where they are present."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spectra_kit import (
+    AmbientFourier,
+    Arpack,
+    Dense,
+    Laplacian,
+    Lobpcg,
+    RayleighRitz,
+    TriangleMesh,
+    cotan_laplacian,
+    knn_laplacian,
+    robust_laplacian,
+)
+from spectra_kit.eigensolvers import Eigensolver
+from spectra_kit.geometry import rectangle, sphere, torus
+
+
+@dataclass(frozen=True)
+class Backend:
+    """A solver and what it promises on the small geometries below."""
+
+    solver: Eigensolver
+    residual: float  # largest relative residual
+
+    def __str__(self) -> str:
+        return repr(self.solver)
+
+
+EXACT_BACKENDS = [
+    Backend(Arpack(), 1e-8),
+    Backend(Dense(), 1e-8),
+    Backend(Lobpcg(), 1e-8),
+    Backend(Lobpcg(preconditioner="amg"), 1e-8),
+]
+# Relative residuals of a smooth approximation are of order one: its few high frequencies weigh in
+# the M^-1 norm with their eigenvalue. Accuracy of the eigenvalues is tested where it is claimed.
+APPROXIMATE_BACKENDS = [Backend(RayleighRitz(subspace=AmbientFourier(m=300, bandwidth=6.0)), 3.0)]
+
+
+@pytest.fixture(params=EXACT_BACKENDS + APPROXIMATE_BACKENDS, ids=str, scope="session")
+def backend(request: pytest.FixtureRequest) -> Backend:
+    return request.param
+
+
+@pytest.fixture(params=EXACT_BACKENDS, ids=str, scope="session")
+def exact_backend(request: pytest.FixtureRequest) -> Backend:
+    return request.param
+
+
+def bumpy(n: int = 642) -> TriangleMesh:
+    """A sphere with bumps of no symmetry: every low eigenvalue is simple."""
+    ball = sphere(subdivisions=3 if n <= 642 else 4).geometry
+    p = np.array(ball.points)
+    wave = 0.2 * np.sin(2 * p[:, 0] + 1) + 0.15 * np.cos(3 * p[:, 1] - p[:, 2]) + 0.1 * p[:, 2] ** 3
+    return TriangleMesh(p * (1 + wave[:, None]) * [1.0, 1.3, 1.7], ball.faces)
+
+
+def two_parts(gap: float = 5.0) -> TriangleMesh:
+    """A sphere and a smaller bumpy body beside it: two components."""
+    a, b = sphere(subdivisions=2).geometry, bumpy()
+    points = np.vstack([a.points, 0.5 * b.points + [gap, 0, 0]])
+    return TriangleMesh(points, np.vstack([a.faces, b.faces + a.n]))
+
+
+GEOMETRIES = {
+    "sphere-mesh": lambda: robust_laplacian(sphere(subdivisions=3).geometry),
+    "sphere-cotan": lambda: cotan_laplacian(sphere(subdivisions=3).geometry),
+    "sphere-cloud": lambda: robust_laplacian(sphere(subdivisions=3).geometry.as_cloud()),
+    "sphere-knn": lambda: knn_laplacian(sphere(subdivisions=3).geometry),
+    "rectangle": lambda: robust_laplacian(rectangle(n=600).geometry),
+    "rectangle-dirichlet": lambda: _dirichlet_rectangle(),
+    "torus": lambda: robust_laplacian(torus().geometry),
+    "bumpy": lambda: robust_laplacian(bumpy()),
+    "two-parts": lambda: robust_laplacian(two_parts()),
+}
+
+
+def _dirichlet_rectangle() -> Laplacian:
+    mesh = rectangle(n=600).geometry
+    return robust_laplacian(mesh).dirichlet(mesh.boundary_vertices)
+
+
+@pytest.fixture(params=GEOMETRIES, scope="session")
+def any_laplacian(request: pytest.FixtureRequest) -> Laplacian:
+    return GEOMETRIES[request.param]()
+
+
+@pytest.fixture(scope="session")
+def bumpy_laplacian() -> Laplacian:
+    return robust_laplacian(bumpy())
+
+
+def data_folder() -> Path | None:
+    """Folder of real shapes: SPECTRA_KIT_DATA, or nothing."""
+    path = os.environ.get("SPECTRA_KIT_DATA")
+    return Path(path) if path else None
+
+
+@pytest.fixture(scope="session")
+def real_shapes() -> Path:
+    folder = data_folder()
+    if folder is None or not (folder / "ood_public").is_dir():
+        pytest.skip("set SPECTRA_KIT_DATA to the folder of real shapes to run this")
+    return folder / "ood_public"

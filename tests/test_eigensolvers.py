@@ -1,0 +1,395 @@
+"""The contract: every backend on every geometry; and the exact ones against analytic spectra."""
+
+import numpy as np
+import pytest
+from conftest import GEOMETRIES, Backend, bumpy, two_parts
+from scipy import sparse
+
+import spectra_kit.eigensolvers.lobpcg as lobpcg_module
+from spectra_kit import (
+    AmbientFourier,
+    Arpack,
+    ConvergenceError,
+    Dense,
+    InvalidInputError,
+    InvalidSpectrumError,
+    Laplacian,
+    Lobpcg,
+    MissingDependencyError,
+    PointCloud,
+    RayleighRitz,
+    TriangleMesh,
+    eigensolve,
+    robust_laplacian,
+)
+from spectra_kit.eigensolvers import Eigenpairs, NotConvergedError
+from spectra_kit.geometry import rectangle, sphere, torus
+
+K = 16
+
+
+def test_contract(backend: Backend, any_laplacian: Laplacian) -> None:
+    s = eigensolve(any_laplacian, K, backend.solver)
+    assert (s.n, s.k) == (any_laplacian.n, K)
+    assert s.certificate.orthonormality_error < 1e-10
+    assert s.certificate.relative_residuals.max() < backend.residual
+    assert s.certificate.kernel_is_complete(K)
+    assert s.certificate.n_zero_modes == any_laplacian.kernel_dimension
+    assert (s.eigenvectors[any_laplacian.fixed] == 0).all()
+    assert s.residuals(any_laplacian) == pytest.approx(s.certificate.residuals)
+    assert s.provenance.solver == repr(backend.solver)
+    exact = eigensolve(any_laplacian, K, Dense()).eigenvalues
+    # Ritz values lie above the true ones; exact backends lie on them.
+    assert (s.eigenvalues >= exact - 1e-9 * exact.max()).all()
+    assert s.eigenvalues == pytest.approx(exact, rel=1e-8 if backend.residual < 1 else 0.1)
+
+
+def test_deterministic(backend: Backend, bumpy_laplacian: Laplacian) -> None:
+    a, b = (eigensolve(bumpy_laplacian, K, backend.solver) for _ in range(2))
+    assert np.array_equal(a.eigenvalues, b.eigenvalues)
+    assert np.abs(a.eigenvectors - b.eigenvectors).max() < 1e-10
+
+
+# Largest relative error of the first 15 non-zero eigenvalues; house figures times about 1.5.
+ANALYTIC = [
+    ("sphere 642", lambda: sphere(subdivisions=3), False, 2.1e-2),
+    ("sphere 642 cloud", lambda: sphere(subdivisions=3), True, 2.1e-2),
+    ("sphere 2562", lambda: sphere(subdivisions=4), False, 5.4e-3),
+    ("rectangle 1000", lambda: rectangle(n=1000), False, 2.1e-2),
+    ("rectangle 4000", lambda: rectangle(n=4000), False, 5.1e-3),
+    ("torus 1800", lambda: torus(n=1800), False, 2.1e-2),
+    ("torus 7200", lambda: torus(n=7200), False, 5.3e-3),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "build", "cloud", "tolerance"), ANALYTIC, ids=[row[0] for row in ANALYTIC]
+)
+def test_analytic(exact_backend: Backend, name: str, build, cloud: bool, tolerance: float) -> None:
+    reference = build()
+    mesh = reference.geometry
+    if mesh.n > 3000 and not isinstance(exact_backend.solver, Arpack):
+        pytest.skip("the largest meshes are for Arpack alone; the contract ties the others to it")
+    L = robust_laplacian(mesh.as_cloud() if cloud else mesh)
+    values = eigensolve(L, K, exact_backend.solver).eigenvalues
+    assert values[1:] == pytest.approx(reference.eigenvalues[1:K], rel=tolerance)
+
+
+def test_dirichlet_rectangle() -> None:
+    reference = rectangle(n=4000)
+    L = robust_laplacian(reference.geometry).dirichlet(reference.geometry.boundary_vertices)
+    s = eigensolve(L, K)
+    assert s.eigenvalues == pytest.approx(reference.dirichlet[:K], rel=1.5e-2)
+    assert s.certificate.n_zero_modes == 0
+
+
+def test_second_order() -> None:
+    """Eigenvalue errors fall as h^2."""
+    errors = []
+    for level in (2, 3, 4):
+        reference = sphere(subdivisions=level)
+        values = eigensolve(robust_laplacian(reference.geometry), K).eigenvalues
+        errors.append(np.abs(values[1:] / reference.eigenvalues[1:K] - 1).max())
+    assert np.polyfit([0, -1, -2], np.log2(errors), 1)[0] == pytest.approx(2, abs=0.1)
+
+
+def test_rectangle_eigenfunctions() -> None:
+    reference = rectangle(n=4000)
+    s = eigensolve(robust_laplacian(reference.geometry), 10)
+    cosines = np.einsum("ij,i,ij->j", s.eigenvectors, s.mass, reference.eigenfunctions[:, :10])
+    assert np.abs(cosines) == pytest.approx(np.ones(10), abs=2e-3)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_scale_law(backend: Backend, bumpy_laplacian: Laplacian, scale: float) -> None:
+    mesh = bumpy()
+    base = eigensolve(bumpy_laplacian, K, backend.solver)
+    s = eigensolve(robust_laplacian(mesh.with_points(scale * mesh.points)), K, backend.solver)
+    assert s.eigenvalues[1:] * scale**2 == pytest.approx(base.eigenvalues[1:], rel=1e-7)
+    relative = s.certificate.relative_residuals
+    if backend.residual < 1:
+        assert relative.max() < backend.residual
+    else:
+        assert relative == pytest.approx(base.certificate.relative_residuals, rel=1e-4, abs=1e-8)
+
+
+def test_rigid_motion_and_permutation(backend: Backend, bumpy_laplacian: Laplacian) -> None:
+    mesh = bumpy()
+    rng = np.random.default_rng(3)
+    q = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    q[:, 0] *= np.linalg.det(q)
+    order = rng.permutation(mesh.n)
+    place = np.argsort(order)
+    moved = TriangleMesh((mesh.points @ q + [3, -1, 2])[order], place[mesh.faces])
+    base = eigensolve(bumpy_laplacian, K, backend.solver)
+    s = eigensolve(robust_laplacian(moved), K, backend.solver)
+    assert s.eigenvalues[1:] == pytest.approx(base.eigenvalues[1:], rel=1e-6)
+    cosines = np.einsum("ij,i,ij->j", s.eigenvectors, s.mass, base.eigenvectors[order])
+    assert np.abs(cosines) == pytest.approx(np.ones(K), abs=1e-5)
+
+
+@pytest.mark.parametrize("copies", [2, 5])
+def test_identical_components_give_every_mode_that_often(exact_backend, copies: int) -> None:
+    one = bumpy()
+    points = np.vstack([one.points + [4 * i, 0, 0] for i in range(copies)])
+    faces = np.vstack([one.faces + i * one.n for i in range(copies)])
+    single = eigensolve(robust_laplacian(one), 6).eigenvalues
+    s = eigensolve(robust_laplacian(TriangleMesh(points, faces)), 6 * copies, exact_backend.solver)
+    assert s.eigenvalues == pytest.approx(np.repeat(single, copies), rel=1e-8, abs=1e-9)
+    assert s.n_zero_modes == copies
+
+
+def test_a_small_component_that_owns_the_low_modes() -> None:
+    """Weyl's guess by area is wrong on purpose: a long thin strip beside a large sphere."""
+    strip = rectangle(n=400, width=30.0, height=0.3).geometry
+    ball = sphere(subdivisions=2, radius=5.0).geometry
+    points = np.vstack([ball.points, strip.points + [0, 20, 0]])
+    mesh = TriangleMesh(points, np.vstack([ball.faces, strip.faces + ball.n]))
+    L = robust_laplacian(mesh)
+    assert eigensolve(L, 30).eigenvalues == pytest.approx(
+        eigensolve(L, 30, Dense()).eigenvalues, rel=1e-8, abs=1e-9
+    )
+    # ... which the dense solve of the whole, not split into components, confirms.
+    root = np.sqrt(L.mass)
+    whole = np.linalg.eigvalsh(L.stiffness.toarray() / root / root[:, None])[:30]
+    assert eigensolve(L, 30).eigenvalues == pytest.approx(whole, rel=1e-7, abs=1e-9)
+
+
+def test_fewer_modes_than_components() -> None:
+    s = eigensolve(robust_laplacian(two_parts()), 1)
+    assert (s.k, s.n_zero_modes) == (1, 1)
+    assert s.certificate.kernel_is_complete(1)
+
+
+@pytest.mark.parametrize("k", [41, 42])
+def test_nearly_and_exactly_all_modes(backend: Backend, k: int) -> None:
+    L = robust_laplacian(sphere(subdivisions=1).geometry)
+    assert L.n == 42
+    s = eigensolve(L, k, backend.solver)
+    assert s.certificate.relative_residuals.max() < 1e-8
+    assert s.eigenvalues == pytest.approx(eigensolve(L, k, Dense()).eigenvalues, rel=1e-8, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("k", "message"),
+    [
+        (0, "`k` must be at least 1, got 0"),
+        (-3, "`k` must be at least 1"),
+        (43, "`k` must be at most the number of free points, 42, got 43"),
+        (2.0, "`k` must be an integer"),
+        (True, "`k` must be an integer"),
+    ],
+)
+def test_bad_k(k: object, message: str) -> None:
+    L = robust_laplacian(sphere(subdivisions=1).geometry)
+    with pytest.raises(InvalidInputError, match=message):
+        eigensolve(L, k)  # type: ignore[arg-type]
+
+
+def test_k_counts_free_points() -> None:
+    L = robust_laplacian(sphere(subdivisions=1).geometry).dirichlet(range(40))
+    assert eigensolve(L, 2).k == 2
+    with pytest.raises(InvalidInputError, match="number of free points, 2"):
+        eigensolve(L, 3)
+
+
+def test_not_a_laplacian() -> None:
+    with pytest.raises(InvalidInputError, match="must be a Laplacian, got TriangleMesh"):
+        eigensolve(bumpy(), 4)  # type: ignore[arg-type]
+
+
+class Lies:
+    """Backends that break one promise each."""
+
+    class Constant:
+        def eigenpairs(self, laplacian, k):
+            return np.arange(float(k)), np.ones((laplacian.n, k))
+
+    class Few:
+        def eigenpairs(self, laplacian, k):
+            return np.zeros(k - 1), np.zeros((laplacian.n, k - 1))
+
+    class Negative:
+        def eigenpairs(self, laplacian, k):
+            values, vectors, _ = Dense().eigenpairs(laplacian, k)
+            return values - 1, vectors
+
+    class Nan:
+        def eigenpairs(self, laplacian, k):
+            return np.arange(float(k)), np.full((laplacian.n, k), np.nan)
+
+
+@pytest.mark.parametrize(
+    ("liar", "message"),
+    [
+        (Lies.Constant(), "not M-orthonormal"),
+        (Lies.Few(), r"must return shapes \(4,\) and \(642, 4\)"),
+        (Lies.Negative(), "returned a negative eigenvalue"),
+        (Lies.Nan(), "`eigenvectors` must be finite"),
+    ],
+    ids=["constant", "few", "negative", "nan"],
+)
+def test_liars_are_caught(liar, message: str, bumpy_laplacian: Laplacian) -> None:
+    with pytest.raises(InvalidSpectrumError, match=message):
+        eigensolve(bumpy_laplacian, 4, liar)
+
+
+def test_a_plain_function_of_a_user_is_a_backend(bumpy_laplacian: Laplacian) -> None:
+    class Mine:
+        def eigenpairs(self, laplacian, k):
+            pairs = Dense().eigenpairs(laplacian, k)
+            return pairs.eigenvalues[::-1], pairs.eigenvectors[:, ::-1]  # any order will do
+
+    s = eigensolve(bumpy_laplacian, 5, Mine())
+    assert s.eigenvalues == pytest.approx(eigensolve(bumpy_laplacian, 5).eigenvalues, abs=1e-9)
+
+
+@pytest.mark.parametrize("solver", [Arpack(max_restarts=1), Lobpcg(max_steps=4)], ids=repr)
+@pytest.mark.parametrize("name", ["bumpy", "two-parts"])
+def test_no_convergence_keeps_what_converged(solver, name: str) -> None:
+    L = GEOMETRIES[name]()
+    with pytest.raises(ConvergenceError, match="raise `max_") as caught:
+        eigensolve(L, 60, solver)
+    partial = caught.value.partial
+    if partial is not None:
+        assert partial.n == L.n
+        assert partial.certificate.relative_residuals.max() < 1e-6
+        assert partial.certificate.orthonormality_error < 1e-8
+
+
+def test_convergence_error_without_any_pair(bumpy_laplacian: Laplacian) -> None:
+    class Hopeless:
+        def eigenpairs(self, laplacian, k):
+            raise NotConvergedError("nothing at all", None)
+
+    with pytest.raises(ConvergenceError, match="nothing at all") as caught:
+        eigensolve(bumpy_laplacian, 3, Hopeless())
+    assert caught.value.partial is None
+
+
+def test_dense_refuses_what_would_not_fit(bumpy_laplacian: Laplacian) -> None:
+    with pytest.raises(InvalidInputError, match="at most 600 points for Dense, got 642"):
+        eigensolve(bumpy_laplacian, 3, Dense(max_points=600))
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: Arpack(shift=0), "`shift` must be positive"),
+        (lambda: Arpack(tol=-1), r"`tol` must be in \[0, 1\)"),
+        (lambda: Arpack(max_restarts=0), "`max_restarts` must be at least 1"),
+        (lambda: Lobpcg(rtol=0), "`rtol` must be positive"),
+        (lambda: Lobpcg(preconditioner="ilu"), "`preconditioner` must be 'cholesky' or 'amg'"),
+        (lambda: RayleighRitz(rank_tol=0), "`rank_tol` must be positive"),
+    ],
+)
+def test_bad_hyper_parameters(build, message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        build()
+
+
+def test_amg_without_pyamg(bumpy_laplacian: Laplacian, monkeypatch) -> None:
+    monkeypatch.setitem(lobpcg_module.__dict__["__builtins__"], "__import__", _no_pyamg)
+    with pytest.raises(MissingDependencyError, match=r'pip install "spectra_kit\[amg\]"'):
+        eigensolve(bumpy_laplacian, 4, Lobpcg(preconditioner="amg"))
+
+
+def _no_pyamg(name: str, *args: object, _import=__import__, **kwargs: object):
+    if name == "pyamg":
+        raise ImportError(name)
+    return _import(name, *args, **kwargs)
+
+
+# --- Rayleigh-Ritz without weights -----------------------------------------------------------
+
+
+def test_rayleigh_ritz_of_an_exact_span_is_exact(bumpy_laplacian: Laplacian) -> None:
+    exact = eigensolve(bumpy_laplacian, 30)
+    mixed = exact.eigenvectors @ np.random.default_rng(0).standard_normal((30, 30))
+    s = eigensolve(bumpy_laplacian, 30, RayleighRitz(subspace=lambda points, mass: mixed))
+    assert s.eigenvalues == pytest.approx(exact.eigenvalues, rel=1e-10, abs=1e-10)
+    assert s.certificate.relative_residuals.max() < 1e-7
+
+
+def test_a_larger_subspace_lowers_every_ritz_value(bumpy_laplacian: Laplacian) -> None:
+    basis = AmbientFourier(m=200, bandwidth=4.0)(bumpy_laplacian.points, bumpy_laplacian.mass)
+    values = [
+        eigensolve(
+            bumpy_laplacian, 20, RayleighRitz(subspace=lambda p, w, m=m: basis[:, :m])
+        ).eigenvalues
+        for m in (60, 120, 200)
+    ]
+    assert (values[0] >= values[1] - 1e-9).all()
+    assert (values[1] >= values[2] - 1e-9).all()
+
+
+def test_lobpcg_from_a_subspace_needs_fewer_steps(bumpy_laplacian: Laplacian) -> None:
+    start = AmbientFourier(m=120, bandwidth=4.0)
+    steps = 3
+    warm = Lobpcg(rtol=1e-3, max_steps=steps, start=start)
+    assert eigensolve(bumpy_laplacian, 10, warm).k == 10
+    with pytest.raises(ConvergenceError):
+        eigensolve(bumpy_laplacian, 10, Lobpcg(rtol=1e-3, max_steps=steps))
+
+
+@pytest.mark.parametrize(
+    ("subspace", "message"),
+    [
+        (lambda p, w: np.ones(len(p)), r"must return a real array of shape \(642, m\)"),
+        (lambda p, w: np.ones((len(p), 30)), "at least k = 5 dimensions, got numerical rank 1"),
+        (lambda p, w: np.full((len(p), 30), np.nan), "`basis` must have finite columns"),
+    ],
+)
+def test_bad_subspaces(subspace, message: str, bumpy_laplacian: Laplacian) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        eigensolve(bumpy_laplacian, 5, RayleighRitz(subspace=subspace))
+
+
+# --- other inputs ----------------------------------------------------------------------------
+
+
+def test_user_matrices() -> None:
+    """A path graph with unit weights: eigenvalues 2 - 2 cos(pi j / n)."""
+    n = 60
+    diagonal = np.r_[1.0, np.full(n - 2, 2.0), 1.0]
+    off = -np.ones(n - 1)
+    L = sparse.diags_array([off, diagonal, off], offsets=[-1, 0, 1])
+    laplacian = Laplacian(sparse.csr_array(L), np.ones(n), np.c_[np.arange(n), np.zeros((n, 2))])
+    expected = 2 - 2 * np.cos(np.pi * np.arange(8) / n)
+    assert eigensolve(laplacian, 8).eigenvalues == pytest.approx(expected, abs=1e-12)
+
+
+def test_potential_shifts_the_spectrum(bumpy_laplacian: Laplacian) -> None:
+    L = bumpy_laplacian
+    lifted = Laplacian(L.stiffness + 3.0 * sparse.diags_array(L.mass), L.mass, L.points)
+    s = eigensolve(lifted, 8)
+    assert s.eigenvalues == pytest.approx(eigensolve(L, 8).eigenvalues + 3.0, rel=1e-9)
+    assert s.n_zero_modes == 0
+
+
+def test_tiny_inputs() -> None:
+    triangle = TriangleMesh(np.eye(3), [[0, 1, 2]])
+    assert eigensolve(robust_laplacian(triangle), 3).n_zero_modes == 1
+    assert eigensolve(robust_laplacian(triangle), 3, RayleighRitz()).k == 3
+    square = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    assert eigensolve(robust_laplacian(square), 4).n_zero_modes == 1
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_arpack_on_every_real_mesh(real_shapes) -> None:
+    """Relative residuals of at most 1e-8 on real graphics models, in their own units."""
+    worst = {}
+    for path in sorted(real_shapes.glob("*.npz")):
+        with np.load(path) as data:
+            mesh = TriangleMesh(data["V"], data["F"]).without_unreferenced()
+        L = robust_laplacian(mesh.without_degenerate_faces().without_unreferenced())
+        s = eigensolve(L, 96)
+        worst[path.stem] = s.certificate.relative_residuals.max()
+        assert s.certificate.n_zero_modes == L.kernel_dimension, path.stem
+    assert len(worst) >= 20
+    assert max(worst.values()) <= 1e-8, worst
+
+
+def test_eigenpairs_default_stages() -> None:
+    assert dict(Eigenpairs(np.zeros(1), np.zeros((1, 1))).seconds) == {}

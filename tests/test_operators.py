@@ -1,0 +1,199 @@
+import igl
+import numpy as np
+import pytest
+from conftest import bumpy, two_parts
+from scipy import sparse
+
+from spectra_kit import (
+    InvalidInputError,
+    Laplacian,
+    PointCloud,
+    TriangleMesh,
+    cotan_laplacian,
+    knn_laplacian,
+    robust_laplacian,
+)
+from spectra_kit.geometry import rectangle, sphere
+
+OPERATORS = [robust_laplacian, cotan_laplacian, knn_laplacian]
+
+
+@pytest.mark.parametrize("build", OPERATORS)
+def test_symmetric_semi_definite_with_constant_kernel(build) -> None:
+    L = build(bumpy())
+    dense = L.stiffness.toarray()
+    assert np.array_equal(dense, dense.T) or np.abs(dense - dense.T).max() < 1e-12
+    assert np.linalg.eigvalsh(dense)[0] > -1e-12
+    assert np.abs(dense.sum(axis=1)).max() < 1e-12
+    assert (L.mass > 0).all()
+    assert (L.n_components, L.kernel_dimension) == (1, 1)
+
+
+@pytest.mark.parametrize("build", [robust_laplacian, cotan_laplacian])
+def test_mass_is_the_area(build) -> None:
+    mesh = bumpy()
+    assert build(mesh).area == pytest.approx(mesh.area, rel=1e-12)
+
+
+def test_cotan_is_libigl_with_the_sign_turned() -> None:
+    mesh = bumpy()
+    expected = -igl.cotmatrix(np.array(mesh.points), np.array(mesh.faces))
+    assert abs(cotan_laplacian(mesh).stiffness - expected).max() == 0
+
+
+def test_robust_equals_cotan_on_a_delaunay_mesh() -> None:
+    # Every icosphere is Delaunay, so no edge is flipped.
+    ball = sphere(subdivisions=3).geometry
+    difference = robust_laplacian(ball).stiffness - cotan_laplacian(ball).stiffness
+    assert abs(difference).max() < 1e-4  # the mollification, 1e-5 of an edge
+
+
+def test_knn_follows_its_definition_entry_by_entry() -> None:
+    points = np.random.default_rng(0).standard_normal((40, 3))
+    k = 5
+    d = np.linalg.norm(points[:, None] - points[None], axis=2)
+    nearest = np.argsort(d, axis=1)[:, 1 : k + 1]
+    eps = np.median(np.take_along_axis(d, nearest, axis=1).mean(axis=1)) ** 2
+    W = np.zeros((40, 40))
+    for i in range(40):
+        for j in nearest[i]:
+            W[i, j] += np.exp(-(d[i, j] ** 2) / eps) / 2
+            W[j, i] += np.exp(-(d[i, j] ** 2) / eps) / 2
+    q = W.sum(axis=1)
+    K = W / np.outer(q, q)
+    L = knn_laplacian(PointCloud(points), n_neighbors=k)
+    assert L.stiffness.toarray() == pytest.approx(np.diag(K.sum(axis=1)) - K, abs=1e-14)
+    assert L.mass == pytest.approx(K.sum(axis=1))
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+@pytest.mark.parametrize("build", [robust_laplacian, cotan_laplacian])
+def test_scale_law(build, scale: float) -> None:
+    mesh = bumpy()
+    L, scaled = build(mesh), build(mesh.with_points(mesh.points * scale))
+    assert abs(L.stiffness - scaled.stiffness).max() < 1e-9  # L is scale-free in two dimensions
+    assert scaled.mass == pytest.approx(scale**2 * L.mass, rel=1e-9)
+    assert scaled.eigenvalue_spacing == pytest.approx(L.eigenvalue_spacing / scale**2, rel=1e-9)
+
+
+def test_spacing_is_near_weyls() -> None:
+    for mesh in (sphere(subdivisions=3).geometry, rectangle(n=600).geometry):
+        L = robust_laplacian(mesh)
+        assert L.eigenvalue_spacing == pytest.approx(4 * np.pi / L.area, rel=0.3)
+
+
+def test_components_and_kernel() -> None:
+    L = robust_laplacian(two_parts())
+    assert (L.n_components, L.kernel_dimension) == (2, 2)
+    first = np.flatnonzero(L.component_labels == 0)[:3]
+    held = L.dirichlet(first)
+    assert (held.n_components, held.kernel_dimension) == (2, 1)
+    assert (held.component_labels[first] == -1).all()
+
+
+def test_potential_has_no_kernel() -> None:
+    L = robust_laplacian(bumpy())
+    well = Laplacian(L.stiffness + sparse.diags_array(L.mass), L.mass, L.points)
+    assert well.kernel_dimension == 0
+
+
+def test_dirty_meshes_that_the_robust_operator_takes() -> None:
+    ball = sphere(subdivisions=2).geometry
+    # A fin on an edge makes it non-manifold; a face twice; a needle of zero area.
+    fin = np.vstack([ball.points, [[0, 0, 2.0]]])
+    edge = ball.faces[0, :2]
+    needle = [ball.faces[0, 0], ball.faces[0, 1], ball.n + 1]
+    points = np.vstack([fin, fin[edge].mean(axis=0)])
+    faces = np.vstack([ball.faces, [*edge, ball.n], ball.faces[5], needle])
+    L = robust_laplacian(TriangleMesh(points, faces))
+    assert L.n_components == 1
+    assert np.isfinite(L.stiffness.data).all()
+
+
+def test_mass_may_be_a_diagonal_matrix() -> None:
+    L = robust_laplacian(bumpy())
+    same = Laplacian(L.stiffness, sparse.diags(L.mass), L.points)
+    assert np.array_equal(same.mass, L.mass)
+
+
+def path(n: int = 4) -> sparse.csr_array:
+    L = np.diag([1.0] + [2.0] * (n - 2) + [1.0])
+    return sparse.csr_array(L - np.eye(n, k=1) - np.eye(n, k=-1))
+
+
+POINTS = np.arange(12.0).reshape(4, 3)
+LINE = [[i, 0, 0] for i in range(6)]
+TWICE = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0], [1, 1, 0]]
+TRIANGLES = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]]
+
+BAD = {
+    "stiffness shape": (
+        lambda: Laplacian(path(5), np.ones(4), POINTS),
+        r"`stiffness` must be a scipy sparse array of shape \(4, 4\)",
+    ),
+    "stiffness dense": (lambda: Laplacian(np.eye(4), np.ones(4), POINTS), "scipy sparse array"),
+    "stiffness sign": (lambda: Laplacian(-path(), np.ones(4), POINTS), "opposite sign: pass -L"),
+    "stiffness asymmetric": (
+        lambda: Laplacian(sparse.csr_array(np.triu(np.ones((4, 4)))), np.ones(4), POINTS),
+        "`stiffness` must be symmetric",
+    ),
+    "stiffness nan": (
+        lambda: Laplacian(path() * np.nan, np.ones(4), POINTS),
+        "`stiffness` must be finite",
+    ),
+    "mass sign": (lambda: Laplacian(path(), [1, 1, 0, 1], POINTS), "`mass` must be positive"),
+    "mass size": (lambda: Laplacian(path(), np.ones(3), POINTS), r"`mass` must have shape \(4,\)"),
+    "mass not lumped": (
+        lambda: Laplacian(path(), sparse.csr_array(np.ones((4, 4))), POINTS),
+        r"`mass` must be lumped \(diagonal\)",
+    ),
+    "all fixed": (
+        lambda: Laplacian(path(), np.ones(4), POINTS).dirichlet(range(4)),
+        "leave at least one point free",
+    ),
+    "fixed out of range": (
+        lambda: Laplacian(path(), np.ones(4), POINTS).dirichlet([4]),
+        r"`vertices` must be in \[0, 4\)",
+    ),
+    "unreferenced": (
+        lambda: robust_laplacian(TriangleMesh(POINTS, [[0, 1, 2]])),
+        r"1 vertices that no face uses.*without_unreferenced",
+    ),
+    "vertex twice": (
+        lambda: robust_laplacian(TriangleMesh(TRIANGLES, [[0, 1, 2], [1, 3, 1]])),
+        r"1 faces that name a vertex twice.*without_degenerate_faces",
+    ),
+    "cotan of a needle": (
+        lambda: cotan_laplacian(TriangleMesh(LINE[:3], [[0, 1, 2]])),
+        "1 faces of zero area",
+    ),
+    "cotan of a face twice": (
+        lambda: cotan_laplacian(TriangleMesh(TRIANGLES, [[0, 1, 2], [1, 3, 2], [2, 1, 0]])),
+        "1 duplicate faces",
+    ),
+    "cotan of a cloud": (lambda: cotan_laplacian(PointCloud(POINTS)), "must be a TriangleMesh"),
+    "cloud too small": (
+        lambda: robust_laplacian(PointCloud(POINTS[:3])),
+        "at least 4 points for a cloud Laplacian, got 3",
+    ),
+    "cloud on a line": (lambda: robust_laplacian(PointCloud(LINE)), "points on one line"),
+    "cloud with duplicates": (
+        lambda: robust_laplacian(PointCloud(TWICE)),
+        r"1 duplicate points \(such as 0 and 3\).*without_duplicates",
+    ),
+    "few neighbours": (
+        lambda: robust_laplacian(PointCloud(POINTS), n_neighbors=2),
+        "`n_neighbors` must be at least 3",
+    ),
+    "knn too few points": (
+        lambda: knn_laplacian(PointCloud(POINTS), n_neighbors=4),
+        r"`n_neighbors` must be in \[1, 3\]",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input(case: str) -> None:
+    build, message = BAD[case]
+    with pytest.raises(InvalidInputError, match=message):
+        build()

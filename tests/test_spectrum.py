@@ -1,0 +1,272 @@
+import json
+import zipfile
+
+import numpy as np
+import pytest
+from conftest import bumpy
+
+from spectra_kit import (
+    Arpack,
+    InvalidInputError,
+    InvalidSpectrumError,
+    Spectrum,
+    eigensolve,
+    robust_laplacian,
+)
+from spectra_kit.interop import (
+    from_arrays,
+    from_diffusion_net,
+    from_geomfum,
+    from_pyfm,
+    to_diffusion_net,
+    to_geomfum,
+    to_pyfm,
+)
+
+
+@pytest.fixture(scope="module")
+def spectrum(bumpy_laplacian) -> Spectrum:
+    return eigensolve(bumpy_laplacian, 20)
+
+
+def test_certificate_bounds_the_distance_to_the_true_eigenvalues(bumpy_laplacian, spectrum) -> None:
+    exact = spectrum.eigenvalues
+    rng = np.random.default_rng(0)
+    # Any M-normalised vectors with their Rayleigh quotients: the bound must hold for them too.
+    U = spectrum.eigenvectors[:, :10] + 0.02 * spectrum.eigenvectors[:, 5:15]
+    U += 1e-4 * rng.standard_normal(U.shape)
+    U = np.linalg.qr(np.sqrt(bumpy_laplacian.mass)[:, None] * U)[0]
+    U /= np.sqrt(bumpy_laplacian.mass)[:, None]
+    values = np.einsum("ij,ij->j", U, bumpy_laplacian.stiffness @ U)
+    order = np.argsort(values)
+    rough = Spectrum(values[order], U[:, order], bumpy_laplacian.mass).certify(bumpy_laplacian)
+    all_values = eigensolve(bumpy_laplacian, bumpy_laplacian.n // 4).eigenvalues
+    distance = np.abs(all_values - rough.eigenvalues[:, None]).min(axis=1)
+    assert (distance <= rough.certificate.residuals * (1 + 1e-9)).all()
+    assert rough.certificate.residuals.min() > 1e-3  # and it isn't trivially zero here
+    assert exact[0] == pytest.approx(0, abs=1e-10)
+
+
+def test_truncate_and_nonzero_carry_the_certificate(spectrum) -> None:
+    short = spectrum.truncate(5)
+    assert (short.k, short.certificate.n_zero_modes) == (5, 1)
+    assert np.array_equal(short.certificate.residuals, spectrum.certificate.residuals[:5])
+    live = spectrum.nonzero()
+    assert (live.k, live.n_zero_modes) == (19, 0)
+    assert live.eigenvalues[0] == spectrum.eigenvalues[1]
+    assert live.certificate.kernel_is_complete(live.k)
+    assert spectrum.truncate(20).provenance == spectrum.provenance
+
+
+def test_nonzero_without_certificate(spectrum) -> None:
+    bare = Spectrum(spectrum.eigenvalues, spectrum.eigenvectors, spectrum.mass)
+    assert bare.nonzero().k == 19
+
+
+@pytest.mark.parametrize("factor", [1e-3, 2.5, 1e3])
+def test_rescale_is_the_spectrum_of_the_scaled_mesh(spectrum, factor: float) -> None:
+    mesh = bumpy()
+    scaled = eigensolve(robust_laplacian(mesh.with_points(factor * mesh.points)), 20)
+    predicted = spectrum.rescale(factor)
+    assert predicted.eigenvalues[1:] == pytest.approx(scaled.eigenvalues[1:], rel=1e-8)
+    assert predicted.orthonormality_error() < 1e-10
+    cosines = np.abs(
+        np.einsum("ij,ij->j", predicted.eigenvectors, scaled.mass[:, None] * scaled.eigenvectors)
+    )
+    assert cosines == pytest.approx(np.ones(20), abs=1e-8)
+    assert predicted.certificate.residuals * factor**2 == pytest.approx(
+        spectrum.certificate.residuals
+    )
+
+
+def test_projection_reconstructs_what_is_in_the_span(spectrum) -> None:
+    c = np.random.default_rng(0).standard_normal((20, 3))
+    f = spectrum.reconstruct(c)
+    assert spectrum.project(f) == pytest.approx(c, abs=1e-10)
+    assert spectrum.project(f[:, 0]) == pytest.approx(c[:, 0], abs=1e-10)
+
+
+def test_filter_is_the_heat_equation(bumpy_laplacian, spectrum) -> None:
+    """One implicit Euler step of the full operator, against the same response on the modes."""
+    t = 0.05
+    f = spectrum.reconstruct(np.random.default_rng(1).standard_normal(20))
+    from scipy import sparse
+
+    M = sparse.diags_array(bumpy_laplacian.mass)
+    full = sparse.linalg.spsolve((M + t * bumpy_laplacian.stiffness).tocsc(), M @ f)
+    assert spectrum.filter(lambda lam: 1 / (1 + t * lam), f) == pytest.approx(full, abs=1e-9)
+
+
+@pytest.mark.parametrize("mmap", [False, True])
+def test_round_trip_through_a_file(tmp_path, spectrum, mmap: bool) -> None:
+    path = tmp_path / "s.npz"
+    spectrum.save(path)
+    again = Spectrum.load(path, mmap=mmap)
+    for name in ("eigenvalues", "eigenvectors", "mass"):
+        assert np.array_equal(getattr(again, name), getattr(spectrum, name))
+        assert getattr(again, name).dtype == np.float64
+    assert again.provenance == spectrum.provenance
+    assert np.array_equal(again.certificate.residuals, spectrum.certificate.residuals)
+    assert again.certificate.kernel_dimension == 1
+    assert again.eigenvectors.ctypes.data % 64 == 0 or not mmap
+    assert np.array_equal(np.load(path)["eigenvalues"], spectrum.eigenvalues)
+    owner = again.eigenvectors
+    while isinstance(owner, np.ndarray) and not isinstance(owner, np.memmap):
+        owner = owner.base
+    assert isinstance(owner, np.memmap) == mmap
+
+
+def test_same_spectrum_same_bytes(tmp_path, spectrum) -> None:
+    spectrum.save(tmp_path / "a.npz")
+    spectrum.save(tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_interrupted_save_keeps_the_old_file(tmp_path, spectrum, monkeypatch) -> None:
+    path = tmp_path / "s.npz"
+    spectrum.truncate(3).save(path)
+
+    def interrupted(*args: object, **kwargs: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np.lib.format, "write_array", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        spectrum.save(path)
+    assert Spectrum.load(path).k == 3
+    assert [p.name for p in tmp_path.iterdir()] == ["s.npz"]
+
+
+@pytest.mark.parametrize("keep", [0, 100, 0.3, 0.7, 0.99])
+def test_truncated_files_are_refused(tmp_path, spectrum, keep: float) -> None:
+    spectrum.save(tmp_path / "s.npz")
+    whole = (tmp_path / "s.npz").read_bytes()
+    (tmp_path / "cut.npz").write_bytes(whole[: int(keep if keep > 1 else keep * len(whole))])
+    with pytest.raises(InvalidInputError, match="not a whole spectrum file"):
+        Spectrum.load(tmp_path / "cut.npz")
+
+
+def test_other_files_are_refused(tmp_path, spectrum) -> None:
+    with pytest.raises(InvalidInputError, match="found no file"):
+        Spectrum.load(tmp_path / "none.npz")
+    np.savez(tmp_path / "other.npz", a=np.ones(3))
+    with pytest.raises(InvalidInputError, match="not a whole spectrum file"):
+        Spectrum.load(tmp_path / "other.npz")
+    np.savez(tmp_path / "other.npz", header=np.array(json.dumps({"format": "x"})))
+    with pytest.raises(InvalidInputError, match="not a whole spectrum file"):
+        Spectrum.load(tmp_path / "other.npz")
+    newer = json.dumps({"format": "spectra_kit spectrum", "version": 99})
+    np.savez(tmp_path / "newer.npz", header=np.array(newer))
+    with pytest.raises(InvalidInputError, match="has format version 99"):
+        Spectrum.load(tmp_path / "newer.npz")
+    with pytest.raises(InvalidInputError, match=r"must end in \.npz"):
+        spectrum.save(tmp_path / "s.mat")
+
+
+def test_compressed_files_cannot_be_mapped(tmp_path, spectrum) -> None:
+    spectrum.save(tmp_path / "s.npz")
+    with (
+        zipfile.ZipFile(tmp_path / "s.npz") as old,
+        zipfile.ZipFile(tmp_path / "z.npz", "w", zipfile.ZIP_DEFLATED) as new,
+    ):
+        for name in old.namelist():
+            new.writestr(name, old.read(name))
+    assert Spectrum.load(tmp_path / "z.npz").k == 20
+    with pytest.raises(InvalidInputError, match="cannot be mapped"):
+        Spectrum.load(tmp_path / "z.npz", mmap=True)
+
+
+def test_frozen(spectrum) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        spectrum.eigenvalues[0] = 1
+    with pytest.raises(AttributeError):
+        spectrum.mass = np.ones(3)
+    assert spectrum == spectrum
+    assert hash(spectrum)
+
+
+VALUES, VECTORS, ONES = np.arange(3.0), np.eye(4)[:, :3], np.ones(4)
+BAD = {
+    "transposed": (
+        lambda: Spectrum(VALUES, VECTORS.T, ONES),
+        r"must have shape \(4, 3\).*transposed",
+    ),
+    "descending": (lambda: Spectrum(VALUES[::-1], VECTORS, ONES), "non-negative and ascending"),
+    "negative": (lambda: Spectrum(VALUES - 1, VECTORS, ONES), "non-negative and ascending"),
+    "nan": (lambda: Spectrum(VALUES, VECTORS * np.nan, ONES), "`eigenvectors` must be finite"),
+    "complex": (lambda: Spectrum(VALUES, VECTORS * 1j, ONES), "must be a real array"),
+    "mass": (lambda: Spectrum(VALUES, VECTORS, ONES - 1), "`mass` must be positive"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_invariants(case: str) -> None:
+    build, message = BAD[case]
+    with pytest.raises(InvalidSpectrumError, match=message):
+        build()
+
+
+def test_bad_arguments(spectrum, bumpy_laplacian) -> None:
+    with pytest.raises(InvalidInputError, match=r"`k` must be in \[1, 20\], got 21"):
+        spectrum.truncate(21)
+    with pytest.raises(InvalidInputError, match="`factor` must be positive"):
+        spectrum.rescale(0)
+    with pytest.raises(InvalidInputError, match=r"`values` must have shape \(642,\)"):
+        spectrum.project(np.ones(5))
+    with pytest.raises(InvalidInputError, match=r"`coefficients` must have shape \(20,\)"):
+        spectrum.reconstruct(np.ones(5))
+    with pytest.raises(InvalidInputError, match="`response` must return shape"):
+        spectrum.filter(lambda lam: lam[:3], np.ones(642))
+    with pytest.raises(InvalidInputError, match="`laplacian` must live on the 642 points"):
+        spectrum.residuals(bumpy_laplacian.restricted(np.arange(600)))
+    short = spectrum.truncate(3).certificate
+    with pytest.raises(InvalidSpectrumError, match="`certificate` must cover 20 modes, got 3"):
+        Spectrum(spectrum.eigenvalues, spectrum.eigenvectors, spectrum.mass, short)
+
+
+def test_to_torch(spectrum) -> None:
+    torch = pytest.importorskip("torch")
+    values, vectors, mass = spectrum.to_torch(dtype=torch.float32)
+    assert vectors.shape == (642, 20)
+    assert vectors.dtype == torch.float32
+    assert values.numpy() == pytest.approx(spectrum.eigenvalues, abs=1e-5)
+    assert spectrum.to_torch()[2].numpy() == pytest.approx(mass.numpy())
+
+
+def test_adapters_there_and_back(spectrum, bumpy_laplacian) -> None:
+    pyfm = to_pyfm(spectrum, bumpy_laplacian)
+    geomfum = to_geomfum(spectrum, bumpy_laplacian)
+    for arrays, L in ((pyfm, pyfm["stiffness"]), (geomfum, geomfum["stiffness_matrix"])):
+        assert abs(L - bumpy_laplacian.stiffness).max() == 0, arrays
+    back = [
+        from_pyfm(pyfm["mass"], pyfm["eigenvalues"], pyfm["eigenvectors"]),
+        from_geomfum(geomfum["mass_matrix"], geomfum["vals"], geomfum["vecs"]),
+    ]
+    for other in back:
+        assert np.array_equal(other.eigenvectors, spectrum.eigenvectors)
+        certificate = other.certify(bumpy_laplacian).certificate
+        assert np.array_equal(certificate.residuals, spectrum.certificate.residuals)
+    mass, L, evals, evecs = to_diffusion_net(spectrum, bumpy_laplacian)
+    frames = gradient = None
+    net = from_diffusion_net((frames, mass, L, evals, evecs, gradient, gradient))
+    assert net.eigenvalues == pytest.approx(spectrum.eigenvalues, abs=1e-5)
+    assert abs(L.to_dense().numpy() - bumpy_laplacian.stiffness.toarray()).max() < 1e-6
+
+
+def test_adapters_refuse_what_is_no_spectrum(spectrum) -> None:
+    U, mass = spectrum.eigenvectors, spectrum.mass
+    with pytest.raises(InvalidInputError, match="must be M-orthonormal"):
+        from_arrays(spectrum.eigenvalues, U, 2 * mass)
+    with pytest.raises(InvalidInputError, match="up to rounding, got -"):
+        from_arrays(spectrum.eigenvalues[::-1] * -1, U, mass)
+    with pytest.raises(InvalidInputError, match="got 2 entries"):
+        from_diffusion_net((U, mass))
+
+
+def test_input_hash_and_seed_are_recorded(bumpy_laplacian, spectrum) -> None:
+    other = eigensolve(bumpy_laplacian, 4, Arpack(seed=5)).provenance
+    assert other.input_hash == spectrum.provenance.input_hash
+    assert (other.seed, spectrum.provenance.seed) == (5, 0)
+    moved = eigensolve(bumpy_laplacian.dirichlet([0]), 4).provenance
+    assert moved.input_hash != spectrum.provenance.input_hash
+    assert {"assembly", "factor", "lanczos", "certify"} <= set(spectrum.provenance.seconds)
+    assert spectrum.provenance.operator.startswith("robust_laplacian(mesh")
