@@ -1,1 +1,25 @@
-"""."""
+"""The neural backend: a network that predicts a subspace, and Rayleigh-Ritz inside it.
+
+>>> from spectra_kit.neo import NeoConfig, NeoNetwork
+>>> network = NeoNetwork(NeoConfig.named("base"))
+>>> sum(parameter.numel() for parameter in network.parameters())
+5365632
+"""
+
+from spectra_kit.neo.model import NeoConfig, NeoNetwork
+from spectra_kit.neo.pretrained import WEIGHTS, Pretrained, load_pretrained, save_weights
+from spectra_kit.neo.rayleigh_ritz import RitzPairs, rayleigh_ritz
+from spectra_kit.neo.subspace import NeoSubspace, neo_eigenpairs
+
+__all__ = [
+    "WEIGHTS",
+    "NeoConfig",
+    "NeoNetwork",
+    "NeoSubspace",
+    "Pretrained",
+    "RitzPairs",
+    "load_pretrained",
+    "neo_eigenpairs",
+    "rayleigh_ritz",
+    "save_weights",
+]

@@ -311,7 +311,9 @@ class NeoNetwork(nn.Module):
         return out
 
     @torch.no_grad()
-    def evaluate_chunked(self, points: Tensor, mass: Tensor, *, chunk: int = 65536) -> Tensor:
+    def evaluate_chunked(
+        self, points: Tensor, mass: Tensor, *, chunk: int = 65536, out: Tensor | None = None
+    ) -> Tensor:
         """Return `forward` of one cloud, with temporaries of `chunk` points instead of N.
 
         What grows with N is one row of D features and the output. The down-attention adds up
@@ -326,11 +328,12 @@ class NeoNetwork(nn.Module):
             Positive weights.
         chunk : int, default 65536
             Points at a time.
+        out : Tensor of shape (N, m), optional
+            Where to write, in any precision; by default new memory in that of the weights.
 
         Returns
         -------
         Tensor of shape (N, m)
-            In the precision of the weights.
         """
         parts = [slice(i, i + chunk) for i in range(0, len(points), chunk)]
         log_mass = self._log_mass(mass)
@@ -345,9 +348,8 @@ class NeoNetwork(nn.Module):
             )
             for part in parts:
                 h[part] = block.update(h[part], z)
-        if isinstance(self.head, nn.Identity):
-            return h
-        out = torch.empty(len(points), self.config.m, dtype=dtype, device=points.device)
+        if out is None:
+            out = torch.empty(len(points), self.config.m, dtype=dtype, device=points.device)
         for part in parts:
             out[part] = self.head(h[part])
         return out

@@ -18,7 +18,7 @@ from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError, WeightsError
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
 
-_FORMAT = "1"
+_KEY = "spectra_kit.neo"  # one entry: safetensors writes several in random order
 
 #: Shipped weights: name -> (file in neo/weights, sha256 of the file).
 WEIGHTS: dict[str, tuple[str, str]] = {}
@@ -79,11 +79,11 @@ def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -
     >>> load_pretrained(path).config.m
     160
     """
-    path, expected = _locate(name_or_path)
-    digest = _sha256(path)
-    if expected is not None and digest != expected:
+    path, digest = find_weights(name_or_path)
+    arrived = _sha256(path)
+    if arrived != digest:
         raise WeightsError(
-            f"{path} must have sha256 {expected}, got {digest}; the file was changed or damaged,"
+            f"{path} must have sha256 {digest}, got {arrived}; the file was changed or damaged,"
             " reinstall spectra_kit"
         )
     try:
@@ -92,14 +92,14 @@ def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -
             tensors = {key: file.get_tensor(key).float() for key in file.keys()}  # noqa: SIM118
     except SafetensorError as error:
         raise WeightsError(f"{path} is no complete safetensors file ({error})") from error
-    if metadata.get("format") != _FORMAT:
+    if _KEY not in metadata:
         raise WeightsError(
-            f"{path} must carry weights of format {_FORMAT}, got {metadata.get('format')!r};"
+            f"{path} must have the metadata {_KEY!r}, got {sorted(metadata)};"
             " was it written by `save_weights`?"
         )
     try:
-        config = NeoConfig(**json.loads(metadata["config"]))
-        record = json.loads(metadata["record"])
+        content = json.loads(metadata[_KEY])
+        config, record = NeoConfig(**content["config"]), content["record"]
     except (KeyError, TypeError, ValueError) as error:
         raise WeightsError(f"{path} has unreadable metadata ({error!r})") from error
     network = NeoNetwork(config)
@@ -140,11 +140,7 @@ def save_weights(
         If the record is no JSON, or the folder does not exist.
     """
     try:
-        metadata = {
-            "format": _FORMAT,
-            "config": json.dumps(asdict(network.config)),
-            "record": json.dumps(record),
-        }
+        content = json.dumps({"config": asdict(network.config), "record": record})
     except TypeError as error:
         raise InvalidInputError(f"`record` must hold JSON values only: {error}") from error
     tensors = {
@@ -152,27 +148,40 @@ def save_weights(
         for name, tensor in network.state_dict().items()
     }
     with atomic_path(path) as temporary:
-        save_file(tensors, temporary, metadata=metadata)
+        save_file(tensors, temporary, metadata={_KEY: content})
     return _sha256(Path(path))
 
 
-def _locate(name_or_path: str | os.PathLike[str]) -> tuple[Path, str | None]:
-    """Return the file and, for a shipped one, the hash that it must have."""
+class WeightsFile(NamedTuple):
+    """Where weights lie, and the sha256 they must have (for a shipped file) or do have."""
+
+    path: Path
+    sha256: str
+
+
+def find_weights(name_or_path: str | os.PathLike[str]) -> WeightsFile:
+    """Return the file of a shipped name or of a path, without reading the weights.
+
+    Raises
+    ------
+    WeightsError
+        If the name is unknown or the file is missing.
+    """
     if isinstance(name_or_path, str) and name_or_path in WEIGHTS:
         file, digest = WEIGHTS[name_or_path]
         path = Path(str(resources.files("spectra_kit.neo") / "weights" / file))
-        hint = "reinstall spectra_kit"
-    else:
-        path, digest = Path(name_or_path), None
-        if path.suffix != ".safetensors":
-            raise WeightsError(
-                f"weights must be one of {sorted(WEIGHTS)} or the path of a .safetensors file,"
-                f" got {os.fspath(name_or_path)!r}"
-            )
-        hint = "check the path"
+        if not path.is_file():
+            raise WeightsError(f"the shipped file {path} is missing; reinstall spectra_kit")
+        return WeightsFile(path, digest)
+    path = Path(name_or_path)
+    if path.suffix != ".safetensors":
+        raise WeightsError(
+            f"weights must be one of {sorted(WEIGHTS)} or the path of a .safetensors file,"
+            f" got {os.fspath(name_or_path)!r}"
+        )
     if not path.is_file():
-        raise WeightsError(f"the weights file {path} does not exist; {hint}")
-    return path, digest
+        raise WeightsError(f"the weights file {path} does not exist; check the path")
+    return WeightsFile(path, _sha256(path))
 
 
 def _sha256(path: Path) -> str:

@@ -1,0 +1,186 @@
+"""`NeoSubspace`: a trained network as a subspace, pose and size of the input taken care of."""
+
+from __future__ import annotations
+
+import copy
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit._validate import check_count, check_mass, check_points
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.neo.model import NeoNetwork
+from spectra_kit.neo.pretrained import find_weights, load_pretrained
+from spectra_kit.neo.rayleigh_ritz import Clock, RitzPairs, rayleigh_ritz, sparse_tensor
+from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.subspaces.frame import POSES, Frame, canonical_frame
+
+_DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
+
+
+@dataclass(frozen=True, repr=False)
+class NeoSubspace:
+    """A function of (points, mass) that returns the basis a network predicts.
+
+    The points are first moved into the frame that the network was trained in, so the basis does
+    not depend on the position, rotation and unit of the input (up to rounding, where the frame
+    of `canonical_frame` is unique). The first column is the constant function: the exact kernel
+    of a connected cloud.
+
+    Parameters
+    ----------
+    network : str, path or NeoNetwork, default "small"
+        Name or file of pretrained weights, loaded at the first call; or a network.
+    poses : {1, 2, 4}, default 1
+        Proper sign flips of the frame to predict in; the bases are joined. Costs as many times
+        the time and memory, and covers much of what a single prediction misses.
+    dtype : {"float32", "bfloat16", "float16"}, default "float32"
+        Precision of weights and activations. Most CPUs emulate the other two, slowly.
+    device : str, default "cpu"
+        Where to compute.
+    chunk : int, default 65536
+        Points whose temporaries are held at a time. Smaller clouds go through in one piece.
+
+    Raises
+    ------
+    InvalidInputError
+        If an option has another value than those above.
+    WeightsError
+        If there are no such weights.
+
+    Examples
+    --------
+    >>> from spectra_kit.neo import NeoConfig
+    >>> subspace = NeoSubspace(NeoNetwork(NeoConfig.named("small")), poses=2)
+    >>> points = np.random.default_rng(0).normal(size=(500, 3))
+    >>> subspace(points, np.ones(500)).shape
+    (500, 321)
+    """
+
+    network: str | os.PathLike[str] | NeoNetwork = "small"
+    poses: Literal[1, 2, 4] = 1
+    dtype: Literal["float32", "bfloat16", "float16"] = "float32"
+    device: str = "cpu"
+    chunk: int = 65536
+
+    def __post_init__(self) -> None:
+        if self.poses not in (1, 2, 4):
+            raise InvalidInputError(f"`poses` must be 1, 2 or 4, got {self.poses!r}")
+        if self.dtype not in _DTYPES:
+            raise InvalidInputError(f"`dtype` must be one of {sorted(_DTYPES)}, got {self.dtype!r}")
+        check_count("chunk", self.chunk, low=1)
+        if not isinstance(self.network, NeoNetwork):
+            find_weights(self.network)
+
+    def __call__(self, points: ArrayLike, mass: ArrayLike) -> NDArray[np.float32]:
+        """Predict a basis.
+
+        Parameters
+        ----------
+        points : array_like of shape (n, 3)
+            Coordinates of one connected surface, in length.
+        mass : array_like of shape (n,)
+            Positive masses, in length^2; only their ratios matter.
+
+        Returns
+        -------
+        ndarray of shape (n, 1 + poses * m), float32
+            Not orthonormal; the first column is one.
+        """
+        points = check_points("points", points)
+        mass = check_mass("mass", mass, len(points))
+        basis = self.predict(points, mass, self.frame(points, mass))
+        return np.asarray(basis.cpu().numpy())
+
+    def __repr__(self) -> str:
+        options = f"poses={self.poses}, dtype={self.dtype!r}, device={self.device!r}"
+        if isinstance(self.network, NeoNetwork):
+            size = sum(p.numel() for p in self.network.parameters())
+            return f"NeoSubspace(<NeoNetwork, {size} parameters>, {options})"
+        digest = find_weights(self.network).sha256[:12]
+        return f"NeoSubspace({os.fspath(self.network)!r}, {options}, sha256={digest!r})"
+
+    @property
+    def n_functions(self) -> int:
+        """Number of columns of the basis: the constant, and m for each pose."""
+        return 1 + self.poses * self._model.config.m
+
+    def frame(self, points: NDArray[np.float64], mass: NDArray[np.float64]) -> Frame:
+        """Return the similarity transform that the network expects."""
+        if self._model.config.frame == "principal":
+            return canonical_frame(points, mass)
+        centre = mass @ points / mass.sum()
+        return Frame(centre, np.eye(3), float(np.abs(points - centre).max()))
+
+    @torch.no_grad()
+    def predict(
+        self, points: NDArray[np.float64], mass: NDArray[np.float64], frame: Frame
+    ) -> torch.Tensor:
+        """Return the basis as a float32 tensor of shape (n, 1 + poses * m) on `device`."""
+        n, m, model = len(points), self._model.config.m, self._model
+        basis = torch.ones(n, 1 + self.poses * m, device=self.device)
+        weights = torch.from_numpy(mass / mass.mean()).float().to(self.device)
+        posed = torch.from_numpy(frame.pose(points)).float().to(self.device)
+        for i, flip in enumerate(POSES[: self.poses]):
+            x = posed * torch.from_numpy(flip).to(posed)
+            columns = slice(1 + i * m, 1 + (i + 1) * m)
+            if n <= self.chunk:
+                basis[:, columns] = model(x.unsqueeze(0), weights.unsqueeze(0))[0]
+            else:
+                model.evaluate_chunked(x, weights, chunk=self.chunk, out=basis[:, columns])
+        return basis
+
+    @cached_property
+    def _model(self) -> NeoNetwork:
+        network = self.network
+        if not isinstance(network, NeoNetwork):
+            network = load_pretrained(network).network
+        model = copy.deepcopy(network) if network is self.network else network
+        return model.eval().to(self.device, _DTYPES[self.dtype])
+
+
+def neo_eigenpairs(
+    subspace: NeoSubspace, laplacian: Laplacian, k: int, *, rank_tol: float = 1e-10
+) -> RitzPairs:
+    """Predict a basis and solve inside it, all on the device of the subspace.
+
+    Parameters
+    ----------
+    subspace : NeoSubspace
+        The network.
+    laplacian : Laplacian
+        Of one connected surface.
+    k : int
+        Pairs to return.
+    rank_tol : float, default 1e-10
+        See `neo.rayleigh_ritz.orthonormalize`.
+
+    Returns
+    -------
+    RitzPairs
+        In the units of the Laplacian; ``seconds`` holds ``frame``, ``forward``,
+        ``orthonormalize``, ``project`` and ``eigh``.
+
+    Raises
+    ------
+    InvalidInputError
+        If the basis spans fewer than k dimensions.
+    """
+    clock = Clock(torch.device(subspace.device))
+    frame = subspace.frame(laplacian.points, laplacian.mass)
+    clock.stage("frame")
+    basis = subspace.predict(laplacian.points, laplacian.mass, frame)
+    clock.stage("forward")
+    pairs = rayleigh_ritz(
+        sparse_tensor(laplacian.stiffness, subspace.device),
+        torch.from_numpy(np.array(laplacian.mass)).to(subspace.device),
+        basis,
+        k,
+        rank_tol=rank_tol,
+    )
+    return pairs._replace(seconds=clock.seconds | pairs.seconds)

@@ -1,0 +1,85 @@
+"""The span loss: equal to its slow form, blind to what it must not see."""
+
+import pytest
+import torch
+
+from spectra_kit.neo.loss import mode_residuals, ortho_loss, span_loss, span_loss_qr
+
+
+@pytest.fixture
+def case():
+    """Functions F that cover modes U in part, on uneven masses, in float64."""
+    generator = torch.Generator().manual_seed(0)
+    mass = 0.1 + torch.rand(2, 90, generator=generator, dtype=torch.float64)
+    F = torch.randn(2, 90, 12, generator=generator, dtype=torch.float64)
+    U = F[..., :6] + 0.5 * torch.randn(2, 90, 6, generator=generator, dtype=torch.float64)
+    return F, mass, U
+
+
+def test_value_and_gradient_equal_the_qr_form(case):
+    F, mass, U = case
+    F = F.requires_grad_()
+    losses = span_loss(F, mass, U, ridge=0.0), span_loss_qr(F, mass, U)
+    torch.testing.assert_close(losses[0].double(), losses[1], rtol=1e-5, atol=0)
+    one, other = (torch.autograd.grad(loss, F)[0] for loss in losses)
+    torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-7)
+
+
+def test_the_default_ridge_changes_a_healthy_basis_by_little(case):
+    F, mass, U = case
+    loss, exact = span_loss(F, mass, U), span_loss_qr(F, mass, U)
+    assert loss.item() == pytest.approx(exact.item(), abs=1e-5)
+
+
+def test_change_of_basis_and_scales_are_invisible(case):
+    F, mass, U = case
+    generator = torch.Generator().manual_seed(1)
+    mixing = 4 * torch.eye(12) + torch.randn(12, 12, generator=generator)
+    expected = span_loss(F, mass, U)
+    for other in (F @ mixing.double(), F * torch.logspace(-3, 3, 12, dtype=F.dtype), -F.flip(-1)):
+        torch.testing.assert_close(span_loss(other, mass, U), expected, rtol=1e-3, atol=1e-5)
+    torch.testing.assert_close(span_loss(F, 1e6 * mass, 1e-3 * U), expected)
+
+
+def test_orthogonal_mixing_of_orthonormal_modes_is_invisible(case):
+    F, mass, U = case
+    root = mass.sqrt().unsqueeze(-1)
+    U = torch.linalg.qr(root * U)[0] / root
+    mixing = torch.linalg.qr(torch.randn(6, 6, generator=torch.Generator().manual_seed(1)))[0]
+    torch.testing.assert_close(span_loss(F, mass, U @ mixing.double()), span_loss(F, mass, U))
+
+
+def test_known_values():
+    axes = torch.eye(4)[None]
+    residuals = mode_residuals(axes[..., :2], torch.ones(1, 4), axes[..., 1:3])
+    torch.testing.assert_close(residuals, torch.tensor([[0.0, 1.0]]), atol=1e-5, rtol=0)
+    half = torch.tensor([[[1.0], [1.0], [0.0], [0.0]]])  # half the energy of the first axis
+    assert span_loss(half, torch.ones(1, 4), axes[..., :1]).item() == pytest.approx(0.5, abs=1e-5)
+    heavy = torch.tensor([[3.0, 1.0, 1.0, 1.0]])  # three quarters of its energy, by mass
+    assert span_loss(half, heavy, axes[..., :1]).item() == pytest.approx(0.25, abs=1e-5)
+
+
+def test_modes_of_a_subsample_count_by_their_own_norm(case):
+    F, mass, U = case
+    keep = slice(0, 40)
+    loss = span_loss(F[:, keep], mass[:, keep], U[:, keep])
+    exact = span_loss_qr(F[:, keep], mass[:, keep], U[:, keep])
+    assert loss.item() == pytest.approx(exact.item(), abs=1e-5)
+    assert 0 < loss.item() < 1
+
+
+def test_rank_deficient_functions_have_a_finite_loss_and_gradient(case):
+    F, mass, U = case
+    F = torch.cat([F[..., :6], F[..., :6]], dim=-1).requires_grad_()
+    loss = span_loss(F, mass, U)
+    loss.backward()
+    assert loss.item() == pytest.approx(span_loss_qr(F[..., :6], mass, U).item(), abs=1e-4)
+    assert F.grad.isfinite().all()
+
+
+def test_ortho_loss_vanishes_on_orthonormal_functions_alone(case):
+    F, mass, _ = case
+    weights = (mass / mass.sum(-1, keepdim=True)).unsqueeze(-1)
+    Y = torch.linalg.qr(weights.sqrt() * F)[0] / weights.sqrt()
+    assert ortho_loss(Y, 7 * mass).item() < 1e-12
+    assert ortho_loss(2 * Y, mass).item() == pytest.approx(9 / 12, rel=1e-5)

@@ -1,0 +1,118 @@
+"""Weights files: what goes in comes out, and nothing else gets in."""
+
+import json
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from spectra_kit.errors import InvalidInputError, WeightsError
+from spectra_kit.neo import pretrained
+from spectra_kit.neo.model import NeoConfig, NeoNetwork
+from spectra_kit.neo.pretrained import find_weights, load_pretrained, save_weights
+
+TINY = NeoConfig(width=16, depth=1, heads=2, head_width=8, latents=4, m=12, k=4, frame="none")
+
+
+@pytest.fixture
+def network():
+    torch.manual_seed(0)
+    return NeoNetwork(TINY)
+
+
+@pytest.fixture
+def path(tmp_path, network):
+    path = tmp_path / "tiny.safetensors"
+    save_weights(path, network, {"steps": 3})
+    return path
+
+
+def test_round_trip_is_exact(path, network):
+    loaded = load_pretrained(path)
+    assert loaded.config == TINY
+    assert loaded.record == {"steps": 3}
+    assert loaded.name == str(path)
+    assert not loaded.network.training
+    for name, tensor in network.state_dict().items():
+        assert torch.equal(loaded.network.state_dict()[name], tensor)
+
+
+def test_half_precision_on_disk_comes_back_as_float32(tmp_path, network):
+    path = tmp_path / "half.safetensors"
+    save_weights(path, network, {}, dtype=torch.float16)
+    for name, tensor in load_pretrained(path).network.state_dict().items():
+        assert tensor.dtype == torch.float32
+        torch.testing.assert_close(tensor, network.state_dict()[name], atol=1e-3, rtol=1e-3)
+
+
+def test_same_weights_give_the_same_hash(tmp_path, network):
+    hashes = {save_weights(tmp_path / f"{i}.safetensors", network, {"a": 1}) for i in range(2)}
+    assert len(hashes) == 1
+    assert hashes == {find_weights(tmp_path / "0.safetensors").sha256}
+
+
+def test_a_shipped_file_must_have_its_hash(path, monkeypatch, tmp_path):
+    digest = find_weights(path).sha256
+    monkeypatch.setattr(pretrained.resources, "files", lambda _: tmp_path)
+    (tmp_path / "weights").mkdir()
+    path = path.rename(tmp_path / "weights" / path.name)
+    monkeypatch.setitem(pretrained.WEIGHTS, "tiny", (path.name, digest))
+    assert load_pretrained("tiny").sha256 == digest
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(WeightsError, match=f"must have sha256 {digest}, got"):
+        load_pretrained("tiny")
+    path.unlink()
+    with pytest.raises(WeightsError, match=r"shipped file .* is missing; reinstall"):
+        load_pretrained("tiny")
+
+
+def test_unknown_names_are_answered_with_the_known_ones(monkeypatch):
+    monkeypatch.setitem(pretrained.WEIGHTS, "tiny", ("tiny.safetensors", ""))
+    with pytest.raises(WeightsError, match=r"one of \[.*'tiny'.*\] or the path .* got 'huge'"):
+        load_pretrained("huge")
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(WeightsError, match=r"none\.safetensors does not exist; check the path"):
+        load_pretrained(tmp_path / "none.safetensors")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.99])
+def test_a_truncated_file_is_refused(path, share):
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(WeightsError, match="is no complete safetensors file"):
+        load_pretrained(path)
+
+
+def test_tensors_must_fit_the_configuration(path):
+    tensors = load_file(path)
+    content = {"record": {}, "config": pretrained.asdict(TINY)}
+    metadata = {"spectra_kit.neo": json.dumps(content)}
+    del tensors["lift.bias"]
+    save_file(tensors, path, metadata=metadata)
+    with pytest.raises(WeightsError, match=r"1 do not fit, the first is 'lift.bias': .* got None"):
+        load_pretrained(path)
+    save_file(tensors | {"lift.bias": torch.zeros(3)}, path, metadata=metadata)
+    with pytest.raises(WeightsError, match=r"expected shape \(16,\), got \(3,\)"):
+        load_pretrained(path)
+
+
+def test_foreign_and_broken_metadata_are_refused(path):
+    tensors = load_file(path)
+    save_file(tensors, path)
+    with pytest.raises(WeightsError, match=r"'spectra_kit.neo', got \[\]; was it written by"):
+        load_pretrained(path)
+    for content in ('{"config": {"width": 16}, "record": {}}', '{"record": {}}', "no json"):
+        save_file(tensors, path, metadata={"spectra_kit.neo": content})
+        with pytest.raises(WeightsError, match="has unreadable metadata"):
+            load_pretrained(path)
+
+
+def test_a_record_must_be_json_and_a_failed_write_leaves_the_old_file(path, network):
+    before = path.read_bytes()
+    with pytest.raises(InvalidInputError, match="`record` must hold JSON values only"):
+        save_weights(path, network, {"when": object()})
+    assert path.read_bytes() == before

@@ -1,0 +1,127 @@
+"""Rayleigh-Ritz in torch: equal to the exact spectrum, to the NumPy twin, and rank-aware."""
+
+import numpy as np
+import pytest
+import torch
+from scipy import linalg, sparse
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg.orthonormal import orthonormalize as orthonormalize_numpy
+from spectra_kit.neo import rayleigh_ritz as module
+from spectra_kit.neo.rayleigh_ritz import orthonormalize, rayleigh_ritz, sparse_tensor
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """A weighted path of 120 points: L (CSR), mass, and its exact spectrum by LAPACK."""
+    rng = np.random.default_rng(0)
+    n = 120
+    steps = sparse.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n))
+    L = sparse.csr_array(steps.T @ sparse.diags_array(rng.uniform(0.5, 2, n - 1)) @ steps)
+    mass = rng.uniform(0.5, 2, n)
+    values, vectors = linalg.eigh(L.toarray(), np.diag(mass))
+    return L, torch.from_numpy(mass), values, torch.from_numpy(vectors)
+
+
+def gram_error(Y, mass):
+    return (Y.mT @ (mass.unsqueeze(1) * Y) - torch.eye(Y.shape[1])).abs().max()
+
+
+def ill_conditioned(n, m, smallest, seed=0):
+    """Columns of unit norm (n, m) with singular values from 1 down to `smallest`, exactly known."""
+    generator = torch.Generator().manual_seed(seed)
+    left = torch.linalg.qr(torch.randn(n, m, generator=generator, dtype=torch.float64))[0]
+    singular = torch.logspace(0, np.log10(smallest), m, dtype=torch.float64)
+    # An orthogonal Hadamard-like mixing gives all columns equal norms.
+    right = torch.from_numpy(linalg.hadamard(m) / np.sqrt(m))
+    return left * singular @ right
+
+
+@pytest.mark.parametrize("smallest", [1e-3, 1e-7, 1e-9])
+def test_bases_with_small_directions_keep_them_and_become_orthonormal(smallest):
+    basis, mass = ill_conditioned(300, 16, smallest), torch.ones(300, dtype=torch.float64)
+    Y = orthonormalize(basis, mass)
+    assert Y.shape == (300, 16)
+    assert gram_error(Y, mass) < 1e-12
+    expected = torch.linalg.qr(basis)[0]
+    # The same span: principal angles vanish up to rounding / smallest singular value.
+    sine = (expected - Y @ (Y.mT @ expected)).norm(dim=0).max()
+    assert sine < 1e-14 / smallest
+
+
+@pytest.mark.parametrize(("rank_tol", "rank"), [(1e-10, 11), (3e-6, 6), (1e-13, 14)])
+def test_the_cut_is_on_relative_singular_values(rank_tol, rank):
+    basis = ill_conditioned(300, 16, 1e-15)  # one per decade
+    Y = orthonormalize(basis, torch.ones(300, dtype=torch.float64), rank_tol=0.5 * rank_tol)
+    assert Y.shape[1] == rank
+
+
+def test_masses_and_column_scales_are_taken_care_of(problem):
+    _, mass, _, vectors = problem
+    scales = torch.logspace(-12, 12, 20, dtype=torch.float64)
+    Y = orthonormalize(vectors[:, :20] * scales, 1e-6 * mass)
+    assert Y.shape[1] == 20
+    assert gram_error(Y, 1e-6 * mass) < 1e-12
+
+
+def test_zero_and_repeated_columns_go():
+    basis = torch.tensor([[1.0, 2, 0, 0], [1, 2, 0, 1], [1, 2, 0, 0]])
+    assert orthonormalize(basis, torch.ones(3)).shape == (3, 2)
+
+
+def test_blocks_of_rows_change_nothing(problem, monkeypatch):
+    _, mass, _, vectors = problem
+    basis = vectors[:, :9] + vectors[:, 1:10]
+    whole = orthonormalize(basis, mass)
+    monkeypatch.setattr(module, "_ROWS", 17)
+    blocked = orthonormalize(basis, mass)
+    torch.testing.assert_close(blocked @ blocked.mT, whole @ whole.mT)
+
+
+def test_equals_the_numpy_twin():
+    basis = ill_conditioned(300, 16, 1e-12)
+    mass = torch.linspace(0.5, 2, 300, dtype=torch.float64)
+    Y, twin = orthonormalize(basis, mass), orthonormalize_numpy(basis.numpy(), mass.numpy())
+    assert Y.shape == twin.shape
+    overlap = Y.mT @ (mass.unsqueeze(1) * torch.from_numpy(twin))
+    cosines = torch.linalg.svdvals(overlap)
+    assert cosines.min() > 1 - 1e-6  # the direction at the cut is known to rounding / 1e-10
+
+
+def test_an_invariant_subspace_gives_the_exact_spectrum(problem):
+    L, mass, values, vectors = problem
+    mixing = torch.randn(12, 12, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    pairs = rayleigh_ritz(sparse_tensor(L), mass, vectors[:, :12] @ mixing, 10)
+    np.testing.assert_allclose(pairs.eigenvalues, values[:10], atol=1e-12)
+    cosines = (vectors[:, :10].mT @ (mass.unsqueeze(1) * pairs.eigenvectors)).abs()
+    torch.testing.assert_close(cosines, torch.eye(10, dtype=torch.float64), atol=1e-9, rtol=0)
+    assert set(pairs.seconds) == {"orthonormalize", "project", "eigh"}
+
+
+def test_ritz_values_bound_the_spectrum_from_above(problem):
+    L, mass, values, _ = problem
+    basis = torch.randn(120, 70, generator=torch.Generator().manual_seed(0))
+    pairs = rayleigh_ritz(sparse_tensor(L), mass, basis, 70)
+    assert (pairs.eigenvalues.numpy() >= values[:70] - 1e-12).all()
+    assert gram_error(pairs.eigenvectors, mass) < 1e-12
+
+
+def test_too_small_a_subspace_and_bad_columns_are_refused(problem):
+    L, mass, _, vectors = problem
+    with pytest.raises(InvalidInputError, match=r"at least k = 4 dimensions, got numerical rank 3"):
+        rayleigh_ritz(sparse_tensor(L), mass, vectors[:, [0, 1, 2, 2]], 4)
+    bad = vectors[:, :4].clone()
+    bad[3, 1] = torch.nan
+    with pytest.raises(InvalidInputError, match="1 columns with NaN or infinite values of 4"):
+        orthonormalize(bad, mass)
+    with pytest.raises(InvalidInputError, match="finite columns that are not all zero"):
+        orthonormalize(torch.zeros(120, 2), mass)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_cuda_equals_cpu(problem):
+    L, mass, _, vectors = problem
+    basis = vectors[:, :12].float()
+    pairs = rayleigh_ritz(sparse_tensor(L), mass, basis, 10)
+    there = rayleigh_ritz(sparse_tensor(L, "cuda"), mass.cuda(), basis.cuda(), 10)
+    torch.testing.assert_close(there.eigenvalues.cpu(), pairs.eigenvalues)
