@@ -79,9 +79,9 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
                   are ignored
     ============  ====================================================================
 
-    Polygons of four and more corners become triangles around their first corner. OBJ and XYZ do
-    not say how long they are: such a file, cut between two lines or inside its very last number,
-    cannot be told from a whole one.
+    Polygons of four and more corners become triangles around their first corner. A text
+    file that was cut inside its very last number cannot be told from a whole one; neither can an
+    OBJ or XYZ file cut between two lines, as these do not say how long they are.
 
     Examples
     --------

@@ -36,7 +36,8 @@ def read_npy(path: Path) -> Arrays:
 
 def write_npy(cloud: PointCloud, path: Path) -> None:
     """Write the points as they are."""
-    np.save(path, cloud.points)
+    with path.open("wb") as file:  # given a name, NumPy would append ".npy" to ".NPY"
+        np.save(file, cloud.points)
 
 
 def read_npz(path: Path) -> Arrays:
@@ -54,7 +55,8 @@ def read_npz(path: Path) -> Arrays:
 
 def write_npz(geometry: Geometry, path: Path) -> None:
     """Write the arrays as they are."""
+    arrays = {"points": geometry.points}
     if isinstance(geometry, TriangleMesh):
-        np.savez(path, points=geometry.points, faces=geometry.faces)
-    else:
-        np.savez(path, points=geometry.points)
+        arrays["faces"] = geometry.faces
+    with path.open("wb") as file:
+        np.savez(file, **arrays)
