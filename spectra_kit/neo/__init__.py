@@ -8,7 +8,7 @@
 
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
 from spectra_kit.neo.pretrained import WEIGHTS, Pretrained, load_pretrained, save_weights
-from spectra_kit.neo.rayleigh_ritz import RitzPairs, rayleigh_ritz
+from spectra_kit.neo.rayleigh_ritz import RitzPairs
 from spectra_kit.neo.subspace import NeoSubspace, neo_eigenpairs
 
 __all__ = [
@@ -20,6 +20,5 @@ __all__ = [
     "RitzPairs",
     "load_pretrained",
     "neo_eigenpairs",
-    "rayleigh_ritz",
     "save_weights",
 ]
