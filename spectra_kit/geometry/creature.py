@@ -97,7 +97,7 @@ def _animal(rng: np.random.Generator, *, calm: bool) -> Field:
     # Neck and head; the head turns and nods about its own centre.
     yaw, nod = (0.5, 0.1) if calm else rng.uniform([-0.8, -0.4], [0.8, 0.4])
     head = np.array([0.98, 0.08, 0.5]) * [1, 1, vary(0.25)]
-    chain([[0.58, 0.02, 0.08], head - [0.06, 0.0, 0.04]], [0.19 * stout, 0.125])
+    chain(np.array([[0.58, 0.02, 0.08], head - [0.06, 0.0, 0.04]]), [0.19 * stout, 0.125])
     cy, sy, cn, sn = np.cos(yaw), np.sin(yaw), np.cos(nod), np.sin(nod)
     turn = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ np.array(
         [[cn, 0, sn], [0, 1, 0], [-sn, 0, cn]]

@@ -1,0 +1,125 @@
+"""The demo animal and the implicit surfaces it is made of."""
+
+import numpy as np
+import pytest
+
+from spectra_kit.eigensolvers import eigensolve
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import implicit as clay
+from spectra_kit.geometry.creature import _animal, creature
+from spectra_kit.geometry.shapes import TriangleMesh
+from spectra_kit.operators import robust_laplacian
+
+
+@pytest.fixture(scope="module")
+def animal():
+    return creature(3000)
+
+
+@pytest.mark.parametrize("n", [500, 777, 5000, 20_000])
+def test_size_is_met_and_the_surface_is_one_closed_sphere(n):
+    mesh = creature(n)
+    assert mesh.n == pytest.approx(n, rel=0.01)
+    edges, counts = np.unique(mesh.edges, axis=0, return_counts=True)
+    assert (counts == 2).all()
+    assert mesh.n - len(edges) + len(mesh.faces) == 2
+    assert not mesh.component_labels.any()
+    assert np.linalg.det(mesh.points[mesh.faces]).sum() > 0  # oriented outwards
+
+
+def test_triangles_are_decent(animal):
+    corners = animal.points[animal.faces]
+    lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    quality = 4 * 3**0.5 * animal.face_areas / (lengths**2).sum(axis=1)  # 1: equilateral
+    assert quality.mean() > 0.92
+    assert np.quantile(quality, 0.01) > 0.5
+
+
+def test_vertices_lie_on_the_surface(animal):
+    field = _animal(np.random.default_rng(0), calm=True)
+    distance = np.abs(field(animal.points))
+    assert np.quantile(distance, 0.99) < 1e-3
+    assert distance.max() < 2e-2
+
+
+def test_low_eigenvalues_are_simple_and_stable_under_refinement(animal):
+    coarse = eigensolve(robust_laplacian(animal), 12).eigenvalues
+    fine = eigensolve(robust_laplacian(creature(12_000)), 12).eigenvalues
+    assert (np.diff(fine) / fine[1:] > 2e-3).all()
+    np.testing.assert_allclose(coarse[1:], fine[1:], rtol=0.03)
+
+
+def test_seed_decides_the_animal(animal):
+    np.testing.assert_array_equal(creature(3000).points, animal.points)
+    assert np.abs(creature(3000, seed=4).points - animal.points).max() > 0.05
+
+
+@pytest.mark.parametrize("seed", range(1, 6))
+def test_every_seed_gives_a_closed_surface(seed):
+    mesh = creature(600, seed=seed)
+    assert mesh.n == 600
+    assert len(mesh.boundary_vertices) == 0
+
+
+@pytest.mark.parametrize(
+    ("call", "match"),
+    [(lambda: creature(499), "n_points"), (lambda: creature(seed=-1), "seed")],
+)
+def test_numbers_out_of_range_are_refused(call, match):
+    with pytest.raises(InvalidInputError, match=match):
+        call()
+
+
+TURN = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+SOLIDS = {
+    "limb": (clay.limb([-1, 0, 0], [1, 0, 0], 0.5, 0.5), np.pi * 0.5**2 * 2 + np.pi / 6),
+    "ellipsoid": (clay.ellipsoid([0, 0, 0], [1, 0.8, 0.6], TURN), 4 / 3 * np.pi * 0.48),
+    "box": (clay.box([0, 0.1, 0], [0.9, 0.6, 0.5], TURN), 8 * 0.27),
+    "cylinder": (clay.cylinder([0, 0, 0], 0.6, 0.8, TURN), np.pi * 0.36 * 1.6),
+    "ring": (clay.ring([0, 0, 0], 0.9, 0.3, TURN), 2 * np.pi**2 * 0.9 * 0.09),
+}
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_solids_have_the_volume_of_their_formula(name):
+    field, volume = SOLIDS[name]
+    mesh = TriangleMesh(*clay.polygonize(field, [-1.7] * 3, [1.7] * 3, n_cells=100_000))
+    assert len(mesh.boundary_vertices) == 0
+    enclosed = np.linalg.det(mesh.points[mesh.faces]).sum() / 6
+    assert enclosed == pytest.approx(volume, rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["limb", "box", "cylinder", "ring"])
+def test_fields_are_distances(name):
+    field, _ = SOLIDS[name]
+    points = np.random.default_rng(1).uniform(-2, 2, (2000, 3))
+    outside = points[field(points) > 0.05]
+    slope = (field(outside + 1e-6 * TURN[0]) - field(outside - 1e-6 * TURN[0])) / 2e-6
+    assert (np.abs(slope) <= 1 + 1e-6).all()
+    surface, _ = clay.polygonize(field, [-1.7] * 3, [1.7] * 3, n_cells=200_000)
+    nearest = np.array([np.linalg.norm(surface - p, axis=1).min() for p in outside[:100]])
+    np.testing.assert_allclose(field(outside[:100]), nearest, atol=0.05)
+
+
+def test_coarse_to_fine_polygons_are_the_same():
+    field = _animal(np.random.default_rng(2), calm=False)
+    box = ([-1.75, -0.85, -1.05], [1.65, 0.85, 1.35])
+    plain = clay.polygonize(field, *box, n_cells=60_000)
+    quick = clay.polygonize(field, *box, n_cells=60_000, stride=4)
+    np.testing.assert_array_equal(quick[1], plain[1])
+    np.testing.assert_allclose(quick[0], plain[0], atol=1e-12)
+
+
+def test_smooth_union_contains_both_and_adds_little():
+    ball = [clay.ellipsoid([x, 0, 0], [0.5] * 3) for x in (-0.4, 0.4)]
+    points = np.random.default_rng(0).uniform(-1, 1, (5000, 3))
+    sharp = np.minimum(ball[0](points), ball[1](points))
+    np.testing.assert_array_equal(clay.smooth_union(ball, 0.0)(points), sharp)
+    melted = clay.smooth_union(ball, 0.3)(points)
+    assert (melted <= sharp).all()
+    assert (melted >= sharp - 0.3 / 6 - 1e-12).all()
+
+
+def test_no_zero_gives_an_empty_mesh():
+    points, faces = clay.polygonize(lambda p: np.ones(len(p)), [-1] * 3, [1] * 3, n_cells=1000)
+    assert len(points) == len(faces) == 0
