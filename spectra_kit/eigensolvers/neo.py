@@ -1,3 +1,103 @@
-"""`Neo`: eigenpairs from one forward pass of the neural operator and a small dense problem."""
+"""`Neo`: eigenpairs from a forward pass of the neural operator and a small dense problem."""
 
 from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from spectra_kit._validate import check_positive
+from spectra_kit.eigensolvers.base import Eigenpairs
+from spectra_kit.eigensolvers.dense import Dense
+from spectra_kit.operators.laplacian import Laplacian
+
+if TYPE_CHECKING:
+    from spectra_kit.neo import NeoSubspace
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Neo:
+    """The Neural Eigenspace Operator: predicts a subspace, then Rayleigh-Ritz on the same device.
+
+    Approximate; the certificate says by how much. Every connected component is predicted on its
+    own, in its own canonical frame. Components with at most twice as many points as the subspace has functions
+    are solved exactly by LAPACK.
+
+    Parameters
+    ----------
+    weights : str or path, default "small"
+        Name of shipped weights (`neo.pretrained.WEIGHTS`), or a ``.safetensors`` file.
+    poses : {1, 2, 4}, default 4
+        Sign flips of the canonical frame to predict in; the bases are joined.
+    device : str, default "cpu"
+        "cpu" or "cuda"; never chosen for you.
+    dtype : {"float32", "bfloat16", "float16"}, default "float32"
+        Of the network. The dense algebra is always float64.
+    chunk : int, default 65536
+        Points whose temporaries are held at a time.
+    rank_tol : float, default 1e-10
+        Relative cut on the singular values of the basis; see `linalg.orthonormalize`.
+
+    Raises
+    ------
+    InvalidInputError
+        If an option is none of the above, or the basis spans fewer than k dimensions.
+    WeightsError
+        If the weights are unknown, missing or damaged.
+
+    References
+    ----------
+    *Learning Laplacian Eigenspace with Mass-Aware Neural Operators on Point Clouds*, SIGGRAPH 2026.
+
+    Examples
+    --------
+    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit.geometry import creature
+    >>> laplacian = robust_laplacian(creature(3000, seed=0))
+    >>> exact, predicted = eigensolve(laplacian, 5), eigensolve(laplacian, 5, Neo())
+    >>> bool(abs(predicted.eigenvalues[1:] / exact.eigenvalues[1:] - 1).max() < 0.05)
+    True
+    """
+
+    weights: str | os.PathLike[str] = "small"
+    poses: Literal[1, 2, 4] = 4
+    device: str = "cpu"
+    dtype: Literal["float32", "bfloat16", "float16"] = "float32"
+    chunk: int = 65536
+    rank_tol: float = 1e-10
+
+    def __post_init__(self) -> None:
+        check_positive("rank_tol", self.rank_tol)
+        _ = self.subspace  # checks the other options, and that the weights exist
+
+    def __repr__(self) -> str:
+        return f"Neo({self.subspace!r}, rank_tol={self.rank_tol:g})"
+
+    @cached_property
+    def subspace(self) -> NeoSubspace:
+        """The network as a subspace, for `Union`, `RayleighRitz` or as point features."""
+        from spectra_kit.neo import NeoSubspace
+
+        return NeoSubspace(
+            self.weights,
+            poses=self.poses,
+            dtype=self.dtype,
+            device=self.device,
+            chunk=self.chunk,
+        )
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
+        """See `Eigensolver.eigenpairs`."""
+        from spectra_kit.neo import neo_eigenpairs
+
+        if laplacian.n <= 2 * self.subspace.n_functions:
+            return Dense().eigenpairs(laplacian, k)
+        values, vectors, seconds = neo_eigenpairs(
+            self.subspace, laplacian, k, rank_tol=self.rank_tol
+        )
+        return Eigenpairs(
+            np.asarray(values.cpu().numpy()), np.asarray(vectors.cpu().numpy()), seconds
+        )
