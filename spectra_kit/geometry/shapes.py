@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PointCloud:
     """Points sampled from a surface, in the order they came.
 
@@ -44,6 +44,9 @@ class PointCloud:
         points = check_points("points", self.points).copy()
         object.__setattr__(self, "points", frozen(points))
 
+    def __repr__(self) -> str:
+        return f"PointCloud({self.n} points)"
+
     @property
     def n(self) -> int:
         """Number of points."""
@@ -65,7 +68,7 @@ class PointCloud:
         return PointCloud(self.points[first])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TriangleMesh:
     """A triangle mesh: any topology, boundary and non-manifold edges allowed.
 
@@ -100,6 +103,9 @@ class TriangleMesh:
         faces = check_faces("faces", self.faces, len(points)).copy()
         object.__setattr__(self, "points", frozen(points))
         object.__setattr__(self, "faces", frozen(faces))
+
+    def __repr__(self) -> str:
+        return f"TriangleMesh({self.n} vertices, {len(self.faces)} faces)"
 
     @property
     def n(self) -> int:

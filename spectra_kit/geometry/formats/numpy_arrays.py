@@ -55,8 +55,8 @@ def read_npz(path: Path) -> Arrays:
 
 def write_npz(geometry: Geometry, path: Path) -> None:
     """Write the arrays as they are."""
-    arrays = {"points": geometry.points}
-    if isinstance(geometry, TriangleMesh):
-        arrays["faces"] = geometry.faces
     with path.open("wb") as file:
-        np.savez(file, **arrays)
+        if isinstance(geometry, TriangleMesh):
+            np.savez(file, points=geometry.points, faces=geometry.faces)
+        else:
+            np.savez(file, points=geometry.points)

@@ -1,0 +1,320 @@
+"""Meshes and clouds: derived quantities, diagnosis, repair, splitting, and unit size and back."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import (
+    Normalization,
+    PointCloud,
+    TriangleMesh,
+    components,
+    diagnose,
+    disk,
+    largest_component,
+    normalize,
+    rectangle,
+    repair,
+    sphere,
+    torus,
+)
+from spectra_kit.geometry.shapes import distinct_rows
+
+TRIANGLE = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]
+
+
+@pytest.fixture(scope="module")
+def ball():
+    return sphere(subdivisions=2).geometry
+
+
+@pytest.fixture(scope="module")
+def dirty(ball):
+    """A sphere with one of each fault, and what a diagnosis should count.
+
+    Appended: a copy of a vertex, which face 0 uses instead of it, an unused vertex, a face with a
+    repeated vertex, and face 5 again with another first corner.
+    """
+    faces = ball.faces.copy()
+    points = np.vstack([ball.points, ball.points[faces[0, 0]], [3, 3, 3]])
+    copy = ball.n
+    extra = [[faces[2, 0], faces[2, 1], faces[2, 1]], np.roll(faces[5], 1)]
+    faces[0, 0] = copy
+    return TriangleMesh(points, np.vstack([faces, extra]))
+
+
+def two_balls(ball, *, apart=5.0):
+    return TriangleMesh(
+        np.vstack([ball.points, 0.5 * ball.points + apart]),
+        np.vstack([ball.faces, ball.faces + ball.n]),
+    )
+
+
+# --- the two types ------------------------------------------------------------------------------
+
+
+def test_arrays_are_read_only_copies():
+    points, faces = np.array(TRIANGLE), np.array([[0, 1, 2]])
+    mesh, cloud = TriangleMesh(points, faces), PointCloud(points)
+    points[:], faces[:] = 9.0, 0
+    np.testing.assert_array_equal(mesh.points, TRIANGLE)
+    np.testing.assert_array_equal(cloud.points, TRIANGLE)
+    np.testing.assert_array_equal(mesh.faces, [[0, 1, 2]])
+    for array in (mesh.points, mesh.faces, cloud.points):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+def test_repr_is_short(ball):
+    assert repr(ball) == "TriangleMesh(162 vertices, 320 faces)"
+    assert repr(ball.as_cloud()) == "PointCloud(162 points)"
+
+
+def test_derived_values_agree_with_trimesh(ball):
+    other = trimesh.Trimesh(ball.points, ball.faces, process=False)
+    np.testing.assert_allclose(ball.face_areas, other.area_faces)
+    edges, counts = ball.unique_edges
+    assert {tuple(edge) for edge in edges} == {tuple(edge) for edge in other.edges_unique}
+    assert (counts == 2).all()
+    assert diagnose(ball).euler_characteristic == other.euler_number
+
+
+def test_boundary_is_the_rim():
+    flat = disk(rings=5).geometry
+    radius = np.linalg.norm(flat.points, axis=1)
+    np.testing.assert_array_equal(flat.boundary_vertices, np.flatnonzero(radius > 1 - 1e-9))
+    assert len(sphere(subdivisions=1).geometry.boundary_vertices) == 0
+
+
+def test_distinct_rows_keep_the_order_of_appearance():
+    rows = np.array([[2.0, 1], [0.0, 5], [2, 1], [-0.0, 5], [1, 1]])
+    first, label = distinct_rows(rows)
+    np.testing.assert_array_equal(first, [0, 1, 4])
+    np.testing.assert_array_equal(label, [0, 1, 0, 1, 2])
+    many = np.random.default_rng(0).integers(4, size=(500, 3))
+    first, label = distinct_rows(many)
+    assert len(first) == len(np.unique(many, axis=0))
+    np.testing.assert_array_equal(many[first][label], many)
+    assert (np.diff(first) > 0).all()
+
+
+def test_cleaning_methods_do_one_thing_each(dirty, ball):
+    assert dirty.without_unreferenced().n == ball.n + 1
+    assert len(dirty.without_degenerate_faces().faces) == len(dirty.faces) - 1
+    assert len(dirty.without_duplicate_faces().faces) == len(dirty.faces) - 1
+    merged = dirty.with_merged_vertices()
+    assert merged.n == ball.n + 1
+    np.testing.assert_array_equal(merged.faces[: len(ball.faces)], ball.faces)
+    np.testing.assert_array_equal(merged.points[: ball.n], ball.points)
+    assert PointCloud(dirty.points).without_duplicates().n == ball.n + 1
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_degenerate_is_a_matter_of_shape_not_of_size(ball, scale):
+    assert not ball.with_points(ball.points * scale).degenerate_faces().any()
+    needle = TriangleMesh(np.array([[0, 0, 0], [1, 0, 0], [0.3, 1e-13, 0]]) * scale, [[0, 1, 2]])
+    assert needle.degenerate_faces().all()
+    thin = needle.with_points(np.array([[0, 0, 0], [1, 0, 0], [0.3, 1e-9, 0]]) * scale)
+    assert not thin.degenerate_faces().any()
+    assert thin.degenerate_faces(1e-8).all()
+
+
+# --- diagnose -----------------------------------------------------------------------------------
+
+
+def test_clean_surfaces_are_clean(ball):
+    for mesh, chi, rim in [
+        (ball, 2, 0),
+        (torus(n=200).geometry, 0, 0),
+        (disk(rings=4).geometry, 1, 24),
+        (two_balls(ball), 4, 0),
+    ]:
+        found = diagnose(mesh)
+        assert found.is_clean
+        assert found.euler_characteristic == chi
+        assert found.boundary_edges == rim
+        assert found.nonmanifold_vertices == 0
+    assert diagnose(two_balls(ball)).n_components == 2
+    assert diagnose(rectangle(n=50).geometry).dimension == 2
+
+
+def test_every_fault_is_counted(dirty, ball):
+    found = diagnose(dirty)
+    assert (found.n_points, found.n_faces) == (ball.n + 2, len(ball.faces) + 2)
+    assert found.n_components == 1
+    assert found.duplicate_points == 1
+    assert found.degenerate_faces == 1
+    assert found.duplicate_faces == 1
+    assert found.unreferenced_vertices == 1
+    assert found.nonmanifold_edges == 4  # three of the repeated face, one of the degenerate one
+    assert found.upper == (3.0, 3.0, 3.0)
+    assert len(found.problems) == 5
+    for method in ("with_merged_vertices", "without_degenerate_faces", "without_unreferenced"):
+        assert sum(f"mesh.{method}()" in problem for problem in found.problems) == 1
+
+
+def test_non_manifold_edge_and_vertex():
+    points = [*TRIANGLE, [0, 0, 1], [0, 0, -1], [-1, 0, 0], [0, -1, 0]]
+    book = TriangleMesh(points[:5], [[0, 1, 2], [0, 1, 3], [0, 1, 4]])
+    assert diagnose(book).nonmanifold_edges == 1
+    assert diagnose(book).nonmanifold_vertices == 0
+    bow_tie = TriangleMesh(points, [[0, 1, 2], [0, 5, 6]])
+    assert diagnose(bow_tie).nonmanifold_edges == 0
+    assert diagnose(bow_tie).nonmanifold_vertices == 1
+
+
+def test_vertex_fans_agree_with_a_walk_around_each_vertex(ball):
+    """Drop random faces from a sphere, then count the fans of each vertex by its link."""
+    rng = np.random.default_rng(0)
+    mesh = TriangleMesh(ball.points, ball.faces[rng.random(len(ball.faces)) < 0.6])
+    split = 0
+    for vertex in mesh.referenced_vertices:
+        ring = mesh.faces[(mesh.faces == vertex).any(axis=1)]
+        links = [set(face) - {vertex} for face in ring.tolist()]
+        fans: list[set[int]] = []
+        for link in links:
+            touching = [fan for fan in fans if fan & link]
+            fans = [fan for fan in fans if not fan & link] + [link.union(*touching)]
+        split += len(fans) > 1
+    assert split > 5
+    assert diagnose(mesh).nonmanifold_vertices == split
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+def test_dimension_of_the_hull(offset):
+    t = np.linspace(0, 1, 20)[:, None]
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=(2, 3))
+    for points, dimension in [
+        (0 * t * a, 0),
+        (t * a, 1),
+        (t * a + t**2 * b, 2),
+        (rng.normal(size=(20, 3)), 3),
+    ]:
+        assert diagnose(PointCloud(points + offset)).dimension == dimension
+    assert diagnose(PointCloud([[1, 2, 3]])).problems == ("all points coincide: no surface",)
+    assert diagnose(PointCloud(t * a)).problems == ("all points lie on one line: no surface",)
+
+
+def test_cloud_duplicates_are_found():
+    found = diagnose(PointCloud([*TRIANGLE, TRIANGLE[1]]))
+    assert found.problems == ("1 points lie exactly on earlier ones: cloud.without_duplicates()",)
+    assert np.isnan(found.area)
+
+
+# --- repair -------------------------------------------------------------------------------------
+
+
+def test_repair_gives_back_the_clean_mesh(dirty, ball):
+    repaired = repair(dirty)
+    np.testing.assert_array_equal(repaired.geometry.points, ball.points)
+    np.testing.assert_array_equal(repaired.geometry.faces, ball.faces)
+    assert vars(repaired.report) == dict.fromkeys(vars(repaired.report), 1)
+    assert diagnose(repaired.geometry).is_clean
+
+
+def test_repair_tells_where_every_vertex_went(dirty):
+    repaired = repair(dirty)
+    np.testing.assert_array_equal(repaired.geometry.points, dirty.points[repaired.vertex_index])
+    back = repaired.restore(repaired.geometry.points)
+    np.testing.assert_array_equal(back[:-1], dirty.points[:-1])
+    assert np.isnan(back[-1]).all()
+    assert repaired.restore(np.ones(repaired.geometry.n), fill=-1.0)[-1] == -1.0
+    with pytest.raises(InvalidInputError, match="`values` must have 162 rows"):
+        repaired.restore(np.ones(3))
+
+
+def test_repair_of_a_clean_geometry_changes_nothing(ball):
+    for geometry in (ball, ball.as_cloud()):
+        repaired = repair(geometry)
+        np.testing.assert_array_equal(repaired.geometry.points, ball.points)
+        np.testing.assert_array_equal(repaired.vertex_index, np.arange(ball.n))
+        assert not any(vars(repaired.report).values())
+
+
+def test_repair_without_merging_keeps_touching_sheets_apart():
+    sheets = TriangleMesh([*TRIANGLE, *TRIANGLE], [[0, 1, 2], [3, 5, 4]])
+    assert repair(sheets, merge=False).geometry.n == 6
+    merged = repair(sheets)
+    assert (merged.geometry.n, merged.report.duplicate_faces) == (3, 1)
+
+
+def test_repair_of_a_cloud_drops_duplicates():
+    repaired = repair(PointCloud([*TRIANGLE, TRIANGLE[1]]))
+    np.testing.assert_array_equal(repaired.geometry.points, TRIANGLE)
+    np.testing.assert_array_equal(repaired.restore([1, 2, 3]), [1, 2, 3, 2])
+
+
+def test_nothing_left_to_repair_is_said():
+    with pytest.raises(InvalidInputError, match="must have a face with area, got 1 degenerate"):
+        repair(TriangleMesh([[0, 0, 0], [1, 1, 1], [2, 2, 2]], [[0, 1, 2]]))
+
+
+# --- components ---------------------------------------------------------------------------------
+
+
+def test_components_put_together_are_the_mesh(ball):
+    rng = np.random.default_rng(0)
+    both = two_balls(ball)
+    order = rng.permutation(both.n)
+    mixed = TriangleMesh(both.points[order], np.argsort(order)[both.faces][rng.permutation(640)])
+    parts = components(mixed)
+    assert [part.mesh.n for part in parts] == [ball.n, ball.n]
+    assert parts[0].face_index[0] == 0
+    for part in parts:
+        np.testing.assert_array_equal(part.mesh.points, mixed.points[part.vertex_index])
+        np.testing.assert_array_equal(
+            part.vertex_index[part.mesh.faces], mixed.faces[part.face_index]
+        )
+        assert diagnose(part.mesh).euler_characteristic == 2
+    everything = np.concatenate([part.vertex_index for part in parts])
+    np.testing.assert_array_equal(np.sort(everything), np.arange(mixed.n))
+    assert largest_component(mixed).mesh.area == pytest.approx(ball.area)
+
+
+def test_unreferenced_vertices_are_in_no_component(dirty):
+    merged = dirty.with_merged_vertices()
+    (part,) = components(merged)
+    assert merged.n - 1 not in part.vertex_index
+
+
+# --- normalisation ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
+def test_unit_box_and_back(ball, scale):
+    mesh = ball.with_points((ball.points * [1, 2, 3] + [10, 20, 30]) * scale)
+    unit, normalization = normalize(mesh)
+    np.testing.assert_allclose(unit.points.max(axis=0), [1 / 6, 1 / 3, 1 / 2], rtol=1e-13)
+    np.testing.assert_allclose(unit.points.min(axis=0), [-1 / 6, -1 / 3, -1 / 2], rtol=1e-13)
+    assert normalization.scale == pytest.approx(6 * scale, rel=1e-13)
+    back = normalization.invert(unit)
+    np.testing.assert_allclose(back.points, mesh.points, rtol=1e-14)
+    assert back.faces is not None
+    cloud = normalization.apply(mesh.as_cloud())
+    np.testing.assert_array_equal(cloud.points, unit.points)
+    np.testing.assert_array_equal(normalization.apply(mesh.points), unit.points)
+
+
+def test_unit_area_is_about_the_centroid():
+    """A cube of side 3 around (1, 2, 3): area 54, centroid its middle."""
+    box = trimesh.creation.box(extents=[3, 3, 3])
+    mesh = TriangleMesh(box.vertices + [1, 2, 3], box.faces)
+    normalization = Normalization.unit_area(mesh)
+    np.testing.assert_allclose(normalization.centre, [1, 2, 3], atol=1e-13)
+    assert normalization.scale == pytest.approx(np.sqrt(54))
+    assert normalization.apply(mesh).area == pytest.approx(1.0)
+
+
+def test_what_has_no_size_cannot_be_normalised(ball):
+    with pytest.raises(InvalidInputError, match="must have an extent to be normalised, got 2"):
+        normalize(PointCloud([[1, 2, 3], [1, 2, 3]]))
+    with pytest.raises(InvalidInputError, match="got a PointCloud, which has no area"):
+        Normalization.unit_area(ball.as_cloud())
+    with pytest.raises(InvalidInputError, match="must have area, got only degenerate faces"):
+        Normalization.unit_area(TriangleMesh([[0, 0, 0], [1, 1, 1]], [[0, 1, 1]]))
+    with pytest.raises(InvalidInputError, match="`scale` must be positive and finite, got nan"):
+        Normalization([0, 0, 0], float("nan"))
+    with pytest.raises(InvalidInputError, match="`centre` must be finite"):
+        Normalization([0, 0, np.inf], 1.0)
