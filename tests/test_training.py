@@ -1,0 +1,347 @@
+"""Training: it learns, resumes bit by bit, and its parts do what they are named after."""
+
+import csv
+import importlib.util
+import os
+import signal
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.neo.model import NeoConfig, NeoNetwork
+from spectra_kit.neo.pretrained import load_pretrained
+from spectra_kit.subspaces.frame import canonical_frame
+from spectra_kit.training.optim import Muon, make_optimizers, orthogonalise, warmup_stable_decay
+from spectra_kit.training.shards import open_shards, write_shard
+from spectra_kit.training.train import (
+    TrainConfig,
+    random_rotation,
+    train,
+    training_batch,
+    validate,
+)
+
+APP = Path(__file__).parent.parent / "apps" / "train_neo.py"
+SPEC = importlib.util.spec_from_file_location("train_neo", APP)
+train_neo = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(train_neo)
+
+TINY = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
+CONFIG = TrainConfig(network=TINY, steps=10, batch=4, points=48, validation=4, every=5)
+
+
+def ellipsoids(n, seed):
+    """Clouds on random ellipsoids, with polynomials of the coordinates as modes."""
+    rng = np.random.default_rng(seed)
+    points = rng.standard_normal((n, 64, 3))
+    points /= np.linalg.norm(points, axis=2, keepdims=True)
+    points *= rng.uniform(0.3, 1, (n, 1, 3))
+    mass = rng.uniform(0.5, 1.5, (n, 64))
+    mass /= mass.sum(1, keepdims=True)
+    x, y, z = np.moveaxis(points, 2, 0)
+    modes = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x], axis=2)
+    root = np.sqrt(mass)[..., None]
+    return points, mass, np.linalg.qr(root * modes)[0] / root
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    root = tmp_path_factory.mktemp("corpus")
+    for name, seed, n in (("train", 0, 24), ("validation", 1, 8)):
+        for index in range(2):
+            sample = ellipsoids(n // 2, (seed, index))
+            write_shard(root / name, index, *sample, {"family": np.full(n // 2, index)})
+    return root / "train", root / "validation"
+
+
+@pytest.fixture(scope="module")
+def corpora(folders):
+    return open_shards(folders[0]), open_shards(folders[1])
+
+
+# Shards
+
+
+def test_shards_keep_samples_labels_and_order(tmp_path):
+    points, mass, modes = ellipsoids(5, 0)
+    write_shard(tmp_path, 1, points[3:], mass[3:], modes[3:], {"seed": [3, 4], "extra": [0, 0]})
+    write_shard(tmp_path, 0, points[:3], mass[:3], modes[:3], {"seed": [0, 1, 2]})
+    corpus = open_shards(tmp_path)
+    assert (len(corpus), corpus.n_points, corpus.k) == (5, 64, 8)
+    assert corpus.labels.keys() == {"seed"}
+    np.testing.assert_array_equal(corpus.labels["seed"], range(5))
+    batch = corpus.batch([4, 0, 3, 4])
+    np.testing.assert_array_equal(batch.points, points[[4, 0, 3, 4]].astype(np.float32))
+    np.testing.assert_array_equal(batch.mass, mass[[4, 0, 3, 4]].astype(np.float32))
+    np.testing.assert_array_equal(batch.eigenvectors, modes[[4, 0, 3, 4]].astype(np.float16))
+    assert isinstance(corpus.shards[0].points, np.memmap)
+
+
+def test_half_written_shards_are_invisible(tmp_path):
+    points, mass, modes = ellipsoids(2, 0)
+    (tmp_path / ".writing_x").mkdir()
+    write_shard(tmp_path, 0, points, mass, modes, {})
+    (tmp_path / "notes.txt").write_text("")
+    assert len(open_shards(tmp_path)) == 2
+
+
+def test_shards_are_never_overwritten(tmp_path):
+    sample = ellipsoids(2, 0)
+    write_shard(tmp_path, 0, *sample, {})
+    with pytest.raises(InvalidInputError, match=r"shard 0 of .* exists; delete"):
+        write_shard(tmp_path, 0, *ellipsoids(2, 1), {})
+    np.testing.assert_array_equal(
+        open_shards(tmp_path).batch([0]).points, sample[0][:1].astype(np.float32)
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["shard_0000"]
+
+
+def test_bad_shards_are_refused(tmp_path):
+    points, mass, modes = ellipsoids(2, 0)
+    with pytest.raises(InvalidInputError, match=r"must have shapes \(s, n, 3\)"):
+        write_shard(tmp_path, 0, points[:, :-1], mass, modes, {})
+    with pytest.raises(InvalidInputError, match="label `seed` must have one integer for each of 2"):
+        write_shard(tmp_path, 0, points, mass, modes, {"seed": [1]})
+    with pytest.raises(InvalidInputError, match="`mass` must be positive with rows that sum to 1"):
+        write_shard(tmp_path, 0, points, 2 * mass, modes, {})
+    with pytest.raises(InvalidInputError, match="`eigenvectors` must be finite in the precision"):
+        write_shard(tmp_path, 0, points, mass, modes * np.nan, {})
+    with pytest.raises(InvalidInputError, match="must hold shards, found none"):
+        open_shards(tmp_path / "nowhere")
+    write_shard(tmp_path, 0, points, mass, modes, {})
+    write_shard(tmp_path, 1, points, mass, modes[..., :5], {})
+    with pytest.raises(InvalidInputError, match=r"must have the same \(points, modes\)"):
+        open_shards(tmp_path)
+
+
+# Optimisers
+
+
+def test_muon_takes_the_steps_of_torch():
+    def gradients(parameters, seed):
+        generator = torch.Generator().manual_seed(seed)
+        for parameter in parameters:
+            parameter.grad = torch.randn(parameter.shape, generator=generator)
+
+    def run(make):
+        torch.manual_seed(0)
+        parameters = [torch.nn.Parameter(torch.randn(s)) for s in ((48, 64), (48, 64), (96, 40))]
+        start = [parameter.detach().clone() for parameter in parameters]
+        optimizer = make(parameters)
+        for seed in range(3):
+            gradients(parameters, seed)
+            optimizer.step()
+        return [(p.detach() - s).flatten() for p, s in zip(parameters, start, strict=True)]
+
+    ours = run(lambda parameters: Muon(parameters, 0.01))
+    theirs = run(
+        lambda parameters: torch.optim.Muon(
+            parameters, lr=0.01, weight_decay=0.04, momentum=0.95, adjust_lr_fn="match_rms_adamw"
+        )
+    )
+    for mine, other in zip(ours, theirs, strict=True):  # theirs rounds to bfloat16 inside
+        assert torch.cosine_similarity(mine, other, dim=0) > 0.999
+        assert mine.norm().item() == pytest.approx(other.norm().item(), rel=0.01)
+
+
+def test_newton_schulz_brings_singular_values_near_one():
+    matrices = torch.randn(3, 60, 40, generator=torch.Generator().manual_seed(0))
+    singular = torch.linalg.svdvals(orthogonalise(matrices))
+    assert 0.5 < singular.min() < singular.max() < 1.3
+
+
+def test_muon_gets_matrices_and_adamw_the_rest():
+    network = NeoNetwork(NeoConfig.named("small"))
+    muon, adamw = make_optimizers(network, lr=1e-3)
+    chosen = [p for group in muon.param_groups for p in group["params"]]
+    rest = [p for group in adamw.param_groups for p in group["params"]]
+    assert len(chosen) + len(rest) == len(list(network.parameters()))
+    assert all(p.ndim == 2 and min(p.shape) > 32 for p in chosen)
+    queries = {id(block.down.queries) for block in network.blocks}
+    assert queries <= {id(p) for p in rest}
+
+
+def test_schedule_rises_stays_and_falls():
+    rates = [warmup_stable_decay(p) for p in np.linspace(0, 1, 1001)]
+    assert rates[0] == 0
+    assert rates[100:801] == [1.0] * 701
+    assert np.all(np.diff(rates[:100]) > 0)
+    assert np.allclose(np.diff(np.log(rates[801:])), np.log(0.01) / 200)
+    assert warmup_stable_decay(1.5) == pytest.approx(0.01)
+
+
+# Batches
+
+
+def test_rotations_are_proper_and_uniform():
+    rng = np.random.default_rng(0)
+    rotations = np.stack([random_rotation(rng) for _ in range(4000)])
+    np.testing.assert_allclose(
+        rotations @ rotations.mT, np.tile(np.eye(3), (4000, 1, 1)), atol=1e-12
+    )
+    np.testing.assert_allclose(np.linalg.det(rotations), 1.0)
+    # Haar measure: entries have mean 0 and variance 1/3; each image of an axis is uniform in z.
+    np.testing.assert_allclose(rotations.mean(0), 0, atol=0.05)
+    np.testing.assert_allclose((rotations**2).mean(0), 1 / 3, atol=0.03)
+    np.testing.assert_allclose(np.abs(rotations[:, 2, :]).mean(0), 0.5, atol=0.03)
+
+
+@pytest.mark.parametrize("frame", ["principal", "none"])
+def test_batches_follow_from_the_step_and_fit_the_cube(corpora, frame):
+    config = TrainConfig(
+        network=NeoConfig(**{**vars(TINY), "frame": frame}), steps=10, batch=4, points=48
+    )
+    points, mass, modes = training_batch(corpora[0], config, 3)
+    assert (points.shape, mass.shape, modes.shape) == ((4, 48, 3), (4, 48), (4, 48, 8))
+    assert points.abs().max() <= 1
+    for one, again in zip(
+        (points, mass, modes), training_batch(corpora[0], config, 3), strict=True
+    ):
+        assert torch.equal(one, again)
+    assert not torch.equal(points, training_batch(corpora[0], config, 4)[0])
+
+
+def test_an_epoch_shows_every_sample_once(corpora):
+    corpus = corpora[0]
+    config = TrainConfig(network=TINY, steps=10, batch=4, points=64)
+    seen = torch.cat([training_batch(corpus, config, step)[1] for step in range(6)])
+    assert {row.numpy().tobytes() for row in seen} == {
+        mass.tobytes() for shard in corpus.shards for mass in shard.mass
+    }
+
+
+def test_without_jitter_the_pose_is_the_canonical_one(corpora):
+    config = TrainConfig(network=TINY, steps=1, batch=24, points=64, flips=0.0, jitter=0.0, seed=5)
+    posed, mass, _ = training_batch(corpora[0], config, 0)
+    batch = corpora[0].batch(range(24))
+    expected = {
+        w.tobytes(): canonical_frame(x, w).pose(x)
+        for x, w in zip(batch.points, batch.mass, strict=True)
+    }
+    for x, w in zip(posed.numpy(), mass.numpy(), strict=True):
+        np.testing.assert_allclose(x, expected[w.tobytes()], atol=1e-5)
+
+
+# The loop
+
+
+def test_training_learns(corpora):
+    config = TrainConfig(
+        network=TINY, steps=150, batch=8, points=48, validation=8, every=75, lr=5e-3
+    )
+    result = train(*corpora, config)
+    first = validate(train(*corpora, config, stop_after=1).network, corpora[1], config)
+    assert result.finished
+    assert result.record["span_error"] < 0.4 * first
+    assert result.record["samples"] == 1200
+    assert len(result.record["history"]) == 2
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_stopped_run_resumes_bit_by_bit(corpora, tmp_path, workers):
+    config = TrainConfig(**{**vars(CONFIG), "workers": workers})
+    whole = train(*corpora, config)
+    part = train(*corpora, config, out=tmp_path, stop_after=4)
+    assert not part.finished
+    resumed = train(*corpora, config, out=tmp_path, resume=True)
+    assert resumed.finished
+    for name, tensor in whole.network.state_dict().items():
+        assert torch.equal(tensor, resumed.network.state_dict()[name]), name
+    with (tmp_path / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["step"]) for row in rows] == [5, 10]
+    assert float(rows[-1]["validation"]) == whole.record["span_error"]
+
+
+def test_workers_share_a_batch_without_changing_the_gradient(corpora):
+    one = train(*corpora, CONFIG, stop_after=1).network.state_dict()
+    config = TrainConfig(**{**vars(CONFIG), "workers": 2})
+    two = train(*corpora, config, stop_after=1).network.state_dict()
+    for name, tensor in one.items():
+        torch.testing.assert_close(tensor, two[name], atol=1e-4, rtol=1e-3)
+
+
+def test_ctrl_c_saves_and_ends(corpora, tmp_path):
+    config = TrainConfig(**{**vars(CONFIG), "steps": 100_000, "every": 100_000})
+    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    result = train(*corpora, config, out=tmp_path)
+    assert not result.finished
+    assert 0 < result.record["steps"] < 100_000
+    again = train(
+        *corpora, config, out=tmp_path, resume=True, stop_after=result.record["steps"] + 1
+    )
+    assert again.record["steps"] == result.record["steps"] + 1
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_training_runs_outside_the_main_thread(corpora):
+    results = []
+    thread = threading.Thread(target=lambda: results.append(train(*corpora, CONFIG, stop_after=1)))
+    thread.start()
+    thread.join()
+    assert results[0].record["steps"] == 1
+
+
+def test_minutes_end_a_run_with_the_whole_schedule(corpora, tmp_path):
+    config = TrainConfig(**{**vars(CONFIG), "steps": 100_000, "minutes": 0.02, "every": 10})
+    result = train(*corpora, config, out=tmp_path)
+    assert result.finished
+    assert 0.02 <= result.record["minutes"] < 0.1
+    assert result.record["history"][-1]["lr"] < 0.1 * config.lr
+
+
+def test_bfloat16_trains(corpora):
+    config = TrainConfig(**{**vars(CONFIG), "precision": "bfloat16"})
+    assert np.isfinite(train(*corpora, config, stop_after=5).record["span_error"])
+
+
+def test_bad_configurations_are_refused(corpora, tmp_path):
+    with pytest.raises(InvalidInputError, match="`steps` must be at least 1"):
+        TrainConfig(network=TINY, steps=0)
+    with pytest.raises(InvalidInputError, match="`points` must exceed the 16 functions"):
+        TrainConfig(network=TINY, steps=1, points=16)
+    with pytest.raises(InvalidInputError, match="`precision` must be one of"):
+        TrainConfig(network=TINY, steps=1, points=48, precision="int8")
+    config = TrainConfig(network=TINY, steps=1, points=100)
+    with pytest.raises(InvalidInputError, match="`corpus` must have samples of at least 100"):
+        train(*corpora, config)
+    with pytest.raises(InvalidInputError, match="must hold a checkpoint to resume, found none"):
+        train(*corpora, CONFIG, out=tmp_path, resume=True)
+    train(*corpora, CONFIG, out=tmp_path, stop_after=1)
+    other = TrainConfig(**{**vars(CONFIG), "lr": 1e-4})
+    with pytest.raises(InvalidInputError, match=r"other values of \['lr'\]"):
+        train(*corpora, other, out=tmp_path, resume=True)
+
+
+# The command line
+
+
+def test_command_line_trains_and_writes_weights(folders, tmp_path, capsys):
+    corpus, validation = map(str, folders)
+    argv = [corpus, validation, "--out", str(tmp_path), "--steps", "1", "--batch", "2"]
+    assert train_neo.main([*argv, "--points", "9999"]) == 1
+    assert "error: `corpus` must have samples of at least 9999 points" in capsys.readouterr().err
+    assert train_neo.main([*argv[:1], "nowhere", *argv[2:]]) == 1
+    assert "found none in nowhere" in capsys.readouterr().err
+
+
+def test_command_line_end_to_end(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    for name in ("train", "validation"):
+        points = rng.standard_normal((2, 200, 3))
+        modes = rng.standard_normal((2, 200, 96))
+        mass = np.full((2, 200), 1 / 200)
+        write_shard(tmp_path / name, 0, points, mass, modes, {})
+    out = tmp_path / "run"
+    argv = [str(tmp_path / "train"), str(tmp_path / "validation"), "--out", str(out)]
+    argv += ["--steps", "1", "--batch", "2", "--points", "180"]
+    assert train_neo.main(argv) == 0
+    printed = capsys.readouterr().out
+    loaded = load_pretrained(out / "weights.safetensors")
+    assert loaded.record["steps"] == 1
+    assert loaded.sha256 in printed
