@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _LOW, _HIGH = np.array([-1.75, -0.85, -1.05]), np.array([1.65, 0.85, 1.35])
-_COARSE = 4_000  # vertices that marching cubes and decimation make; subdivision makes the rest
+_COARSE = 10_000  # vertices that marching cubes and decimation make; subdivision makes the rest
 
 
 def creature(n_points: int = 8000, *, seed: int = 0) -> TriangleMesh:
@@ -110,11 +110,11 @@ def _animal(rng: np.random.Generator, *, calm: bool) -> Field:
     snout = 0.36 * vary(0.3)
     chain([at(0.08, 0, -0.03), at(snout, 0, -0.08)], [0.115, 0.05])
     parts.append(ellipsoid(at(snout + 0.03, 0, -0.055), [0.04, 0.045, 0.035], turn))
-    ear = 0.31 * vary(0.4)
+    ear = 0.27 * vary(0.4)
     for side, spread in ((1, 0.12), (-1, 0.2)):  # one ear listens elsewhere
-        middle = at(-0.05, (0.09 + 0.3 * spread) * side, 0.1 + 0.5 * ear)
+        middle = at(-0.05, (0.09 + 0.3 * spread) * side, 0.1 + 0.6 * ear)
         tip = at(0.3 * spread - 0.08, (0.09 + 0.7 * spread) * side, 0.1 + ear)
-        chain([at(-0.04, 0.09 * side, 0.08), middle, tip], [0.09, 0.068, 0.03])
+        chain([at(-0.04, 0.09 * side, 0.1), middle, tip], [0.077, 0.064, 0.024])
     # A brush of a tail, swung aside and up.
     t = np.linspace(0, 1, 8)
     swing, lift = (0.5, 0.55) if calm else rng.uniform([-0.7, -0.2], [0.7, 0.9])
@@ -135,7 +135,7 @@ def _remeshed(field: Field, n: int) -> TriangleMesh:
     # The ranges of `_animal` keep its parts apart; only an edit of them can break this.
     assert mesh.n - len(mesh.faces) // 2 == 2, "the animal must be one sphere with no handle"
     points, faces, *_ = igl.decimate(np.asfortranarray(mesh.points), mesh.faces, 2 * n - 4)
-    return _relaxed(TriangleMesh(points, faces), field, steps=10)
+    return _relaxed(TriangleMesh(points, faces), field, steps=15)
 
 
 def _relaxed(mesh: TriangleMesh, field: Field, *, steps: int) -> TriangleMesh:
