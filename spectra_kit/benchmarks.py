@@ -1,8 +1,8 @@
 """How long the exact eigensolver takes beside the call that everybody writes.
 
-``python -m spectra_kit.benchmarks [FILE]`` times `Arpack` against ``scipy.sparse.linalg.eigsh`` with
-its default SuperLU factor, in one process, runs interleaved, at the same tolerance and shift, on a
-mesh of about 35,000 vertices (the demo creature without FILE).
+``python -m spectra_kit.benchmarks [FILE]`` times `Arpack` against ``scipy.sparse.linalg.eigsh``
+with its default SuperLU factor, in one process, runs interleaved, at the same tolerance and shift,
+on a mesh of about 35,000 vertices (the demo creature without FILE).
 """
 
 from __future__ import annotations
@@ -45,9 +45,7 @@ def compare(laplacian: Laplacian, k: int, *, tol: float, repeats: int) -> list[s
     """Return the lines of a table: solver, median and range of seconds, ratio, residual."""
     solver = Arpack(tol=tol)
     calls: dict[str, Callable[[], Spectrum]] = {
-        "eigsh, SuperLU (scipy)": lambda: eigsh_superlu(
-            laplacian, k, tol=tol, shift=solver.shift
-        ),
+        "eigsh, SuperLU (scipy)": lambda: eigsh_superlu(laplacian, k, tol=tol, shift=solver.shift),
         "Arpack, Cholesky (spectra_kit)": lambda: eigensolve(laplacian, k, solver),
     }
     seconds: dict[str, list[float]] = {name: [] for name in calls}

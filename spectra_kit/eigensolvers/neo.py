@@ -23,8 +23,8 @@ class Neo:
     """The Neural Eigenspace Operator: predicts a subspace, then Rayleigh-Ritz on the same device.
 
     Approximate; the certificate says by how much. Every connected component is predicted on its
-    own, in its own canonical frame. Components with at most twice as many points as the subspace has functions
-    are solved exactly by LAPACK.
+    own, in its own canonical frame. Components with at most twice as many points as the subspace
+    has functions are solved exactly by LAPACK.
 
     Parameters
     ----------
