@@ -101,7 +101,19 @@ class CorpusReport:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One cloud with its modes: mass of sum one, eigenvectors M-orthonormal for it."""
+    """One cloud with its exact modes.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n, 3)
+        Centred, in the unit box.
+    mass : ndarray of shape (n,)
+        Sums to one.
+    eigenvectors : ndarray of shape (n, k)
+        M-orthonormal for `mass`, by ascending eigenvalue.
+    labels : dict of str to int
+        What the sample is; see `make_sample`.
+    """
 
     points: Floats
     mass: Floats
@@ -118,6 +130,7 @@ def make_sample(config: CorpusConfig, index: int) -> Sample:
     Parameters
     ----------
     config : CorpusConfig
+        Of the whole corpus.
     index : int
         From 0; any order.
 
