@@ -2,7 +2,6 @@
 
 import os
 import resource
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -467,11 +466,8 @@ def test_gltf_without_geometry_or_without_its_buffer(tmp_path):
 
 
 @pytest.mark.data
-def test_real_models_are_read_and_survive_every_format(tmp_path):
-    folder = os.environ.get("SPECTRA_KIT_DATA")
-    models = sorted(Path(folder, "ood_public").glob("*.npz")) if folder else []
-    if not models:
-        pytest.skip("set SPECTRA_KIT_DATA to a folder with ood_public/*.npz")
+def test_real_models_are_read_and_survive_every_format(real_shapes, tmp_path):
+    models = sorted(real_shapes.glob("*.npz"))
     for path in models:
         with np.load(path) as archive:
             V, F = archive["V"], archive["F"]

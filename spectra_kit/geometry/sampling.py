@@ -123,7 +123,8 @@ def sample(
     Raises
     ------
     InvalidInputError
-        If `n` is below 1, `density` is something else, or no face has any area.
+        If `n` is below 1, `seed` is negative or None, `density` is something else, or no face has
+        any area.
 
     Examples
     --------
@@ -164,7 +165,8 @@ def sample_with_origin(
     Raises
     ------
     InvalidInputError
-        If `n` is below 1, `density` is something else, or no face has any area.
+        If `n` is below 1, `seed` is negative or None, `density` is something else, or no face has
+        any area.
 
     Notes
     -----
@@ -181,7 +183,7 @@ def sample_with_origin(
     True
     """
     check_count("n", n, low=1)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(check_count("seed", seed, low=0))
     weights = np.where(mesh.degenerate_faces(), 0.0, mesh.face_areas)
     if not weights.any():
         raise InvalidInputError(
