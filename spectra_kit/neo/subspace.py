@@ -127,7 +127,7 @@ class NeoSubspace:
         weights = torch.from_numpy(mass / mass.mean()).float().to(self.device)
         posed = torch.from_numpy(frame.pose(points)).float().to(self.device)
         for i, flip in enumerate(POSES[: self.poses]):
-            x = posed * torch.from_numpy(flip).to(posed)
+            x = posed * torch.tensor(flip).to(posed)
             columns = slice(1 + i * m, 1 + (i + 1) * m)
             if n <= self.chunk:
                 basis[:, columns] = model(x.unsqueeze(0), weights.unsqueeze(0))[0]

@@ -1,0 +1,135 @@
+"""`NeoSubspace`: a random network must already obey the laws; the shipped one must be itself."""
+
+import numpy as np
+import pytest
+import torch
+
+from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
+from spectra_kit.errors import InvalidInputError, WeightsError
+from spectra_kit.geometry import PointCloud
+from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace, neo_eigenpairs, save_weights
+from spectra_kit.operators import robust_laplacian
+from spectra_kit.subspaces.frame import POSES
+
+SIZES = {"width": 40, "depth": 2, "heads": 2, "head_width": 16, "latents": 8, "m": 24, "k": 8}
+
+
+@pytest.fixture(scope="module")
+def network():
+    torch.manual_seed(0)
+    return NeoNetwork(NeoConfig(**SIZES))
+
+
+@pytest.fixture(scope="module")
+def laplacian():
+    """Of a cloud without symmetry: a bent, bumpy ellipsoid of 400 points."""
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal((400, 3))
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    x = x * (1 + 0.3 * np.sin(2 * x[:, [0]]) + 0.1 * x[:, [1]]) * [3, 2, 1]
+    x[:, 2] += 0.1 * x[:, 0] ** 2 + 0.05 * x[:, 0] * x[:, 1]
+    return robust_laplacian(PointCloud(x))
+
+
+def rotation(seed):
+    Q, _ = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))
+    return Q * np.linalg.det(Q)
+
+
+def span_distance(A, B, mass):
+    """Largest sine between the span of A and that of B."""
+    root = np.sqrt(mass)[:, None]
+    A, B = (np.linalg.qr(root * X)[0] for X in (A.astype(float), B.astype(float)))
+    return np.linalg.norm(A - B @ (B.T @ A), ord=2)
+
+
+def test_shape_and_constant(network, laplacian):
+    for poses in (1, 2, 4):
+        basis = NeoSubspace(network, poses=poses)(laplacian.points, laplacian.mass)
+        assert basis.shape == (400, 1 + 24 * poses)
+        assert basis.dtype == np.float32
+        np.testing.assert_array_equal(basis[:, 0], 1.0)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e6])
+def test_motion_and_unit_of_the_cloud_do_not_matter(network, laplacian, size):
+    subspace = NeoSubspace(network)
+    moved = size * (laplacian.points @ rotation(1).T + [5, -3, 1])
+    basis = subspace(moved, size**2 * laplacian.mass)
+    expected = subspace(laplacian.points, laplacian.mass)
+    np.testing.assert_allclose(basis, expected, atol=1e-4)
+
+
+def test_without_a_frame_only_place_and_unit_do_not_matter(laplacian):
+    torch.manual_seed(0)
+    subspace = NeoSubspace(NeoNetwork(NeoConfig(**SIZES, frame="none")))
+    points, mass = laplacian.points, laplacian.mass
+    basis = subspace(points, mass)
+    np.testing.assert_allclose(subspace(1e3 * points + 7, mass), basis, atol=1e-4)
+    assert np.abs(subspace(points @ rotation(1).T, mass) - basis).max() > 1e-2
+
+
+def test_four_poses_predict_the_same_set_in_every_flip_of_the_frame(network, laplacian):
+    points, mass = laplacian.points, laplacian.mass
+    subspace = NeoSubspace(network, poses=4)
+    basis = subspace(points, mass)[:, 1:].reshape(400, 4, 24)
+    one = NeoSubspace(network)(points, mass)[:, 1:]
+    np.testing.assert_allclose(basis[:, 0], one, atol=1e-5)
+    frame = subspace.frame(points, mass)
+    flipped = frame._replace(rotation=frame.rotation * POSES[2])
+    again = subspace.predict(points, mass, flipped).numpy()[:, 1:].reshape(400, 4, 24)
+    np.testing.assert_allclose(again, basis[:, [2, 3, 0, 1]], atol=1e-4)
+
+
+def test_chunks_and_precisions_agree(network, laplacian):
+    points, mass = laplacian.points, laplacian.mass
+    basis = NeoSubspace(network, poses=2)(points, mass)
+    chunked = NeoSubspace(network, poses=2, chunk=150)(points, mass)
+    np.testing.assert_allclose(chunked, basis, atol=1e-5)
+    for dtype, error in (("float16", 0.02), ("bfloat16", 0.15)):
+        half = NeoSubspace(network, poses=2, dtype=dtype)(points, mass)
+        assert half.dtype == np.float32
+        assert np.abs(half - basis).max() < error * np.abs(basis).max()
+    assert next(network.parameters()).dtype == torch.float32
+
+
+def test_eigenpairs_equal_those_of_the_numpy_twin(network, laplacian):
+    subspace = NeoSubspace(network, poses=2)
+    pairs = neo_eigenpairs(subspace, laplacian, 10)
+    twin = RayleighRitz(subspace=subspace).eigenpairs(laplacian, 10)
+    np.testing.assert_allclose(pairs.eigenvalues, twin.eigenvalues, rtol=1e-6, atol=1e-9)
+    assert span_distance(pairs.eigenvectors.numpy(), twin.eigenvectors, laplacian.mass) < 1e-4
+    assert set(pairs.seconds) == {"frame", "forward", "orthonormalize", "project", "eigh"}
+
+
+def test_the_zero_mode_is_exact_and_eigenvalues_scale(network, laplacian):
+    subspace = NeoSubspace(network)
+    values = neo_eigenpairs(subspace, laplacian, 8).eigenvalues.numpy()
+    assert abs(values[0]) < 1e-12 * values[-1]
+    scaled = robust_laplacian(PointCloud(1000 * laplacian.points))
+    again = neo_eigenpairs(subspace, scaled, 8).eigenvalues.numpy()
+    np.testing.assert_allclose(1e6 * again[1:], values[1:], rtol=1e-4)
+
+
+def test_repr_tells_weights_and_options(network, tmp_path):
+    path = tmp_path / "mine.safetensors"
+    digest = save_weights(path, network, {})
+    text = repr(NeoSubspace(str(path), poses=2))
+    assert text == (
+        f"NeoSubspace({str(path)!r}, poses=2, dtype='float32', device='cpu',"
+        f" sha256={digest[:12]!r})"
+    )
+    assert "<NeoNetwork, " in repr(NeoSubspace(network))
+
+
+def test_bad_options_are_refused(network, laplacian):
+    with pytest.raises(InvalidInputError, match="`poses` must be 1, 2 or 4, got 3"):
+        NeoSubspace(network, poses=3)
+    with pytest.raises(InvalidInputError, match="`dtype` must be one of"):
+        NeoSubspace(network, dtype="int8")
+    with pytest.raises(InvalidInputError, match="`chunk` must be at least 1"):
+        NeoSubspace(network, chunk=0)
+    with pytest.raises(WeightsError, match="weights must be one of"):
+        NeoSubspace("huge")
+    with pytest.raises(InvalidInputError, match="at least k = 60 dimensions"):
+        neo_eigenpairs(NeoSubspace(network), laplacian, 60)
