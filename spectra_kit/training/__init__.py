@@ -1,1 +1,1 @@
-"""."""
+"""Training of the networks: procedural corpus with exact ground truth, optimisers, loop."""
