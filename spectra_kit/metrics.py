@@ -16,7 +16,9 @@ from scipy.optimize import linear_sum_assignment
 from spectra_kit._validate import check_count, frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.orthonormal import orthonormalize
+from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.spectrum import Spectrum
+from spectra_kit.subspaces import Subspace
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -153,6 +155,54 @@ def span_error(basis: NDArray[np.floating], mass: Floats, eigenvectors: Floats) 
     return _outside(orthonormalize(basis, mass), mass, eigenvectors)
 
 
+def subspace_span_error(
+    subspace: Subspace, laplacian: Laplacian, exact: Spectrum, predicted: Spectrum
+) -> tuple[Floats, int]:
+    """Energy of the exact modes outside everything a subspace spans, component by component.
+
+    Parameters
+    ----------
+    subspace : Subspace
+        Called once for each connected component, as `eigensolve` does.
+    laplacian : Laplacian
+        Of both spectra.
+    exact, predicted : Spectrum
+        The predicted modes count as part of the span (constants were added to it, and tiny
+        components are solved exactly).
+
+    Returns
+    -------
+    span_error : ndarray of shape (k,)
+        ``1 - |Y^T M u_i|^2`` for the exact modes; see `span_error`.
+    dimension : int
+        Number of orthonormal columns of Y, all components together.
+
+    Examples
+    --------
+    >>> from spectra_kit import AmbientFourier, RayleighRitz, eigensolve, robust_laplacian
+    >>> from spectra_kit.geometry import creature
+    >>> laplacian, subspace = robust_laplacian(creature(1000)), AmbientFourier(m=200, bandwidth=5.0)
+    >>> exact = eigensolve(laplacian, 10)
+    >>> predicted = eigensolve(laplacian, 10, RayleighRitz(subspace=subspace))
+    >>> error, dimension = subspace_span_error(subspace, laplacian, exact, predicted)
+    >>> bool(error.max() < 0.01)
+    True
+    """
+    inside, dimension = np.zeros(exact.k), 0
+    for label in range(laplacian.n_components):
+        part = np.flatnonzero(laplacian.component_labels == label)
+        mass, found = laplacian.mass[part], predicted.eigenvectors[part]
+        found = found[:, np.abs(found).max(axis=0) > 0]
+        # Three points have no frame to predict in.
+        basis = [subspace(laplacian.points[part], mass)] if len(part) > 3 else []
+        columns = np.hstack([*basis, found])
+        if columns.shape[1]:
+            Y = orthonormalize(columns, mass)
+            inside += np.sum((Y.T @ (mass[:, None] * exact.eigenvectors[part])) ** 2, axis=0)
+            dimension += Y.shape[1]
+    return np.clip(1.0 - inside, 0.0, 1.0), dimension
+
+
 def compare_spectra(
     exact: Spectrum,
     predicted: Spectrum,
@@ -241,7 +291,7 @@ def compare_spectra(
 
 
 def align_modes(
-    exact: Spectrum, predicted: Spectrum, *, k: int | None = None, cluster_gap: float = 1e-2
+    exact: Spectrum, predicted: Spectrum, comparison: Comparison | None = None
 ) -> Floats:
     """Predicted eigenvectors, paired, signed and rotated to look like the exact ones.
 
@@ -252,8 +302,8 @@ def align_modes(
     ----------
     exact, predicted : Spectrum
         On the same points.
-    k, cluster_gap
-        As in `compare_spectra`.
+    comparison : Comparison, optional
+        Of these two; by default ``compare_spectra(exact, predicted)``.
 
     Returns
     -------
@@ -272,9 +322,13 @@ def align_modes(
     array([[1., 0.],
            [0., 1.]])
     """
-    k, match, clusters, _ = _pair(exact, predicted, k, cluster_gap)
+    if comparison is None:
+        comparison = compare_spectra(exact, predicted)
     return _rotate_within(
-        clusters, exact.mass, exact.eigenvectors[:, :k], predicted.eigenvectors[:, match]
+        comparison.clusters,
+        exact.mass,
+        exact.eigenvectors[:, : comparison.k],
+        predicted.eigenvectors[:, comparison.match],
     )
 
 

@@ -1,0 +1,68 @@
+"""Where to look at a geometry from: upright where that can be told, and its broad side."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit.geometry.sampling import sample
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+
+Floats = NDArray[np.float64]
+
+_AZIMUTHS = np.deg2rad([30, -30, 60, -60, 150, -150, 120, -120])
+_ELEVATION = np.deg2rad(22.0)
+_STEEP = np.deg2rad(55.0)  # for what lies flat, like a sheet or a terrain
+_GRID = 40
+_CLEARLY = 1.06  # a later view must show this much more than an earlier one
+
+
+def choose_view(geometry: Geometry) -> Floats:
+    """Return the rotation (3, 3) whose rows point right, up, and towards the viewer.
+
+    Up is y, or z where the geometry stands more broadly on that side. Of eight oblique views
+    the one that covers most of the picture plane wins, earlier ones when in doubt.
+    """
+    if isinstance(geometry, TriangleMesh) and geometry.area > 0:
+        points = sample(geometry, 4000, seed=0).points
+    else:
+        points = geometry.points[:: max(geometry.n // 4000, 1)]
+    up = 2 if _stands_on(points, 2) > _stands_on(points, 1) else 1
+    size = np.ptp(points, axis=0)
+    flat = size[up] < 0.12 * np.delete(size, up).min()
+    views = [_rotation(up, azimuth, _STEEP if flat else _ELEVATION) for azimuth in _AZIMUTHS]
+    best, shown = views[0], _coverage(points @ views[0].T)
+    for view in views[1:]:
+        if (covered := _coverage(points @ view.T)) > _CLEARLY * shown:
+            best, shown = view, covered
+    return best
+
+
+def _stands_on(points: Floats, axis: int) -> float:
+    """Part of the footprint that the lowest layer spans; 0 if the centre is not above it."""
+    height, flat = points[:, axis], np.delete(points, axis, axis=1)
+    layer = flat[height <= height.min() + 0.04 * np.ptp(height)]
+    low, high = layer.min(axis=0), layer.max(axis=0)
+    centre = flat.mean(axis=0)
+    if (centre < low).any() or (centre > high).any():
+        return 0.0
+    return float(np.prod(high - low) / max(np.prod(np.ptp(flat, axis=0)), 1e-300))
+
+
+def _rotation(up: int, azimuth: float, elevation: float) -> Floats:
+    """Look down by `elevation` at a geometry turned by `azimuth` around the axis `up`."""
+    # Facing the viewer at azimuth 0: +z for y-up (the habit of scans and games), -y for z-up (CAD).
+    front, side = ((0, 0, 1), (1, 0, 0)) if up == 1 else ((0, -1, 0), (1, 0, 0))
+    level = np.cos(azimuth) * np.array(front) + np.sin(azimuth) * np.array(side)
+    vertical = np.eye(3)[up]
+    towards = np.cos(elevation) * level + np.sin(elevation) * vertical
+    right = np.cross(vertical, level)
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+def _coverage(seen: Floats) -> float:
+    """Area that the points cover in the picture plane, in cells relative to their extent."""
+    flat = seen[:, :2] - seen[:, :2].min(axis=0)
+    cell = max(float(np.ptp(seen, axis=0).max()) / _GRID, 1e-300)
+    cells = np.unique((flat / cell).astype(np.int64), axis=0)
+    return len(cells) * cell**2

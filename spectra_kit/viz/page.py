@@ -1,0 +1,290 @@
+"""A table of pictures on one page, with its heads, captions and colour bars.
+
+Matplotlib sets the page; it is imported when a page is drawn.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._files import atomic_path
+from spectra_kit._validate import real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.render import render
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+_COLOURS = "RdBu_r"  # diverging, told apart with every kind of colour blindness
+
+# Inches.
+_WIDTH, _MARGIN, _GAP = 11.0, 0.15, 0.18
+_HEAD, _SIDE, _CAPTION, _BAR = 0.34, 0.34, 0.40, 0.26
+_TITLE = 0.62
+_TALLEST = 2.2  # pictures, height over cell width
+_ASPECT = 1.0  # of the page, width over height: decides whether modes are rows or columns
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Panel:
+    """One picture: a function on the geometry, its colour limit, and two lines of text.
+
+    Attributes
+    ----------
+    values : ndarray of shape (n,)
+        One value per point.
+    limit : float
+        The colours run from -limit to +limit, white at zero.
+    lines : tuple of str
+        Set above the picture.
+    """
+
+    values: Floats
+    limit: float
+    lines: tuple[str, ...] = ()
+
+
+def plot_panels(
+    path: str | os.PathLike[str],
+    geometry: Geometry,
+    rows: Sequence[Sequence[Panel]],
+    *,
+    rows_named: Sequence[str],
+    columns_named: Sequence[str],
+    title: str = "",
+    subtitle: str = "",
+    dpi: int = 200,
+) -> None:
+    """Draw a table of functions on one geometry, all seen from the same side.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.png`` file to write, whole or not at all.
+    geometry : TriangleMesh or PointCloud
+        A cloud is drawn as balls that overlap a little.
+    rows : sequence of sequences of Panel
+        A full table. It is transposed where that fits the page better.
+    rows_named, columns_named : sequence of str
+        The heads of the table.
+    title, subtitle : str, optional
+        Two lines at the head of the page.
+    dpi : int, default 200
+        Pixels per inch; the page is 11 inches wide.
+
+    Raises
+    ------
+    InvalidInputError
+        If the table is empty or ragged, a panel has not one finite value per point, or `path` is
+        not a ``.png`` in an existing folder.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from spectra_kit.geometry import TriangleMesh
+    >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    >>> panel = Panel(values=mesh.points[:, 0], limit=1.0, lines=("x",))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "x.png"
+    ...     plot_panels(path, mesh, [[panel]], rows_named=["x"], columns_named=["a"], dpi=40)
+    ...     path.exists()
+    True
+    """
+    if Path(path).suffix.lower() != ".png":
+        raise InvalidInputError(f"`path` must end in .png, got {str(path)!r}")
+    if not rows or {len(row) for row in rows} != {len(columns_named)} or not columns_named:
+        raise InvalidInputError(
+            f"`rows` must be a table of {len(columns_named)} columns,"
+            f" got rows of {[len(row) for row in rows]}"
+        )
+    for panel in (panel for row in rows for panel in row):
+        if real_array("values", panel.values).shape != (geometry.n,):
+            raise InvalidInputError(
+                f"`values` must have shape ({geometry.n},), got {np.shape(panel.values)}"
+            )
+    table, across, down = [list(row) for row in rows], list(columns_named), list(rows_named)
+    rotation = choose_view(geometry)
+    extent = np.ptp(geometry.points @ rotation.T, axis=0)[:2]
+    aspect = float(np.clip(extent[1] / max(extent[0], 1e-300), 0.1, 8.0))
+    if _misfit(len(across), len(down), aspect) > _misfit(len(down), len(across), aspect):
+        table, across, down = [list(row) for row in zip(*table, strict=True)], down, across
+
+    cell = _cell_width(len(across))
+    width = cell if aspect < _TALLEST else cell * _TALLEST / aspect
+    functions = [panel.values / panel.limit for row in table for panel in row]
+    pictures = render(
+        geometry,
+        functions,
+        rotation=rotation,
+        width=round(width * dpi),
+        colours=_colours(np.linspace(-1.0, 1.0, 256)),
+    )
+    figure = _set_page(table, across, down, pictures, cell, title, subtitle, dpi)
+    with atomic_path(path) as part:
+        figure.savefig(part, dpi=dpi)
+
+
+def _set_page(
+    table: list[list[Panel]],
+    across: list[str],
+    down: list[str],
+    pictures: Bytes,
+    cell: float,
+    title: str,
+    subtitle: str,
+    dpi: int,
+) -> Figure:
+    """Place pictures, captions and colour bars; everything is measured in inches from the top."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    picture_height, picture_width = (side / dpi for side in pictures.shape[1:3])
+    row_height = _CAPTION + picture_height + _BAR
+    head = _MARGIN + (_TITLE if title or subtitle else 0.0)
+    height = head + _HEAD + len(down) * (row_height + _GAP) + _MARGIN
+    figure = Figure(figsize=(_WIDTH, height), dpi=dpi, facecolor="white")
+    FigureCanvasAgg(figure)
+    pen = _Pen(figure, _WIDTH, height, dpi)
+
+    if title or subtitle:
+        pen.text(title, _MARGIN, _MARGIN + 0.2, _WIDTH - 2 * _MARGIN, 14, bold=True)
+        pen.text(subtitle, _MARGIN, _MARGIN + 0.46, _WIDTH - 2 * _MARGIN, 9, colour="0.35")
+    lefts = [_MARGIN + _SIDE + i * (cell + _GAP) for i in range(len(across))]
+    for left, name in zip(lefts, across, strict=True):
+        pen.text(name, left, head + 0.22, cell, 12, bold=True, centred=True)
+    remaining = iter(pictures)
+    for r, name in enumerate(down):
+        top = head + _HEAD + r * (row_height + _GAP)
+        pen.sideways(name, _MARGIN + 0.12, top + _CAPTION + picture_height / 2, row_height)
+        for left, panel in zip(lefts, table[r], strict=True):
+            for line, text in enumerate(panel.lines):
+                colour = "0.1" if line == 0 else "0.4"
+                pen.text(text, left, top + 0.15 + 0.17 * line, cell, 9, colour=colour, centred=True)
+            pen.picture(next(remaining), left + (cell - picture_width) / 2, top + _CAPTION)
+            pen.bar(panel.limit, left, top + _CAPTION + picture_height + 0.13, cell)
+    return figure
+
+
+class _Pen:
+    """Draws on a figure at inches from its top left corner."""
+
+    def __init__(self, figure: Figure, width: float, height: float, dpi: int) -> None:
+        self.figure, self.width, self.height, self.dpi = figure, width, height, dpi
+
+    def text(
+        self,
+        text: str,
+        left: float,
+        baseline: float,
+        width: float,
+        size: float,
+        *,
+        bold: bool = False,
+        centred: bool = False,
+        colour: str = "0.1",
+    ) -> None:
+        """Set one line, smaller where it would not fit `width`."""
+        label = self.figure.text(
+            (left + width / 2 if centred else left) / self.width,
+            1 - baseline / self.height,
+            text,
+            fontsize=size,
+            fontweight="bold" if bold else "normal",
+            color=colour,
+            ha="center" if centred else "left",
+            va="baseline",
+            parse_math=False,
+        )
+        needed = label.get_window_extent().width / self.dpi
+        if needed > width:
+            label.set_fontsize(size * width / needed)
+
+    def sideways(self, text: str, x: float, y: float, length: float) -> None:
+        """Set a bold line that reads upwards, centred at (x, y)."""
+        label = self.figure.text(
+            x / self.width,
+            1 - y / self.height,
+            text,
+            fontsize=12,
+            fontweight="bold",
+            color="0.1",
+            rotation=90,
+            ha="center",
+            va="center",
+            parse_math=False,
+        )
+        needed = label.get_window_extent().height / self.dpi
+        if needed > length:
+            label.set_fontsize(12 * length / needed)
+
+    def picture(self, picture: Bytes, left: float, top: float) -> None:
+        """Place a picture (rows, columns, 3), pixel by pixel."""
+        rows = round((self.height - top) * self.dpi) - len(picture)
+        self.figure.figimage(picture, round(left * self.dpi), rows, origin="upper")
+
+    def bar(self, limit: float, left: float, top: float, cell: float) -> None:
+        """Draw a slim colour bar with its two limits."""
+        length, thick = min(1.1, 0.45 * cell), 0.07
+        start = left + (cell - length) / 2
+        strip = _colours(np.linspace(-1.0, 1.0, max(round(length * self.dpi), 2)))
+        self.picture(np.tile(strip, (max(round(thick * self.dpi), 1), 1, 1)), start, top)
+        room = (cell - length) / 2 - 0.06
+        for sign, side, at in ((-1, "right", start - 0.06), (1, "left", start + length + 0.06)):
+            label = self.figure.text(
+                at / self.width,
+                1 - (top + thick / 2) / self.height,
+                ("+" if sign > 0 else "\N{MINUS SIGN}") + short(limit),
+                fontsize=7.5,
+                color="0.4",
+                ha=side,
+                va="center_baseline",
+            )
+            needed = label.get_window_extent().width / self.dpi
+            if needed > room:
+                label.set_fontsize(7.5 * room / needed)
+
+
+def short(value: float) -> str:
+    """Two digits, like 0.036 or 3.6e-5, 12 or 1.2e+4."""
+    if value == 0:
+        return "0"
+    if 0.01 <= abs(value) < 1000:
+        return f"{value:#.2g}" if abs(value) < 10 else f"{value:.0f}"
+    digits, exponent = f"{value:.1e}".split("e")
+    return f"{digits}e{int(exponent)}"
+
+
+def _cell_width(columns: int) -> float:
+    """Width of a cell when `columns` of them share the page."""
+    return (_WIDTH - 2 * _MARGIN - _SIDE - (columns - 1) * _GAP) / columns
+
+
+def _misfit(columns: int, rows: int, aspect: float) -> float:
+    """How far a page of that many pictures of that aspect is from the wanted one."""
+    height = (
+        _TITLE
+        + _HEAD
+        + rows * (_cell_width(columns) * min(aspect, _TALLEST) + _CAPTION + _BAR + _GAP)
+    )
+    return abs(float(np.log(_WIDTH / height / _ASPECT)))
+
+
+def _colours(values: Floats) -> Bytes:
+    """RGB bytes of values in [-1, 1], white at zero."""
+    from matplotlib import colormaps
+
+    # The two ends of the map are nearly black: lit surfaces need some colour left.
+    scaled = 0.5 + 0.46 * np.clip(values, -1.0, 1.0)
+    return np.asarray(colormaps[_COLOURS](scaled, bytes=True))[..., :3]

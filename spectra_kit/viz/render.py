@@ -1,0 +1,110 @@
+"""Pictures of functions on one geometry, drawn by PyVista in a process of its own."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from spectra_kit.errors import MissingDependencyError
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+_WORKER = Path(__file__).with_name("worker.py")
+_MARGIN = 4  # pixels around the geometry
+
+
+def render(
+    geometry: Geometry,
+    functions: Sequence[Floats],
+    *,
+    rotation: Floats,
+    width: int,
+    colours: Bytes,
+) -> Bytes:
+    """Draw each function on the same geometry from the same side.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        A cloud is drawn as balls.
+    functions : sequence of ndarray of shape (n,)
+        Values in [-1, 1]; what lies outside takes the colour of the end.
+    rotation : ndarray of shape (3, 3)
+        Rows: to the right, up, and towards the viewer.
+    width : int
+        Of a picture, in pixels; the height follows the geometry.
+    colours : ndarray of shape (c, 3), uint8
+        From -1 to 1.
+
+    Returns
+    -------
+    ndarray of shape (pictures, height, width, 3), uint8
+        On white.
+
+    Raises
+    ------
+    MissingDependencyError
+        If there is no PyVista, or no OpenGL library that it can draw with.
+    """
+    if importlib.util.find_spec("pyvista") is None:
+        raise MissingDependencyError("pictures need PyVista: pip install pyvista")
+    diameter = _ball_diameter(geometry)
+    seen = geometry.points @ rotation.T
+    extent = np.ptp(seen, axis=0)[:2] + diameter
+    unit = max(float(extent[0]), float(extent[1]) / 8, 1e-300) / max(width - 2 * _MARGIN, 1)
+    height = int(np.ceil(extent[1] / unit)) + 2 * _MARGIN
+    with tempfile.TemporaryDirectory() as folder:
+        request, answer = Path(folder) / "request.npz", Path(folder) / "pictures.npy"
+        np.savez(
+            request,
+            points=seen / unit,  # in pixels: single precision inside VTK is then enough
+            faces=geometry.faces if isinstance(geometry, TriangleMesh) else np.empty((0, 3)),
+            values=np.stack(functions).astype(np.float32),
+            size=[width, height],
+            half_height=height / 2,
+            diameter=diameter / unit,
+            colours=colours,
+        )
+        for environment in _environments():
+            run = subprocess.run(  # -P: the folder of the worker must not shadow other modules
+                [sys.executable, "-P", str(_WORKER), str(request), str(answer)],
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            if run.returncode == 0:
+                return np.asarray(np.load(answer))
+    # A Python error says what is wrong; VTK without OpenGL dies by a signal.
+    reason = run.stderr.strip().splitlines()[-1] if run.returncode == 1 else "it crashed"
+    raise MissingDependencyError(
+        f"PyVista could not draw ({reason}); it needs an OpenGL library but no display,"
+        " on Debian or Ubuntu: apt-get install libegl1 libgl1"
+    )
+
+
+def _environments() -> list[Mapping[str, str]]:
+    """What to try: on Linux first a context without a display, then whatever VTK prefers."""
+    own = dict(os.environ)
+    if not sys.platform.startswith("linux") or "VTK_DEFAULT_OPENGL_WINDOW" in own:
+        return [own]
+    return [own | {"VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"}, own]
+
+
+def _ball_diameter(geometry: Geometry) -> float:
+    """Diameter of a cloud's balls: at the twelfth neighbour, few gaps show the far side."""
+    if isinstance(geometry, TriangleMesh):
+        return 0.0
+    distances, _ = cKDTree(geometry.points).query(geometry.points, k=min(13, geometry.n))
+    return float(np.median(np.atleast_2d(distances.T)[-1]))

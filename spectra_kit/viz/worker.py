@@ -1,0 +1,111 @@
+"""The process that draws: reads a request, writes the pictures, and may crash alone.
+
+Run by path from `spectra_kit.viz.render`, never imported. VTK ends the whole process where it finds
+no OpenGL, and talks to stderr about every driver it tries; in a process of its own both are
+contained. It needs NumPy and PyVista only.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+
+OVERSAMPLE = 2  # samples per pixel side: smooth edges whatever the driver can do
+SHARP = 40.0  # degrees; edges that bend more are drawn sharp
+LIGHTS = (((-0.5, 0.75, 1.0), 0.52), ((0.9, 0.1, 0.8), 0.24))  # (direction, strength)
+
+
+def main(request_path: str, answer_path: str) -> None:
+    """Draw every function of the request with one plotter."""
+    with np.load(request_path) as file:
+        request = {name: file[name] for name in file.files}
+    columns, rows = (int(side) for side in request["size"])
+    plotter = pv.Plotter(
+        off_screen=True, window_size=[columns * OVERSAMPLE, rows * OVERSAMPLE], lighting="none"
+    )
+    plotter.background_color = pv.Color("white")
+    for direction, strength in LIGHTS:
+        plotter.add_light(  # in the coordinates of the camera
+            pv.Light(position=direction, intensity=strength, light_type="camera light")
+        )
+    surface, owner = _surface(request["points"], request["faces"])
+    surface["values"] = request["values"][0][owner]
+    style = (
+        {"smooth_shading": True}
+        if len(request["faces"])
+        else {
+            "style": "points",
+            "render_points_as_spheres": True,
+            "point_size": float(request["diameter"]) * OVERSAMPLE,
+        }
+    )
+    plotter.add_mesh(
+        surface,
+        scalars="values",
+        cmap=[f"#{r:02x}{g:02x}{b:02x}" for r, g, b in request["colours"]],
+        n_colors=len(request["colours"]),
+        clim=[-1.0, 1.0],
+        show_scalar_bar=False,
+        ambient=0.46,
+        diffuse=0.85,
+        specular=0.08,
+        specular_power=30,
+        reset_camera=False,
+        **style,
+    )
+    _place_camera(plotter, request["points"], float(request["half_height"]))
+    pictures = []
+    for values in request["values"]:
+        surface["values"] = values[owner]
+        plotter.render()
+        picture = plotter.screenshot(return_img=True)
+        assert picture is not None  # it was asked for
+        pictures.append(_shrink(np.asarray(picture)))
+    plotter.close()
+    np.save(answer_path, np.stack(pictures))
+
+
+def _surface(
+    points: NDArray[np.float64], faces: NDArray[Any]
+) -> tuple[pv.PolyData, NDArray[np.int64]]:
+    """The geometry with vertices doubled along sharp edges, and which point each vertex was."""
+    if not len(faces):
+        return pv.PolyData(points), np.arange(len(points))
+    mesh = pv.PolyData.from_regular_faces(points, faces)
+    mesh["owner"] = np.arange(len(points))
+    mesh = mesh.compute_normals(
+        cell_normals=False,
+        split_vertices=True,
+        feature_angle=SHARP,
+        consistent_normals=False,
+    )
+    return mesh, np.asarray(mesh["owner"]).astype(np.int64)
+
+
+def _place_camera(plotter: pv.Plotter, points: NDArray[np.float64], half_height: float) -> None:
+    """Look down the z axis, without perspective; the picture is 2 * half_height high."""
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    reach = float(np.ptp(points, axis=0).max()) or 1.0
+    camera = plotter.camera
+    camera.focal_point = centre
+    camera.position = centre + [0.0, 0.0, 4 * reach]
+    camera.up = (0.0, 1.0, 0.0)
+    camera.parallel_projection = True
+    camera.parallel_scale = half_height
+    camera.clipping_range = (2 * reach, 6 * reach)
+
+
+def _shrink(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Average the samples of each pixel."""
+    rows, columns = (side // OVERSAMPLE for side in picture.shape[:2])
+    blocks = picture.reshape(rows, OVERSAMPLE, columns, OVERSAMPLE, 3).astype(np.float32)
+    mean: NDArray[np.float32] = blocks.mean(axis=(1, 3))
+    return np.round(mean).astype(np.uint8)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
