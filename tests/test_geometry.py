@@ -279,6 +279,11 @@ def test_unreferenced_vertices_are_in_no_component(dirty):
     assert merged.n - 1 not in part.vertex_index
 
 
+def test_clouds_have_no_components_of_their_own(ball):
+    with pytest.raises(InvalidInputError, match="`mesh` must be a TriangleMesh, got a PointCloud"):
+        components(ball.as_cloud())
+
+
 # --- normalisation ------------------------------------------------------------------------------
 
 
@@ -310,7 +315,7 @@ def test_unit_area_is_about_the_centroid():
 def test_what_has_no_size_cannot_be_normalised(ball):
     with pytest.raises(InvalidInputError, match="must have an extent to be normalised, got 2"):
         normalize(PointCloud([[1, 2, 3], [1, 2, 3]]))
-    with pytest.raises(InvalidInputError, match="got a PointCloud, which has no area"):
+    with pytest.raises(InvalidInputError, match="`mesh` must be a TriangleMesh, got a PointCloud"):
         Normalization.unit_area(ball.as_cloud())
     with pytest.raises(InvalidInputError, match="must have area, got only degenerate faces"):
         Normalization.unit_area(TriangleMesh([[0, 0, 0], [1, 1, 1]], [[0, 1, 1]]))

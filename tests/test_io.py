@@ -356,6 +356,8 @@ def test_paths_that_are_no_file(mesh, tmp_path):
     }.items():
         with pytest.raises(InvalidInputError, match=message):
             read(tmp_path / name)
+    with pytest.raises(InvalidInputError, match="must be a TriangleMesh or PointCloud, got a list"):
+        write([mesh], tmp_path / "mesh.ply")
     with pytest.raises(InvalidInputError, match=r"cannot write a TriangleMesh to .* '\.xyz'"):
         write(mesh, tmp_path / "mesh.xyz")
     with pytest.raises(InvalidInputError, match=r"cannot write a PointCloud to .* '\.stl'"):
@@ -407,6 +409,8 @@ FACET = "facet normal 0 0 1\nouter loop\nvertex {}\nvertex 1 0 0\nvertex 0 1 0\n
         ("a.ply", "OFF\n", "must begin with a PLY header"),
         ("a.ply", "ply\n" + VERTEX + BODY, "the format must be one of ascii, binary"),
         ("a.ply", PLY + "element vertex many\n" + BODY, "header line 'element vertex many'"),
+        ("a.ply", PLY + VERTEX.replace("3", "-1") + BODY, "cannot hold -1 rows of 'vertex'"),
+        ("a.ply", PLY + VERTEX + FACE + BODY + "-1\n", "at least 3 corners, got one with 0"),
         ("a.ply", PLY + VERTEX.replace("float", "quad") + BODY, "header line 'property quad x'"),
         ("a.ply", PLY + VERTEX.replace(" z", " w") + BODY, "no vertices with x, y and z"),
         ("a.ply", PLY + FACE + "end_header\n3 0 0 0\n", "no vertices with x, y and z"),

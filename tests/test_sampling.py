@@ -117,6 +117,8 @@ def test_surface_without_area_is_refused():
 
 
 def test_bad_arguments_are_refused(ball):
+    with pytest.raises(InvalidInputError, match="`mesh` must be a TriangleMesh, got a PointCloud"):
+        sample(ball.as_cloud(), 10, seed=0)
     with pytest.raises(InvalidInputError, match="`n` must be at least 1, got 0"):
         sample(ball, 0, seed=0)
     with pytest.raises(InvalidInputError, match="`seed` must be an integer, got None"):

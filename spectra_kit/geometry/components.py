@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._validate import frozen
-from spectra_kit.geometry.shapes import TriangleMesh
+from spectra_kit.geometry.shapes import TriangleMesh, check_mesh
 
 Ints = NDArray[np.int64]
 
@@ -48,6 +48,11 @@ def components(mesh: TriangleMesh) -> list[Component]:
     list of Component
         In the order of their first face.
 
+    Raises
+    ------
+    InvalidInputError
+        If `mesh` is a cloud, whose components are those of a Laplacian.
+
     Examples
     --------
     >>> from spectra_kit.geometry import TriangleMesh, components
@@ -56,7 +61,7 @@ def components(mesh: TriangleMesh) -> list[Component]:
     >>> [part.vertex_index.tolist() for part in parts]
     [[3, 4, 5], [0, 1, 2]]
     """
-    labels = mesh.component_labels[mesh.faces[:, 0]]
+    labels = check_mesh("mesh", mesh).component_labels[mesh.faces[:, 0]]
     order = np.argsort(labels, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
     parts = []

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from spectra_kit._validate import check_points, check_positive, frozen
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh, check_mesh
 
 Floats = NDArray[np.float64]
 Movable = TypeVar("Movable", bound=Floats | TriangleMesh | PointCloud)
@@ -105,12 +105,7 @@ class Normalization:
         InvalidInputError
             If `mesh` is a cloud or all its faces are degenerate.
         """
-        if not isinstance(mesh, TriangleMesh):
-            raise InvalidInputError(
-                f"`mesh` must be a TriangleMesh, got a {type(mesh).__name__}, which has no area;"
-                " use Normalization.unit_box"
-            )
-        if mesh.area == 0:
+        if check_mesh("mesh", mesh).area == 0:
             raise InvalidInputError("`mesh` must have area, got only degenerate faces")
         weights = mesh.face_areas / mesh.area
         centroids = mesh.points[mesh.faces].mean(axis=1)

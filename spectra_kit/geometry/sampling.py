@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._validate import check_count, check_points, check_positive, frozen, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import PointCloud, TriangleMesh, check_mesh
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -123,8 +123,8 @@ def sample(
     Raises
     ------
     InvalidInputError
-        If `n` is below 1, `seed` is negative or None, `density` is something else, or no face has
-        any area.
+        If `mesh` is a cloud, `n` is below 1, `seed` is negative or None, `density` is something
+        else, or no face has any area.
 
     Examples
     --------
@@ -165,8 +165,8 @@ def sample_with_origin(
     Raises
     ------
     InvalidInputError
-        If `n` is below 1, `seed` is negative or None, `density` is something else, or no face has
-        any area.
+        If `mesh` is a cloud, `n` is below 1, `seed` is negative or None, `density` is something
+        else, or no face has any area.
 
     Notes
     -----
@@ -182,6 +182,7 @@ def sample_with_origin(
     >>> bool(np.allclose(samples.interpolate(mesh.points), samples.cloud.points))
     True
     """
+    check_mesh("mesh", mesh)
     check_count("n", n, low=1)
     rng = np.random.default_rng(check_count("seed", seed, low=0))
     weights = np.where(mesh.degenerate_faces(), 0.0, mesh.face_areas)

@@ -11,6 +11,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._validate import check_faces, check_points, frozen
+from spectra_kit.errors import InvalidInputError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -203,6 +204,13 @@ class TriangleMesh:
         """
         first, label = distinct_rows(self.points)
         return TriangleMesh(self.points[first], label[self.faces])
+
+
+def check_mesh(name: str, value: object) -> TriangleMesh:
+    """Return `value` if it is a mesh; say what it is if not."""
+    if not isinstance(value, TriangleMesh):
+        raise InvalidInputError(f"`{name}` must be a TriangleMesh, got a {type(value).__name__}")
+    return value
 
 
 def distinct_rows(rows: Floats | Ints) -> tuple[Ints, Ints]:

@@ -85,6 +85,9 @@ def _split(data: bytes) -> tuple[list[_Element], bytes]:
                 elements[-1].properties.append(_Property(words[-1], dtypes[-1], size))
     except (ValueError, LookupError) as error:
         raise InvalidInputError(f"the header line {' '.join(words)!r} is broken") from error
+    for element in elements:
+        if element.count < 0:
+            raise InvalidInputError(f"cannot hold {element.count} rows of {element.name!r}")
     return elements, _doubles(body) if is_ascii else body
 
 
@@ -123,7 +126,7 @@ def _read_rows(element: _Element, body: bytes, offset: int, count: int) -> tuple
             for p in element.properties:
                 size = 1
                 if p.size_dtype is not None:
-                    size = int(np.frombuffer(body, p.size_dtype, 1, offset)[0])
+                    size = max(int(np.frombuffer(body, p.size_dtype, 1, offset)[0]), 0)
                     offset += p.size_dtype.itemsize
                 values = np.frombuffer(body, p.dtype, size, offset) if size else np.empty(0)
                 columns[p.name].append(values)
