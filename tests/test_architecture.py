@@ -15,7 +15,7 @@ LAYERS = [
     "_spectrum_file subspaces",
     "spectrum neo",
     "eigensolvers metrics interop",
-    "training viz _camera _raster",
+    "training viz",
     "cli benchmarks",
     "__main__",
 ]
