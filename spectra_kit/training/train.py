@@ -28,6 +28,7 @@ from spectra_kit.subspaces.frame import POSES, canonical_frame
 from spectra_kit.training.optim import make_optimizers, warmup_stable_decay
 from spectra_kit.training.shards import Batch, Corpus
 
+_FREE = {"minutes", "batch", "points", "every", "validation", "workers"}  # may change on resuming
 _DTYPES = {"float32": None, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
 
@@ -114,6 +115,7 @@ class TrainState:
     """What a checkpoint holds beside weights and optimiser states; it grows with every step."""
 
     step: int = 0
+    samples: int = 0
     seconds: float = 0.0
     history: list[dict[str, float]] = field(default_factory=list)
 
@@ -161,7 +163,9 @@ def train(
     out : path, optional
         Folder for ``checkpoint.pt`` and ``log.csv``; nothing is written without it.
     resume : bool, default False
-        Continue from the checkpoint in `out`. The corpus may have grown since.
+        Continue from the checkpoint in `out`. The corpus may have grown since, and ``minutes``,
+        ``batch``, ``points``, ``every``, ``validation`` and ``workers`` may differ: cheap steps of
+        few points first, precise ones later.
     device : str, default "cpu"
         Where to compute.
     stop_after : int, optional
@@ -200,12 +204,13 @@ def train(
             lr = config.lr * warmup_stable_decay(_progress(config, state))
             losses.append(_step(network, optimizers, scaler, corpus, config, state.step, lr, pool))
             state.step += 1
+            state.samples += config.batch
             state.seconds = time.perf_counter() - start
             bar.update()
             bar.set_postfix(span=f"{np.mean(losses[-50:]):.4f}", refresh=False)
             if state.step % config.every == 0 or _progress(config, state) >= 1:
                 error = validate(network, validation, config, pool=pool)
-                _note(state, losses, lr, error)
+                _note(state, config, losses, lr, error)
                 _save(folder, config, network, optimizers, state)
     _save(folder, config, network, optimizers, state)
     record = _record(corpus, config, state)
@@ -366,9 +371,20 @@ def _progress(config: TrainConfig, state: TrainState) -> float:
     return share
 
 
-def _note(state: TrainState, losses: list[float], lr: float, error: float) -> None:
-    row = {"step": state.step, "seconds": round(state.seconds, 1), "lr": lr}
-    state.history.append(row | {"loss": float(np.mean(losses)), "validation": error})
+def _note(
+    state: TrainState, config: TrainConfig, losses: list[float], lr: float, error: float
+) -> None:
+    state.history.append(
+        {
+            "step": state.step,
+            "samples": state.samples,
+            "seconds": round(state.seconds, 1),
+            "points": config.points,
+            "lr": round(lr, 8),
+            "loss": round(float(np.mean(losses)), 6),
+            "validation": error,
+        }
+    )
     losses.clear()
 
 
@@ -376,7 +392,7 @@ def _record(corpus: Corpus, config: TrainConfig, state: TrainState) -> dict[str,
     return {
         "config": asdict(config),
         "steps": state.step,
-        "samples": state.step * config.batch,
+        "samples": state.samples,
         "minutes": round(state.seconds / 60, 2),
         "corpus": {"samples": len(corpus), "points": corpus.n_points, "k": corpus.k},
         "span_error": state.history[-1]["validation"] if state.history else None,
@@ -419,7 +435,7 @@ def _load(
         raise InvalidInputError(f"`out` must hold a checkpoint to resume, found none at {path}")
     content = torch.load(path, map_location="cpu", weights_only=True)
     ours, theirs = asdict(config), content["config"]
-    differing = sorted(name for name in ours if ours[name] != theirs.get(name))
+    differing = sorted(name for name in ours.keys() - _FREE if ours[name] != theirs.get(name))
     if differing:
         raise InvalidInputError(
             f"the checkpoint {path} was written with other values of {differing};"
