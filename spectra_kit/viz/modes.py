@@ -53,7 +53,7 @@ def plot_comparison(
     title, subtitle : str, optional
         Two lines at the head of the page.
     dpi : int, default 200
-        Pixels per inch; the page is 11 inches wide.
+        Pixels per inch; the page is at most 11 inches wide.
 
     Raises
     ------

@@ -30,7 +30,7 @@ Bytes = NDArray[np.uint8]
 _COLOURS = "RdBu_r"  # diverging, told apart with every kind of colour blindness
 
 # Inches.
-_WIDTH, _MARGIN, _GAP = 11.0, 0.15, 0.18
+_WIDTH, _WIDEST_CELL, _MARGIN, _GAP = 11.0, 4.5, 0.15, 0.18
 _HEAD, _SIDE, _CAPTION, _BAR = 0.34, 0.34, 0.40, 0.26
 _TITLE = 0.62
 _TALLEST = 2.2  # pictures, height over cell width
@@ -82,7 +82,7 @@ def plot_panels(
     title, subtitle : str, optional
         Two lines at the head of the page.
     dpi : int, default 200
-        Pixels per inch; the page is 11 inches wide.
+        Pixels per inch; the page is at most 11 inches wide.
 
     Raises
     ------
@@ -124,15 +124,15 @@ def plot_panels(
     cell = _cell_width(len(across))
     width = cell if aspect < _TALLEST else cell * _TALLEST / aspect
     functions = [panel.values / panel.limit for row in table for panel in row]
-    pictures = render(
-        geometry,
-        functions,
-        rotation=rotation,
-        width=round(width * dpi),
-        colours=_colours(np.linspace(-1.0, 1.0, 256)),
-    )
-    figure = _set_page(table, across, down, pictures, cell, title, subtitle, dpi)
-    with atomic_path(path) as part:
+    with atomic_path(path) as part:  # around all: a bad path is told before the work
+        pictures = render(
+            geometry,
+            functions,
+            rotation=rotation,
+            width=round(width * dpi),
+            colours=_colours(np.linspace(-1.0, 1.0, 256)),
+        )
+        figure = _set_page(table, across, down, pictures, cell, title, subtitle, dpi)
         figure.savefig(part, dpi=dpi)
 
 
@@ -154,13 +154,14 @@ def _set_page(
     row_height = _CAPTION + picture_height + _BAR
     head = _MARGIN + (_TITLE if title or subtitle else 0.0)
     height = head + _HEAD + len(down) * (row_height + _GAP) + _MARGIN
-    figure = Figure(figsize=(_WIDTH, height), dpi=dpi, facecolor="white")
+    width = 2 * _MARGIN + _SIDE + len(across) * (cell + _GAP) - _GAP
+    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
-    pen = _Pen(figure, _WIDTH, height, dpi)
+    pen = _Pen(figure, width, height, dpi)
 
     if title or subtitle:
-        pen.text(title, _MARGIN, _MARGIN + 0.2, _WIDTH - 2 * _MARGIN, 14, bold=True)
-        pen.text(subtitle, _MARGIN, _MARGIN + 0.46, _WIDTH - 2 * _MARGIN, 9, colour="0.35")
+        pen.text(title, _MARGIN, _MARGIN + 0.2, width - 2 * _MARGIN, 14, bold=True)
+        pen.text(subtitle, _MARGIN, _MARGIN + 0.46, width - 2 * _MARGIN, 9, colour="0.35")
     lefts = [_MARGIN + _SIDE + i * (cell + _GAP) for i in range(len(across))]
     for left, name in zip(lefts, across, strict=True):
         pen.text(name, left, head + 0.22, cell, 12, bold=True, centred=True)
@@ -268,7 +269,8 @@ def short(value: float) -> str:
 
 def _cell_width(columns: int) -> float:
     """Width of a cell when `columns` of them share the page."""
-    return (_WIDTH - 2 * _MARGIN - _SIDE - (columns - 1) * _GAP) / columns
+    room = _WIDTH - 2 * _MARGIN - _SIDE - (columns - 1) * _GAP
+    return min(room / columns, _WIDEST_CELL)
 
 
 def _misfit(columns: int, rows: int, aspect: float) -> float:

@@ -87,7 +87,7 @@ def render(
             if run.returncode == 0:
                 return np.asarray(np.load(answer))
     # A Python error says what is wrong; VTK without OpenGL dies by a signal.
-    reason = run.stderr.strip().splitlines()[-1] if run.returncode == 1 else "it crashed"
+    reason = run.stderr.strip().split("\n")[-1] if run.returncode == 1 else "it crashed"
     raise MissingDependencyError(
         f"PyVista could not draw ({reason}); it needs an OpenGL library but no display,"
         " on Debian or Ubuntu: apt-get install libegl1 libgl1"

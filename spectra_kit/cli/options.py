@@ -1,0 +1,125 @@
+"""What the commands accept."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+DEMO = "demo"
+OPERATORS = ("robust", "cotan", "knn")
+SOLVERS = ("arpack", "lobpcg", "dense", "fourier", "neo")
+
+
+def add_spectrum_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``spectrum``."""
+    _add_input(parser, file=None)
+    _add_operator(parser)
+    _add_solver(parser)
+    parser.add_argument("--solver", choices=SOLVERS, default="arpack", help="default: %(default)s")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="NPZ", help="write the spectrum to this .npz file"
+    )
+    _add_modes(parser)
+
+
+def add_compare_arguments(
+    parser: argparse.ArgumentParser, *, file: str | None = None, picture: str | None = None
+) -> None:
+    """Add the arguments of ``compare``; `file` and `picture` are defaults."""
+    _add_input(parser, file=file)
+    _add_operator(parser)
+    _add_solver(parser)
+    parser.add_argument(
+        "--solver",
+        choices=SOLVERS,
+        help="what predicts (default: neo where weights are shipped, else fourier)",
+    )
+    parser.add_argument(
+        "--against", choices=SOLVERS, default="arpack", help="the truth (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--picture",
+        type=Path,
+        metavar="PNG",
+        default=picture and Path(picture),
+        help="draw exact | predicted | difference of the chosen modes"
+        + (" (default: %(default)s)" if picture else ""),
+    )
+    _add_modes(parser)
+
+
+def add_info_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``info``."""
+    _add_input(parser, file=None)
+    _add_operator(parser)
+
+
+def _add_input(parser: argparse.ArgumentParser, *, file: str | None) -> None:
+    group = parser.add_argument_group("input")
+    group.add_argument(
+        "file",
+        metavar="FILE",
+        nargs="?" if file else None,
+        default=file,
+        help=f"a mesh or point cloud (obj, off, ply, stl, glb, gltf, xyz, npy, npz), or"
+        f" {DEMO!r} for a procedural animal" + (" (default: %(default)s)" if file else ""),
+    )
+    group.add_argument(
+        "--points", type=int, default=8000, metavar="N", help="vertices of the demo (%(default)s)"
+    )
+    group.add_argument("--cloud", type=int, metavar="N", help="sample N points on the mesh")
+    group.add_argument("--seed", type=int, default=0, help="of everything random (%(default)s)")
+    group.add_argument(
+        "--repair",
+        action="store_true",
+        help="merge duplicates, drop degenerate faces and unused vertices, and say what was done",
+    )
+    group.add_argument("--json", action="store_true", help="print JSON instead of tables")
+    group.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+
+def _add_operator(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("operator")
+    group.add_argument(
+        "--operator", choices=OPERATORS, default="robust", help="Laplacian (default: %(default)s)"
+    )
+    group.add_argument(
+        "--boundary",
+        choices=("neumann", "dirichlet"),
+        default="neumann",
+        help="of a mesh with a boundary (default: %(default)s)",
+    )
+
+
+def _add_solver(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("solver")
+    group.add_argument("-k", type=int, default=96, help="number of modes (default: %(default)s)")
+    group.add_argument(
+        "--weights", default="small", metavar="NAME|FILE", help="of neo (default: %(default)s)"
+    )
+    group.add_argument(
+        "--poses", type=int, choices=(1, 2, 4), default=4, help="of neo (default: %(default)s)"
+    )
+    group.add_argument(
+        "--dtype",
+        choices=("float32", "bfloat16", "float16"),
+        default="float32",
+        help="of neo (default: %(default)s)",
+    )
+    group.add_argument("--device", default="cpu", help="of neo: cpu, cuda (default: %(default)s)")
+
+
+def _add_modes(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--modes",
+        type=_integers,
+        metavar="I,J,...",
+        help="modes to show, counted from 0 (default: a handful)",
+    )
+
+
+def _integers(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected numbers like 1,2,5,10, got {text!r}") from None

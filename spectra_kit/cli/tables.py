@@ -1,0 +1,239 @@
+"""Results as text for people and as records for JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import Diagnosis, Geometry, TriangleMesh
+from spectra_kit.metrics import Comparison
+from spectra_kit.operators import Laplacian
+from spectra_kit.spectrum import Certificate, Spectrum
+
+Record = dict[str, Any]
+
+
+def kind(geometry: Geometry) -> str:
+    """Return "mesh" or "cloud"."""
+    return "mesh" if isinstance(geometry, TriangleMesh) else "cloud"
+
+
+def headline(name: str, geometry: Geometry, laplacian: Laplacian) -> str:
+    """What was solved, in two lines."""
+    return f"{name}: {_size(geometry)}\n" + (
+        f"{laplacian.operator}: area {laplacian.area:.6g},"
+        f" {_count(laplacian.n_components, 'component')}"
+        + (f", {len(laplacian.fixed):,} fixed points" if len(laplacian.fixed) else "")
+    )
+
+
+def modes_table(spectrum: Spectrum, modes: Sequence[int]) -> str:
+    """Number, eigenvalue and residuals of some modes."""
+    certificate = _certificate(spectrum)
+    rows = [("mode", "eigenvalue", "residual", "relative")]
+    rows += [
+        (
+            str(i),
+            f"{spectrum.eigenvalues[i]:.8g}",
+            f"{certificate.residuals[i]:.1e}",
+            f"{certificate.relative_residuals[i]:.1e}",
+        )
+        for i in modes
+    ]
+    return _align(rows)
+
+
+def certificate_lines(spectrum: Spectrum) -> str:
+    """The certificate and the times of one spectrum."""
+    return pairs(
+        {
+            "solver": spectrum.provenance.solver,
+            "modes": spectrum.k,
+            "largest relative residual": _worst(spectrum),
+            "orthonormality error": f"{_certificate(spectrum).orthonormality_error:.1e}",
+            "zero modes": _kernel(spectrum),
+            "seconds": _seconds(spectrum),
+        }
+    )
+
+
+def comparison_table(
+    exact: Spectrum, predicted: Spectrum, comparison: Comparison, modes: Sequence[int]
+) -> str:
+    """Eigenvalues, errors and relative residuals of some modes."""
+    ours, theirs = _certificate(exact), _certificate(predicted)
+    rows = [
+        ("", "eigenvalue", "", "", "error of", "of its", "outside", "residual", ""),
+        ("mode", "exact", "predicted", "change", "mode", "cluster", "span", "exact", "predicted"),
+    ]
+    for i in modes:
+        true, guess = comparison.eigenvalues[i], comparison.predicted_eigenvalues[i]
+        change = "" if i < comparison.n_zero_modes else f"{100 * (guess / true - 1):+.2g} %"
+        rows.append(
+            (
+                str(i) + ("*" if i >= comparison.open_from else ""),
+                f"{true:.6g}",
+                f"{guess:.6g}",
+                change,
+                f"{comparison.vector_error[i]:.1e}",
+                f"{comparison.cluster_error[i]:.1e}",
+                f"{comparison.span_error[i]:.1e}",
+                f"{ours.relative_residuals[i]:.1e}",
+                f"{theirs.relative_residuals[comparison.match[i]]:.1e}",
+            )
+        )
+    note = "\n* its cluster of near-equal eigenvalues reaches past the last mode"
+    return _align(rows) + (note if any(i >= comparison.open_from for i in modes) else "")
+
+
+def comparison_lines(
+    exact_name: str,
+    exact: Spectrum,
+    predicted_name: str,
+    predicted: Spectrum,
+    comparison: Comparison,
+) -> str:
+    """Means over all modes, then the certificates and times of both sides."""
+    k, zero = comparison.k, comparison.n_zero_modes
+    moved = int((comparison.match != np.arange(k)).sum())
+    means = pairs(
+        {
+            "span error": f"{comparison.mean_span_error:.2e}  mean of {k} modes,"
+            f" span of {comparison.span_dimension} functions",
+            "eigenvalue error": f"{comparison.mean_eigenvalue_error:.2e}"
+            f"  mean of the {k - zero} nonzero modes",
+            "eigenvector error": f"{comparison.mean_vector_error:.2e}"
+            f"  mean of {k} modes, {moved} of them out of order",
+            "  clusters as spaces": f"{comparison.mean_cluster_error:.2e}"
+            f"  mean of {comparison.open_from} modes in {len(comparison.clusters)} clusters",
+        }
+    )
+    rows = [["", f"exact: {exact_name}", f"predicted: {predicted_name}"]]
+    for label, value in (
+        ("largest relative residual", _worst),
+        ("orthonormality error", lambda s: f"{_certificate(s).orthonormality_error:.1e}"),
+        ("zero modes", _kernel),
+        ("seconds in all", lambda s: f"{sum(s.provenance.seconds.values()):.2f}"),
+    ):
+        rows.append([label, value(exact), value(predicted)])
+    stages = dict.fromkeys([*exact.provenance.seconds, *predicted.provenance.seconds])
+    for stage in stages:
+        times = [s.provenance.seconds.get(stage) for s in (exact, predicted)]
+        if max(t or 0.0 for t in times) >= 0.005:
+            rows.append([f"  {stage}", *("" if t is None else f"{t:.2f}" for t in times)])
+    return means + "\n\n" + _align(rows, left=1)
+
+
+def comparison_line(comparison: Comparison) -> str:
+    """The three means in one line."""
+    return (
+        f"{comparison.k} modes: mean span error {comparison.mean_span_error:.2g},"
+        f" eigenvalue error {100 * comparison.mean_eigenvalue_error:.2g} %,"
+        f" eigenvector error {comparison.mean_vector_error:.2g}"
+    )
+
+
+def diagnosis_lines(name: str, geometry: Geometry, diagnosis: Diagnosis) -> str:
+    """What a file holds, and the problems that were found."""
+    lower, upper = np.array(diagnosis.lower), np.array(diagnosis.upper)
+    facts: Record = {"bounding box": " x ".join(f"{side:.6g}" for side in upper - lower)}
+    if isinstance(geometry, TriangleMesh):
+        facts |= {
+            "area": f"{diagnosis.area:.6g}",
+            "components": diagnosis.n_components,
+            "Euler characteristic": diagnosis.euler_characteristic,
+            "boundary edges": f"{diagnosis.boundary_edges:,}",
+        }
+    problems = "\n".join(f"  {text}" for text in diagnosis.problems) or "  none"
+    return f"{name}: {_size(geometry)}\n\n{pairs(facts)}\n\nproblems\n{problems}"
+
+
+def operator_record(laplacian: Laplacian) -> Record:
+    """What an operator makes of a geometry."""
+    return {
+        "operator": laplacian.operator,
+        "operator area": float(laplacian.area),
+        "operator components": laplacian.n_components,
+        "zero modes": laplacian.kernel_dimension,
+        "fixed points": len(laplacian.fixed),
+        "eigenvalue spacing": float(laplacian.eigenvalue_spacing),
+        "seconds": float(laplacian.seconds),
+    }
+
+
+def geometry_record(geometry: Geometry) -> Record:
+    """Kind and size."""
+    faces = {"faces": len(geometry.faces)} if isinstance(geometry, TriangleMesh) else {}
+    return {"kind": kind(geometry), "points": geometry.n} | faces
+
+
+def spectrum_record(spectrum: Spectrum) -> Record:
+    """Everything but the eigenvectors and the mass."""
+    certificate, provenance = _certificate(spectrum), spectrum.provenance
+    return {
+        "eigenvalues": spectrum.eigenvalues,
+        "certificate": dict(vars(certificate)),
+        "provenance": vars(provenance) | {"seconds": dict(provenance.seconds)},
+    }
+
+
+def comparison_record(comparison: Comparison) -> Record:
+    """All errors, and their means."""
+    means = ("span_error", "eigenvalue_error", "vector_error", "cluster_error")
+    return vars(comparison) | {f"mean_{m}": getattr(comparison, f"mean_{m}") for m in means}
+
+
+def pairs(facts: Mapping[str, object]) -> str:
+    """Lines of name and value, values aligned."""
+    width = max(len(name) for name in facts)
+    return "\n".join(
+        f"{name:{width}}  {f'{value:.6g}' if isinstance(value, float) else value}"
+        for name, value in facts.items()
+    )
+
+
+def _align(rows: Sequence[Sequence[str]], *, left: int = 0) -> str:
+    """Right-aligned columns, the first `left` of them left-aligned."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if i < left else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    )
+
+
+def _size(geometry: Geometry) -> str:
+    if isinstance(geometry, TriangleMesh):
+        return f"mesh, {geometry.n:,} vertices, {len(geometry.faces):,} faces"
+    return f"cloud, {geometry.n:,} points"
+
+
+def _count(n: int, noun: str) -> str:
+    return f"{n} {noun}" + ("" if n == 1 else "s")
+
+
+def _certificate(spectrum: Spectrum) -> Certificate:
+    if spectrum.certificate is None:
+        raise InvalidInputError("`spectrum` must be certified; see Spectrum.certify")
+    return spectrum.certificate
+
+
+def _worst(spectrum: Spectrum) -> str:
+    return f"{_certificate(spectrum).relative_residuals.max():.1e}"
+
+
+def _kernel(spectrum: Spectrum) -> str:
+    certificate = _certificate(spectrum)
+    expected = min(certificate.kernel_dimension, spectrum.k)
+    return f"{certificate.n_zero_modes} of {expected}"
+
+
+def _seconds(spectrum: Spectrum) -> str:
+    stages = {name: t for name, t in spectrum.provenance.seconds.items() if t >= 0.005}
+    listed = ", ".join(f"{name} {t:.2f}" for name, t in stages.items())
+    return f"{sum(spectrum.provenance.seconds.values()):.2f}" + (f"  ({listed})" if listed else "")

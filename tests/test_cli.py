@@ -1,0 +1,250 @@
+import argparse
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import bumpy, two_parts
+
+from spectra_kit import Lobpcg, Spectrum, eigensolve, robust_laplacian
+from spectra_kit.cli import main, run
+from spectra_kit.errors import ConvergenceError, InvalidInputError
+from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Small files of every kind."""
+    folder = tmp_path_factory.mktemp("files")
+    ball = sphere(subdivisions=3).geometry
+    write(ball, folder / "sphere.off")
+    write(ball.as_cloud(), folder / "cloud.ply")
+    write(rectangle(n=400).geometry, folder / "sheet.obj")
+    write(two_parts(), folder / "parts.ply")
+    write(bumpy(), folder / "bumpy.off")
+    dirty = TriangleMesh(
+        np.vstack([ball.points, ball.points[:1], [[9, 9, 9]]]),
+        np.vstack([ball.faces, [[0, 1, ball.n]]]),
+    )
+    write(dirty, folder / "dirty.off")
+    return folder
+
+
+def output(capsys, *arguments):
+    """Run a command that must succeed in silence; return its JSON."""
+    assert main([*map(str, arguments), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    return json.loads(out)
+
+
+def refusal(capsys, *arguments):
+    """Run a command that must be refused; return the message."""
+    assert main([*map(str, arguments)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("error: ")
+    assert "Traceback" not in err
+    return err
+
+
+@pytest.mark.parametrize("solver", ["arpack", "lobpcg", "dense", "fourier"])
+def test_spectrum_of_the_sphere(files, capsys, tmp_path, solver):
+    saved = tmp_path / "sphere.npz"
+    result = output(
+        capsys, "spectrum", files / "sphere.off", "-k", 9, "--solver", solver, "-o", saved
+    )
+    exact = np.repeat([0.0, 2.0, 6.0], [1, 3, 5])
+    np.testing.assert_allclose(result["eigenvalues"], exact, rtol=2e-2, atol=1e-9)
+    assert result["certificate"]["n_zero_modes"] == 1
+    assert result["geometry"] == {"kind": "mesh", "points": 642, "faces": 1280}
+    np.testing.assert_array_equal(Spectrum.load(saved).eigenvalues, result["eigenvalues"])
+
+
+def test_neo_runs_from_a_weights_file(capsys, tmp_path):
+    import torch
+
+    from spectra_kit.neo import NeoConfig, NeoNetwork
+    from spectra_kit.neo.pretrained import save_weights
+
+    torch.manual_seed(0)
+    weights = tmp_path / "tiny.safetensors"
+    save_weights(
+        weights,
+        NeoNetwork(NeoConfig(width=16, depth=1, heads=2, head_width=8, latents=8, m=40, k=8)),
+        {},
+    )
+    result = output(
+        capsys, "compare", "demo", "--points", 700, "-k", 5, "--solver", "neo",
+        "--weights", weights, "--poses", 2,
+    )  # fmt: skip
+    exact, predicted = result["exact"]["eigenvalues"], result["predicted"]["eigenvalues"]
+    assert (np.array(predicted) >= np.array(exact) * (1 - 1e-9) - 1e-9).all()  # Rayleigh-Ritz
+    assert result["comparison"]["span_dimension"] == 81
+
+
+def test_two_runs_give_identical_eigenvalues(capsys):
+    command = ("spectrum", "demo", "--points", 600, "--cloud", 700, "-k", 6)
+    first, second = output(capsys, *command), output(capsys, *command)
+    assert first["eigenvalues"] == second["eigenvalues"]
+    assert first["geometry"] == {"kind": "cloud", "points": 700}
+    other = output(capsys, *command, "--seed", 1)
+    assert other["eigenvalues"] != first["eigenvalues"]
+
+
+@pytest.mark.parametrize("operator", ["robust", "cotan", "knn"])
+def test_operators(files, capsys, operator):
+    result = output(capsys, "spectrum", files / "bumpy.off", "-k", 4, "--operator", operator)
+    assert operator in result["provenance"]["operator"]
+    assert result["eigenvalues"][0] == pytest.approx(0, abs=1e-9)
+
+
+def test_dirichlet_boundary(files, capsys):
+    """The lowest eigenvalue of a rectangle 1 x golden ratio with fixed boundary."""
+    result = output(capsys, "spectrum", files / "sheet.obj", "-k", 2, "--boundary", "dirichlet")
+    golden = (1 + 5**0.5) / 2
+    assert result["eigenvalues"][0] == pytest.approx(np.pi**2 * (1 + golden**-2), rel=2e-2)
+    assert result["certificate"]["n_zero_modes"] == 0
+
+
+def test_spectrum_table(files, capsys):
+    assert main(["spectrum", str(files / "parts.ply"), "-k", "6", "--modes", "0,2,5"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert "parts.ply: mesh, 804 vertices" in out
+    assert "2 components" in out
+    assert [line.split()[0] for line in out.splitlines() if line[:4].strip().isdigit()] == list(
+        "025"
+    )
+    assert "zero modes                 2 of 2" in out
+
+
+def test_repair_is_told(files, capsys):
+    assert "without_" in refusal(capsys, "spectrum", files / "dirty.off", "-k", 4)
+    assert main(["spectrum", str(files / "dirty.off"), "-k", "4", "--repair"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ("repaired: 1 merged points, 1 degenerate faces, 1 unreferenced vertices\n")
+    assert "642 vertices" in out
+    assert main(["info", str(files / "sphere.off"), "--repair"]) == 0
+    assert capsys.readouterr().err == "repaired: nothing to do\n"
+
+
+def test_compare_measures_a_prediction(files, capsys):
+    result = output(capsys, "compare", files / "bumpy.off", "-k", 10, "--solver", "lobpcg")[
+        "comparison"
+    ]
+    assert result["mean_span_error"] < 1e-12
+    assert result["mean_vector_error"] < 1e-10
+    assert result["mean_eigenvalue_error"] < 1e-9
+    assert result["eigenvalue_error"][0] is None  # no NaN in JSON
+    assert len(result["match"]) == 10
+    assert result["span_dimension"] == 16  # six more modes were solved for
+    assert result["open_from"] == 10  # so the end of the last cluster is known
+
+
+def test_compare_prints_a_table(capsys):
+    command = ["compare", "demo", "--points", "1500", "-k", "12", "--solver", "fourier"]
+    assert main([*command, "--modes", "1,11"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert "demo: mesh, 1,500 vertices" in out
+    assert "exact: arpack  predicted: fourier" in out
+    assert "mean of 12 modes, span of 640 functions" in out
+    assert "picture" not in out
+
+
+def test_info(files, capsys):
+    result = output(capsys, "info", files / "parts.ply")
+    assert result["kind"] == "mesh"
+    assert result["diagnosis"]["n_components"] == result["operator"]["zero modes"] == 2
+    assert result["problems"] == []
+    assert main(["info", str(files / "dirty.off")]) == 0
+    out = capsys.readouterr().out
+    assert "1 points lie exactly on earlier ones" in out
+    assert "refused" in out
+    assert output(capsys, "info", files / "cloud.ply")["diagnosis"]["area"] is None
+
+
+def test_bad_input_is_refused_with_a_message(files, capsys, tmp_path):
+    ball, cloud = files / "sphere.off", files / "cloud.ply"
+    (tmp_path / "x.off").write_text("OFF\n1 0 0\nnan 0 0\n")
+    for message, *arguments in (
+        ("no such file", "info", tmp_path / "none.off"),
+        ("finite", "spectrum", tmp_path / "x.off"),
+        ("`k` must be at most the number of free points", "spectrum", ball, "-k", 700),
+        ("`k` must be in [1, 642], got 700", "compare", ball, "-k", 700),
+        ("`k` must be at least 1", "spectrum", ball, "-k", 0),
+        ("`modes` must be in [0, 3], got 4", "spectrum", ball, "-k", 4, "--modes", "4"),
+        ("must be a .npz file", "spectrum", ball, "-o", tmp_path / "x.txt"),
+        ("there is no folder", "spectrum", ball, "-o", tmp_path / "no" / "x.npz"),
+        ("must be a .png file", "compare", ball, "--picture", tmp_path / "x.pdf"),
+        ("--operator cotan needs a mesh", "spectrum", cloud, "--operator", "cotan"),
+        ("--cloud samples a mesh", "spectrum", cloud, "--cloud", 100),
+        ("--boundary dirichlet needs", "spectrum", ball, "--boundary", "dirichlet"),
+        ("--boundary dirichlet needs", "spectrum", cloud, "--boundary", "dirichlet"),
+        ("weights must be one of", "spectrum", ball, "--solver", "neo", "--weights", "none"),
+        ("`n_points` must be at least 500", "spectrum", "demo", "--points", 10),
+    ):
+        assert message in refusal(capsys, *arguments)
+
+
+@pytest.mark.parametrize("arguments", [[], ["spectrum"], ["fly"], ["info", "a", "b"],
+                                       ["spectrum", "a", "--modes", "1,x"],
+                                       ["spectrum", "a", "--solver", "magic"]])  # fmt: skip
+def test_wrong_usage_exits_with_2(arguments, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 2
+    assert "usage: spectra-kit" in capsys.readouterr().err
+
+
+def test_debug_shows_the_traceback(tmp_path):
+    with pytest.raises(InvalidInputError, match="no such file"):
+        main(["info", str(tmp_path / "none.off"), "--debug"])
+
+
+def test_a_failed_output_leaves_the_old_file(files, tmp_path):
+    saved = tmp_path / "good.npz"
+    saved.write_bytes(b"precious")
+    assert main(["spectrum", str(files / "sphere.off"), "-k", "700", "-o", str(saved)]) == 2
+    assert saved.read_bytes() == b"precious"
+    assert os.listdir(tmp_path) == ["good.npz"]
+
+
+def test_exit_codes(bumpy_laplacian, capsys):
+    def stalls(_):
+        eigensolve(bumpy_laplacian, 30, Lobpcg(max_steps=1, rtol=1e-14))
+
+    def is_interrupted(_):
+        raise KeyboardInterrupt
+
+    assert run(stalls, argparse.Namespace(debug=False)) == 3
+    assert capsys.readouterr().err.startswith("error: Lobpcg(")
+    with pytest.raises(ConvergenceError):
+        run(stalls, argparse.Namespace(debug=True))
+    assert run(is_interrupted, argparse.Namespace(debug=False)) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_a_reader_that_leaves_early_is_no_error(files):
+    command = [sys.executable, "-m", "spectra_kit", "info", str(files / "sphere.off")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    process.stderr.close()
+    assert process.wait() == 0
+
+
+def test_a_single_point_is_refused_by_every_solver(tmp_path, capsys):
+    write(PointCloud([[0.0, 0, 0]]), tmp_path / "point.ply")
+    refusal(capsys, "spectrum", tmp_path / "point.ply", "-k", 1)
+    assert main(["info", str(tmp_path / "point.ply")]) == 0
+    assert "all points coincide" in capsys.readouterr().out
+
+
+def test_robust_laplacian_is_the_default(files, capsys):
+    result = output(capsys, "spectrum", files / "sphere.off", "-k", 5)
+    direct = eigensolve(robust_laplacian(sphere(subdivisions=3).geometry), 5)
+    np.testing.assert_allclose(result["eigenvalues"], direct.eigenvalues, rtol=1e-9, atol=1e-9)

@@ -1,0 +1,211 @@
+import os
+import sys
+
+import numpy as np
+import pytest
+from conftest import bumpy
+from PIL import Image
+
+from spectra_kit import eigensolve, robust_laplacian
+from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
+from spectra_kit.metrics import compare_spectra
+from spectra_kit.viz import Panel, plot_comparison, plot_panels
+from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.page import short
+from spectra_kit.viz.render import render
+
+BLUE_TO_RED = np.column_stack([np.arange(256), np.zeros(256), np.arange(256)[::-1]]).astype("u1")
+
+
+@pytest.fixture(scope="module")
+def ball():
+    return sphere(subdivisions=3).geometry
+
+
+@pytest.fixture(scope="module", autouse=True)
+def can_draw(ball):
+    try:
+        draw(ball, width=20)
+    except MissingDependencyError as error:
+        pytest.skip(f"no picture can be drawn here: {error}")
+
+
+def draw(geometry, *, width=120):
+    values = geometry.points / np.abs(geometry.points).max()
+    return render(
+        geometry, list(values.T), rotation=np.eye(3), width=width, colours=BLUE_TO_RED
+    ).astype(float)
+
+
+def without(fake, tmp_path, monkeypatch):
+    """Put a `pyvista` in front of the real one, for new processes only."""
+    (tmp_path / "pyvista.py").write_text(fake)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+
+
+@pytest.mark.parametrize("as_cloud", [False, True])
+def test_a_sphere_is_a_disc_with_each_value_at_its_place(ball, as_cloud):
+    geometry = ball.as_cloud() if as_cloud else ball
+    by_x, by_y, by_z = draw(geometry)
+    assert by_x.shape == by_y.shape == by_z.shape
+    rows, columns = np.nonzero((by_x < 250).any(axis=2))
+    radius = (np.ptp(columns) + 1) / 2
+    assert np.ptp(rows) == pytest.approx(np.ptp(columns), abs=2)
+    assert radius == pytest.approx(60, abs=6)
+    assert len(rows) == pytest.approx(np.pi * radius**2, rel=0.03)
+
+    def redness(picture):
+        return picture[..., 0] - picture[..., 2]
+
+    middle, edge = by_x.shape[0] // 2, int(radius * 0.7)
+    assert redness(by_x)[middle, 60 + edge] > 50 > -50 > redness(by_x)[middle, 60 - edge]
+    assert redness(by_y)[middle - edge, 60] > 50 > -50 > redness(by_y)[middle + edge, 60]
+    assert redness(by_z)[middle, 60] > 50  # the near side, not the far one
+
+
+def test_pictures_are_the_same_twice_and_silent(ball, capfd):
+    np.testing.assert_array_equal(draw(ball, width=40), draw(ball, width=40))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_view_is_a_rotation_that_keeps_the_geometry_upright():
+    legs = np.array([[x, 0.0, z] for x in (-1, 1) for z in (-0.5, 0.5)])
+    body = np.array([[x, 1.0 + y, z] for x in (-0.9, 0.9) for y in (0, 0.5) for z in (-0.3, 0.3)])
+    table = PointCloud(np.vstack([legs, body]))
+    z_up = PointCloud(table.points[:, [2, 0, 1]])
+    for geometry, up in ((table, 1), (z_up, 2)):
+        view = choose_view(geometry)
+        np.testing.assert_allclose(view @ view.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(view) == pytest.approx(1)
+        assert view[1, up] == pytest.approx(np.cos(np.deg2rad(22)))
+
+
+def test_a_flat_geometry_is_seen_from_above():
+    view = choose_view(rectangle(n=200).geometry)
+    assert abs(view[2, 2]) > 0.5
+
+
+@pytest.mark.parametrize("points", [[[0, 0, 0]], [[1, 1, 1]] * 3, [[0, 0, 0], [1, 0, 0]]])
+def test_geometries_without_extent_are_drawn(points):
+    cloud = PointCloud(points)
+    pictures = render(
+        cloud,
+        [np.zeros(cloud.n)],
+        rotation=choose_view(cloud),
+        width=30,
+        colours=BLUE_TO_RED,
+    )
+    assert pictures.shape[0] == 1
+
+
+def test_comparison_page(tmp_path):
+    mesh = bumpy()
+    laplacian = robust_laplacian(mesh)
+    exact = eigensolve(laplacian, 8)
+    path = tmp_path / "modes.png"
+    plot_comparison(
+        path,
+        mesh,
+        exact,
+        exact,
+        compare_spectra(exact, exact),
+        modes=[0, 3],
+        title="A title far too long for one page " * 6,
+        subtitle="below",
+        dpi=50,
+    )
+    with Image.open(path) as image:
+        page = np.asarray(image.convert("RGB"))
+    assert page.shape[1] <= 11 * 50
+    assert (page[:3] == 255).all()  # nothing touches
+    assert (page[-3:] == 255).all()  # the border,
+    assert (page[:, :3] == 255).all()  # long titles
+    assert (page[:, -3:] == 255).all()  # included
+    assert (page < 200).any()
+    assert os.listdir(tmp_path) == ["modes.png"]
+
+
+def test_wide_geometries_stand_in_rows_tall_ones_in_columns(tmp_path):
+    def aspect(stretch):
+        points = sphere(subdivisions=1).geometry.points * stretch
+        panel = Panel(values=points[:, 0], limit=1.0)
+        plot_panels(
+            tmp_path / "x.png",
+            PointCloud(points),
+            [[panel] * 3] * 5,
+            rows_named="12345",
+            columns_named="abc",
+            dpi=20,
+        )
+        with Image.open(tmp_path / "x.png") as page:
+            return page.width / page.height
+
+    for stretch in ([1, 1, 8], [1, 4, 1]):
+        assert 0.5 < aspect(stretch) < 2
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0, "0"), (2, "2.0"), (0.0361, "0.036"), (12.4, "12"), (3.64e-5, "3.6e-5"), (12345, "1.2e4")],
+)
+def test_short_numbers(value, text):
+    assert short(value) == text
+
+
+def one_panel(path, geometry, values, **options):
+    panel = Panel(values=values, limit=1.0)
+    plot_panels(path, geometry, [[panel]], rows_named="r", columns_named="c", dpi=20, **options)
+
+
+def test_bad_input_is_refused(tmp_path, ball):
+    good = np.zeros(ball.n)
+    with pytest.raises(InvalidInputError, match=r"`path` must end in .png, got 'modes.jpg'"):
+        one_panel("modes.jpg", ball, good)
+    with pytest.raises(InvalidInputError, match=r"`values` must have shape \(642,\), got \(3,\)"):
+        one_panel(tmp_path / "x.png", ball, good[:3])
+    with pytest.raises(InvalidInputError, match=r"`values` must be finite"):
+        one_panel(tmp_path / "x.png", ball, good * np.nan)
+    with pytest.raises(InvalidInputError, match=r"the folder .* does not exist"):
+        one_panel(tmp_path / "no" / "x.png", ball, good)
+    panel = Panel(values=good, limit=1.0)
+    for rows, names in (([], "a"), ([[panel]], "ab"), ([[]], "")):
+        with pytest.raises(InvalidInputError, match=r"`rows` must be a table of \d columns"):
+            plot_panels(tmp_path / "x.png", ball, rows, rows_named="r", columns_named=names)
+
+
+def test_modes_out_of_range_are_refused(tmp_path, ball):
+    exact = eigensolve(robust_laplacian(ball), 4)
+    comparison = compare_spectra(exact, exact)
+    with pytest.raises(InvalidInputError, match=r"`modes` must be in \[0, 3\], got 4"):
+        plot_comparison(tmp_path / "x.png", ball, exact, exact, comparison, modes=[4])
+    other = TriangleMesh(ball.points[:3], [[0, 1, 2]])
+    with pytest.raises(InvalidInputError, match=r"`geometry` must have the 642 points"):
+        plot_comparison(tmp_path / "x.png", other, exact, exact, comparison, modes=[1])
+
+
+@pytest.mark.parametrize(
+    ("fake", "message"),
+    [
+        (
+            "raise ImportError('libGL.so.1: cannot open')",
+            r"\(ImportError: libGL.so.1.* apt-get",
+        ),
+        ("import os; os.abort()", r"could not draw \(it crashed\).* apt-get install libegl1"),
+    ],
+)
+def test_a_machine_without_opengl_gets_an_error_and_keeps_its_picture(
+    ball, tmp_path, monkeypatch, fake, message
+):
+    picture = tmp_path / "x.png"
+    picture.write_text("the old one")
+    without(fake, tmp_path, monkeypatch)
+    with pytest.raises(MissingDependencyError, match=message):
+        one_panel(picture, ball, np.zeros(ball.n))
+    assert picture.read_text() == "the old one"
+
+
+def test_a_machine_without_pyvista_gets_an_error(ball, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    with pytest.raises(MissingDependencyError, match="pictures need PyVista: pip install pyvista"):
+        one_panel(tmp_path / "x.png", ball, np.zeros(ball.n))
