@@ -106,6 +106,7 @@ def compare(arguments: argparse.Namespace) -> None:
     if picture:
         from spectra_kit.viz import plot_comparison
 
+        first = max(comparison.n_zero_modes - 1, 0)  # one constant function per component is dull
         _progress("drawing")
         plot_comparison(
             picture,
@@ -113,8 +114,8 @@ def compare(arguments: argparse.Namespace) -> None:
             exact,
             predicted,
             comparison,
-            modes=_modes(arguments.modes, _DRAWN, k),
-            names=(arguments.against, predictor),
+            modes=_modes(arguments.modes, [i + first for i in _DRAWN], k),
+            names=(f"exact: {arguments.against}", f"predicted: {predictor}"),
             title=f"{Path(arguments.file).stem}, {geometry.n:,} points",
             subtitle=tables.comparison_line(comparison),
         )

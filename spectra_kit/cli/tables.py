@@ -66,7 +66,7 @@ def comparison_table(
     """Eigenvalues, errors and relative residuals of some modes."""
     ours, theirs = _certificate(exact), _certificate(predicted)
     rows = [
-        ("", "eigenvalue", "", "", "error of", "of its", "outside", "residual", ""),
+        ("", "eigenvalue", "", "", "error of", "of its", "outside", "relative", "residual"),
         ("mode", "exact", "predicted", "change", "mode", "cluster", "span", "exact", "predicted"),
     ]
     for i in modes:
@@ -113,6 +113,7 @@ def comparison_lines(
     )
     rows = [["", f"exact: {exact_name}", f"predicted: {predicted_name}"]]
     for label, value in (
+        ("modes solved for", lambda s: str(s.k)),
         ("largest relative residual", _worst),
         ("orthonormality error", lambda s: f"{_certificate(s).orthonormality_error:.1e}"),
         ("zero modes", _kernel),

@@ -95,11 +95,12 @@ def _panels(
     limit = _limit(left, right)
     true, guess = comparison.eigenvalues[mode], comparison.predicted_eigenvalues[mode]
     zero = mode < comparison.n_zero_modes
+    exact_text = "λ = 0" if zero else f"λ = {true:.5g}"
     change = "" if zero else f"  ({100 * (guess / true - 1):+.2g} %)"
     size = next(stop - start for start, stop in comparison.clusters if start <= mode < stop)
     beside = f" (cluster of {size})" if size > 1 else ""
     return (
-        Panel(values=left, limit=limit, lines=(f"λ = {true:.5g}", _residual(exact, mode))),
+        Panel(values=left, limit=limit, lines=(exact_text, _residual(exact, mode))),
         Panel(
             values=right,
             limit=limit,
