@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, cast
 
 import torch
@@ -48,6 +49,8 @@ class Muon(Optimizer):
         Decoupled decay.
     momentum : float, default 0.95
         Of the exponential average of gradients, used in Nesterov's form.
+    apply : callable, default map
+        Runs the shapes; the ``map`` of a thread pool runs them side by side.
     """
 
     def __init__(
@@ -57,7 +60,9 @@ class Muon(Optimizer):
         *,
         weight_decay: float = 0.04,
         momentum: float = 0.95,
+        apply: Callable[..., Iterable[None]] = map,
     ) -> None:
+        self.apply = apply
         defaults = {"lr": lr, "weight_decay": weight_decay, "momentum": momentum}
         super().__init__(params, defaults)
 
@@ -70,13 +75,17 @@ class Muon(Optimizer):
             for parameter in group["params"]:
                 if parameter.grad is not None:
                     alike[parameter.shape].append(parameter)
-            for shape, parameters in alike.items():
-                update = orthogonalise(torch.stack([self._blend(p, group) for p in parameters]))
-                step = group["lr"] * 0.2 * math.sqrt(max(shape))
-                for parameter, direction in zip(parameters, update, strict=True):
-                    parameter.mul_(1 - group["lr"] * group["weight_decay"])
-                    parameter.add_(direction.to(parameter.dtype), alpha=-step)
+            list(self.apply(partial(self._update, group), alike.values()))
         return loss
+
+    @torch.no_grad()
+    def _update(self, group: dict[str, Any], parameters: list[Tensor]) -> None:
+        """Update parameters of one shape."""
+        update = orthogonalise(torch.stack([self._blend(p, group) for p in parameters]))
+        step = group["lr"] * 0.2 * math.sqrt(max(parameters[0].shape))
+        for parameter, direction in zip(parameters, update, strict=True):
+            parameter.mul_(1 - group["lr"] * group["weight_decay"])
+            parameter.add_(direction.to(parameter.dtype), alpha=-step)
 
     def _blend(self, parameter: Tensor, group: dict[str, Any]) -> Tensor:
         gradient = cast("Tensor", parameter.grad)
@@ -89,7 +98,11 @@ class Muon(Optimizer):
 
 
 def make_optimizers(
-    network: nn.Module, *, lr: float, weight_decay: float = 0.04
+    network: nn.Module,
+    *,
+    lr: float,
+    weight_decay: float = 0.04,
+    apply: Callable[..., Iterable[None]] = map,
 ) -> tuple[Muon, AdamW]:
     """Split the parameters as the paper does.
 
@@ -100,6 +113,8 @@ def make_optimizers(
         with betas (0.9, 0.99).
     lr, weight_decay : float
         For both.
+    apply : callable, default map
+        See `Muon`.
 
     Returns
     -------
@@ -110,7 +125,7 @@ def make_optimizers(
     chosen = {id(p) for p in matrices}
     rest = [p for p in parameters if id(p) not in chosen]
     return (
-        Muon(matrices, lr, weight_decay=weight_decay),
+        Muon(matrices, lr, weight_decay=weight_decay, apply=apply),
         AdamW(rest, lr=lr, betas=(0.9, 0.99), weight_decay=weight_decay),
     )
 

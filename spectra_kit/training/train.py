@@ -184,7 +184,10 @@ def train(
     _check_corpora(corpus, validation, config)
     torch.manual_seed(config.seed)
     network = NeoNetwork(config.network).to(device)
-    optimizers = make_optimizers(network, lr=config.lr, weight_decay=config.weight_decay)
+    pool = ThreadPoolExecutor(config.workers)
+    optimizers = make_optimizers(
+        network, lr=config.lr, weight_decay=config.weight_decay, apply=pool.map
+    )
     scaler = torch.amp.GradScaler(device, enabled=config.precision == "float16")
     state = TrainState()
     folder = None if out is None else Path(out)
@@ -196,7 +199,7 @@ def train(
     limit = config.steps if stop_after is None else min(stop_after, config.steps)
     losses: list[float] = []
     with (
-        ThreadPoolExecutor(config.workers) as pool,
+        pool,
         _until_interrupt() as interrupted,
         tqdm(total=config.steps, initial=state.step, unit="step", disable=None) as bar,
     ):
@@ -284,11 +287,10 @@ def validate(
         with _autocast(device.type, config.precision):
             F = network(points, mass)
         U = torch.from_numpy(batch.eigenvectors).to(device)
-        return span_loss(F, mass, U).item() * len(posed)
+        return float(span_loss(F, mass, U)) * len(posed)
 
     apply = map if pool is None else pool.map
-    total: float = sum(apply(error, range(0, n, 8)))
-    return total / n
+    return float(sum(apply(error, range(0, n, 8)))) / n
 
 
 def training_batch(corpus: Corpus, config: TrainConfig, step: int) -> tuple[Tensor, Tensor, Tensor]:
