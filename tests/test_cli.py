@@ -9,7 +9,7 @@ import pytest
 from conftest import bumpy, two_parts
 
 from spectra_kit import Lobpcg, Spectrum, eigensolve, robust_laplacian
-from spectra_kit.cli import main, run
+from spectra_kit.cli import commands, main, run
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
 
@@ -248,3 +248,18 @@ def test_robust_laplacian_is_the_default(files, capsys):
     result = output(capsys, "spectrum", files / "sphere.off", "-k", 5)
     direct = eigensolve(robust_laplacian(sphere(subdivisions=3).geometry), 5)
     np.testing.assert_allclose(result["eigenvalues"], direct.eigenvalues, rtol=1e-9, atol=1e-9)
+
+
+def test_what_converged_is_saved(tmp_path, capsys, monkeypatch):
+    impatient = Lobpcg(max_steps=8)
+    monkeypatch.setitem(commands._SOLVERS, "lobpcg", lambda arguments: impatient)
+    out = tmp_path / "modes.npz"
+    arguments = ["spectrum", "demo", "--points", "600", "-k", "20", "--solver", "lobpcg"]
+    assert main([*arguments, "-o", str(out)]) == 3
+    message = capsys.readouterr().err
+    assert "raise `max_steps`" in message
+    assert not out.exists()
+    rescued = Spectrum.load(tmp_path / "modes.partial.npz")
+    assert 0 < rescued.k < 20
+    assert f"the {rescued.k} modes that converged" in message
+    assert rescued.certificate.relative_residuals.max() < 1e-6

@@ -17,7 +17,7 @@ from spectra_kit.cli import tables
 from spectra_kit.cli.options import DEMO
 from spectra_kit.eigensolvers import Arpack, Dense, Eigensolver, Lobpcg, RayleighRitz, eigensolve
 from spectra_kit.eigensolvers.neo import Neo
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry import (
     Geometry,
     TriangleMesh,
@@ -55,7 +55,14 @@ def spectrum(arguments: argparse.Namespace) -> None:
     solver = _SOLVERS[arguments.solver](arguments)
     geometry, laplacian = _prepare(arguments)
     _progress(f"solving for {k} modes with {arguments.solver}")
-    result = eigensolve(laplacian, k, solver)
+    try:
+        result = eigensolve(laplacian, k, solver)
+    except ConvergenceError as error:
+        if arguments.output and error.partial is not None:
+            rescued = arguments.output.with_suffix(".partial.npz")
+            error.partial.save(rescued)
+            sys.stderr.write(f"the {error.partial.k} modes that converged: {rescued}\n")
+        raise
     if arguments.output:
         result.save(arguments.output)
     if arguments.json:
