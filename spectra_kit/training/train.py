@@ -257,7 +257,7 @@ def _step(
         scaler.step(optimizer)
         optimizer.zero_grad()
     scaler.update()
-    return sum(losses)
+    return float(sum(losses))
 
 
 def validate(
