@@ -295,9 +295,11 @@ def test_minutes_end_a_run_with_the_whole_schedule(corpora, tmp_path):
     assert result.record["history"][-1]["lr"] < 0.1 * config.lr
 
 
-def test_bfloat16_trains(corpora):
-    config = TrainConfig(**{**vars(CONFIG), "precision": "bfloat16"})
-    assert np.isfinite(train(*corpora, config, stop_after=5).record["span_error"])
+@pytest.mark.parametrize("precision", ["bfloat16", "float16"])
+def test_half_precision_follows_float32(corpora, precision):
+    config = TrainConfig(**{**vars(CONFIG), "precision": precision})
+    expected = train(*corpora, CONFIG).record["span_error"]
+    assert train(*corpora, config).record["span_error"] == pytest.approx(expected, rel=0.1)
 
 
 def test_bad_configurations_are_refused(corpora, tmp_path):
