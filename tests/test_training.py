@@ -305,6 +305,8 @@ def test_half_precision_follows_float32(corpora, precision):
 def test_bad_configurations_are_refused(corpora, tmp_path):
     with pytest.raises(InvalidInputError, match="`steps` must be at least 1"):
         TrainConfig(network=TINY, steps=0)
+    with pytest.raises(InvalidInputError, match=r"`flips` must be in \[0, 1\], got 2"):
+        TrainConfig(network=TINY, steps=1, flips=2)
     with pytest.raises(InvalidInputError, match="`points` must exceed the 16 functions"):
         TrainConfig(network=TINY, steps=1, points=16)
     with pytest.raises(InvalidInputError, match="`precision` must be one of"):

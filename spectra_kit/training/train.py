@@ -45,15 +45,19 @@ class TrainConfig:
     minutes : float, optional
         Length of the schedule in wall-clock time; such a run ends when it must, but does not
         repeat bit by bit.
-    batch, points : int
-        Clouds per step, and points drawn from each.
-    lr, weight_decay, clip : float
-        Peak learning rate, decoupled decay, bound on the gradient's norm.
+    batch, points : int, default 16 and 512
+        Clouds per step, and points drawn from each. Twice the points of half the clouds cost the
+        same, and gave a span error of 0.078 where this gave 0.074.
+    lr, weight_decay, clip : float, default 5e-3, 0.04 and 1
+        Peak learning rate, decoupled decay, bound on the gradient's norm. Short runs like a
+        higher rate than the paper's 8e-4: after 2,000 samples the span error was 0.074, 0.066
+        and 0.068 with peaks of 2e-3, 4e-3 and 8e-3.
     alpha : float, default 1e-3
         Weight of `ortho_loss`.
-    flips : float, default 0.25
+    flips : float, default 1
         In the principal frame: share of samples that are shown in a random one of the four
         proper flips, for clouds whose third moments are unclear and for prediction in many poses.
+        After 2,000 samples, 1 and 0.25 gave the same span error (0.074) in the unflipped pose.
     jitter : float, default 0.03
         In the principal frame: size of random rotations, in radians, and of random shrinking.
     precision : {"float32", "bfloat16", "float16"}, default "float32"
@@ -79,12 +83,12 @@ class TrainConfig:
     steps: int
     minutes: float | None = None
     batch: int = 16
-    points: int = 1024
-    lr: float = 2e-3
+    points: int = 512
+    lr: float = 5e-3
     weight_decay: float = 0.04
     clip: float = 1.0
     alpha: float = 1e-3
-    flips: float = 0.25
+    flips: float = 1.0
     jitter: float = 0.03
     precision: Literal["float32", "bfloat16", "float16"] = "float32"
     validation: int = 64
@@ -99,6 +103,9 @@ class TrainConfig:
             check_positive(name, getattr(self, name))
         if self.minutes is not None:
             check_positive("minutes", self.minutes)
+        for name in ("weight_decay", "alpha", "flips", "jitter"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InvalidInputError(f"`{name}` must be in [0, 1], got {getattr(self, name)!r}")
         if self.points <= self.network.m:
             raise InvalidInputError(
                 f"`points` must exceed the {self.network.m} functions of the network, which span"
