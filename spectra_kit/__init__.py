@@ -19,7 +19,7 @@ Conventions, everywhere the same:
 """
 
 from spectra_kit import geometry
-from spectra_kit.eigensolvers import Arpack, Dense, Lobpcg, RayleighRitz, eigensolve
+from spectra_kit.eigensolvers import Arpack, Dense, Lobpcg, Neo, RayleighRitz, eigensolve
 from spectra_kit.errors import (
     ConvergenceError,
     InvalidInputError,
@@ -44,6 +44,7 @@ __all__ = [
     "Laplacian",
     "Lobpcg",
     "MissingDependencyError",
+    "Neo",
     "PointCloud",
     "Provenance",
     "RayleighRitz",

@@ -16,14 +16,17 @@ from spectra_kit import (
     Laplacian,
     Lobpcg,
     MissingDependencyError,
+    Neo,
     PointCloud,
     RayleighRitz,
     TriangleMesh,
+    Union,
+    WeightsError,
     eigensolve,
     robust_laplacian,
 )
 from spectra_kit.eigensolvers import Eigenpairs, NotConvergedError
-from spectra_kit.geometry import rectangle, sphere, torus
+from spectra_kit.geometry import creature, rectangle, sphere, torus
 
 K = 16
 
@@ -123,9 +126,9 @@ def test_rigid_motion_and_permutation(backend: Backend, bumpy_laplacian: Laplaci
     moved = TriangleMesh((mesh.points @ q + [3, -1, 2])[order], place[mesh.faces])
     base = eigensolve(bumpy_laplacian, K, backend.solver)
     s = eigensolve(robust_laplacian(moved), K, backend.solver)
-    assert s.eigenvalues[1:] == pytest.approx(base.eigenvalues[1:], rel=1e-6)
+    assert s.eigenvalues[1:] == pytest.approx(base.eigenvalues[1:], rel=backend.rounding)
     cosines = np.einsum("ij,i,ij->j", s.eigenvectors, s.mass, base.eigenvectors[order])
-    assert np.abs(cosines) == pytest.approx(np.ones(K), abs=1e-5)
+    assert np.abs(cosines) == pytest.approx(np.ones(K), abs=max(backend.rounding, 1e-5))
 
 
 @pytest.mark.parametrize("copies", [2, 5])
@@ -393,3 +396,62 @@ def test_arpack_on_every_real_mesh(real_shapes) -> None:
 
 def test_eigenpairs_default_stages() -> None:
     assert dict(Eigenpairs(np.zeros(1), np.zeros((1, 1))).seconds) == {}
+
+
+# --- Neo, with the shipped weights -----------------------------------------------------------
+
+
+def test_neo_predicts_each_component_on_its_own() -> None:
+    """Two bodies far apart: the same modes as each alone, and two exact zeros."""
+    a, b = creature(1200, seed=0), creature(1000, seed=1)
+    points = np.vstack([a.points, b.points + [50.0, 3.0, 0.0]])
+    both = robust_laplacian(TriangleMesh(points, np.vstack([a.faces, b.faces + a.n])))
+    solver = Neo(poses=1)
+    alone = [eigensolve(robust_laplacian(mesh), 20, solver).eigenvalues for mesh in (a, b)]
+    s = eigensolve(both, 20, solver)
+    assert s.n_zero_modes == 2
+    expected = np.sort(np.concatenate(alone))[:20]
+    assert s.eigenvalues == pytest.approx(expected, rel=1e-3, abs=1e-9)
+    assert (s.eigenvectors[: a.n] == 0).all(axis=0).sum() + (s.eigenvectors[a.n :] == 0).all(
+        axis=0
+    ).sum() == 20
+
+
+def test_more_poses_lower_every_ritz_value() -> None:
+    laplacian = robust_laplacian(creature(3000, seed=0))
+    exact = eigensolve(laplacian, 60).eigenvalues
+    one, two, four = (
+        eigensolve(laplacian, 60, Neo(poses=poses)).eigenvalues[1:] for poses in (1, 2, 4)
+    )
+    # Up to the rounding of float32 features, which differs between the three.
+    assert (two <= one * (1 + 1e-4)).all()
+    assert (four <= two * (1 + 1e-4)).all()
+    assert (four >= exact[1:] * (1 - 1e-9)).all()
+    error = [np.mean(values / exact[1:] - 1) for values in (one, two, four)]
+    assert error[2] < 0.5 * error[0]
+
+
+def test_neo_joined_with_plane_waves_beats_both() -> None:
+    laplacian = robust_laplacian(creature(3000, seed=0))
+    exact = eigensolve(laplacian, 60).eigenvalues[1:]
+    waves, network = AmbientFourier(m=160, bandwidth=6.0), Neo(poses=1).subspace
+    errors = {
+        name: np.mean(
+            eigensolve(laplacian, 60, RayleighRitz(subspace=subspace)).eigenvalues[1:] / exact - 1
+        )
+        for name, subspace in {
+            "waves": waves,
+            "neo": network,
+            "both": Union(network, waves),
+        }.items()
+    }
+    assert errors["both"] < 0.7 * min(errors["waves"], errors["neo"]), errors
+
+
+def test_neo_refuses_unknown_weights_and_options() -> None:
+    with pytest.raises(WeightsError, match="weights must be one of"):
+        Neo(weights="huge")
+    with pytest.raises(InvalidInputError, match="`poses` must be 1, 2 or 4"):
+        Neo(poses=3)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInputError, match="`rank_tol` must be positive"):
+        Neo(rank_tol=0.0)

@@ -4,6 +4,7 @@ from spectra_kit.eigensolvers.arpack import Arpack
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.lobpcg import Lobpcg
+from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
 from spectra_kit.eigensolvers.solve import eigensolve
 
@@ -13,6 +14,7 @@ __all__ = [
     "Eigenpairs",
     "Eigensolver",
     "Lobpcg",
+    "Neo",
     "NotConvergedError",
     "RayleighRitz",
     "eigensolve",
