@@ -9,7 +9,7 @@ import pytest
 from conftest import bumpy, two_parts
 
 from spectra_kit import Lobpcg, Spectrum, eigensolve, robust_laplacian
-from spectra_kit.cli import commands, main, run
+from spectra_kit.cli import commands, main, run, tables
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
 
@@ -263,3 +263,11 @@ def test_what_converged_is_saved(tmp_path, capsys, monkeypatch):
     assert 0 < rescued.k < 20
     assert f"the {rescued.k} modes that converged" in message
     assert rescued.certificate.relative_residuals.max() < 1e-6
+
+
+def test_tables_ask_for_a_certificate(bumpy_laplacian):
+    s = eigensolve(bumpy_laplacian, 3)
+    bare = Spectrum(s.eigenvalues, s.eigenvectors, s.mass)
+    with pytest.raises(InvalidInputError, match=r"must be certified; see Spectrum\.certify"):
+        tables.modes_table(bare, [1])
+    assert tables.modes_table(bare.certify(bumpy_laplacian), [1]) == tables.modes_table(s, [1])

@@ -21,7 +21,12 @@ from spectra_kit.neo.model import NeoConfig, NeoNetwork
 _KEY = "spectra_kit.neo"  # one entry: safetensors writes several in random order
 
 #: Shipped weights: name -> (file in neo/weights, sha256 of the file).
-WEIGHTS: dict[str, tuple[str, str]] = {}
+WEIGHTS: dict[str, tuple[str, str]] = {
+    "small": (
+        "neo-small.safetensors",
+        "78b1e152665889eca0f1636fdf0849b4e10bb5324f2e22e736f1812d4cac79d6",
+    ),
+}
 
 
 class Pretrained(NamedTuple):
