@@ -31,7 +31,7 @@ def cloud():
 
 @pytest.mark.parametrize(
     ("name", "count"),
-    [("small", 2_434_720), ("base", 5_365_632), ("deep", 10_702_848), ("large", 16_929_376)],
+    [("small", 2_516_320), ("base", 5_365_632), ("deep", 10_702_848), ("large", 16_929_376)],
 )
 def test_parameter_counts(name, count):
     with torch.device("meta"):
@@ -102,6 +102,18 @@ def test_clouds_of_a_batch_do_not_see_each_other(network, cloud):
     points, mass = cloud
     batch = network(torch.cat([points, -points]), torch.cat([mass, mass.flip(1)]))
     torch.testing.assert_close(batch[:1], network(points, mass), atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.parametrize("m", [24, 32, 60])
+def test_outputs_have_full_rank_for_any_m(cloud, m):
+    torch.manual_seed(0)
+    network = NeoNetwork(NeoConfig(width=32, depth=1, heads=2, head_width=16, latents=4, m=m, k=8))
+    with torch.no_grad():
+        F = network(*cloud)[0].double()
+    assert F.shape == (200, m)
+    assert torch.linalg.matrix_rank(F, rtol=1e-4) == m
+    chunked = network.evaluate_chunked(cloud[0][0], cloud[1][0], chunk=90)
+    torch.testing.assert_close(chunked.double(), F, atol=1e-5, rtol=1e-4)
 
 
 @pytest.mark.parametrize("chunk", [7, 64, 200, 1000])

@@ -35,7 +35,8 @@ class NeoConfig:
     latents : int
         Latent tokens r of each block.
     m : int
-        Output functions. Where ``m == width`` the residual stream itself is the output.
+        Output functions. Where ``m == width`` the residual stream itself is the output; see
+        `Extension` for larger and a linear layer for smaller m.
     k : int, default 96
         Modes whose span the network is trained to cover.
     frame : {"principal", "none"}, default "principal"
@@ -106,15 +107,15 @@ def encode(points: Tensor) -> Tensor:
 class SwiGLU(nn.Module):
     """Gated feed-forward layer, W_down(SiLU(W_gate x) * W_up x)."""
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, width: int, out: int | None = None) -> None:
         super().__init__()
         hidden = 16 * math.ceil(int(width * 8 / 3) / 16)
         self.gate = nn.Linear(width, hidden)
         self.up = nn.Linear(width, hidden)
-        self.down = nn.Linear(hidden, width)
+        self.down = nn.Linear(hidden, out or width)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return features of the shape of `x`, (..., width)."""
+        """Return features (..., out) of features (..., width)."""
         out: Tensor = self.down(F.silu(self.gate(x)) * self.up(x))
         return out
 
@@ -254,6 +255,23 @@ class Block(nn.Module):
         return out
 
 
+class Extension(nn.Module):
+    """The residual stream and ``m - D`` gated functions of it: m outputs of rank m.
+
+    A linear layer from D to m > D channels would not do: its outputs span at most D + 1
+    dimensions, whatever m says.
+    """
+
+    def __init__(self, config: NeoConfig) -> None:
+        super().__init__()
+        self.norm = _norm(config.width)
+        self.ffn = SwiGLU(config.width, config.m - config.width)
+
+    def forward(self, h: Tensor) -> Tensor:
+        """Return (..., m) of (..., D)."""
+        return torch.cat([h, self.ffn(self.norm(h))], dim=-1)
+
+
 class NeoNetwork(nn.Module):
     """The neural operator F(X, w) of the paper, Eq. "attn_mass" and Fig. "backbone".
 
@@ -279,7 +297,9 @@ class NeoNetwork(nn.Module):
         self.lift = nn.Linear(_ENCODED, config.width)
         self.blocks = nn.ModuleList(Block(config) for _ in range(config.depth))
         self.head: nn.Module = nn.Identity()
-        if config.m != config.width:
+        if config.m > config.width:
+            self.head = Extension(config)
+        elif config.m < config.width:
             self.head = nn.Linear(config.width, config.m)
         for module in self.modules():
             if isinstance(module, _Attention):
