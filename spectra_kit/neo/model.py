@@ -256,7 +256,7 @@ class Block(nn.Module):
 
 
 class Extension(nn.Module):
-    """The residual stream and ``m - D`` gated functions of it: m outputs of rank m.
+    """D linear and ``m - D`` gated functions of the residual stream: m outputs of rank m.
 
     A linear layer from D to m > D channels would not do: its outputs span at most D + 1
     dimensions, whatever m says.
@@ -264,12 +264,13 @@ class Extension(nn.Module):
 
     def __init__(self, config: NeoConfig) -> None:
         super().__init__()
+        self.linear = nn.Linear(config.width, config.width)
         self.norm = _norm(config.width)
         self.ffn = SwiGLU(config.width, config.m - config.width)
 
     def forward(self, h: Tensor) -> Tensor:
         """Return (..., m) of (..., D)."""
-        return torch.cat([h, self.ffn(self.norm(h))], dim=-1)
+        return torch.cat([self.linear(h), self.ffn(self.norm(h))], dim=-1)
 
 
 class NeoNetwork(nn.Module):
