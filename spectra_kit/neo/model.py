@@ -89,7 +89,7 @@ class NeoConfig:
 
 
 _NAMED = {
-    "small": NeoConfig(width=128, depth=4, heads=4, head_width=32, latents=64, m=160),
+    "small": NeoConfig(width=128, depth=4, heads=4, head_width=32, latents=64, m=192),
     "base": NeoConfig(width=192, depth=4, heads=4, head_width=48, latents=192, m=192),
     "deep": NeoConfig(width=192, depth=8, heads=4, head_width=48, latents=192, m=192),
     "large": NeoConfig(width=256, depth=6, heads=4, head_width=72, latents=256, m=256),
@@ -289,7 +289,7 @@ class NeoNetwork(nn.Module):
     >>> network = NeoNetwork(NeoConfig.named("small"))
     >>> points = torch.rand(2, 50, 3) - 0.5
     >>> network(points, torch.ones(2, 50)).shape
-    torch.Size([2, 50, 160])
+    torch.Size([2, 50, 192])
     """
 
     def __init__(self, config: NeoConfig) -> None:
