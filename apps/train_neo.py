@@ -13,8 +13,9 @@ import torch
 from spectra_kit.errors import SpectraKitError
 from spectra_kit.neo.model import NeoConfig
 from spectra_kit.neo.pretrained import save_weights
+from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.shards import open_shards
-from spectra_kit.training.train import TrainConfig, train
+from spectra_kit.training.train import train
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -11,110 +11,24 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
 from spectra_kit._files import atomic_path
-from spectra_kit._validate import check_count, check_positive
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.loss import ortho_loss, span_loss
-from spectra_kit.neo.model import NeoConfig, NeoNetwork
-from spectra_kit.subspaces.frame import POSES, canonical_frame
+from spectra_kit.neo.model import NeoNetwork
+from spectra_kit.training.batches import training_batch, validation_batch
+from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.optim import make_optimizers, warmup_stable_decay
-from spectra_kit.training.shards import Batch, Corpus
+from spectra_kit.training.shards import Corpus
 
 _FREE = {"minutes", "batch", "points", "every", "validation", "workers"}  # may change on resuming
 _DTYPES = {"float32": None, "bfloat16": torch.bfloat16, "float16": torch.float16}
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainConfig:
-    """Everything a training run follows from, next to its corpus.
-
-    Parameters
-    ----------
-    network : NeoConfig
-        Sizes, and the frame in which the network will be asked to predict.
-    steps : int
-        Length of the schedule in steps. With `minutes`, an upper bound.
-    minutes : float, optional
-        Length of the schedule in wall-clock time; such a run ends when it must, but does not
-        repeat bit by bit.
-    batch, points : int, default 16 and 512
-        Clouds per step, and points drawn from each. Twice the points of half the clouds cost the
-        same, and gave a span error of 0.078 where this gave 0.074.
-    lr, weight_decay, clip : float, default 5e-3, 0.04 and 1
-        Peak learning rate, decoupled decay, bound on the gradient's norm. Short runs like a
-        higher rate than the paper's 8e-4: after 2,000 samples the span error was 0.074, 0.066
-        and 0.068 with peaks of 2e-3, 4e-3 and 8e-3.
-    alpha : float, default 1e-3
-        Weight of `ortho_loss`.
-    flips : float, default 1
-        In the principal frame: share of samples that are shown in a random one of the four
-        proper flips, for clouds whose third moments are unclear and for prediction in many poses.
-        After 2,000 samples, 1 and 0.25 gave the same span error (0.074) in the unflipped pose.
-    jitter : float, default 0.03
-        In the principal frame: size of random rotations, in radians, and of random shrinking.
-    precision : {"float32", "bfloat16", "float16"}, default "float32"
-        Of the matrix products (autocast). Losses are always float32.
-    validation : int, default 64
-        How many samples of the validation corpus, the first ones, to validate on.
-    every : int, default 200
-        Steps between validations, which are also the checkpoints.
-    workers : int, default 1
-        Threads that take equal shares of each batch. They meet once per step, so on a busy CPU
-        two of them with one thread each are several times faster than one whose every matrix
-        product waits for two threads.
-    seed : int, default 0
-        Of initial weights, order, points and poses.
-
-    Raises
-    ------
-    InvalidInputError
-        If a value is out of its range.
-    """
-
-    network: NeoConfig
-    steps: int
-    minutes: float | None = None
-    batch: int = 16
-    points: int = 512
-    lr: float = 5e-3
-    weight_decay: float = 0.04
-    clip: float = 1.0
-    alpha: float = 1e-3
-    flips: float = 1.0
-    jitter: float = 0.03
-    precision: Literal["float32", "bfloat16", "float16"] = "float32"
-    validation: int = 64
-    every: int = 200
-    workers: int = 1
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("steps", "batch", "points", "validation", "every", "workers"):
-            check_count(name, getattr(self, name), low=1)
-        for name in ("lr", "clip"):
-            check_positive(name, getattr(self, name))
-        if self.minutes is not None:
-            check_positive("minutes", self.minutes)
-        for name in ("weight_decay", "alpha", "flips", "jitter"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise InvalidInputError(f"`{name}` must be in [0, 1], got {getattr(self, name)!r}")
-        if self.points <= self.network.m:
-            raise InvalidInputError(
-                f"`points` must exceed the {self.network.m} functions of the network, which span"
-                f" everything on fewer, got {self.points}"
-            )
-        if self.precision not in _DTYPES:
-            raise InvalidInputError(
-                f"`precision` must be one of {sorted(_DTYPES)}, got {self.precision!r}"
-            )
 
 
 @dataclass
@@ -274,102 +188,21 @@ def validate(
     *,
     pool: ThreadPoolExecutor | None = None,
 ) -> float:
-    """Return the mean span error over the first samples of a corpus, with all their points.
-
-    Without a canonical frame each sample is shown in one random rotation, the same every time.
-    """
+    """Return the mean span error over the first samples of a corpus, with all their points."""
     device = next(network.parameters()).device
     n = min(config.validation, len(corpus))
 
     @torch.no_grad()
     def error(first: int) -> float:
-        batch = corpus.batch(range(first, min(first + 8, n)))
-        if config.network.frame == "principal":
-            posed = [canonical_frame(p, w).pose(p) for p, w in _pairs(batch)]
-        else:
-            rng = np.random.default_rng((config.seed, 2, first))
-            posed = [_pose_random(p, w, rng) for p, w in _pairs(batch)]
-        points = torch.from_numpy(np.stack(posed)).float().to(device)
-        mass = torch.from_numpy(batch.mass).to(device)
+        indices = range(first, min(first + 8, n))
+        batch = validation_batch(corpus, config, indices)
+        points, mass, U = (part.to(device) for part in batch)
         with _autocast(device.type, config.precision):
             F = network(points, mass)
-        U = torch.from_numpy(batch.eigenvectors).to(device)
-        return float(span_loss(F, mass, U)) * len(posed)
+        return float(span_loss(F, mass, U)) * len(indices)
 
     apply = map if pool is None else pool.map
     return float(sum(apply(error, range(0, n, 8)))) / n
-
-
-def training_batch(corpus: Corpus, config: TrainConfig, step: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return points (B, N, 3), mass (B, N) and modes (B, N, k) of a step, float32.
-
-    Every sample comes once per epoch, in an order drawn from (seed, epoch); the points and the
-    pose are drawn from (seed, step).
-    """
-    n = len(corpus)
-    places = np.arange(step * config.batch, (step + 1) * config.batch)
-    orders = {
-        int(epoch): np.random.default_rng((config.seed, 0, int(epoch))).permutation(n)
-        for epoch in np.unique(places // n)
-    }
-    chosen = [orders[int(place // n)][place % n] for place in places]
-    batch = corpus.batch(chosen)
-    rng = np.random.default_rng((config.seed, 1, step))
-    points, mass, modes = [], [], []
-    for (x, w), U in zip(_pairs(batch), batch.eigenvectors, strict=True):
-        posed = _pose_principal(x, w, rng, config) if config.network.frame == "principal" else None
-        posed = _pose_random(x, w, rng) if posed is None else posed
-        keep = np.sort(rng.choice(len(x), config.points, replace=False))
-        points.append(posed[keep])
-        mass.append(w[keep])
-        modes.append(U[keep])
-    return (
-        torch.from_numpy(np.stack(points)).float(),
-        torch.from_numpy(np.stack(mass)).float(),
-        torch.from_numpy(np.stack(modes)).float(),
-    )
-
-
-def random_rotation(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a rotation (3, 3), uniform on SO(3) (a normal quaternion, Shoemake 1992)."""
-    w, x, y, z = (q := rng.standard_normal(4)) / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def _pairs(batch: Batch) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    return zip(batch.points, batch.mass, strict=True)
-
-
-def _pose_principal(
-    points: NDArray[np.float32],
-    mass: NDArray[np.float32],
-    rng: np.random.Generator,
-    config: TrainConfig,
-) -> NDArray[np.float64]:
-    posed = canonical_frame(points, mass).pose(points)
-    if rng.random() < config.flips:
-        posed = posed * POSES[rng.integers(4)]
-    a, b, c = config.jitter * rng.standard_normal(3)
-    # The orthogonal polar factor of a rotation's first-order expansion: small, never a shear.
-    left, _, right = np.linalg.svd(np.array([[1, -c, b], [c, 1, -a], [-b, a, 1]]))
-    posed = posed @ (left @ right)
-    shrink = 1 - config.jitter * rng.random()
-    return np.asarray(shrink * posed / np.abs(posed).max())
-
-
-def _pose_random(
-    points: NDArray[np.float32], mass: NDArray[np.float32], rng: np.random.Generator
-) -> NDArray[np.float64]:
-    weights = mass.astype(np.float64) / mass.sum()
-    centred = points - weights @ points
-    posed = centred @ random_rotation(rng).T
-    return np.asarray(posed / np.abs(posed).max())
 
 
 def _progress(config: TrainConfig, state: TrainState) -> float:
