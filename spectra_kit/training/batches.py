@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from spectra_kit.subspaces.frame import POSES, canonical_frame
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.shards import Corpus
 
-Arrays = Sequence[NDArray[np.floating]] | NDArray[np.floating]
+Tensors = tuple[Tensor, Tensor, Tensor]
 
 
-def training_batch(corpus: Corpus, config: TrainConfig, step: int) -> tuple[Tensor, Tensor, Tensor]:
+def training_batch(corpus: Corpus, config: TrainConfig, step: int) -> Tensors:
     """Return points (B, N, 3), mass (B, N) and modes (B, N, k) of a step, float32.
 
     Every sample comes once per epoch, in an order drawn from (seed, epoch); the points and the
@@ -44,9 +42,7 @@ def training_batch(corpus: Corpus, config: TrainConfig, step: int) -> tuple[Tens
     return _tensors(points, mass, modes)
 
 
-def validation_batch(
-    corpus: Corpus, config: TrainConfig, indices: range
-) -> tuple[Tensor, Tensor, Tensor]:
+def validation_batch(corpus: Corpus, config: TrainConfig, indices: range) -> Tensors:
     """Return points, mass and modes of whole samples, posed as the network expects them.
 
     Without a canonical frame each batch has its own random rotations, the same every time.
@@ -100,7 +96,6 @@ def _pose_random(
     return np.asarray(posed / np.abs(posed).max())
 
 
-def _tensors(points: Arrays, mass: Arrays, modes: Arrays) -> tuple[Tensor, Tensor, Tensor]:
-    stacked = (torch.from_numpy(np.stack(arrays)).float() for arrays in (points, mass, modes))
-    x, w, U = stacked
+def _tensors(points: ArrayLike, mass: ArrayLike, modes: ArrayLike) -> Tensors:
+    x, w, U = (torch.from_numpy(np.asarray(array)).float() for array in (points, mass, modes))
     return x, w, U
