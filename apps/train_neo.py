@@ -31,6 +31,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--batch", type=int, default=16, help="clouds per step")
     add("--points", type=int, default=512, help="points drawn from each cloud")
     add("--lr", type=float, default=5e-3)
+    add("--decay", type=float, default=0.2, help="share of the schedule in which the rate falls")
     add("--alpha", type=float, default=1e-3, help="weight of the orthogonality regulariser")
     add("--flips", type=float, default=1.0, help="share of samples in a random proper flip")
     add("--precision", default="float32", choices=["float32", "bfloat16", "float16"])
@@ -49,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     torch.set_num_threads(1)  # the workers are the threads
     try:
         network = dataclasses.replace(NeoConfig.named(args.config), frame=args.frame)
-        same = ("steps", "minutes", "batch", "points", "lr", "alpha", "flips", "precision")
+        same = ("steps", "minutes", "batch", "points", "lr", "decay", "alpha", "flips", "precision")
         same += ("every", "workers", "seed")
         rest = {name: getattr(args, name) for name in same}
         config = TrainConfig(network=network, validation=args.validate, **rest)

@@ -32,6 +32,8 @@ class TrainConfig:
         Peak learning rate, decoupled decay, bound on the gradient's norm. Short runs like a
         higher rate than the paper's 8e-4: after 2,000 samples the span error was 0.074, 0.066
         and 0.068 with peaks of 2e-3, 4e-3 and 8e-3.
+    decay : float, default 0.2
+        Share of the schedule at its end in which the rate falls.
     alpha : float, default 1e-3
         Weight of `ortho_loss`.
     flips : float, default 1
@@ -67,6 +69,7 @@ class TrainConfig:
     lr: float = 5e-3
     weight_decay: float = 0.04
     clip: float = 1.0
+    decay: float = 0.2
     alpha: float = 1e-3
     flips: float = 1.0
     jitter: float = 0.03
@@ -79,11 +82,11 @@ class TrainConfig:
     def __post_init__(self) -> None:
         for name in ("steps", "batch", "points", "validation", "every", "workers"):
             check_count(name, getattr(self, name), low=1)
-        for name in ("lr", "clip"):
+        for name in ("lr", "clip", "decay"):
             check_positive(name, getattr(self, name))
         if self.minutes is not None:
             check_positive("minutes", self.minutes)
-        for name in ("weight_decay", "alpha", "flips", "jitter"):
+        for name in ("weight_decay", "decay", "alpha", "flips", "jitter"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidInputError(f"`{name}` must be in [0, 1], got {getattr(self, name)!r}")
         if self.points <= self.network.m:

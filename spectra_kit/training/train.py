@@ -27,7 +27,8 @@ from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.optim import make_optimizers, warmup_stable_decay
 from spectra_kit.training.shards import Corpus
 
-_FREE = {"minutes", "batch", "points", "every", "validation", "workers"}  # may change on resuming
+# What may change on resuming.
+_FREE = {"minutes", "decay", "batch", "points", "every", "validation", "workers"}
 _DTYPES = {"float32": None, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
 
@@ -85,8 +86,8 @@ def train(
         Folder for ``checkpoint.pt`` and ``log.csv``; nothing is written without it.
     resume : bool, default False
         Continue from the checkpoint in `out`. The corpus may have grown since, and ``minutes``,
-        ``batch``, ``points``, ``every``, ``validation`` and ``workers`` may differ: cheap steps of
-        few points first, precise ones later.
+        ``decay``, ``batch``, ``points``, ``every``, ``validation`` and ``workers`` may differ:
+        cheap steps of few points first, precise ones later.
     device : str, default "cpu"
         Where to compute.
     stop_after : int, optional
@@ -125,7 +126,7 @@ def train(
         tqdm(total=config.steps, initial=state.step, unit="step", disable=None) as bar,
     ):
         while state.step < limit and _progress(config, state) < 1 and not interrupted():
-            lr = config.lr * warmup_stable_decay(_progress(config, state))
+            lr = config.lr * warmup_stable_decay(_progress(config, state), decay=config.decay)
             losses.append(_step(network, optimizers, scaler, corpus, config, state.step, lr, pool))
             state.step += 1
             state.samples += config.batch
