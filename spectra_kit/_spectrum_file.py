@@ -30,7 +30,7 @@ def write_spectrum_file(
     provenance: Mapping[str, Any],
 ) -> None:
     """Write `arrays`, and the scalars of `certificate` and `provenance` as JSON, to `path`."""
-    if path.suffix != ".npz":
+    if path.suffix.lower() != ".npz":
         raise InvalidInputError(f"`path` must end in .npz, got {path.name!r}")
     members = dict(arrays)
     header: dict[str, Any] = {
@@ -60,7 +60,7 @@ def read_spectrum_file(
             if header["format"] != "spectra_kit spectrum":
                 raise KeyError("format")  # noqa: TRY301
             if header["version"] > FORMAT_VERSION:
-                raise InvalidInputError(
+                raise InvalidInputError(  # noqa: TRY301
                     f"{path} has format version {header['version']}, this spectra_kit reads up to"
                     f" {FORMAT_VERSION}; upgrade it"
                 )
@@ -71,7 +71,9 @@ def read_spectrum_file(
                 name: _map_member(path, raw, archive, name) if mmap else _read_member(archive, name)
                 for name in _ARRAYS
             }
-    except (zipfile.BadZipFile, KeyError, EOFError, OSError, json.JSONDecodeError) as error:
+    except InvalidInputError:
+        raise
+    except (zipfile.BadZipFile, KeyError, EOFError, OSError, ValueError, TypeError) as error:
         raise InvalidInputError(
             f"{path} is not a whole spectrum file ({error}); write it again with Spectrum.save"
         ) from error

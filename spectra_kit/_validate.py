@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -116,3 +118,19 @@ def check_positive(name: str, value: float) -> float:
     if not (np.isfinite(value) and value > 0):
         raise InvalidInputError(f"`{name}` must be positive and finite, got {value!r}")
     return float(value)
+
+
+class Rebuilt:
+    """Mixin of a frozen dataclass: pickling and copying go through its constructor.
+
+    So a copy is validated and read-only like the original, and leaves cached values behind.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        plain = {k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()}
+        return _rebuild, (type(self), plain)
+
+
+def _rebuild(cls: type[Any], values: dict[str, Any]) -> Any:
+    return cls(**values)

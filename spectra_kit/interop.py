@@ -114,6 +114,7 @@ def to_pyfm(spectrum: Spectrum, laplacian: Laplacian) -> PyfmArrays:
     dict
         ``stiffness`` and ``mass`` (sparse, (n, n)), ``eigenvalues`` (k,), ``eigenvectors`` (n, k).
     """
+    _check_pair(spectrum, laplacian)
     return PyfmArrays(
         stiffness=sparse.csc_matrix(laplacian.stiffness),
         mass=sparse.diags(spectrum.mass),
@@ -122,8 +123,8 @@ def to_pyfm(spectrum: Spectrum, laplacian: Laplacian) -> PyfmArrays:
     )
 
 
-def from_pyfm(mass: ArrayLike, eigenvalues: ArrayLike, eigenvectors: ArrayLike) -> Spectrum:
-    """Return the spectrum of ``mesh.mass, mesh.eigenvalues, mesh.eigenvectors`` of pyFM."""
+def from_pyfm(eigenvalues: ArrayLike, eigenvectors: ArrayLike, mass: ArrayLike) -> Spectrum:
+    """Return the spectrum of ``mesh.eigenvalues, mesh.eigenvectors, mesh.mass`` of pyFM."""
     return from_arrays(eigenvalues, eigenvectors, mass, solver="pyFM")
 
 
@@ -141,6 +142,7 @@ def to_geomfum(spectrum: Spectrum, laplacian: Laplacian) -> GeomfumArrays:
     dict
         ``stiffness_matrix``, ``mass_matrix`` (sparse, (n, n)), ``vals`` (k,), ``vecs`` (n, k).
     """
+    _check_pair(spectrum, laplacian)
     return GeomfumArrays(
         stiffness_matrix=sparse.csc_matrix(laplacian.stiffness),
         mass_matrix=sparse.diags(spectrum.mass),
@@ -149,8 +151,8 @@ def to_geomfum(spectrum: Spectrum, laplacian: Laplacian) -> GeomfumArrays:
     )
 
 
-def from_geomfum(mass_matrix: ArrayLike, vals: ArrayLike, vecs: ArrayLike) -> Spectrum:
-    """Return the spectrum of geomfum's ``laplacian.mass_matrix, basis.vals, basis.vecs``."""
+def from_geomfum(vals: ArrayLike, vecs: ArrayLike, mass_matrix: ArrayLike) -> Spectrum:
+    """Return the spectrum of geomfum's ``basis.vals, basis.vecs, laplacian.mass_matrix``."""
     return from_arrays(vals, vecs, mass_matrix, solver="geomfum")
 
 
@@ -176,6 +178,7 @@ def to_diffusion_net(
     """
     import torch
 
+    _check_pair(spectrum, laplacian)
     dtype = dtype or torch.float32
     evals, evecs, mass = spectrum.to_torch(dtype=dtype)
     L = sparse.coo_array(laplacian.stiffness)
@@ -187,19 +190,43 @@ def to_diffusion_net(
 
 
 def from_diffusion_net(operators: tuple[Any, ...]) -> Spectrum:
-    """Return the spectrum inside DiffusionNet's ``frames, mass, L, evals, evecs, gradX, gradY``.
+    """Return the spectrum inside DiffusionNet's operators.
+
+    Parameters
+    ----------
+    operators : tuple
+        ``(frames, mass, L, evals, evecs, gradX, gradY)`` as its ``get_operators`` returns them, or
+        the four ``(mass, L, evals, evecs)`` of `to_diffusion_net`. Tensors on any device.
+
+    Returns
+    -------
+    Spectrum
+        Without a certificate.
 
     Raises
     ------
     InvalidInputError
-        If `operators` does not have these seven entries.
+        If `operators` has neither seven nor four entries.
     """
-    if len(operators) != 7:
+    if len(operators) == 7:
+        operators = operators[1:5]
+    if len(operators) != 4:
         raise InvalidInputError(
-            "`operators` must be (frames, mass, L, evals, evecs, gradX, gradY),"
-            f" got {len(operators)} entries"
+            "`operators` must be (frames, mass, L, evals, evecs, gradX, gradY) or (mass, L, evals,"
+            f" evecs), got {len(operators)} entries"
         )
-    _, mass, _, evals, evecs, _, _ = operators
-    return from_arrays(
-        *(np.asarray(a, dtype=np.float64) for a in (evals, evecs, mass)), solver="DiffusionNet"
-    )
+    mass, _, evals, evecs = operators
+    arrays = (np.asarray(_to_cpu(a), dtype=np.float64) for a in (evals, evecs, mass))
+    return from_arrays(*arrays, solver="DiffusionNet")
+
+
+def _to_cpu(array: Any) -> Any:
+    """Return a tensor's values where NumPy can see them."""
+    return array.detach().cpu() if hasattr(array, "detach") else array
+
+
+def _check_pair(spectrum: Spectrum, laplacian: Laplacian) -> None:
+    if spectrum.n != laplacian.n:
+        raise InvalidInputError(
+            f"`laplacian` must be the one of `spectrum` ({spectrum.n} points), got {laplacian.n}"
+        )

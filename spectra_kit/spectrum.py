@@ -5,36 +5,38 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
 
 from spectra_kit._spectrum_file import read_spectrum_file, write_spectrum_file
-from spectra_kit._validate import check_count, check_positive, frozen, real_array
+from spectra_kit._validate import Rebuilt, check_count, check_positive, frozen, real_array
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
-from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.operators.laplacian import ZERO_MODE, Laplacian
 
 if TYPE_CHECKING:
     import torch
 
 Floats = NDArray[np.float64]
 
-# Relative to Weyl's spacing 4 pi / area; only for spectra that come without a certificate.
-_ZERO = 1e-8
+_FOREIGN_MASS = 1e-5  # relative; float32 copies of the same mass differ by less
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Certificate:
+class Certificate(Rebuilt):
     """What was checked about each mode, against the operator itself.
 
     Attributes
     ----------
     residuals : ndarray of shape (k,)
-        ``||L u - lambda M u||`` in the M^-1 norm, in 1/length^2. Some true eigenvalue lies within
-        this distance of lambda (Weinstein's bound; u has unit M-norm), whatever made the pair.
+        ``||L u - lambda M u|| / ||u||`` in the M^-1 and M norms, in 1/length^2. Some true
+        eigenvalue lies within this distance of lambda (Weinstein's bound), whatever made the pair.
     relative_residuals : ndarray of shape (k,)
-        ``residuals / max(lambda, spacing)``, with the typical gap ``Laplacian.eigenvalue_spacing``;
+        ``residuals / max(lambda, spacing)``, with the typical gap between eigenvalues
+        (``Laplacian.component_spacings``) of the component on which the mode lives;
         dimensionless, and meaningful for zero modes too.
     orthonormality_error : float
         Largest entry of ``|U^T M U - I|``.
@@ -68,7 +70,7 @@ class Certificate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Provenance:
+class Provenance(Rebuilt):
     """Where a spectrum comes from.
 
     Attributes
@@ -88,16 +90,21 @@ class Provenance:
     solver: str = "user"
     operator: str = "user"
     seed: int | None = None
-    seconds: Mapping[str, float] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict, hash=False)
     input_hash: str = ""
     version: str = ""
 
+    def __post_init__(self) -> None:
+        seconds = {str(stage): float(t) for stage, t in self.seconds.items()}
+        object.__setattr__(self, "seconds", MappingProxyType(seconds))
+
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
+class Spectrum(Rebuilt):
     """The k lowest eigenpairs of ``L u = lambda M u`` on n points.
 
-    Immutable. Signs, and bases inside an eigenspace, are unspecified and never "fixed".
+    Immutable. Signs, and bases inside an eigenspace, are unspecified and never "fixed". float64
+    arrays are viewed, not copied (they can be gigabytes): do not write to them afterwards.
 
     Parameters
     ----------
@@ -178,10 +185,10 @@ class Spectrum:
 
     @property
     def n_zero_modes(self) -> int:
-        """Number of modes in the kernel: certified where possible, else lambda * area < 1e-7."""
+        """Number of modes in the kernel: certified where possible, else lambda * area < 1.3e-7."""
         if self.certificate is not None:
             return self.certificate.n_zero_modes
-        return int((self.eigenvalues <= _ZERO * 4 * np.pi / self.area).sum())
+        return int((self.eigenvalues <= ZERO_MODE * 4 * np.pi / self.area).sum())
 
     def truncate(self, k: int) -> Spectrum:
         """Return the first `k` modes, 1 <= k <= self.k."""
@@ -192,7 +199,10 @@ class Spectrum:
         return self._modes(slice(self.n_zero_modes, self.k))
 
     def rescale(self, factor: float) -> Spectrum:
-        """Return the spectrum of the same surface with lengths multiplied by `factor`."""
+        """Return the spectrum of the same surface with lengths multiplied by `factor`.
+
+        Its provenance has no input hash: no solver has seen the scaled surface.
+        """
         square = check_positive("factor", factor) ** 2
         certificate = self.certificate and replace(
             self.certificate, residuals=self.certificate.residuals / square
@@ -203,24 +213,17 @@ class Spectrum:
             eigenvectors=self.eigenvectors / factor,
             mass=self.mass * square,
             certificate=certificate,
+            provenance=replace(self.provenance, input_hash=""),
         )
 
     def project(self, values: ArrayLike) -> Floats:
         """Return the coefficients U^T M f of functions `values`: (n,) to (k,), (n, c) to (k, c)."""
-        f = np.asarray(values, dtype=np.float64)
-        if f.ndim not in (1, 2) or f.shape[0] != self.n:
-            raise InvalidInputError(
-                f"`values` must have shape ({self.n},) or ({self.n}, c), got {f.shape}"
-            )
+        f = _as_columns("values", values, self.n)
         return np.asarray(self.eigenvectors.T @ (self.mass * f.T).T)
 
     def reconstruct(self, coefficients: ArrayLike) -> Floats:
         """Return the functions U c with these `coefficients`: (k,) to (n,), (k, c) to (n, c)."""
-        c = np.asarray(coefficients, dtype=np.float64)
-        if c.ndim not in (1, 2) or c.shape[0] != self.k:
-            raise InvalidInputError(
-                f"`coefficients` must have shape ({self.k},) or ({self.k}, c), got {c.shape}"
-            )
+        c = _as_columns("coefficients", coefficients, self.k)
         return np.asarray(self.eigenvectors @ c)
 
     def filter(self, response: Callable[[Floats], Floats], values: ArrayLike) -> Floats:
@@ -244,23 +247,50 @@ class Spectrum:
         return self.reconstruct((gain * self.project(values).T).T)
 
     def residuals(self, laplacian: Laplacian) -> Floats:
-        """Return ``||L u - lambda M u||`` in the M^-1 norm of each mode: (k,), in 1/length^2.
+        """Return ``||L u - lambda M u|| / ||u||`` of each mode: (k,), in 1/length^2.
 
-        Rows of fixed (Dirichlet) points are left out: there u is prescribed, not solved for.
+        In the M^-1 and M norms. Rows of fixed (Dirichlet) points are left out: there u is
+        prescribed, not solved for.
+
+        Raises
+        ------
+        InvalidInputError
+            If `laplacian` lives on other points or has another mass, or a mode does not vanish
+            at its fixed points.
         """
-        if laplacian.n != self.n:
-            raise InvalidInputError(
-                f"`laplacian` must live on the {self.n} points of this spectrum, got {laplacian.n}"
-            )
-        squared = np.empty(self.k)
+        self._check_belongs_to(laplacian)
+        residuals = np.empty(self.k)
         mass = laplacian.mass[laplacian.free, None]
         for start in range(0, self.k, 32):  # blocks of columns bound the temporaries
             columns = slice(start, start + 32)
             U = self.eigenvectors[:, columns]
             r = (laplacian.stiffness @ U)[laplacian.free]
             r -= mass * U[laplacian.free] * self.eigenvalues[columns]
-            squared[columns] = np.einsum("ij,ij->j", r / mass, r)
-        return np.sqrt(squared)
+            squared = np.einsum("ij,ij->j", r / mass, r)
+            norms = np.einsum("ij,i,ij->j", U, self.mass, U)
+            if not norms.all():
+                raise InvalidSpectrumError("`eigenvectors` must not hold a column of zeros")
+            residuals[columns] = np.sqrt(squared / norms)
+        return residuals
+
+    def _check_belongs_to(self, laplacian: Laplacian) -> None:
+        """Refuse to compare this spectrum with an operator that it cannot be of."""
+        if laplacian.n != self.n:
+            raise InvalidInputError(
+                f"`laplacian` must live on the {self.n} points of this spectrum, got {laplacian.n}"
+            )
+        if not np.allclose(laplacian.mass, self.mass, rtol=_FOREIGN_MASS, atol=0):
+            raise InvalidInputError(
+                "`laplacian` must have the mass of this spectrum, got entries between"
+                f" {(laplacian.mass / self.mass).min():.3g} and"
+                f" {(laplacian.mass / self.mass).max():.3g} times it; is the unit the same?"
+            )
+        held = np.abs(self.eigenvectors[laplacian.fixed]).max(initial=0.0)
+        if held > 1e-8 * np.abs(self.eigenvectors).max(initial=0.0):
+            raise InvalidInputError(
+                f"`laplacian` holds {len(laplacian.fixed)} points at zero, where these modes reach"
+                f" {held:.3g}; they belong to another boundary condition"
+            )
 
     def orthonormality_error(self) -> float:
         """Return the largest entry of ``|U^T M U - I|``."""
@@ -270,18 +300,27 @@ class Spectrum:
     def certify(self, laplacian: Laplacian) -> Spectrum:
         """Return this spectrum with a `Certificate` against `laplacian`, whoever computed it."""
         residuals = self.residuals(laplacian)
-        spacing = laplacian.eigenvalue_spacing
+        spacing = self._spacings(laplacian)
         return replace(
             self,
             certificate=Certificate(
                 residuals=residuals,
                 relative_residuals=residuals / np.maximum(self.eigenvalues, spacing),
                 orthonormality_error=self.orthonormality_error(),
-                n_zero_modes=int((self.eigenvalues <= _ZERO * spacing).sum()),
+                n_zero_modes=int((self.eigenvalues <= ZERO_MODE * spacing).sum()),
                 kernel_dimension=laplacian.kernel_dimension,
                 n_components=laplacian.n_components,
             ),
         )
+
+    def _spacings(self, laplacian: Laplacian) -> Floats:
+        """Eigenvalue spacing of the component on which each mode lives (weighted, if several)."""
+        if laplacian.n_components == 1:
+            return np.full(self.k, laplacian.component_spacings[0])
+        labels, free = laplacian.component_labels[laplacian.free], laplacian.free
+        member = sparse.csr_array((self.mass[free], (labels, np.arange(len(free)))))
+        shares = member @ self.eigenvectors[free] ** 2
+        return np.asarray(laplacian.component_spacings @ (shares / shares.sum(axis=0)))
 
     def save(self, path: str | Path) -> None:
         """Write everything to one versioned ``.npz`` file, whole or not at all.
@@ -304,7 +343,8 @@ class Spectrum:
         path : str or Path
             The ``.npz`` file.
         mmap : bool, default False
-            Map the eigenvectors instead of reading them: instant, paged in as they are used.
+            Map the arrays instead of reading them: instant, paged in as they are used, and
+            without the checks (checksums, finite values) that reading makes.
 
         Raises
         ------
@@ -312,11 +352,14 @@ class Spectrum:
             If the file is not a spectrum, is truncated, or has a newer format version.
         """
         arrays, certificate, provenance = read_spectrum_file(Path(path), mmap=mmap)
-        return cls(
-            **arrays,
-            certificate=Certificate(**certificate) if certificate else None,
-            provenance=Provenance(**provenance),
-        )
+        try:
+            return cls(
+                **arrays,
+                certificate=Certificate(**certificate) if certificate else None,
+                provenance=Provenance(**provenance),
+            )
+        except TypeError as error:
+            raise InvalidInputError(f"{path} has an unknown header ({error})") from error
 
     def to_torch(
         self, *, device: str = "cpu", dtype: torch.dtype | None = None
@@ -328,6 +371,16 @@ class Spectrum:
             return torch.tensor(np.array(a), device=device, dtype=dtype or torch.float64)
 
         return tensor(self.eigenvalues), tensor(self.eigenvectors), tensor(self.mass)
+
+    def __repr__(self) -> str:
+        certified = "uncertified"
+        if self.certificate is not None:
+            worst = self.certificate.relative_residuals.max(initial=0.0)
+            certified = f"relative residuals up to {worst:.1e}"
+        return (
+            f"Spectrum(n={self.n}, k={self.k}, eigenvalues {self.eigenvalues[:1].sum():.4g} to"
+            f" {self.eigenvalues[-1:].sum():.4g}, {certified}, solver={self.provenance.solver})"
+        )
 
     def _modes(self, columns: slice) -> Spectrum:
         """Return the modes in `columns`, certificate included."""
@@ -347,6 +400,17 @@ class Spectrum:
             eigenvectors=self.eigenvectors[:, columns],
             certificate=certificate,
         )
+
+
+def _as_columns(name: str, values: ArrayLike, rows: int) -> Floats:
+    """Return `values` as float64 of shape (rows,) or (rows, c)."""
+    array = np.asarray(values)
+    if array.ndim not in (1, 2) or array.shape[0] != rows or array.dtype.kind not in "fiub":
+        raise InvalidInputError(
+            f"`{name}` must be real, of shape ({rows},) or ({rows}, c),"
+            f" got {array.shape} of {array.dtype}"
+        )
+    return array.astype(np.float64, copy=False)
 
 
 def _as_float64(name: str, values: ArrayLike, ndim: int) -> Floats:

@@ -1,5 +1,7 @@
 """The contract: every backend on every geometry; and the exact ones against analytic spectra."""
 
+import pickle
+
 import numpy as np
 import pytest
 from conftest import GEOMETRIES, Backend, bumpy, two_parts
@@ -158,6 +160,52 @@ def test_a_small_component_that_owns_the_low_modes() -> None:
     assert eigensolve(L, 30).eigenvalues == pytest.approx(whole, rel=1e-7, abs=1e-9)
 
 
+@pytest.mark.parametrize("ratio", [1e-2, 1e-3, 1e-4, 1e-5])
+def test_a_speck_beside_a_large_part(backend: Backend, ratio: float) -> None:
+    """Dust does not blur the zero modes or the certificate, however small it is."""
+    one = robust_laplacian(bumpy())
+    L = Laplacian(
+        sparse.block_diag([one.stiffness, one.stiffness], format="csr"),
+        np.r_[one.mass, ratio**2 * one.mass],
+        np.vstack([one.points, ratio * one.points + 5]),
+    )
+    s = eigensolve(L, 6, backend.solver)
+    alone = eigensolve(one, 5, backend.solver)
+    assert s.n_zero_modes == 2
+    assert s.eigenvalues[:2].tolist() == [0.0, 0.0]
+    assert s.eigenvalues[1:] == pytest.approx(alone.eigenvalues, rel=max(backend.rounding, 1e-7))
+    assert s.certificate.relative_residuals.max() < backend.residual
+    assert s.certificate.orthonormality_error < 1e-10
+
+
+def test_isolated_points_of_a_user_matrix() -> None:
+    L = robust_laplacian(bumpy())
+    n, lone = L.n, 700
+    stiffness = sparse.block_diag([L.stiffness, sparse.csr_array((lone, lone))], format="csr")
+    points = np.vstack([L.points, np.arange(3.0 * lone).reshape(-1, 3)])
+    both = Laplacian(stiffness, np.r_[L.mass, np.ones(lone)], points)
+    assert (both.n_components, both.kernel_dimension) == (lone + 1, lone + 1)
+    s = eigensolve(both, lone + 4)
+    assert s.n_zero_modes == lone + 1
+    assert s.eigenvalues[lone + 1 :] == pytest.approx(eigensolve(L, 4).eigenvalues[1:], rel=1e-8)
+    nothing = Laplacian(sparse.csr_array((1, 1)), [2.0], [[0, 0, 0]])
+    assert eigensolve(nothing, 1).eigenvectors[0, 0] == pytest.approx(np.sqrt(0.5))
+    assert n == 642
+
+
+def test_very_different_strengths() -> None:
+    L = robust_laplacian(bumpy())
+    parts = [1e-12 * L.stiffness, 1e-12 * L.stiffness, L.stiffness]
+    three = Laplacian(
+        sparse.block_diag(parts, format="csr"), np.tile(L.mass, 3), np.tile(L.points, (3, 1))
+    )
+    s = eigensolve(three, 9)
+    single = eigensolve(L, 5).eigenvalues
+    assert s.n_zero_modes == 3
+    assert s.eigenvalues[3:] == pytest.approx(1e-12 * np.repeat(single[1:4], 2), rel=1e-7)
+    assert s.certificate.relative_residuals.max() < 1e-8
+
+
 def test_fewer_modes_than_components() -> None:
     s = eigensolve(robust_laplacian(two_parts()), 1)
     assert (s.k, s.n_zero_modes) == (1, 1)
@@ -194,6 +242,20 @@ def test_k_counts_free_points() -> None:
     assert eigensolve(L, 2).k == 2
     with pytest.raises(InvalidInputError, match="number of free points, 2"):
         eigensolve(L, 3)
+
+
+@pytest.mark.parametrize("solver", [Arpack, "arpack", None])
+def test_not_a_solver(solver, bumpy_laplacian: Laplacian) -> None:
+    with pytest.raises(InvalidInputError, match=r"`solver` must have a method eigenpairs"):
+        eigensolve(bumpy_laplacian, 4, solver)
+
+
+def test_indefinite_matrices_are_named() -> None:
+    L = robust_laplacian(bumpy())
+    # Half the diagonal: still positive there, no longer semi-definite.
+    sunk = L.stiffness - sparse.diags_array(0.5 * L.stiffness.diagonal())
+    with pytest.raises(InvalidInputError, match="`stiffness` must be positive semi-definite"):
+        eigensolve(Laplacian(sunk, L.mass, L.points), 4)
 
 
 def test_not_a_laplacian() -> None:
@@ -247,17 +309,38 @@ def test_a_plain_function_of_a_user_is_a_backend(bumpy_laplacian: Laplacian) -> 
     assert s.eigenvalues == pytest.approx(eigensolve(bumpy_laplacian, 5).eigenvalues, abs=1e-9)
 
 
-@pytest.mark.parametrize("solver", [Arpack(max_restarts=1), Lobpcg(max_steps=4)], ids=repr)
+@pytest.mark.parametrize("solver", [Arpack(max_restarts=1), Lobpcg(max_steps=8)], ids=repr)
 @pytest.mark.parametrize("name", ["bumpy", "two-parts"])
 def test_no_convergence_keeps_what_converged(solver, name: str) -> None:
     L = GEOMETRIES[name]()
     with pytest.raises(ConvergenceError, match="raise `max_") as caught:
         eigensolve(L, 60, solver)
     partial = caught.value.partial
-    if partial is not None:
-        assert partial.n == L.n
-        assert partial.certificate.relative_residuals.max() < 1e-6
-        assert partial.certificate.orthonormality_error < 1e-8
+    assert partial.k > 0
+    assert partial.n == L.n
+    assert partial.certificate.relative_residuals.max() < 1e-6
+    assert partial.certificate.orthonormality_error < 1e-8
+
+
+def test_no_convergence_keeps_the_components_solved_before() -> None:
+    class OnlyOnce:
+        """Solves one component and gives up on the next."""
+
+        calls = 0
+
+        def eigenpairs(self, laplacian, k):
+            self.calls += 1
+            if self.calls > 1:
+                raise NotConvergedError("too tired", None)
+            return Dense().eigenpairs(laplacian, k)
+
+    L = GEOMETRIES["two-parts"]()
+    with pytest.raises(ConvergenceError, match="too tired") as caught:
+        eigensolve(L, 20, OnlyOnce())
+    partial = caught.value.partial
+    assert partial.n_zero_modes == 1
+    first = eigensolve(L.restricted(np.flatnonzero(L.component_labels == 0)), partial.k)
+    assert partial.eigenvalues == pytest.approx(first.eigenvalues, abs=1e-9)
 
 
 def test_convergence_error_without_any_pair(bumpy_laplacian: Laplacian) -> None:
@@ -280,7 +363,14 @@ def test_dense_refuses_what_would_not_fit(bumpy_laplacian: Laplacian) -> None:
     ("build", "message"),
     [
         (lambda: Arpack(shift=0), "`shift` must be positive"),
-        (lambda: Arpack(tol=-1), r"`tol` must be in \[0, 1\)"),
+        (lambda: Arpack(tol=-1), r"`tol` must be a number in \[0, 1\)"),
+        (lambda: Arpack(tol="tight"), r"`tol` must be a number in \[0, 1\), got 'tight'"),
+        (lambda: Arpack(seed=None), "`seed` must be an integer, got None"),
+        (lambda: Lobpcg(seed=-1), "`seed` must be at least 0"),
+        (lambda: AmbientFourier(seed=-1), "`seed` must be at least 0"),
+        (lambda: Dense(max_points=0), "`max_points` must be at least 1"),
+        (lambda: RayleighRitz(subspace=None), "`subspace` must be a function"),
+        (lambda: Union(3), "`parts` must hold at least one subspace"),
         (lambda: Arpack(max_restarts=0), "`max_restarts` must be at least 1"),
         (lambda: Lobpcg(rtol=0), "`rtol` must be positive"),
         (lambda: Lobpcg(preconditioner="ilu"), "`preconditioner` must be 'cholesky' or 'amg'"),
@@ -395,8 +485,10 @@ def test_arpack_on_every_real_mesh(real_shapes) -> None:
     assert max(worst.values()) <= 1e-8, worst
 
 
-def test_eigenpairs_default_stages() -> None:
-    assert dict(Eigenpairs(np.zeros(1), np.zeros((1, 1))).seconds) == {}
+def test_eigenpairs_travel_between_processes() -> None:
+    pairs = pickle.loads(pickle.dumps(Eigenpairs(np.zeros(1), np.ones((1, 1)))))
+    assert pairs.seconds is None
+    assert pairs.eigenvectors.tolist() == [[1.0]]
 
 
 # --- Neo, with the shipped weights -----------------------------------------------------------

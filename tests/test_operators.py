@@ -112,8 +112,25 @@ def test_dirty_meshes_that_the_robust_operator_takes() -> None:
 
 def test_mass_may_be_a_diagonal_matrix() -> None:
     L = robust_laplacian(bumpy())
-    same = Laplacian(L.stiffness, sparse.diags(L.mass), L.points)
-    assert np.array_equal(same.mass, L.mass)
+    for matrix in (sparse.diags(L.mass), np.diag(L.mass)):
+        assert np.array_equal(Laplacian(L.stiffness, matrix, L.points).mass, L.mass)
+
+
+def test_fixed_points_as_a_mask() -> None:
+    L = robust_laplacian(bumpy())
+    mask = np.zeros(L.n, dtype=bool)
+    mask[[3, 10]] = True
+    assert L.dirichlet(mask).fixed.tolist() == [3, 10]
+    assert L.dirichlet([]).fixed.tolist() == []
+
+
+def test_each_component_has_its_own_spacing() -> None:
+    ball = sphere(subdivisions=2).geometry
+    points = np.vstack([ball.points, 1e-4 * ball.points + 5])
+    L = robust_laplacian(TriangleMesh(points, np.vstack([ball.faces, ball.faces + ball.n])))
+    alone = robust_laplacian(ball).eigenvalue_spacing
+    assert L.component_spacings == pytest.approx([alone, 1e8 * alone], rel=1e-6)
+    assert L.kernel_dimension == 2
 
 
 def path(n: int = 4) -> sparse.csr_array:
@@ -154,6 +171,24 @@ BAD = {
     "fixed out of range": (
         lambda: Laplacian(path(), np.ones(4), POINTS).dirichlet([4]),
         r"`vertices` must be in \[0, 4\)",
+    ),
+    "stiffness complex": (
+        lambda: Laplacian(path() * 1j, np.ones(4), POINTS),
+        "`stiffness` must hold real numbers, got dtype complex128",
+    ),
+    "fixed not integers": (
+        lambda: Laplacian(path(), np.ones(4), POINTS).dirichlet([0.7, 3.0]),
+        "`vertices` must hold integers",
+    ),
+    "mollify": (
+        lambda: robust_laplacian(PointCloud(POINTS), mollify_factor=-1),
+        "`mollify_factor` must be positive",
+    ),
+    "bare array": (lambda: robust_laplacian(POINTS), "must be a TriangleMesh or PointCloud"),
+    "knn of a bare array": (lambda: knn_laplacian(POINTS), "wrap bare arrays"),
+    "knn with an outlier": (
+        lambda: knn_laplacian(PointCloud([*bumpy().points, [1e4, 0, 0]])),
+        "points without neighbours, such as 642",
     ),
     "unreferenced": (
         lambda: robust_laplacian(TriangleMesh(POINTS, [[0, 1, 2]])),

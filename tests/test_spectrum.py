@@ -1,18 +1,23 @@
+import copy
 import json
+import pickle
 import zipfile
 
 import numpy as np
 import pytest
 from conftest import bumpy
+from scipy import sparse
 
 from spectra_kit import (
     Arpack,
     InvalidInputError,
     InvalidSpectrumError,
+    Laplacian,
     Spectrum,
     eigensolve,
     robust_laplacian,
 )
+from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.interop import (
     from_arrays,
     from_diffusion_net,
@@ -210,10 +215,12 @@ def test_bad_arguments(spectrum, bumpy_laplacian) -> None:
         spectrum.truncate(21)
     with pytest.raises(InvalidInputError, match="`factor` must be positive"):
         spectrum.rescale(0)
-    with pytest.raises(InvalidInputError, match=r"`values` must have shape \(642,\)"):
+    with pytest.raises(InvalidInputError, match=r"`values` must be real, of shape \(642,\)"):
         spectrum.project(np.ones(5))
-    with pytest.raises(InvalidInputError, match=r"`coefficients` must have shape \(20,\)"):
+    with pytest.raises(InvalidInputError, match=r"`coefficients` must be real, of shape \(20,\)"):
         spectrum.reconstruct(np.ones(5))
+    with pytest.raises(InvalidInputError, match="of complex128"):
+        spectrum.project(np.ones(642) * 1j)
     with pytest.raises(InvalidInputError, match="`response` must return shape"):
         spectrum.filter(lambda lam: lam[:3], np.ones(642))
     with pytest.raises(InvalidInputError, match="`laplacian` must live on the 642 points"):
@@ -238,8 +245,8 @@ def test_adapters_there_and_back(spectrum, bumpy_laplacian) -> None:
     for arrays, L in ((pyfm, pyfm["stiffness"]), (geomfum, geomfum["stiffness_matrix"])):
         assert abs(L - bumpy_laplacian.stiffness).max() == 0, arrays
     back = [
-        from_pyfm(pyfm["mass"], pyfm["eigenvalues"], pyfm["eigenvectors"]),
-        from_geomfum(geomfum["mass_matrix"], geomfum["vals"], geomfum["vecs"]),
+        from_pyfm(pyfm["eigenvalues"], pyfm["eigenvectors"], pyfm["mass"]),
+        from_geomfum(geomfum["vals"], geomfum["vecs"], geomfum["mass_matrix"]),
     ]
     for other in back:
         assert np.array_equal(other.eigenvectors, spectrum.eigenvectors)
@@ -248,6 +255,8 @@ def test_adapters_there_and_back(spectrum, bumpy_laplacian) -> None:
     mass, L, evals, evecs = to_diffusion_net(spectrum, bumpy_laplacian)
     frames = gradient = None
     net = from_diffusion_net((frames, mass, L, evals, evecs, gradient, gradient))
+    again = from_diffusion_net((mass, L, evals, evecs.requires_grad_()))
+    assert np.array_equal(again.eigenvectors, net.eigenvectors)
     assert net.eigenvalues == pytest.approx(spectrum.eigenvalues, abs=1e-5)
     assert abs(L.to_dense().numpy() - bumpy_laplacian.stiffness.toarray()).max() < 1e-6
 
@@ -260,6 +269,10 @@ def test_adapters_refuse_what_is_no_spectrum(spectrum) -> None:
         from_arrays(spectrum.eigenvalues[::-1] * -1, U, mass)
     with pytest.raises(InvalidInputError, match="got 2 entries"):
         from_diffusion_net((U, mass))
+    other = robust_laplacian(sphere(subdivisions=2).geometry)
+    for export in (to_pyfm, to_geomfum, to_diffusion_net):
+        with pytest.raises(InvalidInputError, match="must be the one of `spectrum`"):
+            export(spectrum, other)
 
 
 def test_input_hash_and_seed_are_recorded(bumpy_laplacian, spectrum) -> None:
@@ -270,3 +283,81 @@ def test_input_hash_and_seed_are_recorded(bumpy_laplacian, spectrum) -> None:
     assert moved.input_hash != spectrum.provenance.input_hash
     assert {"assembly", "factor", "lanczos", "certify"} <= set(spectrum.provenance.seconds)
     assert spectrum.provenance.operator.startswith("robust_laplacian(mesh")
+
+
+def test_certify_refuses_what_it_cannot_judge(bumpy_laplacian, spectrum) -> None:
+    """A residual is a bound only for these unknowns, this mass, and these fixed points."""
+    flat = rectangle(n=400).geometry
+    free = robust_laplacian(flat)
+    with pytest.raises(InvalidInputError, match="belong to another boundary condition"):
+        eigensolve(free, 8).certify(free.dirichlet(flat.boundary_vertices))
+    with pytest.raises(InvalidInputError, match="must have the mass of this spectrum"):
+        spectrum.rescale(2.0).certify(bumpy_laplacian)
+    zeros = Spectrum(spectrum.eigenvalues, 0 * spectrum.eigenvectors, spectrum.mass)
+    with pytest.raises(InvalidSpectrumError, match="a column of zeros"):
+        zeros.certify(bumpy_laplacian)
+
+
+def test_the_bound_does_not_depend_on_the_length_of_the_vectors(bumpy_laplacian, spectrum) -> None:
+    wrong = Spectrum(spectrum.eigenvalues + 3, 1e-9 * spectrum.eigenvectors, spectrum.mass)
+    assert wrong.certify(bumpy_laplacian).certificate.residuals == pytest.approx(np.full(20, 3.0))
+
+
+def test_copies_are_as_frozen_as_the_original(bumpy_laplacian, spectrum) -> None:
+    for thing in (bumpy(), bumpy().as_cloud(), bumpy_laplacian, spectrum, spectrum.certificate):
+        for other in (pickle.loads(pickle.dumps(thing)), copy.deepcopy(thing)):
+            assert type(other) is type(thing)
+            arrays = {k: v for k, v in vars(other).items() if isinstance(v, np.ndarray)}
+            assert arrays
+            for name, array in arrays.items():
+                assert not array.flags.writeable, name
+                assert np.array_equal(array, getattr(thing, name))
+    assert pickle.loads(pickle.dumps(spectrum)).provenance == spectrum.provenance
+    assert hash(spectrum.provenance)
+    with pytest.raises(TypeError):
+        spectrum.provenance.seconds["x"] = 1.0
+
+
+def test_laplacian_does_not_follow_its_input(bumpy_laplacian) -> None:
+    points = np.array(bumpy_laplacian.points)
+    mine = Laplacian(bumpy_laplacian.stiffness, bumpy_laplacian.mass, points)
+    points[0] = 99
+    assert np.array_equal(mine.points, bumpy_laplacian.points)
+    with pytest.raises(ValueError, match="read-only"):
+        mine.stiffness.data[0] = 1
+
+
+def test_numpy_seeds_are_saved_and_the_hash_ignores_index_widths(tmp_path, bumpy_laplacian) -> None:
+    L = bumpy_laplacian
+    wide = sparse.csr_array(
+        (L.stiffness.data, L.stiffness.indices.astype(np.int64), L.stiffness.indptr),
+        L.stiffness.shape,
+    )
+    other = Laplacian(wide, L.mass, L.points)
+    s = eigensolve(other, 3, Arpack(seed=np.int64(3)))
+    s.save(tmp_path / "UPPER.NPZ")
+    assert Spectrum.load(tmp_path / "UPPER.NPZ").provenance.seed == 3
+    assert s.provenance.input_hash == eigensolve(L, 3).provenance.input_hash
+    assert s.rescale(2).provenance.input_hash == ""
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["[]", '{"format": "spectra_kit spectrum", "version": "x"}', "no json"],
+)
+def test_broken_headers_are_refused(tmp_path, header: str) -> None:
+    np.savez(tmp_path / "h.npz", header=np.array(header))
+    with pytest.raises(InvalidInputError, match="not a whole spectrum file"):
+        Spectrum.load(tmp_path / "h.npz")
+
+
+def test_unknown_header_fields_are_refused(tmp_path, spectrum) -> None:
+    spectrum.save(tmp_path / "s.npz")
+    with np.load(tmp_path / "s.npz") as old:
+        arrays = dict(old)
+    header = json.loads(str(arrays["header"]))
+    header["provenance"]["planet"] = "earth"
+    arrays["header"] = np.array(json.dumps(header))
+    np.savez(tmp_path / "n.npz", **arrays)
+    with pytest.raises(InvalidInputError, match="has an unknown header"):
+        Spectrum.load(tmp_path / "n.npz")

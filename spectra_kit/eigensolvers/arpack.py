@@ -71,8 +71,9 @@ class Arpack:
     def __post_init__(self) -> None:
         check_positive("shift", self.shift)
         check_count("max_restarts", self.max_restarts, low=1)
-        if not 0 <= self.tol < 1:
-            raise InvalidInputError(f"`tol` must be in [0, 1), got {self.tol!r}")
+        check_count("seed", self.seed, low=0)
+        if not isinstance(self.tol, int | float | np.number) or not 0 <= self.tol < 1:
+            raise InvalidInputError(f"`tol` must be a number in [0, 1), got {self.tol!r}")
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
@@ -115,6 +116,11 @@ class Arpack:
 
 def shifted_factor(laplacian: Laplacian, sigma: float) -> SparseCholesky:
     """Factorise ``L - sigma M``, positive definite for sigma < 0."""
-    return SparseCholesky(
-        sparse.csr_array(laplacian.stiffness - sigma * sparse.diags_array(laplacian.mass))
-    )
+    shifted = laplacian.stiffness - sigma * sparse.diags_array(laplacian.mass)
+    try:
+        return SparseCholesky(sparse.csr_array(shifted))
+    except InvalidInputError as error:
+        raise InvalidInputError(
+            f"`stiffness` must be positive semi-definite, but with {-sigma:.3g} M added to it a"
+            " Cholesky factor does not exist; is its sign right, and is it symmetric?"
+        ) from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -23,13 +22,13 @@ class Eigenpairs(NamedTuple):
         In any order.
     eigenvectors : ndarray of shape (n, k)
         M-orthonormal columns.
-    seconds : mapping of str to float
+    seconds : mapping of str to float, optional
         Wall time of the backend's own stages, where it tells them apart.
     """
 
     eigenvalues: Floats
     eigenvectors: Floats
-    seconds: Mapping[str, float] = MappingProxyType({})
+    seconds: Mapping[str, float] | None = None
 
 
 class Eigensolver(Protocol):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh
 
+from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers.base import Eigenpairs
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian
@@ -37,6 +39,9 @@ class Dense:
 
     max_points: int = 20_000
 
+    def __post_init__(self) -> None:
+        check_count("max_points", self.max_points, low=1)
+
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
         if laplacian.n > self.max_points:
@@ -44,7 +49,9 @@ class Dense:
                 f"`laplacian` must have at most {self.max_points} points for Dense, got"
                 f" {laplacian.n}; use Arpack, or raise `max_points`"
             )
+        start = time.perf_counter()
         root = np.sqrt(laplacian.mass)
         standard = laplacian.stiffness.toarray() / root / root[:, None]
         values, vectors = eigh(standard, subset_by_index=[0, k - 1], overwrite_a=True)
-        return Eigenpairs(values, vectors / root[:, None])
+        pairs = values, vectors / root[:, None]
+        return Eigenpairs(*pairs, {"dense": time.perf_counter() - start})

@@ -81,6 +81,7 @@ class Lobpcg:
         check_positive("rtol", self.rtol)
         check_positive("shift", self.shift)
         check_count("max_steps", self.max_steps, low=1)
+        check_count("seed", self.seed, low=0)
         if self.preconditioner not in ("cholesky", "amg"):
             raise InvalidInputError(
                 f"`preconditioner` must be 'cholesky' or 'amg', got {self.preconditioner!r}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from spectra_kit._validate import check_positive
+from spectra_kit._validate import Rebuilt, check_positive
 from spectra_kit.eigensolvers.base import Eigenpairs
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.operators.laplacian import Laplacian
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Neo:
+class Neo(Rebuilt):
     """The Neural Eigenspace Operator: predicts a subspace, then Rayleigh-Ritz on the same device.
 
     Approximate; the certificate says by how much. Every connected component is predicted on its

@@ -63,11 +63,15 @@ class RayleighRitz:
 
     def __post_init__(self) -> None:
         check_positive("rank_tol", self.rank_tol)
+        if not callable(self.subspace):
+            raise InvalidInputError(
+                f"`subspace` must be a function of points and mass, got {self.subspace!r}"
+            )
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
         start = time.perf_counter()
-        if laplacian.n < 4:  # no frame, no plane: any basis is complete
+        if laplacian.n <= max(3, 2 * k):  # no room for an approximation, or not even a plane
             return Dense().eigenpairs(laplacian, k)
         basis = checked_basis(self.subspace, laplacian)
         if laplacian.n <= 2 * basis.shape[1]:

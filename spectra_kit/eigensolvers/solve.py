@@ -22,14 +22,16 @@ Ints = NDArray[np.int64]
 
 _ORTHONORMAL = 1e-6  # a spectrum further from M-orthonormal is refused
 _NEGATIVE = 1e-6  # eigenvalues down to -this times the spacing are rounding, and become 0
+_CONSTANT = 1e-6  # a first mode this close to the constant is the constant, up to rounding
 
 
 def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> Spectrum:  # noqa: B008
     """Compute the k lowest modes of a Laplacian with the backend of your choice, and certify them.
 
     Each connected component is solved on its own and the modes are merged: as many exact zero
-    modes as components, no coupling through rounding, and a learned backend sees the single
-    surfaces it knows.
+    modes as components, however different their sizes, no coupling through rounding, and a learned
+    backend sees the single surfaces it knows. Where constants have no energy, a first mode that is
+    constant up to rounding is replaced by the constant itself, with eigenvalue 0.
 
     Parameters
     ----------
@@ -50,7 +52,8 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
     InvalidInputError
         If `k` is not an integer in [1, n_free].
     ConvergenceError
-        If an iterative backend stopped short; ``partial`` holds the certified modes it had.
+        If an iterative backend stopped short; ``partial`` holds the certified modes it had, and
+        those of the components solved before. Modes may be missing between them.
     InvalidSpectrumError
         If the backend returned pairs of the wrong shape, not M-orthonormal, or negative.
 
@@ -64,6 +67,11 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
     >>> bool(spectrum.certificate.relative_residuals.max() < 1e-8)
     True
     """
+    if isinstance(solver, type) or not callable(getattr(solver, "eigenpairs", None)):
+        raise InvalidInputError(
+            f"`solver` must have a method eigenpairs(laplacian, k), got {solver!r};"
+            " pass an instance, such as Arpack()"
+        )
     if not isinstance(laplacian, Laplacian):
         raise InvalidInputError(
             f"`laplacian` must be a Laplacian, got {type(laplacian).__name__};"
@@ -76,15 +84,16 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
             " or sample more points"
         )
     start = time.perf_counter()
+    name = repr(solver)  # before the work: a name that can't be told must not cost the result
     stages: dict[str, float] = {}
     try:
         values, vectors = _solve_components(laplacian, k, solver, stages)
     except NotConvergedError as error:
         partial = None
         if error.pairs is not None and len(error.pairs.eigenvalues):
-            partial = _pack(laplacian, error.pairs, solver, stages, start)
-        raise ConvergenceError(f"{solver!r}: {error}", partial=partial) from error
-    return _pack(laplacian, Eigenpairs(values, vectors), solver, stages, start)
+            partial = _pack(laplacian, error.pairs, solver, name, stages, start)
+        raise ConvergenceError(f"{name}: {error}", partial=partial) from error
+    return _pack(laplacian, Eigenpairs(values, vectors), solver, name, stages, start)
 
 
 def _solve_components(
@@ -92,8 +101,8 @@ def _solve_components(
 ) -> tuple[Floats, Floats]:
     """Solve each component and merge the k lowest pairs of all, eigenvectors padded with zeros."""
     if laplacian.n_components == 1 and not len(laplacian.fixed):
-        pairs = _solve_connected(laplacian, k, solver, stages)
-        return pairs.eigenvalues, pairs.eigenvectors
+        whole = _solve_connected(laplacian, k, solver, stages)
+        return whole.eigenvalues, whole.eigenvectors
 
     parts = _component_indices(laplacian)
     areas = np.array([laplacian.mass[part].sum() for part in parts])
@@ -111,7 +120,11 @@ def _solve_components(
                         laplacian.restricted(part), wanted[i], solver, stages
                     )
                 except NotConvergedError as error:
-                    raise _padded_error(error, part, laplacian.n) from error
+                    solved[i] = error.pairs
+                    kept = [j for j, p in enumerate(solved) if p is not None]
+                    rescued = [p for p in solved if p is not None]
+                    merged = _merge(rescued, [parts[j] for j in kept], laplacian.n)
+                    raise NotConvergedError(str(error), merged) from error
         found = [p for p in solved if p is not None]
         cut = np.sort(np.concatenate([p.eigenvalues for p in found]))[k - 1 : k]
         # A component whose last mode is below the cut may hold more modes below it: ask for more.
@@ -125,7 +138,8 @@ def _solve_components(
         for i in short:
             wanted[i] = min(len(parts[i]), k, 2 * wanted[i])
             solved[i] = None
-    return _merge(found, parts, laplacian.n, k)
+    merged = _merge(found, parts, laplacian.n, k)
+    return merged.eigenvalues, merged.eigenvectors
 
 
 def _component_indices(laplacian: Laplacian) -> list[Ints]:
@@ -135,33 +149,29 @@ def _component_indices(laplacian: Laplacian) -> list[Ints]:
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
 
 
-def _merge(pairs: list[Eigenpairs], parts: list[Ints], n: int, k: int) -> tuple[Floats, Floats]:
-    """Return the k lowest of all pairs on all n points."""
+def _merge(pairs: list[Eigenpairs], parts: list[Ints], n: int, k: int | None = None) -> Eigenpairs:
+    """Return the k lowest of all pairs (or all of them) on all n points."""
+    if not pairs:
+        return Eigenpairs(np.empty(0), np.empty((n, 0)))
     values = np.concatenate([p.eigenvalues for p in pairs])
     owner = np.repeat(np.arange(len(pairs)), [len(p.eigenvalues) for p in pairs])
     column = np.concatenate([np.arange(len(p.eigenvalues)) for p in pairs])
     lowest = np.argsort(values, kind="stable")[:k]
-    vectors = np.zeros((n, k))
+    vectors = np.zeros((n, len(lowest)))
     for j, source in enumerate(lowest):
         part = owner[source]
         vectors[parts[part], j] = pairs[part].eigenvectors[:, column[source]]
-    return values[lowest], vectors
-
-
-def _padded_error(error: NotConvergedError, part: Ints, n: int) -> NotConvergedError:
-    """Return `error` with its eigenvectors on all n points."""
-    if error.pairs is None:
-        return error
-    vectors = np.zeros((n, len(error.pairs.eigenvalues)))
-    vectors[part] = error.pairs.eigenvectors
-    return NotConvergedError(str(error), Eigenpairs(error.pairs.eigenvalues, vectors))
+    return Eigenpairs(values[lowest], vectors)
 
 
 def _solve_connected(
     laplacian: Laplacian, k: int, solver: Eigensolver, stages: dict[str, float]
 ) -> Eigenpairs:
-    """Call the backend on one component and check the form of its answer."""
+    """Call the backend on one component, check the form of its answer, and sort it."""
     start = time.perf_counter()
+    if laplacian.n == 1:  # an isolated point: nothing to solve
+        value = laplacian.stiffness.diagonal() / laplacian.mass
+        return Eigenpairs(value, 1 / np.sqrt(laplacian.mass)[:, None])
     pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
     values, vectors = np.asarray(pairs.eigenvalues), np.asarray(pairs.eigenvectors)
     if values.shape != (k,) or vectors.shape != (laplacian.n, k):
@@ -171,39 +181,58 @@ def _solve_connected(
         )
     for stage, seconds in (pairs.seconds or {"solve": time.perf_counter() - start}).items():
         stages[stage] = stages.get(stage, 0.0) + seconds
-    return Eigenpairs(values, vectors, pairs.seconds)
+    order = np.argsort(values, kind="stable")
+    if not np.array_equal(order, np.arange(k)):
+        values, vectors = values[order], vectors[:, order]
+    if values[0] < -_NEGATIVE * laplacian.eigenvalue_spacing:
+        raise InvalidSpectrumError(
+            f"{solver!r} returned a negative eigenvalue ({values[0]:.3e}); is the stiffness"
+            " positive semi-definite?"
+        )
+    return _with_exact_constant(laplacian, np.maximum(values, 0.0), vectors)
+
+
+def _with_exact_constant(laplacian: Laplacian, values: Floats, vectors: Floats) -> Eigenpairs:
+    """Take the rounding out of the zero mode of a connected Neumann operator.
+
+    Its error is relative to the largest eigenvalue, which beside a much larger component would
+    make it look like a mode of its own.
+    """
+    constant = 1 / np.sqrt(laplacian.area)
+    cosine = constant * (laplacian.mass @ vectors[:, 0])
+    if laplacian.kernel_dimension and abs(abs(cosine) - 1) < _CONSTANT:
+        values, vectors = values.copy(), vectors.copy()
+        values[0], vectors[:, 0] = 0.0, np.sign(cosine) * constant
+    return Eigenpairs(values, vectors)
 
 
 def _pack(
     laplacian: Laplacian,
     pairs: Eigenpairs,
     solver: Eigensolver,
+    name: str,
     stages: dict[str, float],
     start: float,
 ) -> Spectrum:
-    """Sort, check and certify `pairs`."""
+    """Check and certify `pairs`, and say where they come from."""
     solved = time.perf_counter()
     order = np.argsort(pairs.eigenvalues, kind="stable")
-    values, vectors = pairs.eigenvalues[order], pairs.eigenvectors
+    vectors = pairs.eigenvectors
     if not np.array_equal(order, np.arange(len(order))):
         vectors = vectors[:, order]
-    if len(values) and values[0] < -_NEGATIVE * laplacian.eigenvalue_spacing:
-        raise InvalidSpectrumError(
-            f"{solver!r} returned a negative eigenvalue ({values[0]:.3e}); is the stiffness"
-            " positive semi-definite?"
-        )
-    spectrum = Spectrum(np.maximum(values, 0.0), vectors, laplacian.mass).certify(laplacian)
+    values = np.maximum(pairs.eigenvalues[order], 0.0)
+    spectrum = Spectrum(values, vectors, laplacian.mass).certify(laplacian)
     assert spectrum.certificate is not None
     if (error := spectrum.certificate.orthonormality_error) > _ORTHONORMAL:
         raise InvalidSpectrumError(
-            f"{solver!r} returned modes that are not M-orthonormal: |U^T M U - I| is {error:.2e}"
+            f"{name} returned modes that are not M-orthonormal: |U^T M U - I| is {error:.2e}"
         )
     certified = time.perf_counter()
     other = max(solved - start - sum(stages.values()), 0.0)
     provenance = Provenance(
-        solver=repr(solver),
+        solver=name,
         operator=laplacian.operator,
-        seed=getattr(solver, "seed", None),
+        seed=None if (seed := getattr(solver, "seed", None)) is None else int(seed),
         seconds={
             "assembly": laplacian.seconds,
             **stages,
@@ -222,6 +251,8 @@ def _fingerprint(laplacian: Laplacian) -> str:
     """Return a hash of all that defines the eigenproblem."""
     digest = hashlib.blake2b(digest_size=16)
     L = laplacian.stiffness
-    for array in (L.indptr, L.indices, L.data, laplacian.mass, laplacian.points, laplacian.fixed):
-        digest.update(np.ascontiguousarray(array).data)
+    for integers in (L.indptr, L.indices, laplacian.fixed):  # whatever width scipy chose for them
+        digest.update(np.ascontiguousarray(integers, dtype=np.int64).data)
+    for floats in (L.data, laplacian.mass, laplacian.points):
+        digest.update(np.ascontiguousarray(floats).data)
     return digest.hexdigest()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spectra_kit._validate import check_faces, check_points, frozen
+from spectra_kit._validate import Rebuilt, check_faces, check_points, frozen
 from spectra_kit.errors import InvalidInputError
 
 Floats = NDArray[np.float64]
@@ -18,7 +18,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PointCloud:
+class PointCloud(Rebuilt):
     """Points sampled from a surface, in the order they came.
 
     Parameters
@@ -70,7 +70,7 @@ class PointCloud:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TriangleMesh:
+class TriangleMesh(Rebuilt):
     """A triangle mesh: any topology, boundary and non-manifold edges allowed.
 
     The constructor refuses what no operator can use (NaN, indices out of range, no faces) and keeps
@@ -117,7 +117,7 @@ class TriangleMesh:
     def face_areas(self) -> Floats:
         """Area of each triangle, shape (f,), in length^2."""
         a, b, c = (self.points[self.faces[:, i]] for i in range(3))
-        return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+        return frozen(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
     @property
     def area(self) -> float:
@@ -128,32 +128,32 @@ class TriangleMesh:
     def edges(self) -> Ints:
         """Undirected edges, one row (smaller index, larger index) per side of a face: (3f, 2)."""
         sides = self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-        return np.sort(sides, axis=1)
+        return frozen(np.sort(sides, axis=1))
 
     @cached_property
     def unique_edges(self) -> tuple[Ints, Ints]:
         """Distinct rows of `edges`, sorted, shape (e, 2), and how often each occurs, shape (e,)."""
         low, high = self.edges.T
         keys, counts = np.unique(low * self.n + high, return_counts=True)
-        return np.column_stack(np.divmod(keys, self.n)), counts
+        return frozen(np.column_stack(np.divmod(keys, self.n))), frozen(counts)
 
     @cached_property
     def boundary_vertices(self) -> Ints:
         """Vertices of edges that belong to exactly one face, ascending."""
         edges, counts = self.unique_edges
-        return np.unique(edges[counts == 1])
+        return frozen(np.unique(edges[counts == 1]))
 
     @cached_property
     def referenced_vertices(self) -> Ints:
         """Vertices that a face uses, ascending."""
-        return np.unique(self.faces)
+        return frozen(np.unique(self.faces))
 
     @cached_property
     def component_labels(self) -> Ints:
         """Connected component of each vertex, shape (n,); an unreferenced vertex is its own."""
         i, j = self.edges.T
         graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(self.n, self.n))
-        return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+        return frozen(connected_components(graph, directed=False)[1].astype(np.int64))
 
     def with_points(self, points: Floats) -> TriangleMesh:
         """Return the same connectivity at other coordinates of shape (n, 3)."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from spectra_kit._validate import check_count
+from spectra_kit._validate import check_count, check_positive
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 from spectra_kit.operators.laplacian import Laplacian
@@ -59,6 +59,8 @@ def robust_laplacian(
     12.3
     """
     start = time.perf_counter()
+    _check_geometry(geometry)
+    check_positive("mollify_factor", mollify_factor)
     points = np.array(geometry.points)
     if isinstance(geometry, TriangleMesh):
         _check_faces_usable(geometry)
@@ -174,6 +176,7 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     1
     """
     start = time.perf_counter()
+    _check_geometry(geometry)
     points = np.array(geometry.points)
     n = len(points)
     check_count("n_neighbors", n_neighbors, low=1, high=n - 1)
@@ -185,7 +188,13 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     weights = np.exp(-(distance.ravel() ** 2) / epsilon)
     W = sparse.csr_array((weights, (rows, neighbor.ravel())), shape=(n, n))
     W = (W + W.T) / 2
-    inverse_density = sparse.diags_array(1 / W.sum(axis=1))
+    if not (density := W.sum(axis=1)).all():
+        raise InvalidInputError(
+            f"`geometry` has points without neighbours, such as {int(np.argmin(density))}: all"
+            f" others are more than {np.sqrt(700) * np.sqrt(epsilon):.3g} away;"
+            " remove outliers first"
+        )
+    inverse_density = sparse.diags_array(1 / density)
     K = inverse_density @ W @ inverse_density
     mass = K.sum(axis=1)
     return Laplacian(
@@ -195,6 +204,14 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
         operator=f"knn_laplacian(n_neighbors={n_neighbors})",
         seconds=time.perf_counter() - start,
     )
+
+
+def _check_geometry(geometry: object) -> None:
+    if not isinstance(geometry, TriangleMesh | PointCloud):
+        raise InvalidInputError(
+            f"`geometry` must be a TriangleMesh or PointCloud, got {type(geometry).__name__};"
+            " wrap bare arrays in one of them"
+        )
 
 
 def _kind(geometry: Geometry) -> str:

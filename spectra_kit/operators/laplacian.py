@@ -11,15 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spectra_kit._validate import check_indices, check_mass, check_points, frozen
+from spectra_kit._validate import Rebuilt, check_indices, check_mass, check_points, frozen
 from spectra_kit.errors import InvalidInputError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+#: Eigenvalues below this share of their component's `eigenvalue_spacing` are zero modes.
+ZERO_MODE = 1e-8
+
 
 @dataclass(frozen=True, eq=False)
-class Laplacian:
+class Laplacian(Rebuilt):
     """A symmetric positive semi-definite stiffness matrix L and a lumped mass M on n points.
 
     Its eigenproblem is ``L u = lambda M u``, lambda >= 0. Build one with `robust_laplacian`,
@@ -67,13 +70,15 @@ class Laplacian:
         points = check_points("points", self.points)
         stiffness = _check_stiffness(self.stiffness, len(points))
         mass = check_mass("mass", lumped_diagonal(self.mass), len(points))
-        fixed = np.unique(check_indices("fixed", np.asarray(self.fixed, dtype=int), len(points)))
+        fixed = np.unique(_as_indices("fixed", self.fixed, len(points)))
         if len(fixed) == len(points):
             raise InvalidInputError(
                 f"`fixed` must leave at least one point free, got all {len(points)} points"
             )
         for name, value in (("points", points), ("mass", mass), ("fixed", fixed)):
-            object.__setattr__(self, name, frozen(value))
+            object.__setattr__(self, name, frozen(np.array(value)))
+        for buffer in (stiffness.data, stiffness.indices, stiffness.indptr):
+            buffer.flags.writeable = False
         object.__setattr__(self, "stiffness", stiffness)
 
     @property
@@ -89,7 +94,7 @@ class Laplacian:
     @cached_property
     def free(self) -> Ints:
         """Points that are not `fixed`, ascending."""
-        return np.setdiff1d(np.arange(self.n), self.fixed, assume_unique=True)
+        return frozen(np.setdiff1d(np.arange(self.n), self.fixed, assume_unique=True))
 
     @cached_property
     def eigenvalue_spacing(self) -> float:
@@ -97,9 +102,22 @@ class Laplacian:
 
         ``4 median(diag L) / tr M``: on a surface mesh of equilateral triangles within a tenth of
         Weyl's ``4 pi / area``, and of the right unit for any other pair. Shifts and the test
-        for zero modes are relative to it, so nothing depends on millimetres or metres.
+        for zero modes are relative to it, component by component, so nothing depends on
+        millimetres or metres. Where L is mostly zero, Weyl's own value stands in.
         """
-        return float(4 * np.median(self.stiffness.diagonal()) / self.area)
+        typical = float(np.median(self.stiffness.diagonal()))
+        return (4 * typical if typical > 0 else 4 * np.pi) / self.area
+
+    @cached_property
+    def component_spacings(self) -> Floats:
+        """`eigenvalue_spacing` of each connected component alone, shape (n_components,)."""
+        diagonal = self.stiffness.diagonal()[self.free]
+        labels, mass = self.component_labels[self.free], self.mass[self.free]
+        areas = np.bincount(labels, mass)
+        order = np.argsort(labels, kind="stable")
+        parts = np.split(diagonal[order], np.cumsum(np.bincount(labels))[:-1])
+        typical = np.array([np.median(part) for part in parts])
+        return frozen(np.where(typical > 0, 4 * typical, 4 * np.pi) / areas)
 
     @cached_property
     def component_labels(self) -> Ints:
@@ -107,7 +125,7 @@ class Laplacian:
         labels = np.full(self.n, -1, dtype=np.int64)
         graph = self.stiffness[self.free][:, self.free] if len(self.fixed) else self.stiffness
         labels[self.free] = connected_components(graph, directed=False)[1]
-        return labels
+        return frozen(labels)
 
     @property
     def n_components(self) -> int:
@@ -119,18 +137,16 @@ class Laplacian:
         """Number of zero modes: components on which constants have no energy.
 
         Neumann: one for each component. A component that touches a fixed point, or one whose
-        user-made L has a potential, has none.
+        user-made L has a potential, has none. (In float32 the rounding of L looks like one.)
         """
         ones = np.zeros(self.n)
         ones[self.free] = 1.0
-        flux = np.abs(self.stiffness @ ones)[self.free]
-        strength = self.stiffness.diagonal()[self.free]
-        leaks = flux > 1e-8 * np.maximum(strength, np.median(strength))
-        labels = self.component_labels[self.free]
-        return self.n_components - len(np.unique(labels[leaks]))
+        energy = np.bincount(self.component_labels[self.free], (self.stiffness @ ones)[self.free])
+        areas = np.bincount(self.component_labels[self.free], self.mass[self.free])
+        return int((energy <= ZERO_MODE * self.component_spacings * areas).sum())
 
     def dirichlet(self, vertices: ArrayLike) -> Laplacian:
-        """Return the same operator with u = 0 at `vertices` (indices, or a mesh's boundary).
+        """Return the same operator with u = 0 at `vertices`: indices, or a mask of shape (n,).
 
         Examples
         --------
@@ -141,7 +157,7 @@ class Laplacian:
         >>> cotan_laplacian(mesh).dirichlet(mesh.boundary_vertices).free
         array([4])
         """
-        indices = check_indices("vertices", np.asarray(vertices, dtype=int), self.n)
+        indices = _as_indices("vertices", vertices, self.n)
         return replace(self, fixed=np.union1d(self.fixed, indices))
 
     def restricted(self, indices: Ints) -> Laplacian:
@@ -155,10 +171,20 @@ class Laplacian:
         )
 
 
+def _as_indices(name: str, values: ArrayLike, n: int) -> Ints:
+    """Return point indices, given as such or as a boolean mask of shape (n,)."""
+    array = np.asarray(values)
+    if array.dtype == bool and array.shape == (n,):
+        return np.flatnonzero(array)
+    return check_indices(name, array if array.size else array.astype(np.int64), n)
+
+
 def lumped_diagonal(mass: Any) -> ArrayLike:
     """Return the diagonal of a diagonal mass matrix, anything else as it is."""
     if not sparse.issparse(mass):
-        return np.asarray(mass)
+        if np.ndim(mass) != 2:
+            return np.asarray(mass)
+        mass = sparse.csr_array(np.asarray(mass))
     diagonal: Floats = mass.diagonal()
     coordinates = sparse.coo_array(mass)
     off = coordinates.row != coordinates.col
@@ -177,6 +203,8 @@ def _check_stiffness(matrix: Any, n: int) -> sparse.csr_array:
             f"`stiffness` must be a scipy sparse array of shape ({n}, {n}),"
             f" got {type(matrix).__name__} of shape {np.shape(matrix)}"
         )
+    if matrix.dtype.kind not in "fiu":
+        raise InvalidInputError(f"`stiffness` must hold real numbers, got dtype {matrix.dtype}")
     stiffness = sparse.csr_array(matrix, dtype=np.float64, copy=True)
     stiffness.sum_duplicates()
     stiffness.eliminate_zeros()

@@ -56,6 +56,7 @@ class AmbientFourier:
     def __post_init__(self) -> None:
         check_count("m", self.m, low=5)
         check_positive("bandwidth", self.bandwidth)
+        check_count("seed", self.seed, low=0)
 
     def __call__(self, points: Floats, mass: Floats) -> NDArray[np.float64]:
         """See `Subspace`."""
