@@ -1,6 +1,7 @@
 import argparse
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -185,7 +186,7 @@ def test_bad_input_is_refused_with_a_message(files, capsys, tmp_path):
         ("--boundary dirichlet needs", "spectrum", ball, "--boundary", "dirichlet"),
         ("--boundary dirichlet needs", "spectrum", cloud, "--boundary", "dirichlet"),
         ("weights must be one of", "spectrum", ball, "--solver", "neo", "--weights", "none"),
-        ("`n_points` must be at least 500", "spectrum", "demo", "--points", 10),
+        ("`n_points` must be in [500, 5000000], got 10", "spectrum", "demo", "--points", 10),
     ):
         assert message in refusal(capsys, *arguments)
 
@@ -271,3 +272,27 @@ def test_tables_ask_for_a_certificate(bumpy_laplacian):
     with pytest.raises(InvalidInputError, match=r"must be certified; see Spectrum\.certify"):
         tables.modes_table(bare, [1])
     assert tables.modes_table(bare.certify(bumpy_laplacian), [1]) == tables.modes_table(s, [1])
+
+
+def test_version(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["--version"])
+    assert capsys.readouterr().out.startswith("spectra_kit ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--points", "60000000000"], r"`n_points` must be in \[500, 5000000\]"),
+        (["--points", "600", "--cloud", "90000000000000"], "not enough memory"),
+    ],
+)
+def test_more_than_the_machine_holds(arguments, message, capsys):
+    assert main(["spectrum", "demo", "-k", "4", *arguments]) == 2
+    assert re.search(message, capsys.readouterr().err)
+
+
+def test_upper_case_output(tmp_path, capsys):
+    out = tmp_path / "MODES.NPZ"
+    assert main(["spectrum", "demo", "--points", "600", "-k", "4", "-o", str(out)]) == 0
+    assert Spectrum.load(out).k == 4

@@ -548,3 +548,14 @@ def test_neo_refuses_unknown_weights_and_options() -> None:
         Neo(poses=3)  # type: ignore[arg-type]
     with pytest.raises(InvalidInputError, match="`rank_tol` must be positive"):
         Neo(rank_tol=0.0)
+    with pytest.raises(InvalidInputError, match="`device` must be one that torch can use here"):
+        Neo(device="abacus")
+
+
+def test_a_used_neo_pickles_small() -> None:
+    """What travels to another process is the name of the weights, not the weights."""
+    solver = Neo(poses=1)
+    eigensolve(robust_laplacian(creature(1000, seed=0)), 4, solver)
+    sent = pickle.dumps(solver)
+    assert len(sent) < 1000
+    assert repr(pickle.loads(sent)) == repr(solver)

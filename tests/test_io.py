@@ -439,8 +439,8 @@ def test_wrong_content_is_named(tmp_path, name, content, message):
 
 
 def test_arrays_without_points_are_refused(tmp_path):
-    np.savez(tmp_path / "a.npz", vertices=SQUARE)
-    with pytest.raises(InvalidInputError, match="points and faces, or V and F, got vertices"):
+    np.savez(tmp_path / "a.npz", corners=SQUARE)
+    with pytest.raises(InvalidInputError, match=r"must hold one array of points.*, got corners"):
         read(tmp_path / "a.npz")
     np.savez(tmp_path / "a.npz", points=np.array([{}]))
     with pytest.raises(InvalidInputError, match="not a whole npz file of numbers"):
@@ -487,3 +487,29 @@ def test_real_models_are_read_and_survive_every_format(real_shapes, tmp_path):
         copy = read(tmp_path / f"model{suffix}")
         assert copy.component_labels.max() == small.component_labels.max()
         np.testing.assert_allclose(copy.area, small.area, rtol=1e-6)
+
+
+def test_ply_comment_that_names_the_end_of_the_header(tmp_path):
+    path = tmp_path / "c.ply"
+    path.write_text(
+        "ply\nformat ascii 1.0\ncomment the end_header line follows\nelement vertex 1\n"
+        "property float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"
+    )
+    assert read(path).points.tolist() == [[1.0, 2.0, 3.0]]
+
+
+def test_gltf_that_is_no_object(tmp_path):
+    path = tmp_path / "list.gltf"
+    path.write_text("[]")
+    with pytest.raises(InvalidInputError, match="not a whole glTF file"):
+        read(path)
+
+
+def test_npz_names(tmp_path):
+    points, faces = np.eye(3), np.array([[0, 1, 2]])
+    for first, second in (("points", "F"), ("V", "faces"), ("vertices", "faces"), ("verts", "F")):
+        np.savez(tmp_path / "a.npz", **{first: points, second: faces})
+        assert read(tmp_path / "a.npz", kind="mesh").n == 3
+    np.savez(tmp_path / "b.npz", points=points, V=2 * points)
+    with pytest.raises(InvalidInputError, match="must hold one array of points"):
+        read(tmp_path / "b.npz")

@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 
 from spectra_kit.cli import commands, options
 from spectra_kit.errors import ConvergenceError, InvalidSpectrumError, SpectraKitError
@@ -36,6 +37,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         prog="spectra-kit",
         description="Laplace-Beltrami eigenvalues and eigenfunctions of meshes and point clouds,"
         " each with a certificate of its accuracy.",
+    )
+    parser.add_argument(
+        "--version", action="version", version=f"spectra_kit {version('spectra_kit')}"
     )
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, summary, add_arguments, command in (
@@ -78,6 +82,11 @@ def run(command: Callable[[argparse.Namespace], None], arguments: argparse.Names
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         return _INTERRUPTED
+    except MemoryError as error:
+        if arguments.debug:
+            raise
+        sys.stderr.write(f"error: not enough memory ({error}); ask for fewer points or modes\n")
+        return _BAD_INPUT
     except (SpectraKitError, OSError) as error:
         if arguments.debug:
             raise

@@ -51,7 +51,7 @@ def creature(n_points: int = 8000, *, seed: int = 0) -> TriangleMesh:
     >>> mesh.n, len(mesh.boundary_vertices), mesh.n - len(mesh.faces) // 2
     (1000, 0, 2)
     """
-    check_count("n_points", n_points, low=500)
+    check_count("n_points", n_points, low=500, high=5_000_000)
     check_count("seed", seed, low=0)
     field = _animal(np.random.default_rng(seed), calm=seed == 0)
     levels = 0

@@ -73,7 +73,7 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     stl           exactly coincident corners are one vertex: the format repeats them
     glb, gltf     all meshes of the scene, moved to their places and stacked; a file may
                   repeat vertices along texture seams, see `with_merged_vertices`
-    npz           arrays points and faces, or V and F; the faces may be absent
+    npz           arrays points (or V, vertices, verts) and, for a mesh, faces (or F)
     npy           points of shape (n, 3)
     xyz           the first three columns (spaces or commas); others, such as normals,
                   are ignored

@@ -72,7 +72,13 @@ def orthonormalize(basis: Tensor, mass: Tensor, *, rank_tol: float = 1e-10) -> T
     torch.Size([2, 2])
     """
     root = mass.double().sqrt().unsqueeze(1)
-    Q = basis.double() * root
+    Q = torch.empty(basis.shape, dtype=torch.float64, device=basis.device)  # the one large copy
+    for rows in range(0, len(Q), _ROWS):
+        torch.mul(
+            basis[rows : rows + _ROWS].double(),
+            root[rows : rows + _ROWS],
+            out=Q[rows : rows + _ROWS],
+        )
     norms = Q.norm(dim=0)
     if not norms.isfinite().all() or not norms.any():
         raise InvalidInputError(
@@ -80,7 +86,8 @@ def orthonormalize(basis: Tensor, mass: Tensor, *, rank_tol: float = 1e-10) -> T
             f" {int((~norms.isfinite()).sum())} columns with NaN or infinite values of"
             f" {len(norms)}; in half precision try float32"
         )
-    Q = Q[:, norms > 0]
+    if not norms.all():
+        Q = Q[:, norms > 0]
     Q /= norms[norms > 0]
     triangle = torch.eye(Q.shape[1], dtype=Q.dtype, device=Q.device)
     eps = torch.finfo(Q.dtype).eps

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._validate import check_count, check_mass, check_points
+from spectra_kit._validate import Rebuilt, check_count, check_mass, check_points
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.model import NeoNetwork
 from spectra_kit.neo.pretrained import find_weights, load_pretrained
@@ -24,7 +24,7 @@ _DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torc
 
 
 @dataclass(frozen=True, repr=False)
-class NeoSubspace:
+class NeoSubspace(Rebuilt):
     """A function of (points, mass) that returns the basis a network predicts.
 
     The points are first moved into the frame that the network was trained in, so the basis does
@@ -74,6 +74,7 @@ class NeoSubspace:
         if self.dtype not in _DTYPES:
             raise InvalidInputError(f"`dtype` must be one of {sorted(_DTYPES)}, got {self.dtype!r}")
         check_count("chunk", self.chunk, low=1)
+        _check_device(self.device)
         if not isinstance(self.network, NeoNetwork):
             find_weights(self.network)
 
@@ -142,6 +143,18 @@ class NeoSubspace:
             network = load_pretrained(network).network
         model = copy.deepcopy(network) if network is self.network else network
         return model.eval().to(self.device, _DTYPES[self.dtype])
+
+
+def _check_device(name: str) -> None:
+    """Refuse a device that this machine or this build of torch does not have."""
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    # Without CUDA torch raises AssertionError, for an unknown name RuntimeError.
+    except (RuntimeError, AssertionError, TypeError) as error:
+        raise InvalidInputError(
+            f"`device` must be one that torch can use here, got {name!r} ({error}); try 'cpu'"
+        ) from error
 
 
 def neo_eigenpairs(

@@ -27,6 +27,7 @@ def read(path: Path) -> Arrays:
         ValueError,
         LookupError,
         TypeError,
+        AttributeError,
         OSError,
         NotImplementedError,
         struct.error,

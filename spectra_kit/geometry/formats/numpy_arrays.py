@@ -23,7 +23,7 @@ BROKEN = (
     zipfile.BadZipFile,
     zlib.error,
 )
-KEYS = (("points", "faces"), ("V", "F"))
+POINTS, FACES = ("points", "V", "vertices", "verts"), ("faces", "F")
 
 
 def read_npy(path: Path) -> Arrays:
@@ -41,16 +41,20 @@ def write_npy(cloud: PointCloud, path: Path) -> None:
 
 
 def read_npz(path: Path) -> Arrays:
-    """Return ``points`` and ``faces``, or ``V`` and ``F``; the faces may be absent."""
+    """Return ``points`` (or V, vertices, verts) and ``faces`` (or F), which may be absent."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            for points, faces in KEYS:
-                if points in archive:
-                    return archive[points], archive.get(faces)
+            points = [name for name in POINTS if name in archive]
+            faces = [name for name in FACES if name in archive]
+            if len(points) == 1 and len(faces) <= 1:
+                return archive[points[0]], archive[faces[0]] if faces else None
             found = ", ".join(archive.files) or "nothing"
     except BROKEN as error:
         raise InvalidInputError(f"not a whole npz file of numbers ({error})") from error
-    raise InvalidInputError(f"must hold the arrays points and faces, or V and F, got {found}")
+    raise InvalidInputError(
+        f"must hold one array of points (called {', '.join(POINTS)}) and at most one of"
+        f" faces ({', '.join(FACES)}), got {found}"
+    )
 
 
 def write_npz(geometry: Geometry, path: Path) -> None:

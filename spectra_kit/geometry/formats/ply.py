@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,11 +65,14 @@ def read(path: Path) -> Arrays:
 
 def _split(data: bytes) -> tuple[list[_Element], bytes]:
     """Parse the header; return the announced elements and the bytes after it."""
-    header, mark, body = data.partition(b"end_header")
-    lines = [line.split() for line in header.decode("latin-1").splitlines() if line.strip()]
-    if not mark or not lines or lines[0] != ["ply"]:
+    end = re.search(rb"^end_header[ \t]*\r?$\n?", data, re.MULTILINE)
+    lines = [
+        line.split() for line in data[: end.start() if end else 0].decode("latin-1").splitlines()
+    ]
+    lines = [words for words in lines if words]
+    if not end or not lines or lines[0] != ["ply"]:
         raise InvalidInputError("must begin with a PLY header; the file may be cut short")
-    body = body[body.find(b"\n") + 1 :]
+    body = data[end.end() :]
     encoding = next((" ".join(words[1:2]) for words in lines if words[0] == "format"), "")
     if encoding not in ORDERS:
         raise InvalidInputError(f"the format must be one of {', '.join(ORDERS)}, got {encoding!r}")
