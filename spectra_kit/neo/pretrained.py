@@ -24,7 +24,7 @@ _KEY = "spectra_kit.neo"  # one entry: safetensors writes several in random orde
 WEIGHTS: dict[str, tuple[str, str]] = {
     "small": (
         "neo-small.safetensors",
-        "78b1e152665889eca0f1636fdf0849b4e10bb5324f2e22e736f1812d4cac79d6",
+        "3495b629657bd764face53522dfe15b07facc2145747241eee33a4f8f5383340",
     ),
 }
 
@@ -82,7 +82,7 @@ def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -
     >>> path = tempfile.mkdtemp() + "/mine.safetensors"
     >>> digest = save_weights(path, network, {"steps": 0})
     >>> load_pretrained(path).config.m
-    160
+    192
     """
     path, digest = find_weights(name_or_path)
     arrived = _sha256(path)

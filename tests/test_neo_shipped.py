@@ -1,0 +1,83 @@
+"""The weights inside the package: they are the ones that were trained, and they are worth it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from spectra_kit import RayleighRitz, eigensolve, robust_laplacian
+from spectra_kit.eigensolvers.neo import Neo
+from spectra_kit.geometry import creature
+from spectra_kit.linalg import orthonormalize
+from spectra_kit.neo import WEIGHTS, NeoSubspace, load_pretrained
+from spectra_kit.subspaces import AmbientFourier
+
+GOLDEN = Path(__file__).parent / "golden"
+
+
+@pytest.mark.parametrize("name", sorted(WEIGHTS))
+def test_golden_tensors(name):
+    file, digest = WEIGHTS[name]
+    golden = load_file(GOLDEN / file)
+    loaded = load_pretrained(name)
+    assert loaded.sha256 == digest
+    with torch.no_grad():
+        basis = loaded.network(golden["points"][None], golden["mass"][None])[0]
+    torch.testing.assert_close(basis, golden["basis"], rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", sorted(WEIGHTS))
+def test_a_weights_file_tells_how_it_was_trained(name):
+    record = load_pretrained(name).record
+    assert record["samples"] > 10_000
+    assert record["minutes"] > 1
+    errors = [row["validation"] for row in record["history"]]
+    assert record["span_error"] == errors[-1] == min(errors)
+    path = Path(str(Path(__file__).parent.parent / "spectra_kit/neo/weights" / WEIGHTS[name][0]))
+    assert path.stat().st_size < 10e6
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """A creature that no training saw, with its exact spectrum."""
+    laplacian = robust_laplacian(creature(4000, seed=123))
+    return laplacian, eigensolve(laplacian, 96)
+
+
+def span_error(basis, spectrum):
+    Y = orthonormalize(basis, spectrum.mass)
+    return 1 - np.square(Y.T @ (spectrum.mass[:, None] * spectrum.eigenvectors)).sum(0).mean()
+
+
+def test_small_covers_the_low_modes_of_an_unseen_creature(exact):
+    laplacian, spectrum = exact
+    basis = NeoSubspace("small")(laplacian.points, laplacian.mass)
+    assert basis.shape[1] == 193
+    one = span_error(basis, spectrum)
+    joined = span_error(NeoSubspace("small", poses=4)(laplacian.points, laplacian.mass), spectrum)
+    assert one < 0.008
+    assert joined < 3e-4
+
+
+def test_small_beats_training_free_functions_of_the_same_number(exact):
+    laplacian, spectrum = exact
+    learned = NeoSubspace("small")(laplacian.points, laplacian.mass)
+    errors = [
+        span_error(
+            AmbientFourier(m=193, bandwidth=width)(laplacian.points, laplacian.mass), spectrum
+        )
+        for width in (3.0, 5.0, 10.0)
+    ]
+    assert span_error(learned, spectrum) < 0.2 * min(errors)
+
+
+def test_eigenvalues_of_the_solver(exact):
+    laplacian, spectrum = exact
+    predicted = eigensolve(laplacian, 48, Neo(weights="small", poses=4))
+    relative = predicted.eigenvalues[1:] / spectrum.eigenvalues[1:48] - 1
+    assert relative.min() > -1e-9
+    assert relative.mean() < 0.004
+    twin = eigensolve(laplacian, 48, RayleighRitz(subspace=NeoSubspace("small", poses=4)))
+    np.testing.assert_allclose(predicted.eigenvalues, twin.eigenvalues, rtol=1e-6, atol=1e-8)
