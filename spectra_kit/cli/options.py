@@ -98,7 +98,7 @@ def _add_solver(parser: argparse.ArgumentParser) -> None:
         "--weights", default="small", metavar="NAME|FILE", help="of neo (default: %(default)s)"
     )
     group.add_argument(
-        "--poses", type=int, choices=(1, 2, 4), default=4, help="of neo (default: %(default)s)"
+        "--poses", type=int, choices=(1, 2, 4), default=1, help="of neo (default: %(default)s)"
     )
     group.add_argument(
         "--dtype",

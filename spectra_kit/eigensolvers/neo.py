@@ -30,7 +30,7 @@ class Neo(Rebuilt):
     ----------
     weights : str or path, default "small"
         Name of shipped weights (`neo.pretrained.WEIGHTS`), or a ``.safetensors`` file.
-    poses : {1, 2, 4}, default 4
+    poses : {1, 2, 4}, default 1
         Sign flips of the canonical frame to predict in; the bases are joined. An eigensolve
         holds about 12 bytes for each point and function (poses * m of these): at 1.5 million
         points 3 GB with one pose.
@@ -65,7 +65,7 @@ class Neo(Rebuilt):
     """
 
     weights: str | os.PathLike[str] = "small"
-    poses: Literal[1, 2, 4] = 4
+    poses: Literal[1, 2, 4] = 1
     device: str = "cpu"
     dtype: Literal["float32", "bfloat16", "float16"] = "float32"
     chunk: int = 65536
