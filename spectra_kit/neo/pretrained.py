@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError, WeightsError
@@ -153,7 +153,8 @@ def save_weights(
         for name, tensor in network.state_dict().items()
     }
     with atomic_path(path) as temporary:
-        save_file(tensors, temporary, metadata={_KEY: content})
+        # Not `save_file`, which denies the file to other users whatever the umask says.
+        temporary.write_bytes(save(tensors, metadata={_KEY: content}))
     return _sha256(Path(path))
 
 
