@@ -513,3 +513,11 @@ def test_npz_names(tmp_path):
     np.savez(tmp_path / "b.npz", points=points, V=2 * points)
     with pytest.raises(InvalidInputError, match="must hold one array of points"):
         read(tmp_path / "b.npz")
+
+
+def test_obj_lines_may_go_on(tmp_path):
+    path = tmp_path / "long.obj"
+    path.write_text("v 0 0 \\\n0\nv 1 0 0\nv 0 1 0\nf 1 \\\n 2 3\n")
+    mesh = read(path)
+    assert mesh.points.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    assert mesh.faces.tolist() == [[0, 1, 2]]

@@ -15,10 +15,18 @@ Arrays = tuple[ArrayLike, ArrayLike | None]
 
 
 def text_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield (line number, words) of each line that is not blank, without ``#`` comments."""
+    """Yield (line number, words) of each line that is not blank, without ``#`` comments.
+
+    A line that ends in a backslash goes on in the next one, and has the number of its last.
+    """
     text = path.read_text(encoding="utf-8-sig", errors="replace")
+    begun = ""
     for number, line in enumerate(text.splitlines(), start=1):
-        words = (line.partition("#")[0] if "#" in line else line).split()
+        if line.endswith("\\"):
+            begun += line[:-1] + " "
+            continue
+        whole, begun = begun + line, ""
+        words = (whole.partition("#")[0] if "#" in whole else whole).split()
         if words:
             yield number, words
 
