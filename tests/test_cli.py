@@ -292,6 +292,11 @@ def test_more_than_the_machine_holds(arguments, message, capsys):
     assert re.search(message, capsys.readouterr().err)
 
 
+def test_debug_shows_where_the_memory_went():
+    with pytest.raises(MemoryError):
+        main(["info", "demo", "--points", "600", "--cloud", "90000000000000", "--debug"])
+
+
 def test_upper_case_output(tmp_path, capsys):
     out = tmp_path / "MODES.NPZ"
     assert main(["spectrum", "demo", "--points", "600", "-k", "4", "-o", str(out)]) == 0
