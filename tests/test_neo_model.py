@@ -2,13 +2,14 @@
 
 import copy
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 from torch.nn import functional as F
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.neo.model import NeoConfig, NeoNetwork, encode
+from spectra_kit.neo.model import NeoConfig, NeoNetwork, build_network, encode
 
 TINY = NeoConfig(width=48, depth=2, heads=2, head_width=16, latents=10, m=24, k=8)
 
@@ -159,3 +160,74 @@ def test_sizes_and_names_are_checked():
         NeoConfig(width=8, depth=1, heads=1, head_width=8, latents=4, m=8, k=4, frame="up")
     with pytest.raises(InvalidInputError, match="`name` must be one of"):
         NeoConfig.named("huge")
+
+
+@pytest.fixture(scope="module")
+def waves():
+    torch.manual_seed(0)
+    return NeoNetwork(replace(TINY, m=24, waves=8)).eval()
+
+
+def test_waves_without_gates_are_the_plane_waves(waves, cloud):
+    points, mass = cloud
+    flat = NeoNetwork(waves.config)
+    for parameter in flat.head.linear.parameters():
+        torch.nn.init.zeros_(parameter)
+    frequencies = flat.head.frequencies
+    assert abs(frequencies.std().item() / waves.config.bandwidth - 1) < 0.3
+    angles = points @ frequencies.T
+    F = flat(points, mass)
+    assert torch.equal(F[..., :8], torch.zeros_like(F[..., :8]))
+    assert torch.allclose(F[..., 8:16], angles.cos(), atol=1e-6)
+    assert torch.allclose(F[..., 16:], angles.sin(), atol=1e-6)
+
+
+def test_a_gate_turns_and_scales_its_wave(waves, cloud):
+    points, mass = cloud
+    F = waves(points, mass)
+    gates = waves.head.linear(waves.head.norm(waves.features(points, mass)))
+    gain, turn = 1 + gates[..., 8:16], gates[..., 16:]
+    # As complex numbers, cos + i sin = exp(i angle): the output is that times (gain + i turn).
+    expected = torch.complex(gain, turn) * torch.exp(1j * (points @ waves.head.frequencies.T))
+    assert torch.allclose(F[..., 8:16], expected.real, atol=1e-5)
+    assert torch.allclose(F[..., 16:], expected.imag, atol=1e-5)
+
+
+def test_frequencies_are_exact_in_half_precision_and_the_same_for_all_seeds(waves):
+    frequencies = waves.head.frequencies
+    torch.manual_seed(1)
+    assert torch.equal(NeoNetwork(waves.config).head.frequencies, frequencies)
+    assert torch.equal(frequencies.half().float(), frequencies)
+    assert torch.equal(frequencies.bfloat16().float(), frequencies)
+
+
+def test_chunked_evaluation_of_waves_equals_forward(waves, cloud):
+    points, mass = (part[0] for part in cloud)
+    whole = waves(points[None], mass[None])[0]
+    assert torch.allclose(waves.evaluate_chunked(points, mass, chunk=7), whole, atol=1e-5)
+
+
+def test_a_network_without_masses_does_not_see_them(cloud):
+    points, mass = cloud
+    torch.manual_seed(0)
+    blind = NeoNetwork(replace(TINY, mass_aware=False)).eval()
+    assert torch.equal(blind(points, mass), blind(points, torch.ones_like(mass)))
+
+
+def test_build_network_makes_what_the_configuration_says():
+    assert type(build_network(TINY)) is NeoNetwork
+    assert build_network(TINY).config == TINY
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"waves": 13}, r"`waves` must be in \[0, m / 2\], got 13"),
+        ({"waves": -1}, "`waves` must be in"),
+        ({"bandwidth": 0.0}, "`bandwidth` must be positive, got 0.0"),
+        ({"backbone": "mlp"}, "`backbone` must be in .*, got 'mlp'"),
+    ],
+)
+def test_options_of_the_head_and_backbone_are_checked(changes, message):
+    with pytest.raises(InvalidInputError, match=message):
+        replace(TINY, **changes)

@@ -6,7 +6,7 @@
 5365632
 """
 
-from spectra_kit.neo.model import NeoConfig, NeoNetwork
+from spectra_kit.neo.model import NeoConfig, NeoNetwork, build_network
 from spectra_kit.neo.pretrained import WEIGHTS, Pretrained, load_pretrained, save_weights
 from spectra_kit.neo.rayleigh_ritz import RitzPairs
 from spectra_kit.neo.subspace import NeoSubspace, neo_eigenpairs
@@ -18,6 +18,7 @@ __all__ = [
     "NeoSubspace",
     "Pretrained",
     "RitzPairs",
+    "build_network",
     "load_pretrained",
     "neo_eigenpairs",
     "save_weights",

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -19,6 +20,7 @@ from torch.nn import functional as F
 from spectra_kit.errors import InvalidInputError
 
 _EXPONENTS = torch.linspace(-2, 6, 24)  # frequencies 2^-2 ... 2^6 half-turns per unit of length
+_BACKBONES = ("neo", "pointnet++", "point-transformer")
 _ENCODED = 3 + 2 * 3 * len(_EXPONENTS)
 
 
@@ -35,10 +37,20 @@ class NeoConfig:
     latents : int
         Latent tokens r of each block.
     m : int
-        Output functions. Where ``m == width`` the residual stream itself is the output; see
-        `Extension` for larger and a linear layer for smaller m.
+        Output functions. Where ``m == width`` and `waves` is 0, the residual stream itself is
+        the output; see `WaveHead`, `Extension` and, for smaller m, a linear layer.
     k : int, default 96
         Modes whose span the network is trained to cover.
+    waves : int, default 0
+        How many plane waves the network modulates, each for two of the m functions; 0 is the
+        paper's architecture.
+    bandwidth : float, default 7
+        Standard deviation of the waves' frequencies, in radians per unit of posed coordinates.
+    mass_aware : bool, default True
+        False leaves the masses out of the attention: the paper's ablation.
+    backbone : {"neo", "pointnet++", "point-transformer"}, default "neo"
+        What turns points into features of width D: the paper's network, or one of those that it
+        compares with; see `build_network`.
     frame : {"principal", "none"}, default "principal"
         Pose the network expects: the canonical frame of the cloud, or any pose that is centred
         and scaled into [-1, 1]^3. At equal short training (2,000 samples) the span error on
@@ -62,12 +74,22 @@ class NeoConfig:
     latents: int
     m: int
     k: int = 96
+    waves: int = 0
+    bandwidth: float = 7.0
+    mass_aware: bool = True
+    backbone: Literal["neo", "pointnet++", "point-transformer"] = "neo"
     frame: Literal["principal", "none"] = "principal"
 
     def __post_init__(self) -> None:
         sizes = (self.width, self.depth, self.heads, self.head_width, self.latents, self.k)
         if min(sizes) < 1 or self.m < self.k:
             raise InvalidInputError(f"sizes of a network must be positive with m >= k, got {self}")
+        if not 0 <= 2 * self.waves <= self.m:
+            raise InvalidInputError(f"`waves` must be in [0, m / 2], got {self.waves}")
+        if not 0 < self.bandwidth < math.inf:
+            raise InvalidInputError(f"`bandwidth` must be positive, got {self.bandwidth!r}")
+        if self.backbone not in _BACKBONES:
+            raise InvalidInputError(f"`backbone` must be in {_BACKBONES}, got {self.backbone!r}")
         if self.frame not in ("principal", "none"):
             raise InvalidInputError(f'`frame` must be "principal" or "none", got {self.frame!r}')
 
@@ -268,9 +290,61 @@ class Extension(nn.Module):
         self.norm = _norm(config.width)
         self.ffn = SwiGLU(config.width, config.m - config.width)
 
-    def forward(self, h: Tensor) -> Tensor:
-        """Return (..., m) of (..., D)."""
+    def forward(self, h: Tensor, points: Tensor) -> Tensor:
+        """Return (..., m) of features (..., D); the points play no part."""
         return torch.cat([self.linear(h), self.ffn(self.norm(h))], dim=-1)
+
+
+class Linear(nn.Module):
+    """``m < D`` linear functions of the residual stream."""
+
+    def __init__(self, config: NeoConfig) -> None:
+        super().__init__()
+        self.linear = nn.Linear(config.width, config.m)
+
+    def forward(self, h: Tensor, points: Tensor) -> Tensor:
+        """Return (..., m) of features (..., D); the points play no part."""
+        out: Tensor = self.linear(h)
+        return out
+
+
+class Stream(nn.Module):
+    """The residual stream itself, ``m == D``: the paper's networks."""
+
+    def forward(self, h: Tensor, points: Tensor) -> Tensor:
+        """Return the features (..., D); the points play no part."""
+        return h
+
+
+class WaveHead(nn.Module):
+    """Plane waves that the network turns and scales from point to point, and free functions.
+
+    For every fixed frequency w there are two outputs, (1 + g) cos(w x) - h sin(w x) and
+    (1 + g) sin(w x) + h cos(w x), with gates g and h predicted at the point; the other ``m - 2
+    waves`` outputs are free. Fine detail is in the waves from the start, so the network learns
+    envelopes, which are smooth, instead of oscillations.
+    """
+
+    frequencies: Tensor
+
+    def __init__(self, config: NeoConfig) -> None:
+        super().__init__()
+        drawn = np.random.default_rng(0).normal(scale=config.bandwidth, size=(config.waves, 3))
+        # In the weights file, for no generator is promised to draw the same for ever; rounded so
+        # that both half precisions hold them exactly.
+        self.register_buffer("frequencies", torch.from_numpy(drawn).bfloat16().float())
+        self.norm = _norm(config.width)
+        self.linear = nn.Linear(config.width, config.m)
+
+    def forward(self, h: Tensor, points: Tensor) -> Tensor:
+        """Return (..., m) of features (..., D) at posed points (..., 3)."""
+        angles = points.float() @ self.frequencies.float().mT  # phases need float32
+        cos, sin = angles.cos().to(h.dtype), angles.sin().to(h.dtype)
+        waves = len(self.frequencies)
+        free = self.linear.out_features - 2 * waves
+        out, g, turn = self.linear(self.norm(h)).split([free, waves, waves], dim=-1)
+        gain = 1 + g
+        return torch.cat([out, gain * cos - turn * sin, gain * sin + turn * cos], dim=-1)
 
 
 class NeoNetwork(nn.Module):
@@ -297,11 +371,13 @@ class NeoNetwork(nn.Module):
         self.config = config
         self.lift = nn.Linear(_ENCODED, config.width)
         self.blocks = nn.ModuleList(Block(config) for _ in range(config.depth))
-        self.head: nn.Module = nn.Identity()
-        if config.m > config.width:
+        self.head: nn.Module = Stream()
+        if config.waves:
+            self.head = WaveHead(config)
+        elif config.m > config.width:
             self.head = Extension(config)
         elif config.m < config.width:
-            self.head = nn.Linear(config.width, config.m)
+            self.head = Linear(config)
         for module in self.modules():
             if isinstance(module, _Attention):
                 for name, parameter in module.named_parameters():
@@ -325,12 +401,16 @@ class NeoNetwork(nn.Module):
         Tensor of shape (B, N, m)
             Raw functions, not orthonormal, in the precision of the weights.
         """
-        h = self.lift(encode(points).to(self.lift.weight.dtype))
+        out: Tensor = self.head(self.features(points, mass), points)
+        return out
+
+    def features(self, points: Tensor, mass: Tensor) -> Tensor:
+        """Return the residual stream (B, N, D) that the head reads; arguments as of `forward`."""
+        h: Tensor = self.lift(encode(points).to(self.lift.weight.dtype))
         log_mass = self._log_mass(mass)
         for block in self.blocks:
             h = block(h, log_mass)
-        out: Tensor = self.head(h)
-        return out
+        return h
 
     @torch.no_grad()
     def evaluate_chunked(
@@ -373,11 +453,43 @@ class NeoNetwork(nn.Module):
         if out is None:
             out = torch.empty(len(points), self.config.m, dtype=dtype, device=points.device)
         for part in parts:
-            out[part] = self.head(h[part])
+            out[part] = self.head(h[part], points[part])
         return out
 
-    @staticmethod
-    def _log_mass(mass: Tensor) -> Tensor:
+    def _log_mass(self, mass: Tensor) -> Tensor:
+        if not self.config.mass_aware:
+            return torch.zeros_like(mass, dtype=torch.float32)
         # Relative to the mean: a constant shift that softmax ignores and float16 needs.
         mass = mass.float()
         return (mass / mass.mean(dim=-1, keepdim=True)).log()
+
+
+def build_network(config: NeoConfig) -> NeoNetwork:
+    """Return the network that a configuration describes, with random weights.
+
+    Parameters
+    ----------
+    config : NeoConfig
+        Sizes and backbone.
+
+    Returns
+    -------
+    NeoNetwork
+        Or a subclass with another backbone under the same heads.
+
+    Raises
+    ------
+    MissingDependencyError
+        If another backbone than ``"neo"`` is asked for and PyTorch Geometric is not installed.
+
+    Examples
+    --------
+    >>> build_network(NeoConfig.named("small")).config.backbone
+    'neo'
+    """
+    if config.backbone == "neo":
+        return NeoNetwork(config)
+    from spectra_kit.neo.backbones import BACKBONES
+
+    network: NeoNetwork = BACKBONES[config.backbone](config)
+    return network

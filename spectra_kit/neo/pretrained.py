@@ -16,7 +16,7 @@ from safetensors.torch import save
 
 from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError, WeightsError
-from spectra_kit.neo.model import NeoConfig, NeoNetwork
+from spectra_kit.neo.model import NeoConfig, NeoNetwork, build_network
 
 _KEY = "spectra_kit.neo"  # one entry: safetensors writes several in random order
 
@@ -107,7 +107,7 @@ def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -
         config, record = NeoConfig(**content["config"]), content["record"]
     except (KeyError, TypeError, ValueError) as error:
         raise WeightsError(f"{path} has unreadable metadata ({error!r})") from error
-    network = NeoNetwork(config)
+    network = build_network(config)
     _check_tensors(path, network, tensors)
     network.load_state_dict(tensors, strict=True)
     network.requires_grad_(False).eval().to(device)
