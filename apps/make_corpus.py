@@ -35,13 +35,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--shard-size", type=int, default=128, help="samples a shard (%(default)s)")
     parser.add_argument("--workers", type=int, default=2, help="processes (%(default)s)")
+    parser.add_argument(
+        "--pool", type=Path, help="real meshes: a folder of chunks, or one packed file"
+    )
+    parser.add_argument(
+        "--pool-share",
+        type=float,
+        help="fraction of samples from the pool (0.3 where there is one)",
+    )
+    parser.add_argument("--pool-split", default="train", help="split of the pool (%(default)s)")
     options = parser.parse_args(argv)
+    share = options.pool_share
+    if share is None:
+        share = 0.0 if options.pool is None else 0.3
     try:
         config = CorpusConfig(
             seed=options.seed,
             n_points=options.points,
             k=options.modes,
             shard_size=options.shard_size,
+            pool=options.pool,
+            pool_share=share,
+            pool_split=options.pool_split,
         )
         counts = generate(options.folder, options.samples, config=config, workers=options.workers)
     except SpectraKitError as error:

@@ -26,13 +26,17 @@ from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers import Arpack, eigensolve
 from spectra_kit.errors import ConvergenceError, InvalidInputError, InvalidSpectrumError
 from spectra_kit.geometry.sampling import GaussianDensity, sample
-from spectra_kit.geometry.shapes import PointCloud
+from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 from spectra_kit.operators import robust_laplacian
 from spectra_kit.training.families import FAMILIES, draw_family, make_mesh
+from spectra_kit.training.pool import open_pool, varied
 from spectra_kit.training.shards import open_shards, write_shard
 
 Floats = NDArray[np.float64]
-_PATIENCE = 10  # rejections after which a sample tries another family
+FROM_POOL = -1  # the label `family` of samples that are real meshes
+# Of eigenvalues. Spans then agree to 1e-8 with those to rounding; float16 holds 3 digits.
+_TOLERANCE = 1e-4
+_PATIENCE = 4  # rejections after which a sample tries another family or mesh of the pool
 _THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -52,11 +56,18 @@ class CorpusConfig:
         Samples per shard.
     nonuniform : float
         Fraction of samples whose points crowd around one spot.
+    pool : path, optional
+        Real meshes to draw from as well; see `open_pool`.
+    pool_split : str
+        The split of the pool to draw from.
+    pool_share : float
+        Fraction of samples that are real meshes, each varied at random.
 
     Raises
     ------
     InvalidInputError
-        If a count is too small, or there are not clearly more points than modes.
+        If a count is too small, a fraction is not in [0, 1], there are not clearly more points
+        than modes, or a share of a pool is asked for without the pool.
     """
 
     seed: int
@@ -64,19 +75,31 @@ class CorpusConfig:
     k: int = 96
     shard_size: int = 128
     nonuniform: float = 0.1
+    pool: str | os.PathLike[str] | None = None
+    pool_split: str = "train"
+    pool_share: float = 0.0
 
     def __post_init__(self) -> None:
         check_count("seed", self.seed, low=0)
         check_count("k", self.k, low=1)
         check_count("n_points", self.n_points, low=max(64, 2 * self.k))
         check_count("shard_size", self.shard_size, low=1)
-        if not 0 <= self.nonuniform <= 1:
-            raise InvalidInputError(f"`nonuniform` must be in [0, 1], got {self.nonuniform!r}")
+        for name, share in (("nonuniform", self.nonuniform), ("pool_share", self.pool_share)):
+            if not 0 <= share <= 1:
+                raise InvalidInputError(f"`{name}` must be in [0, 1], got {share!r}")
+        if self.pool_share and self.pool is None:
+            raise InvalidInputError(
+                f"`pool` must name the real meshes of which a share of {self.pool_share} is wanted,"
+                " got None; give the path, or take pool_share=0"
+            )
 
     def fingerprint(self) -> dict[str, object]:
-        """Everything that decides the content of the shards, as JSON."""
+        """Everything that decides the content of the shards, as JSON; a pool by its content."""
+        values = asdict(self)
+        path, split = values.pop("pool"), values.pop("pool_split")
+        values["pool"] = open_pool(path, split).digest if self.pool_share else None
         weights = {name: weight for name, (_, weight) in FAMILIES.items()}
-        return {"format": 1, **asdict(self), "families": weights}
+        return {"format": 2, **values, "families": weights if self.pool_share < 1 else {}}
 
 
 @dataclass(frozen=True)
@@ -88,7 +111,7 @@ class CorpusReport:
     samples : int
         Number of samples.
     families : dict of str to int
-        Samples of each family.
+        Samples of each family, and of the ``pool``.
     rejected : dict of str to int
         Draws that were thrown away and drawn again: an empty ``mesh``, a cloud whose Laplacian
         falls apart into several ``components``, an eigensolve that failed (``solve``).
@@ -137,8 +160,9 @@ def make_sample(config: CorpusConfig, index: int) -> Sample:
     Returns
     -------
     Sample
-        Points centred in the unit box. Labels: ``family`` (place in `FAMILIES`), ``index``,
-        ``nonuniform`` (0 or 1) and how often each reason of rejection came up before.
+        Points centred in the unit box. Labels: ``family`` (place in `FAMILIES`, or `FROM_POOL`),
+        ``pool`` (number of the mesh in the pool, or -1), ``index``, ``nonuniform`` (0 or 1) and
+        how often each reason of rejection came up before.
 
     Examples
     --------
@@ -149,9 +173,9 @@ def make_sample(config: CorpusConfig, index: int) -> Sample:
     """
     rejected = dict.fromkeys(_REASONS, 0)
     for attempt in itertools.count():
-        # The family does not depend on the attempt: else rejections would thin out the hard ones.
-        family = draw_family(np.random.default_rng((config.seed, index, attempt // _PATIENCE)))
-        drawn = _draw_cloud(config, list(FAMILIES)[family], (config.seed, index, attempt))
+        # What to draw does not depend on the attempt: rejections would thin out the hard ones.
+        source = _draw_source(config, (config.seed, index, attempt // _PATIENCE))
+        drawn = _draw_cloud(config, source, (config.seed, index, attempt))
         if drawn is None:
             rejected["mesh"] += 1
             continue
@@ -165,22 +189,38 @@ def make_sample(config: CorpusConfig, index: int) -> Sample:
             rejected["components"] += 1
             continue
         mass, eigenvectors = solved
-        labels = {"family": family, "index": index, "nonuniform": int(nonuniform)}
+        labels = {**source, "index": index, "nonuniform": int(nonuniform)}
         labels |= {f"rejected_{reason}": count for reason, count in rejected.items()}
         area = mass.sum()
         return Sample(points, mass / area, eigenvectors * np.sqrt(area), labels)
     raise AssertionError("itertools.count ended")
 
 
+def _draw_source(config: CorpusConfig, seed: tuple[int, ...]) -> dict[str, int]:
+    """Draw the labels ``family`` and ``pool``."""
+    rng = np.random.default_rng(seed)
+    if config.pool is not None and rng.random() < config.pool_share:
+        n = len(open_pool(config.pool, config.pool_split))
+        return {"family": FROM_POOL, "pool": int(rng.integers(n))}
+    return {"family": draw_family(rng), "pool": -1}
+
+
+def _make_mesh(config: CorpusConfig, source: dict[str, int], seed: tuple[int, ...]) -> TriangleMesh:
+    if config.pool is None or source["family"] != FROM_POOL:
+        return make_mesh(list(FAMILIES)[source["family"]], seed)
+    mesh = open_pool(config.pool, config.pool_split).mesh(source["pool"])
+    return varied(mesh, np.random.default_rng(seed))
+
+
 def _draw_cloud(
-    config: CorpusConfig, family: str, seed: tuple[int, ...]
+    config: CorpusConfig, source: dict[str, int], seed: tuple[int, ...]
 ) -> tuple[Floats, bool] | None:
     """Points (n, 3) in the unit box, and whether they crowd; None if the surface is empty."""
     rng = np.random.default_rng((*seed, 1))
     nonuniform = rng.random() < config.nonuniform
     sigma = rng.uniform(0.15, 0.5) if nonuniform else 0.0
     try:
-        mesh = make_mesh(family, seed)
+        mesh = _make_mesh(config, source, seed)
         cloud = sample(
             mesh,
             config.n_points,
@@ -198,7 +238,7 @@ def _modes(points: Floats, k: int) -> tuple[Floats, Floats] | None:
     laplacian = robust_laplacian(PointCloud(points))
     if laplacian.n_components > 1:
         return None
-    spectrum = eigensolve(laplacian, k, Arpack(tol=1e-9))
+    spectrum = eigensolve(laplacian, k, Arpack(tol=_TOLERANCE))
     return spectrum.mass, spectrum.eigenvectors
 
 
@@ -281,10 +321,11 @@ def report(folder: str | os.PathLike[str]) -> CorpusReport:
         Of the complete shards.
     """
     labels = open_shards(folder).labels
-    counts = np.bincount(labels["family"], minlength=len(FAMILIES))
+    names = (*FAMILIES, "pool")  # FROM_POOL = -1 counts from the end
+    counts = np.bincount(labels["family"] % len(names), minlength=len(names))
     return CorpusReport(
         samples=len(labels["family"]),
-        families={name: int(c) for name, c in zip(FAMILIES, counts, strict=True)},
+        families={name: int(c) for name, c in zip(names, counts, strict=True)},
         rejected={reason: int(labels[f"rejected_{reason}"].sum()) for reason in _REASONS},
     )
 

@@ -127,17 +127,7 @@ def _deform(mesh: TriangleMesh, rng: Rng, likely: float) -> TriangleMesh:
     """Stretch, bend, twist, taper, wrinkle or pierce: each with its own probability."""
     points = mesh.points - mesh.points.mean(axis=0)
     points = points / np.abs(points).max()
-    if rng.random() < 0.6 * likely:
-        points = points * np.exp(rng.normal(scale=0.22, size=3))
-    if rng.random() < 0.35 * likely:
-        axes = s.random_rotation(rng)
-        points = s.bend(points @ axes, rng.uniform(-1.8, 1.8)) @ axes.T
-    if rng.random() < 0.25 * likely:
-        axes = s.random_rotation(rng)
-        points = s.twist(points @ axes, rng.uniform(-1.8, 1.8)) @ axes.T
-    if rng.random() < 0.25 * likely:
-        axes = s.random_rotation(rng)
-        points = s.taper(points @ axes, rng.uniform(-0.45, 0.45)) @ axes.T
+    points = s.warped(points, rng, likely)
     mesh = mesh.with_points(points)
     if rng.random() < 0.2 * likely:
         relief = s.waves(points, rng, frequency=rng.uniform(3.0, 12.0))

@@ -203,6 +203,51 @@ def taper(points: Floats, amount: float) -> Floats:
     return np.column_stack([x, scale * y, scale * z])
 
 
+def warped(points: Floats, rng: np.random.Generator, likely: float) -> Floats:
+    """Stretch, bend, twist, taper along random axes: each with its own share of `likely`."""
+    if rng.random() < 0.6 * likely:
+        points = points * np.exp(rng.normal(scale=0.22, size=3))
+    if rng.random() < 0.35 * likely:
+        axes = random_rotation(rng)
+        points = bend(points @ axes, rng.uniform(-1.8, 1.8)) @ axes.T
+    if rng.random() < 0.25 * likely:
+        axes = random_rotation(rng)
+        points = twist(points @ axes, rng.uniform(-1.8, 1.8)) @ axes.T
+    if rng.random() < 0.25 * likely:
+        axes = random_rotation(rng)
+        points = taper(points @ axes, rng.uniform(-0.45, 0.45)) @ axes.T
+    return points
+
+
+def bisected(mesh: TriangleMesh, longest: float) -> TriangleMesh:
+    """Halve faces across their longest edge until none is longer, so that they can be bent.
+
+    Neighbours are not told: a point in the middle of their edge may remain. Sampled points do not
+    see it.
+
+    Examples
+    --------
+    >>> square = grid_mesh(np.array([[[0.0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]]))
+    >>> fine = bisected(square, 0.5)
+    >>> len(fine.faces), fine.area
+    (16, 1.0)
+    """
+    points, faces, done = mesh.points, mesh.faces, []
+    while len(faces):
+        corners = points[faces]
+        lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        long = lengths.max(axis=1) > longest
+        done.append(faces[~long])
+        # Turn each face so that its longest edge runs from its first corner to its second.
+        order = (lengths[long].argmax(axis=1)[:, None] + np.arange(3)) % 3
+        a, b, c = np.take_along_axis(faces[long], order, axis=1).T
+        ends, which = np.unique(np.sort(np.stack([a, b], 1), axis=1), axis=0, return_inverse=True)
+        middle = len(points) + which.ravel()
+        points = np.concatenate([points, points[ends].mean(axis=1)])
+        faces = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+    return TriangleMesh(points, np.concatenate(done))
+
+
 def vertex_normals(mesh: TriangleMesh) -> Floats:
     """Area-weighted unit normals (n, 3); zero where no face has area."""
     a, b, c = (mesh.points[mesh.faces[:, i]] for i in range(3))

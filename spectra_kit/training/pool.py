@@ -1,0 +1,204 @@
+"""Real meshes as raw material: packed in npz files, opened by split, drawn by number.
+
+A pool is a folder of chunks (``pool_*.npz``: points ``V``, faces ``F``, their offsets ``voff`` and
+``foff``, names ``ids``) with a ``manifest.csv`` that says which mesh is in which split; or one such
+chunk that `pack_pool` wrote, where the manifest cannot come along.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import os
+import zipfile
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._files import atomic_path
+from spectra_kit._validate import check_count
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import TriangleMesh
+from spectra_kit.training import surfaces as s
+
+_KEYS = ("V", "F", "voff", "foff", "ids")
+_EDGE = 0.12  # longest edge of a mesh before it is bent, its half size being 1
+_WARP = 0.7  # then three of ten stay as they are
+
+
+@dataclass(frozen=True, eq=False)
+class MeshPool:
+    """Meshes of one split, numbered through in the order of their names; see `open_pool`.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n, 3), float16
+        Of all meshes, one after the other.
+    faces : ndarray of shape (f, 3), uint16
+        Indices within each mesh.
+    point_offsets, face_offsets : ndarray of shape (len(pool) + 1,)
+        Where each mesh begins, and the last one ends.
+    names : tuple of str
+        Of each mesh in the manifest.
+    split : str
+        The split that all of them belong to.
+    """
+
+    points: NDArray[np.float16]
+    faces: NDArray[np.uint16]
+    point_offsets: NDArray[np.int64]
+    face_offsets: NDArray[np.int64]
+    names: tuple[str, ...]
+    split: str
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def mesh(self, index: int) -> TriangleMesh:
+        """Return mesh number `index`, as it was packed."""
+        check_count("index", index, low=0, high=len(self) - 1)
+        points = self.points[self.point_offsets[index] : self.point_offsets[index + 1]]
+        faces = self.faces[self.face_offsets[index] : self.face_offsets[index + 1]]
+        return TriangleMesh(points.astype(np.float64), faces.astype(np.int64))
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of all meshes and their order: equal pools have equal digests, packed or not."""
+        digest = hashlib.blake2b(self.split.encode(), digest_size=16)
+        digest.update("\n".join(self.names).encode())
+        for array in (self.points, self.faces, self.point_offsets, self.face_offsets):
+            digest.update(np.ascontiguousarray(array).data)
+        return digest.hexdigest()
+
+
+def open_pool(path: str | os.PathLike[str], split: str) -> MeshPool:
+    """Read the meshes of one split; a second call with the same arguments reads nothing.
+
+    Parameters
+    ----------
+    path : path
+        A folder of chunks with its manifest, or a file of `pack_pool`.
+    split : str
+        As in the manifest, e.g. ``"train"`` or ``"val"``. A packed file holds one split only.
+
+    Returns
+    -------
+    MeshPool
+        In the order of the names.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no pool at `path`, a chunk lacks an array, or no mesh is in that split.
+    """
+    return _open(os.fspath(path), split)
+
+
+@lru_cache(maxsize=4)
+def _open(path: str, split: str) -> MeshPool:
+    root = Path(path)
+    if root.is_dir():
+        chunks = [_read(file) for file in sorted(root.glob("pool_*.npz"))]
+        if not chunks or not (root / "manifest.csv").is_file():
+            raise InvalidInputError(
+                f"`path` must hold chunks pool_*.npz and a manifest.csv, got the folder {root}"
+            )
+        with (root / "manifest.csv").open(newline="") as file:
+            wanted = {row["id"] for row in csv.DictReader(file) if row["split"] == split}
+    else:
+        chunk = _read(root)
+        chunks, stored = [chunk], str(chunk.get("split", ""))
+        wanted = set(chunk["ids"].tolist()) if stored == split else set()
+    return _joined(chunks, wanted, split, root)
+
+
+def varied(mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
+    """Return `mesh` in the unit box, and mostly stretched, bent, twisted or tapered at random."""
+    points = mesh.points - (mesh.points.min(axis=0) + mesh.points.max(axis=0)) / 2
+    fine = s.bisected(mesh.with_points(points / max(float(np.abs(points).max()), 1e-12)), _EDGE)
+    return fine.with_points(s.warped(fine.points, rng, _WARP))
+
+
+def pack_pool(path: str | os.PathLike[str], target: str | os.PathLike[str], split: str) -> MeshPool:
+    """Write one split of a pool into a single small file, for machines that get only files.
+
+    Parameters
+    ----------
+    path : path
+        The pool.
+    target : path
+        The file to write, ``.npz``; smaller than the chunks, because it is packed with LZMA.
+    split : str
+        Which meshes.
+
+    Returns
+    -------
+    MeshPool
+        What was written; `open_pool` of `target` returns an equal one.
+
+    Raises
+    ------
+    InvalidInputError
+        As `open_pool`, or if `target` does not end in ``.npz``.
+    """
+    if Path(target).suffix != ".npz":
+        raise InvalidInputError(f"`target` must end in .npz, got {os.fspath(target)!r}")
+    pool = open_pool(path, split)
+    arrays: dict[str, NDArray[np.generic]] = {
+        "V": pool.points,
+        "F": pool.faces,
+        "voff": pool.point_offsets,
+        "foff": pool.face_offsets,
+        "ids": np.array(pool.names),
+        "split": np.array(split),
+    }
+    with (
+        atomic_path(target) as temporary,
+        zipfile.ZipFile(temporary, "w", compression=zipfile.ZIP_LZMA) as archive,
+    ):
+        for key, array in arrays.items():
+            with archive.open(f"{key}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+    return pool
+
+
+def _read(path: Path) -> dict[str, NDArray[np.generic]]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            chunk = dict(file.items())
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise InvalidInputError(
+            f"`path` must be a mesh pool, cannot read {path}: {error}"
+        ) from error
+    if missing := [key for key in _KEYS if key not in chunk]:
+        raise InvalidInputError(f"`path` must be a mesh pool, but {path} lacks {missing}")
+    return chunk
+
+
+def _joined(
+    chunks: list[dict[str, NDArray[np.generic]]], wanted: set[str], split: str, root: Path
+) -> MeshPool:
+    """Pick the wanted meshes from all chunks, in the order of their names."""
+    found: dict[str, tuple[NDArray[np.float16], NDArray[np.uint16]]] = {}
+    for chunk in chunks:
+        points, faces = chunk["V"].astype(np.float16), chunk["F"].astype(np.uint16)
+        v, f = chunk["voff"].astype(np.int64), chunk["foff"].astype(np.int64)
+        for i, name in enumerate(chunk["ids"].tolist()):
+            if name in wanted:
+                found[name] = points[v[i] : v[i + 1]], faces[f[i] : f[i + 1]]
+    if not found:
+        raise InvalidInputError(
+            f"`split` must be one that meshes of {root} are in, found none in {split!r}"
+        )
+    names = sorted(found)
+    return MeshPool(
+        np.concatenate([found[name][0] for name in names]),
+        np.concatenate([found[name][1] for name in names]),
+        np.cumsum([0, *(len(found[name][0]) for name in names)]),
+        np.cumsum([0, *(len(found[name][1]) for name in names)]),
+        tuple(names),
+        split,
+    )
