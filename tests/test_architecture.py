@@ -9,14 +9,14 @@ import pytest
 
 ROOT = Path(__file__).parents[1] / "spectra_kit"
 LAYERS = [
-    "errors _validate _files",
+    "errors _validate _files _version",
     "geometry linalg",
     "operators",
     "_spectrum_file subspaces",
     "spectrum neo",
     "eigensolvers metrics interop",
     "training viz",
-    "cli benchmarks",
+    "cli benchmarks evaluation",
     "__main__",
 ]
 LEVEL = {name: i for i, row in enumerate(LAYERS) for name in row.split()}

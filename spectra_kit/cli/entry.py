@@ -6,8 +6,8 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 
+from spectra_kit._version import VERSION
 from spectra_kit.cli import commands, options
 from spectra_kit.errors import ConvergenceError, InvalidSpectrumError, SpectraKitError
 
@@ -38,9 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         description="Laplace-Beltrami eigenvalues and eigenfunctions of meshes and point clouds,"
         " each with a certificate of its accuracy.",
     )
-    parser.add_argument(
-        "--version", action="version", version=f"spectra_kit {version('spectra_kit')}"
-    )
+    parser.add_argument("--version", action="version", version=f"spectra_kit {VERSION}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, summary, add_arguments, command in (
         ("spectrum", "compute the lowest modes", options.add_spectrum_arguments, commands.spectrum),

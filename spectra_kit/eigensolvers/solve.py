@@ -5,12 +5,12 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from importlib.metadata import version
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._validate import check_count
+from spectra_kit._version import VERSION
 from spectra_kit.eigensolvers.arpack import Arpack
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.errors import ConvergenceError, InvalidInputError, InvalidSpectrumError
@@ -240,7 +240,7 @@ def _pack(
             "certify": certified - solved,
         },
         input_hash=_fingerprint(laplacian),
-        version=version("spectra_kit"),
+        version=VERSION,
     )
     return Spectrum(
         spectrum.eigenvalues, spectrum.eigenvectors, spectrum.mass, spectrum.certificate, provenance

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import igl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
@@ -51,6 +50,8 @@ def creature(n_points: int = 8000, *, seed: int = 0) -> TriangleMesh:
     >>> mesh.n, len(mesh.boundary_vertices), mesh.n - len(mesh.faces) // 2
     (1000, 0, 2)
     """
+    import igl  # here: the package must import, and train, where no libigl is installed
+
     check_count("n_points", n_points, low=500, high=5_000_000)
     check_count("seed", seed, low=0)
     field = _animal(np.random.default_rng(seed), calm=seed == 0)
@@ -132,6 +133,8 @@ def _remeshed(field: Field, n: int) -> TriangleMesh:
     if mesh.n < 1.4 * n:  # vertices grow like cells^(2/3)
         n_cells = int(n_cells * (1.5 * n / mesh.n) ** 1.5)
         mesh = TriangleMesh(*polygonize(field, _LOW, _HIGH, n_cells=n_cells, stride=4))
+    import igl
+
     # The ranges of `_animal` keep its parts apart; only an edit of them can break this.
     assert mesh.n - len(mesh.faces) // 2 == 2, "the animal must be one sphere with no handle"
     points, faces, *_ = igl.decimate(np.asfortranarray(mesh.points), mesh.faces, 2 * n - 4)

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import igl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit.geometry.marching_cubes import marching_cubes
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -157,5 +158,4 @@ def polygonize(
         values = values[:nz, :ny, :nx].ravel()
         near = np.abs(values) < 1.5 * 3**0.5 * stride * cell
         values[near] = field(flat[near])
-    points, faces, _ = igl.marching_cubes(values, flat, nx, ny, nz, 0.0)
-    return np.asarray(points), np.asarray(faces, dtype=np.int64)
+    return marching_cubes(values.reshape(nz, ny, nx), grid)

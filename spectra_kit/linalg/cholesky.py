@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cholespy
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -43,6 +42,8 @@ class SparseCholesky:
     """
 
     def __init__(self, matrix: sparse.csr_array) -> None:
+        import cholespy  # here: a bare machine unpacks it after this import
+
         rows, columns = matrix.shape
         if rows != columns or matrix.nnz > _MAX_ENTRIES:
             raise InvalidInputError(

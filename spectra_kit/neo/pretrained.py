@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 
 from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError, WeightsError
 from spectra_kit.neo.model import NeoConfig, NeoNetwork, build_network
+from spectra_kit.neo.safetensors_file import pack, unpack
 
-_KEY = "spectra_kit.neo"  # one entry: safetensors writes several in random order
+_KEY = "spectra_kit.neo"
 
 #: Shipped weights: name -> (file in neo/weights, sha256 of the file).
 WEIGHTS: dict[str, tuple[str, str]] = {
@@ -92,11 +91,10 @@ def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -
             " reinstall spectra_kit"
         )
     try:
-        with safe_open(path, framework="pt", device="cpu") as file:
-            metadata = file.metadata() or {}
-            tensors = {key: file.get_tensor(key).float() for key in file.keys()}  # noqa: SIM118
-    except SafetensorError as error:
+        halves, metadata = unpack(path.read_bytes())
+    except WeightsError as error:
         raise WeightsError(f"{path} is no complete safetensors file ({error})") from error
+    tensors = {key: tensor.float() for key, tensor in halves.items()}
     if _KEY not in metadata:
         raise WeightsError(
             f"{path} must have the metadata {_KEY!r}, got {sorted(metadata)};"
@@ -153,8 +151,7 @@ def save_weights(
         for name, tensor in network.state_dict().items()
     }
     with atomic_path(path) as temporary:
-        # Not `save_file`, which denies the file to other users whatever the umask says.
-        temporary.write_bytes(save(tensors, metadata={_KEY: content}))
+        temporary.write_bytes(pack(tensors, {_KEY: content}))
     return _sha256(Path(path))
 
 

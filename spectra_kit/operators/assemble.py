@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import time
 
-import igl
 import numpy as np
-import robust_laplacian as rl
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
@@ -58,6 +56,8 @@ def robust_laplacian(
     >>> round(laplacian.area, 1)
     12.3
     """
+    import robust_laplacian as rl  # here: a bare machine unpacks it after this import
+
     start = time.perf_counter()
     _check_geometry(geometry)
     check_positive("mollify_factor", mollify_factor)
@@ -111,6 +111,8 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     >>> laplacian.kernel_dimension
     1
     """
+    import igl  # here: training runs where no libigl is installed
+
     if not isinstance(mesh, TriangleMesh):
         raise InvalidInputError(
             f"`mesh` must be a TriangleMesh, got {type(mesh).__name__};"
