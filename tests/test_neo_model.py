@@ -171,7 +171,7 @@ def waves():
 def test_waves_without_gates_are_the_plane_waves(waves, cloud):
     points, mass = cloud
     flat = NeoNetwork(waves.config)
-    for parameter in flat.head.linear.parameters():
+    for parameter in [*flat.head.free.parameters(), *flat.head.gates.parameters()]:
         torch.nn.init.zeros_(parameter)
     frequencies = flat.head.frequencies
     assert abs(frequencies.std().item() / waves.config.bandwidth - 1) < 0.3
@@ -185,8 +185,8 @@ def test_waves_without_gates_are_the_plane_waves(waves, cloud):
 def test_a_gate_turns_and_scales_its_wave(waves, cloud):
     points, mass = cloud
     F = waves(points, mass)
-    gates = waves.head.linear(waves.head.norm(waves.features(points, mass)))
-    gain, turn = 1 + gates[..., 8:16], gates[..., 16:]
+    gates = waves.head.gates(waves.head.norm(waves.features(points, mass)))
+    gain, turn = 1 + gates[..., :8], gates[..., 8:]
     # As complex numbers, cos + i sin = exp(i angle): the output is that times (gain + i turn).
     expected = torch.complex(gain, turn) * torch.exp(1j * (points @ waves.head.frequencies.T))
     assert torch.allclose(F[..., 8:16], expected.real, atol=1e-5)
@@ -222,7 +222,7 @@ def test_build_network_makes_what_the_configuration_says():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"waves": 13}, r"`waves` must be in \[0, m / 2\], got 13"),
+        ({"waves": 12}, r"`waves` must be in \[0, m / 2\), got 12"),
         ({"waves": -1}, "`waves` must be in"),
         ({"bandwidth": 0.0}, "`bandwidth` must be positive, got 0.0"),
         ({"backbone": "mlp"}, "`backbone` must be in .*, got 'mlp'"),

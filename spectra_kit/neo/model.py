@@ -37,8 +37,8 @@ class NeoConfig:
     latents : int
         Latent tokens r of each block.
     m : int
-        Output functions. Where ``m == width`` and `waves` is 0, the residual stream itself is
-        the output; see `WaveHead`, `Extension` and, for smaller m, a linear layer.
+        Output functions: two for each of the `waves`, the others free. Where as many as `width`
+        are free, these are the residual stream itself; else see `Linear` and `Extension`.
     k : int, default 96
         Modes whose span the network is trained to cover.
     waves : int, default 0
@@ -84,8 +84,8 @@ class NeoConfig:
         sizes = (self.width, self.depth, self.heads, self.head_width, self.latents, self.k)
         if min(sizes) < 1 or self.m < self.k:
             raise InvalidInputError(f"sizes of a network must be positive with m >= k, got {self}")
-        if not 0 <= 2 * self.waves <= self.m:
-            raise InvalidInputError(f"`waves` must be in [0, m / 2], got {self.waves}")
+        if not 0 <= 2 * self.waves < self.m:
+            raise InvalidInputError(f"`waves` must be in [0, m / 2), got {self.waves}")
         if not 0 < self.bandwidth < math.inf:
             raise InvalidInputError(f"`bandwidth` must be positive, got {self.bandwidth!r}")
         if self.backbone not in _BACKBONES:
@@ -278,17 +278,17 @@ class Block(nn.Module):
 
 
 class Extension(nn.Module):
-    """D linear and ``m - D`` gated functions of the residual stream: m outputs of rank m.
+    """D linear functions of the residual stream and, beyond these, gated ones: full rank.
 
-    A linear layer from D to m > D channels would not do: its outputs span at most D + 1
-    dimensions, whatever m says.
+    A linear layer from D to more channels would not do: its outputs span at most D + 1
+    dimensions, whatever their number.
     """
 
-    def __init__(self, config: NeoConfig) -> None:
+    def __init__(self, config: NeoConfig, free: int) -> None:
         super().__init__()
         self.linear = nn.Linear(config.width, config.width)
         self.norm = _norm(config.width)
-        self.ffn = SwiGLU(config.width, config.m - config.width)
+        self.ffn = SwiGLU(config.width, free - config.width)
 
     def forward(self, h: Tensor, points: Tensor) -> Tensor:
         """Return (..., m) of features (..., D); the points play no part."""
@@ -296,11 +296,11 @@ class Extension(nn.Module):
 
 
 class Linear(nn.Module):
-    """``m < D`` linear functions of the residual stream."""
+    """Fewer than D linear functions of the residual stream."""
 
-    def __init__(self, config: NeoConfig) -> None:
+    def __init__(self, config: NeoConfig, free: int) -> None:
         super().__init__()
-        self.linear = nn.Linear(config.width, config.m)
+        self.linear = nn.Linear(config.width, free)
 
     def forward(self, h: Tensor, points: Tensor) -> Tensor:
         """Return (..., m) of features (..., D); the points play no part."""
@@ -309,15 +309,22 @@ class Linear(nn.Module):
 
 
 class Stream(nn.Module):
-    """The residual stream itself, ``m == D``: the paper's networks."""
+    """The residual stream itself, all D functions: the paper's networks."""
 
     def forward(self, h: Tensor, points: Tensor) -> Tensor:
         """Return the features (..., D); the points play no part."""
         return h
 
 
+def _free_head(config: NeoConfig) -> Stream | Linear | Extension:
+    free = config.m - 2 * config.waves
+    if free == config.width:
+        return Stream()
+    return Linear(config, free) if free < config.width else Extension(config, free)
+
+
 class WaveHead(nn.Module):
-    """Plane waves that the network turns and scales from point to point, and free functions.
+    """Free functions, and plane waves that the network turns and scales from point to point.
 
     For every fixed frequency w there are two outputs, (1 + g) cos(w x) - h sin(w x) and
     (1 + g) sin(w x) + h cos(w x), with gates g and h predicted at the point; the other ``m - 2
@@ -329,22 +336,22 @@ class WaveHead(nn.Module):
 
     def __init__(self, config: NeoConfig) -> None:
         super().__init__()
+        self.free = _free_head(config)
         drawn = np.random.default_rng(0).normal(scale=config.bandwidth, size=(config.waves, 3))
         # In the weights file, for no generator is promised to draw the same for ever; rounded so
         # that both half precisions hold them exactly.
         self.register_buffer("frequencies", torch.from_numpy(drawn).bfloat16().float())
         self.norm = _norm(config.width)
-        self.linear = nn.Linear(config.width, config.m)
+        self.gates = nn.Linear(config.width, 2 * config.waves)
 
     def forward(self, h: Tensor, points: Tensor) -> Tensor:
         """Return (..., m) of features (..., D) at posed points (..., 3)."""
         angles = points.float() @ self.frequencies.float().mT  # phases need float32
         cos, sin = angles.cos().to(h.dtype), angles.sin().to(h.dtype)
-        waves = len(self.frequencies)
-        free = self.linear.out_features - 2 * waves
-        out, g, turn = self.linear(self.norm(h)).split([free, waves, waves], dim=-1)
+        g, turn = self.gates(self.norm(h)).chunk(2, dim=-1)
         gain = 1 + g
-        return torch.cat([out, gain * cos - turn * sin, gain * sin + turn * cos], dim=-1)
+        waves = [gain * cos - turn * sin, gain * sin + turn * cos]
+        return torch.cat([self.free(h, points), *waves], dim=-1)
 
 
 class NeoNetwork(nn.Module):
@@ -371,13 +378,7 @@ class NeoNetwork(nn.Module):
         self.config = config
         self.lift = nn.Linear(_ENCODED, config.width)
         self.blocks = nn.ModuleList(Block(config) for _ in range(config.depth))
-        self.head: nn.Module = Stream()
-        if config.waves:
-            self.head = WaveHead(config)
-        elif config.m > config.width:
-            self.head = Extension(config)
-        elif config.m < config.width:
-            self.head = Linear(config)
+        self.head = WaveHead(config) if config.waves else _free_head(config)
         for module in self.modules():
             if isinstance(module, _Attention):
                 for name, parameter in module.named_parameters():
