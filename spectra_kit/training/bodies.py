@@ -1,4 +1,4 @@
-"""Organic families of the corpus: limbs and balls melted together on random skeletons."""
+"""Families of one piece: limbs and balls melted together on skeletons, folded, carved or cut."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CELLS = 60_000  # marching cubes per implicit surface: finer than 2,048 samples 
 
 def polygonized(field: clay.Field, low: Floats, high: Floats) -> TriangleMesh:
     """Largest part of a zero set; `TriangleMesh` raises where there is none."""
-    return s.largest_part(TriangleMesh(*clay.polygonize(field, low, high, n_cells=CELLS)))
+    return s.largest_part(TriangleMesh(*clay.polygonize(field, low, high, n_cells=CELLS, stride=2)))
 
 
 def _chain(
@@ -181,3 +181,81 @@ def porous(rng: Rng) -> TriangleMesh:
 
     mesh = polygonized(field, -half - 0.1, half + 0.1)
     return mesh.with_points(mesh.points @ frame)
+
+
+def lattice(rng: Rng) -> TriangleMesh:
+    """Limbs along the edges of a random graph: frames, baskets, molecules, pretzels."""
+    body, n = _Body(), int(rng.integers(4, 11))
+    nodes = rng.normal(size=(n, 3)) * rng.choice([1.0, 1.0, 0.3], 3)
+    if rng.random() < 0.5:  # a cage: nodes on a ball
+        nodes /= np.linalg.norm(nodes, axis=1, keepdims=True)
+    gaps = np.linalg.norm(nodes[:, None] - nodes, axis=2) + 10 * np.eye(n)
+    edges = {(min(i, j), max(i, j)) for i in range(n) for j in np.argsort(gaps[i])[:2].tolist()}
+    order = rng.permutation(n).tolist()
+    edges |= {(min(e), max(e)) for e in zip(order, order[1:] + order[:1], strict=True)}
+    thick = rng.uniform(0.07, 0.25)
+    for i, j in edges:
+        body.chain(nodes[[i, j]], thick * rng.uniform(0.7, 1.3, 2))
+    if rng.random() < 0.4:
+        for node in nodes:
+            body.ball(node, thick * rng.uniform(1.2, 2.2, 3))
+    return body.mesh(rng.uniform(0.0, 0.25))
+
+
+def symmetric(rng: Rng) -> TriangleMesh:
+    """Mirrored twins and things of n equal arms: beetles, stars, propellers, gears, flowers."""
+    parts: list[clay.Field] = [clay.ellipsoid(np.zeros(3), rng.uniform(0.1, 0.45, 3))]
+    start, n = np.zeros(3), int(rng.integers(1, 9))
+    for _ in range(rng.integers(2, 6)):
+        way = rng.normal(size=3) * [1.0, rng.choice([0.15, 0.6]), rng.choice([0.2, 0.7])]
+        end = start + rng.uniform(0.4, 0.9) * way / np.linalg.norm(way)
+        end[0] = abs(end[0])
+        if n > 1:  # stay in the sector that is seen
+            end[1] = min(abs(end[1]), 0.5 * np.tan(np.pi / n) * end[0])
+        half = rng.uniform(0.06, 0.3, 3)
+        tips = (
+            clay.ellipsoid(end, half, s.random_rotation(rng)),
+            clay.box(end, half),
+            clay.cylinder(end, half[0], 0.5 * half[1]),
+        )
+        parts.append(clay.limb(start, end, rng.uniform(0.06, 0.25), rng.uniform(0.05, 0.2)))
+        parts.append(tips[rng.choice(3, p=[0.5, 0.25, 0.25])])
+        start = end if rng.random() < 0.7 else np.zeros(3)
+    arm = clay.smooth_union(parts, rng.choice([0.0, rng.uniform(0.05, 0.25)]))
+
+    def field(points: Floats) -> Floats:
+        folded = np.abs(points)
+        folded[:, 2] = points[:, 2]
+        if n > 1:  # all arms onto the first one, and its two halves onto each other
+            angle = np.arctan2(points[:, 1], points[:, 0])
+            angle = np.abs((angle + np.pi / n) % (2 * np.pi / n) - np.pi / n)
+            radius = np.hypot(points[:, 0], points[:, 1])
+            folded[:, 0], folded[:, 1] = radius * np.cos(angle), radius * np.sin(angle)
+        else:
+            folded[:, 1] = points[:, 1]
+        return arm(folded)
+
+    # A first look on a coarse grid finds the box.
+    grid = np.stack(np.meshgrid(*[np.linspace(-3, 3, 31)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    inside = grid[field(grid) < 0.15]
+    return polygonized(field, inside.min(axis=0) - 0.25, inside.max(axis=0) + 0.25)
+
+
+def sculpture(rng: Rng) -> TriangleMesh:
+    """A body with fur, folds or scales, whole or cut off open: scans, busts, statues, armour."""
+    makers = (quadruped, biped, organism, blob)
+    mesh = makers[rng.choice(4, p=[0.2, 0.25, 0.15, 0.4])](rng)
+    size = float(np.ptp(mesh.points, axis=0).max())
+    relief = np.zeros(mesh.n)
+    for _ in range(rng.integers(1, 4)):
+        fine = s.waves(mesh.points, rng, frequency=rng.uniform(4.0, 20.0) / size)
+        fine = 1 - 2 * np.abs(fine) if rng.random() < 0.5 else fine
+        where = np.clip(s.waves(mesh.points, rng, frequency=rng.uniform(1.0, 4.0) / size), 0, 1)
+        relief += rng.uniform(0.2, 1.0) * fine * (where if rng.random() < 0.6 else 1.0)
+    depth = rng.uniform(0.004, 0.025) * size
+    mesh = mesh.with_points(mesh.points + depth * relief[:, None] * s.vertex_normals(mesh))
+    if rng.random() < 0.4:
+        height = mesh.points @ s.random_rotation(rng)[0]
+        above = (height > np.quantile(height, rng.uniform(0.05, 0.5)))[mesh.faces].all(axis=1)
+        mesh = s.largest_part(TriangleMesh(mesh.points, mesh.faces[above]))
+    return mesh

@@ -14,7 +14,17 @@ from numpy.typing import NDArray
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
 from spectra_kit.training import surfaces as s
-from spectra_kit.training.bodies import biped, blob, organism, porous, quadruped
+from spectra_kit.training.bodies import (
+    biped,
+    blob,
+    lattice,
+    organism,
+    porous,
+    quadruped,
+    sculpture,
+    symmetric,
+)
+from spectra_kit.training.kits import furniture, vehicle
 from spectra_kit.training.objects import assembly, machined, vessel
 
 Floats = NDArray[np.float64]
@@ -119,8 +129,19 @@ FAMILIES: dict[str, tuple[Callable[[Rng], TriangleMesh], float]] = {
     "machined": (machined, 12),
     "assembly": (assembly, 8),
     "scattered": (scattered, 1),
+    "furniture": (furniture, 9),
+    "vehicle": (vehicle, 7),
+    "symmetric": (symmetric, 7),
+    "sculpture": (sculpture, 10),
+    "lattice": (lattice, 4),
 }
-_RIGID = {"machined", "assembly", "vessel"}  # man-made: bent and twisted less often
+_RIGID = {
+    "machined",
+    "assembly",
+    "vessel",
+    "furniture",
+    "vehicle",
+}  # man-made: bent and twisted less often
 
 
 def _deform(mesh: TriangleMesh, rng: Rng, likely: float) -> TriangleMesh:

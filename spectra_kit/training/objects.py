@@ -1,4 +1,4 @@
-"""Man-made families of the corpus: vessels, machine parts, furniture, aeroplanes."""
+"""Man-made families of the corpus: vessels, machine parts, things joined from parts."""
 
 from __future__ import annotations
 
@@ -103,8 +103,8 @@ def _part(rng: Rng, centre: Floats, radii: Floats, sharp: float) -> TriangleMesh
 
 
 def assembly(rng: Rng) -> TriangleMesh:
-    """Parts that touch or pierce each other, not welded: furniture, tools, aeroplanes, towers."""
-    sharp, kind = rng.uniform(0.1, 0.4), rng.integers(4)
+    """Parts that touch or pierce each other, not welded: aeroplanes, tools, towers."""
+    sharp, kind = rng.uniform(0.1, 0.4), rng.integers(3)
     parts: list[TriangleMesh] = []
 
     def add(centre: ArrayLike, radii: ArrayLike) -> None:
@@ -125,19 +125,7 @@ def assembly(rng: Rng) -> TriangleMesh:
         if rng.random() < 0.5:
             for side in (1, -1):
                 add([0.15, side * 0.4 * span, -0.06], [0.15, 0.06, 0.06])
-    elif kind == 1:  # table, chair, shelf: a plate on legs, perhaps a back
-        w, d, h = rng.uniform(0.4, 1.0), rng.uniform(0.4, 1.0), rng.uniform(0.3, 1.0)
-        thin, leg = rng.uniform(0.03, 0.1), rng.uniform(0.04, 0.1)
-        add([0, 0, h], [w, d, thin])
-        for sx in (1, -1):
-            for sy in (1, -1):
-                add([sx * (w - leg), sy * (d - leg), h / 2], [leg, leg, h / 2 + 0.01])
-        if rng.random() < 0.6:
-            tall = rng.uniform(0.3, 0.9)
-            add([-(w - thin), 0, h + tall], [thin, d, tall])
-        if rng.random() < 0.4:
-            add([0, 0, 0.4 * h], [w, d * rng.choice([0.1, 1.0]), thin])
-    elif kind == 2:  # hammer, spoon, lamp, dumb-bell: a shaft with something at its ends
+    elif kind == 1:  # hammer, spoon, lamp, dumb-bell: a shaft with something at its ends
         r, length = rng.uniform(0.05, 0.12), rng.uniform(0.6, 1.2)
         parts.append(s.superquadric((0.15, 1.0), [r, r * rng.uniform(0.6, 1), length]))
         for end in (1, -1)[: rng.integers(1, 3)]:

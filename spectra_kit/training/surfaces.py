@@ -13,8 +13,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def grid_mesh(points: Floats, *, wrap_u: bool = False, wrap_v: bool = False) -> TriangleMesh:
-    """Triangulate a grid of points (nu, nv, 3); a wrapped direction is closed.
+def grid_mesh(points: Floats, *, wrap_v: bool = False) -> TriangleMesh:
+    """Triangulate a grid of points (nu, nv, 3), closed in its second direction on demand.
 
     Examples
     --------
@@ -24,7 +24,6 @@ def grid_mesh(points: Floats, *, wrap_u: bool = False, wrap_v: bool = False) -> 
     """
     nu, nv = points.shape[:2]
     index = np.arange(nu * nv).reshape(nu, nv)
-    index = np.concatenate([index, index[:1]], axis=0) if wrap_u else index
     index = np.concatenate([index, index[:, :1]], axis=1) if wrap_v else index
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
     quads = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
@@ -164,7 +163,10 @@ def sweep(
         + along_n[..., None] * normal[:, None]
         + along_b[..., None] * binormal[:, None]
     )
-    return grid_mesh(points, wrap_u=closed, wrap_v=True)
+    if closed:  # half a turn brings the other side of the section to its beginning
+        first = np.roll(points[:1], -round(24 * turns), axis=1)
+        return grid_mesh(np.concatenate([points, first]), wrap_v=True).with_merged_vertices()
+    return grid_mesh(points, wrap_v=True)
 
 
 def waves(
