@@ -32,7 +32,13 @@ def cloud():
 
 @pytest.mark.parametrize(
     ("name", "count"),
-    [("small", 2_544_128), ("base", 5_365_632), ("deep", 10_702_848), ("large", 16_929_376)],
+    [
+        ("small", 2_552_512),
+        ("base", 5_378_176),
+        ("paper-base", 5_365_632),
+        ("paper-deep", 10_702_848),
+        ("paper-large", 16_929_376),
+    ],
 )
 def test_parameter_counts(name, count):
     with torch.device("meta"):

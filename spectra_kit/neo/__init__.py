@@ -1,7 +1,7 @@
 """The neural backend: a network that predicts a subspace, and Rayleigh-Ritz inside it.
 
 >>> from spectra_kit.neo import NeoConfig, NeoNetwork
->>> network = NeoNetwork(NeoConfig.named("base"))
+>>> network = NeoNetwork(NeoConfig.named("paper-base"))
 >>> sum(parameter.numel() for parameter in network.parameters())
 5365632
 """

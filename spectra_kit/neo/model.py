@@ -64,7 +64,7 @@ class NeoConfig:
     Examples
     --------
     >>> NeoConfig.named("base").m
-    192
+    256
     """
 
     width: int
@@ -100,10 +100,12 @@ class NeoConfig:
 
     @classmethod
     def named(cls, name: str) -> NeoConfig:
-        """Return the configuration ``"small"``, ``"base"``, ``"deep"`` or ``"large"``.
+        """Return a configuration by its name.
 
-        The last three are the paper's (Table "NEO Model Configurations"); its 16.9 M parameters
-        of Large fit 4 heads of 72, not the printed 8 of 32. ``"small"`` trains on a laptop.
+        ``"small"``, which trains on a laptop, and ``"base"`` are ours, with modulated waves.
+        ``"paper-base"``, ``"paper-deep"`` and ``"paper-large"`` are the paper's (Table "NEO Model
+        Configurations"); its 16.9 M parameters of Large fit 4 heads of 72, not the printed 8 of
+        32. ``"base"`` is ``"paper-base"`` with 32 waves beside the functions of the paper.
         """
         if name not in _NAMED:
             raise InvalidInputError(f"`name` must be one of {sorted(_NAMED)}, got {name!r}")
@@ -111,10 +113,11 @@ class NeoConfig:
 
 
 _NAMED = {
-    "small": NeoConfig(width=128, depth=4, heads=4, head_width=32, latents=64, m=192),
-    "base": NeoConfig(width=192, depth=4, heads=4, head_width=48, latents=192, m=192),
-    "deep": NeoConfig(width=192, depth=8, heads=4, head_width=48, latents=192, m=192),
-    "large": NeoConfig(width=256, depth=6, heads=4, head_width=72, latents=256, m=256),
+    "small": NeoConfig(width=128, depth=4, heads=4, head_width=32, latents=64, m=256, waves=32),
+    "base": NeoConfig(width=192, depth=4, heads=4, head_width=48, latents=192, m=256, waves=32),
+    "paper-base": NeoConfig(width=192, depth=4, heads=4, head_width=48, latents=192, m=192),
+    "paper-deep": NeoConfig(width=192, depth=8, heads=4, head_width=48, latents=192, m=192),
+    "paper-large": NeoConfig(width=256, depth=6, heads=4, head_width=72, latents=256, m=256),
 }
 
 
@@ -370,7 +373,7 @@ class NeoNetwork(nn.Module):
     >>> network = NeoNetwork(NeoConfig.named("small"))
     >>> points = torch.rand(2, 50, 3) - 0.5
     >>> network(points, torch.ones(2, 50)).shape
-    torch.Size([2, 50, 192])
+    torch.Size([2, 50, 256])
     """
 
     def __init__(self, config: NeoConfig) -> None:

@@ -81,7 +81,7 @@ def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -
     >>> path = tempfile.mkdtemp() + "/mine.safetensors"
     >>> digest = save_weights(path, network, {"steps": 0})
     >>> load_pretrained(path).config.m
-    192
+    256
     """
     path, digest = find_weights(name_or_path)
     arrived = _sha256(path)

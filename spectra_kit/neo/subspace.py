@@ -59,7 +59,7 @@ class NeoSubspace(Rebuilt):
     >>> subspace = NeoSubspace(NeoNetwork(NeoConfig.named("small")), poses=2)
     >>> points = np.random.default_rng(0).normal(size=(500, 3))
     >>> subspace(points, np.ones(500)).shape
-    (500, 385)
+    (500, 513)
     """
 
     network: str | os.PathLike[str] | NeoNetwork = "small"
