@@ -1,65 +1,107 @@
-"""Train a NEO network on a corpus of shards, and write its weights."""
+"""Train a NEO network on corpora of shards, and write its weights."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
+from tqdm import tqdm
 
 from spectra_kit.errors import SpectraKitError
 from spectra_kit.neo.model import NeoConfig
-from spectra_kit.neo.pretrained import save_weights
+from spectra_kit.neo.pretrained import load_pretrained, save_weights
 from spectra_kit.training.config import TrainConfig
+from spectra_kit.training.feed import join
+from spectra_kit.training.log import Row
+from spectra_kit.training.ranks import Ranks, process_group
 from spectra_kit.training.shards import open_shards
-from spectra_kit.training.train import train
+from spectra_kit.training.train import TrainResult, train
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__,
+        epilog="Several devices: torchrun --nproc-per-node N apps/train_neo.py ... --device cuda",
+    )
     add = parser.add_argument
-    add("corpus", type=Path, help="folder of shards")
-    add("validation", type=Path, help="folder of shards, other samples")
+    add("corpus", type=Path, nargs="+", help="folders of shards; one named twice counts twice")
+    add("--validation", type=Path, required=True, help="folder of shards, other samples")
     add("--out", type=Path, required=True, help="folder for checkpoint, log and weights")
-    add("--config", default="small", help="small, base, deep or large")
+    add("--config", default="small", help="a name that NeoConfig.named knows")
     add("--frame", default="principal", choices=["principal", "none"])
+    add("--weights", help="begin with these weights, a name or a file, and their configuration")
     add("--steps", type=int, default=100_000, help="length of the schedule")
     add("--minutes", type=float, help="end the schedule by the clock instead")
-    add("--batch", type=int, default=16, help="clouds per step")
+    add("--batch", type=int, default=16, help="clouds per step, over all devices")
     add("--points", type=int, default=512, help="points drawn from each cloud")
     add("--lr", type=float, default=5e-3)
+    add("--warmup", type=float, default=0.1, help="share of the schedule in which the rate rises")
     add("--decay", type=float, default=0.2, help="share of the schedule in which the rate falls")
+    add("--ema", type=float, default=0.999, help="decay of the averaged weights; 0 for none")
     add("--alpha", type=float, default=1e-3, help="weight of the orthogonality regulariser")
     add("--flips", type=float, default=1.0, help="share of samples in a random proper flip")
     add("--precision", default="float32", choices=["float32", "bfloat16", "float16"])
     add("--validate", type=int, default=64, help="number of validation samples")
-    add("--every", type=int, default=200, help="steps between validations and checkpoints")
+    add("--every", type=int, default=200, help="steps between validations")
+    add("--log", type=int, default=20, help="steps between rows of the log")
+    add("--save", type=float, default=60, help="seconds between checkpoints")
     add("--seed", type=int, default=0)
     add("--workers", type=int, default=1, help="CPU threads that share each batch")
     add("--device", default="cpu")
+    add("--compile", action="store_true", help="torch.compile the network")
+    add("--tensorboard", action="store_true", help="event files too, in OUT/events")
     add("--resume", action="store_true", help="continue from the checkpoint in --out")
     return parser
+
+
+def _run(args: argparse.Namespace, device: str) -> TrainResult:
+    initial = load_pretrained(args.weights).network if args.weights else None
+    network = initial.config if initial else NeoConfig.named(args.config)
+    network = dataclasses.replace(network, frame=args.frame)
+    same = ("steps", "minutes", "batch", "points", "lr", "warmup", "decay", "ema", "alpha")
+    same += ("flips", "precision", "every", "log", "save", "workers", "compile", "seed")
+    rest = {name: getattr(args, name) for name in same}
+    config = TrainConfig(network=network, validation=args.validate, **rest)
+    quiet = True if Ranks.here().rank else None
+    with tqdm(total=args.steps, unit="step", disable=quiet) as bar:
+        return train(
+            join([open_shards(folder) for folder in args.corpus]),
+            open_shards(args.validation),
+            config,
+            out=args.out,
+            resume=args.resume,
+            initial=initial,
+            device=device,
+            tensorboard=args.tensorboard,
+            report=_shown(bar),
+        )
+
+
+def _shown(bar: tqdm) -> Callable[[Row], None]:
+    def show(row: Row) -> None:
+        bar.update(int(row["step"]) - bar.n)
+        bar.set_postfix(
+            {name: f"{row[name]:.4f}" for name in ("loss", "validation") if name in row}
+        )
+
+    return show
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Train; return 0, or 1 where the arguments or files do not fit."""
     args = _parser().parse_args(argv)
     torch.set_num_threads(1)  # the workers are the threads
+    path = args.out / "weights.safetensors"
     try:
-        network = dataclasses.replace(NeoConfig.named(args.config), frame=args.frame)
-        same = ("steps", "minutes", "batch", "points", "lr", "decay", "alpha", "flips", "precision")
-        same += ("every", "workers", "seed")
-        rest = {name: getattr(args, name) for name in same}
-        config = TrainConfig(network=network, validation=args.validate, **rest)
-        corpus, validation = open_shards(args.corpus), open_shards(args.validation)
-        result = train(
-            corpus, validation, config, out=args.out, resume=args.resume, device=args.device
-        )
-        path = args.out / "weights.safetensors"
-        digest = save_weights(path, result.network, result.record)
+        with process_group(args.device) as device:
+            result = _run(args, device)
+            if not Ranks.here().first:
+                return 0
+            digest = save_weights(path, result.network, result.record)
     except SpectraKitError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

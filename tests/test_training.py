@@ -14,10 +14,14 @@ import torch
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
 from spectra_kit.neo.pretrained import load_pretrained
-from spectra_kit.subspaces.frame import canonical_frame
-from spectra_kit.training.batches import random_rotation, training_batch
 from spectra_kit.training.config import TrainConfig
-from spectra_kit.training.optim import Muon, make_optimizers, orthogonalise, warmup_stable_decay
+from spectra_kit.training.optim import (
+    Muon,
+    average_weights,
+    make_optimizers,
+    orthogonalise,
+    warmup_stable_decay,
+)
 from spectra_kit.training.shards import open_shards, write_shard
 from spectra_kit.training.train import train, validate
 
@@ -106,6 +110,18 @@ def test_muon_gets_matrices_and_adamw_the_rest():
     assert queries <= {id(p) for p in rest}
 
 
+def test_averaged_weights_forget_the_start_and_then_decay():
+    average, network = torch.nn.Linear(1, 1), torch.nn.Linear(1, 1)
+    values = [3.0, -1.0, 4.0, 1.0]
+    expected = average.weight.item()
+    for step, value in enumerate(values):
+        torch.nn.init.constant_(network.weight, value)
+        average_weights(average, network, step, 0.25)
+        decay = min(0.25, (1 + step) / (10 + step))
+        expected = decay * expected + (1 - decay) * value
+    assert average.weight.item() == pytest.approx(expected, rel=1e-6)
+
+
 def test_schedule_rises_stays_and_falls():
     rates = [warmup_stable_decay(p) for p in np.linspace(0, 1, 1001)]
     assert rates[0] == 0
@@ -113,58 +129,6 @@ def test_schedule_rises_stays_and_falls():
     assert np.all(np.diff(rates[:100]) > 0)
     assert np.allclose(np.diff(np.log(rates[801:])), np.log(0.01) / 200)
     assert warmup_stable_decay(1.5) == pytest.approx(0.01)
-
-
-# Batches
-
-
-def test_rotations_are_proper_and_uniform():
-    rng = np.random.default_rng(0)
-    rotations = np.stack([random_rotation(rng) for _ in range(4000)])
-    np.testing.assert_allclose(
-        rotations @ rotations.mT, np.tile(np.eye(3), (4000, 1, 1)), atol=1e-12
-    )
-    np.testing.assert_allclose(np.linalg.det(rotations), 1.0)
-    # Haar measure: entries have mean 0 and variance 1/3; each image of an axis is uniform in z.
-    np.testing.assert_allclose(rotations.mean(0), 0, atol=0.05)
-    np.testing.assert_allclose((rotations**2).mean(0), 1 / 3, atol=0.03)
-    np.testing.assert_allclose(np.abs(rotations[:, 2, :]).mean(0), 0.5, atol=0.03)
-
-
-@pytest.mark.parametrize("frame", ["principal", "none"])
-def test_batches_follow_from_the_step_and_fit_the_cube(corpora, frame):
-    config = TrainConfig(
-        network=NeoConfig(**{**vars(TINY), "frame": frame}), steps=10, batch=4, points=48
-    )
-    points, mass, modes = training_batch(corpora[0], config, 3)
-    assert (points.shape, mass.shape, modes.shape) == ((4, 48, 3), (4, 48), (4, 48, 8))
-    assert points.abs().max() <= 1
-    for one, again in zip(
-        (points, mass, modes), training_batch(corpora[0], config, 3), strict=True
-    ):
-        assert torch.equal(one, again)
-    assert not torch.equal(points, training_batch(corpora[0], config, 4)[0])
-
-
-def test_an_epoch_shows_every_sample_once(corpora):
-    corpus = corpora[0]
-    config = TrainConfig(network=TINY, steps=10, batch=4, points=64)
-    seen = torch.cat([training_batch(corpus, config, step)[1] for step in range(6)])
-    assert {row.numpy().tobytes() for row in seen} == {
-        mass.tobytes() for shard in corpus.shards for mass in shard.mass
-    }
-
-
-def test_without_jitter_the_pose_is_the_canonical_one(corpora):
-    config = TrainConfig(network=TINY, steps=1, batch=24, points=64, flips=0.0, jitter=0.0, seed=5)
-    posed, mass, _ = training_batch(corpora[0], config, 0)
-    batch = corpora[0].batch(range(24))
-    expected = {
-        w.tobytes(): canonical_frame(x, w).pose(x)
-        for x, w in zip(batch.points, batch.mass, strict=True)
-    }
-    for x, w in zip(posed.numpy(), mass.numpy(), strict=True):
-        np.testing.assert_allclose(x, expected[w.tobytes()], atol=1e-5)
 
 
 # The loop
@@ -182,9 +146,27 @@ def test_training_learns(corpora):
     assert len(result.record["history"]) == 2
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_stopped_run_resumes_bit_by_bit(corpora, tmp_path, workers):
-    config = TrainConfig(**{**vars(CONFIG), "workers": workers})
+def test_the_result_is_the_average_and_the_checkpoint_holds_both(corpora, tmp_path):
+    result = train(*corpora, CONFIG, out=tmp_path / "mean")
+    content = torch.load(tmp_path / "mean" / "checkpoint.pt", weights_only=True)
+    weights = result.network.state_dict()
+    assert all(torch.equal(weights[name], t) for name, t in content["average"].items())
+    assert not torch.equal(weights["lift.weight"], content["network"]["lift.weight"])
+    assert validate(result.network, corpora[1], CONFIG) == result.record["span_error"]
+    plain = train(*corpora, TrainConfig(**{**vars(CONFIG), "ema": 0.0})).network.state_dict()
+    assert all(torch.equal(plain[name], t) for name, t in content["network"].items())
+
+
+def test_training_goes_on_from_given_weights(corpora):
+    first = train(*corpora, CONFIG)
+    still = TrainConfig(**{**vars(CONFIG), "lr": 1e-9, "ema": 0.0})
+    after = train(*corpora, still, initial=first.network)
+    assert after.record["span_error"] == pytest.approx(first.record["span_error"], rel=1e-4)
+
+
+@pytest.mark.parametrize(("workers", "precision"), [(1, "float32"), (2, "float32"), (1, "float16")])
+def test_a_stopped_run_resumes_bit_by_bit(corpora, tmp_path, workers, precision):
+    config = TrainConfig(**{**vars(CONFIG), "workers": workers, "precision": precision, "log": 3})
     whole = train(*corpora, config)
     part = train(*corpora, config, out=tmp_path, stop_after=4)
     assert not part.finished
@@ -194,8 +176,11 @@ def test_a_stopped_run_resumes_bit_by_bit(corpora, tmp_path, workers):
         assert torch.equal(tensor, resumed.network.state_dict()[name]), name
     with (tmp_path / "log.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [int(row["step"]) for row in rows] == [5, 10]
+    assert [int(row["step"]) for row in rows] == [3, 5, 6, 9, 10]
     assert float(rows[-1]["validation"]) == whole.record["span_error"]
+    losses = []
+    train(*corpora, config, report=lambda row: losses.append(row["loss"]))
+    assert [float(row["loss"]) for row in rows] == losses
 
 
 def test_workers_share_a_batch_without_changing_the_gradient(corpora):
@@ -226,6 +211,15 @@ def test_training_runs_outside_the_main_thread(corpora):
     thread.start()
     thread.join()
     assert results[0].record["steps"] == 1
+
+
+def test_a_pause_keeps_the_schedule(corpora, tmp_path):
+    config = TrainConfig(**{**vars(CONFIG), "steps": 100_000, "minutes": 30, "every": 100_000})
+    result = train(*corpora, config, out=tmp_path, pause_after=0.5)
+    assert not result.finished
+    assert 0 < result.record["minutes"] < 0.2
+    again = train(*corpora, config, out=tmp_path, pause_after=0.5, resume=True)
+    assert again.record["steps"] > result.record["steps"]
 
 
 def test_minutes_end_a_run_with_the_whole_schedule(corpora, tmp_path):
@@ -268,10 +262,11 @@ def test_bad_configurations_are_refused(corpora, tmp_path):
 
 def test_command_line_trains_and_writes_weights(folders, tmp_path, capsys):
     corpus, validation = map(str, folders)
-    argv = [corpus, validation, "--out", str(tmp_path), "--steps", "1", "--batch", "2"]
+    argv = [corpus, "--validation", validation, "--out", str(tmp_path)]
+    argv += ["--steps", "1", "--batch", "2"]
     assert train_neo.main([*argv, "--points", "9999"]) == 1
     assert "error: `corpus` must have samples of at least 9999 points" in capsys.readouterr().err
-    assert train_neo.main([*argv[:1], "nowhere", *argv[2:]]) == 1
+    assert train_neo.main(["nowhere", *argv[1:]]) == 1
     assert "found none in nowhere" in capsys.readouterr().err
 
 
@@ -283,10 +278,12 @@ def test_command_line_end_to_end(tmp_path, capsys):
         mass = np.full((2, 200), 1 / 200)
         write_shard(tmp_path / name, 0, points, mass, modes, {})
     out = tmp_path / "run"
-    argv = [str(tmp_path / "train"), str(tmp_path / "validation"), "--out", str(out)]
-    argv += ["--steps", "1", "--batch", "2", "--points", "195"]
+    train_folder = str(tmp_path / "train")
+    argv = [train_folder, train_folder, "--validation", str(tmp_path / "validation")]
+    argv += ["--out", str(out), "--steps", "1", "--batch", "2", "--points", "195"]
     assert train_neo.main(argv) == 0
     printed = capsys.readouterr().out
     loaded = load_pretrained(out / "weights.safetensors")
     assert loaded.record["steps"] == 1
+    assert loaded.record["corpus"]["samples"] == 4
     assert loaded.sha256 in printed

@@ -26,14 +26,16 @@ class TrainConfig:
         Length of the schedule in wall-clock time; such a run ends when it must, but does not
         repeat bit by bit.
     batch, points : int, default 16 and 512
-        Clouds per step, and points drawn from each. Twice the points of half the clouds cost the
-        same, and gave a span error of 0.078 where this gave 0.074.
+        Clouds per step, over all devices, and points drawn from each. Twice the points of half
+        the clouds cost the same, and gave a span error of 0.078 where this gave 0.074.
     lr, weight_decay, clip : float, default 5e-3, 0.04 and 1
         Peak learning rate, decoupled decay, bound on the gradient's norm. Short runs like a
         higher rate than the paper's 8e-4: after 2,000 samples the span error was 0.074, 0.066
         and 0.068 with peaks of 2e-3, 4e-3 and 8e-3.
-    decay : float, default 0.2
-        Share of the schedule at its end in which the rate falls.
+    warmup, decay : float, default 0.1 and 0.2
+        Shares of the schedule in which the rate rises, and falls.
+    ema : float, default 0.999
+        Decay per step of the averaged weights, which are validated and returned; 0 for none.
     alpha : float, default 1e-3
         Weight of `ortho_loss`.
     flips : float, default 1
@@ -46,12 +48,17 @@ class TrainConfig:
         Of the matrix products (autocast). Losses are always float32.
     validation : int, default 64
         How many samples of the validation corpus, the first ones, to validate on.
-    every : int, default 200
-        Steps between validations, which are also the checkpoints.
+    every, log : int, default 200 and 20
+        Steps between validations, and between rows of the log.
+    save : float, default 60
+        Seconds between checkpoints.
     workers : int, default 1
-        Threads that take equal shares of each batch. They meet once per step, so on a busy CPU
-        two of them with one thread each are several times faster than one whose every matrix
-        product waits for two threads.
+        Equal shares of each batch. On a CPU each has a thread, and they meet once per step, so
+        on a busy machine two of them with one thread each are several times faster than one
+        whose every matrix product waits for two threads. On an accelerator they follow one
+        another: half the share, half the memory.
+    compile : bool, default False
+        Compile the network with `torch.compile`: for accelerators.
     seed : int, default 0
         Of initial weights, order, points and poses.
 
@@ -69,24 +76,29 @@ class TrainConfig:
     lr: float = 5e-3
     weight_decay: float = 0.04
     clip: float = 1.0
+    warmup: float = 0.1
     decay: float = 0.2
+    ema: float = 0.999
     alpha: float = 1e-3
     flips: float = 1.0
     jitter: float = 0.03
     precision: Literal["float32", "bfloat16", "float16"] = "float32"
     validation: int = 64
     every: int = 200
+    log: int = 20
+    save: float = 60.0
     workers: int = 1
+    compile: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "points", "validation", "every", "workers"):
+        for name in ("steps", "batch", "points", "validation", "every", "log", "workers"):
             check_count(name, getattr(self, name), low=1)
-        for name in ("lr", "clip", "decay"):
+        for name in ("lr", "clip", "warmup", "decay", "save"):
             check_positive(name, getattr(self, name))
         if self.minutes is not None:
             check_positive("minutes", self.minutes)
-        for name in ("weight_decay", "decay", "alpha", "flips", "jitter"):
+        for name in ("weight_decay", "warmup", "decay", "ema", "alpha", "flips", "jitter"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidInputError(f"`{name}` must be in [0, 1], got {getattr(self, name)!r}")
         if self.points <= self.network.m:

@@ -130,6 +130,17 @@ def make_optimizers(
     )
 
 
+@torch.no_grad()
+def average_weights(average: nn.Module, network: nn.Module, step: int, decay: float) -> None:
+    """Move averaged weights towards those of a network after its step number `step`, from 0.
+
+    The exponential moving average, ``average = d average + (1 - d) network``; early on d is
+    (1 + step) / (10 + step), so that the random initial weights are soon forgotten.
+    """
+    weight = 1 - min(decay, (1 + step) / (10 + step))
+    torch._foreach_lerp_(list(average.parameters()), list(network.parameters()), weight)
+
+
 def warmup_stable_decay(
     progress: float, *, warmup: float = 0.1, decay: float = 0.2, final: float = 1e-2
 ) -> float:

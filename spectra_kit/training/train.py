@@ -2,33 +2,36 @@
 
 from __future__ import annotations
 
-import csv
+import copy
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
-from tqdm import tqdm
+from torch import Tensor, nn
 
-from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.loss import ortho_loss, span_loss
-from spectra_kit.neo.model import NeoNetwork
-from spectra_kit.training.batches import training_batch, validation_batch
+from spectra_kit.neo.model import NeoNetwork, build_network
+from spectra_kit.training import checkpoint
+from spectra_kit.training.batches import Tensors, for_validation, posed
 from spectra_kit.training.config import TrainConfig
-from spectra_kit.training.optim import make_optimizers, warmup_stable_decay
+from spectra_kit.training.feed import Feed, Stream
+from spectra_kit.training.log import Log, Row
+from spectra_kit.training.optim import average_weights, make_optimizers, warmup_stable_decay
+from spectra_kit.training.ranks import Ranks
 from spectra_kit.training.shards import Corpus
 
 # What may change on resuming.
-_FREE = {"minutes", "decay", "batch", "points", "every", "validation", "workers"}
+_FREE = {"minutes", "warmup", "decay", "batch", "points", "every", "log", "save", "validation"}
+_FREE |= {"workers", "compile"}
 _DTYPES = {"float32": None, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
 
@@ -39,7 +42,8 @@ class TrainState:
     step: int = 0
     samples: int = 0
     seconds: float = 0.0
-    history: list[dict[str, float]] = field(default_factory=list)
+    losses: list[float] = field(default_factory=list)  # of the steps since the last row
+    history: list[Row] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +53,11 @@ class TrainResult:
     Parameters
     ----------
     network : NeoNetwork
-        In evaluation mode.
+        In evaluation mode; its weights are averages where the configuration asks for them.
     record : dict
         Plain JSON values: configuration, steps, samples, minutes, validation curve.
     finished : bool
-        False where Ctrl-C ended the run before its schedule; the checkpoint continues it.
+        False where the run was stopped before its schedule ended; the checkpoint continues it.
     """
 
     network: NeoNetwork
@@ -62,36 +66,54 @@ class TrainResult:
 
 
 def train(
-    corpus: Corpus,
+    corpus: Corpus | Stream,
     validation: Corpus,
     config: TrainConfig,
     *,
     out: str | os.PathLike[str] | None = None,
     resume: bool = False,
+    initial: NeoNetwork | None = None,
     device: str = "cpu",
     stop_after: int | None = None,
+    pause_after: float | None = None,
+    tensorboard: bool = False,
+    report: Callable[[Row], None] | None = None,
 ) -> TrainResult:
     """Train a network on a corpus.
 
-    The batch of a step follows from (seed, step) alone, so a run that is stopped and resumed from
-    its checkpoint gives the same weights as one in a single go, bit by bit on a CPU.
+    The batch of a step follows from (seed, step) and the samples there are. On shards a run that
+    is stopped, or killed, and resumed from its checkpoint therefore gives the same weights and
+    the same loss curve as one in a single go, bit by bit on a CPU. A stream shows other samples.
+
+    Where ``torchrun`` started several processes (see `process_group`), each works on its share of
+    every batch and all end with the same weights; the first one validates, logs and saves.
 
     Parameters
     ----------
-    corpus, validation : Corpus
-        What to learn from, and other samples to measure the span error on.
+    corpus : Corpus or Stream
+        What to learn from.
+    validation : Corpus
+        Other samples, to measure the span error on.
     config : TrainConfig
         The run.
     out : path, optional
         Folder for ``checkpoint.pt`` and ``log.csv``; nothing is written without it.
     resume : bool, default False
         Continue from the checkpoint in `out`. The corpus may have grown since, and ``minutes``,
-        ``decay``, ``batch``, ``points``, ``every``, ``validation`` and ``workers`` may differ:
-        cheap steps of few points first, precise ones later.
+        ``warmup``, ``decay``, ``batch``, ``points``, ``every``, ``log``, ``save``, ``validation``,
+        ``workers`` and ``compile`` may differ: cheap steps of few points first, precise ones later.
+    initial : NeoNetwork, optional
+        Weights to begin with, instead of random ones.
     device : str, default "cpu"
         Where to compute.
     stop_after : int, optional
         Stop, with a checkpoint, once this many steps are done in all, as if by Ctrl-C.
+    pause_after : float, optional
+        Stop likewise this many seconds after the call.
+    tensorboard : bool, default False
+        Write event files too, into ``out/events``.
+    report : callable, optional
+        Called with every row of the log as it is made.
 
     Returns
     -------
@@ -102,86 +124,152 @@ def train(
     InvalidInputError
         If the corpus does not fit the configuration, or there is no checkpoint of this
         configuration to resume.
+    MissingDependencyError
+        If event files are asked for and the package tensorboard is not installed.
     """
-    _check_corpora(corpus, validation, config)
+    called = time.perf_counter()
+    ranks = Ranks.here()
+    there = corpus if isinstance(corpus, Corpus) else corpus.corpus()
+    _check_corpora(there, validation, config)
     torch.manual_seed(config.seed)
-    network = NeoNetwork(config.network).to(device)
-    pool = ThreadPoolExecutor(config.workers)
-    optimizers = make_optimizers(
-        network, lr=config.lr, weight_decay=config.weight_decay, apply=pool.map
-    )
-    scaler = torch.amp.GradScaler(device, enabled=config.precision == "float16")
-    state = TrainState()
+    run = _Run(config, torch.device(device), ranks, initial)
     folder = None if out is None else Path(out)
     if resume:
-        state = _load(folder, config, network, optimizers)
+        run.load(_resumed(folder, config))
     elif folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
+    state, saved = run.state, time.monotonic()
     start = time.perf_counter() - state.seconds
     limit = config.steps if stop_after is None else min(stop_after, config.steps)
-    losses: list[float] = []
-    with (
-        pool,
-        _until_interrupt() as interrupted,
-        tqdm(total=config.steps, initial=state.step, unit="step", disable=None) as bar,
-    ):
-        while state.step < limit and _progress(config, state) < 1 and not interrupted():
-            lr = config.lr * warmup_stable_decay(_progress(config, state), decay=config.decay)
-            losses.append(_step(network, optimizers, scaler, corpus, config, state.step, lr, pool))
+    with ExitStack() as stack:
+        enter = stack.enter_context
+        writer = log = None
+        if folder is not None and ranks.first:
+            writer = enter(checkpoint.Writer(folder))
+            log = enter(Log(folder, state.history, tensorboard=tensorboard))
+        enter(run.pool)
+        feed = enter(Feed(corpus, config, run.device, share=ranks.share(config.batch)))
+        interrupted = enter(_until_interrupt())
+        losses: list[Tensor] = []
+        noted = time.perf_counter(), state.samples
+        while True:
+            now = time.perf_counter()
+            stop = interrupted() or (pause_after is not None and now - called > pause_after)
+            progress, stop = ranks.agree(_progress(config, state), stop)
+            if state.step >= limit or progress >= 1 or stop:
+                break
+            lr = config.lr * warmup_stable_decay(progress, warmup=config.warmup, decay=config.decay)
+            losses.append(run.step(feed(state.step), lr))
             state.step += 1
             state.samples += config.batch
             state.seconds = time.perf_counter() - start
-            bar.update()
-            bar.set_postfix(span=f"{np.mean(losses[-50:]):.4f}", refresh=False)
-            if state.step % config.every == 0 or _progress(config, state) >= 1:
-                error = validate(network, validation, config, pool=pool)
-                _note(state, config, losses, lr, error)
-                _save(folder, config, network, optimizers, state)
-    _save(folder, config, network, optimizers, state)
-    record = _record(corpus, config, state)
-    return TrainResult(network.eval(), record, _progress(config, state) >= 1)
+            ended = state.step == config.steps or _progress(config, state) >= 1
+            validating = state.step % config.every == 0 or ended
+            if ranks.first and (validating or state.step % config.log == 0):
+                state.losses += _numbers(losses)  # here a device is waited for
+                now = time.perf_counter()
+                row = _row(config, state, lr, (state.samples - noted[1]) / (now - noted[0]))
+                if validating:
+                    row["validation"] = validate(run.average, validation, config, pool=run.pool)
+                noted = time.perf_counter(), state.samples
+                state.history.append(row)
+                if log is not None:
+                    log.add(row)
+                if report is not None:
+                    report(row)
+            late = time.monotonic() - saved > config.save
+            if writer is not None and (late or validating) and not writer.busy:
+                state.losses += _numbers(losses)
+                writer.write(run.content())
+                saved = time.monotonic()
+        state.losses += _numbers(losses)
+        if writer is not None:
+            writer.write(run.content())
+    there = corpus if isinstance(corpus, Corpus) else corpus.corpus()
+    record = _record(there, config, state)
+    return TrainResult(run.average.eval(), record, _progress(config, state) >= 1)
 
 
-def _step(
-    network: NeoNetwork,
-    optimizers: tuple[torch.optim.Optimizer, ...],
-    scaler: torch.amp.GradScaler,
-    corpus: Corpus,
-    config: TrainConfig,
-    step: int,
-    lr: float,
-    pool: ThreadPoolExecutor,
-) -> float:
-    """Make one step of the optimisers; return its span loss."""
-    parameters = list(network.parameters())
-    device = parameters[0].device
-    shares = [
-        part.to(device).chunk(config.workers) for part in training_batch(corpus, config, step)
-    ]
+class _Run:
+    """What a run changes: the network, its average, the optimisers and the state."""
 
-    def work(points: Tensor, mass: Tensor, U: Tensor) -> tuple[float, tuple[Tensor, ...]]:
-        with _autocast(device.type, config.precision):
-            F = network(points, mass)
-        share = len(points) / config.batch
+    def __init__(
+        self, config: TrainConfig, device: torch.device, ranks: Ranks, initial: NeoNetwork | None
+    ) -> None:
+        self.config, self.device, self.ranks = config, device, ranks
+        self.network = build_network(config.network)
+        if initial is not None:
+            self.network.load_state_dict(initial.state_dict())
+        self.network.to(device).train().requires_grad_(True)
+        self.average = copy.deepcopy(self.network) if config.ema else self.network
+        self.parameters = list(self.network.parameters())
+        # The compiled one shares the weights; their names in checkpoints stay plain.
+        self.forward: nn.Module | Callable[..., Any] = self.network
+        if config.compile:
+            self.forward = torch.compile(self.network, dynamic=False)
+        # Shares of a batch side by side on a CPU, one after the other elsewhere.
+        self.pool = ThreadPoolExecutor(config.workers if device.type == "cpu" else 1)
+        self.optimizers = make_optimizers(
+            self.network, lr=config.lr, weight_decay=config.weight_decay, apply=self.pool.map
+        )
+        self.scaler = torch.amp.GradScaler(device.type, enabled=config.precision == "float16")
+        self.state = TrainState()
+
+    def step(self, batch: Tensors, lr: float) -> Tensor:
+        """Make one step of the optimisers; return its span loss, on the device."""
+        config, parameters = self.config, self.parameters
+        losses, gradients = zip(
+            *self.pool.map(self._work, *(part.chunk(config.workers) for part in batch)), strict=True
+        )
+        loss = torch.stack(losses).sum()
+        for parameter, *parts in zip(parameters, *gradients, strict=True):
+            parameter.grad = parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
+        self.ranks.add_up([loss, *(p.grad for p in parameters if p.grad is not None)])
+        for optimizer in self.optimizers:
+            self.scaler.unscale_(optimizer)
+        torch.nn.utils.clip_grad_norm_(parameters, config.clip)
+        for optimizer in self.optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = lr
+            self.scaler.step(optimizer)
+            optimizer.zero_grad()
+        self.scaler.update()
+        if config.ema:
+            average_weights(self.average, self.network, self.state.step, config.ema)
+        return loss
+
+    def _work(self, points: Tensor, mass: Tensor, U: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Return the loss of a share of the batch, and its gradients."""
+        with _autocast(self.device.type, self.config.precision):
+            F = self.forward(points, mass)
+        share = len(points) / self.config.batch
         loss = share * span_loss(F, mass, U)
-        total = loss + share * config.alpha * ortho_loss(F, mass)
-        return loss.item(), torch.autograd.grad(scaler.scale(total), parameters)
+        total = loss + share * self.config.alpha * ortho_loss(F, mass)
+        return loss.detach(), torch.autograd.grad(self.scaler.scale(total), self.parameters)
 
-    losses, gradients = zip(*pool.map(work, *shares), strict=True)
-    for parameter, *parts in zip(parameters, *gradients, strict=True):
-        parameter.grad = torch.stack(parts).sum(0)
-    for optimizer in optimizers:
-        scaler.unscale_(optimizer)
-    torch.nn.utils.clip_grad_norm_(parameters, config.clip)
-    for optimizer in optimizers:
-        for group in optimizer.param_groups:
-            group["lr"] = lr
-        scaler.step(optimizer)
-        optimizer.zero_grad()
-    scaler.update()
-    return float(sum(losses))
+    def content(self) -> dict[str, Any]:
+        """Return what a checkpoint holds."""
+        return {
+            "config": asdict(self.config),
+            "state": asdict(self.state),
+            "network": self.network.state_dict(),
+            "average": self.average.state_dict() if self.config.ema else {},
+            "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
+            "scaler": self.scaler.state_dict(),
+        }
+
+    def load(self, content: dict[str, Any]) -> None:
+        """Go on from the content of a checkpoint."""
+        self.network.load_state_dict(content["network"])
+        if self.config.ema:
+            self.average.load_state_dict(content["average"])
+        for optimizer, saved in zip(self.optimizers, content["optimizers"], strict=True):
+            optimizer.load_state_dict(saved)
+        self.scaler.load_state_dict(content["scaler"])
+        self.state = TrainState(**content["state"])
 
 
+@torch.no_grad()
 def validate(
     network: NeoNetwork,
     corpus: Corpus,
@@ -196,8 +284,8 @@ def validate(
     @torch.no_grad()
     def error(first: int) -> float:
         indices = range(first, min(first + 8, n))
-        batch = validation_batch(corpus, config, indices)
-        points, mass, U = (part.to(device) for part in batch)
+        whole = for_validation(posed(corpus.batch(indices), config), config, first)
+        points, mass, U = (part.to(device) for part in whole)
         with _autocast(device.type, config.precision):
             F = network(points, mass)
         return float(span_loss(F, mass, U)) * len(indices)
@@ -214,80 +302,56 @@ def _progress(config: TrainConfig, state: TrainState) -> float:
     return share
 
 
-def _note(
-    state: TrainState, config: TrainConfig, losses: list[float], lr: float, error: float
-) -> None:
-    state.history.append(
-        {
-            "step": state.step,
-            "samples": state.samples,
-            "seconds": round(state.seconds, 1),
-            "points": config.points,
-            "lr": round(lr, 8),
-            "loss": round(float(np.mean(losses)), 6),
-            "validation": error,
-        }
-    )
+def _numbers(losses: list[Tensor]) -> list[float]:
+    """Return losses as numbers, and empty the list."""
+    numbers = torch.stack(losses).tolist() if losses else []
     losses.clear()
+    return [float(number) for number in numbers]
+
+
+def _row(config: TrainConfig, state: TrainState, lr: float, rate: float) -> Row:
+    """Return a row of the log, over the steps since the last one."""
+    loss = float(np.mean(state.losses))
+    state.losses.clear()
+    return {
+        "step": state.step,
+        "samples": state.samples,
+        "seconds": round(state.seconds, 1),
+        "points": config.points,
+        "lr": round(lr, 8),
+        "rate": round(rate, 2),
+        "loss": loss,
+    }
 
 
 def _record(corpus: Corpus, config: TrainConfig, state: TrainState) -> dict[str, Any]:
+    validations = [row for row in state.history if "validation" in row]
     return {
         "config": asdict(config),
         "steps": state.step,
         "samples": state.samples,
         "minutes": round(state.seconds / 60, 2),
         "corpus": {"samples": len(corpus), "points": corpus.n_points, "k": corpus.k},
-        "span_error": state.history[-1]["validation"] if state.history else None,
-        "history": state.history,
+        "span_error": validations[-1]["validation"] if validations else None,
+        "history": validations,
     }
 
 
-def _save(
-    folder: Path | None,
-    config: TrainConfig,
-    network: NeoNetwork,
-    optimizers: tuple[torch.optim.Optimizer, ...],
-    state: TrainState,
-) -> None:
-    if folder is None:
-        return
-    content = {
-        "config": asdict(config),
-        "state": asdict(state),
-        "network": network.state_dict(),
-        "optimizers": [optimizer.state_dict() for optimizer in optimizers],
-    }
-    with atomic_path(folder / "checkpoint.pt") as path:
-        torch.save(content, path)
-    if state.history:
-        with atomic_path(folder / "log.csv") as path, path.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(state.history[0]))
-            writer.writeheader()
-            writer.writerows(state.history)
-
-
-def _load(
-    folder: Path | None,
-    config: TrainConfig,
-    network: NeoNetwork,
-    optimizers: tuple[torch.optim.Optimizer, ...],
-) -> TrainState:
-    path = None if folder is None else folder / "checkpoint.pt"
-    if path is None or not path.is_file():
-        raise InvalidInputError(f"`out` must hold a checkpoint to resume, found none at {path}")
-    content = torch.load(path, map_location="cpu", weights_only=True)
+def _resumed(folder: Path | None, config: TrainConfig) -> dict[str, Any]:
+    content = None if folder is None else checkpoint.read(folder)
+    if content is None:
+        raise InvalidInputError(
+            f"`out` must hold a checkpoint to resume, found none in {folder};"
+            " call without `resume` to begin a run"
+        )
     ours, theirs = asdict(config), content["config"]
     differing = sorted(name for name in ours.keys() - _FREE if ours[name] != theirs.get(name))
     if differing:
         raise InvalidInputError(
-            f"the checkpoint {path} was written with other values of {differing};"
+            f"the checkpoint in {folder} was written with other values of {differing};"
             " resume with those, or train into another folder"
         )
-    network.load_state_dict(content["network"])
-    for optimizer, saved in zip(optimizers, content["optimizers"], strict=True):
-        optimizer.load_state_dict(saved)
-    return TrainState(**content["state"])
+    return content
 
 
 def _check_corpora(corpus: Corpus, validation: Corpus, config: TrainConfig) -> None:
@@ -304,7 +368,7 @@ def _check_corpora(corpus: Corpus, validation: Corpus, config: TrainConfig) -> N
 
 def _autocast(device: str, precision: str) -> torch.autocast:
     dtype = _DTYPES[precision]
-    return torch.autocast(torch.device(device).type, dtype=dtype, enabled=dtype is not None)
+    return torch.autocast(device, dtype=dtype, enabled=dtype is not None)
 
 
 @contextmanager

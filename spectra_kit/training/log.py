@@ -1,0 +1,74 @@
+"""The log of a run: rows in memory, in a CSV file, and as TensorBoard events."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from spectra_kit._files import atomic_path
+from spectra_kit.errors import MissingDependencyError
+
+FIELDS = ("step", "samples", "seconds", "points", "lr", "rate", "loss", "validation")
+Row = dict[str, float]
+
+
+class Log:
+    """Writes ``log.csv``, row by row, and event files beside it if asked to.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to.
+    rows : iterable of dict
+        What a resumed run had logged up to its checkpoint; later rows are dropped.
+    tensorboard : bool
+        Write event files too, into ``folder/events``.
+
+    Raises
+    ------
+    MissingDependencyError
+        If `tensorboard` is asked for and not installed.
+    """
+
+    def __init__(self, folder: Path, rows: Iterable[Row], *, tensorboard: bool = False) -> None:
+        path, rows = folder / "log.csv", list(rows)
+        self._events: Any = None
+        if tensorboard:
+            try:
+                from torch.utils.tensorboard import SummaryWriter
+            except ImportError as error:
+                raise MissingDependencyError(
+                    "event files need the package tensorboard; install it, or read log.csv"
+                ) from error
+            purge = int(rows[-1]["step"]) + 1 if rows else 0
+            self._events = SummaryWriter(str(folder / "events"), purge_step=purge)
+        with atomic_path(path) as part, part.open("w", newline="") as file:
+            writer = csv.DictWriter(file, FIELDS)
+            writer.writeheader()
+            writer.writerows(rows)
+        self._file = path.open("a", newline="")
+        self._csv = csv.DictWriter(self._file, FIELDS)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._file.close()
+        if self._events is not None:
+            self._events.close()
+
+    def add(self, row: Row) -> None:
+        """Write one row; values that it lacks stay empty."""
+        self._csv.writerow(row)
+        self._file.flush()
+        if self._events is not None:
+            for name in row.keys() - {"step"}:
+                self._events.add_scalar(name, row[name], int(row["step"]))

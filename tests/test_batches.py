@@ -1,0 +1,197 @@
+"""Batches: they follow from the step, show every sample, and come the same way on every path."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.neo.model import NeoConfig
+from spectra_kit.subspaces.frame import POSES, canonical_frame
+from spectra_kit.training.batches import for_validation, posed, random_rotations, rotations
+from spectra_kit.training.config import TrainConfig
+from spectra_kit.training.feed import Feed, join
+from spectra_kit.training.shards import Batch, Corpus
+
+NETWORK = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
+CPU = torch.device("cpu")
+
+
+def corpus(n=24, seed=0, first=0):
+    rng = np.random.default_rng(seed)
+    points = rng.standard_normal((n, 64, 3)) * rng.uniform(0.3, 1, (n, 1, 3)) + 5
+    mass = rng.uniform(0.5, 1.5, (n, 64))
+    shards = [
+        Batch(
+            points[part].astype(np.float32),
+            (mass / mass.sum(1, keepdims=True))[part].astype(np.float32),
+            rng.standard_normal((n, 64, 8))[part].astype(np.float16),
+        )
+        for part in (slice(n // 2), slice(n // 2, n))
+    ]
+    return Corpus(tuple(shards), {"index": first + np.arange(n)})
+
+
+CORPUS = corpus()
+
+
+def config(**options):
+    frame = options.pop("frame", "principal")
+    network = NeoConfig(**{**vars(NETWORK), "frame": frame})
+    return TrainConfig(**{"network": network, "steps": 10, "batch": 4, "points": 48, **options})
+
+
+def batch(source, settings, step, **options):
+    with Feed(source, settings, CPU, **options) as feed:
+        return feed(step)
+
+
+def assert_equal(one, other):
+    for a, b in zip(one, other, strict=True):
+        assert torch.equal(a, b)
+
+
+def test_random_rotations_are_proper_and_uniform():
+    turns = random_rotations(torch.randn(4000, 4, generator=torch.Generator().manual_seed(0)))
+    eye = torch.eye(3).expand(4000, 3, 3)
+    torch.testing.assert_close(turns @ turns.mT, eye, atol=1e-5, rtol=0)
+    torch.testing.assert_close(torch.linalg.det(turns), torch.ones(4000))
+    # Haar measure: entries have mean 0 and variance 1/3; each image of an axis is uniform in z.
+    assert turns.mean(0).abs().max() < 0.05
+    assert (turns.square().mean(0) - 1 / 3).abs().max() < 0.03
+    assert (turns[:, 2].abs().mean(0) - 0.5).abs().max() < 0.03
+
+
+def test_rotations_are_scipys():
+    vectors = np.vstack([np.zeros(3), np.random.default_rng(0).normal(size=(20, 3))])
+    ours = rotations(torch.from_numpy(vectors).float()).numpy()
+    np.testing.assert_allclose(ours, Rotation.from_rotvec(vectors).as_matrix(), atol=1e-6)
+
+
+@pytest.mark.parametrize("frame", ["principal", "none"])
+def test_batches_follow_from_the_step_and_fit_the_cube(frame):
+    settings = config(frame=frame)
+    points, mass, modes = batch(CORPUS, settings, 3)
+    assert (points.shape, mass.shape, modes.shape) == ((4, 48, 3), (4, 48), (4, 48, 8))
+    assert points.abs().max() <= 1 + 1e-6
+    assert_equal((points, mass, modes), batch(CORPUS, settings, 3))
+    assert not torch.equal(points, batch(CORPUS, settings, 4)[0])
+
+
+def test_an_epoch_shows_every_sample_once():
+    settings = config(points=64)
+    with Feed(CORPUS, settings, CPU) as feed:
+        seen = torch.cat([feed(step)[1] for step in range(6)])
+    assert {row.numpy().tobytes() for row in seen} == {
+        mass.tobytes() for shard in CORPUS.shards for mass in shard.mass
+    }
+
+
+def test_points_masses_and_modes_stay_together():
+    points, mass, modes = batch(CORPUS, config(jitter=0.0, flips=0.0, batch=24), 0)
+    whole = CORPUS.batch(range(24))
+    lookup = {
+        w.tobytes(): (p, u)
+        for x, ws, us in zip(whole.points, whole.mass, whole.eigenvectors, strict=True)
+        for p, w, u in zip(canonical_frame(x, ws).pose(x), ws, us, strict=True)
+    }
+    for p, w, u in zip(
+        *(part.flatten(0, 1).numpy() for part in (points, mass, modes)), strict=True
+    ):
+        expected = lookup[w.tobytes()]
+        np.testing.assert_allclose(p, expected[0], atol=1e-5)
+        np.testing.assert_array_equal(u, expected[1])
+
+
+def test_flips_are_the_four_proper_ones_equally_often():
+    settings = config(jitter=0.0, points=64, batch=400)
+    points, mass, _ = batch(CORPUS, settings, 0)
+    whole = CORPUS.batch(range(24))
+    plain = {
+        w.tobytes(): canonical_frame(x, w).pose(x)
+        for x, w in zip(whole.points, whole.mass, strict=True)
+    }
+    counts = np.zeros(4)
+    for x, w in zip(points.numpy(), mass.numpy(), strict=True):
+        fits = [np.allclose(x, plain[w.tobytes()] * flip, atol=1e-5) for flip in POSES]
+        assert sum(fits) == 1
+        counts += fits
+    assert (counts > 70).all()
+
+
+def test_jitter_turns_and_shrinks_a_little():
+    still, _, _ = batch(CORPUS, config(jitter=0.0, flips=0.0, points=64), 0)
+    moved, _, _ = batch(CORPUS, config(jitter=0.03, flips=0.0, points=64), 0)
+    size = moved.abs().amax((1, 2))
+    assert (size > 0.97).all()
+    assert (size < 1).all()
+    # Distances between points change by one factor per cloud: no shear.
+    ratio = (
+        torch.cdist(moved, moved).flatten(1)[:, 1:64]
+        / torch.cdist(still, still).flatten(1)[:, 1:64]
+    )
+    assert (ratio.std(1) < 1e-4).all()
+
+
+@pytest.mark.parametrize("frame", ["principal", "none"])
+def test_samples_kept_on_the_device_give_the_same_batches(frame):
+    settings = config(frame=frame)
+    with Feed(CORPUS, settings, CPU, resident=True) as kept, Feed(CORPUS, settings, CPU) as read:
+        for step in (0, 1, 7, 2):
+            assert_equal(kept(step), read(step))
+
+
+def test_shares_together_are_the_batch():
+    settings = config(batch=5)
+    whole = batch(CORPUS, settings, 2)
+    shares = [batch(CORPUS, settings, 2, share=s) for s in (slice(0, 2), slice(2, 5))]
+    for parts, expected in zip(zip(*shares, strict=True), whole, strict=True):
+        torch.testing.assert_close(torch.cat(parts), expected)
+
+
+@pytest.mark.parametrize("resident", [False, True])
+def test_a_stream_shows_what_is_there(monkeypatch, resident):
+    monkeypatch.setattr("spectra_kit.training.feed._REFRESH", 0.0)
+    settings = config(batch=8, points=64)
+
+    def masses(*corpora):
+        return {mass.tobytes() for c in corpora for shard in c.shards for mass in shard.mass}
+
+    def seen(feed, steps):
+        return {row.numpy().tobytes() for step in steps for row in feed(step)[1]}
+
+    a, b, c = corpus(8, 1, first=0), corpus(8, 2, first=8), corpus(16, 3, first=16)
+    stream = SimpleNamespace(now=a)
+    stream.corpus = lambda: stream.now
+    with Feed(stream, settings, CPU, resident=resident) as feed:
+        assert seen(feed, range(1)) == masses(a)
+        stream.now = join([b, a])  # it grows, and the order changes
+        feed(1)  # what was read ahead
+        assert seen(feed, [2, 3]) == masses(a, b)
+        stream.now = b  # the oldest go
+        feed(4)
+        assert seen(feed, [5]) == masses(b)
+        stream.now = join([c, b])
+        feed(6)
+        assert seen(feed, [9, 10, 11]) == masses(b, c)
+
+
+def test_joined_corpora_must_be_of_one_size():
+    joined = join([CORPUS, CORPUS])
+    assert len(joined) == 48
+    np.testing.assert_array_equal(joined.batch([30]).mass, CORPUS.batch([6]).mass)
+    small = Corpus((Batch(*(a[:, :32] for a in vars(CORPUS.shards[0]).values())),), {})
+    with pytest.raises(InvalidInputError, match=r"the same \(points, modes\).*got \[\(32, 8\)"):
+        join([CORPUS, small])
+
+
+@pytest.mark.parametrize("frame", ["principal", "none"])
+def test_validation_shows_whole_samples_the_same_way_every_time(frame):
+    settings = config(frame=frame)
+    samples = posed(CORPUS.batch(range(4)), settings)
+    points, mass, modes = for_validation(samples, settings, 0)
+    torch.testing.assert_close(points.abs().amax((1, 2)), torch.ones(4))
+    assert (mass.shape, modes.dtype) == ((4, 64), torch.float32)
+    assert_equal((points, mass, modes), for_validation(samples, settings, 0))

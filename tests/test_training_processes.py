@@ -1,0 +1,126 @@
+"""Training in processes that are killed, and in several at once."""
+
+import csv
+import os
+import random
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import torch
+
+from spectra_kit.training.checkpoint import read
+from spectra_kit.training.ranks import Ranks, process_group
+from spectra_kit.training.shards import write_shard
+
+SCRIPT = """
+import sys, torch
+from spectra_kit.neo.model import NeoConfig
+from spectra_kit.training.config import TrainConfig
+from spectra_kit.training.ranks import process_group
+from spectra_kit.training.shards import open_shards
+from spectra_kit.training.train import train
+
+torch.set_num_threads(1)
+network = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
+folder, out, steps, resume = sys.argv[1:]
+config = TrainConfig(
+    network=network, steps=int(steps), batch=5, points=48, validation=4, every=25, log=1, save=0.01
+)
+corpus = open_shards(folder)
+with process_group("cpu") as device:
+    train(corpus, corpus, config, out=out, resume=resume == "resume", device=device)
+"""
+ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    rng = np.random.default_rng(0)
+    path = tmp_path_factory.mktemp("corpus")
+    points, modes = rng.standard_normal((12, 64, 3)), rng.standard_normal((12, 64, 8))
+    write_shard(path, 0, points, np.full((12, 64), 1 / 64), modes, {})
+    return path
+
+
+def command(folder, out, *, steps=60, resume=False):
+    rest = [str(folder), str(out), str(steps), "resume" if resume else "begin"]
+    return [sys.executable, "-c", SCRIPT, *rest]
+
+
+def curve(out):
+    with (out / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    return [{k: row[k] for k in ("step", "samples", "lr", "loss", "validation")} for row in rows]
+
+
+@pytest.mark.slow
+def test_a_killed_run_resumes_to_the_same_loss_curve(folder, tmp_path):
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    subprocess.run(command(folder, whole), check=True, env=ENVIRONMENT)
+    reached = 0
+    for attempt in range(2):
+        call = command(folder, killed, resume=attempt > 0)
+        with subprocess.Popen(call, env=ENVIRONMENT) as process:
+            while (
+                process.poll() is None
+                and (read(killed) or {"state": {"step": 0}})["state"]["step"] <= reached
+            ):
+                time.sleep(0.01)
+            time.sleep(random.uniform(0, 0.2))
+            process.kill()
+        reached = read(killed)["state"]["step"]
+        assert 0 < reached < 60
+    subprocess.run(command(folder, killed, resume=True), check=True, env=ENVIRONMENT)
+    assert curve(killed) == curve(whole)
+    one, other = read(killed), read(whole)
+    for part in ("network", "average"):
+        assert all(torch.equal(tensor, other[part][name]) for name, tensor in one[part].items())
+    assert one["state"]["losses"] == other["state"]["losses"] == []
+
+
+@pytest.mark.slow
+def test_two_processes_end_with_the_weights_of_one(folder, tmp_path):
+    subprocess.run(command(folder, tmp_path / "one", steps=6), check=True, env=ENVIRONMENT)
+    launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    arguments = command(folder, tmp_path / "two", steps=6)[3:]
+    subprocess.run(
+        [sys.executable, *launcher, str(script), *arguments], check=True, env=ENVIRONMENT
+    )
+    one, two = read(tmp_path / "one"), read(tmp_path / "two")
+    for name, tensor in one["network"].items():
+        torch.testing.assert_close(tensor, two["network"][name], atol=1e-3, rtol=1e-2)
+    losses = [[float(row["loss"]) for row in curve(tmp_path / name)] for name in ("one", "two")]
+    np.testing.assert_allclose(*losses, rtol=1e-3)
+
+
+def test_a_process_on_its_own_is_the_first_and_decides():
+    ranks = Ranks.here()
+    assert ranks.first
+    assert ranks.agree(0.5, True) == (0.5, True)
+    tensor = torch.ones(2)
+    ranks.add_up([tensor])
+    assert torch.equal(tensor, torch.ones(2))
+    with process_group("cpu") as device:
+        assert device == "cpu"
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs an NVIDIA GPU")
+def test_compiled_half_precision_training_on_cuda_follows_the_cpu(folder, tmp_path):
+    from spectra_kit.neo.model import NeoConfig
+    from spectra_kit.training.config import TrainConfig
+    from spectra_kit.training.shards import open_shards
+    from spectra_kit.training.train import train
+
+    network = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
+    corpus = open_shards(folder)
+    options = {"network": network, "steps": 20, "batch": 8, "points": 48, "validation": 4}
+    cpu = train(corpus, corpus, TrainConfig(**options))
+    fast = TrainConfig(**options, compile=True, precision="bfloat16")
+    cuda = train(corpus, corpus, fast, device="cuda", out=tmp_path)
+    assert cuda.record["span_error"] == pytest.approx(cpu.record["span_error"], rel=0.1)
+    assert set(read(tmp_path)["network"]) == set(cpu.network.state_dict())
