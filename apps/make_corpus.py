@@ -7,9 +7,13 @@ interruption, and it continues.
 from __future__ import annotations
 
 import argparse
+import resource
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
+
+from tqdm import tqdm
 
 from spectra_kit.errors import SpectraKitError
 from spectra_kit.training.corpus import CorpusConfig, generate
@@ -58,7 +62,23 @@ def main(argv: Sequence[str] | None = None) -> int:
             pool_share=share,
             pool_split=options.pool_split,
         )
-        counts = generate(options.folder, options.samples, config=config, workers=options.workers)
+        wall, cpu = time.perf_counter(), _cpu_seconds()
+        with tqdm(unit="sample", disable=None) as bar:
+
+            made = 0
+
+            def progress(done: int, total: int) -> None:
+                nonlocal made
+                made, bar.total = done, total
+                bar.update()
+
+            counts = generate(
+                options.folder,
+                options.samples,
+                config=config,
+                workers=options.workers,
+                progress=progress,
+            )
     except SpectraKitError as error:
         print(f"make_corpus: {error}", file=sys.stderr)
         return 1
@@ -69,7 +89,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     rejected = ", ".join(f"{reason} {count}" for reason, count in counts.rejected.items())
     print(f"{counts.samples} samples in {options.folder}: {families}")
     print(f"drawn again because of: {rejected}")
+    if made:
+        wall, cpu = time.perf_counter() - wall, _cpu_seconds() - cpu
+        print(f"{made} made in {wall:.0f} s: {made / wall:.2f} a second, {made / cpu:.2f} a core")
     return 0
+
+
+def _cpu_seconds() -> float:
+    """Time that this process and its ended children have computed."""
+    usage = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(u.ru_utime + u.ru_stime for u in usage)
 
 
 if __name__ == "__main__":

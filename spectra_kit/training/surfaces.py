@@ -224,8 +224,8 @@ def warped(points: Floats, rng: np.random.Generator, likely: float) -> Floats:
 def bisected(mesh: TriangleMesh, longest: float) -> TriangleMesh:
     """Halve faces across their longest edge until none is longer, so that they can be bent.
 
-    Neighbours are not told: a point in the middle of their edge may remain. Sampled points do not
-    see it.
+    An edge is cut in all faces that share it, so no cracks open; the points in its middle may lie
+    there twice.
 
     Examples
     --------

@@ -1,0 +1,260 @@
+"""Samples made while they are needed: processes fill a bounded buffer that training reads.
+
+So an accelerator neither waits for a corpus nor needs gigabytes of files.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import count as count_from
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._validate import check_count
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.training.corpus import (
+    CorpusConfig,
+    CorpusReport,
+    Sample,
+    claim,
+    count,
+    produced,
+    write_samples,
+)
+from spectra_kit.training.samples import LABELS
+from spectra_kit.training.shards import Batch, Corpus, open_shards
+
+_LOOK = 0.1  # seconds between looks of a reader that waits
+_BLOCKS = 8  # at least; the oldest one goes when the buffer is full
+
+
+class SampleStream:
+    """An endless corpus: sample `start`, `start` + 1, ... of a configuration, the newest at hand.
+
+    Sample number i is the one that `make_sample` makes, in the precisions of the shards. The
+    buffer grows to `capacity`; then its oldest samples make room, an eighth at a time. Reading
+    waits for nothing.
+
+    Parameters
+    ----------
+    config : CorpusConfig
+        What the samples are made of.
+    workers : int
+        Processes that make them, each of one thread.
+    capacity : int
+        Samples to hold; one of 2,048 points and 96 modes takes 0.43 MB.
+    start : int, default 0
+        Number of the first sample. With a `folder`, a multiple of the shard size.
+    folder : path, optional
+        Save whole shards there, as `generate` does. Those from `start` on that are there already
+        fill the buffer at once, and the stream goes on behind the last.
+
+    Raises
+    ------
+    InvalidInputError
+        If a count is too small; (on entering) if the folder holds another corpus, or other
+        samples than those from `start` on, or half a shard.
+    WorkerError
+        (from every method but ``close``) If a process that makes samples has died.
+
+    Notes
+    -----
+    Use it in a ``with`` block: entering starts the processes, and leaving it ends them, also on
+    Ctrl-C. They end by themselves if this process is killed. Scripts must guard their top level
+    with ``if __name__ == "__main__"``, because the processes are spawned.
+
+    Examples
+    --------
+    >>> config = CorpusConfig(seed=0, n_points=128, k=4)
+    >>> with SampleStream(config, workers=1, capacity=64) as stream:
+    ...     enough = stream.ready(3, timeout=60)
+    ...     points = stream.corpus().batch([0, 2]).points
+    >>> enough, points.shape
+    (True, (2, 128, 3))
+    """
+
+    def __init__(
+        self,
+        config: CorpusConfig,
+        *,
+        workers: int,
+        capacity: int,
+        start: int = 0,
+        folder: str | os.PathLike[str] | None = None,
+    ) -> None:
+        self._workers = check_count("workers", workers, low=1)
+        self._capacity = check_count("capacity", capacity, low=1)
+        self._start = self._next = check_count("start", start, low=0)
+        if folder is not None and start % config.shard_size:
+            raise InvalidInputError(
+                f"`start` must be a multiple of the shard size {config.shard_size} where shards are"
+                f" saved, got {start}"
+            )
+        self._config = config
+        self._folder = None if folder is None else Path(folder)
+        self._block = max(1, min(config.shard_size, capacity // _BLOCKS))
+        self._blocks: deque[_Block] = deque()
+        self._seen: list[dict[str, NDArray[np.int64]]] = []  # labels of blocks that are gone
+        self._unsaved: list[Sample] = []
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._thread: ThreadPoolExecutor | None = None
+        self._collecting: Future[None] | None = None
+
+    def __enter__(self) -> Self:
+        if self._folder is not None:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            claim(self._folder, self._config)
+            self._load(self._folder)
+        self._thread = ThreadPoolExecutor(1)
+        self._collecting = self._thread.submit(self._collect)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the processes; what is in the buffer stays readable."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.shutdown()
+
+    def corpus(self) -> Corpus:
+        """Return what is there now, possibly nothing: views that stay as they are."""
+        self._check()
+        with self._lock:
+            blocks = [block.view() for block in self._blocks] or [_Block(self._config, 0).view()]
+        return Corpus(
+            tuple(batch for batch, _ in blocks),
+            {name: np.concatenate([labels[name] for _, labels in blocks]) for name in LABELS},
+        )
+
+    def ready(self, n: int, timeout: float) -> bool:
+        """Wait until `n` samples have come in, at most `timeout` seconds; say whether they have."""
+        check_count("n", n, low=1, high=self._capacity)
+        end = time.monotonic() + timeout
+        while self._next - self._start < n:
+            self._check()
+            if time.monotonic() > end:
+                return False
+            self._stop.wait(_LOOK)
+        return True
+
+    def __len__(self) -> int:
+        """Return the number of samples at hand."""
+        with self._lock:
+            return sum(block.size for block in self._blocks)
+
+    def report(self) -> CorpusReport:
+        """Count all samples so far, those that made room included, and what was turned down."""
+        self._check()
+        with self._lock:
+            labels = self._seen + [block.view()[1] for block in self._blocks]
+        empty = np.empty(0, dtype=np.int64)
+        return count(
+            {name: np.concatenate([empty, *(part[name] for part in labels)]) for name in LABELS}
+        )
+
+    def _check(self) -> None:
+        """Raise here what ended the thread that collects."""
+        if self._collecting is not None and self._collecting.done():
+            self._collecting.result()
+
+    def _load(self, folder: Path) -> None:
+        """Take over the shards that are there."""
+        if not any(folder.glob("shard_*")):
+            return
+        there = open_shards(folder)
+        if not np.array_equal(there.labels["index"], self._next + np.arange(len(there))):
+            raise InvalidInputError(
+                f"`folder` must hold the samples from `start` = {self._next} on without gaps,"
+                f" {folder} holds others; take another folder, or its own start"
+            )
+        if len(there) % self._config.shard_size:
+            raise InvalidInputError(
+                f"`folder` must hold whole shards of {self._config.shard_size}, got {len(there)}"
+                f" samples in {folder}; delete its last shard"
+            )
+        labels = {name: there.labels[name] for name in LABELS}
+        for i, shard in enumerate(there.shards):
+            rows = slice(i * self._config.shard_size, (i + 1) * self._config.shard_size)
+            self._append(_Block.of(shard, {name: label[rows] for name, label in labels.items()}))
+        self._next += len(there)
+
+    def _collect(self) -> None:
+        with produced(self._config, count_from(self._next), self._workers) as samples:
+            for sample in samples:
+                if self._stop.is_set():
+                    return
+                self._take(sample)
+
+    def _take(self, sample: Sample) -> None:
+        if not self._blocks or self._blocks[-1].full:
+            self._append(_Block(self._config, self._block))
+        with self._lock:
+            self._blocks[-1].append(sample)
+            self._next += 1
+        if self._folder is not None:
+            self._unsaved.append(sample)
+            if len(self._unsaved) == self._config.shard_size:
+                index = sample.labels["index"] // self._config.shard_size
+                write_samples(self._folder, index, self._unsaved)
+                self._unsaved = []
+
+    def _append(self, block: _Block) -> None:
+        """Open a block, and let those go that are more than the capacity without it."""
+        with self._lock:
+            self._blocks.append(block)
+            room = self._capacity - len(block.arrays.mass)
+            while len(self._blocks) > 1 and sum(b.size for b in self._blocks) - block.size > room:
+                self._seen.append(self._blocks.popleft().labels)
+
+
+class _Block:
+    """Room for some samples; filled once, from the front, and never rewritten."""
+
+    def __init__(self, config: CorpusConfig, room: int) -> None:
+        self.arrays = Batch(
+            np.empty((room, config.n_points, 3), dtype=np.float32),
+            np.empty((room, config.n_points), dtype=np.float32),
+            np.empty((room, config.n_points, config.k), dtype=np.float16),
+        )
+        self.labels = {name: np.empty(room, dtype=np.int64) for name in LABELS}
+        self.size = 0
+
+    @classmethod
+    def of(cls, arrays: Batch, labels: dict[str, NDArray[np.int64]]) -> _Block:
+        """Wrap samples that are there."""
+        block = cls.__new__(cls)
+        block.arrays, block.labels, block.size = arrays, labels, len(arrays.mass)
+        return block
+
+    @property
+    def full(self) -> bool:
+        return self.size == len(self.arrays.mass)
+
+    def append(self, sample: Sample) -> None:
+        self.arrays.points[self.size] = sample.points
+        self.arrays.mass[self.size] = sample.mass
+        self.arrays.eigenvectors[self.size] = sample.eigenvectors
+        for name in LABELS:
+            self.labels[name][self.size] = sample.labels[name]
+        self.size += 1
+
+    def view(self) -> tuple[Batch, dict[str, NDArray[np.int64]]]:
+        a, n = self.arrays, self.size
+        labels = {name: label[:n] for name, label in self.labels.items()}
+        return Batch(a.points[:n], a.mass[:n], a.eigenvectors[:n]), labels
