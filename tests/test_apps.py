@@ -3,11 +3,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 
-from spectra_kit.geometry import creature, sample, sphere, write
+from spectra_kit.geometry import sample, sphere, write
 
 APPS = Path(__file__).parents[1] / "apps"
 
@@ -57,22 +56,3 @@ def test_apps_explain_themselves():
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "exact | predicted | difference" in done.stdout
     assert done.stderr == ""
-
-
-def test_evaluate_prints_errors_and_means(tmp_path, capsys):
-    for seed in (0, 1):
-        write(creature(1500, seed=seed), tmp_path / f"animal{seed}.ply")
-    evaluate = load("evaluate").main
-    options = ["--points", "1200", "-k", "20", "--poses", "--bandwidth", "5"]
-    assert evaluate([str(tmp_path), *options, "--fourier", "60", "200"]) == 0
-    rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
-    assert [row[0] for row in rows] == ["animal0"] * 2 + ["animal1"] * 2 + ["mean"] * 2
-    few, many = (float(row[-5]) for row in rows[-2:])
-    assert many < 0.1 * few
-    assert many == pytest.approx(np.mean([float(row[-5]) for row in rows[1:4:2]]), rel=0.1)
-
-
-def test_evaluate_refuses_what_is_no_mesh(tmp_path, capsys):
-    write(sample(sphere().geometry, 100, seed=0), tmp_path / "cloud.xyz")
-    assert load("evaluate").main([str(tmp_path), "--poses"]) == 2
-    assert "expected a mesh" in capsys.readouterr().err

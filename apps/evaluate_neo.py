@@ -1,0 +1,129 @@
+"""Measure the network: accuracy, precision, sampling, operators, redundancy, rotations, worst.
+
+Every number and figure at once, or one study:
+
+    python apps/evaluate_neo.py all OUT
+    python apps/evaluate_neo.py accuracy OUT --points 2048 8192 --limit 5
+
+OUT gets a Markdown and a JSON file for each study, figures, and what was measured: the same command
+after an interruption, or with more models, computes only what is missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from spectra_kit.errors import MissingDependencyError, SpectraKitError
+from spectra_kit.evaluation import (
+    STUDIES,
+    Answer,
+    Bench,
+    Model,
+    Settings,
+    Weights,
+    demo_models,
+    draw_worst,
+    models_in,
+    procedural_models,
+    run_study,
+    write_report,
+    write_summary,
+)
+
+# A small case of everything: seconds for each study.
+_QUICK = {"k": 16, "points": [512, 1024], "focus": 1024, "poses": [1, 2], "fourier": []}
+_QUICK |= {"bandwidths": [7.0], "rotations": 3, "worst": 1, "limit": 1, "procedural": 1}
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="evaluate_neo.py",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("study", choices=["all", *STUDIES], help="what to measure")
+    add("out", type=Path, help="folder for reports, figures and measurements")
+    add("--weights", nargs="+", default=["small"], help="names or files (default: small)")
+    add("--agnostic-weights", nargs="*", default=[], help="files trained without masses")
+    add("--data", type=Path, help="folder of meshes (default: $SPECTRA_KIT_DATA/ood_public)")
+    add("--limit", type=int, help="only the first so many of these")
+    add("--procedural", type=int, default=32, help="unseen procedural models (%(default)s)")
+    add("--seed", type=int, default=777, help="of these; none that training used (%(default)s)")
+    add("-k", type=int, default=96, help="modes (%(default)s)")
+    add("--points", type=int, nargs="+", default=[512, 2048, 8192, 65536], help="on each model")
+    add("--focus", type=int, default=8192, help="points in studies of one number (%(default)s)")
+    add("--poses", type=int, nargs="+", default=[1, 2, 4], help="of the networks")
+    add("--fourier", type=int, nargs="*", default=[640], help="functions of AmbientFourier")
+    add("--bandwidths", type=float, nargs="+", default=[7.0, 10.0], help="of AmbientFourier")
+    add("--rotations", type=int, default=10, help="of each cloud (%(default)s)")
+    add("--worst", type=int, default=3, help="models to draw (%(default)s)")
+    add("--device", default="cpu", help="of networks and dense algebra (%(default)s)")
+    add("--quick", action="store_true", help="a small case of everything, also without data")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Evaluate and print; return the exit code."""
+    args = _parser().parse_args(argv)
+    if args.quick:
+        vars(args).update(_QUICK)
+    try:
+        bench = Bench(args.out, k=args.k)
+        settings = Settings(
+            sets=_sets(args),
+            weights=tuple(map(Weights, args.weights)),
+            agnostic=tuple(map(Weights, args.agnostic_weights)),
+            points=tuple(args.points),
+            focus=args.focus,
+            poses=tuple(args.poses),
+            fourier=tuple(args.fourier),
+            bandwidths=tuple(args.bandwidths),
+            rotations=args.rotations,
+            device=args.device,
+        )
+        for name in STUDIES if args.study == "all" else [args.study]:
+            answer = run_study(name, settings, bench, progress=True)
+            pictures = _pictures(answer, bench, args.out / "figures", args.worst)
+            print(write_report(answer, args.out, pictures=pictures).read_text(), flush=True)
+        print(f"report: {write_summary(args.out, list(STUDIES))}")
+    except SpectraKitError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"\nstopped; run the same command to continue {args.out}", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _sets(args: argparse.Namespace) -> dict[str, tuple[Model, ...]]:
+    """Real models and procedural ones; the demo where a quick trial finds no data."""
+    sets: dict[str, tuple[Model, ...]] = {}
+    root = os.environ.get("SPECTRA_KIT_DATA")
+    folder = args.data or (Path(root) / "ood_public" if root else None)
+    if folder is not None:
+        sets["real"] = models_in(folder, args.limit)
+    elif args.quick:
+        sets["demo"] = demo_models(args.limit)
+    if args.procedural:
+        sets["procedural"] = procedural_models(args.procedural, seed=args.seed)
+    return sets
+
+
+def _pictures(answer: Answer, bench: Bench, folder: Path, count: int) -> list[Path]:
+    if answer.name != "worst":
+        return []
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        return draw_worst(answer, bench, folder, count=count)
+    except MissingDependencyError as error:
+        print(f"the worst modes are not drawn: {error}", file=sys.stderr)
+        return []
+
+
+if __name__ == "__main__":
+    sys.exit(main())
