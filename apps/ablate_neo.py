@@ -51,13 +51,13 @@ VARIANTS: dict[str, dict[str, object]] = {
     "reference": {},
     "mass-agnostic": {"mass_aware": False},
     "plain": {"waves": 0},
-    "waves-64": {"waves": 64},
     "pointnet++": {"backbone": "pointnet++"},
-    "point-transformer": {"backbone": "point-transformer"},
     "m-96": {"m": 96},
     "m-256": {"m": 256},
+    "point-transformer": {"backbone": "point-transformer"},
     "m-128": {"m": 128},
     "m-160": {"m": 160},
+    "waves-64": {"waves": 64},
     "latents-64": {"latents": 64},
     "latents-128": {"latents": 128},
     "plain-m-96": {"m": 96, "waves": 0},
@@ -309,7 +309,7 @@ def _run(args: argparse.Namespace, base: NeoConfig) -> None:
     bench = Bench(validation, args.held_out, meshes, args.sampled, base.k)
     steps = args.samples // args.batch
     same = {"steps": steps, "batch": args.batch, "points": args.points, "lr": args.lr}
-    same |= {"seed": args.seed, "every": max(1, steps // 10), "ema": 0.0}
+    same |= {"seed": args.seed, "ema": 0.0, "every": max(1, steps // 5), "validation": 32}
 
     def trial(name: str) -> Trial:
         network = replace(base, **VARIANTS[name])
