@@ -56,6 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--seed", type=int, default=777, help="of these; none that training used (%(default)s)")
     add("-k", type=int, default=96, help="modes (%(default)s)")
     add("--points", type=int, nargs="+", default=[512, 2048, 8192, 65536], help="on each model")
+    add("--few", type=int, help="only so many models of each set beyond 16,384 points")
     add("--focus", type=int, default=8192, help="points in studies of one number (%(default)s)")
     add("--poses", type=int, nargs="+", default=[1, 2, 4], help="of the networks")
     add("--fourier", type=int, nargs="*", default=[640], help="functions of AmbientFourier")
@@ -80,6 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             agnostic=tuple(map(Weights, args.agnostic_weights)),
             points=tuple(args.points),
             focus=args.focus,
+            few=args.few,
             poses=tuple(args.poses),
             fourier=tuple(args.fourier),
             bandwidths=tuple(args.bandwidths),

@@ -276,7 +276,13 @@ def test_lead_growth_and_goals():
         row("real", 8192, fourier(size, 10.0), [0, 0.07], seconds=1.0),
         row("real", 8192, fourier(640, 10.0), [0, 0.004], seconds=2.05),
         row("real", 65536, network, [0, 0.02], seconds=20.0),
+        row("procedural", 8192, network, [0, 0.02]),
+        row("procedural", 65536, network, [0, 0.02]),
     ]
+    elsewhere = (Case(model=Model("plate", rectangle(n=100).geometry), points=8192),)
+    rows[5] = dataclasses.replace(  # a model that is missing at 65,536 points does not count
+        rows[5], measured=(*rows[5].measured, (*elsewhere, measurement([0, 9.0])))
+    )
     found = {finding.text: finding for finding in accuracy_findings(rows)}
     error = found["real, 8,192 points, neo small, 1 pose: mean span error"]
     assert error.value == pytest.approx(0.005)
@@ -290,6 +296,8 @@ def test_lead_growth_and_goals():
     assert growth.value == pytest.approx(2)
     assert growth.goals == (Goal(1.5),)
     assert not growth.goals[0].met(growth.value)
+    growth = found["procedural, 65,536 points, neo small, 1 pose: times the error at 8,192"]
+    assert (growth.value, growth.goals) == (pytest.approx(1), ())
     best = "real, 8,192 points, best in the time of neo small, 1 pose: fourier m=640, bandwidth 10"
     assert found[best].value == pytest.approx(0.002)
     assert undominated(rows[:4]) == [rows[0], rows[1], rows[3]]
@@ -351,6 +359,14 @@ def test_methods_without_room_are_left_out(settings, shared_bench):
     measured = {(row.labels["points"], row.labels["solver"]) for row in answer.rows}
     assert (400, "neo small, 1 pose") in measured
     assert (800, "neo small, 4 poses") not in measured  # 769 functions
+
+
+def test_few_models_are_solved_where_it_takes_long(settings):
+    large = dataclasses.replace(settings, points=(800, 65536), few=1)
+    for name in ("accuracy", "precision"):
+        lines = STUDIES[name].plan(large)
+        sizes = {(line.labels["points"], len(line.cases)) for line in lines}
+        assert sizes == {(800, 2), (65536, 1)}
 
 
 def test_the_report_lists_what_failed(shared_bench, tmp_path, animal):

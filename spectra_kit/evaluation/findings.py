@@ -129,7 +129,7 @@ def accuracy_findings(rows: Sequence[Row]) -> list[Finding]:
             if same and other.labels["points"] == _REFERENCE_POINTS < int(row.labels["points"]):
                 text = f"{row.place()}, {row.method.name}: times the error at {_REFERENCE_POINTS:,}"
                 goals = (Goal(_GROWTH_GOAL),) if real else ()
-                found.append(Finding(text, row.mean() / other.mean(), goals))
+                found.append(Finding(text, _growth(other, row), goals))
     for row in rows:
         in_time = [o for o in _beside(rows, row) if o.seconds() <= _SAME_TIME * row.seconds()]
         best = min(in_time, key=Row.mean)
@@ -230,6 +230,17 @@ def worst_findings(rows: Sequence[Row]) -> list[Finding]:
 def _beside(rows: Sequence[Row], row: Row) -> list[Row]:
     """Rows of the same models and points, itself among them."""
     return [other for other in rows if other.measured and other.place() == row.place()]
+
+
+def _growth(small: Row, large: Row) -> float:
+    """Error of `large` over that of `small`, on the models that both have."""
+    errors = [
+        {case.model.digest: measurement.mean("span") for case, measurement in row.measured}
+        for row in (small, large)
+    ]
+    both = errors[0].keys() & errors[1].keys()
+    below, above = (sum(error[model] for model in both) for error in errors)
+    return above / below if both else float("nan")
 
 
 def _beats(other: Row, row: Row) -> bool:

@@ -29,6 +29,7 @@ from spectra_kit.evaluation.methods import Method, Precision, Weights, fourier, 
 from spectra_kit.evaluation.models import Model
 
 Labels = Mapping[str, str | int]
+_LARGE = 16_384  # points: an exact solve takes seconds beyond
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,6 +52,8 @@ class Settings:
         Of the networks.
     fourier : tuple of int
         Functions of `AmbientFourier`, beside as many as a network has in one pose.
+    few : int, optional
+        Models of each set on clouds of more than 16,384 points; by default all.
     bandwidths : tuple of float
         Of `AmbientFourier`; comparisons are made with the best.
     sigma : float
@@ -75,6 +78,7 @@ class Settings:
     focus: int = 8192
     poses: tuple[Literal[1, 2, 4], ...] = (1, 2, 4)
     fourier: tuple[int, ...] = (640,)
+    few: int | None = None
     bandwidths: tuple[float, ...] = (7.0, 10.0)
     sigma: float = 0.25
     rotations: int = 10
@@ -202,7 +206,7 @@ def _places(
 ) -> Iterator[tuple[str, tuple[Model, ...], int]]:
     for kind, models in settings.sets.items():
         for n in points:
-            yield kind, models, n
+            yield kind, models[: settings.few] if n > _LARGE else models, n
 
 
 def _clouds(models: Sequence[Model], points: int, **options: Any) -> tuple[Case, ...]:
