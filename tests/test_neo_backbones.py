@@ -195,6 +195,15 @@ def test_half_precision_stays_near_float32(network, clouds):
     assert np.abs(half - full).max() < 0.2 * np.abs(full).max()
 
 
+def test_learns_under_autocast(network, clouds):
+    expected = network(*clouds)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        F = network(*clouds)
+    assert (F.float() - expected).abs().max() < 0.2 * expected.abs().max()
+    gradients = torch.autograd.grad(F.float().square().sum(), list(network.parameters()))
+    assert all(gradient.isfinite().all() for gradient in gradients)
+
+
 def test_drops_in_where_a_network_is_asked_for(network, tmp_path, bumpy_laplacian):
     subspace = NeoSubspace(network, poses=2)
     basis = subspace(bumpy_laplacian.points, bumpy_laplacian.mass)
