@@ -193,7 +193,7 @@ def sample_mesh(config: CorpusConfig, labels: Mapping[str, int]) -> TriangleMesh
 def _draw_source(config: CorpusConfig, seed: tuple[int, ...]) -> dict[str, int]:
     """Draw the labels ``family`` and ``pool``."""
     rng = np.random.default_rng(seed)
-    if config.pool is not None and rng.random() < config.pool_share:
+    if config.pool is not None and config.pool_share and rng.random() < config.pool_share:
         n = len(open_pool(config.pool, config.pool_split))
         return {"family": FROM_POOL, "pool": int(rng.integers(n))}
     return {"family": draw_family(rng), "pool": -1}

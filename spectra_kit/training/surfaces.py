@@ -92,6 +92,7 @@ def superquadric(
 
     e1, e2 = exponents
     ring = power(np.cos(u), e1)
+    ring[[0, -1]] = 0.0  # cos(pi / 2) is not quite zero, and a small power of it far from it
     coordinates = [ring * power(np.cos(v), e2), ring * power(np.sin(v), e2), power(np.sin(u), e1)]
     points = np.stack(np.broadcast_arrays(*coordinates), axis=-1) * np.asarray(radii)
     return grid_mesh(points, wrap_v=True)
