@@ -85,11 +85,12 @@ def mapped(content: Any, change: Callable[[Tensor], Tensor]) -> Any:
 
 
 def write_parts(folder: Path, content: dict[str, Any], *, limit: int = 15 * 2**20) -> list[Path]:
-    """Write a checkpoint as ``checkpoint.01of03`` and so on, of at most `limit` bytes each.
+    """Write a checkpoint small, as ``checkpoint.01of03`` and so on, of at most `limit` bytes each.
 
-    Weights and their average are stored as float16, which is as exact as the shipped files, and
-    the optimisers' averages as bfloat16, because gradients may be smaller than float16 goes.
-    A run goes on from there as if by a rounding of its weights: not bit by bit.
+    A run goes on from there well, but not bit by bit: the averaged weights alone are kept, as
+    float16, which is as exact as the shipped files; Muon's momentum, an average over some twenty
+    steps, begins anew; AdamW's averages are kept as bfloat16, for they may be smaller than
+    float16 goes.
 
     Parameters
     ----------
@@ -104,12 +105,15 @@ def write_parts(folder: Path, content: dict[str, Any], *, limit: int = 15 * 2**2
     -------
     list of Path
     """
-    halves = {
-        key: mapped(value, lambda t, key=key: _halved(t, key))  # type: ignore[misc]
-        for key, value in content.items()
+    weights = content["average"] or content["network"]
+    small = {
+        **content,
+        "network": mapped(weights, lambda tensor: tensor.half()),
+        "average": {},
+        "optimizers": [_without_momentum(saved) for saved in content["optimizers"]],
     }
     buffer = io.BytesIO()
-    torch.save(halves, buffer)
+    torch.save(small, buffer)
     data = buffer.getvalue()
     for old in folder.glob(_PARTS):
         old.unlink()
@@ -122,7 +126,7 @@ def write_parts(folder: Path, content: dict[str, Any], *, limit: int = 15 * 2**2
 
 
 def read_parts(folder: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return what `write_parts` wrote, in float32.
+    """Return what `write_parts` wrote, in float32, the average in place of the weights too.
 
     Raises
     ------
@@ -139,10 +143,16 @@ def read_parts(folder: str | os.PathLike[str]) -> dict[str, Any]:
     data = b"".join(path.read_bytes() for path in paths)
     content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     whole: dict[str, Any] = mapped(content, lambda t: t.float() if t.is_floating_point() else t)
-    return whole
+    return {**whole, "average": whole["network"]}
 
 
-def _halved(tensor: Tensor, key: str) -> Tensor:
-    if tensor.ndim < 2:  # small, and the optimisers' counts of steps are among them
-        return tensor
-    return tensor.to(torch.bfloat16 if key == "optimizers" else torch.float16)
+def _without_momentum(saved: dict[str, Any]) -> dict[str, Any]:
+    def halved(tensor: Tensor) -> Tensor:
+        return tensor.bfloat16() if tensor.ndim else tensor  # counts of steps stay exact
+
+    kept = {
+        index: mapped(state, halved)
+        for index, state in saved["state"].items()
+        if "momentum_buffer" not in state
+    }
+    return {**saved, "state": kept}

@@ -88,9 +88,12 @@ def process_group(device: str) -> Iterator[str]:
     if not dist.is_torchelastic_launched():
         yield device
         return
+    if device == "cuda":
+        device = f"cuda:{dist.get_node_local_rank()}"
+        torch.cuda.set_device(device)
     # Decisions travel between CPUs, gradients between devices.
-    dist.init_process_group("cpu:gloo,cuda:nccl" if device == "cuda" else "gloo")
+    dist.init_process_group("gloo" if device == "cpu" else "cpu:gloo,cuda:nccl")
     try:
-        yield f"cuda:{dist.get_node_local_rank()}" if device == "cuda" else device
+        yield device
     finally:
         dist.destroy_process_group()

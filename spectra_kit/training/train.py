@@ -32,6 +32,7 @@ from spectra_kit.training.shards import Corpus
 # What may change on resuming.
 _FREE = {"minutes", "warmup", "decay", "batch", "points", "every", "log", "save", "validation"}
 _FREE |= {"workers", "compile"}
+Gradients = tuple[Tensor, ...]
 _DTYPES = {"float32": None, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
 
@@ -138,8 +139,7 @@ def train(
         run.load(_resumed(folder, config))
     elif folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-    state, saved = run.state, time.monotonic()
-    start = time.perf_counter() - state.seconds
+    state = run.state
     limit = config.steps if stop_after is None else min(stop_after, config.steps)
     with ExitStack() as stack:
         enter = stack.enter_context
@@ -150,6 +150,9 @@ def train(
         enter(run.pool)
         feed = enter(Feed(corpus, config, run.device, share=ranks.share(config.batch)))
         interrupted = enter(_until_interrupt())
+        if config.compile:
+            run.gradients(feed(state.step))  # compiles, which should not count as training
+        start, saved = time.perf_counter() - state.seconds, time.monotonic()
         losses: list[Tensor] = []
         noted = time.perf_counter(), state.samples
         while True:
@@ -218,9 +221,7 @@ class _Run:
     def step(self, batch: Tensors, lr: float) -> Tensor:
         """Make one step of the optimisers; return its span loss, on the device."""
         config, parameters = self.config, self.parameters
-        losses, gradients = zip(
-            *self.pool.map(self._work, *(part.chunk(config.workers) for part in batch)), strict=True
-        )
+        losses, gradients = self.gradients(batch)
         loss = torch.stack(losses).sum()
         for parameter, *parts in zip(parameters, *gradients, strict=True):
             parameter.grad = parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
@@ -238,7 +239,13 @@ class _Run:
             average_weights(self.average, self.network, self.state.step, config.ema)
         return loss
 
-    def _work(self, points: Tensor, mass: Tensor, U: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:
+    def gradients(self, batch: Tensors) -> tuple[tuple[Tensor, ...], tuple[Gradients, ...]]:
+        """Return the losses of the shares of a batch, and their gradients."""
+        shares = (part.chunk(self.config.workers) for part in batch)
+        losses, gradients = zip(*self.pool.map(self._work, *shares), strict=True)
+        return losses, gradients
+
+    def _work(self, points: Tensor, mass: Tensor, U: Tensor) -> tuple[Tensor, Gradients]:
         """Return the loss of a share of the batch, and its gradients."""
         with _autocast(self.device.type, self.config.precision):
             F = self.forward(points, mass)

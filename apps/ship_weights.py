@@ -1,0 +1,77 @@
+"""Put trained weights into the package: the file, its hash in the registry, golden tensors."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from spectra_kit._files import atomic_path
+from spectra_kit.errors import SpectraKitError
+from spectra_kit.neo.pretrained import load_pretrained, save_weights
+from spectra_kit.neo.safetensors_file import pack
+from spectra_kit.subspaces.frame import canonical_frame
+
+ROOT = Path(__file__).parents[1]
+
+
+def ship(name: str, weights: Path, root: Path) -> str:
+    """Ship `weights` as `name` in the source tree `root`, in float16; return the new hash."""
+    loaded = load_pretrained(weights)
+    file = f"neo-{name}.safetensors"
+    path = root / "spectra_kit" / "neo" / "weights" / file
+    digest = save_weights(path, loaded.network, loaded.record, dtype=torch.float16)
+    _register(root / "spectra_kit" / "neo" / "pretrained.py", name, file, digest)
+    points, mass = _cloud()
+    with torch.no_grad():
+        basis = load_pretrained(path).network(points[None], mass[None])[0]
+    with atomic_path(root / "tests" / "golden" / file) as golden:
+        golden.write_bytes(pack({"points": points, "mass": mass, "basis": basis}, {}))
+    return digest
+
+
+def _register(source: Path, name: str, file: str, digest: str) -> None:
+    """Write an entry of `WEIGHTS`, in place of an old one of that name."""
+    head, rest = source.read_text().split("WEIGHTS: dict[str, tuple[str, str]] = {\n", 1)
+    body, tail = rest.split("\n}\n", 1)
+    entries = dict(re.findall(r'    "([\w-]+)": (\(\n.*?\n    \),)', body, flags=re.DOTALL))
+    entries[name] = f'(\n        "{file}",\n        "{digest}",\n    ),'
+    lines = [f'    "{key}": {value}' for key, value in sorted(entries.items())]
+    with atomic_path(source) as path:
+        joined = "\n".join(lines)
+        path.write_text(f"{head}WEIGHTS: dict[str, tuple[str, str]] = {{\n{joined}\n}}\n{tail}")
+
+
+def _cloud() -> tuple[torch.Tensor, torch.Tensor]:
+    """A small cloud without symmetry, in its canonical frame."""
+    rng = np.random.default_rng(0)
+    points = rng.standard_normal((96, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    points *= (1 + 0.3 * np.sin(2 * points[:, :1])) * [3, 2, 1]
+    mass = rng.uniform(0.5, 1.5, 96)
+    posed = canonical_frame(points, mass).pose(points)
+    return torch.from_numpy(posed).float(), torch.from_numpy(mass).float()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Ship; return 0, or 1 where the file is no weights file."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("name", help="what users will call them, e.g. base")
+    parser.add_argument("weights", type=Path, help="a .safetensors file of a training run or a leg")
+    args = parser.parse_args(argv)
+    try:
+        digest = ship(args.name, args.weights, ROOT)
+    except SpectraKitError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(f"shipped {args.name} (sha256 {digest}); now run pytest tests/test_neo_shipped.py")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,218 @@
+"""Legs: better weights or none, phases on several machines, and a machine with next to nothing."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+import torch
+
+from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.neo.model import NeoConfig, build_network
+from spectra_kit.neo.pretrained import load_pretrained, save_weights
+from spectra_kit.training import wheels
+from spectra_kit.training.leg import main
+from spectra_kit.training.phases import Leg, new_leg
+from spectra_kit.training.wheels import download_wheels, fits, use_wheels
+
+ROOT = Path(__file__).parents[1]
+TINY = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
+
+
+@pytest.fixture
+def weights(tmp_path):
+    torch.manual_seed(0)
+    path = tmp_path / "start.safetensors"
+    save_weights(path, build_network(TINY), {"samples": 100, "minutes": 2.0, "legs": [{"old": 1}]})
+    return path
+
+
+def arguments(tmp_path, weights, **options):
+    values = {
+        "minutes": 0.05,
+        "weights": weights,
+        "out": tmp_path / "out",
+        "scratch": tmp_path / "scratch",
+        "packed": tmp_path / "none",
+        "batch": 4,
+        "points": 48,
+        "n-points": 128,
+        "validation": 8,
+        "workers": 1,
+        "device": "cpu",
+        "lr": 5e-3,
+        **options,
+    }
+    return [f"--{name}={value}" for name, value in values.items()]
+
+
+@pytest.mark.slow
+def test_better_weights_are_written_with_a_line_in_their_record(tmp_path, weights, capsys):
+    assert main(arguments(tmp_path, weights)) == 0
+    printed = capsys.readouterr().out
+    path = tmp_path / "out" / "weights.safetensors"
+    assert path.stat().st_size < 0.6 * weights.stat().st_size
+    loaded = load_pretrained(path)
+    assert loaded.config == TINY
+    old, line = loaded.record["legs"]
+    assert old == {"old": 1}
+    assert line["from"] == load_pretrained(weights).sha256
+    assert loaded.record["span_error"] == line["after"] < line["before"]
+    assert loaded.record["span_error"] == loaded.record["history"][-1]["validation"]
+    assert loaded.record["samples"] == 100 + line["samples"]
+    assert loaded.record["minutes"] == pytest.approx(2.05, abs=0.03)
+    assert f"{line['before']:.5f} -> {line['after']:.5f}" in printed
+    assert loaded.sha256 in printed
+    with (tmp_path / "out" / "log.csv").open() as file:
+        assert {"loss", "lr", "rate"} <= set(next(csv.DictReader(file)))
+
+
+@pytest.mark.slow
+def test_worse_weights_are_not_written(tmp_path, weights, capsys):
+    trained = tmp_path / "trained"
+    assert main(arguments(tmp_path, weights, out=trained)) == 0
+    spoilt = arguments(tmp_path, trained / "weights.safetensors", lr=10.0, minutes=0.02)
+    assert main(spoilt) == 0
+    assert "not better, no weights written" in capsys.readouterr().out
+    assert not (tmp_path / "out" / "weights.safetensors").exists()
+
+
+@pytest.mark.slow
+def test_phases_go_on_where_the_last_ended_on_another_machine(tmp_path, weights, capsys):
+    first, second = tmp_path / "first", tmp_path / "second"
+    options = {"minutes": 0.1, "phase-minutes": 0.01}
+    assert main(arguments(tmp_path, weights, out=first, scratch=tmp_path / "a", **options)) == 0
+    assert "paused" in capsys.readouterr().out
+    assert {path.name for path in first.iterdir()} == {"leg.json", "log.csv", "checkpoint.01of01"}
+    before = Leg.read(first)
+    assert (before.phase, before.config.network) == (1, TINY)
+    # What the later call says about the training does not matter: the leg remembers.
+    later = arguments(tmp_path, "nowhere", out=second, scratch=tmp_path / "b", state=first, lr=9.0)
+    assert main(later) == 0
+    printed = capsys.readouterr().out
+    assert "phase 2" in printed
+    with (second / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert int(rows[-1]["step"]) > before.step > 0
+    assert float(rows[-1]["seconds"]) >= 6
+    assert max(float(row["lr"]) for row in rows) <= 5e-3
+    assert json.loads((second / "leg.json").read_text())["before"] == before.before
+
+
+# Installs itself in every process: only what training may use, and what that needs, is there.
+BARE = """
+import importlib.metadata as metadata, re, sys
+from importlib.machinery import PathFinder
+
+allowed, queue = set(), ["torch", "numpy", "scipy", "robust_laplacian", "cholespy", "trimesh"]
+while queue:
+    name = re.split(r"[^\\w.-]", queue.pop())[0]
+    name = re.sub(r"[-_.]+", "-", name).lower()
+    if name in allowed:
+        continue
+    allowed.add(name)
+    try:
+        needs = metadata.requires(name) or []
+    except metadata.PackageNotFoundError:
+        continue
+    queue += [need for need in needs if "extra ==" not in need]
+tops = metadata.packages_distributions()
+plain = lambda names: {re.sub(r"[-_.]+", "-", name).lower() for name in names}
+banned = {top for top, names in tops.items() if not plain(names) & allowed} - {"spectra_kit"}
+assert {"igl", "tqdm", "safetensors", "matplotlib", "pyvista", "potpourri3d"} <= banned
+
+class Bare(PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        there = name.partition(".")[0] not in banned
+        return super().find_spec(name, path, target) if there else None
+
+sys.meta_path[sys.meta_path.index(PathFinder)] = Bare
+"""
+
+
+@pytest.mark.slow
+def test_training_imports_the_six_packages_alone(tmp_path, weights):
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "sitecustomize.py").write_text(BARE)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": f"{tmp_path / 'site'}:{ROOT}",
+        "OMP_NUM_THREADS": "1",
+    }
+    probe = [sys.executable, "-c", "import igl"]
+    banned = subprocess.run(probe, env=environment, capture_output=True, text=True, check=False)
+    assert "No module named 'igl'" in banned.stderr
+    call = [sys.executable, "-m", "spectra_kit.training.leg", *arguments(tmp_path, weights)]
+    done = subprocess.run(call, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert " -> " in done.stdout
+    assert (tmp_path / "out" / "weights.safetensors").is_file()
+
+
+def test_a_leg_needs_weights_or_a_fresh_start(tmp_path, capsys):
+    missing = ["--config", "paper-deep", "--device", "cpu", "--out", str(tmp_path / "out")]
+    assert main([*missing, "--wheels", str(tmp_path)]) == 1
+    assert "no shipped weights of 'paper-deep'" in capsys.readouterr().err
+    options = {"weights": None, "n_points": 2048, "batch": None, "minutes": 1.0}
+    with pytest.raises(InvalidInputError, match="or begin anew with --fresh"):
+        new_leg(name="paper-deep", fresh=False, fast=False, **options)
+    leg = new_leg(name="paper-deep", fresh=True, fast=True, **options)
+    assert leg.config.network == NeoConfig.named("paper-deep")
+    assert (leg.config.batch, leg.config.precision, leg.config.compile) == (800, "bfloat16", True)
+    leg.write(tmp_path)
+    assert Leg.read(tmp_path) == leg
+
+
+# Wheels
+
+
+@pytest.mark.parametrize(
+    ("wheel", "answer"),
+    [
+        ("a-1-cp312-cp312-manylinux_2_24_x86_64.manylinux_2_28_x86_64.whl", True),
+        ("a-1-cp310-abi3-manylinux_2_27_x86_64.whl", True),
+        ("a-1-py3-none-any.whl", True),
+        ("a-1-py2.py3-none-any.whl", True),
+        ("a-1-2-cp312-cp312-linux_x86_64.whl", True),
+        ("a-1-cp313-abi3-manylinux_2_27_x86_64.whl", False),
+        ("a-1-cp310-cp310-manylinux_2_24_x86_64.whl", False),
+        ("a-1-cp312-cp312-manylinux_2_24_aarch64.whl", False),
+        ("a-1-cp312-cp312-win_amd64.whl", False),
+    ],
+)
+def test_wheels_fit_by_their_names(wheel, answer):
+    assert fits(wheel, python=(3, 12), machine="x86_64") is answer
+
+
+def test_wheels_are_used_where_a_package_is_missing(tmp_path, monkeypatch):
+    assert use_wheels(tmp_path) == []  # all installed here
+    monkeypatch.setattr(wheels, "NEEDED", ("math", "a_tiny_package"))
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    with pytest.raises(
+        MissingDependencyError, match=r"a_tiny_package, .* \(found \[\]\); run with"
+    ):
+        use_wheels(tmp_path)
+    with zipfile.ZipFile(tmp_path / "a_tiny_package-1.0-py3-none-any.whl", "w") as archive:
+        archive.writestr("a_tiny_package.py", "ANSWER = 42")
+    assert use_wheels(tmp_path) == ["a_tiny_package"]
+    import a_tiny_package
+
+    assert a_tiny_package.ANSWER == 42
+    assert Path(a_tiny_package.__file__).parent.parent == tmp_path
+
+
+def test_a_failed_download_is_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
+    with pytest.raises(
+        MissingDependencyError, match=r"pip could not download robust_laplacian and"
+    ):
+        download_wheels(tmp_path)
+    folders = ["--wheels", str(tmp_path), "--packed", str(tmp_path / "packed")]
+    assert main(["--pack", *folders]) == 1
+    assert "error: pip could not download" in capsys.readouterr().err
