@@ -20,7 +20,7 @@ from spectra_kit import Arpack, eigensolve
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh, sphere
 from spectra_kit.operators import robust_laplacian
-from spectra_kit.training import corpus, families, samples, surfaces
+from spectra_kit.training import bodies, corpus, families, samples, surfaces
 from spectra_kit.training.corpus import (
     CorpusConfig,
     WorkerError,
@@ -328,6 +328,14 @@ def test_empty_surfaces_are_drawn_again_and_counted(monkeypatch):
     monkeypatch.setattr(samples, "draw_family", lambda rng: 0)
     monkeypatch.setitem(FAMILIES, "quadruped", (lambda rng: next(tries)(rng), 1.0))
     assert make_sample(TINY, 0).labels["rejected_mesh"] == 1
+
+
+def test_crumbs_are_refused():
+    def crumb(points):
+        return np.linalg.norm(points, axis=1) - 0.05
+
+    with pytest.raises(InvalidInputError, match="`field` must have a surface of 400 faces"):
+        bodies.polygonized(crumb, -np.ones(3), np.ones(3))
 
 
 def test_failed_solves_are_drawn_again_and_counted(monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import implicit as clay
 from spectra_kit.geometry.shapes import TriangleMesh
 from spectra_kit.training import surfaces as s
@@ -12,11 +13,18 @@ from spectra_kit.training import surfaces as s
 Floats = NDArray[np.float64]
 Rng = np.random.Generator
 CELLS = 60_000  # marching cubes per implicit surface: finer than 2,048 samples resolve
+FEWEST = 400  # faces; a crumb left over by cuts shows the grid and not a shape
 
 
 def polygonized(field: clay.Field, low: Floats, high: Floats) -> TriangleMesh:
-    """Largest part of a zero set; `TriangleMesh` raises where there is none."""
-    return s.largest_part(TriangleMesh(*clay.polygonize(field, low, high, n_cells=CELLS, stride=2)))
+    """Largest part of a zero set; raises where there is none, or next to none."""
+    points, faces = clay.polygonize(field, low, high, n_cells=CELLS, stride=2)
+    if len(faces) < FEWEST:
+        raise InvalidInputError(
+            f"`field` must have a surface of {FEWEST} faces at least on this grid,"
+            f" got {len(faces)}; take another seed"
+        )
+    return s.largest_part(TriangleMesh(points, faces))
 
 
 def _chain(
