@@ -128,7 +128,7 @@ FAMILIES: dict[str, tuple[Callable[[Rng], TriangleMesh], float]] = {
     "sheet": (sheet, 7),
     "machined": (machined, 12),
     "assembly": (assembly, 8),
-    "scattered": (scattered, 1),
+    "scattered": (scattered, 4),
     "furniture": (furniture, 9),
     "vehicle": (vehicle, 7),
     "symmetric": (symmetric, 7),
