@@ -199,17 +199,24 @@ def summary(trial: Trial, bench: Bench) -> dict[str, object]:
             [row["samples"], row["validation"]] for row in record["history"] if "validation" in row
         ],
         "span": {
-            cloud: {"mean": x.mean(), "std": x.std(), "median": np.median(x), "clouds": len(x)}
+            cloud: {
+                "mean": float(x.mean()),
+                "std": float(x.std()),
+                "median": float(np.median(x)),
+                "clouds": len(x),
+            }
             for cloud, x in spans.items()
         },
         "weights": digest,
     }
 
 
-def table(done: dict[str, dict], protocol: dict[str, object]) -> str:
+def table(done: dict[str, dict], protocol: dict[str, dict]) -> str:
     """Every study as a Markdown table."""
     lines = ["# Ablation", "", "Mean span error ± standard deviation (median). Protocol:", ""]
-    lines += [f"- {key}: {value}" for key, value in protocol.items()]
+    for part, values in protocol.items():
+        values = {k: len(v) if isinstance(v, list) else v for k, v in values.items()}
+        lines.append(f"- {part}: {', '.join(f'{k} {v}' for k, v in values.items())}")
     for title, names in STUDIES.items():
         rows = {name: done[name] for name in names if name in done}
         if len(rows) < 2:
@@ -240,16 +247,17 @@ def draw(done: dict[str, dict], path: Path) -> None:
         for marker, (cloud, label) in zip("osD", CLOUDS.items(), strict=True):
             shown = [(n, done[n]["span"][cloud]["mean"]) for n in names if cloud in done[n]["span"]]
             if shown:
-                axis.semilogy(*zip(*shown, strict=True), marker, label=label)
-        axis.set(title=title, ylabel="mean span error")
-        axis.tick_params(axis="x", rotation=30)
-        axis.grid(axis="y", which="both", alpha=0.3)
+                axis.plot(*zip(*shown, strict=True), marker, label=label)
+        axis.set(title=title, ylabel="mean span error", ylim=(0, None))
+        axis.tick_params(axis="x", rotation=15)
+        axis.margins(x=0.2)
+        axis.grid(axis="y", alpha=0.3)
     axes[0].legend(fontsize="small")
     for name, row in done.items():
         if row["cpu_seconds"] and name in {*STUDIES["Backbone"], *STUDIES["Plane waves"]}:
             samples, errors = np.array(row["curve"]).T
             minutes = samples * row["cpu_seconds"] / row["samples"] / 60
-            axes[len(studies)].loglog(minutes, errors, label=name)
+            axes[len(studies)].semilogy(minutes, errors, ".-", label=name)
     axes[len(studies)].set(title="Equal time", xlabel="CPU minutes", ylabel="validation")
     axes[len(studies)].legend(fontsize="small")
     for axis in axes[len(studies) + 1 :]:
@@ -258,7 +266,7 @@ def draw(done: dict[str, dict], path: Path) -> None:
         figure.savefig(part, format="png")
 
 
-def write(done: dict[str, dict], protocol: dict[str, object], out: Path) -> None:
+def write(done: dict[str, dict], protocol: dict[str, dict], out: Path) -> None:
     """Write the report of what is done."""
     with atomic_path(out / "ablation.json") as part:
         part.write_text(json.dumps({"protocol": protocol, "variants": done}, indent=1))
