@@ -110,7 +110,7 @@ def train(
     stop_after : int, optional
         Stop, with a checkpoint, once this many steps are done in all, as if by Ctrl-C.
     pause_after : float, optional
-        Stop likewise this many seconds after the call.
+        Stop likewise this many seconds after the call, but not before a step is made.
     tensorboard : bool, default False
         Write event files too, into ``out/events``.
     report : callable, optional
@@ -152,12 +152,14 @@ def train(
         interrupted = enter(_until_interrupt())
         if config.compile:
             run.gradients(feed(state.step))  # compiles, which should not count as training
+        begun = state.step
         start, saved = time.perf_counter() - state.seconds, time.monotonic()
         losses: list[Tensor] = []
         noted = time.perf_counter(), state.samples
         while True:
             now = time.perf_counter()
-            stop = interrupted() or (pause_after is not None and now - called > pause_after)
+            paused = pause_after is not None and now - called > pause_after and state.step > begun
+            stop = interrupted() or paused
             progress, stop = ranks.agree(_progress(config, state), stop)
             if state.step >= limit or progress >= 1 or stop:
                 break
