@@ -37,7 +37,7 @@ def assert_same(corpus, other, indices):
 
 def test_stream_equals_the_corpus_and_saves_the_same_shards(shards, tmp_path):
     with SampleStream(TINY, workers=2, capacity=64, folder=tmp_path) as stream:
-        assert stream.ready(9, timeout=60)
+        assert stream.ready(9, timeout=300)
         corpus = stream.corpus()
         report = stream.report()
     assert (corpus.n_points, corpus.k) == (100, 4)
@@ -58,7 +58,7 @@ def test_stream_goes_on_behind_the_shards_that_are_there(shards, tmp_path):
         assert len(stream) == 8
         assert stream.ready(8, timeout=0)
         assert stream.report().samples >= 8
-        assert stream.ready(13, timeout=60)
+        assert stream.ready(13, timeout=300)
         corpus = stream.corpus()
     assert_same(corpus, open_shards(shards), np.arange(13))
     assert len(open_shards(tmp_path)) >= 12
@@ -66,7 +66,7 @@ def test_stream_goes_on_behind_the_shards_that_are_there(shards, tmp_path):
 
 def test_start_skips_samples_and_closing_ends_the_processes():
     with SampleStream(TINY, workers=1, capacity=8, start=6) as stream:
-        assert stream.ready(1, timeout=60)
+        assert stream.ready(1, timeout=300)
     assert not multiprocessing.active_children()
     corpus = stream.corpus()  # what is there stays readable
     assert corpus.labels["index"][0] == 6
@@ -76,7 +76,7 @@ def test_start_skips_samples_and_closing_ends_the_processes():
 
 def test_the_oldest_samples_make_room_and_views_stay(shards):
     with SampleStream(TINY, workers=1, capacity=8) as stream:
-        assert stream.ready(3, timeout=60)
+        assert stream.ready(3, timeout=300)
         early = stream.corpus()
         before = early.batch(np.arange(len(early))).eigenvectors
         while stream.corpus().labels["index"][0] < 12:
@@ -101,11 +101,11 @@ def test_reading_waits_for_nothing():
 
 def test_a_dead_worker_is_an_error_and_not_a_hang():
     with SampleStream(TINY, workers=1, capacity=1000) as stream:
-        assert stream.ready(1, timeout=60)
+        assert stream.ready(1, timeout=300)
         (worker,) = multiprocessing.active_children()
         worker.kill()
         with pytest.raises(WorkerError, match="has died"):
-            stream.ready(1000, timeout=60)
+            stream.ready(1000, timeout=300)
         with pytest.raises(WorkerError, match="has died"):
             stream.corpus()
         with pytest.raises(WorkerError, match="has died"):
@@ -122,14 +122,14 @@ def test_an_interrupt_ends_the_processes(tmp_path):
         "    config = CorpusConfig(seed=0, n_points=100, k=4)\n"
         "    try:\n"
         "        with SampleStream(config, workers=2, capacity=64) as stream:\n"
-        "            stream.ready(1, timeout=60)\n"
+        "            stream.ready(1, timeout=300)\n"
         "            os.kill(os.getpid(), signal.SIGINT)\n"
-        "            time.sleep(60)\n"
+        "            time.sleep(300)\n"
         "    except KeyboardInterrupt:\n"
         "        print(multiprocessing.active_children())\n"
     )
     done = subprocess.run(
-        [sys.executable, str(script)], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, str(script)], capture_output=True, text=True, timeout=300, check=True
     )
     assert done.stdout.strip() == "[]"
     assert done.stderr == ""
@@ -149,7 +149,7 @@ def test_rejections_are_counted(tmp_path):
     )
     config = replace(TINY, n_points=400, nonuniform=0.0, pool=tmp_path / "pool.npz", pool_share=1.0)
     with SampleStream(config, workers=1, capacity=64) as stream:
-        assert stream.ready(6, timeout=60)
+        assert stream.ready(6, timeout=300)
         report, labels = stream.report(), stream.corpus().labels
     assert not labels["pool"].any()  # only the ball in one piece
     assert report.rejected["components"] >= labels["rejected_components"].sum() > 0

@@ -237,6 +237,13 @@ def produced(
     iterator of Sample
         In the order of `indices`, in the precisions of the shards. Raises `WorkerError` if a
         process dies. Leaving the block ends the processes; they also end with this one.
+
+    Examples
+    --------
+    >>> config = CorpusConfig(seed=1, n_points=128, k=4)
+    >>> with produced(config, [3, 1], 1) as samples:
+    ...     [sample.labels["index"] for sample in samples]
+    [3, 1]
     """
     todo = iter(indices)
     executor = ProcessPoolExecutor(

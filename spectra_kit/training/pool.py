@@ -93,6 +93,15 @@ def open_pool(path: str | os.PathLike[str], split: str) -> MeshPool:
     ------
     InvalidInputError
         If there is no pool at `path`, a chunk lacks an array, or no mesh is in that split.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> file = Path(tempfile.mkdtemp()) / "pool.npz"
+    >>> arrays = {"V": np.eye(3), "F": [[0, 1, 2]], "voff": [0, 3], "foff": [0, 1]}
+    >>> np.savez(file, **arrays, ids=["triangle"], split="train")
+    >>> open_pool(file, "train").mesh(0).area
+    0.87
     """
     return _open(os.fspath(path), split)
 

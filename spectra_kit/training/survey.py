@@ -138,6 +138,15 @@ def survey(
     Notes
     -----
     Eigenvalues are the Rayleigh quotients of the stored modes.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from spectra_kit.training.corpus import generate
+    >>> folder = tempfile.mkdtemp()
+    >>> counts = generate(folder, 2, config=CorpusConfig(seed=1, n_points=128, k=4))
+    >>> survey(folder).eigenvalues.shape
+    (2, 4)
     """
     config = read_config(folder, pool=pool, pool_split=pool_split)
     corpus = open_shards(folder)
