@@ -27,6 +27,7 @@ _ERRORS = {"span": "span error", "vector": "eigenvector error", "value": "eigenv
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 _LINES = 6  # in one panel
 _DRAWN = 3  # modes of a model
+_ROUNDING = 1e-10
 _DPI = 130
 
 
@@ -121,16 +122,13 @@ def _modes(rows: Sequence[Row], place: str) -> Figure:
     for row, colour in zip(_few(rows), _COLOURS, strict=False):
         for panel, error in zip(axes, _ERRORS, strict=True):
             modes = np.array([getattr(measurement, error) for measurement in row.measurements])
-            known = ~np.isnan(modes).any(axis=0)
-            low, median, high = np.percentile(modes[:, known], (25, 50, 75), axis=0)
-            number = np.flatnonzero(known)
-            floor = 1e-12  # of a logarithmic axis: the constant mode is inside every span
-            panel.plot(number, np.maximum(median, floor), color=colour, lw=1.4, label=_name(row))
-            panel.fill_between(number, np.maximum(low, floor), high, color=colour, alpha=0.15, lw=0)
+            # The constant mode is inside every span up to rounding: nothing for such an axis.
+            number = np.flatnonzero((modes > _ROUNDING).all(axis=0))
+            low, median, high = np.percentile(modes[:, number], (25, 50, 75), axis=0)
+            panel.plot(number, median, color=colour, lw=1.4, label=_name(row))
+            panel.fill_between(number, low, high, color=colour, alpha=0.15, lw=0)
     for panel, title in zip(axes, _ERRORS.values(), strict=True):
         panel.set(title=title, xlabel="mode", yscale="log")
-        # What lies below is rounding.
-        panel.set_ylim(bottom=max(panel.get_ylim()[0], 1e-7))
     _legend(figure, axes[0])
     return figure
 
@@ -176,7 +174,7 @@ def _against_time(rows: Sequence[Row], place: str) -> Figure:
             panel.annotate(
                 row.method.name,
                 (x, y),
-                xytext=(5, 3),
+                xytext=(5, -9 if kind == "both" else 3),
                 textcoords="offset points",
                 fontsize=6.5,
                 color="0.3",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from spectra_kit.evaluation.bench import Measurement
 from spectra_kit.evaluation.cases import Case
 from spectra_kit.evaluation.methods import Method
+from spectra_kit.evaluation.models import Model
 
 Floats = NDArray[np.float64]
 
@@ -81,6 +82,11 @@ class Row:
         """The measurements alone."""
         return tuple(measurement for _, measurement in self.measured)
 
+    @property
+    def models(self) -> tuple[Model, ...]:
+        """What was measured on."""
+        return tuple(case.model for case, _ in self.measured)
+
     def means(self, error: str) -> Floats:
         """Mean over the modes of an error of each measurement."""
         return np.array([measurement.mean(error) for measurement in self.measurements])
@@ -126,7 +132,8 @@ def accuracy_findings(rows: Sequence[Row]) -> list[Finding]:
             found.append(Finding(text, rival.mean() / row.mean(), lead if real else ()))
         for other in rows:
             same = {**other.labels, "points": row.labels["points"]} == row.labels
-            if same and other.labels["points"] == _REFERENCE_POINTS < int(row.labels["points"]):
+            shared = same and {m.digest for m in other.models} & {m.digest for m in row.models}
+            if shared and other.labels["points"] == _REFERENCE_POINTS < int(row.labels["points"]):
                 text = f"{row.place()}, {row.method.name}: times the error at {_REFERENCE_POINTS:,}"
                 goals = (Goal(_GROWTH_GOAL),) if real else ()
                 found.append(Finding(text, _growth(other, row), goals))
@@ -240,7 +247,7 @@ def _growth(small: Row, large: Row) -> float:
     ]
     both = errors[0].keys() & errors[1].keys()
     below, above = (sum(error[model] for model in both) for error in errors)
-    return above / below if both else float("nan")
+    return above / below
 
 
 def _beats(other: Row, row: Row) -> bool:

@@ -303,9 +303,9 @@ def _worst(settings: Settings) -> Iterator[Line]:
 STUDIES: dict[str, Study] = {
     "accuracy": Study(
         "Accuracy and time",
-        "Statistics over models of each model's mean over modes. Times are medians and leave out"
-        " assembly and certificates. `fast` marks a solver that no other one beats in both"
-        " span error and time.",
+        "Statistics over models of each model's mean over modes. Times are medians of wall time"
+        " and leave out assembly and certificates. `fast` marks a solver that no other one beats in"
+        " both span error and time.",
         _accuracy,
         accuracy_findings,
     ),
