@@ -12,6 +12,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from spectra_kit.errors import SpectraKitError
@@ -31,6 +32,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--out", type=Path, default=Path("runs/leg"), help="where results go (%(default)s)")
     add("--state", type=Path, help="where the last phase's results lie (default: --out)")
     add("--scratch", type=Path, default=Path("runs/scratch"), help="stays here (%(default)s)")
+    compiled = "torch.compile the network (default: on an accelerator)"
+    add("--compile", action=argparse.BooleanOptionalAction, help=compiled)
     add("--device", help="(default: cuda where there is one)")
     add("--batch", type=int, help="clouds per step (800 on an accelerator, 16 on a CPU)")
     add("--points", type=int, default=512, help="drawn from each cloud (%(default)s)")
@@ -92,6 +95,8 @@ def _train(args: argparse.Namespace, began: float) -> None:
         lr=args.lr,
         validation=args.validation,
     )
+    if args.compile is not None:
+        leg = replace(leg, config=replace(leg.config, compile=args.compile))
     pause = None
     if args.phase_minutes is not None:  # a tenth of it is kept for saving
         pause = 54 * args.phase_minutes - (time.perf_counter() - began)
