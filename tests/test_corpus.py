@@ -309,6 +309,25 @@ def test_another_length_of_the_last_shard_is_refused(folder):
         generate(folder, 12, config=TINY)
 
 
+def test_surfaces_do_not_follow_from_the_draw_of_their_family(monkeypatch):
+    first: dict[str, list[float]] = {name: [] for name in FAMILIES}
+
+    def recording(name):
+        def ball(rng):
+            first[name].append(rng.random())
+            return sphere(subdivisions=1).geometry
+
+        return ball
+
+    for name, (_, weight) in FAMILIES.items():
+        monkeypatch.setitem(FAMILIES, name, (recording(name), weight))
+    for i in range(200):
+        make_sample(replace(TINY, n_points=64, k=2), i)
+    for draws in first.values():
+        if len(draws) > 9:  # uniform numbers: a spread of 0.4 or less has a chance below 0.2 %
+            assert np.ptp(draws) > 0.4
+
+
 def test_separate_parts_are_drawn_again_and_counted(monkeypatch):
     triangle = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     apart = surfaces.join([triangle, triangle.with_points(triangle.points + [50.0, 0, 0])])

@@ -90,7 +90,7 @@ class CorpusConfig:
         path, split = values.pop("pool"), values.pop("pool_split")
         values["pool"] = open_pool(path, split).digest if self.pool_share else None
         weights = {name: weight for name, (_, weight) in FAMILIES.items()}
-        return {"format": 2, **values, "families": weights if self.pool_share < 1 else {}}
+        return {"format": 3, **values, "families": weights if self.pool_share < 1 else {}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +192,8 @@ def sample_mesh(config: CorpusConfig, labels: Mapping[str, int]) -> TriangleMesh
 
 def _draw_source(config: CorpusConfig, seed: tuple[int, ...]) -> dict[str, int]:
     """Draw the labels ``family`` and ``pool``."""
-    rng = np.random.default_rng(seed)
+    # Not the stream of the mesh, whose first numbers would then follow from its family.
+    rng = np.random.default_rng((*seed, 2))
     if config.pool is not None and config.pool_share and rng.random() < config.pool_share:
         n = len(open_pool(config.pool, config.pool_split))
         return {"family": FROM_POOL, "pool": int(rng.integers(n))}
