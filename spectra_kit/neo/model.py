@@ -349,7 +349,8 @@ class WaveHead(nn.Module):
 
     def forward(self, h: Tensor, points: Tensor) -> Tensor:
         """Return (..., m) of features (..., D) at posed points (..., 3)."""
-        angles = points.float() @ self.frequencies.float().mT  # phases need float32
+        # A sum, not a matrix product, which autocast would round: phases need float32.
+        angles = (points.float().unsqueeze(-2) * self.frequencies.float()).sum(-1)
         cos, sin = angles.cos().to(h.dtype), angles.sin().to(h.dtype)
         g, turn = self.gates(self.norm(h)).chunk(2, dim=-1)
         gain = 1 + g
