@@ -32,10 +32,11 @@ from spectra_kit.evaluation import (
 )
 from spectra_kit.evaluation.findings import Goal, Row, accuracy_findings, undominated
 from spectra_kit.evaluation.report import number, statistics
-from spectra_kit.geometry import rectangle, sample, sphere, write
+from spectra_kit.geometry import rectangle, repair, sample, sphere, write
 from spectra_kit.metrics import compare_spectra, subspace_span_error
 from spectra_kit.training.corpus import CorpusConfig, make_sample
 from spectra_kit.training.families import FAMILIES
+from spectra_kit.training.samples import sample_mesh
 
 APP = Path(__file__).parents[1] / "apps" / "evaluate_neo.py"
 SMALL = Weights("small")
@@ -137,8 +138,12 @@ def test_procedural_models_are_those_of_the_corpus():
     again = procedural_models(3, seed=11)
     assert [m.digest for m in models] == [m.digest for m in again]
     assert len({m.digest for m in models}) == 3
-    label = make_sample(CorpusConfig(seed=11, n_points=256, k=8), 1).labels["family"]
-    assert models[1].name == f"{list(FAMILIES)[label]} 1"
+    config = CorpusConfig(seed=11, n_points=256, k=8)
+    for index, model in enumerate(models):
+        labels = make_sample(config, index).labels
+        assert model.name == f"{list(FAMILIES)[labels['family']]} {index}"
+        surface = repair(sample_mesh(config, labels)).geometry
+        np.testing.assert_array_equal(model.mesh.points, surface.points)
 
 
 # --- what is remembered ---

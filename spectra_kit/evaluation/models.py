@@ -15,7 +15,8 @@ from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, creature, read, repair
 from spectra_kit.geometry.io import READERS
-from spectra_kit.training.families import FAMILIES, draw_family, make_mesh
+from spectra_kit.training.families import FAMILIES
+from spectra_kit.training.samples import CorpusConfig, draw_source, make_surface
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +95,8 @@ def procedural_models(n: int, *, seed: int) -> tuple[Model, ...]:
     2
     """
     check_count("n", n, low=1)
-    return tuple(_procedural(check_count("seed", seed, low=0), index) for index in range(n))
+    config = CorpusConfig(seed=seed)
+    return tuple(_procedural(config, index) for index in range(n))
 
 
 def demo_models(n: int = 1) -> tuple[Model, ...]:
@@ -113,14 +115,14 @@ def demo_models(n: int = 1) -> tuple[Model, ...]:
     return tuple(Model(f"creature {seed}", creature(3000, seed=seed)) for seed in range(n))
 
 
-def _procedural(seed: int, index: int) -> Model:
-    family = list(FAMILIES)[draw_family(np.random.default_rng((seed, index, 0)))]
+def _procedural(config: CorpusConfig, index: int) -> Model:
     for attempt in itertools.count():
+        source = draw_source(config, index, attempt)
         try:
-            mesh = _clean(make_mesh(family, (seed, index, attempt)))
+            mesh = _clean(make_surface(config, source, index, attempt))
         except InvalidInputError:  # an empty surface: documented, rare, and not a sample either
             continue
-        return Model(f"{family} {index}", mesh)
+        return Model(f"{list(FAMILIES)[source['family']]} {index}", mesh)
     raise AssertionError("itertools.count ended")
 
 

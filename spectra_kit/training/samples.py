@@ -141,9 +141,8 @@ def make_sample(config: CorpusConfig, index: int) -> Sample:
     """
     rejected = dict.fromkeys(REASONS, 0)
     for attempt in itertools.count():
-        # What to draw does not depend on the attempt: rejections would thin out the hard ones.
-        source = _draw_source(config, (config.seed, index, attempt // _PATIENCE))
-        drawn = _draw_cloud(config, source, (config.seed, index, attempt))
+        source = draw_source(config, index, attempt)
+        drawn = _draw_cloud(config, source, index, attempt)
         if drawn is None:
             rejected["mesh"] += 1
             continue
@@ -187,22 +186,70 @@ def sample_mesh(config: CorpusConfig, labels: Mapping[str, int]) -> TriangleMesh
     True
     """
     attempt = sum(labels[f"rejected_{reason}"] for reason in REASONS)
-    return _make_mesh(config, labels, (config.seed, labels["index"], attempt))
+    return make_surface(config, labels, labels["index"], attempt)
 
 
-def _draw_source(config: CorpusConfig, seed: tuple[int, ...]) -> dict[str, int]:
-    """Draw the labels ``family`` and ``pool``."""
-    # Not the stream of the mesh, whose first numbers would then follow from its family.
-    rng = np.random.default_rng((*seed, 2))
+def draw_source(config: CorpusConfig, index: int, attempt: int) -> dict[str, int]:
+    """Draw what an attempt at a sample is to be.
+
+    Parameters
+    ----------
+    config : CorpusConfig
+        Of the corpus.
+    index, attempt : int
+        Of the sample, and how often it was rejected before.
+
+    Returns
+    -------
+    dict of str to int
+        The labels ``family`` and ``pool`` of `make_sample`.
+
+    Examples
+    --------
+    >>> config = CorpusConfig(seed=0)
+    >>> draw_source(config, 3, 0) == draw_source(config, 3, 1)  # rejections come in fours
+    True
+    """
+    # What to draw hardly depends on the attempt: rejections would thin out the hard ones. Nor is
+    # it the stream of the mesh, whose first numbers would then follow from its family.
+    rng = np.random.default_rng((config.seed, index, attempt // _PATIENCE, 2))
     if config.pool is not None and config.pool_share and rng.random() < config.pool_share:
         n = len(open_pool(config.pool, config.pool_split))
         return {"family": FROM_POOL, "pool": int(rng.integers(n))}
     return {"family": draw_family(rng), "pool": -1}
 
 
-def _make_mesh(
-    config: CorpusConfig, source: Mapping[str, int], seed: tuple[int, ...]
+def make_surface(
+    config: CorpusConfig, source: Mapping[str, int], index: int, attempt: int
 ) -> TriangleMesh:
+    """Make the surface of an attempt at a sample.
+
+    Parameters
+    ----------
+    config : CorpusConfig
+        Of the corpus.
+    source : mapping of str to int
+        Of `draw_source`.
+    index, attempt : int
+        Of the sample, and how often it was rejected before.
+
+    Returns
+    -------
+    TriangleMesh
+        In its own pose and unit.
+
+    Raises
+    ------
+    InvalidInputError
+        If the drawn parameters leave no surface: rare, the next attempt has others.
+
+    Examples
+    --------
+    >>> config = CorpusConfig(seed=0)
+    >>> bool(make_surface(config, draw_source(config, 3, 0), 3, 0).area > 0)
+    True
+    """
+    seed = (config.seed, index, attempt)
     if config.pool is None or source["family"] != FROM_POOL:
         return make_mesh(list(FAMILIES)[source["family"]], seed)
     mesh = open_pool(config.pool, config.pool_split).mesh(source["pool"])
@@ -210,14 +257,14 @@ def _make_mesh(
 
 
 def _draw_cloud(
-    config: CorpusConfig, source: dict[str, int], seed: tuple[int, ...]
+    config: CorpusConfig, source: dict[str, int], index: int, attempt: int
 ) -> tuple[Floats, bool] | None:
     """Points (n, 3) in the unit box, and whether they crowd; None if the surface is empty."""
-    rng = np.random.default_rng((*seed, 1))
+    rng = np.random.default_rng((config.seed, index, attempt, 1))
     nonuniform = rng.random() < config.nonuniform
     sigma = rng.uniform(0.15, 0.5) if nonuniform else 0.0
     try:
-        mesh = _make_mesh(config, source, seed)
+        mesh = make_surface(config, source, index, attempt)
         cloud = sample(
             mesh,
             config.n_points,
