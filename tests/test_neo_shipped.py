@@ -34,9 +34,10 @@ def test_a_weights_file_tells_how_it_was_trained(name):
     assert record["samples"] > 10_000
     assert record["minutes"] > 1
     errors = [row["validation"] for row in record["history"]]
-    assert record["span_error"] == errors[-1] == min(errors)
+    # After a leg the last row is of the weights as shipped, the others of those in training.
+    assert record["span_error"] == errors[-1] <= 1.05 * min(errors)
     path = Path(str(Path(__file__).parent.parent / "spectra_kit/neo/weights" / WEIGHTS[name][0]))
-    assert path.stat().st_size < 10e6
+    assert path.stat().st_size < 12e6
 
 
 @pytest.fixture(scope="module")
@@ -54,11 +55,11 @@ def span_error(basis, spectrum):
 def test_small_covers_the_low_modes_of_an_unseen_creature(exact):
     laplacian, spectrum = exact
     basis = NeoSubspace("small")(laplacian.points, laplacian.mass)
-    assert basis.shape[1] == 193
+    assert basis.shape[1] == 257
     one = span_error(basis, spectrum)
     joined = span_error(NeoSubspace("small", poses=4)(laplacian.points, laplacian.mass), spectrum)
-    assert one < 0.008
-    assert joined < 3e-4
+    assert one < 0.004
+    assert joined < 2e-4
 
 
 def test_small_beats_training_free_functions_of_the_same_number(exact):
@@ -66,11 +67,11 @@ def test_small_beats_training_free_functions_of_the_same_number(exact):
     learned = NeoSubspace("small")(laplacian.points, laplacian.mass)
     errors = [
         span_error(
-            AmbientFourier(m=193, bandwidth=width)(laplacian.points, laplacian.mass), spectrum
+            AmbientFourier(m=257, bandwidth=width)(laplacian.points, laplacian.mass), spectrum
         )
-        for width in (3.0, 5.0, 10.0)
+        for width in (3.0, 5.0, 7.0, 10.0)
     ]
-    assert span_error(learned, spectrum) < 0.2 * min(errors)
+    assert span_error(learned, spectrum) < min(errors) / 3
 
 
 def test_eigenvalues_of_the_solver(exact):

@@ -32,8 +32,7 @@ class Neo(Rebuilt):
         Name of shipped weights (`neo.pretrained.WEIGHTS`), or a ``.safetensors`` file.
     poses : {1, 2, 4}, default 1
         Sign flips of the canonical frame to predict in; the bases are joined. An eigensolve
-        holds about 12 bytes for each point and function (poses * m of these): at 1.5 million
-        points 3.5 GB with one pose.
+        holds about 12 bytes for each point and function, poses * m of these.
     device : str, default "cpu"
         "cpu" or "cuda"; never chosen for you.
     dtype : {"float32", "bfloat16", "float16"}, default "float32"

@@ -23,7 +23,7 @@ _KEY = "spectra_kit.neo"
 WEIGHTS: dict[str, tuple[str, str]] = {
     "small": (
         "neo-small.safetensors",
-        "3495b629657bd764face53522dfe15b07facc2145747241eee33a4f8f5383340",
+        "8ed4dab6ac44d7a9f926506d22a7c75f2e680d289c35240bcf39d0a09147de4f",
     ),
 }
 
