@@ -77,6 +77,15 @@ def test_rank_deficient_functions_have_a_finite_loss_and_gradient(case):
     assert F.grad.isfinite().all()
 
 
+def test_functions_that_are_not_finite_spoil_their_own_cloud_alone(case):
+    F, mass, U = case
+    spoilt = torch.cat([F, F[:1]])
+    spoilt[2, 5, 3] = torch.inf
+    residuals = mode_residuals(spoilt, mass[[0, 1, 0]], U[[0, 1, 0]])
+    assert torch.equal(residuals[:2], mode_residuals(F, mass, U))
+    assert residuals[2].isnan().all()
+
+
 def test_ortho_loss_vanishes_on_orthonormal_functions_alone(case):
     F, mass, _ = case
     weights = (mass / mass.sum(-1, keepdim=True)).unsqueeze(-1)

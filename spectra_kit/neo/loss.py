@@ -30,17 +30,20 @@ def mode_residuals(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -
     Returns
     -------
     Tensor of shape (B, k)
-        Each in [0, 1] up to rounding, float32.
+        Each in [0, 1] up to rounding, float32; NaN for a cloud whose functions are not finite.
     """
     root = mass.float().sqrt().unsqueeze(-1)
     # Unit columns make the Cholesky factor see directions, not magnitudes.
     # Double precision from here on: trained functions share large parts, and the rounding of a
-    # float32 product can then exceed the ridge. It adds some 5 % to a step of the whole network.
+    # float32 product can then exceed the ridge. On a CPU it adds some 5 % to a whole step.
     Z = functional.normalize(root * F.float(), dim=-2).double()
     V = functional.normalize(root * U.float(), dim=-2).double()
     G = Z.mT @ Z
     G = G + ridge * torch.eye(G.shape[-1], dtype=G.dtype, device=G.device)
-    factor = torch.linalg.cholesky(G)
+    # Without a look at `info`, for which a device would be waited for: functions that are not
+    # finite, as an overflow in float16 leaves them, give residuals that are not finite either.
+    factor, info = torch.linalg.cholesky_ex(G)
+    factor = torch.where((info == 0)[..., None, None], factor, torch.nan)
     inside = torch.linalg.solve_triangular(factor, Z.mT @ V, upper=False).square().sum(-2)
     residuals: Tensor = (1 - inside).float()
     return residuals

@@ -19,7 +19,8 @@ Tensors = tuple[Tensor, Tensor, Tensor]
 def chosen_samples(n: int, config: TrainConfig, step: int) -> NDArray[np.int64]:
     """Return which of n samples a step shows, shape (batch,).
 
-    Every sample comes once per epoch, in an order drawn from (seed, epoch).
+    Every sample comes once per epoch, in an order drawn from (seed, epoch), as long as n stays
+    the same; in a stream, whose n grows, some come again earlier and some later.
     """
     places = np.arange(step * config.batch, (step + 1) * config.batch)
     orders = {
