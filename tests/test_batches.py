@@ -163,7 +163,7 @@ def test_a_stream_shows_what_is_there(monkeypatch, resident):
         return {row.numpy().tobytes() for step in steps for row in feed(step)[1]}
 
     a, b, c = corpus(8, 1, first=0), corpus(8, 2, first=8), corpus(16, 3, first=16)
-    stream = SimpleNamespace(now=a)
+    stream = SimpleNamespace(now=a, capacity=32)
     stream.corpus = lambda: stream.now
     with Feed(stream, settings, CPU, resident=resident) as feed:
         assert seen(feed, range(1)) == masses(a)
@@ -176,6 +176,14 @@ def test_a_stream_shows_what_is_there(monkeypatch, resident):
         stream.now = join([c, b])
         feed(6)
         assert seen(feed, [9, 10, 11]) == masses(b, c)
+
+
+def test_an_empty_stream_is_refused():
+    shard = Batch(*(array[:0] for array in vars(CORPUS.shards[0]).values()))
+    empty = SimpleNamespace(capacity=8)
+    empty.corpus = lambda: Corpus((shard,), {"index": np.arange(0)})
+    with pytest.raises(InvalidInputError, match=r"got none; wait with `stream.ready`"):
+        Feed(empty, config(), CPU)
 
 
 def test_joined_corpora_must_be_of_one_size():

@@ -64,6 +64,18 @@ def test_stream_goes_on_behind_the_shards_that_are_there(shards, tmp_path):
     assert len(open_shards(tmp_path)) >= 12
 
 
+def test_a_bounded_folder_keeps_the_newest_shards(tmp_path):
+    with SampleStream(TINY, workers=1, capacity=8, folder=tmp_path, bounded=True) as stream:
+        assert stream.capacity == 8
+        while stream.report().samples < 17:
+            time.sleep(0.02)
+    kept = open_shards(tmp_path).labels["index"]
+    assert len(kept) == 8
+    assert kept[0] > 0
+    with SampleStream(TINY, workers=1, capacity=8, start=int(kept[0]), folder=tmp_path) as stream:
+        assert stream.ready(8, timeout=0)
+
+
 def test_start_skips_samples_and_closing_ends_the_processes():
     with SampleStream(TINY, workers=1, capacity=8, start=6) as stream:
         assert stream.ready(1, timeout=300)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import count, islice
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -25,6 +24,10 @@ _ROOM = 0.5  # share of an accelerator's free memory that samples may fill
 
 class Stream(Protocol):
     """A corpus that grows while it is read, such as `SampleStream`."""
+
+    @property
+    def capacity(self) -> int:
+        """The number of samples that there may be at a time."""
 
     def corpus(self) -> Corpus:
         """Return what is there now."""
@@ -64,9 +67,9 @@ def join(corpora: Sequence[Corpus]) -> Corpus:
 class Feed:
     """Batches of a run, each following from (seed, step) and the samples there are.
 
-    On an accelerator with room for them all samples lie in its memory, posed, in the precisions
-    of the shards, and a batch is drawn there without a transfer. Otherwise a thread reads and
-    poses the samples of the next step while the device works on the last.
+    On an accelerator with room for all that there may be, samples lie in its memory, posed, in the
+    precisions of the shards, and a batch is drawn there without a transfer. Otherwise a thread
+    reads and poses the samples of the next step while the device works on the last.
 
     Parameters
     ----------
@@ -80,6 +83,11 @@ class Feed:
         Places of the batch that this process works on.
     resident : bool, optional
         Keep all samples on the device; by default on an accelerator with room for them.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no sample.
     """
 
     def __init__(
@@ -93,9 +101,13 @@ class Feed:
     ) -> None:
         self._source, self._config, self._device, self._share = source, config, device, share
         self._look()
+        room = len(self._corpus)
+        if not isinstance(source, Corpus):
+            room = max(room, source.capacity)
         if resident is None:
-            resident = device.type != "cpu" and _bytes(self._corpus) < _ROOM * _free(device)
-        self._store = _Store(config, device) if resident else None
+            need = room * _bytes(self._corpus)
+            resident = device.type != "cpu" and need < _ROOM * _free(device)
+        self._store = _Store(config, device, self._corpus, room) if resident else None
         if self._store is not None:
             self._store.update(self._corpus, self._keys())
         self._thread = ThreadPoolExecutor(1)
@@ -131,6 +143,10 @@ class Feed:
     def _look(self) -> None:
         self._corpus = self._source if isinstance(self._source, Corpus) else self._source.corpus()
         self._looked = time.monotonic()
+        if not len(self._corpus):
+            raise InvalidInputError(
+                "`source` must have a sample to begin with, got none; wait with `stream.ready`"
+            )
 
     def _keys(self) -> NDArray[np.int64]:
         # In a stream samples come and go, so their place says nothing; in shards, where folders
@@ -157,9 +173,16 @@ class Feed:
 class _Store:
     """Posed samples in the memory of a device; each is there under a key and moves no more."""
 
-    def __init__(self, config: TrainConfig, device: torch.device) -> None:
+    def __init__(self, config: TrainConfig, device: torch.device, like: Corpus, room: int) -> None:
         self.config, self.device = config, device
-        self.parts: Tensors | None = None
+        n, k = like.n_points, like.k
+        shapes = (
+            ((room, n, 3), torch.float32),
+            ((room, n), torch.float32),
+            ((room, n, k), torch.float16),
+        )
+        points, mass, modes = (torch.empty(s, dtype=t, device=device) for s, t in shapes)
+        self.parts: Tensors = points, mass, modes
         self.slots: dict[int, int] = {}  # key of a sample -> its place in the parts
         self.order: NDArray[np.int64] = np.empty(0, dtype=np.int64)  # places, as in the corpus
 
@@ -168,13 +191,11 @@ class _Store:
         kept = {int(key) for key in keys}
         self.slots = {key: slot for key, slot in self.slots.items() if key in kept}
         new = [place for place, key in enumerate(keys) if int(key) not in self.slots]
-        taken = set(self.slots.values())
-        free = list(islice((slot for slot in count() if slot not in taken), len(new)))
-        self._grow(corpus, max(free, default=-1) + 1)
+        free = sorted(set(range(len(self.parts[0]))) - set(self.slots.values()))[: len(new)]
         for i in range(0, len(new), _CHUNK):
             chosen, slots = new[i : i + _CHUNK], free[i : i + _CHUNK]
             fresh = posed(corpus.batch(chosen), self.config)
-            for part, values in zip(self.parts or (), fresh, strict=True):
+            for part, values in zip(self.parts, fresh, strict=True):
                 part[torch.tensor(slots)] = values.to(self.device)
             self.slots |= {
                 int(keys[place]): slot for place, slot in zip(chosen, slots, strict=True)
@@ -184,29 +205,13 @@ class _Store:
     def batch(self, chosen: NDArray[np.int64]) -> Tensors:
         """Return the posed samples `chosen`, numbered as in the corpus."""
         places = torch.from_numpy(self.order[chosen]).to(self.device)
-        assert self.parts is not None
         points, mass, modes = (part[places] for part in self.parts)
         return points, mass, modes
 
-    def _grow(self, corpus: Corpus, size: int) -> None:
-        old = self.parts
-        if old is not None and size <= len(old[0]):
-            return
-        n, k = corpus.n_points, corpus.k
-        room = size if old is None else max(size, len(old[0]) * 3 // 2)
-        shapes = (
-            ((room, n, 3), torch.float32),
-            ((room, n), torch.float32),
-            ((room, n, k), torch.float16),
-        )
-        points, mass, modes = (torch.empty(s, dtype=t, device=self.device) for s, t in shapes)
-        self.parts = points, mass, modes
-        for part, before in zip(self.parts, old or (), strict=False):
-            part[: len(before)] = before
-
 
 def _bytes(corpus: Corpus) -> int:
-    return len(corpus) * corpus.n_points * (3 * 4 + 4 + 2 * corpus.k)
+    """Return what a sample takes in the memory of a device."""
+    return corpus.n_points * (3 * 4 + 4 + 2 * corpus.k)
 
 
 def _free(device: torch.device) -> int:

@@ -6,6 +6,7 @@ So an accelerator neither waits for a corpus nor needs gigabytes of files.
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 import time
 from collections import deque
@@ -40,8 +41,8 @@ class SampleStream:
     """An endless corpus: sample `start`, `start` + 1, ... of a configuration, the newest at hand.
 
     Sample number i is the one that `make_sample` makes, in the precisions of the shards. The
-    buffer grows to `capacity`; then its oldest samples make room, an eighth at a time. Reading
-    waits for nothing.
+    buffer grows to `capacity`; then its oldest samples make room, a block at a time: a shard, or an
+    eighth of the capacity where that is less. Reading waits for nothing.
 
     Parameters
     ----------
@@ -56,6 +57,8 @@ class SampleStream:
     folder : path, optional
         Save whole shards there, as `generate` does. Those from `start` on that are there already
         fill the buffer at once, and the stream goes on behind the last.
+    bounded : bool, default False
+        Remove shards from the folder that are older than the last `capacity` samples.
 
     Raises
     ------
@@ -89,6 +92,7 @@ class SampleStream:
         capacity: int,
         start: int = 0,
         folder: str | os.PathLike[str] | None = None,
+        bounded: bool = False,
     ) -> None:
         self._workers = check_count("workers", workers, low=1)
         self._capacity = check_count("capacity", capacity, low=1)
@@ -100,6 +104,7 @@ class SampleStream:
             )
         self._config = config
         self._folder = None if folder is None else Path(folder)
+        self._bounded = bounded
         self._block = max(1, min(config.shard_size, capacity // _BLOCKS))
         self._blocks: deque[_Block] = deque()
         self._seen: list[dict[str, NDArray[np.int64]]] = []  # labels of blocks that are gone
@@ -131,6 +136,11 @@ class SampleStream:
         self._stop.set()
         if self._thread is not None:
             self._thread.shutdown()
+
+    @property
+    def capacity(self) -> int:
+        """The number of samples that it holds at most."""
+        return self._capacity
 
     def corpus(self) -> Corpus:
         """Return what is there now, possibly nothing: views that stay as they are."""
@@ -213,6 +223,16 @@ class SampleStream:
                 index = sample.labels["index"] // self._config.shard_size
                 write_samples(self._folder, index, self._unsaved)
                 self._unsaved = []
+                if self._bounded:
+                    kept = max(1, self._capacity // self._config.shard_size)
+                    self._thin(self._folder, index - kept)
+
+    def _thin(self, folder: Path, last: int) -> None:
+        """Remove the shards of a folder up to number `last`; open maps of them stay readable."""
+        for path in folder.glob("shard_*"):
+            if int(path.name.removeprefix("shard_")) <= last:
+                gone = path.rename(folder / f".gone_{path.name}")  # never half a shard by its name
+                shutil.rmtree(gone)
 
     def _append(self, block: _Block) -> None:
         """Open a block, and let those go that are more than the capacity without it."""
