@@ -118,3 +118,17 @@ def real_shapes() -> Path:
     if folder is None or not (folder / "ood_public").is_dir():
         pytest.skip("set SPECTRA_KIT_DATA to the folder of real shapes to run this")
     return folder / "ood_public"
+
+
+def ellipsoids(n, seed):
+    """Clouds on random ellipsoids, with polynomials of the coordinates as modes."""
+    rng = np.random.default_rng(seed)
+    points = rng.standard_normal((n, 64, 3))
+    points /= np.linalg.norm(points, axis=2, keepdims=True)
+    points *= rng.uniform(0.3, 1, (n, 1, 3))
+    mass = rng.uniform(0.5, 1.5, (n, 64))
+    mass /= mass.sum(1, keepdims=True)
+    x, y, z = np.moveaxis(points, 2, 0)
+    modes = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x], axis=2)
+    root = np.sqrt(mass)[..., None]
+    return points, mass, np.linalg.qr(root * modes)[0] / root
