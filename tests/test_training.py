@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from conftest import ellipsoids
 
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
 from spectra_kit.neo.pretrained import load_pretrained
 from spectra_kit.training.config import TrainConfig
@@ -23,7 +24,7 @@ from spectra_kit.training.optim import (
     warmup_stable_decay,
 )
 from spectra_kit.training.shards import open_shards, write_shard
-from spectra_kit.training.train import train, validate
+from spectra_kit.training.train import _shortened, train, validate
 
 APP = Path(__file__).parent.parent / "apps" / "train_neo.py"
 SPEC = importlib.util.spec_from_file_location("train_neo", APP)
@@ -32,20 +33,6 @@ SPEC.loader.exec_module(train_neo)
 
 TINY = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
 CONFIG = TrainConfig(network=TINY, steps=10, batch=4, points=48, validation=4, every=5)
-
-
-def ellipsoids(n, seed):
-    """Clouds on random ellipsoids, with polynomials of the coordinates as modes."""
-    rng = np.random.default_rng(seed)
-    points = rng.standard_normal((n, 64, 3))
-    points /= np.linalg.norm(points, axis=2, keepdims=True)
-    points *= rng.uniform(0.3, 1, (n, 1, 3))
-    mass = rng.uniform(0.5, 1.5, (n, 64))
-    mass /= mass.sum(1, keepdims=True)
-    x, y, z = np.moveaxis(points, 2, 0)
-    modes = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x], axis=2)
-    root = np.sqrt(mass)[..., None]
-    return points, mass, np.linalg.qr(root * modes)[0] / root
 
 
 @pytest.fixture(scope="module")
@@ -222,6 +209,49 @@ def test_a_pause_keeps_the_schedule(corpora, tmp_path):
     assert again.record["steps"] > result.record["steps"]
 
 
+def test_a_last_phase_ends_the_schedule(corpora, tmp_path):
+    config = TrainConfig(**{**vars(CONFIG), "steps": 100_000, "minutes": 30, "warmup": 1e-9})
+    config = TrainConfig(**{**vars(config), "every": 100_000, "log": 1})
+    part = train(*corpora, config, out=tmp_path, pause_after=0.5)
+    called = []
+    options = {"out": tmp_path, "pause_after": 1.5, "resume": True}
+    result = train(*corpora, config, last=True, wait=lambda: called.append(1), **options)
+    assert called == [1]
+    assert result.finished
+    assert result.record["steps"] > part.record["steps"]
+    assert result.record["minutes"] < 0.3
+    with (tmp_path / "log.csv").open() as file:
+        rates = np.array([float(row["lr"]) for row in csv.DictReader(file)])
+    np.testing.assert_allclose(rates[1 : part.record["steps"]], config.lr)  # the first one is zero
+    assert np.all(np.diff(rates[1:]) <= 0)
+    assert rates[-1] < 0.3 * config.lr
+
+
+@pytest.mark.parametrize("seconds", [0.0, 100.0, 300.0, 900.0, 1150.0])
+@pytest.mark.parametrize("left", [10.0, 200.0, 2000.0])
+def test_a_shortened_schedule_goes_on_where_the_rate_is(seconds, left):
+    def rate(config, at):
+        progress = at / (60 * config.minutes)
+        return warmup_stable_decay(progress, warmup=config.warmup, decay=config.decay)
+
+    old = TrainConfig(**{**vars(CONFIG), "minutes": 20, "warmup": 0.2, "decay": 0.3})
+    new = _shortened(old, seconds, left)
+    assert 60 * new.minutes == pytest.approx(min(1200, seconds + left))
+    assert rate(new, seconds) == pytest.approx(rate(old, seconds), abs=1e-9)
+    assert rate(new, 60 * new.minutes) == 0
+
+
+def test_a_loss_that_is_not_finite_is_an_error(corpora, tmp_path):
+    spoilt = NeoNetwork(TINY)
+    torch.nn.init.constant_(spoilt.lift.weight, torch.nan)
+    for precision in ("float32", "float16"):
+        config = TrainConfig(**{**vars(CONFIG), "steps": 40, "log": 20, "precision": precision})
+        with pytest.raises(ConvergenceError, match="the loss is not finite by step"):
+            train(*corpora, config, initial=spoilt, out=tmp_path)
+        # In float16 steps are skipped at first, and leave the weights as they are.
+        assert (tmp_path / "checkpoint.pt").exists() == (precision == "float16")
+
+
 def test_minutes_end_a_run_with_the_whole_schedule(corpora, tmp_path):
     config = TrainConfig(**{**vars(CONFIG), "steps": 100_000, "minutes": 0.05, "every": 10})
     result = train(*corpora, config, out=tmp_path)
@@ -251,6 +281,8 @@ def test_bad_configurations_are_refused(corpora, tmp_path):
         train(*corpora, config)
     with pytest.raises(InvalidInputError, match="must hold a checkpoint to resume, found none"):
         train(*corpora, CONFIG, out=tmp_path, resume=True)
+    with pytest.raises(InvalidInputError, match=r"`last` ends a schedule of `minutes`.*got None"):
+        train(*corpora, CONFIG, last=True, pause_after=1.0)
     train(*corpora, CONFIG, out=tmp_path, stop_after=1)
     other = TrainConfig(**{**vars(CONFIG), "lr": 1e-4})
     with pytest.raises(InvalidInputError, match=r"other values of \['lr'\]"):

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import copy
+import math
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.neo.loss import ortho_loss, span_loss
 from spectra_kit.neo.model import NeoNetwork, build_network
 from spectra_kit.training import checkpoint
@@ -77,6 +79,8 @@ def train(
     device: str = "cpu",
     stop_after: int | None = None,
     pause_after: float | None = None,
+    last: bool = False,
+    wait: Callable[[], object] | None = None,
     tensorboard: bool = False,
     report: Callable[[Row], None] | None = None,
 ) -> TrainResult:
@@ -111,6 +115,10 @@ def train(
         Stop, with a checkpoint, once this many steps are done in all, as if by Ctrl-C.
     pause_after : float, optional
         Stop likewise this many seconds after the call, but not before a step is made.
+    last : bool, default False
+        Rather than pause, end the schedule by then: the rate falls in the time that is left.
+    wait : callable, optional
+        Called when the network is compiled, before samples are read: to wait for a stream.
     tensorboard : bool, default False
         Write event files too, into ``out/events``.
     report : callable, optional
@@ -123,8 +131,10 @@ def train(
     Raises
     ------
     InvalidInputError
-        If the corpus does not fit the configuration, or there is no checkpoint of this
-        configuration to resume.
+        If the corpus does not fit the configuration or is empty, there is no checkpoint of this
+        configuration to resume, or `last` comes without `pause_after` and ``minutes``.
+    ConvergenceError
+        If the loss is not finite. In float16 single such steps are skipped.
     MissingDependencyError
         If event files are asked for and the package tensorboard is not installed.
     """
@@ -132,6 +142,11 @@ def train(
     ranks = Ranks.here()
     there = corpus if isinstance(corpus, Corpus) else corpus.corpus()
     _check_corpora(there, validation, config)
+    if last and (pause_after is None or config.minutes is None):
+        raise InvalidInputError(
+            "`last` ends a schedule of `minutes` by `pause_after`, got"
+            f" {config.minutes} and {pause_after}; give both"
+        )
     torch.manual_seed(config.seed)
     run = _Run(config, torch.device(device), ranks, initial)
     folder = None if out is None else Path(out)
@@ -148,17 +163,23 @@ def train(
             writer = enter(checkpoint.Writer(folder))
             log = enter(Log(folder, state.history, tensorboard=tensorboard))
         enter(run.pool)
+        if config.compile:
+            run.compile()
+        if wait is not None:
+            wait()
         feed = enter(Feed(corpus, config, run.device, share=ranks.share(config.batch)))
         interrupted = enter(_until_interrupt())
-        if config.compile:
-            run.gradients(feed(state.step))  # compiles, which should not count as training
+        if last and pause_after is not None:
+            left = max(1.0, called + pause_after - time.perf_counter())
+            config = run.config = _shortened(config, state.seconds, ranks.agree(left, False)[0])
         begun = state.step
         start, saved = time.perf_counter() - state.seconds, time.monotonic()
         losses: list[Tensor] = []
         noted = time.perf_counter(), state.samples
         while True:
             now = time.perf_counter()
-            paused = pause_after is not None and now - called > pause_after and state.step > begun
+            late = pause_after is not None and now - called > pause_after
+            paused = late and not last and state.step > begun
             stop = interrupted() or paused
             progress, stop = ranks.agree(_progress(config, state), stop)
             if state.step >= limit or progress >= 1 or stop:
@@ -170,8 +191,11 @@ def train(
             state.seconds = time.perf_counter() - start
             ended = state.step == config.steps or _progress(config, state) >= 1
             validating = state.step % config.every == 0 or ended
-            if ranks.first and (validating or state.step % config.log == 0):
-                state.losses += _numbers(losses)  # here a device is waited for
+            noting = validating or state.step % config.log == 0
+            if noting and not ranks.first:
+                losses.clear()
+            if noting and ranks.first:
+                run.read(losses)  # here a device is waited for
                 now = time.perf_counter()
                 row = _row(config, state, lr, (state.samples - noted[1]) / (now - noted[0]))
                 if validating:
@@ -184,10 +208,10 @@ def train(
                     report(row)
             late = time.monotonic() - saved > config.save
             if writer is not None and (late or validating) and not writer.busy:
-                state.losses += _numbers(losses)
+                run.read(losses)
                 writer.write(run.content())
                 saved = time.monotonic()
-        state.losses += _numbers(losses)
+        run.read(losses)
         if writer is not None:
             writer.write(run.content())
     there = corpus if isinstance(corpus, Corpus) else corpus.corpus()
@@ -240,6 +264,30 @@ class _Run:
         if config.ema:
             average_weights(self.average, self.network, self.state.step, config.ema)
         return loss
+
+    def compile(self) -> None:
+        """Compile the network on a batch of noise, which should not count as training."""
+        config, network = self.config, self.config.network
+        size = len(range(config.batch)[self.ranks.share(config.batch)])
+
+        def noise(*shape: int) -> Tensor:
+            return torch.rand(size, config.points, *shape, device=self.device)
+
+        self.gradients((2 * noise(3) - 1, noise() / config.points, noise(network.k)))
+
+    def read(self, losses: list[Tensor]) -> None:
+        """Note losses as numbers, and empty the list."""
+        numbers = torch.stack(losses).tolist() if losses else []
+        losses.clear()
+        self.state.losses += numbers
+        bad = not np.isfinite(numbers).all()
+        # In float16 the scaler leaves such a step out, and halves its scale: 16 in a row reach one.
+        if bad and (self.config.precision != "float16" or self.scaler.get_scale() < 1):
+            raise ConvergenceError(
+                f"the loss is not finite by step {self.state.step}; go on from the last checkpoint"
+                f" with a smaller `lr` than {self.config.lr:g}, or in another `precision` than"
+                f" {self.config.precision}"
+            )
 
     def gradients(self, batch: Tensors) -> tuple[tuple[Tensor, ...], tuple[Gradients, ...]]:
         """Return the losses of the shares of a batch, and their gradients."""
@@ -311,16 +359,25 @@ def _progress(config: TrainConfig, state: TrainState) -> float:
     return share
 
 
-def _numbers(losses: list[Tensor]) -> list[float]:
-    """Return losses as numbers, and empty the list."""
-    numbers = torch.stack(losses).tolist() if losses else []
-    losses.clear()
-    return [float(number) for number in numbers]
+def _shortened(config: TrainConfig, seconds: float, left: float) -> TrainConfig:
+    """Return a schedule that ends `left` seconds after the `seconds` so far, if not before.
+
+    The rate goes on from where it is; it falls over the old time if that is left, else at once.
+    """
+    assert config.minutes is not None
+    whole, total = 60 * config.minutes, seconds + left
+    if total >= whole:
+        return config
+    now = warmup_stable_decay(seconds / whole, warmup=config.warmup, decay=config.decay)
+    fall = min(config.decay * whole, total, left / now if now else total)
+    rise = min(config.warmup * whole, total)
+    return replace(config, minutes=total / 60, warmup=rise / total, decay=fall / total)
 
 
 def _row(config: TrainConfig, state: TrainState, lr: float, rate: float) -> Row:
     """Return a row of the log, over the steps since the last one."""
-    loss = float(np.mean(state.losses))
+    finite = [loss for loss in state.losses if math.isfinite(loss)]  # others were skipped
+    loss = float(np.mean(finite)) if finite else math.nan
     state.losses.clear()
     return {
         "step": state.step,
@@ -382,14 +439,14 @@ def _autocast(device: str, precision: str) -> torch.autocast:
 
 @contextmanager
 def _until_interrupt() -> Iterator[Any]:
-    """Yield a function that tells whether Ctrl-C was pressed, which then ends nothing by itself."""
-    pressed: list[int] = []
+    """Yield a function that tells whether to stop: Ctrl-C and SIGTERM end nothing by themselves."""
+    told: list[int] = []
+    before: dict[signal.Signals, Any] = {}
+    if threading.current_thread() is threading.main_thread():  # which alone may set handlers
+        for number in (signal.SIGINT, signal.SIGTERM):
+            before[number] = signal.signal(number, lambda number, _: told.append(number))
     try:
-        before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
-    except ValueError:  # not in the main thread, which alone may set handlers
-        yield lambda: False
-        return
-    try:
-        yield lambda: bool(pressed)
+        yield lambda: bool(told)
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
