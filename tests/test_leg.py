@@ -3,9 +3,14 @@
 import csv
 import json
 import os
+import shutil
+import signal
 import subprocess
 import sys
+import threading
+import time
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -69,6 +74,9 @@ def test_better_weights_are_written_with_a_line_in_their_record(tmp_path, weight
     assert loaded.sha256 in printed
     with (tmp_path / "out" / "log.csv").open() as file:
         assert {"loss", "lr", "rate"} <= set(next(csv.DictReader(file)))
+    assert Leg.read(tmp_path / "out").finished
+    assert main(arguments(tmp_path, weights)) == 1
+    assert "has ended; give another --out" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -90,9 +98,12 @@ def test_phases_go_on_where_the_last_ended_on_another_machine(tmp_path, weights,
     assert {path.name for path in first.iterdir()} == {"leg.json", "log.csv", "checkpoint.01of01"}
     before = Leg.read(first)
     assert (before.phase, before.config.network) == (1, TINY)
-    # What the later call says about the training does not matter: the leg remembers.
-    later = arguments(tmp_path, "nowhere", out=second, scratch=tmp_path / "b", state=first, lr=9.0)
-    assert main([*later, "--no-compile"]) == 0
+    other = arguments(tmp_path, weights, out=second, scratch=tmp_path / "b", state=first, minutes=9)
+    assert main(other) == 1
+    assert "was begun with minutes = 0.1, got 9.0; leave" in capsys.readouterr().err
+    later = {"out": second, "scratch": tmp_path / "b", "packed": tmp_path / "none"}
+    later |= {"state": first, "workers": 1, "device": "cpu"}
+    assert main([*(f"--{name}={value}" for name, value in later.items()), "--no-compile"]) == 0
     printed = capsys.readouterr().out
     assert "phase 2" in printed
     with (second / "log.csv").open() as file:
@@ -101,6 +112,62 @@ def test_phases_go_on_where_the_last_ended_on_another_machine(tmp_path, weights,
     assert float(rows[-1]["seconds"]) >= 6
     assert max(float(row["lr"]) for row in rows) <= 5e-3
     assert json.loads((second / "leg.json").read_text())["before"] == before.before
+
+
+@pytest.mark.slow
+def test_a_leg_goes_on_without_its_results_and_ends_when_told_to(tmp_path, weights, capsys):
+    options = {"minutes": 30, "phase-minutes": 0.02}
+    call = arguments(tmp_path, weights, **options)
+    assert main(call) == 0
+    first = Leg.read(tmp_path / "out")
+    shutil.rmtree(tmp_path / "out")
+    assert main([*call, "--last"]) == 0
+    printed = capsys.readouterr().out
+    assert f"going on with leg {first.name} of {tmp_path / 'scratch'}" in printed
+    last = Leg.read(tmp_path / "out")
+    assert last.finished
+    assert last.phase == 2
+    assert last.step > first.step
+    with (tmp_path / "out" / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[-1]["seconds"]) < 60
+    assert (tmp_path / "scratch" / first.name / "samples" / "corpus.json").is_file()
+
+
+@pytest.mark.slow
+def test_a_phase_that_is_told_to_end_leaves_its_results(tmp_path, weights):
+    def end():
+        while not any(len(p.read_text().split()) > 1 for p in tmp_path.glob("scratch/*/log.csv")):
+            time.sleep(0.1)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=end, daemon=True).start()
+    assert main(arguments(tmp_path, weights, minutes=30)) == 0
+    assert Leg.read(tmp_path / "out").step >= 20
+    assert (tmp_path / "out" / "checkpoint.01of01").is_file()
+
+
+def test_what_does_not_belong_to_a_leg_is_refused(tmp_path, weights, capsys):
+    call = arguments(tmp_path, weights)
+    assert main([*call, "--last"]) == 1
+    assert "give --phase-minutes too" in capsys.readouterr().err
+    assert main([*call, "--state", str(tmp_path / "nowhere")]) == 1
+    assert "`state` must hold the leg.json of an earlier phase" in capsys.readouterr().err
+    options = {"n_points": 128, "batch": 4, "minutes": 1.0, "points": 48}
+    leg = new_leg(name="x", weights=str(weights), fresh=False, fast=False, **options)
+    (tmp_path / "scratch").mkdir()
+    replace(leg, validation="others").write(tmp_path / "scratch")
+    assert main(call) == 1
+    assert "`packed` must hold the pool that leg" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_leg_from_nothing_must_beat_the_shipped_weights():
+    options = {"weights": None, "n_points": 2048, "batch": None, "minutes": 1.0}
+    leg = new_leg(name="small", fresh=True, fast=False, **options)
+    assert (leg.weights, leg.rival) == ("", "small")
+    assert new_leg(name="paper-deep", fresh=True, fast=False, **options).rival == ""
+    assert new_leg(name="small", fresh=False, fast=False, **options).rival == "small"
 
 
 # Installs itself in every process: only what training may use, and what that needs, is there.

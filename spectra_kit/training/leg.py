@@ -9,37 +9,57 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from spectra_kit.errors import SpectraKitError
+from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.training.wheels import download_wheels, use_wheels
 
 # The processes that make samples import this module too, so torch waits until a phase begins.
+if TYPE_CHECKING:
+    from spectra_kit.training.phases import Leg
+
+# What a leg keeps from its first call. The parser leaves them None, to tell what a call asks for.
+_DEFAULTS: dict[str, Any] = {
+    "minutes": 25.0,
+    "config": "base",
+    "weights": None,
+    "fresh": False,
+    "batch": None,
+    "points": 512,
+    "n_points": 2048,
+    "lr": 2e-3,
+    "validation": 128,
+}
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="spectra_kit.training.leg", description=__doc__)
     add = parser.add_argument
-    add("--minutes", type=float, default=25, help="of training, all phases together (%(default)g)")
+    add("--minutes", type=float, help="of training, all phases together (25)")
     add("--phase-minutes", type=float, help="end this call by then; the next one goes on")
-    add("--config", default="base", help="configuration of the network (%(default)s)")
+    add("--last", action="store_true", help="end the leg, too, with this phase")
+    add("--config", help="configuration of the network (base)")
     add("--weights", help="start from this file instead of the shipped weights of --config")
-    add("--fresh", action="store_true", help="start from random weights")
+    fresh = "start from random weights"
+    add("--fresh", action="store_const", const=True, help=fresh)
     add("--out", type=Path, default=Path("runs/leg"), help="where results go (%(default)s)")
-    add("--state", type=Path, help="where the last phase's results lie (default: --out)")
+    where = "where the last phase's results lie (default: --out, else --scratch)"
+    add("--state", type=Path, help=where)
     add("--scratch", type=Path, default=Path("runs/scratch"), help="stays here (%(default)s)")
     compiled = "torch.compile the network (default: on an accelerator)"
     add("--compile", action=argparse.BooleanOptionalAction, help=compiled)
     add("--device", help="(default: cuda where there is one)")
     add("--batch", type=int, help="clouds per step (800 on an accelerator, 16 on a CPU)")
-    add("--points", type=int, default=512, help="drawn from each cloud (%(default)s)")
-    add("--n-points", type=int, default=2048, help="of each cloud (%(default)s)")
-    add("--lr", type=float, default=2e-3, help="peak learning rate (%(default)g)")
-    add("--validation", type=int, default=128, help="number of validation samples (%(default)s)")
+    add("--points", type=int, help="drawn from each cloud (512)")
+    add("--n-points", type=int, help="of each cloud (2048)")
+    add("--lr", type=float, help="peak learning rate (0.002)")
+    add("--validation", type=int, help="number of validation samples (128)")
     add("--workers", type=int, help="processes that make samples (all cores but one)")
     add("--capacity", type=int, default=32768, help="samples held in memory (%(default)s)")
     add("--packed", type=Path, default=Path(".leg"), help="folder of the pool (%(default)s)")
@@ -51,9 +71,14 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a phase, or pack; return 0, or 1 where something does not fit."""
+    """Run a phase, or pack; return 0, or 1 where something does not fit.
+
+    The signal with which ``timeout`` ends a command ends a phase like an error: what it has
+    reached is put into ``--out``.
+    """
     began = time.perf_counter()
     args = _parser().parse_args(argv)
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         if args.pack:
             _pack(args)
@@ -64,43 +89,67 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SpectraKitError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
+    finally:
+        signal.signal(signal.SIGTERM, before)
     return 0
 
 
 def _train(args: argparse.Namespace, began: float) -> None:
     import torch
 
-    from spectra_kit.training.phases import Leg, Place, new_leg, run_phase
+    from spectra_kit.training.phases import Place, begun_leg, run_phase
 
+    if args.last and args.phase_minutes is None:
+        raise InvalidInputError("`--last` ends the leg with this phase; give --phase-minutes too")
     torch.set_num_threads(1)  # the other cores make samples
     device = args.device or ("cuda" if torch.cuda.is_available() else "cpu")
+    begun = begun_leg(args.out, args.state, args.scratch)
+    if begun is None:
+        leg, state = _new(args, device), args.out
+    else:
+        leg, state = begun
+        print(f"going on with leg {leg.name} of {state}")
+        _check_same(leg, args)
     place = Place(
         out=args.out,
-        state=args.state or args.out,
+        state=state,
         scratch=args.scratch,
         packed=args.packed,
         device=device,
         workers=args.workers or max(1, (os.cpu_count() or 2) - 1),
         capacity=args.capacity,
     )
-    leg = Leg.read(place.state) or new_leg(
-        name=args.config,
-        weights=args.weights,
-        fresh=args.fresh,
-        fast=device != "cpu",
-        n_points=args.n_points,
-        batch=args.batch,
-        minutes=args.minutes,
-        points=args.points,
-        lr=args.lr,
-        validation=args.validation,
-    )
     if args.compile is not None:
         leg = replace(leg, config=replace(leg.config, compile=args.compile))
     pause = None
     if args.phase_minutes is not None:  # a tenth of it is kept for saving
         pause = 54 * args.phase_minutes - (time.perf_counter() - began)
-    run_phase(leg, place, pause_after=pause, say=lambda line: print(line, flush=True))
+    run_phase(
+        leg, place, pause_after=pause, last=args.last, say=lambda line: print(line, flush=True)
+    )
+
+
+def _new(args: argparse.Namespace, device: str) -> Leg:
+    from spectra_kit.training.phases import new_leg
+
+    given = {name: getattr(args, name) for name in _DEFAULTS}
+    asked = {name: _DEFAULTS[name] if v is None else v for name, v in given.items()}
+    options = {**asked, "name": asked["config"]}
+    del options["config"]
+    leg = new_leg(fast=device != "cpu", **options)
+    return replace(leg, asked={**asked, "batch": leg.config.batch})
+
+
+def _check_same(leg: Leg, args: argparse.Namespace) -> None:
+    """Refuse options that a leg was not begun with, which would do nothing."""
+    for name, kept in leg.asked.items():
+        wanted = getattr(args, name)
+        if wanted not in (None, kept):
+            raise InvalidInputError(
+                f"leg {leg.name} was begun with {name} = {kept!r}, got {wanted!r};"
+                " leave that option out (--last ends a leg early), or begin another leg with"
+                " another --out and --scratch"
+            )
 
 
 def _pack(args: argparse.Namespace) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import platform
 import secrets
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,21 +46,34 @@ class Leg:
         Of all its phases.
     n_points : int
         Points of its samples.
+    rival : str
+        Weights that the new ones must beat: those that it starts from, else the shipped ones of
+        its configuration; empty where there are none.
+    asked : dict
+        What the first call asked for, which later ones may repeat but not change.
     before : float or None
-        Span error at the start, None for random weights.
+        Span error of the rival.
+    validation : str
+        Tells the samples that it was measured on from others.
     phase : int
-        Phases that have ended.
+        Phases that have made steps.
     step : int
         Steps that they made.
+    finished : bool
+        Whether its schedule has ended.
     """
 
     name: str
     weights: str
     config: TrainConfig
     n_points: int
+    rival: str = ""
+    asked: dict[str, Any] = field(default_factory=dict)
     before: float | None = None
+    validation: str = ""
     phase: int = 0
     step: int = 0
+    finished: bool = False
 
     def write(self, folder: Path) -> None:
         """Write ``leg.json``."""
@@ -87,7 +101,7 @@ class Place:
     out, state : Path
         Where results go, and where those of the last phase lie.
     scratch : Path
-        For what need not travel: validation samples, exact checkpoints.
+        For what need not travel: samples, exact checkpoints.
     packed : Path
         Holds the pools of real meshes, if there are any.
     device : str
@@ -159,11 +173,54 @@ def new_leg(
         seed=_SEED + (len(start.record.get("legs", [])) if start else 0),
         **options,
     )
-    return Leg(secrets.token_hex(4), begin, config, n_points)
+    rival = begin or (name if name in WEIGHTS else "")
+    return Leg(secrets.token_hex(4), begin, config, n_points, rival)
+
+
+def begun_leg(out: Path, state: Path | None, scratch: Path) -> tuple[Leg, Path] | None:
+    """Find the leg to go on with.
+
+    Parameters
+    ----------
+    out, scratch : Path
+        Where it may lie, the first before the second, where `state` is not given.
+    state : Path, optional
+        Where it must lie.
+
+    Returns
+    -------
+    tuple of Leg and Path
+        And where it lies; None where there is none yet. A leg that has ended in `scratch` alone
+        is none.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is none in `state`, or it has ended.
+    """
+    if state is not None and Leg.read(state) is None:
+        raise InvalidInputError(
+            f"`state` must hold the leg.json of an earlier phase, found none in {state};"
+            " copy what that phase left there, or begin a leg without --state"
+        )
+    for folder in (out, scratch) if state is None else (state,):
+        leg = Leg.read(folder)
+        if leg is not None and not leg.finished:
+            return leg, folder
+        if leg is not None and folder != scratch:
+            raise InvalidInputError(
+                f"the leg {leg.name} in {folder} has ended; give another --out to begin the next"
+            )
+    return None
 
 
 def run_phase(
-    leg: Leg, place: Place, *, pause_after: float | None, say: Callable[[str], None]
+    leg: Leg,
+    place: Place,
+    *,
+    pause_after: float | None,
+    last: bool = False,
+    say: Callable[[str], None],
 ) -> bool:
     """Train until a leg's schedule ends, or the pause.
 
@@ -175,6 +232,8 @@ def run_phase(
         Where.
     pause_after : float, optional
         Seconds after which the training stops; what follows takes some more.
+    last : bool, default False
+        Rather than stop, end the schedule by then.
     say : callable
         Told what goes on, line by line.
 
@@ -183,27 +242,43 @@ def run_phase(
     bool
         Whether the schedule has ended. ``place.out`` then holds ``weights.safetensors`` if the
         new weights are better; always the log, and a checkpoint in parts for the next phase.
+
+    Raises
+    ------
+    InvalidInputError
+        If the samples to validate on are not those of the first phase.
     """
     called = time.perf_counter()
     scratch = place.scratch / leg.name
+    leg = _compared(leg, place)
     validation = _validation(leg, place, scratch)
     start = load_pretrained(leg.weights, place.device) if leg.weights else None
-    if start is not None and leg.before is None:
-        leg = replace(leg, before=_error(start.network, validation, leg.config))
-    place.out.mkdir(parents=True, exist_ok=True)
-    leg.write(place.out)
-    say(f"leg {leg.name}, phase {leg.phase + 1}; span error at the start: {leg.before}")
+    if leg.rival and leg.before is None:
+        rival = load_pretrained(leg.rival, place.device)
+        config = replace(leg.config, network=rival.config)
+        leg = replace(leg, before=_error(rival.network, validation, config))
+    _write(leg, place)
+    say(f"leg {leg.name}, phase {leg.phase + 1}; span error to beat: {leg.before}")
     resume = _settle(leg, place.state, scratch)
     samples = _samples(leg, place.packed, "train")
+    folder = scratch / "samples"  # a phase on the same machine begins with them
     with SampleStream(
-        samples, workers=place.workers, capacity=place.capacity, start=leg.phase * _FIRST
+        samples,
+        workers=place.workers,
+        capacity=place.capacity,
+        start=_first(folder, samples.shard_size, leg.phase * _FIRST),
+        folder=folder,
+        bounded=True,
     ) as stream:
-        # The first steps should not show the same few samples again and again.
-        enough = min(place.capacity, 4 * leg.config.batch)
-        if not stream.ready(enough, timeout=60):
-            say(f"fewer than {enough} samples after a minute: beginning with those there are")
-        while not stream.ready(1, timeout=60):
-            say("waiting for the first sample")
+
+        def wait() -> None:
+            # The first steps should not show the same few samples again and again.
+            enough = min(place.capacity, 4 * leg.config.batch)
+            if not stream.ready(enough, timeout=max(0.0, called + 60 - time.perf_counter())):
+                say(f"fewer than {enough} samples after a minute: beginning with those there are")
+            while not stream.ready(1, timeout=60):
+                say("waiting for the first sample")
+
         spent = time.perf_counter() - called
         try:
             result = train(
@@ -215,6 +290,8 @@ def run_phase(
                 initial=None if start is None else start.network,
                 device=place.device,
                 pause_after=None if pause_after is None else max(1.0, pause_after - spent),
+                last=last,
+                wait=wait,
                 report=lambda row: say(_line(row)),
             )
         finally:  # a failure must not cost the whole phase
@@ -222,9 +299,36 @@ def run_phase(
         say(f"made meanwhile: {stream.report()}")
     if result.finished:
         _finish(leg, start, result, validation, place, say)
+        _write(replace(leg, phase=leg.phase + 1, step=result.record["steps"], finished=True), place)
     else:
         say(f"paused after {result.record['minutes']} minutes of training; the next call goes on")
     return result.finished
+
+
+def _write(leg: Leg, place: Place) -> None:
+    """Write a leg where it travels from, and where the next call looks if that is emptied."""
+    for folder in (place.out, place.scratch):
+        folder.mkdir(parents=True, exist_ok=True)
+        leg.write(folder)
+
+
+def _compared(leg: Leg, place: Place) -> Leg:
+    """Return a leg with the mark of its validation samples, the same in every phase."""
+    content = json.dumps(_samples(leg, place.packed, "val").fingerprint(), sort_keys=True)
+    mark = hashlib.sha256(content.encode()).hexdigest()[:16]
+    if leg.validation not in ("", mark):
+        raise InvalidInputError(
+            f"`packed` must hold the pool that leg {leg.name} began with, or none if it had none:"
+            f" with {place.packed} the samples to validate on are others, and errors before and"
+            " after could not be compared; copy the same files there"
+        )
+    return replace(leg, validation=mark)
+
+
+def _first(folder: Path, shard_size: int, default: int) -> int:
+    """Return the number of the first sample that lies in a folder of shards."""
+    numbers = [int(path.name.removeprefix("shard_")) for path in folder.glob("shard_*")]
+    return min(numbers) * shard_size if numbers else default
 
 
 def _samples(leg: Leg, packed: Path, split: str) -> CorpusConfig:
@@ -275,8 +379,10 @@ def _leave(leg: Leg, place: Place, scratch: Path) -> None:
     if content is None:
         return
     checkpoint.write_parts(place.out, content)
-    replace(leg, phase=leg.phase + 1, step=content["state"]["step"]).write(place.out)
-    (place.out / "log.csv").write_bytes((scratch / "log.csv").read_bytes())
+    step = content["state"]["step"]
+    _write(replace(leg, phase=leg.phase + (step > leg.step), step=step), place)
+    if (scratch / "log.csv").is_file():  # not where a phase failed before its first step
+        (place.out / "log.csv").write_bytes((scratch / "log.csv").read_bytes())
 
 
 def _finish(
@@ -299,7 +405,7 @@ def _finish(
     path = place.out / "weights.safetensors"
     record = _record(leg, start, result.record, after, place.device)
     digest = save_weights(path, rounded, record, dtype=torch.float16)
-    was = "random weights" if leg.before is None else f"{leg.before:.5f}"
+    was = "nothing to compare with" if leg.before is None else f"{leg.before:.5f}"
     say(f"span error {was} -> {after:.5f}: {path} (sha256 {digest})")
 
 
@@ -311,7 +417,7 @@ def _record(
     line = {
         "date": time.strftime("%Y-%m-%d", time.gmtime()),
         "from": start.sha256 if start is not None else None,
-        "device": torch.cuda.get_device_name() if device != "cpu" else platform.machine(),
+        "device": _device_name(device),
         "minutes": record["minutes"],
         "samples": record["samples"],
         "batch": leg.config.batch,
@@ -329,6 +435,11 @@ def _record(
         "history": rows,
         "legs": [*old.get("legs", []), line],
     }
+
+
+def _device_name(device: str) -> str:
+    kind = torch.device(device)
+    return torch.cuda.get_device_name(kind) if kind.type == "cuda" else platform.machine()
 
 
 def _line(row: Row) -> str:
