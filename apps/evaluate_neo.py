@@ -1,4 +1,4 @@
-"""Measure the network: accuracy, precision, sampling, operators, redundancy, rotations, worst.
+r"""Measure the network: its accuracy, precision, redundancy, worst models and more.
 
 Every number and figure at once, or one study:
 
@@ -6,7 +6,22 @@ Every number and figure at once, or one study:
     python apps/evaluate_neo.py accuracy OUT --points 2048 8192 --limit 5
 
 OUT gets a Markdown and a JSON file for each study, figures, and what was measured: the same command
-after an interruption, or with more models, computes only what is missing.
+after an interruption, or with more models, computes only what is missing. `training` solves
+nothing: it draws the validations that lie in the weights files.
+
+On a machine with PyTorch but no network and nothing installed, such as one lent for its GPU, first
+fetch the other packages where there is a network (--python-version is the other machine's):
+
+    pip download -d .wheels --only-binary=:all: --no-deps --python-version 3.12 \
+        robust_laplacian cholespy libigl matplotlib tqdm \
+        contourpy cycler fonttools kiwisolver packaging pillow pyparsing python-dateutil six
+
+then copy the tree with .wheels there and run, from its root:
+
+    pip install --no-index --no-deps .wheels/*.whl
+    PYTHONPATH=. python apps/evaluate_neo.py all OUT --device cuda
+
+The worst modes are drawn only where PyVista is installed too.
 """
 
 from __future__ import annotations
@@ -17,7 +32,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from spectra_kit.errors import MissingDependencyError, SpectraKitError
+from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
 from spectra_kit.evaluation import (
     STUDIES,
     Answer,
@@ -32,8 +47,10 @@ from spectra_kit.evaluation import (
     run_study,
     write_report,
     write_summary,
+    write_training,
 )
 
+CHAPTERS = [*STUDIES, "training"]
 # A small case of everything: seconds for each study.
 _QUICK = {"k": 16, "points": [512, 1024], "focus": 1024, "poses": [1, 2], "fourier": []}
 _QUICK |= {"bandwidths": [7.0], "rotations": 3, "worst": 1, "limit": 1, "procedural": 1}
@@ -46,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("study", choices=["all", *STUDIES], help="what to measure")
+    add("study", choices=["all", *CHAPTERS], help="what to measure")
     add("out", type=Path, help="folder for reports, figures and measurements")
     add("--weights", nargs="+", default=["small"], help="names or files (default: small)")
     add("--agnostic-weights", nargs="*", default=[], help="files trained without masses")
@@ -74,25 +91,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.quick:
         vars(args).update(_QUICK)
     try:
-        bench = Bench(args.out, k=args.k)
-        settings = Settings(
-            sets=_sets(args),
-            weights=tuple(map(Weights, args.weights)),
-            agnostic=tuple(map(Weights, args.agnostic_weights)),
-            points=tuple(args.points),
-            focus=args.focus,
-            few=args.few,
-            poses=tuple(args.poses),
-            fourier=tuple(args.fourier),
-            bandwidths=tuple(args.bandwidths),
-            rotations=args.rotations,
-            device=args.device,
-        )
-        for name in STUDIES if args.study == "all" else [args.study]:
-            answer = run_study(name, settings, bench, progress=True)
-            pictures = _pictures(answer, bench, args.out / "figures", args.worst)
-            print(write_report(answer, args.out, pictures=pictures).read_text(), flush=True)
-        print(f"report: {write_summary(args.out, list(STUDIES))}")
+        weights = tuple(map(Weights, args.weights))
+        if args.study != "training":
+            _solve(args, weights)
+        if args.study in ("all", "training"):
+            _show_training(args, weights)
+        print(f"report: {write_summary(args.out, CHAPTERS)}")
     except SpectraKitError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -100,6 +104,39 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"\nstopped; run the same command to continue {args.out}", file=sys.stderr)
         return 130
     return 0
+
+
+def _solve(args: argparse.Namespace, weights: tuple[Weights, ...]) -> None:
+    """Run the studies and print their chapters."""
+    bench = Bench(args.out, k=args.k)
+    settings = Settings(
+        sets=_sets(args),
+        weights=weights,
+        agnostic=tuple(map(Weights, args.agnostic_weights)),
+        points=tuple(args.points),
+        focus=args.focus,
+        few=args.few,
+        poses=tuple(args.poses),
+        fourier=tuple(args.fourier),
+        bandwidths=tuple(args.bandwidths),
+        rotations=args.rotations,
+        device=args.device,
+    )
+    for name in STUDIES if args.study == "all" else [args.study]:
+        answer = run_study(name, settings, bench, progress=True)
+        pictures = _pictures(answer, bench, args.out / "figures", args.worst)
+        print(write_report(answer, args.out, pictures=pictures).read_text(), flush=True)
+
+
+def _show_training(args: argparse.Namespace, weights: tuple[Weights, ...]) -> None:
+    """Print the chapter on training; among others it may be missing."""
+    try:
+        path = write_training([*weights, *map(Weights, args.agnostic_weights)], args.out)
+        print(path.read_text(), flush=True)
+    except InvalidInputError as error:
+        if args.study == "training":
+            raise
+        print(f"training is not drawn: {error}", file=sys.stderr)
 
 
 def _sets(args: argparse.Namespace) -> dict[str, tuple[Model, ...]]:

@@ -3,6 +3,9 @@
 import dataclasses
 import importlib.util
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,19 +24,23 @@ from spectra_kit.evaluation import (
     Settings,
     Weights,
     demo_models,
+    figures,
     fourier,
     joined,
     models_in,
     neo,
     procedural_models,
     run_study,
+    training_curve,
     write_report,
     write_summary,
+    write_training,
 )
 from spectra_kit.evaluation.findings import Goal, Row, accuracy_findings, undominated
 from spectra_kit.evaluation.report import number, statistics
 from spectra_kit.geometry import rectangle, repair, sample, sphere, write
 from spectra_kit.metrics import compare_spectra, subspace_span_error
+from spectra_kit.neo import NeoConfig, build_network, save_weights
 from spectra_kit.training.corpus import CorpusConfig, make_sample
 from spectra_kit.training.families import FAMILIES
 from spectra_kit.training.samples import sample_mesh
@@ -243,19 +250,19 @@ def test_bad_requests(animal, tmp_path, bench):
 # --- sums ---
 
 
-def measurement(span, *, seconds=1.0):
+def measurement(span, *, seconds=1.0, exact_seconds=100.0):
     span = np.asarray(span, dtype=float)
     value = np.r_[np.nan, span[1:]]
     return Measurement(
         n=100, dimension=9, span=span, vector=2 * span, value=value, seconds=seconds,
-        exact_seconds=0.5,
+        exact_seconds=exact_seconds,
     )  # fmt: skip
 
 
-def row(models, points, method, *spans, seconds=1.0):
+def row(models, points, method, *spans, **seconds):
     model = Model("ball", bumpy())
     cases = tuple(
-        (Case(model=model, points=points), measurement(span, seconds=seconds)) for span in spans
+        (Case(model=model, points=points), measurement(span, **seconds)) for span in spans
     )
     return Row({"models": models, "points": points, "solver": method.name}, method, cases)
 
@@ -306,6 +313,24 @@ def test_lead_growth_and_goals():
     best = "real, 8,192 points, best in the time of neo small, 1 pose: fourier m=640, bandwidth 10"
     assert found[best].value == pytest.approx(0.002)
     assert undominated(rows[:4]) == [rows[0], rows[1], rows[3]]
+
+
+def test_arpack_wins_where_it_takes_less_time():
+    network, waves = neo(SMALL), fourier(640, 10.0)
+    quick, slow = {"exact_seconds": 0.31}, {"exact_seconds": 3.0}
+    rows = [
+        row("real", 512, network, [0, 0.01], seconds=0.6, **quick),
+        row("real", 512, waves, [0, 0.004], seconds=0.2, **quick),
+        row("real", 8192, network, [0, 0.01], seconds=0.6, **slow),
+        row("real", 8192, waves, [0, 0.004], seconds=0.5, **slow),
+    ]
+    found = {finding.text: finding.value for finding in accuracy_findings(rows)}
+    exact = "ARPACK is faster (0.31 s) and exact, span error"
+    assert found[f"real, 512 points, best in the time of neo small, 1 pose (0.60 s): {exact}"] == 0
+    assert sum("ARPACK" in text for text in found) == 1
+    best = f"real, 8,192 points, best in the time of neo small, 1 pose: {waves.name}"
+    assert found[best] == pytest.approx(0.002)
+    assert undominated(rows) == [rows[1], rows[3]]
 
 
 @pytest.mark.parametrize(
@@ -382,6 +407,71 @@ def test_the_report_lists_what_failed(shared_bench, tmp_path, animal):
     assert f"- {animal.name}: `basis` must span at least k = 10" in text
 
 
+# --- training ---
+
+
+@pytest.fixture
+def trained(tmp_path):
+    """Return a function that writes weights whose errors fall like a power of the samples."""
+
+    def write_weights(name, exponent, samples=(100, 200, 400, 1600)):
+        # A row between two validations has none.
+        rows = [{"samples": n, "validation": 0.3 * (n / 100) ** exponent} for n in samples]
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        network = build_network(
+            NeoConfig(width=18, depth=1, heads=1, head_width=18, latents=4, m=12, k=6)
+        )
+        save_weights(path, network, {"history": [*rows[:1], {"samples": 150}, *rows[1:]]})
+        return Weights(path)
+
+    return write_weights
+
+
+def test_the_validations_of_training_are_tabled_and_drawn(trained, tmp_path):
+    weights = [trained("slow.safetensors", -0.25), trained("fast/weights.safetensors", -0.75)]
+    path = write_training(weights, tmp_path / "out")
+    slow, fast = json.loads((tmp_path / "out" / "training.json").read_text())["curves"]
+    assert (slow["weights"], fast["weights"]) == ("slow", "fast")
+    assert (slow["exponent"], fast["exponent"]) == (pytest.approx(-0.25), pytest.approx(-0.75))
+    assert slow["samples"] == fast["samples"] == [100, 200, 400, 1600]
+    np.testing.assert_allclose(slow["span_error"], 0.3 * np.array([1, 2, 4, 16]) ** -0.25)
+    text = path.read_text()
+    assert "| slow | 12 | 4 | 100 | 0.3 | 1,600 | 0.15 | 0.15 | -0.25 |" in text
+    assert "| fast | 12 | 4 | 100 | 0.3 | 1,600 | 3.75e-2 | 3.75e-2 | -0.75 |" in text
+    assert "](figures/training-samples.png)" in text
+    assert (tmp_path / "out" / "figures" / "training-samples.png").stat().st_size > 5000
+
+
+def test_validations_are_drawn_on_logarithmic_axes(trained, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(figures, "_save", lambda figure, path: drawn.append(figure) or path)
+    curves = [training_curve(trained(f"{i}.safetensors", -0.1 * i)) for i in range(1, 11)]
+    figures.draw_curves(curves, tmp_path)
+    [panel] = drawn[0].axes
+    assert (panel.get_xscale(), panel.get_yscale()) == ("log", "log")
+    for line, curve in zip(panel.lines, curves, strict=True):
+        np.testing.assert_array_equal(line.get_xydata(), np.c_[curve.samples, curve.errors])
+
+
+def test_one_validation_has_no_slope(trained, tmp_path):
+    path = write_training([trained("short.safetensors", -1, samples=(100,))], tmp_path)
+    assert "| 100 | 0.3 | 100 | 0.3 | 0.3 |  |" in path.read_text()
+    assert json.loads((tmp_path / "training.json").read_text())["curves"][0]["exponent"] is None
+
+
+def test_networks_without_validations_or_names_of_their_own_are_refused(trained, tmp_path, animal):
+    silent = trained("silent.safetensors", -1, samples=())
+    with pytest.raises(InvalidInputError, match=r"found none in .*silent.safetensors; train with"):
+        write_training([silent], tmp_path)
+    twins = trained("a/x.safetensors", -1), trained("b/x.safetensors", -1)
+    match = r"`weights` must have different names, got \['x', 'x'\]; rename"
+    with pytest.raises(InvalidInputError, match=match):
+        write_training(twins, tmp_path)
+    with pytest.raises(InvalidInputError, match=match):
+        Settings(sets={"demo": (animal,)}, weights=twins)
+
+
 # --- the app ---
 
 
@@ -415,6 +505,49 @@ def test_a_quick_run_of_everything_needs_no_data(main, tmp_path, capsys, monkeyp
     assert main(["all", str(tmp_path), "--quick"]) == 0
     text = (tmp_path / "report.md").read_text()
     assert all(f"## {study.title}" in text for study in STUDIES.values())
+    assert "## Validation error against samples seen" in text
+
+
+def test_the_app_shows_the_training_without_data(main, tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("SPECTRA_KIT_DATA", raising=False)
+    assert main(["training", str(tmp_path), "--procedural", "0"]) == 0
+    assert "| small | " in capsys.readouterr().out
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "training.json", "training.md", "report.md", "figures",
+    }  # fmt: skip
+
+
+def test_weights_without_validations_leave_out_one_chapter(
+    main, trained, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setitem(main.__globals__, "STUDIES", {})  # the other chapters take a while
+    weights = str(trained("silent.safetensors", -1, samples=()).source)
+    reason = ": `weights` must hold the validations of their training, found none in"
+    assert main(["training", str(tmp_path), "--weights", weights]) == 2
+    assert f"error{reason}" in capsys.readouterr().err
+    assert main(["all", str(tmp_path), "--quick", "--weights", weights]) == 0
+    assert f"training is not drawn{reason}" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_app_runs_from_a_tree_that_is_not_installed(tmp_path):
+    banned = ["potpourri3d", "pyvista", "trimesh"]  # nor are these needed
+    code = (
+        "import sys, runpy\n"
+        "from importlib import metadata\n"
+        "def never(name): raise metadata.PackageNotFoundError(name)\n"
+        "metadata.version = never\n"
+        f"sys.modules.update(dict.fromkeys({banned}))\n"
+        f"sys.argv = ['evaluate_neo.py', 'sampling', {str(tmp_path)!r}, '--quick']\n"
+        f"runpy.run_path({str(APP)!r}, run_name='__main__')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": str(APP.parents[1]), "OMP_NUM_THREADS": "1"},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "report:" in done.stdout
 
 
 def test_the_app_says_what_is_wrong(main, tmp_path, capsys, monkeypatch):

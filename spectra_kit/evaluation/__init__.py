@@ -6,10 +6,11 @@ Data flows `models` (surfaces) -> `cases` (points on them, an operator) and `met
 
 from spectra_kit.evaluation.bench import Bench, Failure, Measurement
 from spectra_kit.evaluation.cases import Case
+from spectra_kit.evaluation.curves import Curve, training_curve
 from spectra_kit.evaluation.figures import draw_worst
 from spectra_kit.evaluation.methods import Method, Weights, fourier, joined, neo
 from spectra_kit.evaluation.models import Model, demo_models, models_in, procedural_models
-from spectra_kit.evaluation.report import write_report, write_summary
+from spectra_kit.evaluation.report import write_report, write_summary, write_training
 from spectra_kit.evaluation.studies import STUDIES, Answer, Settings, run_study
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "Answer",
     "Bench",
     "Case",
+    "Curve",
     "Failure",
     "Measurement",
     "Method",
@@ -31,6 +33,8 @@ __all__ = [
     "neo",
     "procedural_models",
     "run_study",
+    "training_curve",
     "write_report",
     "write_summary",
+    "write_training",
 ]

@@ -9,7 +9,6 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from tqdm import tqdm
 
 from spectra_kit._files import atomic_path
 from spectra_kit._validate import check_count, frozen
+from spectra_kit._version import VERSION
 from spectra_kit.eigensolvers import Dense, eigensolve
 from spectra_kit.eigensolvers.base import Eigenpairs
 from spectra_kit.errors import InvalidInputError, SpectraKitError
@@ -227,7 +227,7 @@ class Bench:
         return predicted, dataclasses.replace(comparison, span_error=span, span_dimension=dimension)
 
     def _key(self, case: Case, method: Method | None = None) -> dict[str, object]:
-        key: dict[str, object] = {"format": _FORMAT, "version": version("spectra_kit")}
+        key: dict[str, object] = {"format": _FORMAT, "version": VERSION}
         key |= {"k": self.k, "case": case.key()}
         return key if method is None else key | {"method": method.key}
 

@@ -5,6 +5,7 @@ Matplotlib draws the figures; it is imported when one is drawn.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +14,7 @@ import numpy as np
 
 from spectra_kit._files import atomic_path
 from spectra_kit.evaluation.bench import Bench
+from spectra_kit.evaluation.curves import Curve
 from spectra_kit.evaluation.findings import Row
 from spectra_kit.evaluation.studies import Answer
 from spectra_kit.geometry import Geometry
@@ -114,6 +116,29 @@ def draw_worst(answer: Answer, bench: Bench, folder: Path, *, count: int = 3) ->
             )
             drawn.append(folder / name)
     return drawn
+
+
+def draw_curves(curves: Sequence[Curve], folder: Path) -> Path:
+    """Draw validation errors against samples seen, one line for each network.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        With different names.
+    folder : Path
+        Must exist.
+
+    Returns
+    -------
+    Path
+        ``training-samples.png``.
+    """
+    figure, (panel,) = _figure("Validation against samples seen", panels=1)
+    for curve, colour in zip(curves, itertools.cycle(_COLOURS), strict=False):
+        panel.plot(curve.samples, curve.errors, "o-", color=colour, lw=1.4, ms=3, label=curve.name)
+    panel.set(xlabel="samples seen", ylabel="mean span error", xscale="log", yscale="log")
+    _legend(figure, panel)
+    return _save(figure, folder / "training-samples.png")
 
 
 def _modes(rows: Sequence[Row], place: str) -> Figure:

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo import NeoSubspace
 from spectra_kit.neo.pretrained import load_pretrained
 from spectra_kit.subspaces import AmbientFourier, Subspace, Union
@@ -35,8 +36,10 @@ class Weights:
 
     @property
     def label(self) -> str:
-        """Name of shipped weights, or the file's without its suffix."""
-        return Path(self.source).stem
+        """Name of shipped weights, or the file's without suffix, or its run's."""
+        path = Path(self.source)
+        # The trainer calls all its files so; the folder tells the runs apart.
+        return path.resolve().parent.name if path.name == "weights.safetensors" else path.stem
 
     @cached_property
     def sha256(self) -> str:
@@ -47,6 +50,15 @@ class Weights:
     def m(self) -> int:
         """Functions that the network predicts in one pose."""
         return load_pretrained(self.source).config.m
+
+
+def check_names(weights: Sequence[Weights]) -> None:
+    """Raise InvalidInputError if two networks would be called the same in tables."""
+    names = [w.label for w in weights]
+    if len(set(names)) < len(names):
+        raise InvalidInputError(
+            f"`weights` must have different names, got {names}; rename the files"
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

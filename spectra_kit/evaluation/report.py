@@ -6,7 +6,6 @@ import json
 import os
 import platform
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,11 @@ import numpy as np
 import torch
 
 from spectra_kit._files import atomic_path
-from spectra_kit.evaluation.figures import draw
+from spectra_kit._version import VERSION
+from spectra_kit.evaluation.curves import Curve, training_curve
+from spectra_kit.evaluation.figures import draw, draw_curves
 from spectra_kit.evaluation.findings import Finding, Floats, Row, undominated
+from spectra_kit.evaluation.methods import Weights, check_names
 from spectra_kit.evaluation.studies import Answer
 
 _ERRORS = {"span": "span error", "vector": "eigenvector error", "value": "eigenvalue error"}
@@ -63,11 +65,71 @@ def write_report(
     return path
 
 
+def write_training(weights: Sequence[Weights], folder: str | os.PathLike[str]) -> Path:
+    """Write ``training.json``, ``training.md`` and a figure: span error against samples seen.
+
+    Nothing is solved: the validations are in the weights files.
+
+    Parameters
+    ----------
+    weights : sequence of Weights
+        One line each.
+    folder : path
+        As for `write_report`.
+
+    Returns
+    -------
+    Path
+        The Markdown file.
+
+    Raises
+    ------
+    InvalidInputError
+        If a file records no validation, or two are called the same.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> print(write_training([Weights("small")], tempfile.mkdtemp()).name)
+    training.md
+    """
+    check_names(weights)
+    curves = [training_curve(w) for w in weights]
+    root = Path(folder)
+    (root / "figures").mkdir(parents=True, exist_ok=True)
+    figure = str(draw_curves(curves, root / "figures").relative_to(root))
+    title = "Validation error against samples seen"
+    record = {
+        "study": "training",
+        "title": title,
+        "curves": [curve_record(curve) for curve in curves],
+        "figures": [figure],
+    }
+    with atomic_path(root / "training.json") as part:
+        part.write_text(json.dumps(record, indent=1))
+    note = (
+        "Mean span error of the validation samples during training; `exponent` is the slope between"
+        " the first and the last validation on logarithmic axes."
+    )
+    parts = [f"## {title}", note, _table(_curves_table(curves)), f"![training]({figure})"]
+    path = root / "training.md"
+    with atomic_path(path) as part:
+        part.write_text("\n\n".join(parts) + "\n")
+    return path
+
+
+def curve_record(curve: Curve) -> dict[str, object]:
+    """Return a curve as JSON."""
+    slope = None if np.isnan(curve.exponent) else curve.exponent
+    points = {"samples": curve.samples.tolist(), "span_error": curve.errors.tolist()}
+    return {"weights": curve.name, "m": curve.m, **points, "exponent": slope}
+
+
 def environment() -> dict[str, object]:
     """Return what the times depend on."""
     cuda = torch.cuda.is_available()
     return {
-        "spectra_kit": version("spectra_kit"),
+        "spectra_kit": VERSION,
         "torch": torch.__version__,
         "numpy": np.__version__,
         "python": platform.python_version(),
@@ -181,6 +243,18 @@ def _worst_table(rows: Sequence[Row]) -> Cells:
             table.append([str(row.labels["models"]), case.model.name])
             table[-1] += [number(m.mean(error)) for error in _ERRORS]
             table[-1] += [str(m.worst_mode), number(float(m.span[m.worst_mode]))]
+    return table
+
+
+def _curves_table(curves: Sequence[Curve]) -> Cells:
+    table = [["weights", "m", "validations", "samples, first", "span error", "samples, last"]]
+    table[0] += ["span error", "least", "exponent"]
+    for curve in curves:
+        table.append([curve.name, str(curve.m), str(len(curve.samples))])
+        for i in (0, -1):
+            table[-1] += [f"{curve.samples[i]:,.0f}", number(float(curve.errors[i]))]
+        slope = "" if np.isnan(curve.exponent) else f"{curve.exponent:.2f}"
+        table[-1] += [number(float(curve.errors.min())), slope]
     return table
 
 

@@ -25,7 +25,15 @@ from spectra_kit.evaluation.findings import (
     sampling_findings,
     worst_findings,
 )
-from spectra_kit.evaluation.methods import Method, Precision, Weights, fourier, joined, neo
+from spectra_kit.evaluation.methods import (
+    Method,
+    Precision,
+    Weights,
+    check_names,
+    fourier,
+    joined,
+    neo,
+)
 from spectra_kit.evaluation.models import Model
 
 Labels = Mapping[str, str | int]
@@ -68,7 +76,7 @@ class Settings:
     Raises
     ------
     InvalidInputError
-        If there is no model or no network.
+        If there is no model or no network, or two networks of one name.
     """
 
     sets: Mapping[str, tuple[Model, ...]]
@@ -91,6 +99,7 @@ class Settings:
                 "`sets` and `weights` must hold at least one model and one network, got"
                 f" {sum(map(len, self.sets.values()))} and {len(self.weights)}"
             )
+        check_names([*self.weights, *self.agnostic])
 
     def neo(self, weights: Weights, **options: Any) -> Method:
         """Return a network as a method on the device of the settings."""
@@ -304,8 +313,8 @@ STUDIES: dict[str, Study] = {
     "accuracy": Study(
         "Accuracy and time",
         "Statistics over models of each model's mean over modes. Times are medians of wall time"
-        " and leave out assembly and certificates. `fast` marks a solver that no other one beats in"
-        " both span error and time.",
+        " and leave out assembly and certificates. `fast` marks a solver that no other one, ARPACK"
+        " among them, beats in both span error and time.",
         _accuracy,
         accuracy_findings,
     ),
