@@ -1,6 +1,6 @@
 """A leg of training: so many minutes from given weights, and new ones only if they are better.
 
-``python -m spectra_kit.training.leg --minutes 25 --config base`` makes its samples while it
+``python -m spectra_kit.training.leg --minutes 25 --config small`` makes its samples while it
 trains, on whatever machine it finds itself. A leg may be cut into phases, one call each, that may
 run on different machines: what travels is the folder --out. CONTRIBUTING.md has the calls.
 """
