@@ -56,7 +56,7 @@ def training_curve(weights: Weights) -> Curve:
     Returns
     -------
     Curve
-        Those of its last run or leg; `samples` counts the earlier ones too.
+        Those of its last run; a leg counts the samples of the runs before it too.
 
     Raises
     ------
