@@ -159,7 +159,7 @@ def neo(
     --------
     >>> method = neo(Weights("small"), poses=2)
     >>> method.name, method.columns
-    ('neo small, 2 poses', 385)
+    ('neo small, 2 poses', 513)
     """
     subspace = NeoSubspace(weights.source, poses=poses, dtype=dtype, device=device)
     options = {"poses": poses, "dtype": dtype, "weighted": weighted, "device": device}
