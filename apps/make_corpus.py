@@ -64,7 +64,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         wall, cpu = time.perf_counter(), _cpu_seconds()
         with tqdm(unit="sample", disable=None) as bar:
-
             made = 0
 
             def progress(done: int, total: int) -> None:
