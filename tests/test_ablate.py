@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import ellipsoids
 from PIL import Image
 
 from spectra_kit.geometry import creature, write
@@ -18,20 +19,6 @@ ablate = importlib.util.module_from_spec(SPECIFICATION)
 SPECIFICATION.loader.exec_module(ablate)
 
 BASE = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=24, k=8, waves=4)
-
-
-def ellipsoids(n, seed):
-    """Clouds on random ellipsoids, with polynomials of the coordinates as modes."""
-    rng = np.random.default_rng(seed)
-    points = rng.standard_normal((n, 64, 3))
-    points /= np.linalg.norm(points, axis=2, keepdims=True)
-    points *= rng.uniform(0.3, 1, (n, 1, 3))
-    mass = rng.uniform(0.5, 1.5, (n, 64))
-    mass /= mass.sum(1, keepdims=True)
-    x, y, z = np.moveaxis(points, 2, 0)
-    modes = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x], axis=2)
-    root = np.sqrt(mass)[..., None]
-    return points, mass, np.linalg.qr(root * modes)[0] / root
 
 
 @pytest.fixture(scope="module")
