@@ -25,6 +25,7 @@ from spectra_kit.errors import (
     InvalidInputError,
     InvalidSpectrumError,
     MissingDependencyError,
+    OutOfMemoryError,
     SpectraKitError,
     WeightsError,
 )
@@ -45,6 +46,7 @@ __all__ = [
     "Lobpcg",
     "MissingDependencyError",
     "Neo",
+    "OutOfMemoryError",
     "PointCloud",
     "Provenance",
     "RayleighRitz",

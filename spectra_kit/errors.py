@@ -38,6 +38,10 @@ class ConvergenceError(SpectraKitError, RuntimeError):
         self.partial = partial
 
 
+class OutOfMemoryError(SpectraKitError, MemoryError):
+    """A computation needs more memory than there is; the message names one that needs less."""
+
+
 class MissingDependencyError(SpectraKitError, ImportError):
     """An optional package is needed for this call and is not installed."""
 
