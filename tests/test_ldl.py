@@ -1,0 +1,144 @@
+"""The sparse factor and the compiled products, against LAPACK, SuperLU and scipy."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from spectra_kit import InvalidInputError
+from spectra_kit.linalg import Inertia, SparseLDL, ldl, products, spmm
+
+
+def grid(side: int, shift: float = 0.0) -> sparse.csr_array:
+    """The five-point Laplacian of a square with Dirichlet sides, minus `shift`."""
+    path = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
+    eye = sparse.eye_array(side)
+    laplacian = sparse.kron(path, eye) + sparse.kron(eye, path)
+    return sparse.csr_array(laplacian - shift * sparse.eye_array(side**2))
+
+
+def random_symmetric(n: int, seed: int) -> sparse.csr_array:
+    rng = np.random.default_rng(seed)
+    A = sparse.random_array((n, n), density=4 / n, rng=rng)
+    return sparse.csr_array(A + A.T + sparse.diags_array(rng.standard_normal(n)))
+
+
+@pytest.mark.parametrize("columns", [(), (1,), (3,), (64,), (131,)])
+@pytest.mark.parametrize("shift", [0.0, 0.3])
+def test_solves_like_lu(columns: tuple[int, ...], shift: float) -> None:
+    A = grid(30, shift)
+    b = np.random.default_rng(0).standard_normal((900, *columns))
+    x = SparseLDL(A, definite=shift == 0).solve(b)
+    assert x.shape == b.shape
+    assert x.reshape(900, -1) == pytest.approx(
+        spsolve(sparse.csc_array(A), b.reshape(900, -1)).reshape(900, -1), rel=1e-8, abs=1e-9
+    )
+    assert np.abs(A @ x - b).max() < 1e-13 * abs(A).sum(axis=1).max() * np.abs(x).max()
+
+
+def test_float32_is_as_accurate_as_its_rounding() -> None:
+    A = grid(30)
+    b = np.random.default_rng(0).standard_normal((900, 20))
+    factor = SparseLDL(A)
+    exact, single = factor.solve(b), factor.solve(b, dtype=np.float32)
+    assert single.dtype == np.float32
+    condition = np.linalg.cond(A.toarray())
+    assert np.abs(single - exact).max() < 6e-8 * condition * np.abs(exact).max()
+    # As a preconditioner it loses nothing: one correction brings it to its square.
+    corrected = single.astype(float) + factor.solve(b - A @ single.astype(float), dtype=np.float32)
+    assert np.abs(corrected - exact).max() < 1e-11 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_bits_depend_neither_on_threads_nor_on_neighbours(monkeypatch, dtype) -> None:
+    A = grid(40)
+    b = np.random.default_rng(0).standard_normal((1600, 90)).astype(dtype)
+    factor = SparseLDL(A)
+    monkeypatch.setattr(products, "_SMALL", 0)
+    results = []
+    for threads in (1, 2, 5):
+        for module in (ldl, products):
+            monkeypatch.setattr(module, "thread_count", lambda threads=threads: threads)
+        results.append((factor.solve(b, dtype=dtype), spmm(A, b)))
+    for solved, product in results[1:]:
+        assert np.array_equal(solved, results[0][0])
+        assert np.array_equal(product, results[0][1])
+    assert np.array_equal(factor.solve(b[:, 7], dtype=dtype), results[0][0][:, 7])
+    assert np.array_equal(factor.solve(np.asfortranarray(b), dtype=dtype), results[0][0])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_inertia_counts_the_signs_of_the_eigenvalues(seed: int) -> None:
+    A = random_symmetric(80, seed)
+    values = np.linalg.eigvalsh(A.toarray())
+    expected = Inertia(int((values < 0).sum()), 0, int((values > 0).sum()))
+    assert SparseLDL(A, definite=False).inertia == expected
+
+
+def test_inertia_of_a_square_is_analytic() -> None:
+    wave = 2 - 2 * np.cos(np.pi * np.arange(1, 31) / 31)
+    values = np.add.outer(wave, wave).ravel()
+    for shift in (0.05, 0.51, 1.3, 4.01, 7.9):
+        inertia = SparseLDL(grid(30, shift), definite=False).inertia
+        assert inertia == ((values < shift).sum(), 0, (values > shift).sum())
+
+
+def test_no_columns_and_integers() -> None:
+    factor = SparseLDL(grid(3))
+    assert factor.solve(np.empty((9, 0))).shape == (9, 0)
+    assert factor.solve(np.ones(9, dtype=int)) == pytest.approx(factor.solve(np.ones(9)))
+    assert factor.fill >= 12
+
+
+def test_factor_refuses_what_it_cannot_factorise() -> None:
+    path = sparse.csr_array([[1.0, -1.0], [-1.0, 1.0]])
+    for definite in (True, False):
+        with pytest.raises(InvalidInputError, match="is singular, or needs another shift"):
+            SparseLDL(path, definite=definite)
+        with pytest.raises(InvalidInputError, match="2 diagonal entries are zero"):
+            SparseLDL(sparse.csr_array([[0.0, 1.0], [1.0, 0.0]]), definite=definite)
+    with pytest.raises(InvalidInputError, match="must be symmetric positive definite, got 1 of 2"):
+        SparseLDL(sparse.csr_array([[1.0, 2.0], [2.0, 1.0]]))
+    # Singular but for rounding: the last pivot is noise.
+    third = sparse.csr_array([[1 / 3, -1 / 3], [-1 / 3, 1 / 3 + 1e-17]])
+    with pytest.raises(InvalidInputError, match=r"singular|positive definite"):
+        SparseLDL(third)
+    with pytest.raises(InvalidInputError, match="`matrix` must be finite, got 2 NaN"):
+        SparseLDL(sparse.csr_array([[1.0, np.nan], [np.nan, 1.0]]))
+    with pytest.raises(InvalidInputError, match="`matrix` must be square"):
+        SparseLDL(sparse.csr_array(np.ones((2, 3))))
+    with pytest.raises(InvalidInputError, match="a pivot is zero or not finite"):
+        SparseLDL(sparse.csr_array([[1e-200, 1e150], [1e150, 1e-200]]), definite=False)
+
+
+def test_solve_refuses_what_does_not_fit() -> None:
+    factor = SparseLDL(grid(3))
+    with pytest.raises(InvalidInputError, match=r"`rhs` must have shape \(9,\) or \(9, s\)"):
+        factor.solve(np.ones(8))
+    with pytest.raises(InvalidInputError, match="`dtype` must be float32 or float64, got int64"):
+        factor.solve(np.ones(9), dtype=np.int64)
+
+
+@pytest.mark.parametrize("dense_type", [np.float64, np.float32])
+@pytest.mark.parametrize("result", [None, np.float64, np.float32])
+def test_product_is_that_of_scipy(dense_type, result) -> None:
+    rng = np.random.default_rng(0)
+    A = sparse.csr_array(sparse.random_array((700, 500), density=0.02, rng=rng))
+    dense = rng.standard_normal((500, 37)).astype(dense_type)
+    Y = spmm(A, dense, dtype=result)
+    assert Y.dtype == (result or dense_type)
+    tolerance = 1e-14 if Y.dtype == np.float64 else 3e-6
+    assert np.abs(Y - A @ dense.astype(float)).max() < tolerance
+    assert np.array_equal(spmm(sparse.csc_array(A), np.asfortranarray(dense), dtype=result), Y)
+
+
+def test_product_refuses_what_does_not_fit() -> None:
+    A = grid(3)
+    with pytest.raises(InvalidInputError, match=r"`dense` must have shape \(9, s\)"):
+        spmm(A, np.ones((8, 2)))
+    with pytest.raises(InvalidInputError, match=r"`dense` must have shape \(9, s\).*got \(9,\)"):
+        spmm(A, np.ones(9))
+    with pytest.raises(InvalidInputError, match="`dense` must be float32 or float64, got int64"):
+        spmm(A, np.ones((9, 2), dtype=int), dtype=np.float64)
+    with pytest.raises(InvalidInputError, match="`dtype` must be float32 or float64, got float16"):
+        spmm(A, np.ones((9, 2)), dtype=np.float16)
