@@ -6,9 +6,9 @@
 5365632
 """
 
+from spectra_kit.linalg.torch_ritz import RitzPairs
 from spectra_kit.neo.model import NeoConfig, NeoNetwork, build_network
 from spectra_kit.neo.pretrained import WEIGHTS, Pretrained, load_pretrained, save_weights
-from spectra_kit.neo.rayleigh_ritz import RitzPairs
 from spectra_kit.neo.subspace import NeoSubspace, neo_eigenpairs
 
 __all__ = [

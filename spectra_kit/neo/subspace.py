@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._validate import Rebuilt, check_count, check_mass, check_points
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg.torch_ritz import Clock, RitzPairs, rayleigh_ritz, sparse_tensor
 from spectra_kit.neo.model import NeoNetwork
 from spectra_kit.neo.pretrained import find_weights, load_pretrained
-from spectra_kit.neo.rayleigh_ritz import Clock, RitzPairs, rayleigh_ritz, sparse_tensor
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces.frame import POSES, Frame, canonical_frame
 
@@ -171,7 +171,7 @@ def neo_eigenpairs(
     k : int
         Pairs to return.
     rank_tol : float, default 1e-10
-        See `neo.rayleigh_ritz.orthonormalize`.
+        See `linalg.torch_ritz.orthonormalize`.
 
     Returns
     -------

@@ -13,9 +13,12 @@ from torch import Tensor
 from spectra_kit.errors import InvalidInputError
 
 _ROWS = 65_536  # rows of a basis handled at once: bounds the temporaries, not the result
-_COLUMNS = 32  # of L @ Y at once, for the same reason
+_SINGLE_ROWS = 2_048  # of float32 products between two float64 sums: keeps the rounding down
+_COLUMNS = 64  # of L @ Y at once, for the same reason
 _PASSES = 6  # three suffice down to rank_tol = 1e-14; more mean NaN
 _SETTLED = 1e-13  # deviation of the Gram matrix from the identity that rounding alone leaves
+# How much the inverse of a Gram matrix may amplify its rounding, in either precision.
+_SINGLE_LIMIT, _DOUBLE_LIMIT = 1e7, 1e12
 
 
 class RitzPairs(NamedTuple):
@@ -28,7 +31,7 @@ class RitzPairs(NamedTuple):
     eigenvectors : Tensor of shape (n, k)
         M-orthonormal, float64.
     seconds : dict of str to float
-        ``orthonormalize``, ``project`` and ``eigh``.
+        ``orthonormalize``, ``project``, ``eigh`` (with the lift) and ``settle``.
     """
 
     eigenvalues: Tensor
@@ -111,7 +114,10 @@ def rayleigh_ritz(
     """Return the k lowest Ritz pairs of L u = lambda M u in the span of `basis`.
 
     NEO paper, Eqs. "m_qr", "project_operators" and "uplift": Y M-orthonormal,
-    ``L^ = Y^T L Y``, ``L^ v = lambda v``, ``u = Y v``.
+    ``L^ = Y^T L Y``, ``L^ v = lambda v``, ``u = Y v``. A basis that is not too badly conditioned
+    is orthonormalised in the small problem alone, ``Y = F R^-1`` with ``F^T M F = R^T R``: the
+    long side sees one Gram matrix, one product with L, one projection, and the lift of k columns.
+    A second round in these k columns takes away the rounding of the first.
 
     Parameters
     ----------
@@ -124,7 +130,7 @@ def rayleigh_ritz(
     k : int
         Pairs to return.
     rank_tol : float, default 1e-10
-        See `orthonormalize`.
+        See `orthonormalize`, to which a badly conditioned basis is handed.
 
     Returns
     -------
@@ -144,21 +150,94 @@ def rayleigh_ritz(
     tensor([0.0, 1.0], dtype=torch.float64)
     """
     clock = Clock(basis.device)
-    Y = orthonormalize(basis, mass, rank_tol=rank_tol)
-    if Y.shape[1] < k:
+    whitening, single = _single_whitening(basis, mass), True
+    if whitening is None:
+        whitening, single = _whitening(_gram(basis, mass, torch.float64), _DOUBLE_LIMIT), False
+    if whitening is None:
+        basis = orthonormalize(basis, mass, rank_tol=rank_tol)
+        whitening = torch.eye(basis.shape[1], dtype=torch.float64, device=basis.device)
+    if basis.shape[1] < k:
         raise InvalidInputError(
-            f"`basis` must span at least k = {k} dimensions, got numerical rank {Y.shape[1]} of"
-            f" {basis.shape[1]} columns; ask for fewer modes or join more functions"
+            f"`basis` must span at least k = {k} dimensions, got numerical rank {basis.shape[1]};"
+            " ask for fewer modes or join more functions"
         )
     clock.stage("orthonormalize")
-    projected = torch.cat(
-        [Y.mT @ (stiffness @ part) for part in torch.split(Y, _COLUMNS, 1)], dim=1
-    )
+    projected = _project(stiffness, basis, torch.float32 if single else torch.float64)
     clock.stage("project")
-    values, vectors = torch.linalg.eigh((projected + projected.mT) / 2)
-    eigenvectors = _multiply_rows(Y, vectors[:, :k])
+    _, eigenvectors = _lift(projected, whitening, basis, k)
     clock.stage("eigh")
-    return RitzPairs(values[:k].clone(), eigenvectors, clock.seconds)
+    whitening = _whitening(_gram(eigenvectors, mass, torch.float64), _DOUBLE_LIMIT)
+    assert whitening is not None
+    values, eigenvectors = _lift(
+        _project(stiffness, eigenvectors, torch.float64), whitening, eigenvectors, k
+    )
+    clock.stage("settle")
+    return RitzPairs(values, eigenvectors, clock.seconds)
+
+
+def _single_whitening(basis: Tensor, mass: Tensor) -> Tensor | None:
+    """Return `_whitening` by float32 products where these are as good as the basis, else None.
+
+    Not on CUDA: there doubles are about as fast, and a user may have traded float32 for TF32.
+    """
+    if basis.dtype == torch.float64 or basis.device.type != "cpu":
+        return None
+    return _whitening(_gram(basis, mass, torch.float32), _SINGLE_LIMIT)
+
+
+def _gram(basis: Tensor, mass: Tensor, dtype: torch.dtype) -> Tensor:
+    """Return ``F^T M F`` in float64: products in `dtype`, sums over blocks of rows in float64."""
+    m, mean = basis.shape[1], mass.double().mean()
+    gram = torch.zeros(m, m, dtype=torch.float64, device=basis.device)
+    root = (mass / mean).sqrt().to(dtype).unsqueeze(1)
+    rows = _SINGLE_ROWS if dtype == torch.float32 else _ROWS
+    for part, weight in zip(torch.split(basis, rows), torch.split(root, rows), strict=True):
+        weighted = part.to(dtype) * weight
+        gram += weighted.mT @ weighted
+    return gram.mul_(mean)
+
+
+def _whitening(gram: Tensor, limit: float) -> Tensor | None:
+    """Return W, upper triangular, with ``W^T gram W = I``; None if that would lose accuracy.
+
+    With R the Cholesky factor of the Gram matrix of unit columns, the squared Frobenius norm of
+    R^-1 is at least 1 / (its lowest eigenvalue): by so much a rounding of the Gram matrix grows.
+    The triangle keeps a first column that is the constant function the constant function.
+    """
+    scale = gram.diagonal().rsqrt()
+    factor, info = torch.linalg.cholesky_ex(scale.unsqueeze(1) * gram * scale, upper=True)
+    identity = torch.eye(len(gram), dtype=gram.dtype, device=gram.device)
+    inverse = torch.linalg.solve_triangular(factor, identity, upper=True)
+    good = (info == 0) & (inverse.square().sum() <= limit)
+    return scale.unsqueeze(1) * inverse if bool(good) else None
+
+
+def _project(stiffness: Tensor, basis: Tensor, dtype: torch.dtype) -> Tensor:
+    """Return ``F^T L F`` in float64, products in `dtype`; its lower triangle is computed."""
+    m = basis.shape[1]
+    operator = stiffness.to(dtype)
+    projected = torch.zeros(m, m, dtype=torch.float64, device=basis.device)
+    rows = _SINGLE_ROWS if dtype == torch.float32 else _ROWS
+    for first in range(0, m, _COLUMNS):
+        columns = slice(first, first + _COLUMNS)
+        image = operator @ basis[:, columns].to(dtype).contiguous()
+        target = projected[first:, columns]
+        for part, block in zip(
+            torch.split(basis[:, first:], rows), torch.split(image, rows), strict=True
+        ):
+            target += part.to(dtype).mT @ block
+    return projected.tril() + projected.tril(-1).mT
+
+
+def _lift(projected: Tensor, whitening: Tensor, basis: Tensor, k: int) -> tuple[Tensor, Tensor]:
+    """Solve the small problem and return its k lowest values, and vectors of n rows, float64."""
+    small = whitening.mT @ projected @ whitening
+    values, vectors = torch.linalg.eigh((small + small.mT) / 2)
+    coefficients = whitening @ vectors[:, :k]
+    lifted = torch.empty(len(basis), k, dtype=torch.float64, device=basis.device)
+    for part, target in zip(torch.split(basis, _ROWS), torch.split(lifted, _ROWS), strict=True):
+        torch.mm(part.double(), coefficients, out=target)
+    return values[:k].clone(), lifted
 
 
 def sparse_tensor(csr: sparse.csr_array, device: str = "cpu") -> Tensor:
