@@ -1,0 +1,304 @@
+"""`measure`: every method on every problem, interleaved, into a file that a rerun continues."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import IO, Any
+
+from tqdm import tqdm
+
+from spectra_kit._validate import check_count, check_positive
+from spectra_kit.benchmarks.machine import available_memory, current_commit
+from spectra_kit.benchmarks.methods import METHODS
+from spectra_kit.benchmarks.problems import Problem
+from spectra_kit.benchmarks.process import StoppedError, Worker
+from spectra_kit.errors import InvalidInputError
+
+#: Of records and reports; raise it where the meaning of a number changes.
+SCHEMA = 1
+_SHARE = 0.85  # of the memory that is available, for one process
+_PATIENCE = 24 * 3600.0  # seconds for assembly and the exact modes: nothing works without them
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What to measure.
+
+    Attributes
+    ----------
+    sizes : tuple of int
+        Points of the demo animal, or of clouds drawn from a file's mesh.
+    k : int
+        Modes.
+    methods : tuple of str
+        Names in `METHODS`.
+    kinds : tuple of {"mesh", "cloud"}
+        Geometries.
+    file : str
+        A mesh instead of the demo animal.
+    operator : str
+        A name in `problems.OPERATORS`.
+    devices : tuple of {"cpu", "cuda"}
+        A method that does not know a device is left out there.
+    repeats : int
+        Solves of each method on each problem.
+    time_limit : float
+        Seconds for one solve; a method that takes longer is skipped at larger sizes.
+    memory_limit : int or None
+        Bytes for one process; most of what is available by default.
+    threads : int
+        The same for every method.
+    machine, commit : str
+        For the record; found out by default.
+    retry : bool
+        Measure again what had failed or was stopped.
+
+    Raises
+    ------
+    InvalidInputError
+        If a name is unknown or a number out of range.
+    """
+
+    sizes: tuple[int, ...] = (2000, 8000, 32000, 64000, 131000, 512000)
+    k: int = 96
+    methods: tuple[str, ...] = tuple(METHODS)
+    kinds: tuple[str, ...] = ("mesh", "cloud")
+    file: str = ""
+    operator: str = "robust"
+    devices: tuple[str, ...] = ("cpu",)
+    repeats: int = 3
+    time_limit: float = 300.0
+    memory_limit: int | None = None
+    threads: int = 1
+    machine: str = field(default_factory=platform.node)
+    commit: str = field(default_factory=current_commit)
+    retry: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("k", "repeats", "threads"):
+            check_count(name, getattr(self, name), low=1)
+        for size in self.sizes:
+            check_count("sizes", size, low=500)
+        check_positive("time_limit", self.time_limit)
+        if unknown := [name for name in self.methods if name not in METHODS]:
+            raise InvalidInputError(
+                f"`methods` must be among {', '.join(METHODS)}; got {', '.join(unknown)}"
+            )
+        if unknown := [name for name in self.devices if name not in ("cpu", "cuda")]:
+            raise InvalidInputError(f"`devices` must be cpu or cuda, got {', '.join(unknown)}")
+        self.problems()  # checks the rest
+
+    def problems(self) -> list[Problem]:
+        """Problems, smallest first within each kind; a file's own mesh has one size."""
+        return [
+            Problem(kind=kind, points=points, file=self.file, operator=self.operator)
+            for kind in self.kinds
+            for points in ((0,) if self.file and kind == "mesh" else sorted(set(self.sizes)))
+        ]
+
+    def candidates(self) -> list[tuple[str, str]]:
+        """Methods with a device that they can run on."""
+        return [
+            (name, device)
+            for device in self.devices
+            for name in self.methods
+            if device in METHODS[name].devices
+        ]
+
+
+def measure(settings: Settings, folder: Path, *, progress: bool = False) -> list[Record]:
+    """Measure what `folder` does not hold yet.
+
+    Parameters
+    ----------
+    settings : Settings
+        What to measure.
+    folder : Path
+        Made if missing. ``measurements.jsonl`` gets a line for each solve as soon as it ends, also
+        for those that fail; ``cache`` holds operators and exact modes (n * k numbers for each
+        problem) and may be deleted. Measurements made at other commits are kept.
+    progress : bool, default False
+        Show a bar on a terminal.
+
+    Returns
+    -------
+    list of dict
+        One for each solve asked for: measured now or before, or why it was not.
+
+    Raises
+    ------
+    InvalidInputError
+        If ``measurements.jsonl`` is damaged before its last line.
+
+    Notes
+    -----
+    Every method gets a process of its own on every problem, all with the same number of threads,
+    and solves something small first. The processes solve in turn, repeat by repeat, never two at
+    once: a slow minute of the machine hits all alike. The certificate's time is left out. Peak
+    memory is the largest resident size above the one before the solve, with the operator loaded.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> settings = Settings(sizes=(600,), k=6, methods=("arpack",), kinds=("mesh",), repeats=1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     [record] = measure(settings, Path(folder))
+    >>> record["status"], record["n"], record["missed"]
+    ('ok', 600, 0)
+    """
+    (folder / "cache").mkdir(parents=True, exist_ok=True)
+    journal = _Journal(folder / "measurements.jsonl", retry=settings.retry)
+    problems, candidates = settings.problems(), settings.candidates()
+    given_up: dict[tuple[str, str, str], str] = {}
+    found: list[Record] = []
+    bar = tqdm(
+        total=len(problems) * len(candidates) * settings.repeats,
+        unit="solve",
+        disable=None if progress else True,
+    )
+    with bar, (folder / "worker.log").open("ab") as log:
+        for problem in problems:
+            bar.set_description(f"{problem.kind}, {problem.points:,} points")
+            with _Stand(problem, settings, folder, log) as stand:
+                for repeat in range(settings.repeats):
+                    for method, device in candidates:
+                        key = {
+                            **stand.key,
+                            "method": method,
+                            "device": device,
+                            "threads": settings.threads,
+                            "machine": settings.machine,
+                            "repeat": repeat,
+                        }
+                        course = problem.kind, method, device
+                        record = journal.get(key) or _excuse(method, given_up.get(course))
+                        if record is None:
+                            record = journal.add(key, stand.solve(method, device))
+                        if record["status"] == "stopped":
+                            at = f"stopped at {problem.points:,} points: {record['reason']}"
+                            given_up.setdefault(course, at)
+                        found.append({"key": key, **record})
+                        bar.update()
+    return found
+
+
+def _excuse(method: str, given_up: str | None) -> Record | None:
+    """Return why a method is not even tried, if so."""
+    if not METHODS[method].present:
+        return {"status": "absent", "reason": f"not installed: pip install {METHODS[method].pip}"}
+    return {"status": "skipped", "reason": given_up} if given_up else None
+
+
+class _Stand:
+    """One problem, and a process for each method that was asked to solve it."""
+
+    def __init__(self, problem: Problem, settings: Settings, folder: Path, log: IO[bytes]) -> None:
+        self.problem, self.settings, self.log = problem, settings, log
+        self.key = {"schema": SCHEMA, **problem.key(), "k": settings.k}
+        name = hashlib.sha256(json.dumps(self.key, sort_keys=True).encode()).hexdigest()[:24]
+        self._files = {
+            part: str(folder / "cache" / f"{name}-{part}.npz") for part in ("operator", "exact")
+        }
+        free = available_memory()
+        self._memory = settings.memory_limit or (free and int(free * _SHARE))
+        self._workers: dict[tuple[str, str], Worker] = {}
+        self._loaded: dict[tuple[str, str], Record] = {}
+        self._failures: dict[tuple[str, str], Record] = {}
+        self._exits = ExitStack()
+
+    def __enter__(self) -> _Stand:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._exits.close()
+
+    @cached_property
+    def facts(self) -> Record:
+        """Size and assembly of the problem, once its files are written."""
+        with Worker(threads=self.settings.threads, log=self.log) as worker:
+            request = {"do": "prepare", "problem": asdict(self.problem), "k": self.settings.k}
+            try:
+                return self._ask(worker, {**request, **self._files})
+            except StoppedError as error:
+                return {"status": "failed", "reason": str(error)}
+
+    def solve(self, method: str, device: str) -> Record:
+        """Measure a method once; what failed or was stopped is not tried again here."""
+        who = method, device
+        if self.facts["status"] != "ok":
+            return {**self.facts, "reason": f"no exact modes: {self.facts['reason']}"}
+        if who in self._failures:
+            return self._failures[who]
+        try:
+            record = {**self.facts, **self._solve(who)}
+        except StoppedError as error:
+            record = {**self.facts, "status": "stopped", "reason": str(error)}
+        if record["status"] != "ok":
+            self._failures[who] = record
+        return record
+
+    def _solve(self, who: tuple[str, str]) -> Record:
+        first = who not in self._workers
+        if first:
+            worker = Worker(threads=self.settings.threads, log=self.log)
+            self._workers[who] = self._exits.enter_context(worker)
+            load = {"do": "load", "method": who[0], "device": who[1], "k": self.settings.k}
+            self._loaded[who] = self._ask(worker, {**load, **self._files})
+        loaded, worker = self._loaded[who], self._workers[who]
+        if loaded["status"] != "ok":
+            return loaded
+        answer = self._ask(worker, {"do": "solve"}, seconds=self.settings.time_limit)
+        if answer["status"] == "ok" and first:  # the errors of the others are the same
+            answer |= self._ask(worker, {"do": "compare"})
+        return {**loaded, **answer, "commit": self.settings.commit}
+
+    def _ask(self, worker: Worker, request: Record, seconds: float = _PATIENCE) -> Record:
+        return worker.ask(request, seconds=seconds, memory=self._memory)
+
+
+class _Journal:
+    """Records by their keys, in a file that grows line by line."""
+
+    def __init__(self, path: Path, *, retry: bool) -> None:
+        self._path = path
+        self._records: dict[str, Record] = {}
+        lines = path.read_text().splitlines() if path.exists() else []
+        for number, line in enumerate(lines, start=1):
+            try:
+                record = json.loads(line)
+                key = record.pop("key")
+            except (ValueError, KeyError, AttributeError) as error:
+                if number == len(lines):  # cut short by a crash: measured again
+                    path.write_text("".join(f"{whole}\n" for whole in lines[:-1]))
+                    break
+                raise InvalidInputError(
+                    f"line {number} of {path} must be a measurement, got something else"
+                    f" ({error}); remove the line"
+                ) from error
+            if record["status"] == "ok" or not retry:
+                self._records[_digest(key)] = record
+
+    def get(self, key: Record) -> Record | None:
+        """Return what was measured before."""
+        return self._records.get(_digest(key))
+
+    def add(self, key: Record, record: Record) -> Record:
+        """Append a record and return it."""
+        record = {**record, "time": datetime.now(UTC).isoformat(timespec="seconds")}
+        with self._path.open("a") as file:
+            file.write(json.dumps({"key": key, **record}) + "\n")
+        self._records[_digest(key)] = record
+        return record
+
+
+def _digest(key: Record) -> str:
+    return json.dumps(key, sort_keys=True)

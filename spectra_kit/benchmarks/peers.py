@@ -1,0 +1,134 @@
+"""How other packages solve the same eigenproblem, as backends.
+
+Each makes the call that its package makes, with that package's own options, on our (L, M); nothing
+is tuned, for better or worse. Absolute shifts such as -0.01 suit surfaces of about unit area, so
+`problems` scales every geometry to that.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import eigsh, lobpcg
+
+from spectra_kit.operators import Laplacian
+
+Floats = NDArray[np.float64]
+Pairs = tuple[Floats, Floats]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScipyEigsh:
+    """``scipy.sparse.linalg.eigsh`` with its SuperLU factor.
+
+    As called by pyFM 1.3.1 (``mesh/laplacian.py``) and geomfum 1.0.0 (``numerics/eig.py`` from
+    ``LaplacianSpectrumFinder``): everything is scipy's default but ``sigma=-0.01``.
+    """
+
+    sigma: float = -0.01
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Pairs:
+        """See `Eigensolver`."""
+        values, vectors = eigsh(*_csc(laplacian, k), sigma=self.sigma)
+        return values, vectors
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiffusionNetEigsh:
+    """The same function as DiffusionNet calls it (``geometry.py``, ``compute_operators``).
+
+    It adds eps to the diagonal of L, eps of the mean mass to M, and shifts by eps, towards the
+    spectrum. Its eigenvalues carry the first, eps * n / area on average; negative ones are clipped.
+    """
+
+    eps: float = 1e-8
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Pairs:
+        """See `Eigensolver`."""
+        L, k, _ = _csc(laplacian, k)
+        mass = laplacian.mass + self.eps * laplacian.mass.mean()
+        L = (L + self.eps * sparse.eye_array(laplacian.n)).tocsc()
+        values, vectors = eigsh(L, k=k, M=sparse.diags_array(mass), sigma=self.eps)
+        return np.clip(values, 0.0, None), vectors
+
+
+@dataclass(frozen=True, kw_only=True)
+class LapySolver:
+    """``lapy.Solver(...).eigs``, version 1.7.0, with its Cholesky factor (``use_cholmod=True``).
+
+    LaPy assembles finite elements of its own from a mesh; here it is given our (L, M) instead.
+    """
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Pairs:
+        """See `Eigensolver`."""
+        from lapy import Solver, TriaMesh
+
+        # The constructor wants a mesh; its matrices are replaced at once.
+        corners = np.eye(3), np.array([[0, 1, 2]])
+        solver = Solver(TriaMesh(*corners), lump=True, use_cholmod=True)
+        solver.stiffness, _, solver.mass = _csc(laplacian, k)
+        values, vectors = solver.eigs(k=k)
+        return values, vectors
+
+
+@dataclass(frozen=True, kw_only=True)
+class LibiglSpectra:
+    """``igl.spectra.eigs`` for the smallest magnitudes: Lanczos of the Spectra library.
+
+    As in libigl's tutorial, ``igl.spectra.eigs(-igl.cotmatrix(V, F), mass, k, EIGS_TYPE_SM)``; our
+    L has that sign already. It shifts by 1e-8 and does not subtract that again.
+    """
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Pairs:
+        """See `Eigensolver`."""
+        from igl import spectra
+
+        L, k, mass = _csc(laplacian, k)
+        vectors, values = spectra.eigs(L, mass, k, spectra.EIGS_TYPE_SM)
+        return values, vectors
+
+
+@dataclass(frozen=True, kw_only=True)
+class PyamgLobpcg:
+    """``scipy.sparse.linalg.lobpcg`` with smoothed aggregation, as pyamg's manual shows it.
+
+    On the standard form M^-1/2 L M^-1/2, where scipy's absolute tolerance means what `rtol` means
+    to `Lobpcg`: ``rtol * spacing`` for every mode. Started from seeded noise.
+    """
+
+    rtol: float = 1e-6
+    max_steps: int = 100
+    seed: int = 0
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Pairs:
+        """See `Eigensolver`."""
+        import pyamg
+
+        root, spacing = np.sqrt(laplacian.mass), laplacian.eigenvalue_spacing
+        scale = sparse.diags_array(1 / root)
+        operator = sparse.csr_matrix(scale @ laplacian.stiffness @ scale)
+        shifted = operator + 0.1 * spacing * sparse.eye(laplacian.n, format="csr")
+        cycle = pyamg.smoothed_aggregation_solver(shifted, B=root[:, None]).aspreconditioner()
+        start = np.random.default_rng(self.seed).standard_normal((laplacian.n, k))
+        with warnings.catch_warnings():
+            # It warns where it stops short; the residuals that are measured say so too.
+            warnings.simplefilter("ignore", UserWarning)
+            values, vectors = lobpcg(
+                operator,
+                start,
+                M=cycle,
+                tol=self.rtol * spacing,
+                maxiter=self.max_steps,
+                largest=False,
+            )
+        return values, vectors / root[:, None]
+
+
+def _csc(laplacian: Laplacian, k: int) -> tuple[sparse.csc_array, int, sparse.csc_array]:
+    """Return (L, k, M) as these packages hold them."""
+    mass = sparse.diags_array(laplacian.mass)
+    return sparse.csc_array(laplacian.stiffness), k, sparse.csc_array(mass)

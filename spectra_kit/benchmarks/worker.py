@@ -1,0 +1,175 @@
+"""The process that measures one method on one problem, and may be stopped or killed alone.
+
+Started as ``python -m spectra_kit.benchmarks.worker``: one JSON request a line on stdin, one
+JSON answer a line on stdout. Whatever libraries print goes to stderr.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import resource
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spectra_kit.benchmarks.methods import METHODS
+from spectra_kit.benchmarks.problems import Problem, read_operator, write_operator
+from spectra_kit.eigensolvers import Arpack, Eigensolver, eigensolve
+from spectra_kit.errors import ConvergenceError, SpectraKitError
+from spectra_kit.geometry import sphere
+from spectra_kit.metrics import compare_spectra
+from spectra_kit.operators import Laplacian, robust_laplacian
+from spectra_kit.spectrum import Spectrum
+
+Answer = dict[str, Any]
+
+# `eigensolve` books these; a solver that is called by itself does not spend them.
+_NOT_SOLVING = {"assembly", "certify"}
+# What libraries raise when a problem is too large or too hard for them; torch and SuperLU raise
+# RuntimeError where memory ends, ARPACK's and LAPACK's errors are RuntimeError and ValueError.
+_FAILURES = (SpectraKitError, RuntimeError, ValueError, MemoryError)
+
+
+def prepare(problem: Answer, operator: str, exact: str, k: int) -> Answer:
+    """Assemble the operator and solve it to machine precision, into the two files."""
+    if not Path(operator).exists():
+        write_operator(Problem(**problem).assemble(), Path(operator))
+    laplacian = read_operator(Path(operator))
+    if not Path(exact).exists():
+        eigensolve(laplacian, k, Arpack(tol=0.0)).save(exact)
+    return {
+        "n": laplacian.n,
+        "entries": int(laplacian.stiffness.nnz),
+        "components": laplacian.n_components,
+        "assembly_seconds": laplacian.seconds,
+    }
+
+
+class Runner:
+    """A method that is warm, on an operator that is loaded."""
+
+    def __init__(self, method: str, device: str, operator: str, exact: str, k: int) -> None:
+        self.solver: Eigensolver = METHODS[method].make(device)
+        self.device, self.exact, self.k = device, exact, k
+        self.laplacian: Laplacian = read_operator(Path(operator))
+        self.spectrum: Spectrum | None = None
+        # So that no compiling, loading of weights or starting of a device is measured. Large
+        # enough that no solver takes its shortcut through a dense matrix.
+        eigensolve(robust_laplacian(sphere(subdivisions=4).geometry), min(k, 16), self.solver)
+        # Kept with the operator by its first user, and any of them may be the first.
+        _ = self.laplacian.kernel_dimension, self.laplacian.component_spacings
+
+    def solve(self) -> Answer:
+        """Solve once; keep the modes for `compare`."""
+        self.spectrum = None
+        gc.collect()
+        before = _reset_peak(self.device)
+        start = time.perf_counter()
+        try:
+            spectrum = eigensolve(self.laplacian, self.k, self.solver)
+        except ConvergenceError as error:
+            found = error.partial.k if error.partial else 0
+            return _failure(f"{found} of {self.k} modes converged: {error}", start)
+        except _FAILURES as error:
+            return _failure(f"{type(error).__name__}: {error}", start)
+        wall = time.perf_counter() - start
+        memory, device_memory = _peak(self.device)
+        certificate = spectrum.certificate
+        assert certificate is not None
+        stages = dict(spectrum.provenance.seconds)
+        residuals = certificate.relative_residuals
+        self.spectrum = spectrum
+        return {
+            "status": "ok",
+            "seconds": sum(t for stage, t in stages.items() if stage not in _NOT_SOLVING),
+            "wall_seconds": wall,
+            "stages": stages,
+            "peak_bytes": max(memory - before, 0),
+            "device_peak_bytes": device_memory,
+            "residual_max": float(residuals.max()),
+            "residual_median": float(np.median(residuals)),
+        }
+
+    def compare(self) -> Answer:
+        """Measure what was solved last against the exact modes."""
+        assert self.spectrum is not None
+        comparison = compare_spectra(Spectrum.load(self.exact, mmap=True), self.spectrum)
+        return {
+            "status": "ok",
+            "eigenvalue_error": _number(comparison.mean_eigenvalue_error),
+            "span_error": _number(comparison.mean_span_error),
+            # More than half of its energy is outside all that was found.
+            "missed": int((comparison.span_error > 0.5).sum()),
+        }
+
+
+def _failure(reason: str, start: float) -> Answer:
+    seconds = time.perf_counter() - start
+    return {"status": "failed", "reason": reason, "wall_seconds": seconds}
+
+
+def _number(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def _reset_peak(device: str) -> int:
+    """Forget the peak of memory so far and return what is resident now, in bytes."""
+    if device == "cuda":
+        import torch
+
+        torch.cuda.reset_peak_memory_stats()
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:  # not Linux, or not allowed: the difference of two peaks must do
+        return _peak("cpu")[0]
+    return _status("VmRSS")
+
+
+def _peak(device: str) -> tuple[int, int]:
+    """Largest resident memory since then, and the device's, in bytes."""
+    device_peak = 0
+    if device == "cuda":
+        import torch
+
+        device_peak = int(torch.cuda.max_memory_allocated())
+    if Path("/proc/self/status").exists():
+        return _status("VmHWM"), device_peak
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit, device_peak
+
+
+def _status(field: str) -> int:
+    lines = Path("/proc/self/status").read_text().splitlines()
+    [line] = [line for line in lines if line.startswith(f"{field}:")]
+    return int(line.split()[1]) * 1024
+
+
+def main() -> None:
+    """Answer requests until stdin ends."""
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # whatever else is printed must not come between the answers
+    runner: Runner | None = None
+    for line in sys.stdin:
+        request = json.loads(line)
+        kind = request.pop("do")
+        try:
+            if kind == "prepare":
+                answer = {"status": "ok", **prepare(**request)}
+            elif kind == "load":
+                runner = Runner(**request)
+                answer = {"status": "ok", "solver": repr(runner.solver)}
+            else:
+                assert runner is not None
+                answer = runner.solve() if kind == "solve" else runner.compare()
+        except (*_FAILURES, ImportError) as error:
+            answer = {"status": "failed", "reason": f"{type(error).__name__}: {error}"}
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main()
