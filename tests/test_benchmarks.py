@@ -1,17 +1,250 @@
+import importlib.util
+import json
+import math
 import re
+import tempfile
+from pathlib import Path
 
+import numpy as np
 import pytest
+from conftest import bumpy
 
-from spectra_kit.benchmarks import main
+from spectra_kit import Arpack, eigensolve, robust_laplacian
+from spectra_kit.benchmarks import METHODS, Result, Settings, fit_exponent, measure, undominated
+from spectra_kit.benchmarks.problems import Problem, read_operator, write_operator
+from spectra_kit.benchmarks.process import StoppedError, Worker
+from spectra_kit.benchmarks.results import summarize
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import sphere, write
+from spectra_kit.metrics import compare_spectra
+
+APP = Path(__file__).parents[1] / "apps" / "benchmark_eigensolvers.py"
+PEERS = [name for name, entry in METHODS.items() if entry.peer]
 
 
-def test_both_solvers_agree_and_both_are_timed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--points", "1500", "-k", "12", "--repeats", "1"]) == 0
-    out = capsys.readouterr().out
-    assert len(re.findall(r"\d\.\d\dx", out)) == 2
-    assert float(out.split("eigenvalues: ")[1]) < 1e-8
+@pytest.fixture(scope="module")
+def app():
+    specification = importlib.util.spec_from_file_location("benchmark_eigensolvers", APP)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module.main
 
 
-def test_missing_file(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["/no/such/mesh.obj"]) == 2
-    assert "error:" in capsys.readouterr().err
+TINY = ["-k", "10", "--repeats", "2", "--threads", "1", "--methods", "arpack", "eigsh", "fourier"]
+TINY += ["--machine", "test", "--commit", "c0", "--geometry", "cloud"]
+
+
+@pytest.fixture(scope="module")
+def finished(app):
+    """The folder of a finished benchmark of two sizes."""
+    with tempfile.TemporaryDirectory() as name:
+        assert app([name, "--sizes", "900", "800", *TINY]) == 0
+        yield Path(name)
+
+
+def test_json_says_what_was_measured(finished):
+    record = json.loads((finished / "benchmark.json").read_text())
+    assert record["schema"] == 1
+    assert record["machine"]["name"] == "test"
+    assert record["machine"]["versions"]["numpy"] == np.__version__
+    assert record["commits"] == ["c0"]
+    assert record["settings"]["k"] == 10
+    assert record["methods"]["eigsh"] == {"solver": "ScipyEigsh(sigma=-0.01)", "peer": True}
+    results = record["results"]
+    assert [(r["geometry"], r["n"]) for r in results[::3]] == [("cloud", 800), ("cloud", 900)]
+    for result in results:
+        assert result["status"] == "ok"
+        assert len(result["seconds"]) == 2
+        assert min(result["seconds"]) > 0
+        assert result["assembly_seconds"] > 0
+        assert result["peak_bytes"] >= 0
+        if result["method"] == "fourier":  # 320 functions for 10 modes
+            assert 1e-9 < result["eigenvalue_error"] < 0.1
+        else:
+            assert result["residual_max"] < 1e-9
+            assert result["eigenvalue_error"] < 1e-9
+            assert result["span_error"] < 1e-9
+        assert result["missed"] == 0
+
+
+def test_tables_and_plots_are_written(finished):
+    text = (finished / "benchmark.md").read_text()
+    assert "### cloud, 800 points" in text
+    assert "### cloud, 900 points" in text
+    assert len(re.findall(r"^\| \**(?:arpack|eigsh|fourier)", text, re.MULTILINE)) == 6
+    pictures = {path.name for path in finished.glob("*.png")}
+    assert pictures == {"time-cloud.png", "accuracy-cloud-800.png", "accuracy-cloud-900.png"}
+
+
+def test_a_rerun_continues(finished, app, capsys):
+    journal = finished / "measurements.jsonl"
+    lines = journal.read_text().splitlines()
+    assert len(lines) == 12
+    # As after a crash in the middle of writing the 11th line.
+    journal.write_text("\n".join(lines[:10]) + "\n" + lines[10][:40])
+    assert app([str(finished), "--sizes", "800", "900", *TINY]) == 0
+    again = journal.read_text().splitlines()
+    assert again[:10] == lines[:10]
+    assert [json.loads(x)["key"] for x in again] == [json.loads(x)["key"] for x in lines]
+    assert "written:" in capsys.readouterr().out
+
+
+def test_a_damaged_journal_is_told(tmp_path, app, capsys):
+    (tmp_path / "measurements.jsonl").write_text('{"no": 1}\n{"key": {}}\n')
+    assert app([str(tmp_path), "--sizes", "800", *TINY]) == 2
+    assert "line 1 of" in capsys.readouterr().err
+
+
+def test_a_file_has_one_mesh_and_clouds_of_any_size(tmp_path):
+    file = tmp_path / "ball.off"
+    write(sphere(subdivisions=3).geometry, file)
+    settings = Settings(file=str(file), sizes=(700, 800), k=4)
+    assert [(p.kind, p.points) for p in settings.problems()] == [
+        ("mesh", 0),
+        ("cloud", 700),
+        ("cloud", 800),
+    ]
+    mesh, cloud, _ = (problem.assemble() for problem in settings.problems())
+    assert (mesh.n, cloud.n) == (642, 700)
+    # Of unit area, so radius 1 / sqrt(4 pi): eigenvalues 4 pi l (l + 1).
+    assert eigensolve(mesh, 4).eigenvalues[1:] == pytest.approx(8 * np.pi, rel=0.02)
+
+
+def test_operators_survive_the_file(tmp_path):
+    laplacian = Problem(kind="mesh", points=600).assemble()
+    write_operator(laplacian, tmp_path / "operator.npz")
+    again = read_operator(tmp_path / "operator.npz")
+    assert (again.stiffness != laplacian.stiffness).nnz == 0
+    assert np.array_equal(again.mass, laplacian.mass)
+    assert np.array_equal(again.points, laplacian.points)
+    assert (again.seconds, again.operator) == (laplacian.seconds, laplacian.operator)
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_peers_agree_with_arpack(name):
+    if not METHODS[name].present:
+        pytest.skip(f"{METHODS[name].pip} is not installed")
+    laplacian = robust_laplacian(bumpy())
+    exact = eigensolve(laplacian, 12, Arpack())
+    found = eigensolve(laplacian, 12, METHODS[name].make("cpu"))
+    comparison = compare_spectra(exact, found)
+    assert comparison.mean_eigenvalue_error < 1e-6
+    assert comparison.mean_span_error < 1e-6
+
+
+def test_every_method_names_what_it_is():
+    for name, entry in METHODS.items():
+        assert set(entry.devices) <= {"cpu", "cuda"}, name
+        assert bool(entry.needs) == bool(entry.pip), name
+        assert callable(entry.make("cpu").eigenpairs)
+
+
+def test_an_absent_package_is_listed_with_its_name(tmp_path, monkeypatch):
+    monkeypatch.setitem(
+        METHODS, "lapy", METHODS["lapy"].__class__(make=Arpack, needs="no_such_module", pip="lapy")
+    )
+    settings = Settings(sizes=(600,), k=4, methods=("lapy",), kinds=("mesh",), repeats=1)
+    [record] = measure(settings, tmp_path)
+    assert record["status"] == "absent"
+    assert record["reason"] == "not installed: pip install lapy"
+
+
+def test_what_takes_too_long_is_stopped_and_skipped_at_larger_sizes(tmp_path):
+    settings = Settings(
+        sizes=(600, 700), k=4, methods=("eigsh",), kinds=("mesh",), repeats=1, time_limit=1e-9
+    )
+    first, second = summarize(measure(settings, tmp_path))
+    assert (first.status, second.status) == ("stopped", "skipped")
+    assert second.reason == "stopped at 600 points: took more than 1e-09 s"
+
+
+def test_limits_of_a_worker(tmp_path):
+    request = {"do": "prepare", "problem": {"kind": "mesh", "points": 600}, "k": 4}
+    request |= {"operator": str(tmp_path / "o.npz"), "exact": str(tmp_path / "e.npz")}
+    with (tmp_path / "log").open("ab") as log:
+        with (
+            Worker(threads=1, log=log) as worker,
+            pytest.raises(StoppedError, match=r"more than the 0\.0 GB"),
+        ):
+            worker.ask(request, seconds=60, memory=1)
+        with Worker(threads=1, log=log) as worker:
+            worker._process.kill()
+            with pytest.raises(StoppedError, match="killed"):
+                worker.ask(request, seconds=60)
+        with (
+            Worker(threads=1, log=log) as worker,
+            pytest.raises(StoppedError, match="ended with code 1"),
+        ):
+            worker.ask({"no": "such request"}, seconds=60)
+
+
+def test_a_failure_is_recorded_and_does_not_end_the_run(tmp_path):
+    # More modes than points of a small cloud's mesh: the operator is there, the modes are not.
+    settings = Settings(sizes=(600,), k=601, methods=("arpack",), kinds=("mesh",), repeats=1)
+    [record] = measure(settings, tmp_path)
+    assert record["status"] == "failed"
+    assert "no exact modes: InvalidInputError: `k` must be at most" in record["reason"]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"methods": ("magic",)}, "`methods` must be among arpack"),
+        ({"devices": ("tpu",)}, "`devices` must be cpu or cuda, got tpu"),
+        ({"kinds": ("volume",)}, "`kind` must be one of"),
+        ({"operator": "magic"}, "`operator` must be one of"),
+        ({"sizes": (10,)}, "`sizes` must be at least 500"),
+        ({"time_limit": 0.0}, "`time_limit` must be positive"),
+    ],
+)
+def test_wrong_settings(wrong, message):
+    with pytest.raises(InvalidInputError, match=message):
+        Settings(**wrong)
+
+
+def test_exponents_of_power_laws_with_noise():
+    n = np.array([8e3, 32e3, 64e3, 131e3, 512e3])
+    for exponent in (0.95, 1.0, 1.3, 2.0):
+        noise = 1 + 0.05 * np.random.default_rng(0).standard_normal(len(n))
+        assert fit_exponent(n, 1e-6 * n**exponent) == pytest.approx(exponent)
+        assert fit_exponent(n, 1e-6 * n**exponent * noise) == pytest.approx(exponent, abs=0.05)
+    assert math.isnan(fit_exponent([8000], [1.0]))
+    with pytest.raises(InvalidInputError, match="positive and as many"):
+        fit_exponent([1, 2], [0.5])
+    with pytest.raises(InvalidInputError, match="positive and as many"):
+        fit_exponent([1, 2], [0.5, 0.0])
+
+
+def result(method, seconds, error):
+    return Result(
+        geometry="mesh",
+        points=600,
+        n=600,
+        method=method,
+        device="cpu",
+        solver="",
+        status="ok",
+        reason="",
+        seconds=(seconds,),
+        assembly_seconds=0.1,
+        peak_bytes=0,
+        device_peak_bytes=0,
+        residual_max=0.0,
+        residual_median=0.0,
+        eigenvalue_error=error,
+        span_error=0.0,
+        missed=0,
+        commits=(),
+    )
+
+
+def test_the_front_leaves_out_what_is_beaten():
+    results = [
+        result("exact", 4.0, 0.0),
+        result("as exact, slower", 5.0, 1e-15),
+        result("fast", 0.1, 1e-2),
+        result("polished", 0.5, 1e-4),
+        result("beaten", 0.6, 1e-3),
+        result("unknown", 0.01, None),
+    ]
+    assert [r.method for r in undominated(results)] == ["fast", "polished", "exact"]

@@ -84,15 +84,15 @@ def draw_accuracy(results: Sequence[Result], path: Path) -> Path:
     shown = [r for r in results if r.ok and r.eigenvalue_error is not None]
     figure, panel = _figure(f"{shown[0].geometry}, {shown[0].n:,} points: accuracy against time")
     front = undominated(shown, floor=_FLOOR)
-    panel.step(
+    panel.plot(
         [r.median for r in front],
         [error_of(r, _FLOOR) for r in front],
-        where="post",
-        color="0.75",
-        lw=6,
-        alpha=0.6,
-        solid_joinstyle="round",
-        label="no method is both faster and more accurate",
+        color="0.8",
+        lw=2,
+        marker="o",
+        ms=17,
+        drawstyle="steps-post",
+        label="nothing is both faster\nand more accurate",
         zorder=1,
     )
     for result in shown:

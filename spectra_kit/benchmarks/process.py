@@ -87,7 +87,7 @@ class Worker:
         deadline = time.monotonic() + seconds
         with selectors.DefaultSelector() as selector:
             selector.register(stdout, selectors.EVENT_READ)
-            while not selector.select(_POLL):
+            while not selector.select(min(_POLL, seconds)):
                 if time.monotonic() > deadline:
                     self.close()
                     raise StoppedError(f"took more than {seconds:g} s")

@@ -115,8 +115,9 @@ def markdown(results: Sequence[Result], settings: Settings, machine: dict[str, o
         "",
         "Seconds leave out assembly and certificate; each method solved something small before."
         f" Speed-up: over {BASELINE}. GB: peak above the operator. Residuals are relative;"
-        " eigenvalue and span error: means against ARPACK at machine precision; missed: exact modes with more than half of their"
-        " energy outside the modes found. Bold: no other method is both faster and more accurate.",
+        " eigenvalue and span errors are means against ARPACK at machine precision; missed: exact"
+        " modes with more than half of their energy outside the modes found. Bold: no other method"
+        " is both faster and more accurate.",
     ]
     for _, here in _grouped(results, lambda r: (r.geometry, r.points)):
         lines += ["", *_table(here)]
