@@ -12,72 +12,161 @@ from numba import njit
 from numpy.typing import NDArray
 
 Reals = NDArray[np.float64] | NDArray[np.float32]
-Ints = NDArray[np.int64] | NDArray[np.int32]
+Ints = NDArray[np.int64] | NDArray[np.uint32]
 
 
 @njit(nogil=True, cache=True)
 def solve_column(
-    indptr: Ints, rows: Ints, lower: Reals, inverse: Reals, order: Ints, rhs: Reals, out: Reals
+    starts: Ints,
+    rows: Ints,
+    lower: Reals,
+    inverse: Reals,
+    groups: Ints,
+    order: Ints,
+    rhs: Reals,
+    out: Reals,
 ) -> None:
     """Write to `out` the solution of ``P (I + L) D (I + L)^T P^T x = rhs``, both (n,).
 
-    `inverse` holds ``1 / D``.
+    L is stored by columns, ``rows[starts[j]:starts[j + 1]]`` below the diagonal; `inverse` holds
+    1 / D. Columns ``groups[g]`` to ``groups[g + 1]``, four at most, have the same rows below
+    them: where there are four, one look at a row serves all.
     """
     n = len(inverse)
     y = np.empty(n, lower.dtype)
     for j in range(n):
         y[j] = rhs[order[j]]
+    for g in range(len(groups) - 1):
+        a, b = groups[g], groups[g + 1]
+        if b - a == 4:
+            p0, p1, p2, p3 = starts[a], starts[a + 1], starts[a + 2], starts[a + 3]
+            y0 = y[a]
+            y1 = y[a + 1] - lower[p0] * y0
+            y2 = y[a + 2] - lower[p0 + 1] * y0 - lower[p1] * y1
+            y3 = y[a + 3] - lower[p0 + 2] * y0 - lower[p1 + 1] * y1 - lower[p2] * y2
+            y[a + 1], y[a + 2], y[a + 3] = y1, y2, y3
+            c0, c1, c2, c3 = lower[p0 + 3 : p1], lower[p1 + 2 : p2], lower[p2 + 1 : p3], lower[p3:]
+            below = rows[p3 : starts[b]]
+            for t in range(len(below)):
+                y[below[t]] -= (c0[t] * y0 + c1[t] * y1) + (c2[t] * y2 + c3[t] * y3)
+        else:
+            for j in range(a, b):
+                yj = y[j]
+                for p in range(starts[j], starts[j + 1]):
+                    y[rows[p]] -= lower[p] * yj
+    for g in range(len(groups) - 2, -1, -1):
+        a, b = groups[g], groups[g + 1]
+        if b - a == 4:
+            p0, p1, p2, p3 = starts[a], starts[a + 1], starts[a + 2], starts[a + 3]
+            y0, y1 = y[a] * inverse[a], y[a + 1] * inverse[a + 1]
+            y2, y3 = y[a + 2] * inverse[a + 2], y[a + 3] * inverse[a + 3]
+            c0, c1, c2, c3 = lower[p0 + 3 : p1], lower[p1 + 2 : p2], lower[p2 + 1 : p3], lower[p3:]
+            below = rows[p3 : starts[b]]
+            for t in range(len(below)):
+                yi = y[below[t]]
+                y0 -= c0[t] * yi
+                y1 -= c1[t] * yi
+                y2 -= c2[t] * yi
+                y3 -= c3[t] * yi
+            y2 = y2 - lower[p2] * y3
+            y1 = y1 - lower[p1] * y2 - lower[p1 + 1] * y3
+            y0 = y0 - lower[p0] * y1 - lower[p0 + 1] * y2 - lower[p0 + 2] * y3
+            y[a], y[a + 1], y[a + 2], y[a + 3] = y0, y1, y2, y3
+        else:
+            for j in range(b - 1, a - 1, -1):
+                yj = y[j] * inverse[j]
+                for p in range(starts[j], starts[j + 1]):
+                    yj -= lower[p] * y[rows[p]]
+                y[j] = yj
     for j in range(n):
-        yj = y[j]
-        for p in range(indptr[j], indptr[j + 1]):
-            y[rows[p]] -= lower[p] * yj
-    for j in range(n - 1, -1, -1):
-        yj = y[j] * inverse[j]
-        for p in range(indptr[j], indptr[j + 1]):
-            yj -= lower[p] * y[rows[p]]
-        y[j] = yj
-        out[order[j]] = yj
+        out[order[j]] = y[j]
 
 
 @njit(nogil=True, cache=True)
 def solve_columns(
-    indptr: Ints,
+    starts: Ints,
     rows: Ints,
     lower: Reals,
     inverse: Reals,
+    groups: Ints,
     order: Ints,
     rhs: Reals,
     out: Reals,
-    start: int,
-    stop: int,
+    first: int,
+    last: int,
 ) -> None:
-    """Write the solutions of columns `start` to `stop` of `rhs` (n, s) to those of `out`.
+    """Do the same for the columns `first` to `last` of `rhs` and `out`, both (n, s).
 
     Each entry of the factor is read once for all of these columns, which is where the time goes.
+    The operations on each are those of `solve_column`, in the same order.
     """
     n = len(inverse)
-    width = stop - start
+    width = last - first
     y = np.empty((n, width), lower.dtype)
     for j in range(n):
         for c in range(width):
-            y[j, c] = rhs[order[j], start + c]
+            y[j, c] = rhs[order[j], first + c]
+    for g in range(len(groups) - 1):
+        a, b = groups[g], groups[g + 1]
+        if b - a == 4:
+            p0, p1, p2, p3 = starts[a], starts[a + 1], starts[a + 2], starts[a + 3]
+            l10, l20, l30 = lower[p0], lower[p0 + 1], lower[p0 + 2]
+            l21, l31, l32 = lower[p1], lower[p1 + 1], lower[p2]
+            for c in range(width):
+                y0 = y[a, c]
+                y1 = y[a + 1, c] - l10 * y0
+                y2 = y[a + 2, c] - l20 * y0 - l21 * y1
+                y[a + 3, c] = y[a + 3, c] - l30 * y0 - l31 * y1 - l32 * y2
+                y[a + 1, c], y[a + 2, c] = y1, y2
+            p0, p1, p2 = p0 + 3, p1 + 2, p2 + 1
+            for t in range(starts[b] - p3):
+                i = rows[p3 + t]
+                v0, v1, v2, v3 = lower[p0 + t], lower[p1 + t], lower[p2 + t], lower[p3 + t]
+                for c in range(width):
+                    y[i, c] -= (v0 * y[a, c] + v1 * y[a + 1, c]) + (
+                        v2 * y[a + 2, c] + v3 * y[a + 3, c]
+                    )
+        else:
+            for j in range(a, b):
+                for p in range(starts[j], starts[j + 1]):
+                    i, v = rows[p], lower[p]
+                    for c in range(width):
+                        y[i, c] -= v * y[j, c]
+    for g in range(len(groups) - 2, -1, -1):
+        a, b = groups[g], groups[g + 1]
+        for j in range(a, b):
+            v = inverse[j]
+            for c in range(width):
+                y[j, c] *= v
+        if b - a == 4:
+            p0, p1, p2, p3 = starts[a], starts[a + 1], starts[a + 2], starts[a + 3]
+            l10, l20, l30 = lower[p0], lower[p0 + 1], lower[p0 + 2]
+            l21, l31, l32 = lower[p1], lower[p1 + 1], lower[p2]
+            p0, p1, p2 = p0 + 3, p1 + 2, p2 + 1
+            for t in range(starts[b] - p3):
+                i = rows[p3 + t]
+                v0, v1, v2, v3 = lower[p0 + t], lower[p1 + t], lower[p2 + t], lower[p3 + t]
+                for c in range(width):
+                    yi = y[i, c]
+                    y[a, c] -= v0 * yi
+                    y[a + 1, c] -= v1 * yi
+                    y[a + 2, c] -= v2 * yi
+                    y[a + 3, c] -= v3 * yi
+            for c in range(width):
+                y3 = y[a + 3, c]
+                y2 = y[a + 2, c] - l32 * y3
+                y1 = y[a + 1, c] - l21 * y2 - l31 * y3
+                y[a, c] = y[a, c] - l10 * y1 - l20 * y2 - l30 * y3
+                y[a + 1, c], y[a + 2, c] = y1, y2
+        else:
+            for j in range(b - 1, a - 1, -1):
+                for p in range(starts[j], starts[j + 1]):
+                    i, v = rows[p], lower[p]
+                    for c in range(width):
+                        y[j, c] -= v * y[i, c]
     for j in range(n):
-        for p in range(indptr[j], indptr[j + 1]):
-            i = rows[p]
-            value = lower[p]
-            for c in range(width):
-                y[i, c] -= value * y[j, c]
-    for j in range(n - 1, -1, -1):
-        scale = inverse[j]
         for c in range(width):
-            y[j, c] *= scale
-        for p in range(indptr[j], indptr[j + 1]):
-            i = rows[p]
-            value = lower[p]
-            for c in range(width):
-                y[j, c] -= value * y[i, c]
-        for c in range(width):
-            out[order[j], start + c] = y[j, c]
+            out[order[j], first + c] = y[j, c]
 
 
 @njit(nogil=True, cache=True)

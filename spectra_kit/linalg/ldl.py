@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -93,8 +93,9 @@ class SparseLDL:
         self.n: int = matrix.shape[0]
         self.pivots: Floats = np.asarray(pivots)
         self._order = np.asarray(order, dtype=np.int64)
-        self._indptr = lower.indptr.astype(np.int64)
-        self._rows = lower.indices
+        self._starts = lower.indptr.astype(np.int64)
+        self._rows = lower.indices.astype(np.uint32)  # unsigned: no test for negative indices
+        self._groups = _groups(self._starts, self._rows)
         self._lower: Floats = lower.data
         with np.errstate(divide="ignore"):
             self._inverse = 1 / self.pivots
@@ -123,7 +124,7 @@ class SparseLDL:
         negative = int((~zero & (self.pivots < 0)).sum())
         return Inertia(negative, int(zero.sum()), self.n - negative - int(zero.sum()))
 
-    def solve(self, rhs: NDArray[np.floating], *, dtype: DTypeLike = np.float64) -> Floats:
+    def solve(self, rhs: NDArray[np.floating], *, dtype: DTypeLike = np.float64) -> NDArray[Any]:
         """Solve ``A x = rhs``.
 
         Parameters
@@ -153,7 +154,7 @@ class SparseLDL:
             )
         lower, inverse = self._single if real == np.float32 else (self._lower, self._inverse)
         out = np.empty(rhs.shape, real)
-        factor = (self._indptr, self._rows, lower, inverse, self._order)
+        factor = (self._starts, self._rows, lower, inverse, self._groups, self._order)
         if not rhs.size:
             return out
         if rhs.size == self.n:
@@ -170,6 +171,19 @@ class SparseLDL:
     def _single(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """L and 1 / D in float32, kept after the first use."""
         return self._lower.astype(np.float32), self._inverse.astype(np.float32)
+
+
+def _groups(starts: NDArray[np.int64], rows: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """Return where to cut the columns of L into runs, at most four long, of equal rows below."""
+    n = len(starts) - 1
+    counts = np.diff(starts)
+    below = np.full(n, -1)
+    below[counts > 0] = rows[starts[:-1][counts > 0]]
+    # In an elimination tree, a parent with one row less has just these rows.
+    joined = (below[:-1] == np.arange(1, n)) & (counts[:-1] == counts[1:] + 1)
+    runs = np.flatnonzero(np.r_[True, ~joined])
+    place = np.arange(n) - np.repeat(runs, np.diff(np.r_[runs, n]))
+    return np.append(np.flatnonzero(place % 4 == 0), n)
 
 
 def _cuts(columns: int) -> list[int]:

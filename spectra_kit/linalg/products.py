@@ -18,7 +18,7 @@ _SMALL = 200_000  # multiplications below which a thread costs more than it save
 
 def spmm(
     matrix: sparse.csr_array, dense: NDArray[np.floating], *, dtype: DTypeLike | None = None
-) -> NDArray[np.floating]:
+) -> NDArray[Any]:
     """Return ``matrix @ dense``, on all cores.
 
     Parameters
