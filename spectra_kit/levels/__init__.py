@@ -1,0 +1,7 @@
+"""Coarse levels of an operator: a well-spread subset of its points, and the way back to all."""
+
+from spectra_kit.levels.coarse import Coarse, coarsen
+from spectra_kit.levels.interpolation import prolongation
+from spectra_kit.levels.subset import Subset, well_spread
+
+__all__ = ["Coarse", "Subset", "coarsen", "prolongation", "well_spread"]

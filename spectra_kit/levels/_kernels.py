@@ -1,0 +1,218 @@
+"""Inner loops over the graph of an operator, compiled by numba on first use.
+
+A *connected ball* of a point holds what a walk along the edges of the graph reaches without
+leaving the Euclidean ball: two sheets that pass close to each other stay apart, and distances
+are not distorted by the edges.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
+
+
+@njit(nogil=True, cache=True)
+def cover(starts: Ints, neighbours: Ints, points: Floats, radius: float) -> Ints:
+    """Return centres whose connected balls of `radius` cover all points.
+
+    No centre lies in the ball of an earlier one. The next centre is taken from the front, the
+    points just outside the balls so far, oldest first: they pack more evenly than random ones.
+    """
+    n = len(points)
+    covered = np.zeros(n, np.bool_)
+    queued = np.zeros(n, np.bool_)
+    seen = np.full(n, -1, np.int32)  # last centre whose ball was asked about this point
+    front, ball = np.empty(n, np.int32), np.empty(n, np.int32)
+    centres = np.empty(n, np.int32)
+    head = tail = count = 0
+    for seed in range(n):  # the first point starts the front; others only if it cannot reach them
+        if not covered[seed] and not queued[seed]:
+            queued[seed] = True
+            front[tail] = seed
+            tail += 1
+        while head < tail:
+            centre = front[head]
+            head += 1
+            if covered[centre]:
+                continue
+            x, y, z = points[centre]
+            centres[count], seen[centre], covered[centre] = centre, count, True
+            ball[0] = centre
+            first, last = 0, 1
+            while first < last:
+                i = ball[first]
+                first += 1
+                for p in range(starts[i], starts[i + 1]):
+                    j = neighbours[p]
+                    if seen[j] == count:
+                        continue
+                    seen[j] = count
+                    dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+                    if dx * dx + dy * dy + dz * dz < radius * radius:
+                        covered[j] = True
+                        ball[last] = j
+                        last += 1
+                    elif not queued[j] and not covered[j]:
+                        queued[j] = True
+                        front[tail] = j
+                        tail += 1
+            count += 1
+    return centres[:count].copy()
+
+
+@njit(nogil=True, cache=True)
+def balls(
+    starts: Ints, neighbours: Ints, points: Floats, centres: Longs, radius: float
+) -> tuple[Longs, Ints]:
+    """Return, as rows of a sparse matrix, the points in the connected ball of each centre."""
+    n = len(points)
+    seen = np.full(n, -1, np.int32)
+    members = np.empty(16 * n, np.int32)
+    ends = np.zeros(len(centres) + 1, np.int64)
+    ball = np.empty(n, np.int32)
+    total = 0
+    for k in range(len(centres)):
+        x, y, z = points[centres[k]]
+        seen[centres[k]] = k
+        ball[0] = centres[k]
+        first, last = 0, 1
+        while first < last:
+            i = ball[first]
+            first += 1
+            for p in range(starts[i], starts[i + 1]):
+                j = neighbours[p]
+                if seen[j] == k:
+                    continue
+                dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+                if dx * dx + dy * dy + dz * dz < radius * radius:
+                    seen[j] = k
+                    ball[last] = j
+                    last += 1
+        if total + last > len(members):
+            longer = np.empty(2 * len(members) + last, np.int32)
+            longer[:total] = members[:total]
+            members = longer
+        members[total : total + last] = ball[:last]
+        total += last
+        ends[k + 1] = total
+    return ends, members[:total].copy()
+
+
+@njit(nogil=True, cache=True)
+def transposed(ends: Longs, members: Ints, n: int) -> tuple[Longs, Ints]:
+    """Return the `n` columns of the sparse matrix that `balls` makes, each ascending."""
+    starts = np.zeros(n + 1, np.int64)
+    for j in members:
+        starts[j + 1] += 1
+    for j in range(n):
+        starts[j + 1] += starts[j]
+    place = starts[:-1].copy()
+    rows = np.empty(len(members), np.int32)
+    for k in range(len(ends) - 1):
+        for p in range(ends[k], ends[k + 1]):
+            j = members[p]
+            rows[place[j]] = k
+            place[j] += 1
+    return starts, rows
+
+
+@njit(nogil=True, cache=True)
+def interpolate(
+    points: Floats,
+    centres: Floats,
+    starts: Longs,
+    columns: Ints,
+    radius: float,
+    flat: float,
+    first: int,
+    last: int,
+    out: Floats,
+) -> None:
+    """Write moving-least-squares weights for the points `first` to `last` to `out`.
+
+    Weights of the centres ``columns[starts[i]:starts[i + 1]]`` at point i: those of a fit by a
+    function linear in the tangent plane, that is along the two widest axes of these centres; an
+    axis with less than `flat` times the variance of the widest is left out.
+    """
+    mean, slope, offset = np.empty(3), np.empty(3), np.empty(3)
+    spread, axes = np.empty((3, 3)), np.empty((3, 3))
+    for i in range(first, last):
+        here = slice(starts[i], starts[i + 1])
+        near, weights = columns[here], out[here]
+        total = 0.0
+        mean[:] = 0.0
+        for p in range(len(near)):
+            q = 0.0
+            for a in range(3):
+                q += (points[i, a] - centres[near[p], a]) ** 2
+            q /= radius * radius
+            # Zero with two derivatives at the edge of the ball: no kink where a centre drops out.
+            weights[p] = max(1 - q, 0.0) ** 3 / (1 + q)
+            total += weights[p]
+            for a in range(3):
+                mean[a] += weights[p] * centres[near[p], a]
+        weights /= total
+        mean /= total
+        spread[:] = 0.0
+        for p in range(len(near)):
+            for a in range(3):
+                offset[a] = centres[near[p], a] - mean[a]
+            for a in range(3):
+                for b in range(3):
+                    spread[a, b] += weights[p] * offset[a] * offset[b]
+        _diagonalize(spread, axes)
+        widest = max(spread[0, 0], spread[1, 1], spread[2, 2])
+        normal = 0
+        for e in range(1, 3):
+            if spread[e, e] < spread[normal, normal]:
+                normal = e
+        slope[:] = 0.0
+        for e in range(3):
+            if e == normal or spread[e, e] <= flat * widest:
+                continue
+            along = 0.0
+            for a in range(3):
+                along += axes[a, e] * (points[i, a] - mean[a])
+            for a in range(3):
+                slope[a] += axes[a, e] * along / spread[e, e]
+        for p in range(len(near)):
+            tilt = 1.0
+            for a in range(3):
+                tilt += slope[a] * (centres[near[p], a] - mean[a])
+            weights[p] *= tilt
+
+
+@njit(nogil=True, cache=True)
+def _diagonalize(matrix: Floats, axes: Floats) -> None:
+    """Diagonalise a symmetric 3 x 3 `matrix` in place by Jacobi rotations; `axes` by columns."""
+    axes[:] = 0.0
+    for a in range(3):
+        axes[a, a] = 1.0
+    for _ in range(10):
+        off = matrix[0, 1] ** 2 + matrix[0, 2] ** 2 + matrix[1, 2] ** 2
+        if off <= 1e-32 * (matrix[0, 0] ** 2 + matrix[1, 1] ** 2 + matrix[2, 2] ** 2):
+            break
+        for p in range(2):
+            for q in range(p + 1, 3):
+                if matrix[p, q] == 0:
+                    continue
+                theta = (matrix[q, q] - matrix[p, p]) / (2 * matrix[p, q])
+                t = 1 / (abs(theta) + np.sqrt(theta * theta + 1))
+                if theta < 0:
+                    t = -t
+                c = 1 / np.sqrt(t * t + 1)
+                s = t * c
+                for a in range(3):
+                    x, y = matrix[a, p], matrix[a, q]
+                    matrix[a, p], matrix[a, q] = c * x - s * y, s * x + c * y
+                for a in range(3):
+                    x, y = matrix[p, a], matrix[q, a]
+                    matrix[p, a], matrix[q, a] = c * x - s * y, s * x + c * y
+                for a in range(3):
+                    x, y = axes[a, p], axes[a, q]
+                    axes[a, p], axes[a, q] = c * x - s * y, s * x + c * y
