@@ -12,7 +12,7 @@ LAYERS = [
     "errors _validate _files _version",
     "geometry linalg",
     "operators",
-    "_spectrum_file subspaces",
+    "_spectrum_file subspaces levels",
     "spectrum neo",
     "eigensolvers metrics interop",
     "training viz",
