@@ -52,8 +52,9 @@ def coarsen(laplacian: Laplacian, n_points: int) -> Coarse:
     Parameters
     ----------
     laplacian : Laplacian
+        On n points.
     n_points : int
-        See `well_spread`.
+        At most so many; see `well_spread`.
 
     Returns
     -------
