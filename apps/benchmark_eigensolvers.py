@@ -9,7 +9,8 @@ plots; every solve is a line of OUT/measurements.jsonl as soon as it ends, so th
 an interruption, or with more sizes, computes only what is missing. Delete that file, or take
 another folder, to measure anew. Nothing else should run on the machine meanwhile.
 
-Other packages are optional: pip install lapy pyamg. Results from machines with an accelerator are
+Other packages are optional: pip install lapy pyamg. For a machine without network, fetch the wheels
+as evaluate_neo.py explains, these two among them. Results from machines with an accelerator are
 kept as apps/results/MACHINE.json and .md (copies of benchmark.json and benchmark.md).
 """
 
@@ -59,6 +60,13 @@ def _parser() -> argparse.ArgumentParser:
         help="seconds for one solve; a method that takes longer ends there (%(default)g)",
     )
     add(
+        "--exact-limit",
+        type=float,
+        default=DEFAULTS.exact_limit,
+        metavar="S",
+        help="seconds for the exact modes; without them there are no errors (%(default)g)",
+    )
+    add(
         "--memory", type=float, metavar="GB", help="for one process (default: most of what is free)"
     )
     add("--threads", type=int, default=os.cpu_count(), help="for all alike (default: all cores)")
@@ -83,6 +91,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             devices=tuple(args.device),
             repeats=args.repeats,
             time_limit=args.time_limit,
+            exact_limit=args.exact_limit,
             memory_limit=None if args.memory is None else int(args.memory * 1e9),
             threads=args.threads,
             retry=args.retry,

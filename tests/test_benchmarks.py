@@ -159,8 +159,8 @@ def test_what_takes_too_long_is_stopped_and_skipped_at_larger_sizes(tmp_path):
 
 
 def test_limits_of_a_worker(tmp_path):
-    request = {"do": "prepare", "problem": {"kind": "mesh", "points": 600}, "k": 4}
-    request |= {"operator": str(tmp_path / "o.npz"), "exact": str(tmp_path / "e.npz")}
+    request = {"do": "assemble", "recipe": {"kind": "mesh", "points": 600}}
+    request |= {"operator": str(tmp_path / "o.npz")}
     with (tmp_path / "log").open("ab") as log:
         with (
             Worker(threads=1, log=log) as worker,
@@ -179,11 +179,29 @@ def test_limits_of_a_worker(tmp_path):
 
 
 def test_a_failure_is_recorded_and_does_not_end_the_run(tmp_path):
-    # More modes than points of a small cloud's mesh: the operator is there, the modes are not.
     settings = Settings(sizes=(600,), k=601, methods=("arpack",), kinds=("mesh",), repeats=1)
     [record] = measure(settings, tmp_path)
     assert record["status"] == "failed"
-    assert "no exact modes: InvalidInputError: `k` must be at most" in record["reason"]
+    assert "InvalidInputError: `k` must be at most" in record["reason"]
+
+
+def test_without_exact_modes_there_are_times_but_no_errors(tmp_path):
+    settings = Settings(
+        sizes=(600,), k=4, methods=("arpack",), kinds=("mesh",), repeats=1, exact_limit=1e-9
+    )
+    [measured] = summarize(measure(settings, tmp_path))
+    assert measured.ok
+    assert measured.residual_max < 1e-9
+    assert (measured.eigenvalue_error, measured.no_errors) == (None, "took more than 1e-09 s")
+
+
+def test_no_operator_no_solve(tmp_path):
+    file = tmp_path / "broken.off"
+    file.write_text("OFF\n3 1 0\n")
+    settings = Settings(file=str(file), k=4, methods=("arpack",), kinds=("mesh",), repeats=1)
+    [record] = measure(settings, tmp_path / "out")
+    assert record["status"] == "failed"
+    assert record["reason"].startswith("no operator: InvalidInputError")
 
 
 @pytest.mark.parametrize(
@@ -195,6 +213,7 @@ def test_a_failure_is_recorded_and_does_not_end_the_run(tmp_path):
         ({"operator": "magic"}, "`operator` must be one of"),
         ({"sizes": (10,)}, "`sizes` must be at least 500"),
         ({"time_limit": 0.0}, "`time_limit` must be positive"),
+        ({"exact_limit": -1.0}, "`exact_limit` must be positive"),
     ],
 )
 def test_wrong_settings(wrong, message):
@@ -226,6 +245,7 @@ def result(method, seconds, error):
         status="ok",
         reason="",
         seconds=(seconds,),
+        cpu_share=1.0,
         assembly_seconds=0.1,
         peak_bytes=0,
         device_peak_bytes=0,
@@ -234,6 +254,7 @@ def result(method, seconds, error):
         eigenvalue_error=error,
         span_error=0.0,
         missed=0,
+        no_errors="",
         commits=(),
     )
 

@@ -12,6 +12,7 @@ from spectra_kit.benchmarks.results import Result, error_of, undominated
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 # Okabe and Ito's colours: told apart with every kind of colour blindness. Markers tell the second
@@ -62,6 +63,7 @@ def draw_times(
     panel.set(xlabel="points N", ylabel="seconds", xscale="log", yscale="log")
     panel.set_xticks(sizes, [_short(n) for n in sizes])
     panel.xaxis.minorticks_off()
+    _seconds(panel.yaxis)
     _legend(figure, panel)
     return _save(figure, path)
 
@@ -105,6 +107,7 @@ def draw_accuracy(results: Sequence[Result], path: Path) -> Path:
             **_style(result.method, result.device),
         )
     panel.set(xlabel="seconds", ylabel="mean relative eigenvalue error", xscale="log", yscale="log")
+    _seconds(panel.xaxis)
     low, high = panel.get_ylim()
     panel.set_ylim(min(low, _FLOOR / 10), max(high, 1e-1))
     panel.axhspan(panel.get_ylim()[0], _FLOOR, color="0.95", zorder=0)
@@ -137,6 +140,15 @@ def _short(n: int) -> str:
     if n < 1000:
         return str(n)
     return f"{n / 1000:.0f}k" if n < 999_500 else f"{n / 1e6:.2g}M"
+
+
+def _seconds(axis: Axis) -> None:
+    """Label 1, 2 and 5 of each power of ten, as plain numbers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _figure(title: str) -> tuple[Figure, Axes]:

@@ -24,7 +24,7 @@ from spectra_kit.errors import InvalidInputError
 #: Of records and reports; raise it where the meaning of a number changes.
 SCHEMA = 1
 _SHARE = 0.85  # of the memory that is available, for one process
-_PATIENCE = 24 * 3600.0  # seconds for assembly and the exact modes: nothing works without them
+_PATIENCE = 24 * 3600.0  # seconds for assembly and for what is around a solve
 
 Record = dict[str, Any]
 
@@ -53,6 +53,8 @@ class Settings:
         Solves of each method on each problem.
     time_limit : float
         Seconds for one solve; a method that takes longer is skipped at larger sizes.
+    exact_limit : float
+        Seconds for the exact modes; without them there are no errors.
     memory_limit : int or None
         Bytes for one process; most of what is available by default.
     threads : int
@@ -77,6 +79,7 @@ class Settings:
     devices: tuple[str, ...] = ("cpu",)
     repeats: int = 3
     time_limit: float = 300.0
+    exact_limit: float = 3600.0
     memory_limit: int | None = None
     threads: int = 1
     machine: str = field(default_factory=platform.node)
@@ -89,6 +92,7 @@ class Settings:
         for size in self.sizes:
             check_count("sizes", size, low=500)
         check_positive("time_limit", self.time_limit)
+        check_positive("exact_limit", self.exact_limit)
         if unknown := [name for name in self.methods if name not in METHODS]:
             raise InvalidInputError(
                 f"`methods` must be among {', '.join(METHODS)}; got {', '.join(unknown)}"
@@ -223,19 +227,32 @@ class _Stand:
 
     @cached_property
     def facts(self) -> Record:
-        """Size and assembly of the problem, once its files are written."""
+        """Size and assembly of the problem, once its files are written, or why they are not."""
+        operator, exact = self._files["operator"], self._files["exact"]
         with Worker(threads=self.settings.threads, log=self.log) as worker:
-            request = {"do": "prepare", "problem": asdict(self.problem), "k": self.settings.k}
+            request: Record = {
+                "do": "assemble",
+                "recipe": asdict(self.problem),
+                "operator": operator,
+            }
             try:
-                return self._ask(worker, {**request, **self._files})
+                facts = self._ask(worker, request)
             except StoppedError as error:
-                return {"status": "failed", "reason": str(error)}
+                facts = {"status": "failed", "reason": str(error)}
+            if facts["status"] != "ok":
+                return {**facts, "reason": f"no operator: {facts['reason']}"}
+            request = {"do": "refer", "operator": operator, "exact": exact, "k": self.settings.k}
+            try:
+                reference = self._ask(worker, request, seconds=self.settings.exact_limit)
+            except StoppedError as error:
+                reference = {"reason": str(error)}
+        return {**facts, "no_errors": reference.get("reason", "")}
 
     def solve(self, method: str, device: str) -> Record:
         """Measure a method once; what failed or was stopped is not tried again here."""
         who = method, device
         if self.facts["status"] != "ok":
-            return {**self.facts, "reason": f"no exact modes: {self.facts['reason']}"}
+            return self.facts
         if who in self._failures:
             return self._failures[who]
         try:
@@ -257,7 +274,8 @@ class _Stand:
         if loaded["status"] != "ok":
             return loaded
         answer = self._ask(worker, {"do": "solve"}, seconds=self.settings.time_limit)
-        if answer["status"] == "ok" and first:  # the errors of the others are the same
+        if answer["status"] == "ok" and first and not self.facts["no_errors"]:
+            # Later solves return the same, or peers with random starts nearly so.
             answer |= self._ask(worker, {"do": "compare"})
         return {**loaded, **answer, "commit": self.settings.commit}
 

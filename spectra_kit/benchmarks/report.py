@@ -18,6 +18,8 @@ from spectra_kit.benchmarks.results import Result, exponents, undominated
 Item = TypeVar("Item")
 Name = TypeVar("Name")
 
+_BUSY = 0.9  # of a core; with less, times are longer than they should be
+
 _COLUMNS = (
     "method",
     "seconds",
@@ -119,6 +121,12 @@ def markdown(results: Sequence[Result], settings: Settings, machine: dict[str, o
         " modes with more than half of their energy outside the modes found. Bold: no other method"
         " is both faster and more accurate.",
     ]
+    shares = [result.cpu_share for result in results if result.cpu_share is not None]
+    if shares and min(shares) < _BUSY:
+        lines += [
+            "",
+            f"**Something else was running**: solves got down to {min(shares):.2f} of a core.",
+        ]
     for _, here in _grouped(results, lambda r: (r.geometry, r.points)):
         lines += ["", *_table(here)]
     lines += ["", *_exponents(results), *_solver_lines(results), *_missing(results)]
@@ -183,9 +191,12 @@ def _solver_lines(results: Sequence[Result]) -> list[str]:
 def _missing(results: Sequence[Result]) -> list[str]:
     reasons: dict[tuple[str, str], list[str]] = {}
     for result in results:
+        where = f"{result.geometry} {result.n or result.points:,}"
         if not result.ok:
-            where = f"{result.geometry} {result.n or result.points:,}"
             reasons.setdefault((label(result), result.reason), []).append(where)
+        elif result.no_errors:
+            why = f"no errors: {result.no_errors}"
+            reasons.setdefault((label(result), why), []).append(where)
     if not reasons:
         return []
     lines = [f"- {who} ({', '.join(at)}): {reason}" for (who, reason), at in reasons.items()]

@@ -32,6 +32,8 @@ class Result:
         Why it is not ok.
     seconds : tuple of float
         Of each solve: no assembly, no certificate.
+    cpu_share : float or None
+        Processor time for each second of the clock, median: below 1 where something else ran.
     assembly_seconds : float or None
         Of L and M, measured once.
     peak_bytes, device_peak_bytes : int or None
@@ -42,6 +44,8 @@ class Result:
         Means; see `metrics.Comparison`. The span is that of the modes returned.
     missed : int or None
         Exact modes with more than half of their energy outside that span.
+    no_errors : str
+        Why there are no exact modes to compare with.
     commits : tuple of str
         At which it was measured.
     """
@@ -55,6 +59,7 @@ class Result:
     status: str
     reason: str
     seconds: tuple[float, ...]
+    cpu_share: float | None
     assembly_seconds: float | None
     peak_bytes: int | None
     device_peak_bytes: int | None
@@ -63,6 +68,7 @@ class Result:
     eigenvalue_error: float | None
     span_error: float | None
     missed: int | None
+    no_errors: str
     commits: tuple[str, ...]
 
     @property
@@ -109,6 +115,8 @@ def _result(
     good = [record for record in repeats if record["status"] == "ok"]
     bad = next((record for record in repeats if record["status"] != "ok"), None)
 
+    shares = [record["cpu_seconds"] / record["wall_seconds"] for record in good]
+
     def first(name: str) -> Any:
         return next((r[name] for r in repeats if r.get(name) is not None), None)
 
@@ -125,11 +133,13 @@ def _result(
         status="ok" if bad is None else bad["status"],
         reason="" if bad is None else bad["reason"],
         seconds=tuple(record["seconds"] for record in good),
+        cpu_share=statistics.median(shares) if shares else None,
         assembly_seconds=first("assembly_seconds"),
         peak_bytes=largest("peak_bytes"),
         device_peak_bytes=largest("device_peak_bytes"),
         **{name: largest(name) for name in ("residual_max", "residual_median")},
         **{name: first(name) for name in ("eigenvalue_error", "span_error", "missed")},
+        no_errors=first("no_errors") or "",
         commits=tuple(dict.fromkeys(r["commit"] for r in repeats if "commit" in r)),
     )
 
