@@ -109,7 +109,7 @@ def orthonormalize(basis: Tensor, mass: Tensor, *, rank_tol: float = 1e-10) -> T
 
 
 def rayleigh_ritz(
-    stiffness: Tensor, mass: Tensor, basis: Tensor, k: int, *, rank_tol: float = 1e-10
+    stiffness: Tensor, mass: Tensor, basis: Tensor, k: int | None, *, rank_tol: float = 1e-10
 ) -> RitzPairs:
     """Return the k lowest Ritz pairs of L u = lambda M u in the span of `basis`.
 
@@ -127,8 +127,8 @@ def rayleigh_ritz(
         Diagonal of M, in length^2.
     basis : Tensor of shape (n, m)
         Any precision, any scale, dependent columns allowed.
-    k : int
-        Pairs to return.
+    k : int or None
+        Pairs to return; None for as many as there are.
     rank_tol : float, default 1e-10
         See `orthonormalize`, to which a badly conditioned basis is handed.
 
@@ -156,6 +156,7 @@ def rayleigh_ritz(
     if whitening is None:
         basis = orthonormalize(basis, mass, rank_tol=rank_tol)
         whitening = torch.eye(basis.shape[1], dtype=torch.float64, device=basis.device)
+    k = basis.shape[1] if k is None else k
     if basis.shape[1] < k:
         raise InvalidInputError(
             f"`basis` must span at least k = {k} dimensions, got numerical rank {basis.shape[1]};"
@@ -250,13 +251,35 @@ def sparse_tensor(csr: sparse.csr_array, device: str = "cpu") -> Tensor:
     device : str, default "cpu"
         Where to put it.
     """
+    return _csr_tensor(
+        torch.tensor(csr.indptr),
+        torch.tensor(csr.indices),
+        torch.tensor(csr.data, dtype=torch.float64),
+        csr.shape,
+        device,
+    )
+
+
+def csr_like(pattern: Tensor, values: Tensor) -> Tensor:
+    """Return a sparse CSR tensor with the pattern of another, and other values."""
+    rows, columns = pattern.crow_indices(), pattern.col_indices()
+    return _csr_tensor(rows, columns, values, pattern.shape, pattern.device)
+
+
+def _csr_tensor(
+    rows: Tensor,
+    columns: Tensor,
+    values: Tensor,
+    shape: tuple[int, ...],
+    device: str | torch.device,
+) -> Tensor:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
         return torch.sparse_csr_tensor(
-            torch.tensor(csr.indptr),
-            torch.tensor(csr.indices),
-            torch.tensor(csr.data, dtype=torch.float64),
-            size=csr.shape,
+            rows,
+            columns,
+            values,
+            size=shape,
             device=device,
             check_invariants=False,  # SciPy's arrays keep them
         )

@@ -1,0 +1,198 @@
+"""Chebyshev filters: the pairs of LAPACK from any start, honest about what was reached."""
+
+import numpy as np
+import pytest
+import torch
+from scipy import linalg, sparse
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import rectangle, sphere
+from spectra_kit.linalg.chebyshev import (
+    chebyshev_eigenpairs,
+    chebyshev_smooth,
+    shifted,
+    spectral_bound,
+    standard_form,
+)
+from spectra_kit.linalg.torch_ritz import rayleigh_ritz, sparse_tensor
+from spectra_kit.operators import cotan_laplacian, robust_laplacian
+
+DEVICES = ["cpu"] + ["cuda"] * torch.cuda.is_available()
+
+
+def noise(n, b, seed=0):
+    return torch.randn(n, b, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+@pytest.fixture(scope="module", params=["sphere", "rectangle-cloud", "irregular"])
+def laplacian(request):
+    """Clusters of equal eigenvalues; a boundary; triangles and masses of very different size."""
+    if request.param == "sphere":
+        return cotan_laplacian(sphere(subdivisions=3).geometry)
+    if request.param == "rectangle-cloud":
+        return robust_laplacian(rectangle(n=600).geometry.as_cloud())
+    ball = sphere(subdivisions=3).geometry
+    stretched = ball.points * np.exp(1.5 * ball.points[:, [0]]) * [1, 1, 2]
+    return robust_laplacian(type(ball)(stretched, ball.faces))
+
+
+@pytest.fixture(scope="module")
+def exact(laplacian):
+    return linalg.eigh(laplacian.stiffness.toarray(), np.diag(laplacian.mass))
+
+
+def refine(laplacian, start, k, device="cpu", **options):
+    return chebyshev_eigenpairs(
+        sparse_tensor(laplacian.stiffness, device),
+        torch.tensor(laplacian.mass, device=device),
+        start.to(device),
+        k,
+        spacing=laplacian.eigenvalue_spacing,
+        **options,
+    )
+
+
+def true_residuals(laplacian, values, vectors):
+    """In the M^-1 norm, in NumPy."""
+    R = laplacian.stiffness @ vectors - laplacian.mass[:, None] * vectors * values
+    return np.sqrt((R**2 / laplacian.mass[:, None]).sum(0))
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-10])
+def test_a_random_start_is_driven_to_the_tolerance(laplacian, exact, rtol, device):
+    k = 23  # on the sphere this cuts the cluster of l = 4
+    pairs = refine(laplacian, noise(laplacian.n, 32), k, rtol=rtol, device=device)
+    assert pairs.converged
+    assert 0 < pairs.sweeps <= pairs.products
+    values, vectors = pairs.eigenvalues.cpu().numpy(), pairs.eigenvectors.cpu().numpy()
+    residuals = true_residuals(laplacian, values, vectors)
+    spacing = laplacian.eigenvalue_spacing
+    assert (residuals <= 1.01 * rtol * np.maximum(values, spacing)).all()
+    np.testing.assert_allclose(pairs.residuals.cpu(), residuals, rtol=1e-2, atol=1e-12 * values[-1])
+    np.testing.assert_allclose(values, exact[0][:k], rtol=1e-2 * rtol, atol=1e-10 * values[-1])
+    gram = vectors.T @ (laplacian.mass[:, None] * vectors)
+    np.testing.assert_allclose(gram, np.eye(k), atol=1e-12)
+
+
+def test_a_good_start_takes_less_work(laplacian, exact):
+    near = torch.from_numpy(exact[1][:, :32]) + 1e-3 * noise(laplacian.n, 32)
+    good = refine(laplacian, near, 20, rtol=1e-8)
+    random = refine(laplacian, noise(laplacian.n, 32), 20, rtol=1e-8)
+    assert good.converged
+    assert good.products < 0.7 * random.products
+    np.testing.assert_allclose(good.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
+
+
+def test_an_exact_start_is_left_as_it_is(laplacian, exact):
+    pairs = refine(laplacian, torch.from_numpy(exact[1][:, :20]), 16, rtol=1e-8)
+    assert pairs.converged
+    assert pairs.sweeps == 0
+    np.testing.assert_allclose(pairs.eigenvalues, exact[0][:16], atol=1e-10 * exact[0][16])
+
+
+def test_modes_that_a_start_lacks_are_found(laplacian, exact):
+    """Exact vectors with two of the lowest left out: rounding and the guards bring them back."""
+    columns = [j for j in range(34) if j not in (1, 5)]
+    start = torch.from_numpy(exact[1][:, columns]) + 1e-6 * noise(laplacian.n, 32)
+    pairs = refine(laplacian, start, 20, rtol=1e-8)
+    assert pairs.converged
+    np.testing.assert_allclose(pairs.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
+
+
+def test_units_do_not_matter(laplacian):
+    start = noise(laplacian.n, 24)
+    pairs = refine(laplacian, start, 16, rtol=1e-6)
+    area = 1e-12
+    there = chebyshev_eigenpairs(
+        sparse_tensor(laplacian.stiffness),
+        torch.from_numpy(area * laplacian.mass),
+        start,
+        16,
+        rtol=1e-6,
+        spacing=laplacian.eigenvalue_spacing / area,
+    )
+    assert there.converged
+    assert there.products == pytest.approx(pairs.products, rel=0.02)
+    difference = area * there.eigenvalues - pairs.eigenvalues
+    assert difference.abs().max() < 1e-10 * pairs.eigenvalues[-1]
+
+
+def test_too_few_sweeps_are_said_to_be_too_few(laplacian):
+    pairs = refine(laplacian, noise(laplacian.n, 24), 16, rtol=1e-8, max_sweeps=1)
+    assert not pairs.converged
+    assert pairs.sweeps == 1
+    residuals = true_residuals(laplacian, pairs.eigenvalues.numpy(), pairs.eigenvectors.numpy())
+    np.testing.assert_allclose(pairs.residuals, residuals, rtol=1e-6)
+
+
+def test_a_tolerance_below_rounding_is_given_up_soon(laplacian, exact):
+    pairs = refine(laplacian, noise(laplacian.n, 32), 20, rtol=1e-18, max_sweeps=100)
+    assert not pairs.converged
+    assert pairs.sweeps < 30
+    np.testing.assert_allclose(pairs.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
+
+
+def test_bad_starts_and_operators_are_refused(laplacian):
+    start = noise(laplacian.n, 12)
+    with pytest.raises(InvalidInputError, match="`start` must span at least k = 16 dimensions"):
+        refine(laplacian, start, 16, rtol=1e-6)
+    start[3, 4] = torch.nan
+    with pytest.raises(InvalidInputError, match="1 columns with NaN or infinite values of 12"):
+        refine(laplacian, start, 8, rtol=1e-6)
+    hollow = sparse_tensor(sparse.csr_array([[0.0, 1.0], [1.0, 2.0]]))
+    with pytest.raises(InvalidInputError, match="must store all 2 entries of its diagonal, got 1"):
+        shifted(hollow, (0.0, 1.0), torch.float64)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_bound_is_never_below_the_spectrum(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 60))
+    A = sparse.random_array((n, n), density=0.2, rng=rng, data_sampler=rng.standard_normal)
+    A = sparse.csr_array((A + A.T) * 10.0 ** rng.integers(-8, 8))
+    top = np.linalg.eigvalsh(A.toarray())[-1]
+    assert top <= spectral_bound(sparse_tensor(A))
+
+
+def test_the_bound_is_sharp_on_laplacians(laplacian):
+    operator = standard_form(
+        sparse_tensor(laplacian.stiffness), torch.tensor(laplacian.mass).sqrt()
+    )
+    top = np.linalg.eigvalsh(operator.to_dense().numpy())[-1]
+    assert top <= spectral_bound(operator) < 1.5 * top
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_smoothing_is_the_polynomial_it_says(laplacian, device):
+    """Of D^-1 L: each of its eigenvectors is scaled by p at its eigenvalue, as written down."""
+    L = laplacian.stiffness
+    values, vectors = linalg.eigh(L.toarray(), np.diag(L.diagonal()))
+    basis = torch.tensor(vectors, device=device)
+    smooth = chebyshev_smooth(sparse_tensor(L, device), basis, degree=6, damping=20.0)
+    factors = (np.linalg.inv(vectors) @ smooth.cpu().numpy()).diagonal()
+    np.testing.assert_allclose(smooth.cpu(), vectors * factors, atol=1e-9)
+    root = torch.tensor(L.diagonal()).sqrt()
+    top = spectral_bound(standard_form(sparse_tensor(L), root))
+    x0 = np.cosh(np.arccosh(20.0) / 6)
+    x = -x0 + values * (x0 + 1) / top  # 0 goes to -x0, the top to 1
+    expected = np.polynomial.chebyshev.Chebyshev.basis(6)(x) / 20.0
+    np.testing.assert_allclose(factors, expected, atol=1e-9)
+    assert abs(factors[0] - 1) < 1e-9
+    assert np.abs(factors[x > -1]).max() <= 0.05 + 1e-9
+
+
+def test_smoothing_takes_the_kinks_out_of_a_coarse_basis(laplacian, exact):
+    """Exact modes known on cells only, constant in each: better Ritz values for a cheap sweep."""
+    rng = np.random.default_rng(0)
+    centres = rng.choice(laplacian.n, laplacian.n // 4, replace=False)
+    apart = np.linalg.norm(laplacian.points[:, None] - laplacian.points[centres], axis=2)
+    basis = torch.from_numpy(exact[1][centres[apart.argmin(1)], :30]).float()
+    L, mass = sparse_tensor(laplacian.stiffness), torch.tensor(laplacian.mass)
+    smooth = chebyshev_smooth(L, basis, degree=6)
+    assert smooth.dtype == torch.float32
+    errors = [
+        np.abs(rayleigh_ritz(L, mass, b, 16).eigenvalues.numpy()[1:] / exact[0][1:16] - 1).mean()
+        for b in (basis, smooth)
+    ]
+    assert errors[1] < 0.3 * errors[0]
