@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from spectra_kit.linalg import SparseCholesky
 from spectra_kit.operators.laplacian import Laplacian
 
 Floats = NDArray[np.float64]
+Factor = TypeVar("Factor")
 
 # Lanczos needs a subspace well above k; below this multiple of it the dense solver is as fast.
 _DENSE_RATIO = 3
@@ -81,7 +84,7 @@ class Arpack:
             return Dense().eigenpairs(laplacian, k)
         start = time.perf_counter()
         sigma = -self.shift * laplacian.eigenvalue_spacing
-        factor = shifted_factor(laplacian, sigma)
+        factor = shifted_factor(laplacian, sigma, SparseCholesky)
         factored = time.perf_counter()
         root = np.sqrt(laplacian.mass)
         inverse = LinearOperator(
@@ -114,11 +117,13 @@ class Arpack:
         )
 
 
-def shifted_factor(laplacian: Laplacian, sigma: float) -> SparseCholesky:
+def shifted_factor(
+    laplacian: Laplacian, sigma: float, factorise: Callable[[sparse.csr_array], Factor]
+) -> Factor:
     """Factorise ``L - sigma M``, positive definite for sigma < 0."""
     shifted = laplacian.stiffness - sigma * sparse.diags_array(laplacian.mass)
     try:
-        return SparseCholesky(sparse.csr_array(shifted))
+        return factorise(sparse.csr_array(shifted))
     except InvalidInputError as error:
         raise InvalidInputError(
             f"`stiffness` must be positive semi-definite, but with {-sigma:.3g} M added to it a"

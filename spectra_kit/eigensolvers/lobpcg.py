@@ -17,7 +17,7 @@ from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.rayleigh_ritz import checked_basis
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
-from spectra_kit.linalg import orthonormalize
+from spectra_kit.linalg import SparseLDL, orthonormalize
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import Subspace
 
@@ -139,7 +139,7 @@ class Lobpcg:
         sigma = -self.shift * laplacian.eigenvalue_spacing
         column = root[:, None]
         if self.preconditioner == "cholesky":
-            factor = shifted_factor(laplacian, sigma)
+            factor = shifted_factor(laplacian, sigma, SparseLDL)
             return lambda x: column * factor.solve(column * x)
         try:
             import pyamg

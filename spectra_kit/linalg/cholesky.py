@@ -28,9 +28,8 @@ class SparseCholesky:
 
     Notes
     -----
-    The factorisation is CHOLMOD's, through cholespy. It solves a block of right-hand sides several
-    times faster than the same columns one by one, which is why block methods pass whole
-    matrices.
+    The factorisation is CHOLMOD's, through cholespy. For one right-hand side at a time, and on
+    machines that only train, where no compiler is at hand; `SparseLDL` solves blocks faster.
 
     Examples
     --------

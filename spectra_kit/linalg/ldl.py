@@ -62,7 +62,7 @@ class SparseLDL:
     Ordered by approximate minimum degree and factorised by QDLDL (Stellato et al., *OSQP*, 2020);
     solved by compiled loops, with up to 64 right-hand sides in a row of memory and one such
     block for each thread. The bits of a solution depend neither on the number of threads nor on
-    the other right-hand sides.
+    the other right-hand sides. For blocks; `SparseCholesky` is as fast with one column at a time.
 
     Examples
     --------
