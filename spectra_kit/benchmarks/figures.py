@@ -56,7 +56,7 @@ def draw_times(
             [r.median for r in line],
             lw=1.6,
             ls="--" if METHODS[method].peer else "-",
-            label=f"{_name(line[0])}{power}",
+            label=f"{line[0].label}{power}",
             **style,
         )
     sizes = sorted({r.n for line in lines.values() for r in line})
@@ -102,7 +102,7 @@ def draw_accuracy(results: Sequence[Result], path: Path) -> Path:
             result.median,
             error_of(result, _FLOOR),
             ls="",
-            label=_name(result),
+            label=result.label,
             zorder=3,
             **_style(result.method, result.device),
         )
@@ -129,10 +129,6 @@ def _style(method: str, device: str) -> dict[str, Any]:
         "mfc": "white" if METHODS[method].peer else colour,
         "mew": 1.4,
     }
-
-
-def _name(result: Result) -> str:
-    return result.method if result.device == "cpu" else f"{result.method} ({result.device})"
 
 
 def _short(n: int) -> str:

@@ -20,6 +20,11 @@ def describe_machine(*, devices: tuple[str, ...] = ("cpu",)) -> dict[str, object
     devices : tuple of str, default ("cpu",)
         With "cuda" the accelerator is named too.
 
+    Returns
+    -------
+    dict
+        With an empty string where there is no accelerator.
+
     Examples
     --------
     >>> sorted(describe_machine())

@@ -7,14 +7,14 @@ import json
 import platform
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
-from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from tqdm import tqdm
 
 from spectra_kit._validate import check_count, check_positive
+from spectra_kit.benchmarks.journal import Journal, Record
 from spectra_kit.benchmarks.machine import available_memory, current_commit
 from spectra_kit.benchmarks.methods import METHODS
 from spectra_kit.benchmarks.problems import Problem
@@ -25,8 +25,6 @@ from spectra_kit.errors import InvalidInputError
 SCHEMA = 1
 _SHARE = 0.85  # of the memory that is available, for one process
 _PATIENCE = 24 * 3600.0  # seconds for assembly and for what is around a solve
-
-Record = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +158,7 @@ def measure(settings: Settings, folder: Path, *, progress: bool = False) -> list
     ('ok', 600, 0)
     """
     (folder / "cache").mkdir(parents=True, exist_ok=True)
-    journal = _Journal(folder / "measurements.jsonl", retry=settings.retry)
+    journal = Journal(folder / "measurements.jsonl", retry=settings.retry)
     problems, candidates = settings.problems(), settings.candidates()
     given_up: dict[tuple[str, str, str], str] = {}
     found: list[Record] = []
@@ -281,42 +279,3 @@ class _Stand:
 
     def _ask(self, worker: Worker, request: Record, seconds: float = _PATIENCE) -> Record:
         return worker.ask(request, seconds=seconds, memory=self._memory)
-
-
-class _Journal:
-    """Records by their keys, in a file that grows line by line."""
-
-    def __init__(self, path: Path, *, retry: bool) -> None:
-        self._path = path
-        self._records: dict[str, Record] = {}
-        lines = path.read_text().splitlines() if path.exists() else []
-        for number, line in enumerate(lines, start=1):
-            try:
-                record = json.loads(line)
-                key = record.pop("key")
-            except (ValueError, KeyError, AttributeError) as error:
-                if number == len(lines):  # cut short by a crash: measured again
-                    path.write_text("".join(f"{whole}\n" for whole in lines[:-1]))
-                    break
-                raise InvalidInputError(
-                    f"line {number} of {path} must be a measurement, got something else"
-                    f" ({error}); remove the line"
-                ) from error
-            if record["status"] == "ok" or not retry:
-                self._records[_digest(key)] = record
-
-    def get(self, key: Record) -> Record | None:
-        """Return what was measured before."""
-        return self._records.get(_digest(key))
-
-    def add(self, key: Record, record: Record) -> Record:
-        """Append a record and return it."""
-        record = {**record, "time": datetime.now(UTC).isoformat(timespec="seconds")}
-        with self._path.open("a") as file:
-            file.write(json.dumps({"key": key, **record}) + "\n")
-        self._records[_digest(key)] = record
-        return record
-
-
-def _digest(key: Record) -> str:
-    return json.dumps(key, sort_keys=True)

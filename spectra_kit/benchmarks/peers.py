@@ -33,7 +33,8 @@ class ScipyEigsh:
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Pairs:
         """See `Eigensolver`."""
-        values, vectors = eigsh(*_csc(laplacian, k), sigma=self.sigma)
+        L, M = _csc(laplacian)
+        values, vectors = eigsh(L, k=k, M=M, sigma=self.sigma)
         return values, vectors
 
 
@@ -49,9 +50,8 @@ class DiffusionNetEigsh:
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Pairs:
         """See `Eigensolver`."""
-        L, k, _ = _csc(laplacian, k)
         mass = laplacian.mass + self.eps * laplacian.mass.mean()
-        L = (L + self.eps * sparse.eye_array(laplacian.n)).tocsc()
+        L = (laplacian.stiffness + self.eps * sparse.eye_array(laplacian.n)).tocsc()
         values, vectors = eigsh(L, k=k, M=sparse.diags_array(mass), sigma=self.eps)
         return np.clip(values, 0.0, None), vectors
 
@@ -70,7 +70,7 @@ class LapySolver:
         # The constructor wants a mesh; its matrices are replaced at once.
         corners = np.eye(3), np.array([[0, 1, 2]])
         solver = Solver(TriaMesh(*corners), lump=True, use_cholmod=True)
-        solver.stiffness, _, solver.mass = _csc(laplacian, k)
+        solver.stiffness, solver.mass = _csc(laplacian)
         values, vectors = solver.eigs(k=k)
         return values, vectors
 
@@ -87,8 +87,8 @@ class LibiglSpectra:
         """See `Eigensolver`."""
         from igl import spectra
 
-        L, k, mass = _csc(laplacian, k)
-        vectors, values = spectra.eigs(L, mass, k, spectra.EIGS_TYPE_SM)
+        L, M = _csc(laplacian)
+        vectors, values = spectra.eigs(L, M, k, spectra.EIGS_TYPE_SM)
         return values, vectors
 
 
@@ -128,7 +128,7 @@ class PyamgLobpcg:
         return values, vectors / root[:, None]
 
 
-def _csc(laplacian: Laplacian, k: int) -> tuple[sparse.csc_array, int, sparse.csc_array]:
-    """Return (L, k, M) as these packages hold them."""
+def _csc(laplacian: Laplacian) -> tuple[sparse.csc_array, sparse.csc_array]:
+    """Return L and M as these packages hold them."""
     mass = sparse.diags_array(laplacian.mass)
-    return sparse.csc_array(laplacian.stiffness), k, sparse.csc_array(mass)
+    return sparse.csc_array(laplacian.stiffness), sparse.csc_array(mass)

@@ -145,7 +145,7 @@ def _table(here: Sequence[Result]) -> list[str]:
     best = undominated(here)
     for result in (result for result in here if result.ok):
         cells = [
-            f"**{label(result)}**" if result in best else label(result),
+            f"**{result.label}**" if result in best else result.label,
             f"{result.median:.3g}",
             "" if base is None else f"{base / result.median:.2f}",
             f"{result.median + (assembly or 0):.3g}",
@@ -163,11 +163,6 @@ def _table(here: Sequence[Result]) -> list[str]:
         ]
         lines.append("| " + " | ".join(cells) + " |")
     return lines
-
-
-def label(result: Result) -> str:
-    """Name of the method, with the device if it is not the CPU."""
-    return result.method if result.device == "cpu" else f"{result.method} ({result.device})"
 
 
 def _exponents(results: Sequence[Result]) -> list[str]:
@@ -193,10 +188,10 @@ def _missing(results: Sequence[Result]) -> list[str]:
     for result in results:
         where = f"{result.geometry} {result.n or result.points:,}"
         if not result.ok:
-            reasons.setdefault((label(result), result.reason), []).append(where)
+            reasons.setdefault((result.label, result.reason), []).append(where)
         elif result.no_errors:
             why = f"no errors: {result.no_errors}"
-            reasons.setdefault((label(result), why), []).append(where)
+            reasons.setdefault((result.label, why), []).append(where)
     if not reasons:
         return []
     lines = [f"- {who} ({', '.join(at)}): {reason}" for (who, reason), at in reasons.items()]

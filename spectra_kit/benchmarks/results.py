@@ -77,6 +77,11 @@ class Result:
         return self.status == "ok"
 
     @property
+    def label(self) -> str:
+        """Name of the method, with the device if it is not the CPU."""
+        return self.method if self.device == "cpu" else f"{self.method} ({self.device})"
+
+    @property
     def median(self) -> float:
         """Median of the seconds, NaN without any."""
         return statistics.median(self.seconds) if self.seconds else float("nan")
