@@ -1,5 +1,9 @@
 """The sparse factor and the compiled products, against LAPACK, SuperLU and scipy."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -93,7 +97,9 @@ def test_no_columns_and_integers() -> None:
 def test_factor_refuses_what_it_cannot_factorise() -> None:
     path = sparse.csr_array([[1.0, -1.0], [-1.0, 1.0]])
     for definite in (True, False):
-        with pytest.raises(InvalidInputError, match="is singular, or needs another shift"):
+        with pytest.raises(
+            InvalidInputError, match=r"\(a pivot is zero\); it is singular, or needs another shift"
+        ):
             SparseLDL(path, definite=definite)
         with pytest.raises(InvalidInputError, match="2 diagonal entries are zero"):
             SparseLDL(sparse.csr_array([[0.0, 1.0], [1.0, 0.0]]), definite=definite)
@@ -107,8 +113,34 @@ def test_factor_refuses_what_it_cannot_factorise() -> None:
         SparseLDL(sparse.csr_array([[1.0, np.nan], [np.nan, 1.0]]))
     with pytest.raises(InvalidInputError, match="`matrix` must be square"):
         SparseLDL(sparse.csr_array(np.ones((2, 3))))
-    with pytest.raises(InvalidInputError, match="a pivot is zero or not finite"):
+    with pytest.raises(InvalidInputError, match="a pivot is infinite"):
         SparseLDL(sparse.csr_array([[1e-200, 1e150], [1e150, 1e-200]]), definite=False)
+
+
+STARVED = """
+import resource, sys
+import numpy as np
+from scipy import sparse
+from spectra_kit.linalg import SparseLDL
+
+SparseLDL(sparse.csr_array(np.eye(2)))  # what it imports is not to be counted
+path = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(30, 30))
+square = sparse.kron(path, sparse.eye_array(30)) + sparse.kron(sparse.eye_array(30), path)
+cube = sparse.kron(square, sparse.eye_array(30)) + sparse.kron(sparse.eye_array(900), path)
+pages = int(open("/proc/self/statm").read().split()[0])
+limit = pages * resource.getpagesize() + int(sys.argv[1]) * 2**20
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+SparseLDL(sparse.csr_array(cube))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="counts memory as Linux does")
+@pytest.mark.parametrize("megabytes", [10, 30])
+def test_want_of_memory_is_an_error_of_its_own(megabytes: int) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", STARVED, str(megabytes)], capture_output=True, text=True, check=False
+    )
+    assert "OutOfMemoryError: the factor of 27000 unknowns does not fit" in done.stderr
 
 
 def test_solve_refuses_what_does_not_fit() -> None:

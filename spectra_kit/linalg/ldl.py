@@ -83,9 +83,9 @@ class SparseLDL:
             raise _singular(f"{int((diagonal == 0).sum())} diagonal entries are zero")
         try:
             lower, pivots, order = qdldl.Solver(upper, upper=True).factors()
-        except RuntimeError as error:
-            raise _singular(str(error)) from error
-        except MemoryError as error:
+        except (RuntimeError, MemoryError) as error:
+            if "factorization" in str(error):  # of the numbers; all else it reports is memory
+                raise _singular("a pivot is zero") from error
             raise OutOfMemoryError(
                 f"the factor of {matrix.shape[0]} unknowns does not fit into memory; use a method"
                 " without one, such as Lobpcg(preconditioner='amg')"
@@ -101,7 +101,7 @@ class SparseLDL:
             self._inverse = 1 / self.pivots
         self._diagonal = diagonal[self._order]
         if not (np.isfinite(self._inverse).all() and np.isfinite(self.pivots).all()):
-            raise _singular("a pivot is zero or not finite")
+            raise _singular("a pivot is infinite")
         if definite and not (self.pivots > _EPS * self._diagonal).all():
             raise InvalidInputError(
                 "`matrix` must be symmetric positive definite, got"
