@@ -19,7 +19,16 @@ Conventions, everywhere the same:
 """
 
 from spectra_kit import geometry
-from spectra_kit.eigensolvers import Arpack, Dense, Lobpcg, Neo, RayleighRitz, eigensolve
+from spectra_kit.eigensolvers import (
+    Arpack,
+    Dense,
+    Lobpcg,
+    Neo,
+    Polished,
+    RayleighRitz,
+    Refined,
+    eigensolve,
+)
 from spectra_kit.errors import (
     ConvergenceError,
     InvalidInputError,
@@ -32,7 +41,7 @@ from spectra_kit.errors import (
 from spectra_kit.geometry import PointCloud, TriangleMesh, read, write
 from spectra_kit.operators import Laplacian, cotan_laplacian, knn_laplacian, robust_laplacian
 from spectra_kit.spectrum import Certificate, Provenance, Spectrum
-from spectra_kit.subspaces import AmbientFourier, Union
+from spectra_kit.subspaces import AmbientFourier, GivenBasis, RandomBasis, Union
 
 __all__ = [
     "AmbientFourier",
@@ -40,6 +49,7 @@ __all__ = [
     "Certificate",
     "ConvergenceError",
     "Dense",
+    "GivenBasis",
     "InvalidInputError",
     "InvalidSpectrumError",
     "Laplacian",
@@ -48,8 +58,11 @@ __all__ = [
     "Neo",
     "OutOfMemoryError",
     "PointCloud",
+    "Polished",
     "Provenance",
+    "RandomBasis",
     "RayleighRitz",
+    "Refined",
     "SpectraKitError",
     "Spectrum",
     "TriangleMesh",

@@ -85,6 +85,8 @@ class Provenance(Rebuilt):
         BLAKE2b of stiffness, mass, points and fixed points: equal input, equal hash.
     version : str
         Version of spectra_kit.
+    iterations : int or None
+        Sweeps of an iterative backend, summed over the components; None where it does not count.
     """
 
     solver: str = "user"
@@ -93,6 +95,7 @@ class Provenance(Rebuilt):
     seconds: Mapping[str, float] = field(default_factory=dict, hash=False)
     input_hash: str = ""
     version: str = ""
+    iterations: int | None = None
 
     def __post_init__(self) -> None:
         seconds = {str(stage): float(t) for stage, t in self.seconds.items()}

@@ -16,7 +16,9 @@ from spectra_kit import (
     Laplacian,
     Lobpcg,
     Neo,
+    Polished,
     RayleighRitz,
+    Refined,
     TriangleMesh,
     cotan_laplacian,
     knn_laplacian,
@@ -43,11 +45,13 @@ EXACT_BACKENDS = [
     Backend(Dense(), 1e-8),
     Backend(Lobpcg(), 1e-8),
     Backend(Lobpcg(preconditioner="amg"), 1e-8),
+    Backend(Refined(), 1e-8),
 ]
 # Relative residuals of a smooth approximation are of order one: its few high frequencies weigh in
 # the M^-1 norm with their eigenvalue. Accuracy of the eigenvalues is tested where it is claimed.
 APPROXIMATE_BACKENDS = [
     Backend(RayleighRitz(subspace=AmbientFourier(m=300, bandwidth=6.0)), 3.0),
+    Backend(Polished(), 0.05),
     # A float32 network: rounding of its features moves the predicted span a little.
     Backend(Neo(poses=1), 3.0, rounding=1e-3),
 ]

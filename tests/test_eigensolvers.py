@@ -276,7 +276,7 @@ class Lies:
 
     class Negative:
         def eigenpairs(self, laplacian, k):
-            values, vectors, _ = Dense().eigenpairs(laplacian, k)
+            values, vectors = Dense().eigenpairs(laplacian, k)[:2]
             return values - 1, vectors
 
     class Nan:

@@ -6,6 +6,7 @@ from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.lobpcg import Lobpcg
 from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
+from spectra_kit.eigensolvers.refined import Polished, Refined
 from spectra_kit.eigensolvers.solve import eigensolve
 
 __all__ = [
@@ -16,6 +17,8 @@ __all__ = [
     "Lobpcg",
     "Neo",
     "NotConvergedError",
+    "Polished",
     "RayleighRitz",
+    "Refined",
     "eigensolve",
 ]

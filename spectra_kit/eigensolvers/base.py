@@ -24,11 +24,14 @@ class Eigenpairs(NamedTuple):
         M-orthonormal columns.
     seconds : mapping of str to float, optional
         Wall time of the backend's own stages, where it tells them apart.
+    iterations : int, optional
+        How many an iterative backend took.
     """
 
     eigenvalues: Floats
     eigenvectors: Floats
     seconds: Mapping[str, float] | None = None
+    iterations: int | None = None
 
 
 class Eigensolver(Protocol):

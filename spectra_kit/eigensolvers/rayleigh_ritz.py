@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,11 @@ from spectra_kit._validate import check_positive
 from spectra_kit.eigensolvers.base import Eigenpairs
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg import orthonormalize
+from spectra_kit.linalg.ritz import ritz_pairs
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.subspaces import AmbientFourier, Subspace
+from spectra_kit.subspaces import AmbientFourier, Subspace, restricted
 
 Floats = NDArray[np.float64]
-
-_COLUMNS = 64  # of L @ Y at once: bounds the temporaries
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,34 +71,30 @@ class RayleighRitz:
         start = time.perf_counter()
         if laplacian.n <= max(3, 2 * k):  # no room for an approximation, or not even a plane
             return Dense().eigenpairs(laplacian, k)
-        basis = checked_basis(self.subspace, laplacian)
+        basis = basis_with_kernel(self.subspace, laplacian)
         if laplacian.n <= 2 * basis.shape[1]:
             return Dense().eigenpairs(laplacian, k)
-        if laplacian.kernel_dimension:
-            basis = np.column_stack([np.ones(laplacian.n), basis])
         predicted = time.perf_counter()
-        Y = orthonormalize(basis, laplacian.mass, rank_tol=self.rank_tol)
-        if Y.shape[1] < k:
-            raise InvalidInputError(
-                f"`subspace` must span at least k = {k} dimensions, got numerical rank"
-                f" {Y.shape[1]} of {basis.shape[1]} columns; ask for fewer modes or use a larger m"
-            )
-        orthonormal = time.perf_counter()
-        projected = np.empty((Y.shape[1], Y.shape[1]))
-        for first in range(0, Y.shape[1], _COLUMNS):
-            columns = slice(first, first + _COLUMNS)
-            projected[:, columns] = Y.T @ (laplacian.stiffness @ Y[:, columns])
-        values, rotation = np.linalg.eigh((projected + projected.T) / 2)
-        vectors = Y @ rotation[:, :k]
-        return Eigenpairs(
-            values[:k],
-            vectors,
-            {
-                "subspace": predicted - start,
-                "orthonormalize": orthonormal - predicted,
-                "project": time.perf_counter() - orthonormal,
-            },
+        values, vectors, _ = ritz_pairs(
+            laplacian.stiffness, laplacian.mass, basis, k, rank_tol=self.rank_tol
         )
+        return Eigenpairs(
+            values,
+            vectors,
+            {"subspace": predicted - start, "rayleigh_ritz": time.perf_counter() - predicted},
+        )
+
+    def restricted(self, rows: NDArray[np.int64]) -> RayleighRitz:
+        """Return this solver for the points `rows` of its Laplacian alone."""
+        return replace(self, subspace=restricted(self.subspace, rows))
+
+
+def basis_with_kernel(subspace: Subspace, laplacian: Laplacian) -> NDArray[np.floating]:
+    """Return the basis of `subspace`, led by the constant function where that is a mode."""
+    basis = checked_basis(subspace, laplacian)
+    if not laplacian.kernel_dimension or np.ptp(basis[:, 0]) == 0:  # most begin with it
+        return basis
+    return np.column_stack([np.ones(laplacian.n, basis.dtype), basis])
 
 
 def checked_basis(subspace: Subspace, laplacian: Laplacian) -> NDArray[np.floating]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,16 @@ from spectra_kit._validate import check_count
 from spectra_kit._version import VERSION
 from spectra_kit.eigensolvers.arpack import Arpack
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
-from spectra_kit.errors import ConvergenceError, InvalidInputError, InvalidSpectrumError
+from spectra_kit.errors import (
+    ConvergenceError,
+    InvalidInputError,
+    InvalidSpectrumError,
+    OutOfMemoryError,
+    SpectraKitError,
+)
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.spectrum import Provenance, Spectrum
+from spectra_kit.subspaces import restricted
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -40,7 +48,8 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
     k : int
         Number of modes, zero modes included; at most the number of free points.
     solver : Eigensolver, default Arpack()
-        `Arpack`, `Lobpcg`, `Dense`, `RayleighRitz`, `Neo`, or your own.
+        `Arpack`, `Multilevel`, `Refined`, `Lobpcg`, `Dense`; approximate: `Neo`, `Polished`,
+        `RayleighRitz`; or your own.
 
     Returns
     -------
@@ -56,6 +65,8 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
         those of the components solved before. Modes may be missing between them.
     InvalidSpectrumError
         If the backend returned pairs of the wrong shape, not M-orthonormal, or negative.
+    OutOfMemoryError
+        If the backend needs more memory than there is.
 
     Examples
     --------
@@ -85,23 +96,46 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
         )
     start = time.perf_counter()
     name = repr(solver)  # before the work: a name that can't be told must not cost the result
-    stages: dict[str, float] = {}
+    tally = _Tally()
     try:
-        values, vectors = _solve_components(laplacian, k, solver, stages)
+        values, vectors = _solve_components(laplacian, k, solver, tally)
     except NotConvergedError as error:
         partial = None
         if error.pairs is not None and len(error.pairs.eigenvalues):
-            partial = _pack(laplacian, error.pairs, solver, name, stages, start)
+            partial = _pack(laplacian, error.pairs, solver, name, tally, start)
         raise ConvergenceError(f"{name}: {error}", partial=partial) from error
-    return _pack(laplacian, Eigenpairs(values, vectors), solver, name, stages, start)
+    except SpectraKitError:
+        raise
+    except MemoryError as error:
+        raise OutOfMemoryError(
+            f"{name}: {k} modes on {laplacian.n} points do not fit into memory ({error}); ask for"
+            " fewer, sample fewer points, or take a backend that needs less, such as"
+            " Lobpcg(preconditioner='amg')"
+        ) from error
+    return _pack(laplacian, Eigenpairs(values, vectors), solver, name, tally, start)
+
+
+@dataclass
+class _Tally:
+    """What the solver reports about its work, summed over the components."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    iterations: int | None = None
+
+    def add(self, pairs: Eigenpairs, seconds: float) -> None:
+        """Count one component, which took so many `seconds` where its solver does not say."""
+        for stage, spent in (pairs.seconds or {"solve": seconds}).items():
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + spent
+        if pairs.iterations is not None:
+            self.iterations = (self.iterations or 0) + pairs.iterations
 
 
 def _solve_components(
-    laplacian: Laplacian, k: int, solver: Eigensolver, stages: dict[str, float]
+    laplacian: Laplacian, k: int, solver: Eigensolver, tally: _Tally
 ) -> tuple[Floats, Floats]:
     """Solve each component and merge the k lowest pairs of all, eigenvectors padded with zeros."""
     if laplacian.n_components == 1 and not len(laplacian.fixed):
-        whole = _solve_connected(laplacian, k, solver, stages)
+        whole = _solve_connected(laplacian, k, solver, tally)
         return whole.eigenvalues, whole.eigenvectors
 
     parts = _component_indices(laplacian)
@@ -117,7 +151,7 @@ def _solve_components(
             if solved[i] is None:
                 try:
                     solved[i] = _solve_connected(
-                        laplacian.restricted(part), wanted[i], solver, stages
+                        laplacian.restricted(part), wanted[i], restricted(solver, part), tally
                     )
                 except NotConvergedError as error:
                     solved[i] = error.pairs
@@ -165,7 +199,7 @@ def _merge(pairs: list[Eigenpairs], parts: list[Ints], n: int, k: int | None = N
 
 
 def _solve_connected(
-    laplacian: Laplacian, k: int, solver: Eigensolver, stages: dict[str, float]
+    laplacian: Laplacian, k: int, solver: Eigensolver, tally: _Tally
 ) -> Eigenpairs:
     """Call the backend on one component, check the form of its answer, and sort it."""
     start = time.perf_counter()
@@ -179,8 +213,7 @@ def _solve_connected(
             f"{solver!r} must return shapes ({k},) and ({laplacian.n}, {k}),"
             f" got {values.shape} and {vectors.shape}"
         )
-    for stage, seconds in (pairs.seconds or {"solve": time.perf_counter() - start}).items():
-        stages[stage] = stages.get(stage, 0.0) + seconds
+    tally.add(pairs, time.perf_counter() - start)
     order = np.argsort(values, kind="stable")
     if not np.array_equal(order, np.arange(k)):
         values, vectors = values[order], vectors[:, order]
@@ -211,7 +244,7 @@ def _pack(
     pairs: Eigenpairs,
     solver: Eigensolver,
     name: str,
-    stages: dict[str, float],
+    tally: _Tally,
     start: float,
 ) -> Spectrum:
     """Check and certify `pairs`, and say where they come from."""
@@ -228,19 +261,20 @@ def _pack(
             f"{name} returned modes that are not M-orthonormal: |U^T M U - I| is {error:.2e}"
         )
     certified = time.perf_counter()
-    other = max(solved - start - sum(stages.values()), 0.0)
+    other = max(solved - start - sum(tally.seconds.values()), 0.0)
     provenance = Provenance(
         solver=name,
         operator=laplacian.operator,
         seed=None if (seed := getattr(solver, "seed", None)) is None else int(seed),
         seconds={
             "assembly": laplacian.seconds,
-            **stages,
+            **tally.seconds,
             "other": other,
             "certify": certified - solved,
         },
         input_hash=_fingerprint(laplacian),
         version=VERSION,
+        iterations=tally.iterations,
     )
     return Spectrum(
         spectrum.eigenvalues, spectrum.eigenvectors, spectrum.mass, spectrum.certificate, provenance

@@ -3,5 +3,16 @@
 from spectra_kit.subspaces.ambient_fourier import AmbientFourier
 from spectra_kit.subspaces.base import Subspace, Union
 from spectra_kit.subspaces.frame import POSES, Frame, canonical_frame
+from spectra_kit.subspaces.given import GivenBasis, RandomBasis, restricted
 
-__all__ = ["POSES", "AmbientFourier", "Frame", "Subspace", "Union", "canonical_frame"]
+__all__ = [
+    "POSES",
+    "AmbientFourier",
+    "Frame",
+    "GivenBasis",
+    "RandomBasis",
+    "Subspace",
+    "Union",
+    "canonical_frame",
+    "restricted",
+]

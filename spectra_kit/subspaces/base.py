@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.subspaces.given import restricted
 
 Floats = NDArray[np.float64]
 
@@ -65,3 +66,7 @@ class Union:
     def __call__(self, points: Floats, mass: Floats) -> NDArray[np.floating]:
         """See `Subspace`."""
         return np.hstack([part(points, mass) for part in self.parts])
+
+    def restricted(self, rows: NDArray[np.int64]) -> Union:
+        """Return this union for the points `rows` alone."""
+        return Union(*(restricted(part, rows) for part in self.parts))

@@ -1,0 +1,248 @@
+"""`Refined` and `Polished`: from any subspace to any accuracy."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._validate import check_count, check_positive
+from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError
+from spectra_kit.eigensolvers.dense import Dense
+from spectra_kit.eigensolvers.lobpcg import Lobpcg
+from spectra_kit.eigensolvers.rayleigh_ritz import basis_with_kernel
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg.shift_invert import Refinement, shift_invert_iteration
+from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.subspaces import AmbientFourier, Subspace, restricted
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Method = Literal["shift-invert", "chebyshev", "lobpcg"]
+
+_DENSE_RATIO = 5  # below this multiple of the block the trial space is most of the whole space
+_SMALLEST_RTOL = 1e-14  # residuals below this are rounding, whatever the operator
+
+
+def _quick_start() -> AmbientFourier:
+    """Return a start that costs less than what it saves."""
+    return AmbientFourier(m=256, bandwidth=7.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refined:
+    """Start from any subspace and iterate until every mode has the residual asked for.
+
+    Parameters
+    ----------
+    start : Subspace, default AmbientFourier(m=256, bandwidth=7.0)
+        Where to begin: a `NeoSubspace`, plane waves, `GivenBasis(previous.eigenvectors)`,
+        `RandomBasis`. The better it is, the fewer sweeps; the result is the same.
+    rtol : float, default 1e-8
+        Stop when ``||L u - lambda M u||`` in the M^-1 norm is at most
+        ``rtol * max(lambda, spacing)`` for every mode.
+    method : {"shift-invert", "chebyshev", "lobpcg"}, default "shift-invert"
+        Filtered block iterations on one sparse factor; the same without a factor, in torch on
+        `device`; or `Lobpcg`.
+    guard : float, default 0.5
+        Ritz vectors beyond k, relative to k. More converge in fewer, dearer sweeps.
+    degree : int, default 4
+        Of the filter in "shift-invert": solves of each column in a sweep.
+    max_sweeps : int, default 30
+        Sweeps (iterations of LOBPCG) before giving up.
+    device : str, default "cpu"
+        Of "chebyshev".
+    seed : int, default 0
+        Of the random columns that are added where the start has too few.
+
+    Raises
+    ------
+    InvalidInputError
+        If a parameter is out of range, or `device` is used with a method that knows none.
+    ConvergenceError
+        (from `eigensolve`) if the tolerance was not reached, because of `max_sweeps` or because
+        it is below rounding; ``partial`` holds the modes that reached it.
+
+    Notes
+    -----
+    See `linalg.shift_invert.shift_invert_iteration` for the method. ``provenance.iterations``
+    holds the sweeps it took, the certificate the residual of each mode.
+
+    Examples
+    --------
+    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit.geometry import sphere
+    >>> laplacian = robust_laplacian(sphere(subdivisions=4).geometry)
+    >>> spectrum = eigensolve(laplacian, 25, Refined(rtol=1e-6))
+    >>> bool(spectrum.certificate.relative_residuals.max() <= 1e-6)
+    True
+    """
+
+    start: Subspace = field(default_factory=_quick_start)
+    rtol: float = 1e-8
+    method: Method = "shift-invert"
+    guard: float = 0.5
+    degree: int = 4
+    max_sweeps: int = 30
+    device: str = "cpu"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _check_start(self.start)
+        if check_positive("rtol", self.rtol) < _SMALLEST_RTOL:
+            raise InvalidInputError(
+                f"`rtol` must be at least {_SMALLEST_RTOL:g}, the rounding of float64,"
+                f" got {self.rtol:g}"
+            )
+        if self.method not in ("shift-invert", "chebyshev", "lobpcg"):
+            raise InvalidInputError(
+                f"`method` must be 'shift-invert', 'chebyshev' or 'lobpcg', got {self.method!r}"
+            )
+        if self.device != "cpu" and self.method != "chebyshev":
+            raise InvalidInputError(
+                f"`device` must be 'cpu' for method {self.method!r}, got {self.device!r};"
+                " on an accelerator use method='chebyshev'"
+            )
+        _check_block(self.guard, self.degree, self.seed)
+        check_count("max_sweeps", self.max_sweeps, low=1)
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
+        """See `Eigensolver.eigenpairs`."""
+        if self.method == "lobpcg":
+            return Lobpcg(
+                start=self.start, rtol=self.rtol, max_steps=self.max_sweeps, seed=self.seed
+            ).eigenpairs(laplacian, k)
+        block = block_size(k, self.guard)
+        if _DENSE_RATIO * block >= laplacian.n:
+            return Dense().eigenpairs(laplacian, k)
+        pairs, refinement = _iterate(self, laplacian, k, rtol=self.rtol, sweeps=self.max_sweeps)
+        relative = refinement.residuals / np.maximum(
+            refinement.eigenvalues, laplacian.eigenvalue_spacing
+        )
+        good = relative <= self.rtol
+        if not good.all():
+            why = (
+                "where rounding stops them; loosen `rtol`"
+                if refinement.stalled
+                else "raise `max_sweeps`, loosen `rtol`, or use Arpack"
+            )
+            raise NotConvergedError(
+                f"{int(good.sum())} of {k} modes reached rtol = {self.rtol:g} in"
+                f" {refinement.sweeps} sweeps (largest relative residual {relative.max():.1e});"
+                f" {why}",
+                pairs._replace(
+                    eigenvalues=pairs.eigenvalues[good], eigenvectors=pairs.eigenvectors[:, good]
+                ),
+            )
+        return pairs
+
+    def restricted(self, rows: Ints) -> Refined:
+        """Return this solver for the points `rows` of its Laplacian alone."""
+        return replace(self, start=restricted(self.start, rows))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polished:
+    """A predicted subspace and a fixed number of sweeps over it: cheap, no promise.
+
+    One sweep of the default degree takes the eigenvalue error of a prediction from per cents to
+    some 1e-5. The certificate says what was reached; `Refined` goes on until it is enough.
+
+    Parameters
+    ----------
+    start : Subspace, default AmbientFourier(m=256, bandwidth=7.0)
+        The prediction.
+    sweeps : int, default 1
+        Filters to apply.
+    guard : float, default 0.5
+        Ritz vectors beyond k, relative to k.
+    degree : int, default 4
+        Of the filter: solves of each column in a sweep. 1 is a plain shift-invert iteration.
+    seed : int, default 0
+        Of the random columns that are added where the start has too few.
+
+    Raises
+    ------
+    InvalidInputError
+        If a parameter is out of range.
+
+    Examples
+    --------
+    >>> from spectra_kit import Arpack, eigensolve, robust_laplacian
+    >>> from spectra_kit.geometry import creature
+    >>> laplacian = robust_laplacian(creature(3000, seed=0))
+    >>> exact, polished = (eigensolve(laplacian, 60, s) for s in (Arpack(), Polished()))
+    >>> bool(abs(polished.eigenvalues[1:] / exact.eigenvalues[1:] - 1).max() < 1e-3)
+    True
+    """
+
+    start: Subspace = field(default_factory=_quick_start)
+    sweeps: int = 1
+    guard: float = 0.5
+    degree: int = 4
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _check_start(self.start)
+        check_count("sweeps", self.sweeps, low=1)
+        _check_block(self.guard, self.degree, self.seed)
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
+        """See `Eigensolver.eigenpairs`."""
+        if _DENSE_RATIO * block_size(k, self.guard) >= laplacian.n:
+            return Dense().eigenpairs(laplacian, k)
+        return _iterate(self, laplacian, k, rtol=0.0, sweeps=self.sweeps)[0]
+
+    def restricted(self, rows: Ints) -> Polished:
+        """Return this solver for the points `rows` of its Laplacian alone."""
+        return replace(self, start=restricted(self.start, rows))
+
+
+def block_size(k: int, guard: float) -> int:
+    """Return how many Ritz vectors to iterate on for k wanted ones."""
+    return k + max(8, round(guard * k))
+
+
+def _iterate(
+    solver: Refined | Polished, laplacian: Laplacian, k: int, *, rtol: float, sweeps: int
+) -> tuple[Eigenpairs, Refinement]:
+    """Predict, then sweep."""
+    begin = time.perf_counter()
+    block = block_size(k, solver.guard)
+    basis = basis_with_kernel(solver.start, laplacian)
+    predicted = time.perf_counter()
+    refinement = shift_invert_iteration(
+        laplacian.stiffness,
+        laplacian.mass,
+        basis,
+        k,
+        tolerance=lambda values: rtol * np.maximum(values, laplacian.eigenvalue_spacing),
+        block=block,
+        degree=solver.degree,
+        max_sweeps=sweeps,
+        seed=solver.seed,
+    )
+    pairs = Eigenpairs(
+        refinement.eigenvalues,
+        refinement.eigenvectors,
+        {"subspace": predicted - begin, **refinement.seconds},
+        refinement.sweeps,
+    )
+    return pairs, refinement
+
+
+def _check_start(start: object) -> None:
+    if not callable(start):
+        raise InvalidInputError(
+            f"`start` must be a subspace (a function of points and mass), got {start!r};"
+            " wrap columns that you have in GivenBasis(columns)"
+        )
+
+
+def _check_block(guard: float, degree: int, seed: int) -> None:
+    check_positive("guard", guard)
+    check_count("degree", degree, low=1)
+    check_count("seed", seed, low=0)

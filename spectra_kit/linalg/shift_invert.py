@@ -1,0 +1,238 @@
+"""Chebyshev-accelerated block shift-invert iterations: any start, driven to any residual."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg.ldl import SparseLDL
+from spectra_kit.linalg.ritz import ritz_pairs_at_most, ritz_rotation
+from spectra_kit.linalg.threads import in_threads, thread_count
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+
+_ROWS = 8_192  # of one task: fixed, so that sums do not depend on the number of threads
+_COLUMNS = 64  # filtered together: bounds the temporaries
+_SHIFT = 1 / 8  # of the guard eigenvalue: strong on the last modes, kind to float32 on the first
+_STALLED = 0.7  # a sweep that leaves more than this of the residuals gains nothing
+_OUTGROWN = 1 / 4  # a shift this many times larger than wanted is worth a new factor
+
+
+class Refinement(NamedTuple):
+    """What `shift_invert_iteration` reached.
+
+    Attributes
+    ----------
+    eigenvalues : ndarray of shape (k,)
+    eigenvectors : ndarray of shape (n, k)
+        M-orthonormal.
+    residuals : ndarray of shape (k,)
+        ``||L u - lambda M u||`` in the M^-1 norm.
+    sweeps : int
+        Filters applied.
+    solves : int
+        Columns that were solved for with the factor.
+    stalled : bool
+        Whether it gave up because the residuals no longer fell: rounding.
+    seconds : dict of str to float
+        Wall time of ``factor``, ``filter``, ``rayleigh_ritz`` and ``residuals``.
+    """
+
+    eigenvalues: Floats
+    eigenvectors: Floats
+    residuals: Floats
+    sweeps: int
+    solves: int
+    stalled: bool
+    seconds: dict[str, float]
+
+
+@dataclass(frozen=True)
+class ShiftedFactor:
+    """``L - sigma M`` with sigma < 0, factorised."""
+
+    factor: SparseLDL
+    sigma: float
+
+
+def factor_below(stiffness: sparse.csr_array, mass: Floats, guard: float) -> ShiftedFactor:
+    """Factorise ``L - sigma M`` with the shift that suits modes up to the eigenvalue `guard`."""
+    sigma = -_SHIFT * guard
+    try:
+        factor = SparseLDL(sparse.csr_array(stiffness - sigma * sparse.diags_array(mass)))
+    except InvalidInputError as error:
+        raise InvalidInputError(
+            f"`stiffness` must be positive semi-definite, but with {-sigma:.3g} M added to it a"
+            " Cholesky factor does not exist; is its sign right, and is it symmetric?"
+        ) from error
+    return ShiftedFactor(factor, sigma)
+
+
+def shift_invert_iteration(
+    stiffness: sparse.csr_array,
+    mass: Floats,
+    start: NDArray[np.floating],
+    k: int,
+    *,
+    tolerance: Callable[[Floats], Floats],
+    block: int,
+    degree: int = 4,
+    max_sweeps: int = 30,
+    shifted: ShiftedFactor | None = None,
+    seed: int = 0,
+) -> Refinement:
+    """Drive the span of `start` to the k lowest eigenpairs of ``L u = lambda M u``.
+
+    Parameters
+    ----------
+    stiffness : sparse array of shape (n, n)
+        L, symmetric positive semi-definite.
+    mass : ndarray of shape (n,)
+        Diagonal of M, positive.
+    start : ndarray of shape (n, m)
+        Any columns; the closer to the wanted span, the fewer sweeps.
+    k : int
+        Wanted pairs.
+    tolerance : callable
+        Largest allowed residual norm of each Ritz value.
+    block : int
+        Ritz vectors to iterate on, k < block; those beyond k guard the last wanted ones.
+    degree : int, default 4
+        Of the filter: solves of each column in a sweep.
+    max_sweeps : int, default 30
+        Filters before giving up; with 0 this is Rayleigh-Ritz with residuals.
+    shifted : ShiftedFactor, optional
+        From `factor_below` or an earlier call; made from the Ritz values without it.
+    seed : int, default 0
+        Of the random columns that make up for a start of lower rank than `block`.
+
+    Returns
+    -------
+    Refinement
+        Converged where ``residuals <= tolerance(eigenvalues)``.
+
+    Raises
+    ------
+    InvalidInputError
+        If `start` holds NaN, infinity or only zeros, or `stiffness` is not semi-definite.
+
+    Notes
+    -----
+    A sweep applies a Chebyshev polynomial p of ``T = (L - sigma M)^-1 M`` that is small on the
+    eigenvalues of T beyond the guard and large on the wanted ones (Zhou, Saad, Tiago and
+    Chelikowsky, *Self-consistent-field calculations using Chebyshev-filtered subspace iteration*,
+    2006, with T in place of the operator), then Rayleigh-Ritz. For a Ritz pair
+    (theta, x) with residual r, ``p(T) x / p(mu) = x + f`` with ``mu = 1 / (theta - sigma)``, and f
+    obeys the three-term recurrence of p driven by ``-mu (L - sigma M)^-1 r``. Only f is computed
+    by the factor: its relative accuracy is all that counts, so float32 suffices down to the
+    last digit of float64.
+    """
+    clock = _Clock()
+    values, X, _ = ritz_pairs_at_most(stiffness, mass, start, block)
+    if X.shape[1] < block:
+        noise = np.random.default_rng(seed).standard_normal((len(X), block - X.shape[1]))
+        noise /= np.sqrt(mass @ noise**2)
+        values, X = ritz_rotation(stiffness, mass, np.hstack([X, noise]))
+    clock.stage("rayleigh_ritz")
+    R, norms = _residuals(stiffness, mass, X, values)
+    clock.stage("residuals")
+    solves, sweeps, stalled = 0, 0, False
+    while True:
+        open_modes = norms[:k] > tolerance(values[:k])
+        if not open_modes.any() or sweeps == max_sweeps or stalled:
+            break
+        guard = float(values[-1])
+        if shifted is None or -shifted.sigma * _OUTGROWN > _SHIFT * guard:
+            shifted = factor_below(stiffness, mass, guard)
+            clock.stage("factor")
+        # Guard columns move with the wanted ones; wanted ones that have converged stay.
+        active = np.flatnonzero(np.concatenate([open_modes, np.full(block - k, True)]))
+        for part in np.split(active, range(_COLUMNS, len(active), _COLUMNS)):
+            X[:, part] += _correction(shifted, mass, R[:, part], values[part], guard, degree)
+        clock.stage("filter")
+        values, X = ritz_rotation(stiffness, mass, X)
+        clock.stage("rayleigh_ritz")
+        before = norms
+        R, norms = _residuals(stiffness, mass, X, values)
+        clock.stage("residuals")
+        solves += degree * len(active)
+        sweeps += 1
+        stalled = bool((norms[:k][open_modes] > _STALLED * before[:k][open_modes]).all())
+    return Refinement(values[:k], X[:, :k], norms[:k], sweeps, solves, stalled, clock.seconds)
+
+
+class _Clock:
+    """Wall time by stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def stage(self, name: str) -> None:
+        """Book the time since the last stage under `name`."""
+        now = time.perf_counter()
+        self.seconds[name] = self.seconds.get(name, 0.0) + now - self._last
+        self._last = now
+
+
+def _residuals(
+    stiffness: sparse.csr_array, mass: Floats, X: Floats, values: Floats
+) -> tuple[Singles, Floats]:
+    """Return the residuals ``L x - lambda M x`` and their M^-1 norms."""
+    from spectra_kit.linalg._filter_kernels import residual_rows
+
+    R = np.empty(X.shape, np.float32)
+    cuts = list(range(0, len(X), _ROWS)) + [len(X)]
+    squares = np.empty((len(cuts) - 1, X.shape[1]))
+    rows = (stiffness.indptr, stiffness.indices, stiffness.data)
+    in_threads(
+        residual_rows,
+        (
+            (*rows, mass, X, values, R, squares[i], start, stop)
+            for i, (start, stop) in enumerate(pairwise(cuts))
+        ),
+    )
+    return R, np.sqrt(squares.sum(axis=0))
+
+
+def _correction(
+    shifted: ShiftedFactor, mass: Floats, R: Singles, values: Floats, guard: float, degree: int
+) -> Singles:
+    """Return what the filter of this `degree`, normalised to 1 at `values`, adds to each column."""
+    from spectra_kit.linalg._filter_kernels import chebyshev_step
+
+    sigma = shifted.sigma
+    gain = 2 * (guard - sigma)  # T is mapped so that [0, 1 / (guard - sigma)] becomes [-1, 1]
+    mu = 1 / (values - sigma)
+    x = gain * mu - 1
+    p_before, p = np.ones_like(x), x  # Chebyshev polynomials of degree j - 1 and j at x
+    solved = shifted.factor.solve(R, dtype=np.float32)
+    first = np.float32(-gain * mu) * solved
+    correction = first / np.float32(x)
+    previous = np.zeros_like(first)
+    weights = mass.astype(np.float32)
+    np.multiply(weights[:, None], correction, out=solved)
+    blocks = 4 * thread_count()
+    cuts = [round(i * len(mass) / blocks) for i in range(blocks + 1)]
+    for _ in range(degree - 1):
+        solved = shifted.factor.solve(solved, dtype=np.float32)
+        p_next = 2 * x * p - p_before
+        a, b, c = (np.float32(q / p_next) for q in (2 * p, p_before, 2 * p))
+        in_threads(
+            chebyshev_step,
+            (
+                (solved, correction, previous, first, weights, gain, a, b, c, lo, hi)
+                for lo, hi in pairwise(cuts)
+            ),
+        )
+        p_before, p = p, p_next
+    return correction

@@ -1,0 +1,110 @@
+"""Subspaces that are not predicted: columns one already has, and random ones."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit._validate import Rebuilt, check_count, frozen, real_array
+from spectra_kit.errors import InvalidInputError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Solver = TypeVar("Solver")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GivenBasis(Rebuilt):
+    """Columns on known points: the modes of a previous frame of an animation, a coarse solve.
+
+    Parameters
+    ----------
+    columns : array_like of shape (n, m)
+        One row for each point of the Laplacian that it will be used with, in its order.
+
+    Raises
+    ------
+    InvalidInputError
+        If `columns` is not a finite (n, m) array; when called, if there is another number of
+        points.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> GivenBasis(np.eye(4))(np.zeros((4, 3)), np.ones(4)).shape
+    (4, 4)
+    """
+
+    columns: Floats
+
+    def __init__(self, columns: ArrayLike) -> None:
+        array = real_array("columns", columns)
+        if array.ndim != 2 or array.size == 0:
+            raise InvalidInputError(f"`columns` must have shape (n, m), got {array.shape}")
+        object.__setattr__(self, "columns", frozen(array))
+
+    def __call__(self, points: Floats, mass: Floats) -> Floats:
+        """See `Subspace`."""
+        if len(points) != len(self.columns):
+            raise InvalidInputError(
+                f"`columns` must have a row for each of {len(points)} points,"
+                f" got {len(self.columns)}; are they of another sampling?"
+            )
+        return self.columns
+
+    def __repr__(self) -> str:
+        digest = hashlib.blake2b(np.ascontiguousarray(self.columns).data, digest_size=6)
+        return f"GivenBasis(<{self.columns.shape}, blake2b={digest.hexdigest()!r}>)"
+
+    def restricted(self, rows: Ints) -> GivenBasis:
+        """Return the columns on the points `rows` alone."""
+        return GivenBasis(self.columns[rows])
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomBasis:
+    """White noise: the start that knows nothing.
+
+    Parameters
+    ----------
+    m : int, default 64
+        Number of columns.
+    seed : int, default 0
+        Same seed, same columns.
+
+    Raises
+    ------
+    InvalidInputError
+        If a parameter is out of range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> RandomBasis(m=5)(np.zeros((9, 3)), np.ones(9)).shape
+    (9, 5)
+    """
+
+    m: int = 64
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_count("m", self.m, low=1)
+        check_count("seed", self.seed, low=0)
+
+    def __call__(self, points: Floats, mass: Floats) -> Floats:
+        """See `Subspace`."""
+        return np.random.default_rng(self.seed).standard_normal((len(points), self.m))
+
+
+def restricted(part: Solver, rows: Ints) -> Solver:
+    """Return `part` (a subspace or a solver) for the points `rows` alone.
+
+    What is a function of the points needs no change; what is tied to them has a method of this
+    name.
+    """
+    method = getattr(part, "restricted", None)
+    return part if method is None else method(rows)
