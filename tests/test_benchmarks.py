@@ -246,6 +246,7 @@ def result(method, seconds, error):
         reason="",
         seconds=(seconds,),
         cpu_share=1.0,
+        iterations=None,
         assembly_seconds=0.1,
         peak_bytes=0,
         device_peak_bytes=0,

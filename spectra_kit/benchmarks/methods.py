@@ -13,7 +13,15 @@ from spectra_kit.benchmarks.peers import (
     PyamgLobpcg,
     ScipyEigsh,
 )
-from spectra_kit.eigensolvers import Arpack, Eigensolver, Lobpcg, Neo, RayleighRitz
+from spectra_kit.eigensolvers import (
+    Arpack,
+    Eigensolver,
+    Lobpcg,
+    Neo,
+    Polished,
+    RayleighRitz,
+    Refined,
+)
 from spectra_kit.subspaces import AmbientFourier
 
 
@@ -48,24 +56,31 @@ class Entry:
 
 
 _BOTH = ("cpu", "cuda")
+_RTOL = 1e-6  # of every method that takes one; without it they solve to machine precision
 
-#: Name -> backend, in the order of tables. Tolerances are the defaults of each.
+#: Name -> backend, in the order of tables.
 METHODS: dict[str, Entry] = {
     "arpack": Entry(make=lambda device: Arpack()),
-    "lobpcg": Entry(make=lambda device: Lobpcg()),
+    "lobpcg": Entry(make=lambda device: Lobpcg(rtol=_RTOL)),
     "lobpcg-amg": Entry(
-        make=lambda device: Lobpcg(preconditioner="amg"), needs="pyamg", pip="pyamg"
+        make=lambda device: Lobpcg(preconditioner="amg", rtol=_RTOL), needs="pyamg", pip="pyamg"
     ),
     "fourier": Entry(
         make=lambda device: RayleighRitz(subspace=AmbientFourier(m=320, bandwidth=7.0))
     ),
     "neo": Entry(make=lambda device: Neo(device=device), devices=_BOTH),
     "neo-2": Entry(make=lambda device: Neo(poses=2, device=device), devices=_BOTH),
+    "polished": Entry(make=lambda device: Polished()),
+    "polished-neo": Entry(make=lambda device: Polished(start=Neo().subspace)),
+    "refined": Entry(make=lambda device: Refined(rtol=_RTOL)),
+    "refined-neo": Entry(make=lambda device: Refined(start=Neo().subspace, rtol=_RTOL)),
     "eigsh": Entry(make=lambda device: ScipyEigsh(), peer=True),
     "eigsh-dnet": Entry(make=lambda device: DiffusionNetEigsh(), peer=True),
     "lapy": Entry(make=lambda device: LapySolver(), needs="lapy", pip="lapy", peer=True),
     "spectra": Entry(make=lambda device: LibiglSpectra(), peer=True),
-    "lobpcg-pyamg": Entry(make=lambda device: PyamgLobpcg(), needs="pyamg", pip="pyamg", peer=True),
+    "lobpcg-pyamg": Entry(
+        make=lambda device: PyamgLobpcg(rtol=_RTOL), needs="pyamg", pip="pyamg", peer=True
+    ),
 }
 #: The call that everybody writes: speeds are given as multiples of its.
 BASELINE = "eigsh"

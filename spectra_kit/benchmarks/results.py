@@ -34,6 +34,8 @@ class Result:
         Of each solve: no assembly, no certificate.
     cpu_share : float or None
         Processor time for each second of the clock, median: below 1 where something else ran.
+    iterations : int or None
+        Sweeps or steps, where the method counts them.
     assembly_seconds : float or None
         Of L and M, measured once.
     peak_bytes, device_peak_bytes : int or None
@@ -60,6 +62,7 @@ class Result:
     reason: str
     seconds: tuple[float, ...]
     cpu_share: float | None
+    iterations: int | None
     assembly_seconds: float | None
     peak_bytes: int | None
     device_peak_bytes: int | None
@@ -139,6 +142,7 @@ def _result(
         reason="" if bad is None else bad["reason"],
         seconds=tuple(record["seconds"] for record in good),
         cpu_share=statistics.median(shares) if shares else None,
+        iterations=first("iterations"),
         assembly_seconds=first("assembly_seconds"),
         peak_bytes=largest("peak_bytes"),
         device_peak_bytes=largest("device_peak_bytes"),

@@ -100,6 +100,7 @@ class Runner:
             "wall_seconds": wall,
             "cpu_seconds": cpu,
             "stages": stages,
+            "iterations": spectrum.provenance.iterations,
             "peak_bytes": max(memory - before, 0),
             "device_peak_bytes": device_memory,
             "residual_max": float(residuals.max()),
