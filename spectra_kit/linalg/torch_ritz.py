@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import warnings
 from typing import NamedTuple
@@ -123,8 +124,8 @@ def rayleigh_ritz(
     ----------
     stiffness : sparse CSR Tensor of shape (n, n)
         L, symmetric and positive semi-definite, float64; see `sparse_tensor`.
-    mass : Tensor of shape (n,)
-        Diagonal of M, in length^2.
+    mass : Tensor of shape (n,), or sparse CSR Tensor of shape (n, n)
+        Diagonal of M, or M itself, float64, in length^2.
     basis : Tensor of shape (n, m)
         Any precision, any scale, dependent columns allowed.
     k : int or None
@@ -154,8 +155,10 @@ def rayleigh_ritz(
     if whitening is None:
         whitening, single = _whitening(_gram(basis, mass, torch.float64), _DOUBLE_LIMIT), False
     if whitening is None:
-        basis = orthonormalize(basis, mass, rank_tol=rank_tol)
-        whitening = torch.eye(basis.shape[1], dtype=torch.float64, device=basis.device)
+        weights = mass if mass.ndim == 1 else torch.ones_like(basis[:, 0])
+        basis = orthonormalize(basis, weights, rank_tol=rank_tol)
+        whitening = _whitening(_gram(basis, mass, torch.float64), math.inf)
+    assert whitening is not None
     k = basis.shape[1] if k is None else k
     if basis.shape[1] < k:
         raise InvalidInputError(
@@ -167,8 +170,8 @@ def rayleigh_ritz(
     clock.stage("project")
     _, eigenvectors = _lift(projected, whitening, basis, k)
     clock.stage("eigh")
-    whitening = _whitening(_gram(eigenvectors, mass, torch.float64), _DOUBLE_LIMIT)
-    assert whitening is not None
+    whitening = _whitening(_gram(eigenvectors, mass, torch.float64), math.inf)
+    assert whitening is not None  # the columns are nearly M-orthonormal
     values, eigenvectors = _lift(
         _project(stiffness, eigenvectors, torch.float64), whitening, eigenvectors, k
     )
@@ -188,6 +191,8 @@ def _single_whitening(basis: Tensor, mass: Tensor) -> Tensor | None:
 
 def _gram(basis: Tensor, mass: Tensor, dtype: torch.dtype) -> Tensor:
     """Return ``F^T M F`` in float64: products in `dtype`, sums over blocks of rows in float64."""
+    if mass.ndim == 2:
+        return _project(mass, basis, dtype)
     m, mean = basis.shape[1], mass.double().mean()
     gram = torch.zeros(m, m, dtype=torch.float64, device=basis.device)
     root = (mass / mean).sqrt().to(dtype).unsqueeze(1)
@@ -214,14 +219,17 @@ def _whitening(gram: Tensor, limit: float) -> Tensor | None:
 
 
 def _project(stiffness: Tensor, basis: Tensor, dtype: torch.dtype) -> Tensor:
-    """Return ``F^T L F`` in float64, products in `dtype`; its lower triangle is computed."""
+    """Return ``F^T L F`` in float64, of which the lower triangle is computed.
+
+    L F is always a float64 product, for in it the high frequencies of L cancel; what `dtype` rounds
+    is the result.
+    """
     m = basis.shape[1]
-    operator = stiffness.to(dtype)
     projected = torch.zeros(m, m, dtype=torch.float64, device=basis.device)
     rows = _SINGLE_ROWS if dtype == torch.float32 else _ROWS
     for first in range(0, m, _COLUMNS):
         columns = slice(first, first + _COLUMNS)
-        image = operator @ basis[:, columns].to(dtype).contiguous()
+        image = (stiffness @ basis[:, columns].double().contiguous()).to(dtype)
         target = projected[first:, columns]
         for part, block in zip(
             torch.split(basis[:, first:], rows), torch.split(image, rows), strict=True
