@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -19,7 +19,7 @@ from spectra_kit.eigensolvers.rayleigh_ritz import checked_basis
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.linalg import SparseLDL, orthonormalize
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.subspaces import Subspace
+from spectra_kit.subspaces import Subspace, restricted
 
 Floats = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ class Lobpcg:
         precondition = self._preconditioner(laplacian, root)
         prepared = time.perf_counter()
         spacing = laplacian.eigenvalue_spacing
-        values, vectors, residual = lobpcg(
+        values, vectors, residual, steps = lobpcg(
             standard,
             orthonormalize(root[:, None] * self._start(laplacian, block), np.ones(laplacian.n)),
             precondition,
@@ -114,15 +114,20 @@ class Lobpcg:
             values,
             vectors / root[:, None],
             {"precondition": prepared - begin, "lobpcg": time.perf_counter() - prepared},
+            steps,
         )
         if not good.all():
             raise NotConvergedError(
                 f"LOBPCG brought {int(good.sum())} of {k} modes to rtol = {self.rtol:g} in"
-                f" {self.max_steps} steps (largest relative residual {relative.max():.1e});"
+                f" {steps} steps (largest relative residual {relative.max():.1e});"
                 " raise `max_steps`, loosen `rtol`, or use Arpack",
                 Eigenpairs(values[good], pairs.eigenvectors[:, good]),
             )
         return pairs
+
+    def restricted(self, rows: NDArray[np.int64]) -> Lobpcg:
+        """Return this solver for the points `rows` of its Laplacian alone."""
+        return self if self.start is None else replace(self, start=restricted(self.start, rows))
 
     def _start(self, laplacian: Laplacian, block: int) -> Floats:
         """Return `block` M-orthonormal start vectors."""
@@ -166,7 +171,7 @@ def lobpcg(
     tolerance: Callable[[Floats], Floats],
     k: int,
     max_steps: int,
-) -> tuple[Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, Floats, int]:
     """Find the k lowest eigenpairs of a symmetric `operator` from b >= k orthonormal columns.
 
     Parameters
@@ -182,7 +187,7 @@ def lobpcg(
 
     Returns
     -------
-    eigenvalues (k,), eigenvectors (n, k), residual norms (k,)
+    eigenvalues (k,), eigenvectors (n, k), residual norms (k,), steps taken
 
     Notes
     -----
@@ -196,6 +201,7 @@ def lobpcg(
     x = start @ rotation
     b = x.shape[1]
     directions = np.empty((len(x), 0))
+    steps = 0
     for _ in range(max_steps):
         residuals = operator @ x - x * values
         norms = np.linalg.norm(residuals, axis=0)
@@ -213,6 +219,7 @@ def lobpcg(
         values, rotation = ritz[:b], rotation[:, :b]
         directions = (trial @ rotation[b:])[:, active]
         x = space @ rotation
+        steps += 1
     else:
         norms = np.linalg.norm(operator @ x - x * values, axis=0)
-    return values[:k], x[:, :k], norms[:k]
+    return values[:k], x[:, :k], norms[:k], steps

@@ -118,26 +118,29 @@ class Refined:
         block = block_size(k, self.guard)
         if _DENSE_RATIO * block >= laplacian.n:
             return Dense().eigenpairs(laplacian, k)
-        pairs, refinement = _iterate(self, laplacian, k, rtol=self.rtol, sweeps=self.max_sweeps)
-        relative = refinement.residuals / np.maximum(
-            refinement.eigenvalues, laplacian.eigenvalue_spacing
-        )
+        if self.method == "chebyshev":
+            return self._checked(*_filter_on_device(self, laplacian, k, block), laplacian)
+        pairs, reached = _iterate(self, laplacian, k, rtol=self.rtol, sweeps=self.max_sweeps)
+        return self._checked(pairs, reached.residuals, reached.stalled, laplacian)
+
+    def _checked(
+        self, pairs: Eigenpairs, residuals: Floats, stalled: bool, laplacian: Laplacian
+    ) -> Eigenpairs:
+        """Return `pairs` if all are within the tolerance; else raise with those that are."""
+        relative = residuals / np.maximum(pairs.eigenvalues, laplacian.eigenvalue_spacing)
         good = relative <= self.rtol
-        if not good.all():
-            why = (
-                "where rounding stops them; loosen `rtol`"
-                if refinement.stalled
-                else "raise `max_sweeps`, loosen `rtol`, or use Arpack"
-            )
-            raise NotConvergedError(
-                f"{int(good.sum())} of {k} modes reached rtol = {self.rtol:g} in"
-                f" {refinement.sweeps} sweeps (largest relative residual {relative.max():.1e});"
-                f" {why}",
-                pairs._replace(
-                    eigenvalues=pairs.eigenvalues[good], eigenvectors=pairs.eigenvectors[:, good]
-                ),
-            )
-        return pairs
+        if good.all():
+            return pairs
+        why = (
+            "where rounding stops them; loosen `rtol`"
+            if stalled
+            else "raise `max_sweeps`, loosen `rtol`, or use Arpack"
+        )
+        raise NotConvergedError(
+            f"{int(good.sum())} of {len(good)} modes reached rtol = {self.rtol:g} in"
+            f" {pairs.iterations} sweeps (largest relative residual {relative.max():.1e}); {why}",
+            Eigenpairs(pairs.eigenvalues[good], pairs.eigenvectors[:, good]),
+        )
 
     def restricted(self, rows: Ints) -> Refined:
         """Return this solver for the points `rows` of its Laplacian alone."""
@@ -232,6 +235,45 @@ def _iterate(
         refinement.sweeps,
     )
     return pairs, refinement
+
+
+def _filter_on_device(
+    solver: Refined, laplacian: Laplacian, k: int, block: int
+) -> tuple[Eigenpairs, Floats, bool]:
+    """Refine without a factor, in torch; return the pairs, their residuals, whether it stalled."""
+    import torch
+
+    from spectra_kit.linalg.chebyshev import chebyshev_eigenpairs
+    from spectra_kit.linalg.torch_ritz import Clock, sparse_tensor
+
+    clock = Clock(torch.device(solver.device))
+    basis = basis_with_kernel(solver.start, laplacian)
+    noise = np.random.default_rng(solver.seed).standard_normal(
+        (laplacian.n, max(block - basis.shape[1], 0))
+    )
+    clock.stage("subspace")
+    stiffness = sparse_tensor(laplacian.stiffness, solver.device)
+    mass = torch.from_numpy(np.array(laplacian.mass)).to(solver.device)
+    columns = torch.from_numpy(np.hstack([basis, noise])).to(solver.device)
+    clock.stage("transfer")
+    found = chebyshev_eigenpairs(
+        stiffness,
+        mass,
+        columns,
+        k,
+        rtol=solver.rtol,
+        spacing=laplacian.eigenvalue_spacing,
+        block=block,
+        max_sweeps=solver.max_sweeps,
+    )
+    clock.stage("filter")
+    values, vectors, residuals = (
+        np.asarray(t.cpu().numpy())
+        for t in (found.eigenvalues, found.eigenvectors, found.residuals)
+    )
+    clock.stage("return")
+    pairs = Eigenpairs(values, vectors, clock.seconds, found.sweeps)
+    return pairs, residuals, found.stalled
 
 
 def _check_start(start: object) -> None:

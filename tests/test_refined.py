@@ -1,0 +1,251 @@
+"""Refinement of any start to any residual, and what happens when it cannot be reached."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import bumpy, two_parts
+
+from spectra_kit import (
+    AmbientFourier,
+    ConvergenceError,
+    GivenBasis,
+    InvalidInputError,
+    Laplacian,
+    Neo,
+    OutOfMemoryError,
+    Polished,
+    RandomBasis,
+    RayleighRitz,
+    Refined,
+    Union,
+    cotan_laplacian,
+    eigensolve,
+    robust_laplacian,
+)
+from spectra_kit.geometry import TriangleMesh, creature, rectangle
+from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation, weighted_gram
+from spectra_kit.linalg.shift_invert import factor_below, shift_invert_iteration
+
+K = 40
+
+
+@pytest.fixture(scope="module")
+def laplacian() -> Laplacian:
+    return robust_laplacian(creature(4000, seed=0))
+
+
+@pytest.fixture(scope="module")
+def exact(laplacian: Laplacian):
+    return eigensolve(laplacian, 70)
+
+
+STARTS = {
+    "waves": AmbientFourier(m=100, bandwidth=4.0),
+    "network": Neo().subspace,
+    "random": RandomBasis(m=60, seed=3),
+    "too few columns": RandomBasis(m=5),
+    "constants alone": lambda points, mass: np.ones((len(points), 3)),
+    "union": Union(AmbientFourier(m=50, bandwidth=4.0), RandomBasis(m=20)),
+}
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-10])
+@pytest.mark.parametrize("start", STARTS)
+def test_any_start_reaches_any_tolerance(laplacian, exact, start: str, rtol: float) -> None:
+    s = eigensolve(laplacian, K, Refined(start=STARTS[start], rtol=rtol))
+    assert s.certificate.relative_residuals.max() <= rtol
+    # The error of a Ritz value is quadratic in its residual.
+    assert s.eigenvalues == pytest.approx(exact.eigenvalues[:K], rel=max(10 * rtol**2, 1e-11))
+    assert s.provenance.iterations >= 1
+
+
+@pytest.mark.parametrize("method", ["chebyshev", "lobpcg"])
+def test_other_methods(laplacian, exact, method: str) -> None:
+    s = eigensolve(
+        laplacian, K, Refined(start=AmbientFourier(m=100), method=method, rtol=1e-6, max_sweeps=90)
+    )
+    assert s.certificate.relative_residuals.max() <= 1e-6 * (1 + 1e-6)
+    assert s.eigenvalues == pytest.approx(exact.eigenvalues[:K], rel=1e-10)
+    assert s.provenance.iterations >= 1
+
+
+def test_the_methods_agree_on_what_converged_means(laplacian) -> None:
+    """A start that has already converged takes no sweep, whoever made it."""
+    tight = eigensolve(laplacian, K, Refined(rtol=1e-10))
+    again = Refined(start=GivenBasis(tight.eigenvectors), rtol=1e-8)
+    assert eigensolve(laplacian, K, again).provenance.iterations == 0
+
+
+def test_a_better_start_takes_fewer_sweeps(laplacian, exact) -> None:
+    sweeps = [
+        eigensolve(laplacian, K, Refined(start=start)).provenance.iterations
+        for start in (GivenBasis(exact.eigenvectors), STARTS["network"], RandomBasis(m=60))
+    ]
+    assert sweeps[0] == 0
+    assert sweeps[0] < sweeps[1] < sweeps[2]
+
+
+def test_frames_of_an_animation() -> None:
+    """The modes of one frame are a good start for the next."""
+    mesh = creature(4000, seed=0)
+    modes = eigensolve(robust_laplacian(mesh), 60).eigenvectors
+
+    p = np.array(mesh.points)
+    p[:, 1] += 0.01 * p[:, 0] ** 2
+    moved = robust_laplacian(TriangleMesh(p, mesh.faces))
+    warm, cold = (
+        eigensolve(moved, K, Refined(start=start, rtol=1e-6)).provenance.iterations
+        for start in (GivenBasis(modes), RandomBasis(m=60))
+    )
+    assert warm <= cold / 2
+
+
+def test_components_and_fixed_points() -> None:
+    both = robust_laplacian(two_parts())
+    columns = np.random.default_rng(0).standard_normal((both.n, 60))
+    mesh = rectangle(n=2000).geometry
+    held = cotan_laplacian(mesh).dirichlet(mesh.boundary_vertices)
+    for laplacian in (both, held):
+        columns = np.random.default_rng(0).standard_normal((laplacian.n, 60))
+        for start in (GivenBasis(columns), Union(GivenBasis(columns), AmbientFourier(m=64))):
+            s = eigensolve(laplacian, 12, Refined(start=start, rtol=1e-9))
+            assert s.certificate.relative_residuals.max() <= 1e-9
+            assert s.eigenvalues == pytest.approx(
+                eigensolve(laplacian, 12).eigenvalues, rel=1e-10, abs=1e-12
+            )
+
+
+def test_units(laplacian, exact) -> None:
+    """Lengths in other units: the same sweeps, eigenvalues in 1/length^2."""
+    for unit in (1e-3, 1e3):
+        scaled = Laplacian(laplacian.stiffness, laplacian.mass * unit**2, laplacian.points * unit)
+        s = eigensolve(scaled, K, Refined(rtol=1e-6))
+        assert s.eigenvalues * unit**2 == pytest.approx(exact.eigenvalues[:K], rel=1e-10)
+        assert (
+            s.provenance.iterations
+            == eigensolve(laplacian, K, Refined(rtol=1e-6)).provenance.iterations
+        )
+
+
+def test_short_of_the_tolerance(laplacian) -> None:
+    """The error carries the modes that made it, and only these."""
+    with pytest.raises(ConvergenceError, match="of 40 modes reached rtol = 1e-08 in 2 sweeps") as e:
+        eigensolve(laplacian, K, Refined(start=RandomBasis(), max_sweeps=2))
+    partial = e.value.partial
+    assert partial is None or (
+        0 < partial.k < K and partial.certificate.relative_residuals.max() <= 1e-8
+    )
+
+
+def test_tolerance_below_rounding(laplacian) -> None:
+    with pytest.raises(ConvergenceError, match="rounding stops them; loosen `rtol`") as e:
+        eigensolve(laplacian, K, Refined(rtol=1e-14))
+    assert e.value.partial is None or e.value.partial.k < K
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rtol": 1e-16}, "`rtol` must be at least 1e-14, the rounding of float64"),
+        ({"rtol": 0.0}, "`rtol` must be positive"),
+        ({"method": "magic"}, "`method` must be 'shift-invert'"),
+        ({"device": "cuda"}, "on an accelerator use method='chebyshev'"),
+        ({"start": np.eye(3)}, r"wrap columns that you have in GivenBasis\(columns\)"),
+        ({"guard": 0.0}, "`guard` must be positive"),
+        ({"degree": 0}, "`degree` must be at least 1"),
+        ({"max_sweeps": 0}, "`max_sweeps` must be at least 1"),
+        ({"seed": -1}, "`seed` must be at least 0"),
+    ],
+)
+def test_bad_options(options, message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        Refined(**options)
+
+
+def test_nan_from_a_network(laplacian) -> None:
+    def broken(points, mass):
+        return np.full((len(points), 60), np.nan)
+
+    for solver in (Refined(start=broken), Polished(start=broken), RayleighRitz(subspace=broken)):
+        with pytest.raises(InvalidInputError, match="`basis` must have finite columns"):
+            eigensolve(laplacian, K, solver)
+
+
+def test_out_of_memory(laplacian) -> None:
+    class Greedy:
+        def eigenpairs(self, laplacian, k):
+            return np.empty(1 << 44), None
+
+    with pytest.raises(OutOfMemoryError, match="40 modes on 4000 points do not fit into memory"):
+        eigensolve(laplacian, K, Greedy())
+
+
+def test_indefinite_operator(laplacian) -> None:
+    with pytest.raises(InvalidInputError, match="`stiffness` must be positive semi-definite"):
+        factor_below(-laplacian.stiffness, laplacian.mass, 1.0)
+
+
+def test_polish_gains_with_each_sweep_and_degree(laplacian, exact) -> None:
+    start = AmbientFourier(m=100, bandwidth=4.0)
+
+    def error(solver) -> float:
+        values = eigensolve(laplacian, K, solver).eigenvalues
+        return np.abs(values[1:] / exact.eigenvalues[1:K] - 1).mean()
+
+    raw = error(RayleighRitz(subspace=start))
+    once, steeper, twice = (
+        error(Polished(start=start, degree=degree, sweeps=sweeps))
+        for degree, sweeps in ((1, 1), (3, 1), (3, 2))
+    )
+    assert once < raw / 3
+    assert steeper < once / 10
+    assert twice < steeper / 10
+
+
+def test_sweeps_converge_at_the_rate_of_chebyshev(laplacian, exact) -> None:
+    """The worst wanted mode falls by about 1 / T_d(x) a sweep, x its place beyond the interval."""
+    block, degree = 60, 3
+    residuals = [
+        shift_invert_iteration(
+            laplacian.stiffness,
+            laplacian.mass,
+            AmbientFourier(m=60, bandwidth=4.0)(laplacian.points, laplacian.mass),
+            K,
+            tolerance=np.zeros_like,
+            block=block,
+            degree=degree,
+            max_sweeps=sweeps,
+        ).residuals[K - 1]
+        for sweeps in (4, 6)
+    ]
+    guard, last = exact.eigenvalues[block], exact.eigenvalues[K - 1]
+    x = 2 * (guard + guard / 8) / (last + guard / 8) - 1
+    predicted = 1 / np.cosh(degree * np.arccosh(x))
+    assert np.sqrt(residuals[1] / residuals[0]) == pytest.approx(predicted, rel=0.5)
+
+
+def test_ritz_pairs_of_a_bad_basis(bumpy_laplacian) -> None:
+    """Scale, dependence and tiny directions of the columns do not matter, down to `rank_tol`."""
+    L, mass = bumpy_laplacian.stiffness, bumpy_laplacian.mass
+    modes = eigensolve(bumpy_laplacian, 30).eigenvectors
+    rng = np.random.default_rng(0)
+    for condition in (1.0, 1e4, 1e8):
+        mixed = modes @ rng.standard_normal((30, 30)) * np.geomspace(1, condition, 30)
+        twice = np.hstack([mixed, mixed[:, :7] @ rng.standard_normal((7, 4))])
+        values, vectors, rank = ritz_pairs(L, mass, twice, 30)
+        assert rank == 30
+        assert weighted_gram(vectors, mass) == pytest.approx(np.eye(30), abs=1e-11)
+        expected = eigensolve(bumpy_laplacian, 30).eigenvalues
+        assert values == pytest.approx(expected, rel=1e-9, abs=1e-12 * expected[-1])
+    assert ritz_rotation(L, mass, vectors)[0] == pytest.approx(values, rel=1e-10, abs=1e-10)
+    with pytest.raises(InvalidInputError, match="at least k = 31 dimensions, got numerical rank"):
+        ritz_pairs(L, mass, twice, 31)
+
+
+def test_given_basis_checks_its_rows() -> None:
+    mesh = robust_laplacian(bumpy())
+    with pytest.raises(InvalidInputError, match="a row for each of 642 points, got 10"):
+        eigensolve(mesh, 5, Refined(start=GivenBasis(np.ones((10, 4)))))
+    with pytest.raises(InvalidInputError, match=r"`columns` must have shape \(n, m\)"):
+        GivenBasis(np.ones(4))
