@@ -56,6 +56,7 @@ def test_json_says_what_was_measured(finished):
         assert result["status"] == "ok"
         assert len(result["seconds"]) == 2
         assert min(result["seconds"]) > 0
+        assert 0 <= result["waiting"] <= 1
         assert result["assembly_seconds"] > 0
         assert result["peak_bytes"] >= 0
         if result["method"] == "fourier":  # 320 functions for 10 modes
@@ -245,7 +246,7 @@ def result(method, seconds, error):
         status="ok",
         reason="",
         seconds=(seconds,),
-        cpu_share=1.0,
+        waiting=0.0,
         iterations=None,
         assembly_seconds=0.1,
         peak_bytes=0,

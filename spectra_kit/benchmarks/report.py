@@ -18,7 +18,7 @@ from spectra_kit.benchmarks.results import Result, exponents, undominated
 Item = TypeVar("Item")
 Name = TypeVar("Name")
 
-_BUSY = 0.9  # of a core; with less, times are longer than they should be
+_BUSY = 0.05  # of a solve's time without a core; times are longer than they should be
 
 _COLUMNS = (
     "method",
@@ -121,11 +121,12 @@ def markdown(results: Sequence[Result], settings: Settings, machine: dict[str, o
         " modes with more than half of their energy outside the modes found. Bold: no other method"
         " is both faster and more accurate.",
     ]
-    shares = [result.cpu_share for result in results if result.cpu_share is not None]
-    if shares and min(shares) < _BUSY:
+    waiting = max((result.waiting or 0.0 for result in results), default=0.0)
+    if waiting > _BUSY:
         lines += [
             "",
-            f"**Something else was running**: solves got down to {min(shares):.2f} of a core.",
+            f"**Something else was running**: up to {waiting:.0%} of a solve's time was spent"
+            " waiting for a core.",
         ]
     for _, here in _grouped(results, lambda r: (r.geometry, r.points)):
         lines += ["", *_table(here)]

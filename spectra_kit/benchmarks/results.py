@@ -32,8 +32,8 @@ class Result:
         Why it is not ok.
     seconds : tuple of float
         Of each solve: no assembly, no certificate.
-    cpu_share : float or None
-        Processor time for each second of the clock, median: below 1 where something else ran.
+    waiting : float or None
+        Share of the time in which another process had the core, median; 0 where it is not known.
     iterations : int or None
         Sweeps or steps, where the method counts them.
     assembly_seconds : float or None
@@ -61,7 +61,7 @@ class Result:
     status: str
     reason: str
     seconds: tuple[float, ...]
-    cpu_share: float | None
+    waiting: float | None
     iterations: int | None
     assembly_seconds: float | None
     peak_bytes: int | None
@@ -123,7 +123,7 @@ def _result(
     good = [record for record in repeats if record["status"] == "ok"]
     bad = next((record for record in repeats if record["status"] != "ok"), None)
 
-    shares = [record["cpu_seconds"] / record["wall_seconds"] for record in good]
+    shares = [record["waited_seconds"] / record["wall_seconds"] for record in good]
 
     def first(name: str) -> Any:
         return next((r[name] for r in repeats if r.get(name) is not None), None)
@@ -141,7 +141,7 @@ def _result(
         status="ok" if bad is None else bad["status"],
         reason="" if bad is None else bad["reason"],
         seconds=tuple(record["seconds"] for record in good),
-        cpu_share=statistics.median(shares) if shares else None,
+        waiting=statistics.median(shares) if shares else None,
         iterations=first("iterations"),
         assembly_seconds=first("assembly_seconds"),
         peak_bytes=largest("peak_bytes"),
