@@ -6,9 +6,18 @@ import torch
 from scipy import linalg, sparse
 
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import sphere
 from spectra_kit.linalg import torch_ritz as module
+from spectra_kit.linalg.filters import chebyshev_smooth
 from spectra_kit.linalg.orthonormal import orthonormalize as orthonormalize_numpy
-from spectra_kit.linalg.torch_ritz import orthonormalize, rayleigh_ritz, sparse_tensor
+from spectra_kit.linalg.torch_ritz import (
+    device_memory,
+    leading_ritz_pairs,
+    orthonormalize,
+    rayleigh_ritz,
+    sparse_tensor,
+)
+from spectra_kit.operators import cotan_laplacian
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +125,47 @@ def test_too_small_a_subspace_and_bad_columns_are_refused(problem):
         orthonormalize(bad, mass)
     with pytest.raises(InvalidInputError, match="finite columns that are not all zero"):
         orthonormalize(torch.zeros(120, 2), mass)
+
+
+@pytest.mark.parametrize("smallest", [1e-2, 1e-3, 1e-4, 1e-6])
+def test_single_precision_columns_cost_no_mode(smallest):
+    """However small the directions a mode hides in: rounding must not put others in its place."""
+    laplacian = cotan_laplacian(sphere(subdivisions=4).geometry)
+    L, mass = sparse_tensor(laplacian.stiffness), torch.tensor(laplacian.mass)
+    generator = torch.Generator().manual_seed(0)
+    low = torch.randn(laplacian.n, 64, generator=generator, dtype=torch.float64)
+    low = rayleigh_ritz(L, mass, chebyshev_smooth(L, low, degree=16, damping=100.0), 64)
+    mixing = torch.from_numpy(linalg.hadamard(64) / 8.0)
+    singular = torch.logspace(0, np.log10(smallest), 64, dtype=torch.float64)
+    basis = (low.eigenvectors @ (mixing * singular) @ mixing).float()
+    single = rayleigh_ritz(L, mass, basis, 32).eigenvalues
+    double = rayleigh_ritz(L, mass, basis.double(), 32).eigenvalues
+    torch.testing.assert_close(single, double, rtol=1e-3, atol=1e-8)
+
+
+def test_a_mass_matrix_need_not_be_diagonal(problem):
+    L, mass, _, vectors = problem
+    M = sparse.csr_array(sparse.diags_array(mass.numpy()) + 0.1 * L)
+    values = linalg.eigh(L.toarray(), M.toarray(), eigvals_only=True)
+    for basis in (vectors[:, :12], vectors[:, [*range(12), 3]]):  # of full rank, and not
+        pairs = rayleigh_ritz(sparse_tensor(L), sparse_tensor(M), basis, 10)
+        np.testing.assert_allclose(pairs.eigenvalues, values[:10], atol=1e-12)
+        gram = pairs.eigenvectors.mT @ (sparse_tensor(M) @ pairs.eigenvectors)
+        torch.testing.assert_close(gram, torch.eye(10, dtype=torch.float64))
+
+
+def test_no_more_pairs_than_dimensions(problem):
+    L, mass, values, vectors = problem
+    pairs = leading_ritz_pairs(sparse_tensor(L), mass, vectors[:, [0, 1, 2, 2]], 8)
+    np.testing.assert_allclose(pairs.eigenvalues, values[:3], atol=1e-12)
+    assert pairs.eigenvectors.shape == (120, 3)
+
+
+def test_want_of_memory_is_a_memory_error():
+    with pytest.raises(MemoryError, match="can't allocate memory"), device_memory():
+        torch.empty(2**50)
+    with pytest.raises(RuntimeError, match="must match"), device_memory():
+        torch.ones(2) + torch.ones(3)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")

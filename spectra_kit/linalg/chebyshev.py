@@ -1,19 +1,17 @@
-"""Chebyshev filters in torch: eigenpairs to a tolerance without any factor, and smoothing.
-
-A step costs one product of a sparse matrix with a block of columns, which an accelerator does at
-the speed of its memory; within a filter nothing waits for the host.
-"""
+"""Chebyshev-filtered subspace iteration in torch: eigenpairs to a tolerance without any factor."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.torch_ritz import csr_like, rayleigh_ritz
+from spectra_kit.linalg.filters import shifted, spectral_bound, standard_form
+from spectra_kit.linalg.torch_ritz import leading_ritz_pairs
 
 _GAIN = 1e6  # largest amplification in one sweep: the condition number it may give a block
 _SINGLE_GAIN = 1e4  # in float32, whose rounding at the top of the spectrum limits what is gained
@@ -23,7 +21,6 @@ _STILL = 1e-9  # and lowers the sum of the Ritz values by no more than this shar
 _SAFETY = 3.0  # filter for residuals this much below the tolerance
 _DEGREES = (8, 4000)  # of one filter, at least and at most
 _CUT_GROWTH = 2.0  # of the lower end of the damped interval, per sweep
-_BOUND_STEPS = 20
 
 
 class FilteredPairs(NamedTuple):
@@ -43,6 +40,8 @@ class FilteredPairs(NamedTuple):
         Sum of their degrees: products of L with a block.
     converged : bool
         Whether every residual is within the tolerance.
+    stalled : bool
+        Whether it gave up because the residuals no longer fell: rounding.
     """
 
     eigenvalues: Tensor
@@ -51,6 +50,7 @@ class FilteredPairs(NamedTuple):
     sweeps: int
     products: int
     converged: bool
+    stalled: bool
 
 
 def chebyshev_eigenpairs(
@@ -61,7 +61,9 @@ def chebyshev_eigenpairs(
     *,
     rtol: float,
     spacing: float,
+    block: int | None = None,
     max_sweeps: int = 30,
+    seed: int = 0,
 ) -> FilteredPairs:
     """Refine a block of columns until it holds the k lowest eigenpairs of L u = lambda M u.
 
@@ -71,9 +73,8 @@ def chebyshev_eigenpairs(
         L, symmetric and positive semi-definite, float64, its diagonal stored.
     mass : Tensor of shape (n,)
         Diagonal of M, in length^2.
-    start : Tensor of shape (n, b)
-        Columns of rank above k. The b - k beyond k guard the last wanted modes: about
-        ``b = 1.5 k`` takes the least time.
+    start : Tensor of shape (n, m)
+        Columns; the closer to the wanted span, the less is left to do.
     k : int
         Pairs wanted.
     rtol : float
@@ -81,8 +82,13 @@ def chebyshev_eigenpairs(
         ``rtol * max(lambda, spacing)``.
     spacing : float
         Typical gap of neighbouring eigenvalues, in 1/length^2.
+    block : int, optional
+        Ritz vectors to iterate on, by default ``1.5 k``, which takes the least time: those beyond k
+        guard the last wanted modes. Random ones are added where the start has too few.
     max_sweeps : int, default 30
         Filters before giving up.
+    seed : int, default 0
+        Of the random columns.
 
     Returns
     -------
@@ -92,7 +98,7 @@ def chebyshev_eigenpairs(
     Raises
     ------
     InvalidInputError
-        If `start` spans fewer than k dimensions or holds NaN, or no diagonal is stored.
+        If `start` holds NaN, or no diagonal is stored.
 
     Notes
     -----
@@ -121,149 +127,96 @@ def chebyshev_eigenpairs(
     root = mass.double().sqrt()
     ones = torch.ones_like(root)
     operator = standard_form(stiffness, root)  # orthonormality is Euclidean from here on
-    top = spectral_bound(operator)
-    block = root.unsqueeze(1) * start
-    cut, dtype, worst = spacing * start.shape[1] / _CUT_GROWTH, torch.float32, math.inf
-    sweeps = products = locked = 0
-    rising, trace = True, math.inf
+    block = k + max(8, k // 2) if block is None else block
+    values, X, _ = leading_ritz_pairs(stiffness, mass, start, block)
+    X *= root.unsqueeze(1)
+    if len(values) < block:
+        drawn = np.random.default_rng(seed).standard_normal((len(X), block - len(values)))
+        X = torch.cat([X, torch.from_numpy(drawn).to(X)], dim=1)
+        values, X, _ = leading_ritz_pairs(operator, ones, X, block)
+    schedule = _Schedule(rtol, spacing, spectral_bound(operator), spacing * len(values))
     while True:
-        values, block, _ = rayleigh_ritz(operator, ones, block, None)
-        if len(values) < k:
-            raise InvalidInputError(
-                f"`start` must span at least k = {k} dimensions, got {len(values)};"
-                " add columns, random ones if need be"
-            )
-        residuals = (operator @ block).addcmul_(block, values, value=-1)
-        norms = residuals.norm(dim=0)[:k]
-        tolerances = rtol * values[:k].clamp_min(spacing)
-        excess, ritz = (norms / tolerances).tolist(), values.tolist()
-        unfinished = [j for j in range(k) if not excess[j] <= 1]
-        if not unfinished or sweeps == max_sweeps:
+        residuals = (operator @ X.contiguous()).addcmul_(X, values, value=-1)
+        norms = residuals.norm(dim=0)
+        sweep = schedule.next(values.tolist(), norms[:k].tolist())
+        if sweep is None or schedule.sweeps == max_sweeps:
             break
-        left, worst = max(excess) / worst, max(excess)
-        # A mode that was missing comes up with large residuals, but lowers the sum.
-        fell, trace = sum(ritz[:k]) < (1 - _STILL) * trace, sum(ritz[:k])
-        progress = left <= _STALLED or fell or unfinished[0] > locked
-        if not (progress or rising or dtype == torch.float32):
-            break
-        if left > _SINGLE_WORTH:
-            dtype = torch.float64
-        locked = unfinished[0]
-        # The guards of a random start lie far up the spectrum: do not follow them at once.
-        rising = _CUT_GROWTH * cut < ritz[-1]
-        cut = max(_CUT_GROWTH * cut, ritz[locked]) if rising else ritz[-1]
-        interval = (min(1.01 * cut + spacing / 2, 0.9 * top), top)
-        gain = _GAIN if dtype == torch.float64 else _SINGLE_GAIN
-        needs = {ritz[j]: _SAFETY * excess[j] for j in unfinished}
-        degree = _degree(needs, ritz[locked], interval, gain)
-        active = slice(locked, None)
-        block[:, active] = _filtered(
-            shifted(operator, interval, dtype),
-            block[:, active],
+        active = slice(sweep.locked, None)
+        X[:, active] = _filtered(
+            shifted(operator, sweep.interval, sweep.dtype),
+            X[:, active],
             residuals[:, active],
             values[active],
-            degree,
-            interval,
+            sweep,
         )
-        sweeps, products = sweeps + 1, products + degree
-    vectors = block[:, :k] / root.unsqueeze(1)
-    return FilteredPairs(values[:k], vectors, norms, sweeps, products, not unfinished)
+        schedule.sweeps, schedule.products = schedule.sweeps + 1, schedule.products + sweep.degree
+        values, X, _ = leading_ritz_pairs(operator, ones, X, block)
+    return FilteredPairs(
+        values[:k],
+        X[:, :k] / root.unsqueeze(1),
+        norms[:k],
+        schedule.sweeps,
+        schedule.products,
+        converged=schedule.converged,
+        stalled=schedule.stalled,
+    )
 
 
-def chebyshev_smooth(
-    stiffness: Tensor, basis: Tensor, *, degree: int = 8, damping: float = 30.0
-) -> Tensor:
-    """Damp the high frequencies of the columns of a basis.
+class _Sweep(NamedTuple):
+    """One filter: of which columns, on which interval, how long, how precise."""
 
-    Parameters
-    ----------
-    stiffness : sparse CSR Tensor of shape (n, n)
-        L, symmetric and positive semi-definite, its diagonal stored and positive.
-    basis : Tensor of shape (n, m)
-        Functions, float32 or float64; computed in that precision.
-    degree : int, default 8
-        Products with L. The band that is kept shrinks with its square.
-    damping : float, default 30.0
-        By what at least the damped band is divided; larger takes more of the low end with it.
-
-    Returns
-    -------
-    Tensor of shape (n, m)
-        ``p(D^-1 L) basis`` with D the diagonal of L: p is the Chebyshev polynomial with p(0) = 1
-        and ``|p| <= 1 / damping`` from ``top * (acosh(damping) / (2 degree))^2``, about, to the top
-        of the spectrum of D^-1 L, which is about 2 whatever the mesh. Constants stay as they are.
-
-    Examples
-    --------
-    >>> from scipy import sparse
-    >>> from spectra_kit.linalg.torch_ritz import sparse_tensor
-    >>> path = sparse.csr_array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
-    >>> functions = torch.tensor([[1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
-    >>> chebyshev_smooth(sparse_tensor(path), functions)[:, 0]
-    tensor([1., 1., 1.])
-    """
-    root = _diagonal(stiffness).double().sqrt()
-    symmetric = standard_form(stiffness, root)
-    top = spectral_bound(symmetric)
-    # x0 = -cosh(acosh(damping) / degree) is where the polynomial on [-1, 1] has size `damping`.
-    x0 = -math.cosh(math.acosh(damping) / degree)
-    cut = top * (x0 + 1) / (x0 - 1)
-    rows = _row_indices(stiffness)
-    scaled = csr_like(stiffness, stiffness.values() / root.square()[rows])
-    operator = shifted(scaled, (cut, top), basis.dtype)
-    before, current = basis.clone(), (operator @ basis).div_(x0)
-    rho = 1 / x0
-    for _ in range(degree - 1):
-        following = 1 / (2 * x0 - rho)
-        before.addmm_(operator, current, beta=-rho * following, alpha=2 * following)
-        before, current, rho = current, before, following
-    return current
+    locked: int
+    interval: tuple[float, float]
+    degree: int
+    dtype: torch.dtype
 
 
-def spectral_bound(operator: Tensor) -> float:
-    """Return a proven upper bound on the eigenvalues of a symmetric sparse CSR matrix S.
+@dataclass
+class _Schedule:
+    """What to do next, from the Ritz values and residual norms so far; runs on the host."""
 
-    For any positive x the spectral radius of ``|S|``, and so every eigenvalue of S, is at most
-    ``max_i (|S| x)_i / x_i`` (Collatz and Wielandt); a few power steps on x bring that close to
-    the radius. For an L with non-negative weights it is below twice the largest eigenvalue.
+    rtol: float
+    spacing: float
+    top: float
+    cut: float  # about the highest eigenvalue of the block
+    converged: bool = False
+    stalled: bool = False
+    sweeps: int = 0
+    products: int = 0
+    _rising: bool = True
+    _locked: int = 0
+    _worst: float = math.inf
+    _sum: float = math.inf
+    _dtype: torch.dtype = torch.float32
 
-    Examples
-    --------
-    >>> from scipy import sparse
-    >>> from spectra_kit.linalg.torch_ritz import sparse_tensor
-    >>> path = sparse_tensor(sparse.csr_array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]]))
-    >>> round(spectral_bound(path), 4)  # 3 is attained
-    3.0000
-    """
-    magnitude = csr_like(operator, operator.values().double().abs())
-    x = torch.ones(operator.shape[0], 1, dtype=torch.float64, device=operator.device)
-    bound = (magnitude @ x).max()
-    for _ in range(_BOUND_STEPS):
-        y = magnitude @ x
-        ratio = (y / x).max()
-        bound = torch.minimum(bound, ratio)
-        x = (y / ratio).add_(x)  # x stays positive where a row is zero
-    return float(bound) * (1 + 1e-12)
-
-
-def standard_form(stiffness: Tensor, root: Tensor) -> Tensor:
-    """Return ``M^-1/2 L M^-1/2`` as CSR, `root` being the diagonal of M^1/2."""
-    rows = _row_indices(stiffness)
-    values = stiffness.values().double() / (root[rows] * root[stiffness.col_indices()])
-    return csr_like(stiffness, values)
-
-
-def shifted(operator: Tensor, interval: tuple[float, float], dtype: torch.dtype) -> Tensor:
-    """Return the operator moved and scaled so that `interval` becomes [-1, 1], in `dtype`."""
-    low, high = interval
-    on_diagonal = _row_indices(operator) == operator.col_indices()
-    if int(on_diagonal.sum()) != operator.shape[0]:
-        raise InvalidInputError(
-            f"`stiffness` must store all {operator.shape[0]} entries of its diagonal, got"
-            f" {int(on_diagonal.sum())}; a zero one is a point that nothing holds: drop it"
-        )
-    values = operator.values().double() - (high + low) / 2 * on_diagonal.double()
-    return csr_like(operator, (values / ((high - low) / 2)).to(dtype))
+    def next(self, ritz: list[float], norms: list[float]) -> _Sweep | None:
+        """Return the next sweep for the first ``len(norms)`` Ritz pairs, None at the end."""
+        k = len(norms)
+        excess = [norms[j] / (self.rtol * max(ritz[j], self.spacing)) for j in range(k)]
+        unfinished = [j for j in range(k) if not excess[j] <= 1]
+        self.converged = not unfinished
+        if self.converged:
+            return None
+        left, self._worst = max(excess) / self._worst, max(excess)
+        # A mode that was missing comes up with large residuals, but lowers the sum.
+        fell, self._sum = sum(ritz[:k]) < (1 - _STILL) * self._sum, sum(ritz[:k])
+        progress = left <= _STALLED or fell or unfinished[0] > self._locked
+        self.stalled = not (progress or self._rising or self._dtype == torch.float32)
+        if self.stalled:
+            return None
+        if left > _SINGLE_WORTH:
+            self._dtype = torch.float64
+        self._locked = unfinished[0]
+        lowest = ritz[self._locked]
+        # The guards of a random start lie far up the spectrum: do not follow them at once.
+        self._rising = ritz[-1] > self.cut
+        cut = max(min(ritz[-1], self.cut), lowest)
+        self.cut *= _CUT_GROWTH
+        interval = (min(1.01 * cut + self.spacing / 2, 0.9 * self.top), self.top)
+        gain = _SINGLE_GAIN if self._dtype == torch.float32 else _GAIN
+        needs = {ritz[j]: _SAFETY * excess[j] for j in unfinished}
+        degree = _degree(needs, lowest, interval, gain)
+        return _Sweep(self._locked, interval, degree, self._dtype)
 
 
 def _degree(
@@ -291,11 +244,10 @@ def _filtered(
     block: Tensor,
     residuals: Tensor,
     values: Tensor,
-    degree: int,
-    interval: tuple[float, float],
+    sweep: _Sweep,
 ) -> Tensor:
     """Return ``p(S) block``, p normalised to one at the lowest of the Ritz values `values`."""
-    low, high = interval
+    low, high = sweep.interval
     radius = (high - low) / 2
     x = (values - (high + low) / 2) / radius
     x0 = min(float(x[0]), -1.0)
@@ -303,24 +255,10 @@ def _filtered(
     before, current = torch.zeros_like(driving), driving / x0
     p_before, p = torch.ones_like(x), x / x0  # of the degrees before, at the Ritz values
     rho = 1 / x0
-    for _ in range(degree - 1):
+    for _ in range(sweep.degree - 1):
         following = 1 / (2 * x0 - rho)
         before.addmm_(operator, current, beta=-rho * following, alpha=2 * following)
         before.addcmul_(driving, (2 * following * p).to(driving.dtype))
         p_before, p = p, 2 * following * x * p - rho * following * p_before
         before, current, rho = current, before, following
     return (p * block).add_(current)
-
-
-def _row_indices(operator: Tensor) -> Tensor:
-    """Return the row of each stored entry."""
-    counts = operator.crow_indices().diff()
-    rows = torch.arange(operator.shape[0], device=operator.device)
-    return torch.repeat_interleave(rows, counts, output_size=operator.values().numel())
-
-
-def _diagonal(operator: Tensor) -> Tensor:
-    """Return the diagonal of a CSR matrix, zero where none is stored."""
-    rows = _row_indices(operator)
-    values = operator.values() * (rows == operator.col_indices())
-    return values.new_zeros(operator.shape[0]).index_add_(0, rows, values)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import time
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import torch
@@ -110,15 +112,12 @@ def orthonormalize(basis: Tensor, mass: Tensor, *, rank_tol: float = 1e-10) -> T
 
 
 def rayleigh_ritz(
-    stiffness: Tensor, mass: Tensor, basis: Tensor, k: int | None, *, rank_tol: float = 1e-10
+    stiffness: Tensor, mass: Tensor, basis: Tensor, k: int, *, rank_tol: float = 1e-10
 ) -> RitzPairs:
     """Return the k lowest Ritz pairs of L u = lambda M u in the span of `basis`.
 
     NEO paper, Eqs. "m_qr", "project_operators" and "uplift": Y M-orthonormal,
-    ``L^ = Y^T L Y``, ``L^ v = lambda v``, ``u = Y v``. A basis that is not too badly conditioned
-    is orthonormalised in the small problem alone, ``Y = F R^-1`` with ``F^T M F = R^T R``: the
-    long side sees one Gram matrix, one product with L, one projection, and the lift of k columns.
-    A second round in these k columns takes away the rounding of the first.
+    ``L^ = Y^T L Y``, ``L^ v = lambda v``, ``u = Y v``.
 
     Parameters
     ----------
@@ -128,8 +127,8 @@ def rayleigh_ritz(
         Diagonal of M, or M itself, float64, in length^2.
     basis : Tensor of shape (n, m)
         Any precision, any scale, dependent columns allowed.
-    k : int or None
-        Pairs to return; None for as many as there are.
+    k : int
+        Pairs to return.
     rank_tol : float, default 1e-10
         See `orthonormalize`, to which a badly conditioned basis is handed.
 
@@ -150,6 +149,25 @@ def rayleigh_ritz(
     >>> pairs.eigenvalues.abs()
     tensor([0.0, 1.0], dtype=torch.float64)
     """
+    pairs = leading_ritz_pairs(stiffness, mass, basis, k, rank_tol=rank_tol)
+    if (rank := len(pairs.eigenvalues)) < k:
+        raise InvalidInputError(
+            f"`basis` must span at least k = {k} dimensions, got numerical rank {rank} of"
+            f" {basis.shape[1]} columns; ask for fewer modes or join more functions"
+        )
+    return pairs
+
+
+def leading_ritz_pairs(
+    stiffness: Tensor, mass: Tensor, basis: Tensor, most: int, *, rank_tol: float = 1e-10
+) -> RitzPairs:
+    """Return what `rayleigh_ritz` does, but only as many pairs as the rank of `basis` allows.
+
+    A basis that is not too badly conditioned is orthonormalised in the small problem alone,
+    ``Y = F R^-1`` with ``F^T M F = R^T R``: the long side sees one Gram matrix, one product with L,
+    one projection, and the lift of the columns wanted. A second round in these takes away the
+    rounding of the first.
+    """
     clock = Clock(basis.device)
     whitening, single = _single_whitening(basis, mass), True
     if whitening is None:
@@ -159,22 +177,15 @@ def rayleigh_ritz(
         basis = orthonormalize(basis, weights, rank_tol=rank_tol)
         whitening = _whitening(_gram(basis, mass, torch.float64), math.inf)
     assert whitening is not None
-    k = basis.shape[1] if k is None else k
-    if basis.shape[1] < k:
-        raise InvalidInputError(
-            f"`basis` must span at least k = {k} dimensions, got numerical rank {basis.shape[1]};"
-            " ask for fewer modes or join more functions"
-        )
     clock.stage("orthonormalize")
     projected = _project(stiffness, basis, torch.float32 if single else torch.float64)
     clock.stage("project")
-    _, eigenvectors = _lift(projected, whitening, basis, k)
+    _, eigenvectors = _lift(projected, whitening, basis, most)
     clock.stage("eigh")
     whitening = _whitening(_gram(eigenvectors, mass, torch.float64), math.inf)
     assert whitening is not None  # the columns are nearly M-orthonormal
-    values, eigenvectors = _lift(
-        _project(stiffness, eigenvectors, torch.float64), whitening, eigenvectors, k
-    )
+    projected = _project(stiffness, eigenvectors, torch.float64)
+    values, eigenvectors = _lift(projected, whitening, eigenvectors, most)
     clock.stage("settle")
     return RitzPairs(values, eigenvectors, clock.seconds)
 
@@ -238,15 +249,17 @@ def _project(stiffness: Tensor, basis: Tensor, dtype: torch.dtype) -> Tensor:
     return projected.tril() + projected.tril(-1).mT
 
 
-def _lift(projected: Tensor, whitening: Tensor, basis: Tensor, k: int) -> tuple[Tensor, Tensor]:
-    """Solve the small problem and return its k lowest values, and vectors of n rows, float64."""
+def _lift(projected: Tensor, whitening: Tensor, basis: Tensor, most: int) -> tuple[Tensor, Tensor]:
+    """Solve the small problem; return its lowest values, and their vectors of n rows, float64."""
     small = whitening.mT @ projected @ whitening
     values, vectors = torch.linalg.eigh((small + small.mT) / 2)
-    coefficients = whitening @ vectors[:, :k]
-    lifted = torch.empty(len(basis), k, dtype=torch.float64, device=basis.device)
+    coefficients = whitening @ vectors[:, :most]
+    lifted = torch.empty(
+        len(basis), coefficients.shape[1], dtype=torch.float64, device=basis.device
+    )
     for part, target in zip(torch.split(basis, _ROWS), torch.split(lifted, _ROWS), strict=True):
         torch.mm(part.double(), coefficients, out=target)
-    return values[:k].clone(), lifted
+    return values[:most].clone(), lifted
 
 
 def sparse_tensor(csr: sparse.csr_array, device: str = "cpu") -> Tensor:
@@ -293,6 +306,19 @@ def _csr_tensor(
         )
 
 
+@contextmanager
+def device_memory() -> Iterator[None]:
+    """Turn what torch raises for want of memory into a `MemoryError`."""
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        raise MemoryError(str(error).partition("\n")[0]) from error
+    except RuntimeError as error:  # what the CPU's allocator raises has no type of its own
+        if "can't allocate memory" not in str(error):
+            raise
+        raise MemoryError(str(error).partition("\n")[0]) from error
+
+
 class Clock:
     """Wall time by stage; waits for CUDA, which otherwise works on after a call returns."""
 
@@ -301,9 +327,9 @@ class Clock:
         self._last = self._now()
 
     def stage(self, name: str) -> None:
-        """Book the time since the last stage under `name`."""
+        """Add the time since the last stage to that of `name`."""
         now = self._now()
-        self.seconds[name] = now - self._last
+        self.seconds[name] = self.seconds.get(name, 0.0) + now - self._last
         self._last = now
 
     def _now(self) -> float:
