@@ -1,3 +1,4 @@
+import dataclasses
 import importlib.util
 import json
 import math
@@ -13,6 +14,7 @@ from spectra_kit import Arpack, eigensolve, robust_laplacian
 from spectra_kit.benchmarks import METHODS, Result, Settings, fit_exponent, measure, undominated
 from spectra_kit.benchmarks.problems import Problem, read_operator, write_operator
 from spectra_kit.benchmarks.process import StoppedError, Worker
+from spectra_kit.benchmarks.report import markdown
 from spectra_kit.benchmarks.results import summarize
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere, write
@@ -235,8 +237,8 @@ def test_exponents_of_power_laws_with_noise():
         fit_exponent([1, 2], [0.5, 0.0])
 
 
-def result(method, seconds, error):
-    return Result(
+def result(method, seconds, error, **changes):
+    measured = Result(
         geometry="mesh",
         points=600,
         n=600,
@@ -259,6 +261,7 @@ def result(method, seconds, error):
         no_errors="",
         commits=(),
     )
+    return dataclasses.replace(measured, **changes)
 
 
 def test_the_front_leaves_out_what_is_beaten():
@@ -271,3 +274,20 @@ def test_the_front_leaves_out_what_is_beaten():
         result("unknown", 0.01, None),
     ]
     assert [r.method for r in undominated(results)] == ["fast", "polished", "exact"]
+
+
+def test_the_report_says_what_is_missing_and_what_disturbed():
+    results = [
+        result("eigsh", 4.0, 0.0, n=8000, points=8000),
+        result("neo", 0.5, 1e-2, n=8000, points=8000, waiting=0.25),
+        result("eigsh", 8.0, None, n=16000, points=16000, no_errors="took more than 5 s"),
+        result("neo", 1.0, None, n=16000, points=16000),
+        result("lapy", 1.0, None, status="absent", reason="pip install lapy"),
+    ]
+    machine = {"name": "box", "processor": "fast", "accelerator": ""}
+    text = markdown(results, Settings(machine="box", commit="", repeats=1), machine)
+    assert "up to 25% of a solve's time was spent waiting for a core" in text
+    assert "| **neo** | 0.5 | 8.00 | 0.6 |" in text
+    assert "- mesh, cpu: eigsh 1.00, neo 1.00" in text
+    assert "- eigsh (mesh 16,000): no errors: took more than 5 s" in text
+    assert "- lapy (mesh 600): pip install lapy" in text

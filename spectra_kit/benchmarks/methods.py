@@ -74,6 +74,9 @@ METHODS: dict[str, Entry] = {
     "polished-neo": Entry(make=lambda device: Polished(start=Neo().subspace)),
     "refined": Entry(make=lambda device: Refined(rtol=_RTOL)),
     "refined-neo": Entry(make=lambda device: Refined(start=Neo().subspace, rtol=_RTOL)),
+    "chebyshev": Entry(
+        make=lambda device: Refined(method="chebyshev", rtol=_RTOL, device=device), devices=_BOTH
+    ),
     "eigsh": Entry(make=lambda device: ScipyEigsh(), peer=True),
     "eigsh-dnet": Entry(make=lambda device: DiffusionNetEigsh(), peer=True),
     "lapy": Entry(make=lambda device: LapySolver(), needs="lapy", pip="lapy", peer=True),
