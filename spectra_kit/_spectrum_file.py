@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2  # since certificates may hold a count; files without one are written as 1
 _ARRAYS = ("eigenvalues", "eigenvectors", "mass")
 _RESIDUALS = ("residuals", "relative_residuals")
 _ALIGNMENT = 64
@@ -35,7 +35,7 @@ def write_spectrum_file(
     members = dict(arrays)
     header: dict[str, Any] = {
         "format": "spectra_kit spectrum",
-        "version": FORMAT_VERSION,
+        "version": FORMAT_VERSION if certificate and "count" in certificate else 1,
         "provenance": {**provenance, "seconds": dict(provenance["seconds"])},
         "certificate": None,
     }

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,36 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 _FOREIGN_MASS = 1e-5  # relative; float32 copies of the same mass differ by less
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModeCount(Rebuilt):
+    """What counting the eigenvalues below a shift has proved; see `verify`.
+
+    The i-th mode is the i-th lowest of the operator for all i < `verified`, repeated eigenvalues
+    counted as often as they occur: none was missed. (Leading modes that `Spectrum.nonzero`
+    dropped on purpose are not missing.)
+
+    Attributes
+    ----------
+    verified : int
+        Number of leading modes proved to be the lowest, with none missed between them.
+    radius : float
+        Each of their eigenvalues is exact to within this, in 1/length^2.
+    floor : float
+        Every eigenvalue beyond them is at least this, in 1/length^2.
+    reason : str
+        Why not all modes are verified; empty if they are.
+    """
+
+    verified: int
+    radius: float
+    floor: float
+    reason: str = ""
+
+    def rescaled(self, square: float) -> ModeCount:
+        """Return the same for eigenvalues divided by `square`."""
+        return replace(self, radius=self.radius / square, floor=self.floor / square)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,11 +76,13 @@ class Certificate(Rebuilt):
         Zero modes that the operator has: one for each component without a fixed point.
     n_components : int
         Connected components of the operator.
+    count : ModeCount, optional
+        The proof, by a count of the eigenvalues, that none was missed; `verify` makes it.
 
     Notes
     -----
     Residuals say that each pair is near *some* true pair. That none was skipped in between is not
-    implied; the count of zero modes is the only completeness check made here.
+    implied; without `count`, the number of zero modes is the only completeness check.
     """
 
     residuals: Floats
@@ -59,10 +91,24 @@ class Certificate(Rebuilt):
     n_zero_modes: int
     kernel_dimension: int
     n_components: int
+    count: ModeCount | None = None
 
     def __post_init__(self) -> None:
         for name in ("residuals", "relative_residuals"):
             object.__setattr__(self, name, frozen(real_array(name, getattr(self, name))))
+
+    @property
+    def level(self) -> Literal["residuals", "verified"]:
+        """How much is certain: ``verified`` if every mode is known to be the one it is taken for.
+
+        With ``residuals`` alone, each mode is near a true one, and some may have been missed.
+        """
+        return "verified" if self.n_verified == len(self.residuals) else "residuals"
+
+    @property
+    def n_verified(self) -> int:
+        """Number of leading modes that `verify` has proved to be the lowest."""
+        return self.count.verified if self.count else 0
 
     def kernel_is_complete(self, k: int) -> bool:
         """Whether all zero modes that can be among the first `k` were found, and no more."""
@@ -207,9 +253,13 @@ class Spectrum(Rebuilt):
         Its provenance has no input hash: no solver has seen the scaled surface.
         """
         square = check_positive("factor", factor) ** 2
-        certificate = self.certificate and replace(
-            self.certificate, residuals=self.certificate.residuals / square
-        )
+        certificate = self.certificate
+        if certificate is not None:
+            certificate = replace(
+                certificate,
+                residuals=certificate.residuals / square,
+                count=certificate.count and certificate.count.rescaled(square),
+            )
         return replace(
             self,
             eigenvalues=self.eigenvalues / square,
@@ -333,7 +383,7 @@ class Spectrum(Rebuilt):
         write_spectrum_file(
             Path(path),
             {n: getattr(self, n) for n in ("eigenvalues", "eigenvectors", "mass")},
-            vars(self.certificate) if self.certificate else None,
+            _plain(self.certificate) if self.certificate else None,
             vars(self.provenance),
         )
 
@@ -358,7 +408,7 @@ class Spectrum(Rebuilt):
         try:
             return cls(
                 **arrays,
-                certificate=Certificate(**certificate) if certificate else None,
+                certificate=_restored(certificate) if certificate else None,
                 provenance=Provenance(**provenance),
             )
         except TypeError as error:
@@ -396,6 +446,7 @@ class Spectrum(Rebuilt):
             n_zero_modes=max(min(old.n_zero_modes, stop) - start, 0),
             # Leading modes dropped on purpose are not missing from the kernel.
             kernel_dimension=max(old.kernel_dimension - start, 0),
+            count=old.count and self._count_of(old.count, start, stop),
         )
         return replace(
             self,
@@ -403,6 +454,28 @@ class Spectrum(Rebuilt):
             eigenvectors=self.eigenvectors[:, columns],
             certificate=certificate,
         )
+
+    def _count_of(self, count: ModeCount, start: int, stop: int) -> ModeCount:
+        """Return what `count` says of the modes from `start` to `stop`."""
+        if stop < count.verified:  # the next mode is known to within the radius
+            floor = float(self.eigenvalues[stop]) - count.radius
+            count = replace(count, verified=stop, floor=floor)
+        verified = max(count.verified - start, 0)
+        complete = verified == stop - start
+        return replace(count, verified=verified, reason="" if complete else count.reason)
+
+
+def _plain(certificate: Certificate) -> dict[str, Any]:
+    """Return the fields of a certificate; an absent count is left out."""
+    record = dict(vars(certificate))
+    count = record.pop("count")
+    return {**record, "count": dict(vars(count))} if count else record
+
+
+def _restored(record: Mapping[str, Any]) -> Certificate:
+    """Return the certificate with these fields."""
+    count = record.get("count")
+    return Certificate(**{**record, "count": ModeCount(**count) if count else None})
 
 
 def _as_columns(name: str, values: ArrayLike, rows: int) -> Floats:

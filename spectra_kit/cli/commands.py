@@ -15,7 +15,15 @@ import numpy as np
 from spectra_kit._validate import check_count
 from spectra_kit.cli import tables
 from spectra_kit.cli.options import DEMO
-from spectra_kit.eigensolvers import Arpack, Dense, Eigensolver, Lobpcg, RayleighRitz, eigensolve
+from spectra_kit.eigensolvers import (
+    Arpack,
+    Dense,
+    Eigensolver,
+    Lobpcg,
+    RayleighRitz,
+    eigensolve,
+    verify,
+)
 from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry import (
@@ -63,6 +71,9 @@ def spectrum(arguments: argparse.Namespace) -> None:
             error.partial.save(rescued)
             sys.stderr.write(f"the {error.partial.k} modes that converged: {rescued}\n")
         raise
+    if arguments.verify:
+        _progress("counting eigenvalues")
+        result = verify(result, laplacian)
     if arguments.output:
         result.save(arguments.output)
     if arguments.json:

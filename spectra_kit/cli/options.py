@@ -17,6 +17,11 @@ def add_spectrum_arguments(parser: argparse.ArgumentParser) -> None:
     _add_solver(parser)
     parser.add_argument("--solver", choices=SOLVERS, default="arpack", help="default: %(default)s")
     parser.add_argument(
+        "--verify",
+        action="store_true",
+        help="count the eigenvalues to prove that no mode was missed (a few factorisations)",
+    )
+    parser.add_argument(
         "-o", "--output", type=Path, metavar="NPZ", help="write the spectrum to this .npz file"
     )
     _add_modes(parser)

@@ -55,6 +55,7 @@ def certificate_lines(spectrum: Spectrum) -> str:
             "largest relative residual": _worst(spectrum),
             "orthonormality error": f"{_certificate(spectrum).orthonormality_error:.1e}",
             "zero modes": _kernel(spectrum),
+            **_verified(spectrum),
             "seconds": _seconds(spectrum),
         }
     )
@@ -176,7 +177,8 @@ def spectrum_record(spectrum: Spectrum) -> Record:
     certificate, provenance = _certificate(spectrum), spectrum.provenance
     return {
         "eigenvalues": spectrum.eigenvalues,
-        "certificate": dict(vars(certificate)),
+        "certificate": vars(certificate)
+        | {"level": certificate.level, "count": certificate.count and vars(certificate.count)},
         "provenance": vars(provenance) | {"seconds": dict(provenance.seconds)},
     }
 
@@ -232,6 +234,17 @@ def _kernel(spectrum: Spectrum) -> str:
     certificate = _certificate(spectrum)
     expected = min(certificate.kernel_dimension, spectrum.k)
     return f"{certificate.n_zero_modes} of {expected}"
+
+
+def _verified(spectrum: Spectrum) -> dict[str, str]:
+    """How many modes are proved to be the lowest, and why not all, where that was asked."""
+    certificate = _certificate(spectrum)
+    count = certificate.count
+    if count is None:
+        return {}
+    if certificate.level == "verified":
+        return {"verified": f"all {spectrum.k} modes, none missed below {count.floor:.6g}"}
+    return {"verified": f"the first {count.verified} of {spectrum.k} modes; {count.reason}"}
 
 
 def _seconds(spectrum: Spectrum) -> str:

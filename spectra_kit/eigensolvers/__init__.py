@@ -8,6 +8,7 @@ from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
 from spectra_kit.eigensolvers.refined import Polished, Refined
 from spectra_kit.eigensolvers.solve import eigensolve
+from spectra_kit.eigensolvers.verification import verify
 
 __all__ = [
     "Arpack",
@@ -21,4 +22,5 @@ __all__ = [
     "RayleighRitz",
     "Refined",
     "eigensolve",
+    "verify",
 ]

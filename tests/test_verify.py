@@ -1,0 +1,259 @@
+"""The count of eigenvalues, against LAPACK's; and that nothing incomplete passes for verified."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import bumpy, two_parts
+from scipy import sparse
+
+from spectra_kit import (
+    AmbientFourier,
+    InvalidInputError,
+    Laplacian,
+    Lobpcg,
+    RayleighRitz,
+    Spectrum,
+    TriangleMesh,
+    eigensolve,
+    robust_laplacian,
+    write,
+)
+from spectra_kit.cli import main
+from spectra_kit.eigensolvers import verify
+from spectra_kit.geometry import rectangle, sphere
+from spectra_kit.linalg import SparseLDL
+
+
+def exact_values(laplacian: Laplacian) -> np.ndarray:
+    root = 1 / np.sqrt(laplacian.mass[laplacian.free])
+    stiffness = laplacian.stiffness[laplacian.free][:, laplacian.free].toarray()
+    return np.linalg.eigvalsh(root[:, None] * stiffness * root)
+
+
+def columns(spectrum: Spectrum, keep: list[int]) -> Spectrum:
+    return Spectrum(
+        spectrum.eigenvalues[keep], np.array(spectrum.eigenvectors[:, keep]), spectrum.mass
+    )
+
+
+@pytest.fixture(scope="module")
+def spectrum(bumpy_laplacian) -> Spectrum:
+    return eigensolve(bumpy_laplacian, 20)
+
+
+def test_exact_modes_are_verified(any_laplacian) -> None:
+    exact = exact_values(any_laplacian)
+    k = 10 + int(np.argmax(np.diff(exact[9:21])))  # cuts no cluster
+    verified = verify(eigensolve(any_laplacian, k), any_laplacian)
+    count = verified.certificate.count
+    assert (verified.certificate.level, count.verified, count.reason) == ("verified", k, "")
+    assert np.abs(verified.eigenvalues - exact[:k]).max() <= count.radius + 1e-12 * exact[-1]
+    assert exact[k - 1] < count.floor <= exact[k] + 1e-12 * exact[-1]
+    assert count.radius < 1e-6 * any_laplacian.eigenvalue_spacing
+    assert verified.provenance.seconds["verify"] > 0
+
+
+@pytest.mark.parametrize("dropped", [0, 7, 18])
+def test_a_dropped_mode_is_missed(bumpy_laplacian, spectrum, dropped: int) -> None:
+    keep = [i for i in range(20) if i != dropped]
+    certificate = verify(columns(spectrum, keep), bumpy_laplacian).certificate
+    assert certificate.level == "residuals"
+    assert certificate.n_verified == dropped
+    assert f"some beyond the first {dropped} are missing" in certificate.count.reason
+    assert "eigenvalues were counted below" in certificate.count.reason
+
+
+def test_a_duplicate_in_place_of_a_mode_is_seen(bumpy_laplacian, spectrum) -> None:
+    keep = [0, 1, 2, 3, 4, 5, 6, 6, *range(8, 20)]
+    certificate = verify(columns(spectrum, keep), bumpy_laplacian).certificate
+    assert certificate.n_verified == 6  # where the two begin, nothing is apart from the next
+    assert "mode 7 is far from M-orthonormal" in certificate.count.reason
+    # A small tilt does not make a mode of its own of it either.
+    vectors = np.array(spectrum.eigenvectors[:, keep])
+    vectors[:, 7] += 1e-5 * spectrum.eigenvectors[:, 7]
+    vectors[:, 7] /= np.sqrt(spectrum.mass @ vectors[:, 7] ** 2)
+    tilted = Spectrum(spectrum.eigenvalues[keep], vectors, spectrum.mass)
+    assert verify(tilted, bumpy_laplacian).certificate.n_verified == 6
+
+
+def test_a_wrong_eigenvalue_ends_what_is_verified(bumpy_laplacian, spectrum) -> None:
+    values = np.array(spectrum.eigenvalues)
+    values[9] = (values[9] + values[10]) / 2
+    wrong = Spectrum(values, spectrum.eigenvectors, spectrum.mass)
+    certificate = verify(wrong, bumpy_laplacian).certificate
+    assert certificate.n_verified == 9
+    assert "too wide to tell an eigenvalue from the next" in certificate.count.reason
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_false_is_ever_verified(bumpy_laplacian, spectrum, seed: int) -> None:
+    """Any modes left out, mixed and noised: what is verified holds of the dense spectrum."""
+    rng = np.random.default_rng(seed)
+    exact = exact_values(bumpy_laplacian)
+    keep = np.sort(rng.choice(20, 17, replace=False))
+    vectors = np.array(spectrum.eigenvectors[:, keep])
+    vectors += 10.0 ** rng.uniform(-12, -2) * rng.standard_normal(vectors.shape)
+    vectors[:, 9:11] @= np.linalg.qr(rng.standard_normal((2, 2)))[0]
+    changed = Spectrum(spectrum.eigenvalues[keep], vectors, spectrum.mass)
+    count = verify(changed, bumpy_laplacian).certificate.count
+    v = count.verified
+    assert v <= 10
+    assert (np.abs(changed.eigenvalues[:v] - exact[:v]) <= count.radius + 1e-10).all()
+    assert exact[v] >= count.floor
+
+
+def test_a_cluster_cut_at_k_is_left_open() -> None:
+    ball = robust_laplacian(sphere(subdivisions=3).geometry)
+    cut = verify(eigensolve(ball, 12), ball).certificate  # 1 + 3 + 5 close; 3 of 7 do not
+    assert (cut.level, cut.n_verified) == ("residuals", 9)
+    assert "or k cuts a cluster (ask for a few more)" in cut.count.reason
+    closed = verify(eigensolve(ball, 16), ball)
+    assert closed.certificate.level == "verified"
+    # Truncation of a verified spectrum stays so: what follows is known.
+    assert closed.truncate(12).certificate.level == "verified"
+
+
+def test_several_components_and_isolated_points() -> None:
+    parts = robust_laplacian(two_parts())
+    assert verify(eigensolve(parts, 25), parts).certificate.level == "verified"
+    lost = verify(columns(eigensolve(parts, 25), [0, *range(2, 25)]), parts).certificate
+    assert (lost.n_verified, lost.n_zero_modes) == (0, 1)
+    body = bumpy()
+    alone = Laplacian(
+        sparse.block_diag([robust_laplacian(body).stiffness, sparse.csr_array((2, 2))]).tocsr(),
+        np.append(robust_laplacian(body).mass, [1e-3, 1e-3]),
+        np.vstack([body.points, [[9, 9, 9], [8, 8, 8]]]),
+    )
+    certificate = verify(eigensolve(alone, 15), alone).certificate
+    assert (certificate.level, certificate.n_zero_modes) == ("verified", 3)
+
+
+def test_components_of_very_different_size() -> None:
+    a = bumpy()
+    small = TriangleMesh(
+        np.vstack([a.points, 1e-2 * a.points + 5]), np.vstack([a.faces, a.faces + a.n])
+    )
+    laplacian = robust_laplacian(small)
+    assert verify(eigensolve(laplacian, 20), laplacian).certificate.level == "verified"
+
+
+def test_dirichlet_modes_are_counted_on_the_free_points() -> None:
+    mesh = rectangle(n=600).geometry
+    free = robust_laplacian(mesh)
+    held = free.dirichlet(mesh.boundary_vertices)
+    exact = eigensolve(held, 12)
+    assert verify(exact, held).certificate.level == "verified"
+    assert verify(columns(exact, [0, 1, *range(3, 12)]), held).certificate.n_verified == 2
+    # Of the free plate these are no modes at all.
+    assert verify(exact, free).certificate.n_verified == 0
+
+
+def test_a_prediction_claims_only_what_holds(bumpy_laplacian) -> None:
+    predicted = eigensolve(bumpy_laplacian, 16, RayleighRitz(subspace=AmbientFourier(m=200)))
+    certificate = verify(predicted, bumpy_laplacian).certificate
+    assert certificate.level == "residuals"
+    assert certificate.n_verified <= 4
+    assert "residuals" in certificate.count.reason
+    assert "refine the modes" in certificate.count.reason
+
+
+def test_a_loose_tolerance_is_enough(bumpy_laplacian) -> None:
+    refined = eigensolve(bumpy_laplacian, 16, Lobpcg(rtol=1e-5))
+    assert verify(refined, bumpy_laplacian).certificate.level == "verified"
+
+
+def test_backward_error_is_a_bound() -> None:
+    """Against the product of the factors in twice the digits, near singular shifts included."""
+    rng = np.random.default_rng(0)
+    for seed in range(6):
+        A = sparse.random_array((60, 60), density=0.06, rng=np.random.default_rng(seed))
+        A = sparse.csr_array(A + A.T + sparse.diags_array(rng.standard_normal(60)))
+        weight = rng.uniform(0.1, 3, 60)
+        near = np.linalg.eigvalsh(A.toarray())[20] * (1 + 1e-10)
+        shifted = sparse.csr_array(A - near * sparse.eye_array(60))
+        factor = SparseLDL(shifted, definite=False)
+        order = factor._order
+        L = np.eye(60, dtype=np.longdouble)
+        for j in range(60):
+            p = slice(factor._starts[j], factor._starts[j + 1])
+            L[factor._rows[p], j] = factor._lower[p]
+        product = (L * factor.pivots) @ L.T
+        error = (shifted.toarray()[order][:, order] - product).astype(float)
+        root = 1 / np.sqrt(weight[order])
+        actual = np.linalg.norm(root[:, None] * error * root, 2)
+        assert actual <= factor.backward_error(weight)
+        assert factor.backward_error(weight) < 1e-8
+
+
+def test_an_overflowing_bound_is_infinite() -> None:
+    tiny = SparseLDL(sparse.csr_array([[1e-300, 1.0], [1.0, 1e-300]]), definite=False)
+    assert tiny.backward_error(np.full(2, 1e-200)) == np.inf
+
+
+def test_rounding_is_confessed() -> None:
+    """Modes that no shift can separate from rounding: a stiff pair beside a soft spectrum."""
+    n = 12
+    path = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n)).tolil()
+    path[0, 0] = path[-1, -1] = 1.0
+    stiff = sparse.block_diag([path, 1e17 * np.array([[1.0, -1.0], [-1.0, 1.0]])]).tocsr()
+    points = np.random.default_rng(0).standard_normal((n + 2, 3))
+    laplacian = Laplacian(stiff, np.ones(n + 2), points)
+    certificate = verify(eigensolve(laplacian, 6), laplacian).certificate
+    assert certificate.level == "residuals"
+    assert certificate.n_verified == 0
+    assert certificate.count.reason
+
+
+def test_verify_refuses_a_foreign_operator(spectrum) -> None:
+    with pytest.raises(InvalidInputError, match="`laplacian` must live on the 642 points"):
+        verify(spectrum, robust_laplacian(sphere(subdivisions=2).geometry))
+
+
+def test_count_survives_what_spectra_go_through(tmp_path, bumpy_laplacian, spectrum) -> None:
+    verified = verify(spectrum, bumpy_laplacian)
+    count = verified.certificate.count
+    short = verified.truncate(5).certificate
+    assert (short.level, short.n_verified) == ("verified", 5)
+    assert verified.eigenvalues[4] < short.count.floor <= verified.eigenvalues[5]
+    assert verified.truncate(20).certificate.count == count
+    beyond = verified.nonzero().certificate
+    assert (beyond.level, beyond.n_verified, beyond.count.floor) == ("verified", 19, count.floor)
+
+    large = verified.rescale(3.0)
+    again = verify(large, _scaled(bumpy_laplacian, 3.0)).certificate.count
+    assert large.certificate.count.floor == pytest.approx(again.floor, rel=1e-6)
+    assert large.certificate.count.radius == pytest.approx(count.radius / 9)
+
+    verified.save(tmp_path / "v.npz")
+    loaded = Spectrum.load(tmp_path / "v.npz").certificate
+    assert (loaded.count, loaded.level) == (count, "verified")
+
+    partly = verify(columns(spectrum, [0, 1, 2, *range(4, 20)]), bumpy_laplacian)
+    assert (partly.certificate.level, partly.certificate.n_verified) == ("residuals", 3)
+    assert partly.truncate(3).certificate.level == "verified"
+    assert partly.truncate(3).certificate.count.reason == ""
+    assert partly.truncate(4).certificate.level == "residuals"
+    assert partly.nonzero().certificate.n_verified == 2
+
+
+def _scaled(laplacian: Laplacian, factor: float) -> Laplacian:
+    return Laplacian(laplacian.stiffness, laplacian.mass * factor**2, laplacian.points * factor)
+
+
+def test_the_command_line_says_what_is_verified(tmp_path, capsys) -> None:
+    path = str(tmp_path / "bumpy.off")
+    write(bumpy(), path)
+    saved = str(tmp_path / "v.npz")
+    assert main(["spectrum", path, "-k", "12", "--verify", "-o", saved]) == 0
+    assert "all 12 modes, none missed below" in capsys.readouterr().out
+    assert Spectrum.load(saved).certificate.level == "verified"
+    demo = ["spectrum", "demo", "--points", "1500", "-k", "12"]
+    assert main([*demo, "--verify", "--solver", "fourier"]) == 0
+    assert " of 12 modes; from mode " in capsys.readouterr().out
+    assert main(["spectrum", path, "-k", "12", "--verify", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)["certificate"]
+    assert (record["level"], record["count"]["verified"]) == ("verified", 12)
+    assert main(["spectrum", path, "-k", "12", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)["certificate"]
+    assert (record["level"], record["count"]) == ("residuals", None)
