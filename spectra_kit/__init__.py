@@ -28,6 +28,7 @@ from spectra_kit.eigensolvers import (
     RayleighRitz,
     Refined,
     eigensolve,
+    verify,
 )
 from spectra_kit.errors import (
     ConvergenceError,
@@ -40,7 +41,7 @@ from spectra_kit.errors import (
 )
 from spectra_kit.geometry import PointCloud, TriangleMesh, read, write
 from spectra_kit.operators import Laplacian, cotan_laplacian, knn_laplacian, robust_laplacian
-from spectra_kit.spectrum import Certificate, Provenance, Spectrum
+from spectra_kit.spectrum import Certificate, ModeCount, Provenance, Spectrum
 from spectra_kit.subspaces import AmbientFourier, GivenBasis, RandomBasis, Union
 
 __all__ = [
@@ -55,6 +56,7 @@ __all__ = [
     "Laplacian",
     "Lobpcg",
     "MissingDependencyError",
+    "ModeCount",
     "Neo",
     "OutOfMemoryError",
     "PointCloud",
@@ -74,5 +76,6 @@ __all__ = [
     "knn_laplacian",
     "read",
     "robust_laplacian",
+    "verify",
     "write",
 ]
