@@ -85,18 +85,19 @@ def draw_accuracy(results: Sequence[Result], path: Path) -> Path:
     """
     shown = [r for r in results if r.ok and r.eigenvalue_error is not None]
     figure, panel = _figure(f"{shown[0].geometry}, {shown[0].n:,} points: accuracy against time")
-    front = undominated(shown, floor=_FLOOR)
-    panel.plot(
-        [r.median for r in front],
-        [error_of(r, _FLOOR) for r in front],
-        color="0.8",
-        lw=2,
-        marker="o",
-        ms=17,
-        drawstyle="steps-post",
-        label="nothing is both faster\nand more accurate",
-        zorder=1,
-    )
+    for device in dict.fromkeys(r.device for r in shown):
+        front = undominated([r for r in shown if r.device == device], floor=_FLOOR)
+        panel.plot(
+            [r.median for r in front],
+            [error_of(r, _FLOOR) for r in front],
+            color="0.8",
+            lw=2,
+            marker="o",
+            ms=17,
+            drawstyle="steps-post",
+            label=None if panel.lines else "nothing is both faster\nand more accurate",
+            zorder=1,
+        )
     for result in shown:
         panel.plot(
             result.median,
@@ -172,7 +173,7 @@ def _legend(figure: Figure, panel: Axes) -> None:
         bbox_to_anchor=(0.71, 0.5),
         fontsize=9,
         frameon=False,
-        labelspacing=0.9,
+        labelspacing=min(0.9, 14 / len(names)),
     )
 
 

@@ -119,7 +119,7 @@ def markdown(results: Sequence[Result], settings: Settings, machine: dict[str, o
         f" Speed-up: over {BASELINE}. GB: peak above the operator. Residuals are relative;"
         " eigenvalue and span errors are means against ARPACK at machine precision; missed: exact"
         " modes with more than half of their energy outside the modes found. Bold: no other method"
-        " is both faster and more accurate.",
+        " on that device is both faster and more accurate.",
     ]
     waiting = max((result.waiting or 0.0 for result in results), default=0.0)
     if waiting > _BUSY:
@@ -143,7 +143,7 @@ def _table(here: Sequence[Result]) -> list[str]:
     lines = [title, "", f"Assembly {assembly:.3g} s." if assembly is not None else "", ""]
     lines += ["| " + " | ".join(_COLUMNS) + " |", "|---" * len(_COLUMNS) + "|"]
     base = next((r.median for r in here if r.method == BASELINE and r.ok), None)
-    best = undominated(here)
+    best = [r for _, these in _grouped(here, lambda r: r.device) for r in undominated(these)]
     for result in (result for result in here if result.ok):
         cells = [
             f"**{result.label}**" if result in best else result.label,
