@@ -30,6 +30,7 @@ Answer = dict[str, Any]
 
 # `eigensolve` books these; a solver that is called by itself does not spend them.
 _NOT_SOLVING = {"assembly", "certify"}
+_LARGE = 10_000  # points; a sphere of five subdivisions has 10,242
 # What libraries raise when a problem is too large or too hard for them; torch and SuperLU raise
 # RuntimeError where memory ends, ARPACK's and LAPACK's errors are RuntimeError and ValueError.
 _FAILURES = (SpectraKitError, RuntimeError, ValueError, MemoryError)
@@ -69,8 +70,9 @@ class Runner:
         self.laplacian: Laplacian = read_operator(Path(operator))
         self.spectrum: Spectrum | None = None
         # So that no compiling, loading of weights or starting of a device is measured. Large
-        # enough that no solver takes its shortcut through a dense matrix.
-        eigensolve(robust_laplacian(sphere(subdivisions=4).geometry), min(k, 16), self.solver)
+        # enough that no solver takes a shortcut that it will not take afterwards.
+        ball = sphere(subdivisions=4 if self.laplacian.n < _LARGE else 5).geometry
+        eigensolve(robust_laplacian(ball), min(k, 16), self.solver)
         # Kept with the operator by its first user, and any of them may be the first.
         _ = self.laplacian.kernel_dimension, self.laplacian.component_spacings
 
