@@ -178,8 +178,17 @@ def multiply_rows(
     for i in range(start, stop):
         for c in range(width):
             out[i, c] = 0
-        for p in range(indptr[i], indptr[i + 1]):
-            j = columns[p]
-            value = values[p]
+        p, end = indptr[i], indptr[i + 1]
+        while p + 4 <= end:  # four rows of `dense` to one pass over the sums
+            v0, v1, v2, v3 = values[p], values[p + 1], values[p + 2], values[p + 3]
+            j0, j1, j2, j3 = columns[p], columns[p + 1], columns[p + 2], columns[p + 3]
+            for c in range(width):
+                out[i, c] += (v0 * dense[j0, c] + v1 * dense[j1, c]) + (
+                    v2 * dense[j2, c] + v3 * dense[j3, c]
+                )
+            p += 4
+        while p < end:
+            value, j = values[p], columns[p]
             for c in range(width):
                 out[i, c] += value * dense[j, c]
+            p += 1
