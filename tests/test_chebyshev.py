@@ -203,4 +203,4 @@ def test_smoothing_takes_the_kinks_out_of_a_coarse_basis(laplacian, exact):
         np.abs(rayleigh_ritz(L, mass, b, 16).eigenvalues.numpy()[1:] / exact[0][1:16] - 1).mean()
         for b in (basis, smooth)
     ]
-    assert errors[1] < 0.3 * errors[0]
+    assert errors[1] < 0.5 * errors[0]

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
+from spectra_kit.eigensolvers import Neo, RayleighRitz, eigensolve
 from spectra_kit.errors import InvalidInputError, WeightsError
-from spectra_kit.geometry import PointCloud
+from spectra_kit.geometry import PointCloud, creature
+from spectra_kit.levels import coarsen
 from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace, neo_eigenpairs, save_weights
 from spectra_kit.operators import robust_laplacian
 from spectra_kit.subspaces.frame import POSES
@@ -99,7 +100,57 @@ def test_eigenpairs_equal_those_of_the_numpy_twin(network, laplacian):
     twin = RayleighRitz(subspace=subspace).eigenpairs(laplacian, 10)
     np.testing.assert_allclose(pairs.eigenvalues, twin.eigenvalues, rtol=1e-6, atol=1e-9)
     assert span_distance(pairs.eigenvectors.numpy(), twin.eigenvectors, laplacian.mass) < 1e-4
-    assert set(pairs.seconds) == {"frame", "forward", "orthonormalize", "project", "eigh", "settle"}
+    assert set(pairs.seconds) == {
+        *("frame", "transfer", "forward", "orthonormalize", "project", "eigh", "settle")
+    }
+
+
+def check_pairs(pairs, laplacian, k):
+    """M-orthonormal vectors, with their Rayleigh quotients as values."""
+    U, values = pairs.eigenvectors.numpy(), pairs.eigenvalues.numpy()
+    assert U.shape == (laplacian.n, k)
+    np.testing.assert_allclose(U.T @ (laplacian.mass[:, None] * U), np.eye(k), atol=1e-10)
+    inside = U.T @ (laplacian.stiffness @ U)
+    np.testing.assert_allclose(inside, np.diag(values), atol=1e-9 * values[-1])
+
+
+def test_a_cap_solves_in_the_basis_that_is_carried_to_all_points(network, laplacian):
+    subspace = NeoSubspace(network)
+    capped = neo_eigenpairs(subspace, laplacian, 10, cap=150)
+    check_pairs(capped, laplacian, 10)
+    level = coarsen(laplacian, 150)
+    carried = level.prolongation @ subspace(level.points, level.lumped)
+    twin = RayleighRitz(subspace=lambda points, mass: carried).eigenpairs(laplacian, 10)
+    np.testing.assert_allclose(capped.eigenvalues, twin.eigenvalues, rtol=1e-6, atol=1e-9)
+    assert span_distance(capped.eigenvectors.numpy(), twin.eigenvectors, laplacian.mass) < 1e-4
+    assert {"coarsen", "carry", "transfer"} <= set(capped.seconds)
+
+
+def test_a_cap_that_does_not_bind_changes_nothing(network, laplacian):
+    subspace = NeoSubspace(network)
+    whole, capped = (neo_eigenpairs(subspace, laplacian, 10, cap=cap) for cap in (None, 400))
+    assert torch.equal(whole.eigenvalues, capped.eigenvalues)
+    assert torch.equal(whole.eigenvectors, capped.eigenvectors)
+
+
+def test_smoothing_lowers_the_energy_of_carried_vectors(network, laplacian):
+    subspace = NeoSubspace(network)
+    rough, smooth = (
+        neo_eigenpairs(subspace, laplacian, 10, cap=100, smoothing=degree) for degree in (0, 4)
+    )
+    check_pairs(smooth, laplacian, 10)
+    assert smooth.eigenvalues.sum() < 0.9 * rough.eigenvalues.sum()
+    assert "smooth" in smooth.seconds
+
+
+def test_the_shipped_network_loses_nothing_under_a_cap():
+    laplacian = robust_laplacian(creature(12000, seed=1))
+    exact = eigensolve(laplacian, 64).eigenvalues[1:]
+    errors = [
+        (eigensolve(laplacian, 64, Neo(cap=cap)).eigenvalues[1:] / exact - 1).mean()
+        for cap in (None, 2048)
+    ]
+    assert 0 < errors[1] < max(errors[0], 0.01)
 
 
 def test_the_zero_mode_is_exact_and_eigenvalues_scale(network, laplacian):
@@ -120,6 +171,8 @@ def test_repr_tells_weights_and_options(network, tmp_path):
         f" sha256={digest[:12]!r})"
     )
     assert "<NeoNetwork, " in repr(NeoSubspace(network))
+    assert "cap=2048, smoothing=0" in repr(Neo(cap=2048))
+    assert "cap" not in repr(Neo())
 
 
 def test_bad_options_are_refused(network, laplacian):
@@ -131,5 +184,9 @@ def test_bad_options_are_refused(network, laplacian):
         NeoSubspace(network, chunk=0)
     with pytest.raises(WeightsError, match="weights must be one of"):
         NeoSubspace("huge")
+    with pytest.raises(InvalidInputError, match="`cap` must be at least 1, got 0"):
+        Neo(cap=0)
+    with pytest.raises(InvalidInputError, match="`smoothing` must be at least 0, got -1"):
+        Neo(smoothing=-1)
     with pytest.raises(InvalidInputError, match="at least k = 60 dimensions"):
         neo_eigenpairs(NeoSubspace(network), laplacian, 60)

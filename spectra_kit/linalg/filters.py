@@ -18,7 +18,7 @@ _BOUND_STEPS = 20
 
 
 def chebyshev_smooth(
-    stiffness: Tensor, basis: Tensor, *, degree: int = 8, damping: float = 30.0
+    stiffness: Tensor, basis: Tensor, *, degree: int = 8, damping: float = 10.0
 ) -> Tensor:
     """Damp the high frequencies of the columns of a basis.
 
@@ -30,7 +30,7 @@ def chebyshev_smooth(
         Functions, float32 or float64; computed in that precision.
     degree : int, default 8
         Products with L. The band that is kept shrinks with its square.
-    damping : float, default 30.0
+    damping : float, default 10.0
         By what at least the damped band is divided; larger takes more of the low end with it.
 
     Returns

@@ -112,7 +112,13 @@ def orthonormalize(basis: Tensor, mass: Tensor, *, rank_tol: float = 1e-10) -> T
 
 
 def rayleigh_ritz(
-    stiffness: Tensor, mass: Tensor, basis: Tensor, k: int, *, rank_tol: float = 1e-10
+    stiffness: Tensor,
+    mass: Tensor,
+    basis: Tensor,
+    k: int,
+    *,
+    rank_tol: float = 1e-10,
+    clock: Clock | None = None,
 ) -> RitzPairs:
     """Return the k lowest Ritz pairs of L u = lambda M u in the span of `basis`.
 
@@ -131,6 +137,8 @@ def rayleigh_ritz(
         Pairs to return.
     rank_tol : float, default 1e-10
         See `orthonormalize`, to which a badly conditioned basis is handed.
+    clock : Clock, optional
+        To book the stages on, beside what is there already.
 
     Returns
     -------
@@ -149,7 +157,7 @@ def rayleigh_ritz(
     >>> pairs.eigenvalues.abs()
     tensor([0.0, 1.0], dtype=torch.float64)
     """
-    pairs = leading_ritz_pairs(stiffness, mass, basis, k, rank_tol=rank_tol)
+    pairs = leading_ritz_pairs(stiffness, mass, basis, k, rank_tol=rank_tol, clock=clock)
     if (rank := len(pairs.eigenvalues)) < k:
         raise InvalidInputError(
             f"`basis` must span at least k = {k} dimensions, got numerical rank {rank} of"
@@ -159,7 +167,13 @@ def rayleigh_ritz(
 
 
 def leading_ritz_pairs(
-    stiffness: Tensor, mass: Tensor, basis: Tensor, most: int, *, rank_tol: float = 1e-10
+    stiffness: Tensor,
+    mass: Tensor,
+    basis: Tensor,
+    most: int,
+    *,
+    rank_tol: float = 1e-10,
+    clock: Clock | None = None,
 ) -> RitzPairs:
     """Return what `rayleigh_ritz` does, but only as many pairs as the rank of `basis` allows.
 
@@ -168,7 +182,7 @@ def leading_ritz_pairs(
     one projection, and the lift of the columns wanted. A second round in these takes away the
     rounding of the first.
     """
-    clock = Clock(basis.device)
+    clock = clock or Clock(basis.device)
     whitening, single = _single_whitening(basis, mass), True
     if whitening is None:
         whitening, single = _whitening(_gram(basis, mass, torch.float64), _DOUBLE_LIMIT), False

@@ -11,10 +11,19 @@ from typing import Literal
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
 
 from spectra_kit._validate import Rebuilt, check_count, check_mass, check_points
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.torch_ritz import Clock, RitzPairs, rayleigh_ritz, sparse_tensor
+from spectra_kit.levels import coarsen
+from spectra_kit.linalg.filters import chebyshev_smooth
+from spectra_kit.linalg.torch_ritz import (
+    Clock,
+    RitzPairs,
+    device_memory,
+    rayleigh_ritz,
+    sparse_tensor,
+)
 from spectra_kit.neo.model import NeoNetwork
 from spectra_kit.neo.pretrained import find_weights, load_pretrained
 from spectra_kit.operators.laplacian import Laplacian
@@ -158,7 +167,13 @@ def _check_device(name: str) -> None:
 
 
 def neo_eigenpairs(
-    subspace: NeoSubspace, laplacian: Laplacian, k: int, *, rank_tol: float = 1e-10
+    subspace: NeoSubspace,
+    laplacian: Laplacian,
+    k: int,
+    *,
+    cap: int | None = None,
+    smoothing: int = 0,
+    rank_tol: float = 1e-10,
 ) -> RitzPairs:
     """Predict a basis and solve inside it, all on the device of the subspace.
 
@@ -170,30 +185,77 @@ def neo_eigenpairs(
         Of one connected surface.
     k : int
         Pairs to return.
+    cap : int, optional
+        Points that the network sees at most, well spread over the surface. The basis is then
+        solved in on these (`levels.coarsen`), and the k Ritz vectors are carried to all points.
+    smoothing : int, default 0
+        Degree of the low-pass filter (`linalg.filters.chebyshev_smooth`) that takes out the kinks
+        of carried vectors, before Rayleigh-Ritz on all points. 0 for none.
     rank_tol : float, default 1e-10
         See `linalg.torch_ritz.orthonormalize`.
 
     Returns
     -------
     RitzPairs
-        In the units of the Laplacian; ``seconds`` holds ``frame``, ``forward``,
-        ``orthonormalize``, ``project`` and ``eigh``.
+        In the units of the Laplacian; ``seconds`` holds ``frame``, ``transfer`` (to the device),
+        ``forward``, ``orthonormalize``, ``project``, ``eigh`` and ``settle``; with a cap,
+        ``coarsen``, ``carry`` and ``smooth`` too.
 
     Raises
     ------
     InvalidInputError
         If the basis spans fewer than k dimensions.
+    MemoryError
+        If the device has too little memory.
     """
     clock = Clock(torch.device(subspace.device))
-    frame = subspace.frame(laplacian.points, laplacian.mass)
+    with device_memory():
+        if cap is None or cap >= laplacian.n:
+            points, mass = laplacian.points, laplacian.mass
+            return _solve(subspace, points, mass, laplacian.stiffness, mass, k, rank_tol, clock)
+        coarse = coarsen(laplacian, cap)
+        clock.stage("coarsen")
+        pairs = _solve(
+            subspace,
+            coarse.points,
+            coarse.lumped,
+            coarse.stiffness,
+            coarse.mass,
+            k,
+            rank_tol,
+            clock,
+        )
+        prolongation = sparse_tensor(coarse.prolongation, subspace.device)
+        clock.stage("transfer")
+        carried = prolongation @ pairs.eigenvectors
+        clock.stage("carry")
+        if not smoothing:
+            return pairs._replace(eigenvectors=carried)
+        stiffness = sparse_tensor(laplacian.stiffness, subspace.device)
+        weights = torch.tensor(laplacian.mass, device=subspace.device)
+        clock.stage("transfer")
+        smooth = chebyshev_smooth(stiffness, carried.float(), degree=smoothing)
+        clock.stage("smooth")
+        return rayleigh_ritz(stiffness, weights, smooth, k, rank_tol=rank_tol, clock=clock)
+
+
+def _solve(
+    subspace: NeoSubspace,
+    points: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    stiffness: sparse.csr_array,
+    mass: NDArray[np.float64] | sparse.csr_array,
+    k: int,
+    rank_tol: float,
+    clock: Clock,
+) -> RitzPairs:
+    """Predict from points and their weights, and solve for a mass that need not be diagonal."""
+    frame = subspace.frame(points, weights)
     clock.stage("frame")
-    basis = subspace.predict(laplacian.points, laplacian.mass, frame)
+    device = subspace.device
+    L = sparse_tensor(stiffness, device)
+    M = torch.tensor(mass, device=device) if weights is mass else sparse_tensor(mass, device)
+    clock.stage("transfer")
+    basis = subspace.predict(points, weights, frame)
     clock.stage("forward")
-    pairs = rayleigh_ritz(
-        sparse_tensor(laplacian.stiffness, subspace.device),
-        torch.from_numpy(np.array(laplacian.mass)).to(subspace.device),
-        basis,
-        k,
-        rank_tol=rank_tol,
-    )
-    return pairs._replace(seconds=clock.seconds | pairs.seconds)
+    return rayleigh_ritz(L, M, basis, k, rank_tol=rank_tol, clock=clock)
