@@ -21,8 +21,10 @@ Conventions, everywhere the same:
 from spectra_kit import geometry
 from spectra_kit.eigensolvers import (
     Arpack,
+    Capped,
     Dense,
     Lobpcg,
+    Multilevel,
     Neo,
     Polished,
     RayleighRitz,
@@ -47,6 +49,7 @@ from spectra_kit.subspaces import AmbientFourier, GivenBasis, RandomBasis, Union
 __all__ = [
     "AmbientFourier",
     "Arpack",
+    "Capped",
     "Certificate",
     "ConvergenceError",
     "Dense",
@@ -57,6 +60,7 @@ __all__ = [
     "Lobpcg",
     "MissingDependencyError",
     "ModeCount",
+    "Multilevel",
     "Neo",
     "OutOfMemoryError",
     "PointCloud",

@@ -2,8 +2,10 @@
 
 from spectra_kit.eigensolvers.arpack import Arpack
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
+from spectra_kit.eigensolvers.capped import Capped
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.lobpcg import Lobpcg
+from spectra_kit.eigensolvers.multilevel import Multilevel
 from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
 from spectra_kit.eigensolvers.refined import Polished, Refined
@@ -12,10 +14,12 @@ from spectra_kit.eigensolvers.verification import verify
 
 __all__ = [
     "Arpack",
+    "Capped",
     "Dense",
     "Eigenpairs",
     "Eigensolver",
     "Lobpcg",
+    "Multilevel",
     "Neo",
     "NotConvergedError",
     "Polished",

@@ -2,6 +2,16 @@
 
 from spectra_kit.levels.coarse import Coarse, coarsen
 from spectra_kit.levels.interpolation import prolongation
+from spectra_kit.levels.solve import CoarsePairs, coarse_iteration, coarse_ritz
 from spectra_kit.levels.subset import Subset, well_spread
 
-__all__ = ["Coarse", "Subset", "coarsen", "prolongation", "well_spread"]
+__all__ = [
+    "Coarse",
+    "CoarsePairs",
+    "Subset",
+    "coarse_iteration",
+    "coarse_ritz",
+    "coarsen",
+    "prolongation",
+    "well_spread",
+]

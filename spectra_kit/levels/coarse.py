@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,9 @@ from spectra_kit.operators.laplacian import Laplacian
 Floats = NDArray[np.float64]
 
 
-class Coarse(NamedTuple):
-    """An operator restricted to functions that a subset of the points determines.
+@dataclass(frozen=True, eq=False)
+class Coarse:
+    """An operator restricted to functions that a subset of its points determines.
 
     A function u on the subset stands for ``prolongation @ u`` on all points: energies and inner
     products of these are exact, so Ritz values and M-orthonormality here are those on all
@@ -25,17 +26,20 @@ class Coarse(NamedTuple):
     Attributes
     ----------
     subset : Subset
-        Indices of the points, and how far they are apart.
-    prolongation : csr_array of shape (n, n_subset)
+        Indices of the points in the finer operator, and how far they are apart.
+    prolongation : csr_array of shape (n_fine, n)
         P; see `levels.prolongation`.
-    stiffness : csr_array of shape (n_subset, n_subset)
+    stiffness : csr_array of shape (n, n)
         ``P^T L P``.
-    mass : csr_array of shape (n_subset, n_subset)
+    mass : csr_array of shape (n, n)
         ``P^T M P``, not diagonal: with its row sums instead, the eigenvalues would be off by more
         than all else.
-    points : ndarray of shape (n_subset, 3)
-    lumped : ndarray of shape (n_subset,)
+    points : ndarray of shape (n, 3)
+        Coordinates of the subset, in length.
+    lumped : ndarray of shape (n,)
         Area that each point stands for; positive, with the total of M.
+    eigenvalue_spacing : float
+        That of the `Laplacian` at the finest level.
     """
 
     subset: Subset
@@ -44,15 +48,26 @@ class Coarse(NamedTuple):
     mass: sparse.csr_array
     points: Floats
     lumped: Floats
+    eigenvalue_spacing: float
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+        return len(self.points)
+
+    @property
+    def area(self) -> float:
+        """Total mass, in length^2."""
+        return float(self.lumped.sum())
 
 
-def coarsen(laplacian: Laplacian, n_points: int) -> Coarse:
+def coarsen(operator: Laplacian | Coarse, n_points: int) -> Coarse:
     """Restrict an operator to about `n_points` of its points.
 
     Parameters
     ----------
-    laplacian : Laplacian
-        On n points.
+    operator : Laplacian or Coarse
+        On more points than that; a coarse level can be coarsened again.
     n_points : int
         At most so many; see `well_spread`.
 
@@ -79,15 +94,20 @@ def coarsen(laplacian: Laplacian, n_points: int) -> Coarse:
     >>> bool(np.isclose(level.mass.sum(), laplacian.area))
     True
     """
-    subset = well_spread(laplacian, n_points)
-    lift = prolongation(laplacian, subset)
+    subset = well_spread(operator, n_points)
+    lift = prolongation(operator, subset)
     restrict = sparse.csr_array(lift.T)
-    share = np.asarray(abs(restrict) @ laplacian.mass)
+    if isinstance(operator, Laplacian):
+        mass, lumped = sparse.csr_array(sparse.diags_array(operator.mass)), operator.mass
+    else:
+        mass, lumped = operator.mass, operator.lumped
+    share = np.asarray(abs(restrict) @ lumped)
     return Coarse(
         subset,
         lift,
-        sparse.csr_array(restrict @ (laplacian.stiffness @ lift)),
-        sparse.csr_array(restrict @ (sparse.diags_array(laplacian.mass) @ lift)),
-        laplacian.points[subset.indices],
-        share * (laplacian.area / share.sum()),
+        sparse.csr_array(restrict @ (operator.stiffness @ lift)),
+        sparse.csr_array(restrict @ (mass @ lift)),
+        operator.points[subset.indices],
+        share * (operator.area / share.sum()),
+        operator.eigenvalue_spacing,
     )

@@ -8,21 +8,20 @@ import numpy as np
 from scipy import sparse
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.levels.subset import Subset
+from spectra_kit.levels.subset import Operator, Subset
 from spectra_kit.linalg.threads import in_threads, thread_count
-from spectra_kit.operators.laplacian import Laplacian
 
 _REACH = 2.5  # radius of influence of a point, in radii of the subset: some 15 reach each point
 _FLAT = 0.02  # share of the widest variance below which neighbours lie on a line
 
 
-def prolongation(laplacian: Laplacian, subset: Subset) -> sparse.csr_array:
+def prolongation(operator: Operator, subset: Subset) -> sparse.csr_array:
     """Return the matrix that carries values on a subset to all points.
 
     Parameters
     ----------
-    laplacian : Laplacian
-        On n points; its off-diagonal pattern says which are neighbours.
+    operator : Laplacian or Coarse
+        On n points; the off-diagonal pattern of its stiffness says which are neighbours.
     subset : Subset
         From `well_spread`.
 
@@ -59,7 +58,7 @@ def prolongation(laplacian: Laplacian, subset: Subset) -> sparse.csr_array:
     """
     from spectra_kit.levels._kernels import balls, interpolate, transposed
 
-    graph, points, n = laplacian.stiffness, laplacian.points, laplacian.n
+    graph, points, n = operator.stiffness, operator.points, operator.n
     starts, neighbours = (np.asarray(a, dtype=np.int32) for a in (graph.indptr, graph.indices))
     reach = _REACH * subset.radius
     members = balls(starts, neighbours, points, subset.indices, reach)
@@ -67,7 +66,7 @@ def prolongation(laplacian: Laplacian, subset: Subset) -> sparse.csr_array:
     if (empty := np.flatnonzero(np.diff(indptr) == 0)).size:
         raise InvalidInputError(
             f"`subset` must come within {reach:.3g} of every point, got {empty.size} points out"
-            f" of reach, the first {empty[0]}; take it from well_spread of the same Laplacian"
+            f" of reach, the first {empty[0]}; take it from well_spread of the same operator"
         )
     centres = points[subset.indices]
     weights = np.empty(len(columns))
@@ -79,4 +78,6 @@ def prolongation(laplacian: Laplacian, subset: Subset) -> sparse.csr_array:
             for first, last in pairwise(cuts)
         ),
     )
+    if len(columns) < np.iinfo(np.int32).max:  # half the memory, and what torch wants
+        indptr = indptr.astype(np.int32)
     return sparse.csr_array((weights, columns, indptr), shape=(n, len(centres)))

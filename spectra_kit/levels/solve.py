@@ -1,0 +1,139 @@
+"""Eigenpairs of a coarse level, from any start."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.linalg import eigh
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.levels.coarse import Coarse
+from spectra_kit.linalg.ldl import SparseLDL
+from spectra_kit.linalg.orthonormal import orthonormalize
+from spectra_kit.linalg.products import spmm
+
+Floats = NDArray[np.float64]
+
+_SHIFT = 1 / 8  # of the guard eigenvalue, below the spectrum
+
+
+class CoarsePairs(NamedTuple):
+    """Ritz pairs of a coarse level.
+
+    Attributes
+    ----------
+    eigenvalues : ndarray of shape (b,)
+        Ascending; no smaller than those of the finest level.
+    eigenvectors : ndarray of shape (n, b)
+        On the subset, orthonormal in ``P^T M P``.
+    """
+
+    eigenvalues: Floats
+    eigenvectors: Floats
+
+
+def coarse_ritz(
+    level: Coarse, basis: NDArray[np.floating], k: int, *, guard: int = 0
+) -> CoarsePairs:
+    """Return the lowest Ritz pairs of a coarse level in the span of `basis`.
+
+    Parameters
+    ----------
+    level : Coarse
+        On n points.
+    basis : ndarray of shape (n, m)
+        Columns of any scale, dependent ones allowed.
+    k : int
+        Pairs to return at least.
+    guard : int, default 0
+        Pairs to return beyond these, as far as the rank allows.
+
+    Returns
+    -------
+    CoarsePairs
+
+    Raises
+    ------
+    InvalidInputError
+        If the numerical rank of `basis` is below k, or it holds NaN, infinity or only zeros.
+    """
+    Y = orthonormalize(basis, level.lumped)  # nearly so in the mass of the level, too
+    if Y.shape[1] < k:
+        raise InvalidInputError(
+            f"`basis` must span at least k = {k} dimensions, got numerical rank {Y.shape[1]} of"
+            f" {basis.shape[1]} columns on {level.n} points; ask for fewer modes, or use a larger"
+            " basis or more points"
+        )
+    inside, gram = (Y.T @ spmm(matrix, Y) for matrix in (level.stiffness, level.mass))
+    values, rotation = eigh((inside + inside.T) / 2, (gram + gram.T) / 2)
+    return CoarsePairs(values[: k + guard], Y @ rotation[:, : k + guard])
+
+
+def coarse_iteration(
+    level: Coarse,
+    start: CoarsePairs,
+    k: int,
+    *,
+    rtol: float = 0.0,
+    max_sweeps: int = 20,
+    degree: int = 4,
+) -> CoarsePairs:
+    """Drive Ritz pairs of a coarse level towards its lowest eigenpairs.
+
+    Parameters
+    ----------
+    level : Coarse
+        On n points.
+    start : CoarsePairs
+        Of b > k columns: those beyond k guard the last wanted ones.
+    k : int
+        Wanted pairs.
+    rtol : float, default 0.0
+        Stop when a sweep changes the wanted Ritz values by less than this share of them: no need
+        to go below what the level itself is off by.
+    max_sweeps : int, default 20
+        Stop after so many in any case.
+    degree : int, default 4
+        Of the filter: solves of each column in a sweep.
+
+    Returns
+    -------
+    CoarsePairs
+        All b of them, unless the rank fell.
+
+    Notes
+    -----
+    Each sweep filters the columns by a Chebyshev polynomial of ``(L - sigma M)^-1 M`` that is
+    small beyond the guard; see `linalg.shift_invert.shift_invert_iteration`, the same method for
+    a diagonal mass.
+    """
+    block = len(start.eigenvalues)
+    pairs = start
+    factor: SparseLDL | None = None
+    sigma = 0.0
+    for _ in range(max_sweeps):
+        guard = max(float(pairs.eigenvalues[-1]), level.eigenvalue_spacing)
+        if factor is None or -sigma > 4 * _SHIFT * guard:
+            # The Ritz values of a random start say nothing: not above what Weyl's law suggests.
+            sigma = -_SHIFT * min(guard, 2 * block * level.eigenvalue_spacing)
+            factor = SparseLDL(sparse.csr_array(level.stiffness - sigma * level.mass))
+        filtered = _filtered(level, factor, pairs.eigenvectors, guard - sigma, degree)
+        before = pairs.eigenvalues[:k]
+        pairs = coarse_ritz(level, filtered, k, guard=block - k)
+        values = np.maximum(pairs.eigenvalues[:k], level.eigenvalue_spacing)
+        if (np.abs(pairs.eigenvalues[:k] - before) <= rtol * values).all():
+            break
+    return pairs
+
+
+def _filtered(level: Coarse, factor: SparseLDL, X: Floats, guard: float, degree: int) -> Floats:
+    """Apply the Chebyshev polynomial that is at most 1 on the eigenvalues of T below 1 / guard."""
+    previous = X
+    current = 2 * guard * factor.solve(spmm(level.mass, X)) - X
+    for _ in range(degree - 1):
+        solved = factor.solve(spmm(level.mass, current))
+        previous, current = current, 4 * guard * solved - 2 * current - previous
+    return current
