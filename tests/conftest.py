@@ -12,9 +12,11 @@ import pytest
 from spectra_kit import (
     AmbientFourier,
     Arpack,
+    Capped,
     Dense,
     Laplacian,
     Lobpcg,
+    Multilevel,
     Neo,
     Polished,
     RayleighRitz,
@@ -46,12 +48,15 @@ EXACT_BACKENDS = [
     Backend(Lobpcg(), 1e-8),
     Backend(Lobpcg(preconditioner="amg"), 1e-8),
     Backend(Refined(), 1e-8),
+    Backend(Multilevel(rtol=1e-8), 1e-8),
 ]
 # Relative residuals of a smooth approximation are of order one: its few high frequencies weigh in
 # the M^-1 norm with their eigenvalue. Accuracy of the eigenvalues is tested where it is claimed.
 APPROXIMATE_BACKENDS = [
     Backend(RayleighRitz(subspace=AmbientFourier(m=300, bandwidth=6.0)), 3.0),
     Backend(Polished(), 0.05),
+    # The order of the points decides which of them make the subset.
+    Backend(Capped(n_points=150, sweeps=3), 3.0, rounding=1e-2),
     # A float32 network: rounding of its features moves the predicted span a little.
     Backend(Neo(poses=1), 3.0, rounding=1e-3),
 ]
