@@ -429,7 +429,8 @@ class Spectrum(Rebuilt):
         certified = "uncertified"
         if self.certificate is not None:
             worst = self.certificate.relative_residuals.max(initial=0.0)
-            certified = f"relative residuals up to {worst:.1e}"
+            verified = "verified, " if self.certificate.level == "verified" else ""
+            certified = f"{verified}relative residuals up to {worst:.1e}"
         return (
             f"Spectrum(n={self.n}, k={self.k}, eigenvalues {self.eigenvalues[:1].sum():.4g} to"
             f" {self.eigenvalues[-1:].sum():.4g}, {certified}, solver={self.provenance.solver})"

@@ -228,6 +228,8 @@ def test_count_survives_what_spectra_go_through(tmp_path, bumpy_laplacian, spect
     verified.save(tmp_path / "v.npz")
     loaded = Spectrum.load(tmp_path / "v.npz").certificate
     assert (loaded.count, loaded.level) == (count, "verified")
+    assert "verified, relative residuals" in repr(verified)
+    assert "verified" not in repr(spectrum)
 
     partly = verify(columns(spectrum, [0, 1, 2, *range(4, 20)]), bumpy_laplacian)
     assert (partly.certificate.level, partly.certificate.n_verified) == ("residuals", 3)
@@ -239,6 +241,18 @@ def test_count_survives_what_spectra_go_through(tmp_path, bumpy_laplacian, spect
 
 def _scaled(laplacian: Laplacian, factor: float) -> Laplacian:
     return Laplacian(laplacian.stiffness, laplacian.mass * factor**2, laplacian.points * factor)
+
+
+def test_files_without_a_count_are_those_of_before(tmp_path, bumpy_laplacian, spectrum) -> None:
+    """So a reader that knows no counts reads them still, and this one reads its files."""
+    versions = []
+    for s in (spectrum, verify(spectrum, bumpy_laplacian)):
+        s.save(tmp_path / "s.npz")
+        with np.load(tmp_path / "s.npz") as arrays:
+            header = json.loads(str(arrays["header"]))
+        versions.append((header["version"], "count" in header["certificate"]))
+        assert Spectrum.load(tmp_path / "s.npz").certificate.count == s.certificate.count
+    assert versions == [(1, False), (2, True)]
 
 
 def test_the_command_line_says_what_is_verified(tmp_path, capsys) -> None:

@@ -193,7 +193,7 @@ class _Prover:
             return (
                 f"from mode {wide[0]} on, the residuals and the error of orthonormality add up to"
                 f" {self.radii[wide[0]]:.3g}, too wide to tell an eigenvalue from the next;"
-                " refine the modes"
+                " refine the modes (if they are exact, degenerate faces make rounding this large)"
             )
         return "rounding in the factor of L - sigma M was too large for every shift tried"
 
