@@ -7,6 +7,13 @@
 """
 
 from spectra_kit.operators.assemble import cotan_laplacian, knn_laplacian, robust_laplacian
+from spectra_kit.operators.delaunay import delaunay_laplacian
 from spectra_kit.operators.laplacian import Laplacian
 
-__all__ = ["Laplacian", "cotan_laplacian", "knn_laplacian", "robust_laplacian"]
+__all__ = [
+    "Laplacian",
+    "cotan_laplacian",
+    "delaunay_laplacian",
+    "knn_laplacian",
+    "robust_laplacian",
+]

@@ -11,7 +11,13 @@ from scipy.spatial import cKDTree
 
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.operators._checks import (
+    check_cloud_usable,
+    check_distinct,
+    check_faces_usable,
+    check_geometry,
+)
 from spectra_kit.operators.laplacian import Laplacian
 
 Floats = NDArray[np.float64]
@@ -59,15 +65,15 @@ def robust_laplacian(
     import robust_laplacian as rl  # here: a bare machine unpacks it after this import
 
     start = time.perf_counter()
-    _check_geometry(geometry)
+    check_geometry(geometry)
     check_positive("mollify_factor", mollify_factor)
     points = np.array(geometry.points)
     if isinstance(geometry, TriangleMesh):
-        _check_faces_usable(geometry)
+        check_faces_usable(geometry)
         stiffness, mass = rl.mesh_laplacian(points, np.array(geometry.faces), mollify_factor)
         options = f"mollify_factor={mollify_factor:g}"
     else:
-        neighbors = _check_cloud_usable(geometry, n_neighbors)
+        neighbors = check_cloud_usable(geometry, n_neighbors)
         stiffness, mass = rl.point_cloud_laplacian(points, mollify_factor, neighbors)
         options = f"mollify_factor={mollify_factor:g}, n_neighbors={neighbors}"
     return Laplacian(
@@ -119,7 +125,7 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
             " for clouds use robust_laplacian or knn_laplacian"
         )
     start = time.perf_counter()
-    _check_faces_usable(mesh)
+    check_faces_usable(mesh)
     if (flat := int(mesh.degenerate_faces(1e-14).sum())) > 0:
         raise InvalidInputError(
             f"`mesh` has {flat} faces of zero area, on which cotangents do not exist;"
@@ -178,11 +184,11 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     1
     """
     start = time.perf_counter()
-    _check_geometry(geometry)
+    check_geometry(geometry)
     points = np.array(geometry.points)
     n = len(points)
     check_count("n_neighbors", n_neighbors, low=1, high=n - 1)
-    _check_distinct(points)
+    check_distinct(points)
     distance, neighbor = cKDTree(points).query(points, n_neighbors + 1)
     distance, neighbor = distance[:, 1:], neighbor[:, 1:]
     epsilon = float(np.median(distance.mean(axis=1))) ** 2
@@ -208,61 +214,5 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     )
 
 
-def _check_geometry(geometry: object) -> None:
-    if not isinstance(geometry, TriangleMesh | PointCloud):
-        raise InvalidInputError(
-            f"`geometry` must be a TriangleMesh or PointCloud, got {type(geometry).__name__};"
-            " wrap bare arrays in one of them"
-        )
-
-
 def _kind(geometry: Geometry) -> str:
     return "mesh" if isinstance(geometry, TriangleMesh) else "cloud"
-
-
-def _check_faces_usable(mesh: TriangleMesh) -> None:
-    """Refuse what no operator can give a mass: lone vertices and faces that are no triangles."""
-    used = np.zeros(mesh.n, dtype=bool)
-    used[mesh.faces] = True
-    if not used.all():
-        raise InvalidInputError(
-            f"`mesh` has {int((~used).sum())} vertices that no face uses (the first is"
-            f" {int(np.argmin(used))}), so they have no area;"
-            " drop them with `mesh.without_unreferenced()`"
-        )
-    repeated = (mesh.faces == np.roll(mesh.faces, 1, axis=1)).any(axis=1)
-    if repeated.any():
-        raise InvalidInputError(
-            f"`mesh` has {int(repeated.sum())} faces that name a vertex twice (the first is"
-            f" {int(np.argmax(repeated))}); drop them with `mesh.without_degenerate_faces()`"
-        )
-
-
-def _check_cloud_usable(cloud: PointCloud, n_neighbors: int) -> int:
-    """Refuse clouds on which no local triangulation exists; return the neighbour count to use."""
-    check_count("n_neighbors", n_neighbors, low=3)
-    if cloud.n < 4:
-        raise InvalidInputError(
-            f"`geometry` must have at least 4 points for a cloud Laplacian, got {cloud.n}"
-        )
-    _check_distinct(cloud.points)
-    spread = np.linalg.svd(cloud.points - cloud.points.mean(axis=0), compute_uv=False)
-    if spread[1] <= 1e-9 * spread[0]:
-        raise InvalidInputError(
-            "`geometry` must be a surface, got points on one line"
-            f" (second to first extent {spread[1]:.1e} : {spread[0]:.1e})"
-        )
-    return min(n_neighbors, cloud.n - 1)
-
-
-def _check_distinct(points: Floats) -> None:
-    """Refuse exactly coincident points: they have no area of their own."""
-    order = np.lexsort(points.T)
-    same = (np.diff(points[order], axis=0) == 0).all(axis=1)
-    if same.any():
-        first, second = sorted(int(i) for i in order[np.argmax(same) :][:2])
-        raise InvalidInputError(
-            f"`geometry` has {int(same.sum())} duplicate points (such as {first} and {second});"
-            " drop them with `cloud.without_duplicates()`, or join the corners of a mesh with"
-            " `mesh.with_merged_vertices()`"
-        )

@@ -1,0 +1,271 @@
+"""Overlapping triangles glued to an intrinsic surface, and its Delaunay flips; numba.
+
+Each triangle becomes a front and a back face of three half-edges: those of triangle t are
+``6 t + c`` for its sides ``c = 0, 1, 2`` and ``6 t + 5 - c`` for the same side of the back face,
+which runs the other way. So the surface has no boundary, and is oriented whatever the input.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
+
+_ROUNDING = 1e-9  # sums of cotangents this far below zero, relatively, are zero
+
+
+@njit(nogil=True, cache=True)
+def half_edges(points: Floats, triangles: Ints, mollify: float) -> tuple[Ints, Floats]:
+    """Return where each half-edge starts, and its length.
+
+    A side ij is longer than in space by ``offset[i] + offset[j]``, so that in each triangle the
+    sum of two sides exceeds the third by `mollify` times the mean side. This is the mollification
+    of Sharp and Crane with an offset for each corner instead of one for all, which would smear
+    the dense parts of a cloud.
+    """
+    offset = np.zeros(len(points))
+    side = np.empty(3)
+    for t in range(len(triangles)):
+        for c in range(3):
+            side[c] = _distance(points, triangles[t, c], triangles[t, (c + 1) % 3])
+        wanted = mollify * (side[0] + side[1] + side[2]) / 3
+        for c in range(3):
+            slack = side[c] + side[(c + 2) % 3] - side[(c + 1) % 3]
+            offset[triangles[t, c]] = max(offset[triangles[t, c]], (wanted - slack) / 2)
+    tails = np.empty(6 * len(triangles), np.int32)
+    lengths = np.empty(6 * len(triangles))
+    for t in range(len(triangles)):
+        for c in range(3):
+            a, b = triangles[t, c], triangles[t, (c + 1) % 3]
+            front, back = 6 * t + c, 6 * t + 5 - c
+            tails[front], tails[back] = a, b
+            lengths[front] = lengths[back] = _distance(points, a, b) + offset[a] + offset[b]
+    return tails, lengths
+
+
+@njit(nogil=True, cache=True)
+def sides_by_corner(triangles: Ints, n: int) -> tuple[Longs, Ints]:
+    """Sort the sides ``3 t + c`` by their lower corner: those of i at ``starts[i:i + 2]``."""
+    starts = np.zeros(n + 1, np.int64)
+    for t in range(len(triangles)):
+        for c in range(3):
+            starts[min(triangles[t, c], triangles[t, (c + 1) % 3]) + 1] += 1
+    for i in range(n):
+        starts[i + 1] += starts[i]
+    free = starts[:-1].copy()
+    sides = np.empty(3 * len(triangles), np.int32)
+    for t in range(len(triangles)):
+        for c in range(3):
+            low = min(triangles[t, c], triangles[t, (c + 1) % 3])
+            sides[free[low]] = 3 * t + c
+            free[low] += 1
+    return starts, sides
+
+
+@njit(nogil=True, cache=True)
+def glue(
+    points: Floats,
+    triangles: Ints,
+    starts: Longs,
+    sides: Ints,
+    first: int,
+    last: int,
+    twins: Ints,
+) -> None:
+    """Glue the faces at all edges whose lower corner is in ``first .. last - 1``."""
+    for low in range(first, last):
+        mine = sides[starts[low] : starts[low + 1]]
+        m = len(mine)
+        key = np.empty(m, np.int64)
+        for j in range(m):
+            t, c = mine[j] // 3, mine[j] % 3
+            key[j] = np.int64(max(triangles[t, c], triangles[t, (c + 1) % 3])) * m + j
+        key.sort()
+        begin = 0
+        while begin < m:
+            high = key[begin] // m
+            end = begin + 1
+            while end < m and key[end] // m == high:
+                end += 1
+            _glue_edge(points, triangles, mine[key[begin:end] % m], low, high, twins)
+            begin = end
+
+
+@njit(nogil=True, cache=True)
+def _glue_edge(
+    points: Floats, triangles: Ints, sides: Ints, low: int, high: int, twins: Ints
+) -> None:
+    """Pair the triangles of one edge that continue each other best, and glue their faces.
+
+    Copies of one triangle lie on the same side of the edge, so they are never glued to each
+    other, where flips would fold them away. A triangle without a partner has its front glued
+    to its back, which is a boundary.
+    """
+    d = len(sides)
+    out = np.empty((d, 3))  # unit vectors from the edge into each triangle
+    up, down = np.empty(d, np.int64), np.empty(d, np.int64)  # half-edges from and to `low`
+    for j in range(d):
+        t, c = sides[j] // 3, sides[j] % 3
+        front, back = 6 * t + c, 6 * t + 5 - c
+        up[j], down[j] = (front, back) if triangles[t, c] == low else (back, front)
+        _direction(points, low, high, triangles[t, (c + 2) % 3], out[j])
+    paired = np.zeros(d, np.bool_)
+    for _ in range(d):
+        best, p, q = 0.0, -1, -1
+        for i in range(d):
+            for j in range(i + 1, d):
+                if not paired[i] and not paired[j]:
+                    dot = out[i, 0] * out[j, 0] + out[i, 1] * out[j, 1] + out[i, 2] * out[j, 2]
+                    if dot < best - 1e-12:  # the first of equals, whatever the rounding
+                        best, p, q = dot, i, j
+        if p < 0:
+            break
+        paired[p] = paired[q] = True
+        twins[up[p]], twins[down[q]] = down[q], up[p]
+        twins[up[q]], twins[down[p]] = down[p], up[q]
+    for j in range(d):
+        if not paired[j]:
+            twins[up[j]], twins[down[j]] = down[j], up[j]
+
+
+@njit(nogil=True, cache=True)
+def _direction(points: Floats, low: int, high: int, apex: int, out: Floats) -> None:
+    """Write the unit vector from the line through two points towards a third one."""
+    along, square = 0.0, 0.0
+    for r in range(3):
+        edge = points[high, r] - points[low, r]
+        out[r] = points[apex, r] - points[low, r]
+        along += edge * out[r]
+        square += edge * edge
+    norm = 0.0
+    for r in range(3):
+        out[r] -= along / square * (points[high, r] - points[low, r])
+        norm += out[r] * out[r]
+    if norm > 0:
+        for r in range(3):
+            out[r] /= math.sqrt(norm)
+
+
+@njit(nogil=True, cache=True)
+def flip_to_delaunay(tails: Ints, lengths: Floats, twins: Ints) -> int:
+    """Flip edges until the two angles opposite each sum to at most pi; return how many.
+
+    Flipping lowers the Dirichlet energy (Rippa 1990), so it comes to an end. In place.
+    """
+    waiting = np.zeros(len(tails), np.bool_)
+    stack = np.empty(len(tails), np.int32)
+    top = 0
+    for h in range(len(tails)):
+        if h < twins[h] and _is_bad(lengths, h, twins[h]):
+            stack[top], waiting[h] = h, True
+            top += 1
+    flips = 0
+    while top > 0:
+        top -= 1
+        h = stack[top]
+        waiting[h] = False
+        g = twins[h]
+        if h // 3 == g // 3 or not _is_bad(lengths, h, g):
+            continue
+        _flip(tails, lengths, twins, h, g)
+        flips += 1
+        for outer in (_next(h), _previous(h), _next(g), _previous(g)):
+            low = min(outer, twins[outer])
+            if not waiting[low]:
+                stack[top], waiting[low] = low, True
+                top += 1
+    return flips
+
+
+@njit(nogil=True, cache=True)
+def _flip(tails: Ints, lengths: Floats, twins: Ints, h: int, g: int) -> None:
+    """Replace the edge ab of the faces abc (h: a to b) and bad (g) by cd.
+
+    The faces become cdb (h: c to d) and dca; each outer half-edge moves by one place.
+    """
+    bc, ca, ad, db = _next(h), _previous(h), _next(g), _previous(g)
+    a, b, c, d = tails[h], tails[g], tails[ca], tails[db]
+    ab = lengths[h]
+    length_bc, length_ca, length_ad, length_db = lengths[bc], lengths[ca], lengths[ad], lengths[db]
+    cx = (ab * ab + length_ca * length_ca - length_bc * length_bc) / (2 * ab)
+    dx = (ab * ab + length_ad * length_ad - length_db * length_db) / (2 * ab)
+    height = 2 * (_area(lengths, h) + _area(lengths, g)) / ab
+    lengths[h] = lengths[g] = math.hypot(cx - dx, height)
+    tails[h], tails[g] = c, d
+    old = (bc, ca, ad, db)
+    new = (ca, ad, db, bc)
+    partner = (twins[bc], twins[ca], twins[ad], twins[db])
+    tails[new[0]], tails[new[1]], tails[new[2]], tails[new[3]] = b, c, a, d
+    lengths[new[0]], lengths[new[1]] = length_bc, length_ca
+    lengths[new[2]], lengths[new[3]] = length_ad, length_db
+    for j in range(4):
+        other = partner[j]
+        for i in range(4):  # glued to another side of the same two faces: that has moved, too
+            if partner[j] == old[i]:
+                other = new[i]
+        twins[new[j]], twins[other] = other, new[j]
+
+
+@njit(nogil=True, cache=True)
+def edge_weights(
+    tails: Ints, lengths: Floats, twins: Ints, n: int
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """Return both ends and the cotangent weight of each edge, and the area of each corner."""
+    kept = 0
+    for h in range(len(tails)):
+        kept += h < twins[h] and tails[h] != tails[_next(h)]
+    rows, columns = np.empty(kept, np.int32), np.empty(kept, np.int32)
+    values, mass = np.empty(kept), np.zeros(n)
+    e = 0
+    for h in range(len(tails)):
+        if h < twins[h] and tails[h] != tails[_next(h)]:
+            rows[e], columns[e] = tails[h], tails[_next(h)]
+            values[e] = (_cotangent(lengths, h) + _cotangent(lengths, twins[h])) / 2
+            e += 1
+        mass[tails[h]] += _area(lengths, h) / 3
+    return rows, columns, values, mass
+
+
+@njit(nogil=True, cache=True)
+def _is_bad(lengths: Floats, h: int, g: int) -> bool:
+    one, other = _cotangent(lengths, h), _cotangent(lengths, g)
+    return one + other < -_ROUNDING * (1 + abs(one) + abs(other))
+
+
+@njit(nogil=True, cache=True)
+def _cotangent(lengths: Floats, h: int) -> float:
+    """Cotangent of the angle opposite half-edge `h`."""
+    a, b, c = lengths[h], lengths[_next(h)], lengths[_previous(h)]
+    return float((b * b + c * c - a * a) / (4 * _area(lengths, h)))
+
+
+@njit(nogil=True, cache=True)
+def _area(lengths: Floats, h: int) -> float:
+    a, b, c = lengths[h], lengths[_next(h)], lengths[_previous(h)]
+    square = (a + b + c) * (b + c - a) * (c + a - b) * (a + b - c)
+    return math.sqrt(max(square, 0.0)) / 4
+
+
+@njit(nogil=True, cache=True)
+def _next(h: int) -> int:
+    return h - 2 if h % 3 == 2 else h + 1
+
+
+@njit(nogil=True, cache=True)
+def _previous(h: int) -> int:
+    return h + 2 if h % 3 == 0 else h - 1
+
+
+@njit(nogil=True, cache=True)
+def _distance(points: Floats, a: int, b: int) -> float:
+    return math.sqrt(
+        (points[a, 0] - points[b, 0]) ** 2
+        + (points[a, 1] - points[b, 1]) ** 2
+        + (points[a, 2] - points[b, 2]) ** 2
+    )

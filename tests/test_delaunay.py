@@ -1,0 +1,217 @@
+"""`delaunay_laplacian`, and the kernels under it."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.spatial import Delaunay
+from scipy.spatial.transform import Rotation
+
+from spectra_kit import (
+    Dense,
+    InvalidInputError,
+    PointCloud,
+    TriangleMesh,
+    cotan_laplacian,
+    eigensolve,
+    robust_laplacian,
+)
+from spectra_kit.geometry import rectangle, sphere, torus
+from spectra_kit.linalg import threads
+from spectra_kit.operators import delaunay_laplacian
+
+
+def ball(n: int, seed: int = 0) -> np.ndarray:
+    points = np.random.default_rng(seed).standard_normal((n, 3))
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def square(n: int, seed: int = 0) -> np.ndarray:
+    return np.c_[np.random.default_rng(seed).random((n, 2)), np.zeros(n)]
+
+
+def grid(nx: int, ny: int) -> np.ndarray:
+    x, y = np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij")
+    return np.c_[x.ravel(), y.ravel(), np.zeros(nx * ny)].astype(float)
+
+
+def eigenvalues(points: np.ndarray, k: int = 26, build=delaunay_laplacian) -> np.ndarray:
+    return eigensolve(build(PointCloud(points)), k).eigenvalues
+
+
+CLOUDS = {
+    "ball": lambda: ball(800),
+    "square": lambda: square(800),
+    "two balls": lambda: np.vstack([ball(400), 0.5 * ball(300, 1) + [3, 0, 0]]),
+    "thin sheets": lambda: np.vstack([square(400), square(400, 1) + [0, 0, 0.02]]),
+    "graded": lambda: square(800) ** [3, 1, 1],
+    "volume": lambda: np.random.default_rng(0).random((500, 3)),
+    "grid": lambda: grid(25, 30),
+    "four": lambda: np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.1]]),
+}
+
+
+@pytest.mark.parametrize("name", CLOUDS)
+def test_semi_definite_with_constant_kernel_and_weights_of_one_sign(name: str) -> None:
+    L = delaunay_laplacian(PointCloud(CLOUDS[name]()))
+    dense = L.stiffness.toarray()
+    size = np.abs(dense).max()
+    assert np.array_equal(dense, dense.T)
+    assert np.abs(dense.sum(axis=1)).max() < 1e-12 * size
+    assert np.linalg.eigvalsh(dense)[0] > -1e-12 * size
+    assert (dense - np.diag(np.diag(dense))).max() < 1e-8 * size
+    assert (L.mass > 0).all()
+    assert L.kernel_dimension == L.n_components == (2 if name == "two balls" else 1)
+
+
+def test_in_the_plane_it_is_the_cotangent_laplacian_of_the_delaunay_triangulation() -> None:
+    points = square(700)
+    mesh = TriangleMesh(points, Delaunay(points[:, :2]).simplices)
+    expected, got = cotan_laplacian(mesh), delaunay_laplacian(PointCloud(points))
+    # Slivers along the boundary have neighbours farther off than those that vote.
+    inner = (np.abs(points[:, :2] - 0.5) < 0.35).all(axis=1)
+    difference = (got.stiffness - sparse.csr_array(expected.stiffness))[inner]
+    assert inner.sum() > 300
+    assert abs(difference).max() < 2e-3  # the mollification of needles
+
+
+def test_squares_are_cut_the_same_way_by_all_their_corners() -> None:
+    # All circles of a grid pass through four points. Both diagonals have the weight zero.
+    points = grid(20, 30)
+    L = delaunay_laplacian(PointCloud(points))
+    assert L.area == pytest.approx(19 * 29, rel=1e-9)
+    interior = L.stiffness[20 * 15 + 10].toarray().ravel()
+    assert sorted(np.round(interior[np.abs(interior) > 1e-6], 4)) == [-1, -1, -1, -1, 4]
+
+
+def test_sphere_spectrum_and_rate() -> None:
+    exact = sphere().eigenvalues[1:25]
+    errors = []
+    for n in (1000, 4000, 16000):
+        found = eigenvalues(ball(n), 25)[1:]
+        errors.append(np.abs(found / exact - 1).mean())
+    assert errors[1] < 0.012
+    rate = -np.polyfit(np.log([1000, 4000, 16000]), np.log(errors), 1)[0]
+    assert rate == pytest.approx(1.0, abs=0.25)  # in 1 / n: h^2
+
+
+def test_rectangle_spectrum() -> None:
+    exact = rectangle(n=100).eigenvalues[1:16]
+    points = np.random.default_rng(0).random((4000, 3)) * [1, (1 + 5**0.5) / 2, 0]
+    coarse = np.abs(eigenvalues(points[:1000], 16)[1:] / exact - 1).mean()
+    fine = np.abs(eigenvalues(points, 16)[1:] / exact - 1).mean()
+    assert fine < 0.02
+    assert fine < 0.7 * coarse
+
+
+def test_torus_sampled_on_a_grid() -> None:
+    # Its quadrangles are planar trapezoids: again four points on each circle.
+    reference = torus()
+    found = eigenvalues(np.array(reference.geometry.points), 16)[1:]
+    assert np.abs(found / reference.eigenvalues[1:16] - 1).max() < 0.03
+
+
+def test_agrees_with_robust_laplacian_on_the_vertices_of_a_mesh() -> None:
+    mesh = sphere(subdivisions=4).geometry
+    cloud = eigenvalues(np.array(mesh.points), 25)[1:]
+    assert cloud == pytest.approx(eigensolve(robust_laplacian(mesh), 25).eigenvalues[1:], rel=2e-3)
+    library = eigenvalues(np.array(mesh.points), 25, robust_laplacian)[1:]
+    assert cloud == pytest.approx(library, rel=0.02)
+
+
+def test_thin_sheets_ignore_each_other() -> None:
+    # 0.018 between the points of a sheet, 0.03 between the sheets: neighbours lie in both.
+    both = np.vstack([square(3000), square(3000, 1) + [0, 0, 0.03]])
+    assert delaunay_laplacian(PointCloud(both)).area == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e6])
+def test_moves_and_units(scale: float) -> None:
+    points = ball(600) * [1, 1.3, 1.7]
+    base = delaunay_laplacian(PointCloud(points))
+    turn = Rotation.from_rotvec([0.3, -1, 2]).as_matrix()
+    moved = delaunay_laplacian(PointCloud(scale * (points @ turn.T + [3, -7, 11])))
+    assert abs(moved.stiffness - base.stiffness).max() < 1e-6
+    assert moved.mass == pytest.approx(scale**2 * base.mass, rel=1e-6)
+
+
+def test_order_of_the_points() -> None:
+    points = ball(600) * [1, 1.3, 1.7]
+    base = delaunay_laplacian(PointCloud(points))
+    order = np.random.default_rng(3).permutation(600)
+    other = delaunay_laplacian(PointCloud(points[order]))
+    assert abs(other.stiffness - base.stiffness[order][:, order]).max() < 1e-6
+    assert other.mass == pytest.approx(base.mass[order], rel=1e-9)
+
+
+def test_same_bits_whatever_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    cloud = PointCloud(ball(40_000))
+    found = []
+    for count in (1, 3):
+        monkeypatch.setattr(threads, "thread_count", lambda count=count: count)
+        found.append(delaunay_laplacian(cloud))
+    one, three = found
+    assert np.array_equal(one.stiffness.data, three.stiffness.data)
+    assert np.array_equal(one.mass, three.mass)
+
+
+def test_few_neighbours_ask_farther_where_that_matters() -> None:
+    # With 30 neighbours some stars of a random cloud are not yet certain; with 60 hardly any.
+    cloud = PointCloud(ball(4000))
+    few, many = (delaunay_laplacian(cloud, n_neighbors=k) for k in (30, 60))
+    assert few.area == pytest.approx(many.area, rel=2e-3)
+    assert few.area == pytest.approx(4 * np.pi, rel=5e-3)
+
+
+def test_nearly_coincident_points() -> None:
+    points = ball(500)
+    twins = points[:20] * (1 + 1e-9)
+    L = delaunay_laplacian(PointCloud(np.vstack([points, twins])))
+    assert np.isfinite(L.stiffness.data).all()
+    assert L.n_components == 1
+    exact = eigensolve(L, 9, Dense()).eigenvalues
+    assert exact[1:] == pytest.approx(sphere().eigenvalues[1:9], rel=0.15)
+
+
+def test_operator_is_recorded() -> None:
+    L = delaunay_laplacian(PointCloud(ball(100)), n_neighbors=200)
+    assert L.operator == "delaunay_laplacian(mollify_factor=1e-05, n_neighbors=99)"
+    assert L.seconds > 0
+
+
+POINTS = ball(50)
+BAD = {
+    "mesh": (
+        lambda: delaunay_laplacian(sphere().geometry),
+        "`cloud` must be a PointCloud, got Tri",
+    ),
+    "mollify": (
+        lambda: delaunay_laplacian(PointCloud(POINTS), mollify_factor=0),
+        "`mollify_factor` must be positive",
+    ),
+    "few neighbours": (
+        lambda: delaunay_laplacian(PointCloud(POINTS), n_neighbors=2),
+        "`n_neighbors` must be at least 3",
+    ),
+    "few points": (lambda: delaunay_laplacian(PointCloud(POINTS[:3])), "at least 4 points"),
+    "twice": (
+        lambda: delaunay_laplacian(PointCloud(np.vstack([POINTS, POINTS[:2]]))),
+        "2 duplicate points",
+    ),
+    "line": (
+        lambda: delaunay_laplacian(PointCloud(np.arange(10.0)[:, None] * [1, 2, 3])),
+        "points on one line",
+    ),
+    "a line beside a ball": (
+        lambda: delaunay_laplacian(
+            PointCloud(np.vstack([POINTS, [5, 0, 0] + np.arange(90.0)[:, None] * [0.01, 0, 0]]))
+        ),
+        r"points in no triangle \(such as \d+\): their neighbours lie on one line",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input(case: str) -> None:
+    build, message = BAD[case]
+    with pytest.raises(InvalidInputError, match=message):
+        build()
