@@ -74,6 +74,7 @@ def coarsen(operator: Laplacian | Coarse, n_points: int) -> Coarse:
     Returns
     -------
     Coarse
+        With the interpolation that leads back to all points of `operator`.
 
     Raises
     ------

@@ -54,6 +54,7 @@ def coarse_ritz(
     Returns
     -------
     CoarsePairs
+        Between k and ``k + guard`` of them.
 
     Raises
     ------
