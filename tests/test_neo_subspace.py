@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from spectra_kit.eigensolvers import Neo, RayleighRitz, eigensolve
+from spectra_kit.eigensolvers import Neo, RayleighRitz, Refined, eigensolve
 from spectra_kit.errors import InvalidInputError, WeightsError
 from spectra_kit.geometry import PointCloud, creature
 from spectra_kit.levels import coarsen
@@ -50,6 +50,8 @@ def test_shape_and_constant(network, laplacian):
         assert basis.shape == (400, 1 + 24 * poses)
         assert basis.dtype == np.float32
         np.testing.assert_array_equal(basis[:, 0], 1.0)
+        tensor = NeoSubspace(network, poses=poses).tensor(laplacian.points, laplacian.mass)
+        np.testing.assert_array_equal(tensor.numpy(), basis)
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e6])
@@ -151,6 +153,19 @@ def test_the_shipped_network_loses_nothing_under_a_cap():
         for cap in (None, 2048)
     ]
     assert 0 < errors[1] < max(errors[0], 0.01)
+
+
+@pytest.mark.parametrize("device", ["cpu"] + ["cuda"] * torch.cuda.is_available())
+def test_a_prediction_is_refined_where_it_was_made(device):
+    laplacian = robust_laplacian(creature(3000, seed=2))
+    exact = eigensolve(laplacian, 40).eigenvalues
+    start = Neo(device=device).subspace
+    for rtol in (1e-4, 1e-9):
+        solver = Refined(start=start, method="chebyshev", device=device, rtol=rtol)
+        refined = eigensolve(laplacian, 40, solver)
+        assert refined.certificate.relative_residuals.max() <= rtol * (1 + 1e-6)
+        np.testing.assert_allclose(refined.eigenvalues, exact, rtol=max(rtol**2, 1e-12), atol=1e-9)
+        assert {"subspace", "transfer", "filter"} <= set(refined.provenance.seconds)
 
 
 def test_the_zero_mode_is_exact_and_eigenvalues_scale(network, laplacian):

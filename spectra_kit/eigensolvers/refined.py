@@ -244,34 +244,39 @@ def _filter_on_device(
     import torch
 
     from spectra_kit.linalg.chebyshev import chebyshev_eigenpairs
-    from spectra_kit.linalg.torch_ritz import Clock, sparse_tensor
+    from spectra_kit.linalg.torch_ritz import Clock, device_memory, sparse_tensor
+    from spectra_kit.neo import NeoSubspace
 
-    clock = Clock(torch.device(solver.device))
-    basis = basis_with_kernel(solver.start, laplacian)
-    noise = np.random.default_rng(solver.seed).standard_normal(
-        (laplacian.n, max(block - basis.shape[1], 0))
-    )
-    clock.stage("subspace")
-    stiffness = sparse_tensor(laplacian.stiffness, solver.device)
-    mass = torch.from_numpy(np.array(laplacian.mass)).to(solver.device)
-    columns = torch.from_numpy(np.hstack([basis, noise])).to(solver.device)
-    clock.stage("transfer")
-    found = chebyshev_eigenpairs(
-        stiffness,
-        mass,
-        columns,
-        k,
-        rtol=solver.rtol,
-        spacing=laplacian.eigenvalue_spacing,
-        block=block,
-        max_sweeps=solver.max_sweeps,
-    )
-    clock.stage("filter")
-    values, vectors, residuals = (
-        np.asarray(t.cpu().numpy())
-        for t in (found.eigenvalues, found.eigenvectors, found.residuals)
-    )
-    clock.stage("return")
+    with device_memory():
+        clock = Clock(torch.device(solver.device))
+        start = solver.start
+        if isinstance(start, NeoSubspace) and start.device == solver.device:
+            columns = start.tensor(laplacian.points, laplacian.mass)  # it stays where it is
+            clock.stage("subspace")
+        else:
+            basis = basis_with_kernel(start, laplacian)
+            clock.stage("subspace")
+            columns = torch.from_numpy(np.array(basis)).to(solver.device)
+        stiffness = sparse_tensor(laplacian.stiffness, solver.device)
+        mass = torch.from_numpy(np.array(laplacian.mass)).to(solver.device)
+        clock.stage("transfer")
+        found = chebyshev_eigenpairs(
+            stiffness,
+            mass,
+            columns,
+            k,
+            rtol=solver.rtol,
+            spacing=laplacian.eigenvalue_spacing,
+            block=block,
+            max_sweeps=solver.max_sweeps,
+            seed=solver.seed,
+        )
+        clock.stage("filter")
+        values, vectors, residuals = (
+            np.asarray(t.cpu().numpy())
+            for t in (found.eigenvalues, found.eigenvectors, found.residuals)
+        )
+        clock.stage("transfer")
     pairs = Eigenpairs(values, vectors, clock.seconds, found.sweeps)
     return pairs, residuals, found.stalled
 

@@ -102,10 +102,13 @@ class NeoSubspace(Rebuilt):
         ndarray of shape (n, 1 + poses * m), float32
             Not orthonormal; the first column is one.
         """
+        return np.asarray(self.tensor(points, mass).cpu().numpy())
+
+    def tensor(self, points: ArrayLike, mass: ArrayLike) -> torch.Tensor:
+        """Return the same basis as a tensor that stays on `device`."""
         points = check_points("points", points)
         mass = check_mass("mass", mass, len(points))
-        basis = self.predict(points, mass, self.frame(points, mass))
-        return np.asarray(basis.cpu().numpy())
+        return self.predict(points, mass, self.frame(points, mass))
 
     def __repr__(self) -> str:
         options = f"poses={self.poses}, dtype={self.dtype!r}, device={self.device!r}"
