@@ -15,6 +15,8 @@ from scipy import sparse
 from spectra_kit._spectrum_file import read_spectrum_file, write_spectrum_file
 from spectra_kit._validate import Rebuilt, check_count, check_positive, frozen, real_array
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
+from spectra_kit.linalg.residuals import residual_norms
+from spectra_kit.linalg.ritz import weighted_gram
 from spectra_kit.operators.laplacian import ZERO_MODE, Laplacian
 
 if TYPE_CHECKING:
@@ -312,19 +314,17 @@ class Spectrum(Rebuilt):
             at its fixed points.
         """
         self._check_belongs_to(laplacian)
-        residuals = np.empty(self.k)
-        mass = laplacian.mass[laplacian.free, None]
-        for start in range(0, self.k, 32):  # blocks of columns bound the temporaries
-            columns = slice(start, start + 32)
-            U = self.eigenvectors[:, columns]
-            r = (laplacian.stiffness @ U)[laplacian.free]
-            r -= mass * U[laplacian.free] * self.eigenvalues[columns]
-            squared = np.einsum("ij,ij->j", r / mass, r)
-            norms = np.einsum("ij,i,ij->j", U, self.mass, U)
-            if not norms.all():
-                raise InvalidSpectrumError("`eigenvectors` must not hold a column of zeros")
-            residuals[columns] = np.sqrt(squared / norms)
-        return residuals
+        norms = residual_norms(
+            laplacian.stiffness,
+            laplacian.mass,
+            self.eigenvalues,
+            self.eigenvectors,
+            left_out=laplacian.fixed,
+        )
+        squared = np.diag(weighted_gram(self.eigenvectors, self.mass))
+        if not squared.all():
+            raise InvalidSpectrumError("`eigenvectors` must not hold a column of zeros")
+        return np.asarray(norms / np.sqrt(squared))
 
     def _check_belongs_to(self, laplacian: Laplacian) -> None:
         """Refuse to compare this spectrum with an operator that it cannot be of."""
@@ -347,7 +347,7 @@ class Spectrum(Rebuilt):
 
     def orthonormality_error(self) -> float:
         """Return the largest entry of ``|U^T M U - I|``."""
-        gram = self.eigenvectors.T @ (self.mass[:, None] * self.eigenvectors)
+        gram = weighted_gram(self.eigenvectors, self.mass)
         return float(np.abs(gram - np.eye(self.k)).max(initial=0.0))
 
     def certify(self, laplacian: Laplacian) -> Spectrum:

@@ -1,4 +1,4 @@
-"""Inner loops of `linalg.shift_invert`, compiled by numba on first use."""
+"""Inner loops of `shift_invert` and `residuals`, compiled by numba on first use."""
 
 from __future__ import annotations
 
@@ -50,6 +50,7 @@ def residual_rows(
     columns: Ints,
     entries: Floats,
     mass: Floats,
+    weights: Floats,
     X: Floats,
     values: Floats,
     out: Singles,
@@ -59,7 +60,8 @@ def residual_rows(
 ) -> None:
     """Write rows `start` to `stop` of ``L X - M X diag(values)`` to `out`, summed in float64.
 
-    `squares` receives the squared M^-1 norm of these rows, column by column.
+    Nothing is written where `out` has no rows. `squares` receives the sum of the squares of these
+    rows, times their `weights`, column by column.
     """
     width = X.shape[1]
     row = np.empty(width)
@@ -74,5 +76,7 @@ def residual_rows(
             for c in range(width):
                 row[c] += entry * X[j, c]
         for c in range(width):
-            squares[c] += row[c] * row[c] / mass[i]
-            out[i, c] = row[c]
+            squares[c] += row[c] * row[c] * weights[i]
+        if len(out) > 0:
+            for c in range(width):
+                out[i, c] = row[c]

@@ -14,13 +14,13 @@ from scipy import sparse
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.ldl import SparseLDL
+from spectra_kit.linalg.residuals import residuals
 from spectra_kit.linalg.ritz import ritz_pairs_at_most, ritz_rotation
 from spectra_kit.linalg.threads import in_threads, thread_count
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-_ROWS = 8_192  # of one task: fixed, so that sums do not depend on the number of threads
 _COLUMNS = 64  # filtered together: bounds the temporaries
 _SHIFT = 1 / 8  # of the guard eigenvalue: strong on the last modes, kind to float32 on the first
 _STALLED = 0.7  # a sweep that leaves more than this of the residuals gains nothing
@@ -143,7 +143,7 @@ def shift_invert_iteration(
         noise /= np.sqrt(mass @ noise**2)
         values, X = ritz_rotation(stiffness, mass, np.hstack([X, noise]))
     clock.stage("rayleigh_ritz")
-    R, norms = _residuals(stiffness, mass, X, values)
+    R, norms = residuals(stiffness, mass, values, X)
     clock.stage("residuals")
     solves, sweeps, stalled = 0, 0, False
     while True:
@@ -162,7 +162,7 @@ def shift_invert_iteration(
         values, X = ritz_rotation(stiffness, mass, X)
         clock.stage("rayleigh_ritz")
         before = norms
-        R, norms = _residuals(stiffness, mass, X, values)
+        R, norms = residuals(stiffness, mass, values, X)
         clock.stage("residuals")
         solves += degree * len(active)
         sweeps += 1
@@ -182,26 +182,6 @@ class _Clock:
         now = time.perf_counter()
         self.seconds[name] = self.seconds.get(name, 0.0) + now - self._last
         self._last = now
-
-
-def _residuals(
-    stiffness: sparse.csr_array, mass: Floats, X: Floats, values: Floats
-) -> tuple[Singles, Floats]:
-    """Return the residuals ``L x - lambda M x`` and their M^-1 norms."""
-    from spectra_kit.linalg._filter_kernels import residual_rows
-
-    R = np.empty(X.shape, np.float32)
-    cuts = list(range(0, len(X), _ROWS)) + [len(X)]
-    squares = np.empty((len(cuts) - 1, X.shape[1]))
-    rows = (stiffness.indptr, stiffness.indices, stiffness.data)
-    in_threads(
-        residual_rows,
-        (
-            (*rows, mass, X, values, R, squares[i], start, stop)
-            for i, (start, stop) in enumerate(pairwise(cuts))
-        ),
-    )
-    return R, np.sqrt(squares.sum(axis=0))
 
 
 def _correction(
