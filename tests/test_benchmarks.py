@@ -210,7 +210,7 @@ def test_no_operator_no_solve(tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"methods": ("magic",)}, "`methods` must be among arpack"),
+        ({"methods": ("magic",)}, "`methods` must be among fourier"),
         ({"devices": ("tpu",)}, "`devices` must be cpu or cuda, got tpu"),
         ({"kinds": ("volume",)}, "`kind` must be one of"),
         ({"operator": "magic"}, "`operator` must be one of"),

@@ -15,8 +15,10 @@ from spectra_kit.benchmarks.peers import (
 )
 from spectra_kit.eigensolvers import (
     Arpack,
+    Capped,
     Eigensolver,
     Lobpcg,
+    Multilevel,
     Neo,
     Polished,
     RayleighRitz,
@@ -58,25 +60,29 @@ class Entry:
 _BOTH = ("cpu", "cuda")
 _RTOL = 1e-6  # of every method that takes one; without it they solve to machine precision
 
-#: Name -> backend, in the order of tables.
+#: Name -> backend, in the order of tables: predictions, solvers to a tolerance, other packages.
 METHODS: dict[str, Entry] = {
-    "arpack": Entry(make=lambda device: Arpack()),
-    "lobpcg": Entry(make=lambda device: Lobpcg(rtol=_RTOL)),
-    "lobpcg-amg": Entry(
-        make=lambda device: Lobpcg(preconditioner="amg", rtol=_RTOL), needs="pyamg", pip="pyamg"
-    ),
     "fourier": Entry(
         make=lambda device: RayleighRitz(subspace=AmbientFourier(m=320, bandwidth=7.0))
     ),
     "neo": Entry(make=lambda device: Neo(device=device), devices=_BOTH),
     "neo-2": Entry(make=lambda device: Neo(poses=2, device=device), devices=_BOTH),
+    "neo-cap": Entry(make=lambda device: Neo(cap=4096, device=device), devices=_BOTH),
+    "capped": Entry(make=lambda device: Capped()),
+    "capped-neo": Entry(make=lambda device: Capped(subspace=Neo().subspace)),
     "polished": Entry(make=lambda device: Polished()),
     "polished-neo": Entry(make=lambda device: Polished(start=Neo().subspace)),
+    "multilevel": Entry(make=lambda device: Multilevel(rtol=_RTOL)),
     "refined": Entry(make=lambda device: Refined(rtol=_RTOL)),
     "refined-neo": Entry(make=lambda device: Refined(start=Neo().subspace, rtol=_RTOL)),
     "chebyshev": Entry(
         make=lambda device: Refined(method="chebyshev", rtol=_RTOL, device=device), devices=_BOTH
     ),
+    "lobpcg": Entry(make=lambda device: Lobpcg(rtol=_RTOL)),
+    "lobpcg-amg": Entry(
+        make=lambda device: Lobpcg(preconditioner="amg", rtol=_RTOL), needs="pyamg", pip="pyamg"
+    ),
+    "arpack": Entry(make=lambda device: Arpack()),
     "eigsh": Entry(make=lambda device: ScipyEigsh(), peer=True),
     "eigsh-dnet": Entry(make=lambda device: DiffusionNetEigsh(), peer=True),
     "lapy": Entry(make=lambda device: LapySolver(), needs="lapy", pip="lapy", peer=True),
