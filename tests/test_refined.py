@@ -118,7 +118,7 @@ def test_components_and_fixed_points() -> None:
 
 def test_units(laplacian, exact) -> None:
     """Lengths in other units: the same sweeps, eigenvalues in 1/length^2."""
-    for unit in (1e-3, 1e3):
+    for unit in (1e-3, 1e3, 1e-18, 1e18):
         scaled = Laplacian(laplacian.stiffness, laplacian.mass * unit**2, laplacian.points * unit)
         s = eigensolve(scaled, K, Refined(rtol=1e-6))
         assert s.eigenvalues * unit**2 == pytest.approx(exact.eigenvalues[:K], rel=1e-10)

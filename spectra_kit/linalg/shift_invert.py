@@ -87,7 +87,6 @@ def shift_invert_iteration(
     block: int,
     degree: int = 4,
     max_sweeps: int = 30,
-    shifted: ShiftedFactor | None = None,
     seed: int = 0,
 ) -> Refinement:
     """Drive the span of `start` to the k lowest eigenpairs of ``L u = lambda M u``.
@@ -110,8 +109,6 @@ def shift_invert_iteration(
         Of the filter: solves of each column in a sweep.
     max_sweeps : int, default 30
         Filters before giving up; with 0 this is Rayleigh-Ritz with residuals.
-    shifted : ShiftedFactor, optional
-        From `factor_below` or an earlier call; made from the Ritz values without it.
     seed : int, default 0
         Of the random columns that make up for a start of lower rank than `block`.
 
@@ -137,6 +134,10 @@ def shift_invert_iteration(
     last digit of float64.
     """
     clock = _Clock()
+    # With a mean mass of one, float32 holds every unit of length. Eigenvalues are times `unit`.
+    unit = float(mass.mean())
+    mass = mass / unit
+    shifted: ShiftedFactor | None = None
     values, X, _ = ritz_pairs_at_most(stiffness, mass, start, block)
     if X.shape[1] < block:
         noise = np.random.default_rng(seed).standard_normal((len(X), block - X.shape[1]))
@@ -147,7 +148,7 @@ def shift_invert_iteration(
     clock.stage("residuals")
     solves, sweeps, stalled = 0, 0, False
     while True:
-        open_modes = norms[:k] > tolerance(values[:k])
+        open_modes = norms[:k] > unit * tolerance(values[:k] / unit)
         if not open_modes.any() or sweeps == max_sweeps or stalled:
             break
         guard = float(values[-1])
@@ -167,7 +168,15 @@ def shift_invert_iteration(
         solves += degree * len(active)
         sweeps += 1
         stalled = bool((norms[:k][open_modes] > _STALLED * before[:k][open_modes]).all())
-    return Refinement(values[:k], X[:, :k], norms[:k], sweeps, solves, stalled, clock.seconds)
+    return Refinement(
+        values[:k] / unit,
+        X[:, :k] / np.sqrt(unit),
+        norms[:k] / unit,
+        sweeps,
+        solves,
+        stalled,
+        clock.seconds,
+    )
 
 
 class _Clock:
