@@ -51,7 +51,10 @@ def refusal(capsys, *arguments):
     return err
 
 
-@pytest.mark.parametrize("solver", ["arpack", "lobpcg", "dense", "fourier"])
+@pytest.mark.parametrize(
+    "solver",
+    ["arpack", "multilevel", "refined", "lobpcg", "dense", "polished", "capped", "fourier"],
+)
 def test_spectrum_of_the_sphere(files, capsys, tmp_path, solver):
     saved = tmp_path / "sphere.npz"
     result = output(
@@ -185,6 +188,7 @@ def test_bad_input_is_refused_with_a_message(files, capsys, tmp_path):
         ("--cloud samples a mesh", "spectrum", cloud, "--cloud", 100),
         ("--boundary dirichlet needs", "spectrum", ball, "--boundary", "dirichlet"),
         ("--boundary dirichlet needs", "spectrum", cloud, "--boundary", "dirichlet"),
+        ("`rtol` must be positive", "spectrum", ball, "--solver", "refined", "--rtol", "0"),
         ("weights must be one of", "spectrum", ball, "--solver", "neo", "--weights", "none"),
         ("`n_points` must be in [500, 5000000], got 10", "spectrum", "demo", "--points", 10),
     ):

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,10 +18,14 @@ from spectra_kit.cli import tables
 from spectra_kit.cli.options import DEMO
 from spectra_kit.eigensolvers import (
     Arpack,
+    Capped,
     Dense,
     Eigensolver,
     Lobpcg,
+    Multilevel,
+    Polished,
     RayleighRitz,
+    Refined,
     eigensolve,
     verify,
 )
@@ -37,7 +42,7 @@ from spectra_kit.geometry import (
 )
 from spectra_kit.metrics import compare_spectra, subspace_span_error
 from spectra_kit.operators import Laplacian, cotan_laplacian, knn_laplacian, robust_laplacian
-from spectra_kit.subspaces import AmbientFourier
+from spectra_kit.subspaces import AmbientFourier, RandomBasis, Subspace
 
 _SHOWN = (0, 1, 2, 5, 10, 25, 50)  # and the last
 _DRAWN = (1, 2, 5, 10, 25)
@@ -45,10 +50,29 @@ _DRAWN = (1, 2, 5, 10, 25)
 # and a cluster that k cuts is known as one.
 _EXTRA = 6
 
+
+def _start(a: argparse.Namespace) -> Subspace:
+    """Return the subspace that ``--start`` names."""
+    if a.start == "neo":
+        return Neo(weights=a.weights, poses=a.poses, dtype=a.dtype, device=a.device).subspace
+    if a.start == "random":
+        return RandomBasis(m=a.k + a.k // 2, seed=a.seed)
+    return AmbientFourier(m=max(256, 2 * a.k), bandwidth=7.0, seed=a.seed)
+
+
+def _rtol(a: argparse.Namespace) -> dict[str, Any]:
+    """Return the tolerance, where one was asked for."""
+    return {} if a.rtol is None else {"rtol": a.rtol}
+
+
 _SOLVERS: dict[str, Callable[[argparse.Namespace], Eigensolver]] = {
     "arpack": lambda a: Arpack(seed=a.seed),
-    "lobpcg": lambda a: Lobpcg(seed=a.seed),
+    "multilevel": lambda a: Multilevel(seed=a.seed, **_rtol(a)),
+    "refined": lambda a: Refined(start=_start(a), seed=a.seed, **_rtol(a)),
+    "lobpcg": lambda a: Lobpcg(seed=a.seed, **_rtol(a)),
     "dense": lambda _: Dense(),
+    "polished": lambda a: Polished(start=_start(a), seed=a.seed),
+    "capped": lambda a: Capped(subspace=_start(a)),
     "fourier": lambda a: RayleighRitz(subspace=AmbientFourier(seed=a.seed)),
     "neo": lambda a: Neo(weights=a.weights, poses=a.poses, dtype=a.dtype, device=a.device),
 }

@@ -7,7 +7,17 @@ from pathlib import Path
 
 DEMO = "demo"
 OPERATORS = ("robust", "cotan", "knn")
-SOLVERS = ("arpack", "lobpcg", "dense", "fourier", "neo")
+SOLVERS = (
+    "arpack",
+    "multilevel",
+    "refined",
+    "lobpcg",
+    "dense",
+    "polished",
+    "capped",
+    "fourier",
+    "neo",
+)
 
 
 def add_spectrum_arguments(parser: argparse.ArgumentParser) -> None:
@@ -99,6 +109,18 @@ def _add_operator(parser: argparse.ArgumentParser) -> None:
 def _add_solver(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("solver")
     group.add_argument("-k", type=int, default=96, help="number of modes (default: %(default)s)")
+    group.add_argument(
+        "--rtol",
+        type=float,
+        metavar="R",
+        help="largest relative residual of refined, multilevel and lobpcg (default: their own)",
+    )
+    group.add_argument(
+        "--start",
+        choices=("fourier", "neo", "random"),
+        default="fourier",
+        help="subspace that refined, polished and capped begin with (default: %(default)s)",
+    )
     group.add_argument(
         "--weights", default="small", metavar="NAME|FILE", help="of neo (default: %(default)s)"
     )
