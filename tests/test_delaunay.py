@@ -66,7 +66,8 @@ def test_semi_definite_with_constant_kernel_and_weights_of_one_sign(name: str) -
 def test_in_the_plane_it_is_the_cotangent_laplacian_of_the_delaunay_triangulation() -> None:
     points = square(700)
     mesh = TriangleMesh(points, Delaunay(points[:, :2]).simplices)
-    expected, got = cotan_laplacian(mesh), delaunay_laplacian(PointCloud(points))
+    expected = cotan_laplacian(mesh)
+    got = delaunay_laplacian(PointCloud(points), n_neighbors=60)
     # Slivers along the boundary have neighbours farther off than those that vote.
     inner = (np.abs(points[:, :2] - 0.5) < 0.35).all(axis=1)
     difference = (got.stiffness - sparse.csr_array(expected.stiffness))[inner]
@@ -154,12 +155,11 @@ def test_same_bits_whatever_the_number_of_threads(monkeypatch: pytest.MonkeyPatc
     assert np.array_equal(one.mass, three.mass)
 
 
-def test_few_neighbours_ask_farther_where_that_matters() -> None:
-    # With 30 neighbours some stars of a random cloud are not yet certain; with 60 hardly any.
-    cloud = PointCloud(ball(4000))
-    few, many = (delaunay_laplacian(cloud, n_neighbors=k) for k in (30, 60))
-    assert few.area == pytest.approx(many.area, rel=2e-3)
-    assert few.area == pytest.approx(4 * np.pi, rel=5e-3)
+def test_area_of_a_random_cloud() -> None:
+    # Thirty neighbours hold nearly all stars, whatever the distance of the origin.
+    for shift in (0, 30):
+        area = delaunay_laplacian(PointCloud(ball(20_000) + shift)).area
+        assert area == pytest.approx(4 * np.pi, rel=5e-3)
 
 
 def test_nearly_coincident_points() -> None:

@@ -22,11 +22,9 @@ def stars(
     owners: Ints,
     neighbors: Ints,
     weights: Floats,
-    n_frame: int,
     links: Ints,
     sizes: Ints,
     closed: Bools,
-    certain: Bools,
 ) -> None:
     """Find the Delaunay neighbours of each owner among its candidates, in angular order.
 
@@ -40,14 +38,10 @@ def stars(
         The k points nearest to each owner, nearest first.
     weights : ndarray of shape (n,)
         Of the points, in length^2; tiny, they only decide between points on one circle.
-    n_frame : int
-        That many of the neighbours define the tangent plane.
-    links, sizes : ndarray of shape (r, w) and (r,), written
-        Corners of the star and their number; 0 if there is no triangle, or they are more than w.
+    links, sizes : ndarray of shape (r, k) and (r,), written
+        Corners of the star and their number, 0 if there is no triangle.
     closed : ndarray of shape (r,), written
         Whether the last corner and the first one span a triangle, too.
-    certain : ndarray of shape (r,), written
-        Whether no point beyond the k candidates can change the star.
 
     Notes
     -----
@@ -61,27 +55,19 @@ def stars(
     hull = np.empty(k + 1, np.int64)
     for row in range(len(owners)):
         owner, near = owners[row], neighbors[row]
-        u0, u1, u2, v0, v1, v2 = _tangents(points, owner, near[:n_frame])
+        u0, u1, u2, v0, v1, v2 = _tangents(points, owner, near)
         for j in range(k):
             d0 = points[near[j], 0] - points[owner, 0]
             d1 = points[near[j], 1] - points[owner, 1]
             d2 = points[near[j], 2] - points[owner, 2]
             z = d0 * d0 + d1 * d1 + d2 * d2
-            radius = math.sqrt(z)  # of the last neighbour in the end: the farthest
             z += weights[owner] - weights[near[j]]
             x[j] = (d0 * u0 + d1 * u1 + d2 * u2) / z
             y[j] = (d0 * v0 + d1 * v1 + d2 * v2) / z
             angle[j] = math.atan2(y[j], x[j])
         size, is_closed = _hull(x, y, angle, hull)
         closed[row] = is_closed
-        certain[row] = is_closed
-        for c in range(size if is_closed else 0):
-            a, b = hull[c], hull[(c + 1) % size]
-            # The centre solves  centre . (x, y) = 1/2  for both corners.
-            twice = abs(x[a] * y[b] - x[b] * y[a])
-            if math.hypot(x[a] - x[b], y[a] - y[b]) > radius * twice:
-                certain[row] = False
-        if size < 2 or size > links.shape[1]:
+        if size < 2:
             size = 0
         sizes[row] = size
         for c in range(size):

@@ -18,7 +18,6 @@ from spectra_kit.operators.laplacian import Laplacian
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
-Bools = NDArray[np.bool_]
 
 _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
 _TIE = 1e-7  # weight of a point, of its squared distance to the nearest: decides between diagonals
@@ -36,8 +35,8 @@ def delaunay_laplacian(
     mollify_factor : float, default 1e-5
         Intrinsic mollification of (near) degenerate triangles, relative to their mean side.
     n_neighbors : int, default 30
-        Neighbours that define the tangent plane and vote for the triangles of a point; capped at
-        n - 1. Where twice as many could change the triangles, they are asked as well.
+        Neighbours that define the tangent plane of a point and are candidates for its triangles;
+        capped at n - 1. Fewer than 30 miss triangles of random points, more may bridge a gap.
 
     Returns
     -------
@@ -105,62 +104,25 @@ def delaunay_laplacian(
 
 def _local_triangles(points: Floats, n_neighbors: int) -> Ints:
     """Return the triangles of all stars, a consistent one three times, shape (t, 3)."""
-    from spectra_kit.operators._stars import triangles
+    from spectra_kit.operators._stars import stars, triangles
 
     tree = cKDTree(points)
-    everyone = np.arange(len(points), dtype=np.int32)
-    nearest, neighbors = _neighbors(tree, points, n_neighbors)
+    n = len(points)
+    owners = np.arange(n, dtype=np.int32)
+    nearest, neighbors = np.empty(n), np.empty((n, n_neighbors), dtype=np.int32)
+    blocks = [slice(first, first + _BLOCK) for first in range(0, n, _BLOCK)]
+    for b in blocks:
+        distance, index = tree.query(points[b], n_neighbors + 1, workers=thread_count())
+        nearest[b], neighbors[b] = distance[:, 1], index[:, 1:]
     # Random but fixed: all stars decide alike between the diagonals of a square.
-    ties = _TIE * nearest**2 * np.random.default_rng(0).random(len(points))
-    links, sizes, closed, certain = _stars(points, everyone, neighbors, ties, n_neighbors)
-    more = min(2 * n_neighbors, len(points) - 1)
-    again = everyone[~certain]
-    if len(again) and more > n_neighbors:
-        wider = _neighbors(tree, points[again], more)[1]
-        links_again, sizes_again, closed_again, _ = _stars(points, again, wider, ties, n_neighbors)
-        links[again], sizes[again] = links_again, sizes_again
-        closed[again] = closed_again
-    return triangles(everyone, links, sizes, closed)
-
-
-def _neighbors(tree: cKDTree, centres: Floats, count: int) -> tuple[Floats, Ints]:
-    """Return the distance to the nearest other point, and `count` of them, nearest first."""
-    nearest = np.empty(len(centres))
-    neighbors = np.empty((len(centres), count), dtype=np.int32)
-    for first in range(0, len(centres), _BLOCK):
-        block = slice(first, first + _BLOCK)
-        distance, index = tree.query(centres[block], count + 1, workers=thread_count())
-        nearest[block], neighbors[block] = distance[:, 1], index[:, 1:]
-    return nearest, neighbors
-
-
-def _stars(
-    points: Floats, owners: Ints, neighbors: Ints, ties: Floats, n_frame: int
-) -> tuple[Ints, Ints, Bools, Bools]:
-    """Run `_stars.stars` over blocks of owners."""
-    from spectra_kit.operators._stars import stars
-
-    r = len(owners)
-    links, sizes = np.empty((r, n_frame), dtype=np.int32), np.empty(r, dtype=np.int32)
-    closed, certain = np.empty(r, dtype=bool), np.empty(r, dtype=bool)
+    ties = _TIE * nearest**2 * np.random.default_rng(0).random(n)
+    links, sizes = np.empty_like(neighbors), np.empty(n, dtype=np.int32)
+    closed = np.empty(n, dtype=bool)
     in_threads(
         stars,
-        (
-            (
-                points,
-                owners[b],
-                neighbors[b],
-                ties,
-                n_frame,
-                links[b],
-                sizes[b],
-                closed[b],
-                certain[b],
-            )
-            for b in (slice(i, i + _BLOCK) for i in range(0, r, _BLOCK))
-        ),
+        ((points, owners[b], neighbors[b], ties, links[b], sizes[b], closed[b]) for b in blocks),
     )
-    return links, sizes, closed, certain
+    return triangles(owners, links, sizes, closed)
 
 
 def _glued_surface(
