@@ -105,6 +105,13 @@ def test_operators(files, capsys, operator):
     assert result["eigenvalues"][0] == pytest.approx(0, abs=1e-9)
 
 
+def test_delaunay_operator_takes_points(files, capsys):
+    command = ("spectrum", files / "bumpy.off", "-k", 4, "--operator", "delaunay", "--cloud", 500)
+    result = output(capsys, *command)
+    assert "delaunay" in result["provenance"]["operator"]
+    assert result["eigenvalues"][0] == pytest.approx(0, abs=1e-9)
+
+
 def test_dirichlet_boundary(files, capsys):
     """The lowest eigenvalue of a rectangle 1 x golden ratio with fixed boundary."""
     result = output(capsys, "spectrum", files / "sheet.obj", "-k", 2, "--boundary", "dirichlet")
@@ -185,6 +192,7 @@ def test_bad_input_is_refused_with_a_message(files, capsys, tmp_path):
         ("there is no folder", "spectrum", ball, "-o", tmp_path / "no" / "x.npz"),
         ("must be a .png file", "compare", ball, "--picture", tmp_path / "x.pdf"),
         ("--operator cotan needs a mesh", "spectrum", cloud, "--operator", "cotan"),
+        ("--operator delaunay needs points", "spectrum", ball, "--operator", "delaunay"),
         ("--cloud samples a mesh", "spectrum", cloud, "--cloud", 100),
         ("--boundary dirichlet needs", "spectrum", ball, "--boundary", "dirichlet"),
         ("--boundary dirichlet needs", "spectrum", cloud, "--boundary", "dirichlet"),

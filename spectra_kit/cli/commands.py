@@ -41,7 +41,13 @@ from spectra_kit.geometry import (
     sample,
 )
 from spectra_kit.metrics import compare_spectra, subspace_span_error
-from spectra_kit.operators import Laplacian, cotan_laplacian, knn_laplacian, robust_laplacian
+from spectra_kit.operators import (
+    Laplacian,
+    cotan_laplacian,
+    delaunay_laplacian,
+    knn_laplacian,
+    robust_laplacian,
+)
 from spectra_kit.subspaces import AmbientFourier, RandomBasis, Subspace
 
 _SHOWN = (0, 1, 2, 5, 10, 25, 50)  # and the last
@@ -221,10 +227,14 @@ def _operator(arguments: argparse.Namespace, geometry: Geometry) -> Laplacian:
         laplacian = robust_laplacian(geometry)
     elif arguments.operator == "knn":
         laplacian = knn_laplacian(geometry)
+    elif arguments.operator == "delaunay":
+        if isinstance(geometry, TriangleMesh):
+            raise InvalidInputError("--operator delaunay needs points; sample the mesh by --cloud")
+        laplacian = delaunay_laplacian(geometry)
     elif isinstance(geometry, TriangleMesh):
         laplacian = cotan_laplacian(geometry)
     else:
-        raise InvalidInputError("--operator cotan needs a mesh; use robust or knn for points")
+        raise InvalidInputError("--operator cotan needs a mesh; use another for points")
     if arguments.boundary == "dirichlet":
         if not isinstance(geometry, TriangleMesh) or not len(geometry.boundary_vertices):
             raise InvalidInputError("--boundary dirichlet needs a mesh that has a boundary")

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 DEMO = "demo"
-OPERATORS = ("robust", "cotan", "knn")
+OPERATORS = ("robust", "cotan", "knn", "delaunay")
 SOLVERS = (
     "arpack",
     "multilevel",
