@@ -24,6 +24,7 @@ from spectra_kit import (
     robust_laplacian,
 )
 from spectra_kit.geometry import TriangleMesh, creature, rectangle
+from spectra_kit.linalg.residuals import residual_norms, residuals
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation, weighted_gram
 from spectra_kit.linalg.shift_invert import factor_below, shift_invert_iteration
 
@@ -249,3 +250,15 @@ def test_given_basis_checks_its_rows() -> None:
         eigensolve(mesh, 5, Refined(start=GivenBasis(np.ones((10, 4)))))
     with pytest.raises(InvalidInputError, match=r"`columns` must have shape \(n, m\)"):
         GivenBasis(np.ones(4))
+
+
+def test_residuals_compiled_and_not(laplacian, exact) -> None:
+    """Both ways give the norms, and R is rounded to float32 only."""
+    moved = exact.eigenvectors + 0.01 * np.roll(exact.eigenvectors, 1, axis=1)
+    arguments = laplacian.stiffness, laplacian.mass, exact.eigenvalues, moved
+    R, norms = residuals(*arguments)
+    expected = laplacian.stiffness @ moved - laplacian.mass[:, None] * moved * exact.eigenvalues
+    assert np.abs(R - expected).max() <= 1e-7 * np.abs(expected).max()
+    plain = np.sqrt((expected**2 / laplacian.mass[:, None]).sum(axis=0))
+    assert norms == pytest.approx(plain, rel=1e-10)
+    assert residual_norms(*arguments) == pytest.approx(plain, rel=1e-10)

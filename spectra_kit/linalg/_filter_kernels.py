@@ -50,7 +50,6 @@ def residual_rows(
     columns: Ints,
     entries: Floats,
     mass: Floats,
-    weights: Floats,
     X: Floats,
     values: Floats,
     out: Singles,
@@ -60,8 +59,7 @@ def residual_rows(
 ) -> None:
     """Write rows `start` to `stop` of ``L X - M X diag(values)`` to `out`, summed in float64.
 
-    Nothing is written where `out` has no rows. `squares` receives the sum of the squares of these
-    rows, times their `weights`, column by column.
+    `squares` receives the squared M^-1 norm of these rows, column by column.
     """
     width = X.shape[1]
     row = np.empty(width)
@@ -76,7 +74,5 @@ def residual_rows(
             for c in range(width):
                 row[c] += entry * X[j, c]
         for c in range(width):
-            squares[c] += row[c] * row[c] * weights[i]
-        if len(out) > 0:
-            for c in range(width):
-                out[i, c] = row[c]
+            squares[c] += row[c] * row[c] / mass[i]
+            out[i, c] = row[c]

@@ -1,7 +1,8 @@
-"""Threads for compiled loops that release the interpreter lock."""
+"""Threads for loops that release the interpreter lock: compiled ones, NumPy's and SciPy's."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -9,9 +10,12 @@ from typing import Any
 
 def thread_count() -> int:
     """Return NUMBA_NUM_THREADS if it is set, else the number of cores this process may use."""
-    import numba
-
-    return int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+    chosen = os.environ.get("NUMBA_NUM_THREADS", "")
+    if chosen.isdecimal() and int(chosen) > 0:
+        return int(chosen)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def in_threads(task: Callable[..., None], arguments: Iterable[tuple[Any, ...]]) -> None:
