@@ -228,7 +228,10 @@ def edge_weights(
             rows[e], columns[e] = tails[h], tails[_next(h)]
             values[e] = (_cotangent(lengths, h) + _cotangent(lengths, twins[h])) / 2
             e += 1
-        mass[tails[h]] += _area(lengths, h) / 3
+    for face in range(len(tails) // 3):
+        third = _area(lengths, 3 * face) / 3
+        for c in range(3):
+            mass[tails[3 * face + c]] += third
     return rows, columns, values, mass
 
 

@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Bools = NDArray[np.bool_]
 
-_STRAIGHT = 1e-5  # radians: an angle that close to pi is a boundary, as in robust_laplacian
+_STRAIGHT = 1e-5  # radians: a gap that close to pi is a boundary, as in robust_laplacian
 _PARALLEL = 1e-12  # radians: directions that differ by less are the same, but for rounding
 
 
@@ -64,7 +64,9 @@ def stars(
             z += weights[owner] - weights[near[j]]
             x[j] = (d0 * u0 + d1 * u1 + d2 * u2) / z
             y[j] = (d0 * v0 + d1 * v1 + d2 * v2) / z
-            angle[j] = math.atan2(y[j], x[j])
+            # Rises with the angle from -1 by 4 a turn; opposite directions differ by 2.
+            steep = y[j] / (abs(x[j]) + abs(y[j])) if x[j] != 0 or y[j] != 0 else 0.0
+            angle[j] = steep if x[j] >= 0 else 2 - steep
         size, is_closed = _hull(x, y, angle, hull)
         closed[row] = is_closed
         if size < 2:
@@ -102,10 +104,10 @@ def _hull(x: Floats, y: Floats, angle: Floats, hull: NDArray[np.int64]) -> tuple
     for j in range(k):
         gap = angle[order[(j + 1) % k]] - angle[order[j]]
         if j == k - 1:
-            gap += 2 * math.pi
+            gap += 4
         if gap > widest:
             widest, after = gap, (j + 1) % k
-    is_closed = widest < math.pi - _STRAIGHT
+    is_closed = widest < 2 - _STRAIGHT
     first = after
     if is_closed:  # start at the farthest one: it is on the hull
         farthest = -1.0
