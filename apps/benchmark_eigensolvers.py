@@ -3,11 +3,13 @@
     python apps/benchmark_eigensolvers.py OUT                 # hours: all sizes
     python apps/benchmark_eigensolvers.py OUT --sizes 64000 --methods arpack neo eigsh
     python apps/benchmark_eigensolvers.py OUT --file bunny.obj
+    python apps/benchmark_eigensolvers.py OUT2 --geometry cloud --operator delaunay
 
-Without --file the demo animal is solved at each size. OUT gets benchmark.json, benchmark.md and the
-plots; every solve is a line of OUT/measurements.jsonl as soon as it ends, so the same command after
-an interruption, or with more sizes, computes only what is missing. Delete that file, or take
-another folder, to measure anew. Nothing else should run on the machine meanwhile.
+Without --file the demo animal is solved at each size; clouds are drawn from the surface. OUT gets
+benchmark.json, benchmark.md and the plots; every solve is a line of OUT/measurements.jsonl as soon
+as it ends, so the same command after an interruption, or with more sizes, computes only what is
+missing. Delete that file, or take another folder, to measure anew. Nothing else should run on the
+machine meanwhile; the report says if something did.
 
 Other packages are optional: pip install lapy pyamg. For a machine without network, fetch the wheels
 as evaluate_neo.py explains, these two among them. Results from machines with an accelerator are

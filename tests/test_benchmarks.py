@@ -214,6 +214,7 @@ def test_no_operator_no_solve(tmp_path):
         ({"devices": ("tpu",)}, "`devices` must be cpu or cuda, got tpu"),
         ({"kinds": ("volume",)}, "`kind` must be one of"),
         ({"operator": "magic"}, "`operator` must be one of"),
+        ({"operator": "delaunay"}, "`operator` delaunay is for clouds"),
         ({"sizes": (10,)}, "`sizes` must be at least 500"),
         ({"time_limit": 0.0}, "`time_limit` must be positive"),
         ({"exact_limit": -1.0}, "`exact_limit` must be positive"),

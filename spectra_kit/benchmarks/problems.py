@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -14,10 +15,14 @@ from scipy import sparse
 from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature, read, repair, sample
-from spectra_kit.operators import Laplacian, robust_laplacian
+from spectra_kit.operators import Laplacian, delaunay_laplacian, robust_laplacian
 
 #: Name -> assembly of (L, M).
-OPERATORS: dict[str, Callable[[Geometry], Laplacian]] = {"robust": robust_laplacian}
+OPERATORS: dict[str, Callable[[Any], Laplacian]] = {
+    "robust": robust_laplacian,
+    "delaunay": delaunay_laplacian,
+}
+_ONLY_CLOUDS = ("delaunay",)
 KINDS = ("mesh", "cloud")
 
 
@@ -40,7 +45,7 @@ class Problem:
     Raises
     ------
     InvalidInputError
-        If the kind or the operator is unknown.
+        If the kind or the operator is unknown, or the operator is for clouds and this is a mesh.
 
     Examples
     --------
@@ -60,6 +65,11 @@ class Problem:
                 raise InvalidInputError(
                     f"`{name}` must be one of {options}, got {getattr(self, name)!r}"
                 )
+
+        if self.kind == "mesh" and self.operator in _ONLY_CLOUDS:
+            raise InvalidInputError(
+                f"`operator` {self.operator} is for clouds, got a mesh; leave out meshes"
+            )
 
     def key(self) -> dict[str, object]:
         """All that decides the eigenproblem, as JSON."""
