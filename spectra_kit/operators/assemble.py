@@ -51,6 +51,13 @@ def robust_laplacian(
         If a vertex belongs to no face, a face repeats a vertex, points of a cloud coincide, lie
         on one line, or are fewer than four.
 
+    Notes
+    -----
+    For clouds prefer `delaunay_laplacian`. The library (1.1) fits the plane of a point around the
+    sum of its k neighbours over k + 1, so its triangles depend on where the origin is, the more
+    the finer the cloud: of 32 000 random directions (``default_rng(1).standard_normal``,
+    normalised) it finds 64 % of the area of the sphere, after a shift by (3, 3, 3) 98 %.
+
     References
     ----------
     Sharp and Crane, *A Laplacian for Nonmanifold Triangle Meshes*, SGP 2020.
