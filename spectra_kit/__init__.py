@@ -42,7 +42,13 @@ from spectra_kit.errors import (
     WeightsError,
 )
 from spectra_kit.geometry import PointCloud, TriangleMesh, read, write
-from spectra_kit.operators import Laplacian, cotan_laplacian, knn_laplacian, robust_laplacian
+from spectra_kit.operators import (
+    Laplacian,
+    cotan_laplacian,
+    delaunay_laplacian,
+    knn_laplacian,
+    robust_laplacian,
+)
 from spectra_kit.spectrum import Certificate, ModeCount, Provenance, Spectrum
 from spectra_kit.subspaces import AmbientFourier, GivenBasis, RandomBasis, Union
 
@@ -75,6 +81,7 @@ __all__ = [
     "Union",
     "WeightsError",
     "cotan_laplacian",
+    "delaunay_laplacian",
     "eigensolve",
     "geometry",
     "knn_laplacian",

@@ -103,8 +103,23 @@ class RandomBasis:
 def restricted(part: Solver, rows: Ints) -> Solver:
     """Return `part` (a subspace or a solver) for the points `rows` alone.
 
-    What is a function of the points needs no change; what is tied to them has a method of this
-    name.
+    Parameters
+    ----------
+    part : Subspace or Eigensolver
+        What is a function of the points needs no change; what is tied to them has a method of this
+        name.
+    rows : ndarray of int
+        The points, in the order of the restricted Laplacian.
+
+    Returns
+    -------
+    Subspace or Eigensolver
+        Of the type of `part`.
+
+    Examples
+    --------
+    >>> restricted(GivenBasis(np.eye(4)), np.array([2, 3])).columns.shape
+    (2, 4)
     """
     method = getattr(part, "restricted", None)
     return part if method is None else method(rows)
