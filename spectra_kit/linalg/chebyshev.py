@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from spectra_kit.linalg.filters import shifted, spectral_bound, standard_form
-from spectra_kit.linalg.torch_ritz import leading_ritz_pairs
+from spectra_kit.linalg.filters import (
+    csr_diagonal,
+    csr_rows,
+    shifted,
+    spectral_bound,
+    standard_form,
+)
+from spectra_kit.linalg.torch_ritz import csr_like, leading_ritz_pairs
 
 _GAIN = 1e6  # largest amplification in one sweep: the condition number it may give a block
-_SINGLE_GAIN = 1e4  # in float32, whose rounding at the top of the spectrum limits what is gained
-_SINGLE_WORTH = 0.1  # a float32 sweep that leaves more than this of the residual was the last one
-_STALLED = 0.9  # a float64 sweep has met rounding if it leaves more than this of it, locks nothing,
+_STIFF = 4.0  # diagonal of M^-1 L, relative to its median, beyond which quick sweeps add mass
+_FAR = 60.0  # but not where the diagonal is below this multiple of the highest mode's eigenvalue
+_POOR = 0.1  # a quick sweep that leaves more than this of the residual was the last of its kind
+_STALLED = 0.9  # an exact sweep has met rounding if it leaves more than this of it, locks nothing,
 _STILL = 1e-9  # and lowers the sum of the Ritz values by no more than this share
 _SAFETY = 3.0  # filter for residuals this much below the tolerance
 _DEGREES = (8, 4000)  # of one filter, at least and at most
@@ -108,9 +115,11 @@ def chebyshev_eigenpairs(
     spectrum, as large as can be below. Rayleigh-Ritz in the whole block follows. Leading modes
     that have converged are locked: they stay in the block and are filtered no more.
 
-    A filter is applied to residuals: ``p(S) x = p(theta) x + f`` for a Ritz pair (theta, x), and f
-    obeys the recurrence of p driven by ``S x - theta x``. Only the relative accuracy of f counts,
-    so sweeps are in float32 as long as these gain a digit, and the result is float64 all the same.
+    A filter is applied to residuals: with ``A = M^-1 L``, ``p(A) x = p(theta) x + f`` for a Ritz
+    pair (theta, x), and f obeys the recurrence of p driven by ``A x - theta x``. So f needs little
+    accuracy, and what is not right of it is made good by the next sweep: as long as sweeps gain a
+    digit they are in float32, and of an A with more mass at the few points whose stiffness makes
+    the top of the spectrum. The result is that of L and M in float64 all the same.
 
     Examples
     --------
@@ -124,36 +133,32 @@ def chebyshev_eigenpairs(
     >>> pairs.eigenvalues.abs()
     tensor([0.0000, 0.0039, 0.0039, 0.0158, 0.0158], dtype=torch.float64)
     """
-    root = mass.double().sqrt()
-    ones = torch.ones_like(root)
-    operator = standard_form(stiffness, root)  # orthonormality is Euclidean from here on
     block = k + max(8, k // 2) if block is None else block
     values, X, _ = leading_ritz_pairs(stiffness, mass, start, block)
-    X *= root.unsqueeze(1)
     if len(values) < block:
         drawn = np.random.default_rng(seed).standard_normal((len(X), block - len(values)))
         X = torch.cat([X, torch.from_numpy(drawn).to(X)], dim=1)
-        values, X, _ = leading_ritz_pairs(operator, ones, X, block)
-    schedule = _Schedule(rtol, spacing, spectral_bound(operator), spacing * len(values))
+        values, X, _ = leading_ritz_pairs(stiffness, mass, X, block)
+    weights = mass.double().unsqueeze(1)
+    operator = _Operator.quick(stiffness, mass, spacing * block)
+    schedule = _Schedule(rtol, spacing, spacing * block)
     while True:
-        residuals = (operator @ X.contiguous()).addcmul_(X, values, value=-1)
-        norms = residuals.norm(dim=0)
-        sweep = schedule.next(values.tolist(), norms[:k].tolist())
-        if sweep is None or schedule.sweeps == max_sweeps:
+        residuals = (stiffness @ X.contiguous()).sub_(weights * X * values)
+        norms = (residuals / weights.sqrt()).norm(dim=0)
+        schedule.look(values.tolist(), norms[:k].tolist())
+        if schedule.finished or schedule.sweeps == max_sweeps:
             break
-        active = slice(sweep.locked, None)
+        if schedule.careful and math.isfinite(operator.limit):
+            operator = _Operator.exact(stiffness, mass)
+        sweep = schedule.plan(operator)
+        active = slice(schedule.locked, None)
         X[:, active] = _filtered(
-            shifted(operator, sweep.interval, sweep.dtype),
-            X[:, active],
-            residuals[:, active],
-            values[active],
-            sweep,
+            operator, X[:, active], residuals[:, active], values[active], sweep
         )
-        schedule.sweeps, schedule.products = schedule.sweeps + 1, schedule.products + sweep.degree
-        values, X, _ = leading_ritz_pairs(operator, ones, X, block)
+        values, X, _ = leading_ritz_pairs(stiffness, mass, X, block)
     return FilteredPairs(
         values[:k],
-        X[:, :k] / root.unsqueeze(1),
+        X[:, :k],
         norms[:k],
         schedule.sweeps,
         schedule.products,
@@ -162,13 +167,43 @@ def chebyshev_eigenpairs(
     )
 
 
-class _Sweep(NamedTuple):
-    """One filter: of which columns, on which interval, how long, how precise."""
+class _Operator(NamedTuple):
+    """What a filter is a polynomial of, and in which precision."""
 
-    locked: int
+    matrix: Tensor  # M^-1 L
+    mass: Tensor
+    top: float
+    limit: float  # of its diagonal, where mass was added to reach that; inf without
+
+    @classmethod
+    def quick(cls, stiffness: Tensor, mass: Tensor, highest: float) -> _Operator:
+        """Return a nearby operator in float32 whose spectrum ends far earlier.
+
+        A few points of tiny mass, or between needles, make the top of the spectrum; with more mass
+        there, all modes up to `highest` stay about the same.
+        """
+        diagonal = csr_diagonal(stiffness)
+        typical = float((diagonal / mass).median())
+        limit = max(_STIFF * typical, _FAR * highest)
+        return cls._of(stiffness, torch.maximum(mass.double(), diagonal / limit), limit)
+
+    @classmethod
+    def exact(cls, stiffness: Tensor, mass: Tensor) -> _Operator:
+        """Return the operator itself in float64."""
+        return cls._of(stiffness, mass.double(), math.inf)
+
+    @classmethod
+    def _of(cls, stiffness: Tensor, mass: Tensor, limit: float) -> _Operator:
+        top = spectral_bound(standard_form(stiffness, mass.sqrt()))
+        matrix = csr_like(stiffness, stiffness.values() / mass[csr_rows(stiffness)])
+        return cls(matrix, mass, top, limit)
+
+
+class _Sweep(NamedTuple):
+    """One filter: the interval it damps, and its degree."""
+
     interval: tuple[float, float]
     degree: int
-    dtype: torch.dtype
 
 
 @dataclass
@@ -177,88 +212,88 @@ class _Schedule:
 
     rtol: float
     spacing: float
-    top: float
     cut: float  # about the highest eigenvalue of the block
     converged: bool = False
     stalled: bool = False
+    careful: bool = False
+    locked: int = 0
     sweeps: int = 0
     products: int = 0
     _rising: bool = True
-    _locked: int = 0
-    _worst: float = math.inf
+    _expected: float = math.inf  # share of the largest residual that a sweep should leave
     _sum: float = math.inf
-    _dtype: torch.dtype = torch.float32
+    _ritz: list[float] = field(default_factory=list)
+    _excess: list[float] = field(default_factory=list)  # residuals relative to their tolerances
 
-    def next(self, ritz: list[float], norms: list[float]) -> _Sweep | None:
-        """Return the next sweep for the first ``len(norms)`` Ritz pairs, None at the end."""
+    @property
+    def finished(self) -> bool:
+        """Whether there is no more to do, or no use in it."""
+        return self.converged or self.stalled
+
+    def look(self, ritz: list[float], norms: list[float]) -> None:
+        """Judge the last sweep by all Ritz values and the residual norms of the wanted ones."""
         k = len(norms)
-        excess = [norms[j] / (self.rtol * max(ritz[j], self.spacing)) for j in range(k)]
-        unfinished = [j for j in range(k) if not excess[j] <= 1]
-        self.converged = not unfinished
-        if self.converged:
-            return None
-        left, self._worst = max(excess) / self._worst, max(excess)
+        before, self._ritz = max(self._excess, default=math.inf), ritz
+        self._excess = [norms[j] / (self.rtol * max(ritz[j], self.spacing)) for j in range(k)]
+        worst = max(self._excess)
+        locked = next((j for j in range(k) if not self._excess[j] <= 1), k)
+        self.converged = locked == k
         # A mode that was missing comes up with large residuals, but lowers the sum.
         fell, self._sum = sum(ritz[:k]) < (1 - _STILL) * self._sum, sum(ritz[:k])
-        progress = left <= _STALLED or fell or unfinished[0] > self._locked
-        self.stalled = not (progress or self._rising or self._dtype == torch.float32)
-        if self.stalled:
-            return None
-        if left > _SINGLE_WORTH:
-            self._dtype = torch.float64
-        self._locked = unfinished[0]
-        lowest = ritz[self._locked]
+        progress = worst <= _STALLED * before or fell or locked > self.locked or self._rising
+        self.stalled = self.careful and not progress
+        poor = worst > min(max(_POOR, 5 * self._expected), 0.5) * before
+        self.careful = self.careful or (poor and not self._rising)
+        self.locked = locked
+
+    def plan(self, operator: _Operator) -> _Sweep:
+        """Return the next sweep."""
+        top = operator.top
         # The guards of a random start lie far up the spectrum: do not follow them at once.
-        self._rising = ritz[-1] > self.cut
-        cut = max(min(ritz[-1], self.cut), lowest)
+        self._rising = self.cut < min(self._ritz[-1], 0.5 * top)
+        cut = max(min(self._ritz[-1], self.cut), self._ritz[self.locked])
         self.cut *= _CUT_GROWTH
-        interval = (min(1.01 * cut + self.spacing / 2, 0.9 * self.top), self.top)
-        gain = _SINGLE_GAIN if self._dtype == torch.float32 else _GAIN
-        needs = {ritz[j]: _SAFETY * excess[j] for j in unfinished}
-        degree = _degree(needs, lowest, interval, gain)
-        return _Sweep(self._locked, interval, degree, self._dtype)
+        low = min(1.01 * cut + self.spacing / 2, 0.9 * top)
+        wanted = range(self.locked, len(self._excess))
+        rates = {j: _rate(self._ritz[j], low, top) for j in wanted if self._excess[j] > 1}
+        reach = max(operator.limit / low, 10.0)  # added mass leaves about the inverse of this
+        degree = min(
+            max(
+                math.acosh(min(_SAFETY * self._excess[j], reach)) / rate
+                for j, rate in rates.items()
+            ),
+            math.acosh(_GAIN) / _rate(0.0, low, top),  # for modes that may be missing yet, too
+        )
+        degree = min(max(math.ceil(degree), _DEGREES[0]), _DEGREES[1])
+        self._expected = 1 / math.cosh(min(degree * min(rates.values()), 700.0))
+        self.sweeps, self.products = self.sweeps + 1, self.products + degree
+        return _Sweep((low, top), degree)
 
 
-def _degree(
-    needs: dict[float, float], lowest: float, interval: tuple[float, float], gain: float
-) -> int:
-    """Return the degree that divides each residual (by its Ritz value) by what it needs.
-
-    Less where the amplification at the lowest active Ritz value would exceed `gain`.
-    """
-    low, high = interval
-
-    def rate(value: float) -> float:
-        """Growth of the polynomial per degree, as an exponent."""
-        return math.acosh(max((high + low - 2 * value) / (high - low), 1 + 1e-12))
-
-    degree = min(
-        max(math.acosh(max(need, 1.0)) / rate(value) for value, need in needs.items()),
-        math.acosh(gain) / rate(lowest),
-    )
-    return min(max(math.ceil(degree), _DEGREES[0]), _DEGREES[1])
+def _rate(value: float, low: float, high: float) -> float:
+    """Growth of the polynomial that damps [low, high] at a value below, an exponent per degree."""
+    return math.acosh(max((high + low - 2 * value) / (high - low), 1 + 1e-12))
 
 
 def _filtered(
-    operator: Tensor,
-    block: Tensor,
-    residuals: Tensor,
-    values: Tensor,
-    sweep: _Sweep,
+    operator: _Operator, X: Tensor, residuals: Tensor, values: Tensor, sweep: _Sweep
 ) -> Tensor:
-    """Return ``p(S) block``, p normalised to one at the lowest of the Ritz values `values`."""
+    """Return ``p(M^-1 L) X``, p normalised to one at zero."""
     low, high = sweep.interval
     radius = (high - low) / 2
+    matrix = shifted(operator.matrix, sweep.interval)
+    if math.isfinite(operator.limit):
+        matrix = matrix.float()
     x = (values - (high + low) / 2) / radius
-    x0 = min(float(x[0]), -1.0)
-    driving = (residuals / radius).to(operator.dtype)
+    x0 = -(high + low) / 2 / radius
+    driving = (residuals / (radius * operator.mass.unsqueeze(1))).to(matrix.dtype)
     before, current = torch.zeros_like(driving), driving / x0
     p_before, p = torch.ones_like(x), x / x0  # of the degrees before, at the Ritz values
     rho = 1 / x0
     for _ in range(sweep.degree - 1):
         following = 1 / (2 * x0 - rho)
-        before.addmm_(operator, current, beta=-rho * following, alpha=2 * following)
+        before.addmm_(matrix, current, beta=-rho * following, alpha=2 * following)
         before.addcmul_(driving, (2 * following * p).to(driving.dtype))
         p_before, p = p, 2 * following * x * p - rho * following * p_before
         before, current, rho = current, before, following
-    return (p * block).add_(current)
+    return (p * X).add_(current)

@@ -49,15 +49,15 @@ def chebyshev_smooth(
     >>> chebyshev_smooth(sparse_tensor(path), functions)[:, 0]
     tensor([1., 1., 1.])
     """
-    root = _diagonal(stiffness).double().sqrt()
+    root = csr_diagonal(stiffness).double().sqrt()
     symmetric = standard_form(stiffness, root)
     top = spectral_bound(symmetric)
     # x0 = -cosh(acosh(damping) / degree) is where the polynomial on [-1, 1] has size `damping`.
     x0 = -math.cosh(math.acosh(damping) / degree)
     cut = top * (x0 + 1) / (x0 - 1)
-    rows = _row_indices(stiffness)
+    rows = csr_rows(stiffness)
     scaled = csr_like(stiffness, stiffness.values() / root.square()[rows])
-    operator = shifted(scaled, (cut, top), basis.dtype)
+    operator = shifted(scaled, (cut, top)).to(basis.dtype)
     before, current = basis.clone(), (operator @ basis).div_(x0)
     rho = 1 / x0
     for _ in range(degree - 1):
@@ -95,33 +95,33 @@ def spectral_bound(operator: Tensor) -> float:
 
 def standard_form(stiffness: Tensor, root: Tensor) -> Tensor:
     """Return ``M^-1/2 L M^-1/2`` as CSR, `root` being the diagonal of M^1/2."""
-    rows = _row_indices(stiffness)
+    rows = csr_rows(stiffness)
     values = stiffness.values().double() / (root[rows] * root[stiffness.col_indices()])
     return csr_like(stiffness, values)
 
 
-def shifted(operator: Tensor, interval: tuple[float, float], dtype: torch.dtype) -> Tensor:
-    """Return the operator moved and scaled so that `interval` becomes [-1, 1], in `dtype`."""
+def shifted(operator: Tensor, interval: tuple[float, float]) -> Tensor:
+    """Return the operator moved and scaled so that `interval` becomes [-1, 1]."""
     low, high = interval
-    on_diagonal = _row_indices(operator) == operator.col_indices()
+    on_diagonal = csr_rows(operator) == operator.col_indices()
     if int(on_diagonal.sum()) != operator.shape[0]:
         raise InvalidInputError(
             f"`stiffness` must store all {operator.shape[0]} entries of its diagonal, got"
             f" {int(on_diagonal.sum())}; a zero one is a point that nothing holds: drop it"
         )
     values = operator.values().double() - (high + low) / 2 * on_diagonal.double()
-    return csr_like(operator, (values / ((high - low) / 2)).to(dtype))
+    return csr_like(operator, values / ((high - low) / 2))
 
 
-def _row_indices(operator: Tensor) -> Tensor:
+def csr_rows(operator: Tensor) -> Tensor:
     """Return the row of each stored entry."""
     counts = operator.crow_indices().diff()
     rows = torch.arange(operator.shape[0], device=operator.device)
     return torch.repeat_interleave(rows, counts, output_size=operator.values().numel())
 
 
-def _diagonal(operator: Tensor) -> Tensor:
+def csr_diagonal(operator: Tensor) -> Tensor:
     """Return the diagonal of a CSR matrix, zero where none is stored."""
-    rows = _row_indices(operator)
+    rows = csr_rows(operator)
     values = operator.values() * (rows == operator.col_indices())
     return values.new_zeros(operator.shape[0]).index_add_(0, rows, values)
