@@ -223,11 +223,12 @@ def _load(arguments: argparse.Namespace) -> Geometry:
 
 def _operator(arguments: argparse.Namespace, geometry: Geometry) -> Laplacian:
     """Assemble the operator with its boundary condition."""
-    if arguments.operator == "robust":
+    chosen = arguments.operator or ("robust" if isinstance(geometry, TriangleMesh) else "delaunay")
+    if chosen == "robust":
         laplacian = robust_laplacian(geometry)
-    elif arguments.operator == "knn":
+    elif chosen == "knn":
         laplacian = knn_laplacian(geometry)
-    elif arguments.operator == "delaunay":
+    elif chosen == "delaunay":
         if isinstance(geometry, TriangleMesh):
             raise InvalidInputError("--operator delaunay needs points; sample the mesh by --cloud")
         laplacian = delaunay_laplacian(geometry)

@@ -96,7 +96,9 @@ def _add_input(parser: argparse.ArgumentParser, *, file: str | None) -> None:
 def _add_operator(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("operator")
     group.add_argument(
-        "--operator", choices=OPERATORS, default="robust", help="Laplacian (default: %(default)s)"
+        "--operator",
+        choices=OPERATORS,
+        help="Laplacian (default: robust for meshes, delaunay for clouds)",
     )
     group.add_argument(
         "--boundary",
