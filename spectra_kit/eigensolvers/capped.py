@@ -12,8 +12,9 @@ from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers.base import Eigenpairs
 from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.levels import coarse_iteration, coarse_ritz, coarsen
+from spectra_kit.levels import coarse_iteration, coarse_ritz, coarsen, smoothed
 from spectra_kit.linalg.products import spmm
+from spectra_kit.linalg.ritz import ritz_pairs
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import AmbientFourier, Subspace, restricted
 
@@ -24,8 +25,8 @@ _GUARD = 0.5  # columns that are swept beyond k, relative to k
 class Capped:
     """Evaluate a subspace on a well-spread subset, solve there, and carry the modes to all points.
 
-    Approximate; the certificate says by how much. All dense algebra is of the size of the
-    subset: beyond that the cost is that of a sparse interpolation.
+    Approximate; the certificate says by how much. What grows with the resolution is a sparse
+    interpolation, a few sparse products and one Rayleigh-Ritz, all of k columns alone.
 
     Parameters
     ----------
@@ -37,6 +38,9 @@ class Capped:
     sweeps : int, default 1
         Filtered shift-invert sweeps on the subset, before the modes are carried to all points;
         0 leaves the prediction as it is.
+    smoothing : int, default 6
+        Sparse products that smooth the modes on all points (`levels.smoothed`), before a last
+        Rayleigh-Ritz there; 0 leaves them as they were carried.
 
     Raises
     ------
@@ -45,9 +49,9 @@ class Capped:
 
     Notes
     -----
-    The Galerkin operators of the subset (`levels.Coarse`) make the Ritz values those of the
-    carried functions on all points: bounds from above. The masses that the subspace sees are the
-    areas that the points of the subset stand for.
+    The Galerkin operators of the subset (`levels.Coarse`) make its Ritz values those of the
+    carried functions on all points: bounds from above, as after smoothing. The masses that the
+    subspace sees are the areas that the points of the subset stand for.
 
     Examples
     --------
@@ -62,6 +66,7 @@ class Capped:
     subspace: Subspace = field(default_factory=lambda: AmbientFourier(m=256, bandwidth=7.0))
     n_points: int = 4096
     sweeps: int = 1
+    smoothing: int = 6
 
     def __post_init__(self) -> None:
         if not callable(self.subspace):
@@ -70,6 +75,7 @@ class Capped:
             )
         check_count("n_points", self.n_points, low=100)
         check_count("sweeps", self.sweeps, low=0)
+        check_count("smoothing", self.smoothing, low=0)
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
@@ -87,9 +93,13 @@ class Capped:
         pairs = coarse_ritz(level, basis, k, guard=guard)
         pairs = coarse_iteration(level, pairs, k, max_sweeps=self.sweeps)
         solved = time.perf_counter()
+        values = pairs.eigenvalues[:k]
         vectors = np.asarray(spmm(level.prolongation, pairs.eigenvectors[:, :k]))
+        if self.smoothing:
+            vectors = smoothed(laplacian, values, vectors, degree=self.smoothing)
+            values, vectors, _ = ritz_pairs(laplacian.stiffness, laplacian.mass, vectors, k)
         return Eigenpairs(
-            pairs.eigenvalues[:k],
+            values,
             vectors,
             {
                 "coarsen": coarsened - begin,

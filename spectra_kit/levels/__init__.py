@@ -2,6 +2,7 @@
 
 from spectra_kit.levels.coarse import Coarse, coarsen
 from spectra_kit.levels.interpolation import prolongation
+from spectra_kit.levels.smoothing import smoothed
 from spectra_kit.levels.solve import CoarsePairs, coarse_iteration, coarse_ritz
 from spectra_kit.levels.subset import Subset, well_spread
 
@@ -13,5 +14,6 @@ __all__ = [
     "coarse_ritz",
     "coarsen",
     "prolongation",
+    "smoothed",
     "well_spread",
 ]

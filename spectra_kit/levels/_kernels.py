@@ -12,6 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 
@@ -216,3 +217,41 @@ def _diagonalize(matrix: Floats, axes: Floats) -> None:
                 for a in range(3):
                     x, y = axes[a, p], axes[a, q]
                     axes[a, p], axes[a, q] = c * x - s * y, s * x + c * y
+
+
+@njit(nogil=True, cache=True)
+def smoothing_step(
+    starts: Ints,
+    neighbours: Ints,
+    stiffness: Singles,
+    mass: Singles,
+    inverse: Singles,
+    values: Singles,
+    residual: Singles,
+    old: Singles,
+    direction: Singles,
+    new: Singles,
+    keep: float,
+    step: float,
+    first: int,
+    last: int,
+) -> None:
+    """Write one Chebyshev step of ``(L - lambda M) c = -residual`` to rows of `new`.
+
+    From the correction `old`; `direction` is overwritten by
+    ``keep direction - step (residual + (L - lambda M) old) / diag(L)``. All are (n, s) but
+    `values`, the lambda of each column, and `mass` and `inverse`, one over the diagonal.
+    """
+    s = old.shape[1]
+    row = np.empty(s, np.float32)
+    for i in range(first, last):
+        for c in range(s):
+            row[c] = residual[i, c] - values[c] * mass[i] * old[i, c]
+        for p in range(starts[i], starts[i + 1]):
+            j, weight = neighbours[p], stiffness[p]
+            for c in range(s):
+                row[c] += weight * old[j, c]
+        a, b = np.float32(keep), np.float32(step) * inverse[i]
+        for c in range(s):
+            direction[i, c] = a * direction[i, c] - b * row[c]
+            new[i, c] = old[i, c] + direction[i, c]

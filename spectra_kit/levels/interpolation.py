@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import sparse
 
+from spectra_kit._validate import frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels.subset import Operator, Subset
 from spectra_kit.linalg.threads import in_threads, thread_count
@@ -58,8 +59,10 @@ def prolongation(operator: Operator, subset: Subset) -> sparse.csr_array:
     """
     from spectra_kit.levels._kernels import balls, interpolate, transposed
 
-    graph, points, n = operator.stiffness, operator.points, operator.n
-    starts, neighbours = (np.asarray(a, dtype=np.int32) for a in (graph.indptr, graph.indices))
+    graph, points, n = operator.stiffness, frozen(operator.points), operator.n
+    starts, neighbours = (
+        frozen(np.asarray(a, dtype=np.int32)) for a in (graph.indptr, graph.indices)
+    )
     reach = _REACH * subset.radius
     members = balls(starts, neighbours, points, subset.indices, reach)
     indptr, columns = transposed(*members, n)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from spectra_kit._validate import check_count
+from spectra_kit._validate import check_count, frozen
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -96,14 +96,17 @@ def well_spread(operator: Operator, n_points: int) -> Subset:
     from spectra_kit.levels._kernels import cover
 
     check_count("n_points", n_points, low=1, high=operator.n)
-    graph = operator.stiffness
-    starts, neighbours = (np.asarray(a, dtype=np.int32) for a in (graph.indptr, graph.indices))
+    # All read-only: numba compiles anew for arrays that are not.
+    graph, points = operator.stiffness, frozen(operator.points)
+    starts, neighbours = (
+        frozen(np.asarray(a, dtype=np.int32)) for a in (graph.indptr, graph.indices)
+    )
     grain = _GRAINY * np.sqrt(n_points / operator.n)
     radius = (_PACKED - grain) * np.sqrt(operator.area / n_points)
     low, high = 0.0, np.inf  # radii known to give too many and too few
     best: Subset | None = None
     for _ in range(_ROUNDS):
-        indices = cover(starts, neighbours, operator.points, radius)
+        indices = cover(starts, neighbours, points, radius)
         count = len(indices)
         if count > n_points:
             low = radius
@@ -118,7 +121,7 @@ def well_spread(operator: Operator, n_points: int) -> Subset:
         radius = guess if inside or high == np.inf else 0.5 * (low + high)
     while best is None:  # thin shapes: their count falls more slowly than the area suggests
         radius *= 1.5
-        indices = cover(starts, neighbours, operator.points, radius)
+        indices = cover(starts, neighbours, points, radius)
         if len(indices) <= n_points:
             best = Subset(np.sort(indices).astype(np.int64), float(radius))
     return best
