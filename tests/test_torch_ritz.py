@@ -154,6 +154,16 @@ def test_a_mass_matrix_need_not_be_diagonal(problem):
         torch.testing.assert_close(gram, torch.eye(10, dtype=torch.float64))
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16, torch.float16])
+def test_columns_of_any_precision_give_pairs_in_double(problem, dtype):
+    L, mass, values, vectors = problem
+    pairs = rayleigh_ritz(sparse_tensor(L), mass, vectors[:, :12].to(dtype), 10)
+    assert pairs.eigenvectors.dtype == torch.float64
+    assert gram_error(pairs.eigenvectors, mass) < 1e-12
+    assert (pairs.eigenvalues.numpy() >= values[:10] - 1e-12).all()
+    np.testing.assert_allclose(pairs.eigenvalues, values[:10], atol=0.05)
+
+
 def test_no_more_pairs_than_dimensions(problem):
     L, mass, values, vectors = problem
     pairs = leading_ritz_pairs(sparse_tensor(L), mass, vectors[:, [0, 1, 2, 2]], 8)

@@ -9,11 +9,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from scipy import sparse
 from torch import Tensor
 
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg.products import spmm
 
 _ROWS = 65_536  # rows of a basis handled at once: bounds the temporaries, not the result
 _SINGLE_ROWS = 2_048  # of float32 products between two float64 sums: keeps the rounding down
@@ -254,13 +256,26 @@ def _project(stiffness: Tensor, basis: Tensor, dtype: torch.dtype) -> Tensor:
     rows = _SINGLE_ROWS if dtype == torch.float32 else _ROWS
     for first in range(0, m, _COLUMNS):
         columns = slice(first, first + _COLUMNS)
-        image = (stiffness @ basis[:, columns].double().contiguous()).to(dtype)
+        image = _image(stiffness, basis[:, columns]).to(dtype)
         target = projected[first:, columns]
         for part, block in zip(
             torch.split(basis[:, first:], rows), torch.split(image, rows), strict=True
         ):
             target += part.to(dtype).mT @ block
     return projected.tril() + projected.tril(-1).mT
+
+
+def _image(stiffness: Tensor, columns: Tensor) -> Tensor:
+    """Return the float64 product of L with some columns; on the CPU by loops that beat torch's."""
+    if columns.device.type != "cpu":
+        return stiffness @ columns.double().contiguous()
+    if columns.dtype not in (torch.float32, torch.float64):
+        columns = columns.float()
+    rows, indices, values = stiffness.crow_indices(), stiffness.col_indices(), stiffness.values()
+    matrix = sparse.csr_array(
+        (values.numpy(), indices.numpy(), rows.numpy()), shape=tuple(stiffness.shape)
+    )
+    return torch.from_numpy(spmm(matrix, columns.contiguous().numpy(), dtype=np.float64))
 
 
 def _lift(projected: Tensor, whitening: Tensor, basis: Tensor, most: int) -> tuple[Tensor, Tensor]:
