@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers.base import Eigenpairs
@@ -14,7 +15,7 @@ from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels import coarse_iteration, coarse_ritz, coarsen, smoothed
 from spectra_kit.linalg.products import spmm
-from spectra_kit.linalg.ritz import ritz_pairs
+from spectra_kit.linalg.ritz import projected, weighted_gram
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import AmbientFourier, Subspace, restricted
 
@@ -97,7 +98,10 @@ class Capped:
         vectors = np.asarray(spmm(level.prolongation, pairs.eigenvectors[:, :k]))
         if self.smoothing:
             vectors = smoothed(laplacian, values, vectors, degree=self.smoothing)
-            values, vectors, _ = ritz_pairs(laplacian.stiffness, laplacian.mass, vectors, k)
+            # Still almost orthonormal: nothing of `ritz_pairs` but the small problem is needed.
+            gram = weighted_gram(vectors, laplacian.mass)
+            values, rotation = eigh(projected(laplacian.stiffness, vectors), gram)
+            vectors = vectors @ rotation
         return Eigenpairs(
             values,
             vectors,

@@ -112,6 +112,8 @@ class Multilevel:
             levels.append(coarsen(levels[-1] if levels else laplacian, size))
         coarsened = time.perf_counter()
         start = coarse_start(levels, k, block, seed=self.seed)
+        if laplacian.kernel_dimension:
+            start[:, 0] = 1.0  # what it is up to rounding
         solved = time.perf_counter()
         pairs = replace(self._finest, start=GivenBasis(start)).eigenpairs(laplacian, k)
         seconds = {"coarsen": coarsened - begin, "coarse": solved - coarsened}
