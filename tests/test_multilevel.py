@@ -86,8 +86,8 @@ def test_multilevel_says_what_it_did_not_reach(laplacian):
 
 
 def test_levels_need_room():
-    assert level_sizes(64_000, 144, coarsest=2048, ratio=16) == [2048]
-    assert level_sizes(600_000, 144, coarsest=2048, ratio=16) == [32768, 2048]
+    assert level_sizes(64_000, 144, coarsest=2048, ratio=12) == [2048]
+    assert level_sizes(600_000, 144, coarsest=2048, ratio=12) == [24576, 2048]
     assert level_sizes(64_000, 1000, coarsest=2048, ratio=16) == [4000]
     assert level_sizes(1000, 144, coarsest=2048, ratio=16) == []
 

@@ -35,7 +35,7 @@ class Multilevel:
         ``rtol * max(lambda, spacing)`` for every mode.
     coarsest : int, default 2048
         Points of the coarsest level, about; fewer where the mesh itself is small.
-    ratio : int, default 16
+    ratio : int, default 12
         Points of a level relative to the one below it, at least.
     guard : float, default 0.5
         Ritz vectors beyond k, relative to k.
@@ -74,7 +74,7 @@ class Multilevel:
 
     rtol: float = 1e-6
     coarsest: int = 2048
-    ratio: int = 16
+    ratio: int = 12
     guard: float = 0.5
     degree: int = 6
     max_sweeps: int = 30

@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit.linalg.products import spmm
 from spectra_kit.linalg.threads import in_threads, thread_count
 from spectra_kit.operators.laplacian import Laplacian
 
@@ -51,7 +50,7 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
     >>> bool(abs(u - exact.eigenvectors).max() < 1e-6)
     True
     """
-    from spectra_kit.levels._kernels import smoothing_step
+    from spectra_kit.levels._kernels import residual_rows, smoothing_step
 
     L = laplacian.stiffness
     diagonal = L.diagonal()
@@ -59,22 +58,17 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
     highest = float((np.asarray(abs(L).sum(axis=1)) / diagonal).max())  # by Gershgorin
     lowest = highest / (1 + 0.6 * degree**2)
     centre, radius = (highest + lowest) / 2, (highest - lowest) / 2
-
-    residual = np.asarray(spmm(L, vectors))
-    residual -= laplacian.mass[:, None] * vectors * values
-    old, direction, new = (np.zeros(vectors.shape, np.float32) for _ in range(3))
-    fixed = (
-        L.indptr,
-        L.indices,
-        L.data.astype(np.float32),
-        laplacian.mass.astype(np.float32),
-        (1 / diagonal).astype(np.float32),
-        values.astype(np.float32),
-        residual.astype(np.float32),
-    )
-    del residual
     blocks = 4 * thread_count()
     cuts = [round(i * laplacian.n / blocks) for i in range(blocks + 1)]
+
+    residual, old, direction, new = (np.zeros(vectors.shape, np.float32) for _ in range(4))
+    vectors = np.ascontiguousarray(vectors)
+    exact = (L.indptr, L.indices, L.data, laplacian.mass, np.asarray(values), vectors)
+    in_threads(residual_rows, ((*exact, *rows, residual) for rows in pairwise(cuts)))
+    singles = (
+        a.astype(np.float32) for a in (L.data, laplacian.mass, 1 / diagonal, np.asarray(values))
+    )
+    fixed = (L.indptr, L.indices, *singles, residual)
     ratio = 1.0
     for i in range(degree):
         before, ratio = ratio, radius / centre if i == 0 else 1 / (2 * centre / radius - ratio)
@@ -82,10 +76,7 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
         step = 1 / centre if i == 0 else 2 * ratio / radius
         in_threads(
             smoothing_step,
-            (
-                (*fixed, old, direction, new, keep, step, first, last)
-                for first, last in pairwise(cuts)
-            ),
+            ((*fixed, old, direction, new, keep, step, *rows) for rows in pairwise(cuts)),
         )
         old, new = new, old
     return np.asarray(vectors + old)
