@@ -3,9 +3,10 @@
     python apps/benchmark_eigensolvers.py OUT                 # hours: all sizes
     python apps/benchmark_eigensolvers.py OUT --sizes 64000 --methods arpack neo eigsh
     python apps/benchmark_eigensolvers.py OUT --file bunny.obj
-    python apps/benchmark_eigensolvers.py OUT2 --geometry cloud --operator delaunay
+    python apps/benchmark_eigensolvers.py OUT --quick        # without the slowest methods
 
-Without --file the demo animal is solved at each size; clouds are drawn from the surface. OUT gets
+Without --file the demo animal is solved at each size; clouds are drawn from the surface and get the
+Delaunay operator, meshes the robust one. OUT gets
 benchmark.json, benchmark.md and the plots; every solve is a line of OUT/measurements.jsonl as soon
 as it ends, so the same command after an interruption, or with more sizes, computes only what is
 missing. Delete that file, or take another folder, to measure anew. Nothing else should run on the
@@ -25,6 +26,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from spectra_kit.benchmarks import METHODS, Settings, measure, summarize, write_report
+from spectra_kit.benchmarks.methods import QUICK
 from spectra_kit.benchmarks.problems import KINDS, OPERATORS
 from spectra_kit.errors import SpectraKitError
 
@@ -43,14 +45,27 @@ def _parser() -> argparse.ArgumentParser:
     add("--sizes", type=int, nargs="+", default=list(DEFAULTS.sizes), metavar="N", help="points")
     add("-k", type=int, default=DEFAULTS.k, help="modes (%(default)s)")
     add("--geometry", nargs="+", choices=KINDS, default=list(KINDS), help="default: both")
-    add("--operator", choices=list(OPERATORS), default="robust", help="default: %(default)s")
     add(
+        "--cloud-operator",
+        choices=list(OPERATORS),
+        default=DEFAULTS.cloud_operator,
+        help="of clouds (%(default)s); meshes have the robust one",
+    )
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument(
         "--methods",
         nargs="+",
         choices=list(METHODS),
         default=list(METHODS),
         metavar="NAME",
         help=f"of {', '.join(METHODS)} (default: all)",
+    )
+    which.add_argument(
+        "--quick",
+        action="store_const",
+        const=list(QUICK),
+        dest="methods",
+        help=f"all but {', '.join(name for name in METHODS if name not in QUICK)}",
     )
     add("--device", nargs="+", choices=("cpu", "cuda"), default=["cpu"], help="default: cpu")
     add("--repeats", type=int, default=DEFAULTS.repeats, help="of each solve (%(default)s)")
@@ -89,7 +104,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             methods=tuple(name for name in METHODS if name in args.methods),
             kinds=tuple(args.geometry),
             file=str(args.file or ""),
-            operator=args.operator,
+            cloud_operator=args.cloud_operator,
             devices=tuple(args.device),
             repeats=args.repeats,
             time_limit=args.time_limit,

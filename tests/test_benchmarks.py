@@ -12,13 +12,17 @@ from conftest import bumpy
 
 from spectra_kit import Arpack, eigensolve, robust_laplacian
 from spectra_kit.benchmarks import METHODS, Result, Settings, fit_exponent, measure, undominated
+from spectra_kit.benchmarks.methods import QUICK
+from spectra_kit.benchmarks.peers import ScipyEigsh
 from spectra_kit.benchmarks.problems import Problem, read_operator, write_operator
 from spectra_kit.benchmarks.process import StoppedError, Worker
 from spectra_kit.benchmarks.report import markdown
 from spectra_kit.benchmarks.results import summarize
+from spectra_kit.benchmarks.worker import Runner, assemble, refer
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere, write
 from spectra_kit.metrics import compare_spectra
+from spectra_kit.neo import NeoSubspace
 
 APP = Path(__file__).parents[1] / "apps" / "benchmark_eigensolvers.py"
 PEERS = [name for name, entry in METHODS.items() if entry.peer]
@@ -51,7 +55,12 @@ def test_json_says_what_was_measured(finished):
     assert record["machine"]["versions"]["numpy"] == np.__version__
     assert record["commits"] == ["c0"]
     assert record["settings"]["k"] == 10
-    assert record["methods"]["eigsh"] == {"solver": "ScipyEigsh(sigma=-0.01)", "peer": True}
+    assert record["settings"]["operators"] == {"cloud": "delaunay"}
+    assert record["methods"]["eigsh"] == {
+        "solver": "ScipyEigsh(sigma=-0.01, tol=0.0)",
+        "stops_at": "rounding",
+        "peer": True,
+    }
     results = record["results"]
     assert [(r["geometry"], r["n"]) for r in results[::3]] == [("cloud", 800), ("cloud", 900)]
     for result in results:
@@ -74,7 +83,10 @@ def test_tables_and_plots_are_written(finished):
     text = (finished / "benchmark.md").read_text()
     assert "### cloud, 800 points" in text
     assert "### cloud, 900 points" in text
-    assert len(re.findall(r"^\| \**(?:arpack|eigsh|fourier)", text, re.MULTILINE)) == 6
+    assert len(re.findall(r"^\| \**(?:arpack|eigsh)\** \| rounding \|", text, re.MULTILINE)) == 4
+    assert len(re.findall(r"^\| \**fourier\** \|  \|", text, re.MULTILINE)) == 2
+    assert text.count("Operator: delaunay, assembled in") == 2
+    assert "no process waits" not in text
     pictures = {path.name for path in finished.glob("*.png")}
     assert pictures == {"time-cloud.png", "accuracy-cloud-800.png", "accuracy-cloud-900.png"}
 
@@ -114,7 +126,7 @@ def test_a_file_has_one_mesh_and_clouds_of_any_size(tmp_path):
 
 
 def test_operators_survive_the_file(tmp_path):
-    laplacian = Problem(kind="mesh", points=600).assemble()
+    laplacian = Problem(kind="mesh", points=600, operator="robust").assemble()
     write_operator(laplacian, tmp_path / "operator.npz")
     again = read_operator(tmp_path / "operator.npz")
     assert (again.stiffness != laplacian.stiffness).nnz == 0
@@ -133,6 +145,116 @@ def test_peers_agree_with_arpack(name):
     comparison = compare_spectra(exact, found)
     assert comparison.mean_eigenvalue_error < 1e-6
     assert comparison.mean_span_error < 1e-6
+
+
+def test_eigsh_is_measured_at_our_tolerance_too():
+    loose = METHODS["eigsh-1e-6"].make("cpu")
+    assert loose == dataclasses.replace(METHODS["eigsh"].make("cpu"), tol=1e-6)
+    laplacian = robust_laplacian(sphere(subdivisions=4).geometry)
+    exact, loosened = (eigensolve(laplacian, 25, METHODS[m].make("cpu")) for m in PEERS[:2])
+    residuals = [s.certificate.relative_residuals.max() for s in (exact, loosened)]
+    assert residuals[0] < 1e-9 < residuals[1] < 1e-4
+
+
+def test_the_tolerance_of_each_method_is_the_one_told():
+    for name, entry in METHODS.items():
+        solver = entry.make("cpu")
+        tolerance = getattr(solver, "rtol", getattr(solver, "tol", None))
+        if entry.stops == "1e-6":
+            assert tolerance == 1e-6, name
+        elif entry.stops == "rounding":
+            assert not tolerance, name
+        else:
+            assert tolerance is None, name
+
+
+def test_chebyshev_is_started_from_the_network_on_its_device():
+    entry = METHODS["chebyshev-neo"]
+    assert entry.devices == ("cpu", "cuda")
+    solver = entry.make("cpu")
+    assert (solver.method, solver.device, solver.rtol) == ("chebyshev", "cpu", 1e-6)
+    assert isinstance(solver.start, NeoSubspace)
+    assert solver.start.device == "cpu"
+
+
+def test_the_quick_choice_leaves_out_the_slow_rivals(app):
+    left = {name for name in METHODS if name not in QUICK}
+    assert left == {"lobpcg", "lobpcg-amg", "spectra", "lobpcg-pyamg"}
+    parse = app.__globals__["_parser"]().parse_args
+    assert tuple(parse(["out", "--quick"]).methods) == QUICK
+    assert tuple(parse(["out"]).methods) == tuple(METHODS)
+    with pytest.raises(SystemExit):
+        parse(["out", "--quick", "--methods", "arpack"])
+
+
+def test_options_name_a_method_in_the_same_words_every_time():
+    for name, entry in METHODS.items():
+        assert entry.options == (repr(entry.make("cpu")) if entry.present else "")
+        assert " at 0x" not in entry.options, name
+
+
+def test_a_method_with_other_options_is_measured_anew(tmp_path, monkeypatch):
+    settings = Settings(sizes=(600,), k=4, methods=("eigsh",), kinds=("mesh",), repeats=1)
+    [first] = measure(settings, tmp_path)
+    assert measure(settings, tmp_path) == [first]
+    entry = METHODS["eigsh"]
+    changed = dataclasses.replace(entry, make=lambda device: ScipyEigsh(sigma=-0.02))
+    monkeypatch.setitem(METHODS, "eigsh", changed)
+    [second] = measure(settings, tmp_path)
+    assert second["key"] == {**first["key"], "solver": "ScipyEigsh(sigma=-0.02, tol=0.0)"}
+    assert len((tmp_path / "measurements.jsonl").read_text().splitlines()) == 2
+
+
+def test_modes_are_dropped_when_they_are_compared(tmp_path):
+    recipe = {"kind": "mesh", "points": 600, "operator": "robust"}
+    operator, exact = str(tmp_path / "operator.npz"), str(tmp_path / "exact.npz")
+    assemble(recipe, operator)
+    refer(operator, exact, 4)
+    runner = Runner("arpack", "cpu", operator, exact, 4)
+    assert runner.solve(keep=False)["status"] == "ok"
+    assert runner.spectrum is None
+    runner.solve(keep=True)
+    assert runner.compare()["eigenvalue_error"] < 1e-9
+    assert runner.spectrum is None
+
+
+def test_of_large_problems_one_process_lives_at_a_time(tmp_path, monkeypatch):
+    alive, most = set(), []
+
+    class Counted(Worker):
+        def __init__(self, **options):
+            super().__init__(**options)
+            alive.add(self)
+            most.append(len(alive))
+
+        def close(self):
+            super().close()
+            alive.discard(self)
+
+    monkeypatch.setitem(measure.__globals__, "Worker", Counted)
+    options = {"sizes": (600,), "k": 4, "methods": ("eigsh", "arpack"), "kinds": ("mesh",)}
+    settings = Settings(**options, repeats=2, alone_from=500)
+    results = summarize(measure(settings, tmp_path))
+    assert (max(most), len(most)) == (1, 5)  # the reference and four solves
+    for result in results:
+        assert result.ok
+        assert len(result.seconds) == 2
+        assert result.eigenvalue_error < 1e-9
+    text = markdown(results, settings, {"name": "", "processor": "", "accelerator": ""})
+    assert "From 500 points on no process waits while another one solves" in text
+    most.clear()
+    measure(Settings(**options, repeats=2), tmp_path / "small")
+    assert (max(most), len(most)) == (2, 3)
+
+
+def test_clouds_have_the_delaunay_operator_and_meshes_the_robust_one(tmp_path):
+    settings = Settings(sizes=(600,), k=4)
+    assert settings.operators == {"mesh": "robust", "cloud": "delaunay"}
+    assert [p.operator for p in settings.problems()] == ["robust", "delaunay"]
+    chosen = Settings(sizes=(600,), k=4, cloud_operator="robust")
+    assert [p.operator for p in chosen.problems()] == ["robust", "robust"]
+    names = [p.assemble().operator.split("(")[0] for p in settings.problems()]
+    assert names == ["robust_laplacian", "delaunay_laplacian"]
 
 
 def test_every_method_names_what_it_is():
@@ -162,7 +284,8 @@ def test_what_takes_too_long_is_stopped_and_skipped_at_larger_sizes(tmp_path):
 
 
 def test_limits_of_a_worker(tmp_path):
-    request = {"do": "assemble", "recipe": {"kind": "mesh", "points": 600}}
+    recipe = {"kind": "mesh", "points": 600, "operator": "robust"}
+    request = {"do": "assemble", "recipe": recipe}
     request |= {"operator": str(tmp_path / "o.npz")}
     with (tmp_path / "log").open("ab") as log:
         with (
@@ -213,8 +336,8 @@ def test_no_operator_no_solve(tmp_path):
         ({"methods": ("magic",)}, "`methods` must be among fourier"),
         ({"devices": ("tpu",)}, "`devices` must be cpu or cuda, got tpu"),
         ({"kinds": ("volume",)}, "`kind` must be one of"),
-        ({"operator": "magic"}, "`operator` must be one of"),
-        ({"operator": "delaunay"}, "`operator` delaunay is for clouds"),
+        ({"cloud_operator": "magic"}, "`operator` must be one of"),
+        ({"alone_from": 0}, "`alone_from` must be at least 1"),
         ({"sizes": (10,)}, "`sizes` must be at least 500"),
         ({"time_limit": 0.0}, "`time_limit` must be positive"),
         ({"exact_limit": -1.0}, "`exact_limit` must be positive"),
@@ -225,13 +348,18 @@ def test_wrong_settings(wrong, message):
         Settings(**wrong)
 
 
+def test_the_operator_of_clouds_is_not_for_meshes():
+    with pytest.raises(InvalidInputError, match="`operator` delaunay is for clouds"):
+        Problem(kind="mesh", points=600, operator="delaunay")
+
+
 def test_exponents_of_power_laws_with_noise():
     n = np.array([8e3, 32e3, 64e3, 131e3, 512e3])
     for exponent in (0.95, 1.0, 1.3, 2.0):
         noise = 1 + 0.05 * np.random.default_rng(0).standard_normal(len(n))
         assert fit_exponent(n, 1e-6 * n**exponent) == pytest.approx(exponent)
         assert fit_exponent(n, 1e-6 * n**exponent * noise) == pytest.approx(exponent, abs=0.05)
-    assert math.isnan(fit_exponent([8000], [1.0]))
+    assert math.isnan(fit_exponent([8000, 64000, 8000], [1.0, 8.0, 1.1]))
     with pytest.raises(InvalidInputError, match="positive and as many"):
         fit_exponent([1, 2], [0.5])
     with pytest.raises(InvalidInputError, match="positive and as many"):
@@ -283,12 +411,13 @@ def test_the_report_says_what_is_missing_and_what_disturbed():
         result("neo", 0.5, 1e-2, n=8000, points=8000, waiting=0.25),
         result("eigsh", 8.0, None, n=16000, points=16000, no_errors="took more than 5 s"),
         result("neo", 1.0, None, n=16000, points=16000),
+        result("eigsh", 16.0, 0.0, n=32000, points=32000),
         result("lapy", 1.0, None, status="absent", reason="pip install lapy"),
     ]
     machine = {"name": "box", "processor": "fast", "accelerator": ""}
     text = markdown(results, Settings(machine="box", commit="", repeats=1), machine)
     assert "up to 25% of a solve's time was spent waiting for a core" in text
-    assert "| **neo** | 0.5 | 8.00 | 0.6 |" in text
-    assert "- mesh, cpu: eigsh 1.00, neo 1.00" in text
+    assert "| **neo** |  | 0.5 | 8.00 | 0.6 |" in text
+    assert "- mesh, cpu: eigsh 1.00 (3 sizes)\n" in text  # and none for two sizes
     assert "- eigsh (mesh 16,000): no errors: took more than 5 s" in text
     assert "- lapy (mesh 600): pip install lapy" in text

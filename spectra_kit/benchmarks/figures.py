@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from spectra_kit._files import atomic_path
 from spectra_kit.benchmarks.methods import METHODS
-from spectra_kit.benchmarks.results import Result, error_of, undominated
+from spectra_kit.benchmarks.results import Fit, Result, error_of, undominated
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +24,7 @@ _DPI = 150
 
 
 def draw_times(
-    results: Sequence[Result], exponents: Mapping[tuple[str, str, str], float], path: Path
+    results: Sequence[Result], exponents: Mapping[tuple[str, str, str], Fit], path: Path
 ) -> Path:
     """Draw seconds against points, both logarithmic, a line for each method.
 
@@ -48,8 +48,8 @@ def draw_times(
             lines.setdefault((result.device, result.method), []).append(result)
     figure, panel = _figure(f"{results[0].geometry}: time to solve")
     for (device, method), line in lines.items():
-        exponent = exponents.get((results[0].geometry, device, method), float("nan"))
-        power = f"  $N^{{{exponent:.2f}}}$" if exponent == exponent else ""
+        fit = exponents.get((results[0].geometry, device, method))
+        power = "" if fit is None else f"  $N^{{{fit.exponent:.2f}}}$"
         style = _style(method, device)
         panel.plot(
             [r.n for r in line],

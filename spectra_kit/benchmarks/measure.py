@@ -17,7 +17,7 @@ from spectra_kit._validate import check_count, check_positive
 from spectra_kit.benchmarks.journal import Journal, Record
 from spectra_kit.benchmarks.machine import available_memory, current_commit
 from spectra_kit.benchmarks.methods import METHODS
-from spectra_kit.benchmarks.problems import Problem
+from spectra_kit.benchmarks.problems import MESH_OPERATOR, Problem
 from spectra_kit.benchmarks.process import StoppedError, Worker
 from spectra_kit.errors import InvalidInputError
 
@@ -43,8 +43,8 @@ class Settings:
         Geometries.
     file : str
         A mesh instead of the demo animal.
-    operator : str
-        A name in `problems.OPERATORS`.
+    cloud_operator : str
+        A name in `problems.OPERATORS`, for clouds; meshes have `problems.MESH_OPERATOR`.
     devices : tuple of {"cpu", "cuda"}
         A method that does not know a device is left out there.
     repeats : int
@@ -57,6 +57,8 @@ class Settings:
         Bytes for one process; most of what is available by default.
     threads : int
         The same for every method.
+    alone_from : int
+        Points from which on no process waits while another one solves; each starts anew.
     machine, commit : str
         For the record; found out by default.
     retry : bool
@@ -73,19 +75,20 @@ class Settings:
     methods: tuple[str, ...] = tuple(METHODS)
     kinds: tuple[str, ...] = ("mesh", "cloud")
     file: str = ""
-    operator: str = "robust"
+    cloud_operator: str = "delaunay"
     devices: tuple[str, ...] = ("cpu",)
     repeats: int = 3
     time_limit: float = 300.0
     exact_limit: float = 3600.0
     memory_limit: int | None = None
     threads: int = 1
+    alone_from: int = 200_000
     machine: str = field(default_factory=platform.node)
     commit: str = field(default_factory=current_commit)
     retry: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("k", "repeats", "threads"):
+        for name in ("k", "repeats", "threads", "alone_from"):
             check_count(name, getattr(self, name), low=1)
         for size in self.sizes:
             check_count("sizes", size, low=500)
@@ -99,10 +102,17 @@ class Settings:
             raise InvalidInputError(f"`devices` must be cpu or cuda, got {', '.join(unknown)}")
         self.problems()  # checks the rest
 
+    @property
+    def operators(self) -> dict[str, str]:
+        """From each kind of geometry to the name of its operator."""
+        return {
+            kind: self.cloud_operator if kind == "cloud" else MESH_OPERATOR for kind in self.kinds
+        }
+
     def problems(self) -> list[Problem]:
         """Problems, smallest first within each kind; a file's own mesh has one size."""
         return [
-            Problem(kind=kind, points=points, file=self.file, operator=self.operator)
+            Problem(kind=kind, points=points, operator=self.operators[kind], file=self.file)
             for kind in self.kinds
             for points in ((0,) if self.file and kind == "mesh" else sorted(set(self.sizes)))
         ]
@@ -127,7 +137,8 @@ def measure(settings: Settings, folder: Path, *, progress: bool = False) -> list
     folder : Path
         Made if missing. ``measurements.jsonl`` gets a line for each solve as soon as it ends, also
         for those that fail; ``cache`` holds operators and exact modes (n * k numbers for each
-        problem) and may be deleted. Measurements made at other commits are kept.
+        problem) and may be deleted. Measurements made at other commits are kept, those of a method
+        with other options are not.
     progress : bool, default False
         Show a bar on a terminal.
 
@@ -145,8 +156,10 @@ def measure(settings: Settings, folder: Path, *, progress: bool = False) -> list
     -----
     Every method gets a process of its own on every problem, all with the same number of threads,
     and solves something small first. The processes solve in turn, repeat by repeat, never two at
-    once: a slow minute of the machine hits all alike. The certificate's time is left out. Peak
-    memory is the largest resident size above the one before the solve, with the operator loaded.
+    once: a slow minute of the machine hits all alike. Between its turns a process holds its
+    operator but no modes; from ``alone_from`` points on it ends after each turn. The certificate's
+    time is left out. Peak memory is the largest resident size above the one before the solve, with
+    the operator loaded.
 
     Examples
     --------
@@ -160,6 +173,7 @@ def measure(settings: Settings, folder: Path, *, progress: bool = False) -> list
     (folder / "cache").mkdir(parents=True, exist_ok=True)
     journal = Journal(folder / "measurements.jsonl", retry=settings.retry)
     problems, candidates = settings.problems(), settings.candidates()
+    solvers = {name: METHODS[name].options for name in settings.methods}
     given_up: dict[tuple[str, str, str], str] = {}
     found: list[Record] = []
     bar = tqdm(
@@ -176,6 +190,7 @@ def measure(settings: Settings, folder: Path, *, progress: bool = False) -> list
                         key = {
                             **stand.key,
                             "method": method,
+                            "solver": solvers[method],
                             "device": device,
                             "threads": settings.threads,
                             "machine": settings.machine,
@@ -201,7 +216,7 @@ def _excuse(method: str, given_up: str | None) -> Record | None:
 
 
 class _Stand:
-    """One problem, and a process for each method that was asked to solve it."""
+    """One problem, and the processes of the methods that solve it."""
 
     def __init__(self, problem: Problem, settings: Settings, folder: Path, log: IO[bytes]) -> None:
         self.problem, self.settings, self.log = problem, settings, log
@@ -212,8 +227,8 @@ class _Stand:
         }
         free = available_memory()
         self._memory = settings.memory_limit or (free and int(free * _SHARE))
-        self._workers: dict[tuple[str, str], Worker] = {}
-        self._loaded: dict[tuple[str, str], Record] = {}
+        self._workers: dict[tuple[str, str], tuple[Worker, Record]] = {}
+        self._compared: set[tuple[str, str]] = set()
         self._failures: dict[tuple[str, str], Record] = {}
         self._exits = ExitStack()
 
@@ -259,23 +274,34 @@ class _Stand:
             record = {**self.facts, "status": "stopped", "reason": str(error)}
         if record["status"] != "ok":
             self._failures[who] = record
+        if record["status"] != "ok" or self.facts["n"] >= self.settings.alone_from:
+            self._end(who)
         return record
 
     def _solve(self, who: tuple[str, str]) -> Record:
-        first = who not in self._workers
-        if first:
-            worker = Worker(threads=self.settings.threads, log=self.log)
-            self._workers[who] = self._exits.enter_context(worker)
-            load = {"do": "load", "method": who[0], "device": who[1], "k": self.settings.k}
-            self._loaded[who] = self._ask(worker, {**load, **self._files})
-        loaded, worker = self._loaded[who], self._workers[who]
+        worker, loaded = self._workers.get(who) or self._start(who)
         if loaded["status"] != "ok":
             return loaded
-        answer = self._ask(worker, {"do": "solve"}, seconds=self.settings.time_limit)
-        if answer["status"] == "ok" and first and not self.facts["no_errors"]:
-            # Later solves return the same, or peers with random starts nearly so.
+        # Later solves return the same, or peers with random starts nearly so.
+        compare = who not in self._compared and not self.facts["no_errors"]
+        request = {"do": "solve", "keep": compare}
+        answer = self._ask(worker, request, seconds=self.settings.time_limit)
+        if answer["status"] == "ok" and compare:
             answer |= self._ask(worker, {"do": "compare"})
+            self._compared.add(who)
         return {**loaded, **answer, "commit": self.settings.commit}
+
+    def _start(self, who: tuple[str, str]) -> tuple[Worker, Record]:
+        """Start a process, have it load the operator and warm up."""
+        worker = self._exits.enter_context(Worker(threads=self.settings.threads, log=self.log))
+        load = {"do": "load", "method": who[0], "device": who[1], "k": self.settings.k}
+        loaded = self._ask(worker, {**load, **self._files})
+        self._workers[who] = worker, loaded
+        return worker, loaded
+
+    def _end(self, who: tuple[str, str]) -> None:
+        if who in self._workers:  # not if it was stopped while it loaded
+            self._workers.pop(who)[0].close()
 
     def _ask(self, worker: Worker, request: Record, seconds: float = _PATIENCE) -> Record:
         return worker.ask(request, seconds=seconds, memory=self._memory)

@@ -35,6 +35,9 @@ class Entry:
     ----------
     make : callable
         From the device, "cpu" or "cuda", to the backend.
+    stops : str
+        Where it stops: at a tolerance, "rounding" of float64, its package's "default", or "" for
+        a prediction, which has no such test.
     devices : tuple of str
         Where it can run.
     needs : str
@@ -43,13 +46,22 @@ class Entry:
         What brings that module.
     peer : bool
         Whether it is another package's.
+    slow : bool
+        Whether it takes many times longer than the rest, and a quick comparison leaves it out.
     """
 
     make: Callable[[str], Eigensolver]
+    stops: str = ""
     devices: tuple[str, ...] = ("cpu",)
     needs: str = ""
     pip: str = ""
     peer: bool = False
+    slow: bool = False
+
+    @property
+    def options(self) -> str:
+        """Every option of the backend, whatever the device; "" where it is not installed."""
+        return repr(self.make("cpu")) if self.present else ""
 
     @property
     def present(self) -> bool:
@@ -58,7 +70,9 @@ class Entry:
 
 
 _BOTH = ("cpu", "cuda")
-_RTOL = 1e-6  # of every method that takes one; without it they solve to machine precision
+_RTOL = 1e-6  # of every method of ours that takes one
+_AT_RTOL = "1e-6"
+_EXACT = "rounding"
 
 #: Name -> backend, in the order of tables: predictions, solvers to a tolerance, other packages.
 METHODS: dict[str, Entry] = {
@@ -72,24 +86,49 @@ METHODS: dict[str, Entry] = {
     "capped-neo": Entry(make=lambda device: Capped(subspace=Neo().subspace)),
     "polished": Entry(make=lambda device: Polished()),
     "polished-neo": Entry(make=lambda device: Polished(start=Neo().subspace)),
-    "multilevel": Entry(make=lambda device: Multilevel(rtol=_RTOL)),
-    "refined": Entry(make=lambda device: Refined(rtol=_RTOL)),
-    "refined-neo": Entry(make=lambda device: Refined(start=Neo().subspace, rtol=_RTOL)),
+    "multilevel": Entry(make=lambda device: Multilevel(rtol=_RTOL), stops=_AT_RTOL),
+    "refined": Entry(make=lambda device: Refined(rtol=_RTOL), stops=_AT_RTOL),
+    "refined-neo": Entry(
+        make=lambda device: Refined(start=Neo().subspace, rtol=_RTOL), stops=_AT_RTOL
+    ),
     "chebyshev": Entry(
-        make=lambda device: Refined(method="chebyshev", rtol=_RTOL, device=device), devices=_BOTH
+        make=lambda device: Refined(method="chebyshev", rtol=_RTOL, device=device),
+        stops=_AT_RTOL,
+        devices=_BOTH,
     ),
-    "lobpcg": Entry(make=lambda device: Lobpcg(rtol=_RTOL)),
+    "chebyshev-neo": Entry(
+        make=lambda device: Refined(
+            start=Neo(device=device).subspace, method="chebyshev", rtol=_RTOL, device=device
+        ),
+        stops=_AT_RTOL,
+        devices=_BOTH,
+    ),
+    "lobpcg": Entry(make=lambda device: Lobpcg(rtol=_RTOL), stops=_AT_RTOL, slow=True),
     "lobpcg-amg": Entry(
-        make=lambda device: Lobpcg(preconditioner="amg", rtol=_RTOL), needs="pyamg", pip="pyamg"
+        make=lambda device: Lobpcg(preconditioner="amg", rtol=_RTOL),
+        stops=_AT_RTOL,
+        needs="pyamg",
+        pip="pyamg",
+        slow=True,
     ),
-    "arpack": Entry(make=lambda device: Arpack()),
-    "eigsh": Entry(make=lambda device: ScipyEigsh(), peer=True),
-    "eigsh-dnet": Entry(make=lambda device: DiffusionNetEigsh(), peer=True),
-    "lapy": Entry(make=lambda device: LapySolver(), needs="lapy", pip="lapy", peer=True),
-    "spectra": Entry(make=lambda device: LibiglSpectra(), peer=True),
+    "arpack": Entry(make=lambda device: Arpack(), stops=_EXACT),
+    "eigsh": Entry(make=lambda device: ScipyEigsh(), stops=_EXACT, peer=True),
+    "eigsh-1e-6": Entry(make=lambda device: ScipyEigsh(tol=_RTOL), stops=_AT_RTOL, peer=True),
+    "eigsh-dnet": Entry(make=lambda device: DiffusionNetEigsh(), stops=_EXACT, peer=True),
+    "lapy": Entry(
+        make=lambda device: LapySolver(), stops=_EXACT, needs="lapy", pip="lapy", peer=True
+    ),
+    "spectra": Entry(make=lambda device: LibiglSpectra(), stops="default", peer=True, slow=True),
     "lobpcg-pyamg": Entry(
-        make=lambda device: PyamgLobpcg(rtol=_RTOL), needs="pyamg", pip="pyamg", peer=True
+        make=lambda device: PyamgLobpcg(rtol=_RTOL),
+        stops=_AT_RTOL,
+        needs="pyamg",
+        pip="pyamg",
+        peer=True,
+        slow=True,
     ),
 }
 #: The call that everybody writes: speeds are given as multiples of its.
 BASELINE = "eigsh"
+#: What a quick comparison measures.
+QUICK = tuple(name for name, entry in METHODS.items() if not entry.slow)

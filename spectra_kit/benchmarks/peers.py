@@ -26,15 +26,17 @@ class ScipyEigsh:
     """``scipy.sparse.linalg.eigsh`` with its SuperLU factor.
 
     As called by pyFM 1.3.1 (``mesh/laplacian.py``) and geomfum 1.0.0 (``numerics/eig.py`` from
-    ``LaplacianSpectrumFinder``): everything is scipy's default but ``sigma=-0.01``.
+    ``LaplacianSpectrumFinder``): everything is scipy's default but ``sigma=-0.01``. These packages
+    leave ``tol`` at 0, machine precision; ours do not go that far, so it is measured loosened too.
     """
 
     sigma: float = -0.01
+    tol: float = 0.0
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Pairs:
         """See `Eigensolver`."""
         L, M = _csc(laplacian)
-        values, vectors = eigsh(L, k=k, M=M, sigma=self.sigma)
+        values, vectors = eigsh(L, k=k, M=M, sigma=self.sigma, tol=self.tol)
         return values, vectors
 
 

@@ -13,7 +13,7 @@ from spectra_kit.benchmarks.figures import draw_accuracy, draw_times
 from spectra_kit.benchmarks.machine import describe_machine
 from spectra_kit.benchmarks.measure import SCHEMA, Settings
 from spectra_kit.benchmarks.methods import BASELINE, METHODS
-from spectra_kit.benchmarks.results import Result, exponents, undominated
+from spectra_kit.benchmarks.results import FIT_FROM, Result, exponents, undominated
 
 Item = TypeVar("Item")
 Name = TypeVar("Name")
@@ -22,6 +22,7 @@ _BUSY = 0.05  # of a solve's time without a core; times are longer than they sho
 
 _COLUMNS = (
     "method",
+    "stops at",
     "seconds",
     "speed-up",
     "with assembly",
@@ -61,19 +62,22 @@ def write_report(results: Sequence[Result], settings: Settings, folder: Path) ->
             "threads": settings.threads,
             "repeats": settings.repeats,
             "time_limit": settings.time_limit,
-            "operator": settings.operator,
+            "operators": settings.operators,
             "model": Path(settings.file).name if settings.file else "creature",
         },
         "commits": sorted({commit for result in results for commit in result.commits}),
         "methods": {
-            name: {"solver": solver, "peer": METHODS[name].peer}
+            name: {
+                "solver": solver,
+                "stops_at": METHODS[name].stops,
+                "peer": METHODS[name].peer,
+            }
             for name, solver in _solvers(results).items()
         },
         "results": [result.to_json() for result in results],
         "exponents": [
-            {"geometry": geometry, "device": device, "method": method, "exponent": exponent}
-            for (geometry, device, method), exponent in fitted.items()
-            if exponent == exponent  # not NaN, which JSON has no word for
+            {"geometry": geometry, "device": device, "method": method, **fit._asdict()}
+            for (geometry, device, method), fit in fitted.items()
         ],
     }
     paths = [folder / "benchmark.json", folder / "benchmark.md"]
@@ -120,7 +124,18 @@ def markdown(results: Sequence[Result], settings: Settings, machine: dict[str, o
         " eigenvalue and span errors are means against ARPACK at machine precision; missed: exact"
         " modes with more than half of their energy outside the modes found. Bold: no other method"
         " on that device is both faster and more accurate.",
+        "",
+        "Stops at: the tolerance, each in the sense of its own stopping test (the residuals say"
+        " what came of it); *rounding* is machine precision, *default* what the package has set;"
+        " predictions have no tolerance. A speed-up compares like with like only where both stop"
+        " at the same.",
     ]
+    if any(result.ok and result.n >= settings.alone_from for result in results):
+        lines += [
+            "",
+            f"From {settings.alone_from:,} points on no process waits while another one solves:"
+            " before each solve the method is started and warmed up anew.",
+        ]
     waiting = max((result.waiting or 0.0 for result in results), default=0.0)
     if waiting > _BUSY:
         lines += [
@@ -129,24 +144,26 @@ def markdown(results: Sequence[Result], settings: Settings, machine: dict[str, o
             " waiting for a core.",
         ]
     for _, here in _grouped(results, lambda r: (r.geometry, r.points)):
-        lines += ["", *_table(here)]
+        lines += ["", *_table(here, settings.operators[here[0].geometry])]
     lines += ["", *_exponents(results), *_solver_lines(results), *_missing(results)]
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _table(here: Sequence[Result]) -> list[str]:
+def _table(here: Sequence[Result], operator: str) -> list[str]:
     first = max(here, key=lambda result: result.n)
     assembly = next((r.assembly_seconds for r in here if r.assembly_seconds is not None), None)
     title = f"### {first.geometry}, {first.n or first.points:,} points"
     if not any(result.ok for result in here):
         return [title, "", "Nothing was measured."]
-    lines = [title, "", f"Assembly {assembly:.3g} s." if assembly is not None else "", ""]
+    took = "" if assembly is None else f", assembled in {assembly:.3g} s"
+    lines = [title, "", f"Operator: {operator}{took}.", ""]
     lines += ["| " + " | ".join(_COLUMNS) + " |", "|---" * len(_COLUMNS) + "|"]
     base = next((r.median for r in here if r.method == BASELINE and r.ok), None)
     best = [r for _, these in _grouped(here, lambda r: r.device) for r in undominated(these)]
     for result in (result for result in here if result.ok):
         cells = [
             f"**{result.label}**" if result in best else result.label,
+            METHODS[result.method].stops,
             f"{result.median:.3g}",
             "" if base is None else f"{base / result.median:.2f}",
             f"{result.median + (assembly or 0):.3g}",
@@ -167,12 +184,14 @@ def _table(here: Sequence[Result]) -> list[str]:
 
 
 def _exponents(results: Sequence[Result]) -> list[str]:
-    fitted = {name: e for name, e in exponents(results).items() if e == e}
+    fitted = exponents(results)
     if not fitted:
         return []
-    lines = ["Exponents of time against points:", ""]
+    lines = [f"Exponents of time against points, from {FIT_FROM:,} points on:", ""]
     for (kind, device), names in _grouped(fitted, lambda name: name[:2]):
-        values = ", ".join(f"{name[2]} {fitted[name]:.2f}" for name in names)
+        values = ", ".join(
+            f"{name[2]} {fitted[name].exponent:.2f} ({fitted[name].sizes} sizes)" for name in names
+        )
         lines.append(f"- {kind}, {device}: {values}")
     return [*lines, ""]
 

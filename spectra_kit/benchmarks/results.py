@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,15 @@ from spectra_kit.errors import InvalidInputError
 
 #: Below this many points a solve is mostly overhead: such sizes take no part in exponents.
 FIT_FROM = 7500
+#: A line through two sizes fits always, and says nothing about a third.
+FIT_SIZES = 3
+
+
+class Fit(NamedTuple):
+    """An exponent, and the number of sizes that it was fitted to."""
+
+    exponent: float
+    sizes: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,7 +173,7 @@ def fit_exponent(n: Sequence[float], seconds: Sequence[float]) -> float:
     Returns
     -------
     float
-        NaN where there are fewer than two sizes.
+        NaN where there are fewer than `FIT_SIZES` sizes.
 
     Raises
     ------
@@ -181,21 +190,22 @@ def fit_exponent(n: Sequence[float], seconds: Sequence[float]) -> float:
         raise InvalidInputError(
             f"`n` and `seconds` must be positive and as many, got {list(n)} and {list(seconds)}"
         )
-    if len(set(x)) < 2:
+    if len(set(x)) < FIT_SIZES:
         return float("nan")
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
-def exponents(results: Iterable[Result]) -> dict[tuple[str, str, str], float]:
-    """Fit an exponent for each geometry, device and method, over its sizes from `FIT_FROM` on."""
-    lines: dict[tuple[str, str, str], list[Result]] = {}
+def exponents(results: Iterable[Result]) -> dict[tuple[str, str, str], Fit]:
+    """Fit an exponent for each geometry, device and method with enough sizes from `FIT_FROM` on."""
+    lines: dict[tuple[str, str, str], dict[int, float]] = {}
     for result in results:
         if result.ok and result.n >= FIT_FROM:
             name = result.geometry, result.device, result.method
-            lines.setdefault(name, []).append(result)
+            lines.setdefault(name, {})[result.n] = result.median
     return {
-        name: fit_exponent([r.n for r in line], [r.median for r in line])
+        name: Fit(fit_exponent(list(line), list(line.values())), len(line))
         for name, line in lines.items()
+        if len(line) >= FIT_SIZES
     }
 
 

@@ -76,9 +76,8 @@ class Runner:
         # Kept with the operator by its first user, and any of them may be the first.
         _ = self.laplacian.kernel_dimension, self.laplacian.component_spacings
 
-    def solve(self) -> Answer:
-        """Solve once; keep the modes for `compare`."""
-        self.spectrum = None
+    def solve(self, keep: bool) -> Answer:
+        """Solve once; keep the modes for `compare` if they will be compared."""
         gc.collect()
         before = _reset_peak(self.device)
         start, waited = time.perf_counter(), _waited()
@@ -95,7 +94,7 @@ class Runner:
         assert certificate is not None
         stages = dict(spectrum.provenance.seconds)
         residuals = certificate.relative_residuals
-        self.spectrum = spectrum
+        self.spectrum = spectrum if keep else None
         return {
             "status": "ok",
             "seconds": sum(t for stage, t in stages.items() if stage not in _NOT_SOLVING),
@@ -110,9 +109,10 @@ class Runner:
         }
 
     def compare(self) -> Answer:
-        """Measure what was solved last against the exact modes."""
+        """Measure what was solved and kept against the exact modes, and drop it."""
         assert self.spectrum is not None
         comparison = compare_spectra(Spectrum.load(self.exact, mmap=True), self.spectrum)
+        self.spectrum = None
         return {
             "status": "ok",
             "eigenvalue_error": _number(comparison.mean_eigenvalue_error),
@@ -189,7 +189,7 @@ def main() -> None:
                 answer = {"status": "ok", "solver": repr(runner.solver)}
             else:
                 assert runner is not None
-                answer = runner.solve() if kind == "solve" else runner.compare()
+                answer = runner.solve(**request) if kind == "solve" else runner.compare()
         except (*_FAILURES, ImportError) as error:
             answer = {"status": "failed", "reason": f"{type(error).__name__}: {error}"}
         print(json.dumps(answer), file=answers, flush=True)
