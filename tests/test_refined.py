@@ -12,6 +12,8 @@ from spectra_kit import (
     GivenBasis,
     InvalidInputError,
     Laplacian,
+    Lobpcg,
+    Multilevel,
     Neo,
     OutOfMemoryError,
     Polished,
@@ -23,7 +25,7 @@ from spectra_kit import (
     eigensolve,
     robust_laplacian,
 )
-from spectra_kit.geometry import TriangleMesh, creature, rectangle
+from spectra_kit.geometry import TriangleMesh, creature, rectangle, sphere
 from spectra_kit.linalg.residuals import residual_norms, residuals
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation, weighted_gram
 from spectra_kit.linalg.shift_invert import factor_below, shift_invert_iteration
@@ -74,8 +76,31 @@ def test_other_methods(laplacian, exact, method: str) -> None:
 def test_the_methods_agree_on_what_converged_means(laplacian) -> None:
     """A start that has already converged takes no sweep, whoever made it."""
     tight = eigensolve(laplacian, K, Refined(rtol=1e-10))
-    again = Refined(start=GivenBasis(tight.eigenvectors), rtol=1e-8)
-    assert eigensolve(laplacian, K, again).provenance.iterations == 0
+    for method, sweeps in (("shift-invert", 1), ("chebyshev", 0), ("lobpcg", 0)):
+        again = Refined(start=GivenBasis(tight.eigenvectors), rtol=1e-8, method=method)
+        assert eigensolve(laplacian, K, again).provenance.iterations == sweeps
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-12, 1e-9, 1e-8, 1e-7, 1e-6, 1e-4])
+@pytest.mark.parametrize("missing", [(7,), (0, K - 1), (K - 2, K - 1, K)])
+def test_modes_that_the_start_lacks_are_found(laplacian, exact, noise: float, missing) -> None:
+    """Neither silently left out, nor taken for rounding while they come up."""
+    columns = np.delete(exact.eigenvectors, missing, axis=1)
+    columns = columns + noise * np.random.default_rng(0).standard_normal(columns.shape)
+    s = eigensolve(laplacian, K, Refined(start=GivenBasis(columns)))
+    assert s.eigenvalues == pytest.approx(exact.eigenvalues[:K], rel=1e-10, abs=1e-10)
+
+
+@pytest.mark.parametrize("k", range(15, 27))
+@pytest.mark.parametrize(
+    "solver", [Refined(), Multilevel(rtol=1e-8)], ids=["Refined", "Multilevel"]
+)
+def test_k_inside_a_cluster(k: int, solver) -> None:
+    """On the sphere, where the guards may end anywhere in a shell of equal eigenvalues."""
+    ball = robust_laplacian(sphere(subdivisions=4).geometry)
+    s = eigensolve(ball, k, solver)
+    assert s.certificate.relative_residuals.max() <= 1e-8
+    assert s.eigenvalues == pytest.approx(eigensolve(ball, k).eigenvalues, rel=1e-10, abs=1e-10)
 
 
 def test_a_better_start_takes_fewer_sweeps(laplacian, exact) -> None:
@@ -83,7 +108,7 @@ def test_a_better_start_takes_fewer_sweeps(laplacian, exact) -> None:
         eigensolve(laplacian, K, Refined(start=start)).provenance.iterations
         for start in (GivenBasis(exact.eigenvectors), STARTS["network"], RandomBasis(m=60))
     ]
-    assert sweeps[0] == 0
+    assert sweeps[0] == 1
     assert sweeps[0] < sweeps[1] < sweeps[2]
 
 
@@ -129,20 +154,27 @@ def test_units(laplacian, exact) -> None:
         )
 
 
-def test_short_of_the_tolerance(laplacian) -> None:
-    """The error carries the modes that made it, and only these."""
-    with pytest.raises(ConvergenceError, match="of 40 modes reached rtol = 1e-08 in 2 sweeps") as e:
-        eigensolve(laplacian, K, Refined(start=RandomBasis(), max_sweeps=2))
+@pytest.mark.parametrize("method", ["shift-invert", "chebyshev", "lobpcg"])
+def test_short_of_the_tolerance(laplacian, method: str) -> None:
+    """The error says how many made it and what to change, and carries what there is."""
+    solver = Refined(start=RandomBasis(), method=method, max_sweeps=2)
+    with pytest.raises(ConvergenceError, match=r"of 40 modes .*raise `max_sweeps`") as e:
+        eigensolve(laplacian, K, solver)
+    if method == "lobpcg":  # it keeps what converged, and after two steps nothing has
+        return
     partial = e.value.partial
-    assert partial is None or (
-        0 < partial.k < K and partial.certificate.relative_residuals.max() <= 1e-8
-    )
+    assert partial.k == K
+    made_it = (partial.certificate.relative_residuals <= 1e-8).sum()
+    assert f"{made_it} of 40 modes reached rtol = 1e-08 in 2 sweeps" in str(e.value)
+    assert partial.provenance.iterations == 2
 
 
-def test_tolerance_below_rounding(laplacian) -> None:
+def test_tolerance_below_rounding(laplacian, exact) -> None:
     with pytest.raises(ConvergenceError, match="rounding stops them; loosen `rtol`") as e:
         eigensolve(laplacian, K, Refined(rtol=1e-14))
-    assert e.value.partial is None or e.value.partial.k < K
+    partial = e.value.partial
+    assert partial.certificate.relative_residuals.max() < 1e-10
+    assert partial.eigenvalues == pytest.approx(exact.eigenvalues[:K], rel=1e-11, abs=1e-11)
 
 
 @pytest.mark.parametrize(
@@ -150,6 +182,9 @@ def test_tolerance_below_rounding(laplacian) -> None:
     [
         ({"rtol": 1e-16}, "`rtol` must be at least 1e-14, the rounding of float64"),
         ({"rtol": 0.0}, "`rtol` must be positive"),
+        ({"rtol": 1.0}, "and at most 0.1, got 1"),
+        ({"method": "lobpcg", "guard": 1.0}, "`guard` must be left at 0.5 for method 'lobpcg'"),
+        ({"method": "chebyshev", "degree": 2}, "`degree` must be left at 4 for method 'cheb"),
         ({"method": "magic"}, "`method` must be 'shift-invert'"),
         ({"device": "cuda"}, "on an accelerator use method='chebyshev'"),
         ({"start": np.eye(3)}, r"wrap columns that you have in GivenBasis\(columns\)"),
@@ -205,7 +240,7 @@ def test_polish_gains_with_each_sweep_and_degree(laplacian, exact) -> None:
 
 
 def test_sweeps_converge_at_the_rate_of_chebyshev(laplacian, exact) -> None:
-    """The worst wanted mode falls by about 1 / T_d(x) a sweep, x its place beyond the interval."""
+    """The last wanted mode gains on the first that is not in the block by a ratio of Chebyshev's."""
     block, degree = 60, 3
     residuals = [
         shift_invert_iteration(
@@ -220,10 +255,34 @@ def test_sweeps_converge_at_the_rate_of_chebyshev(laplacian, exact) -> None:
         ).residuals[K - 1]
         for sweeps in (4, 6)
     ]
-    guard, last = exact.eigenvalues[block], exact.eigenvalues[K - 1]
-    x = 2 * (guard + guard / 8) / (last + guard / 8) - 1
-    predicted = 1 / np.cosh(degree * np.arccosh(x))
+    edge = exact.eigenvalues[block - 1] * (1 + 2 / block)
+    x = 2 * (edge + edge / 8) / (exact.eigenvalues[[K - 1, block]] + edge / 8) - 1
+    last, beyond = np.polynomial.Chebyshev.basis(degree)(x)
+    predicted = max(abs(beyond), 1) / last
     assert np.sqrt(residuals[1] / residuals[0]) == pytest.approx(predicted, rel=0.5)
+
+
+def test_polish_refuses_a_start_that_is_too_small(laplacian) -> None:
+    with pytest.raises(InvalidInputError, match="`start` must span at least 40 dimensions, got"):
+        eigensolve(laplacian, K, Polished(start=AmbientFourier(m=20)))
+
+
+def test_polish_by_default_follows_k(laplacian) -> None:
+    for k in (12, 60, 120):
+        error = (
+            eigensolve(laplacian, k, Polished()).eigenvalues[1:]
+            / eigensolve(laplacian, k).eigenvalues[1:]
+        )
+        assert (error - 1).mean() < 1e-4
+
+
+def test_a_start_that_is_zero_on_a_component() -> None:
+    """Modes of one part alone: the other begins with random columns."""
+    both = robust_laplacian(two_parts())
+    one = eigensolve(both, 2).eigenvectors[:, :1]
+    for solver in (Refined(start=GivenBasis(one)), Lobpcg(start=GivenBasis(one))):
+        s = eigensolve(both, 8, solver)
+        assert s.eigenvalues == pytest.approx(eigensolve(both, 8).eigenvalues, rel=1e-10, abs=1e-10)
 
 
 def test_ritz_pairs_of_a_bad_basis(bumpy_laplacian) -> None:

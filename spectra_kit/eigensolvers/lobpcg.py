@@ -15,7 +15,7 @@ from spectra_kit._validate import check_count, check_positive
 from spectra_kit.eigensolvers.arpack import shifted_factor
 from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
-from spectra_kit.eigensolvers.rayleigh_ritz import checked_basis
+from spectra_kit.eigensolvers.rayleigh_ritz import basis_with_kernel
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.linalg import SparseLDL, orthonormalize
 from spectra_kit.operators.laplacian import Laplacian
@@ -134,7 +134,7 @@ class Lobpcg:
         x = np.random.default_rng(self.seed).standard_normal((laplacian.n, block))
         if self.start is None:
             return x
-        Y = orthonormalize(checked_basis(self.start, laplacian), laplacian.mass)
+        Y = orthonormalize(basis_with_kernel(self.start, laplacian), laplacian.mass)
         projected = Y.T @ (laplacian.stiffness @ Y)
         ritz = Y @ np.linalg.eigh((projected + projected.T) / 2)[1][:, :block]
         return np.hstack([ritz, x[:, ritz.shape[1] :]])

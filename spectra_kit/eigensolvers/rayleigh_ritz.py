@@ -92,7 +92,7 @@ class RayleighRitz:
 def basis_with_kernel(subspace: Subspace, laplacian: Laplacian) -> NDArray[np.floating]:
     """Return the basis of `subspace`, led by the constant function where that is a mode."""
     basis = checked_basis(subspace, laplacian)
-    if not laplacian.kernel_dimension or np.ptp(basis[:, 0]) == 0:  # most begin with it
+    if not laplacian.kernel_dimension or (basis[0, 0] != 0 and np.ptp(basis[:, 0]) == 0):
         return basis
     return np.column_stack([np.ones(laplacian.n, basis.dtype), basis])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -25,11 +25,20 @@ Method = Literal["shift-invert", "chebyshev", "lobpcg"]
 
 _DENSE_RATIO = 5  # below this multiple of the block the trial space is most of the whole space
 _SMALLEST_RTOL = 1e-14  # residuals below this are rounding, whatever the operator
+#: Methods that have a use for an option.
+_OPTIONS: dict[str, tuple[Method, ...]] = {
+    "guard": ("shift-invert", "chebyshev"),
+    "degree": ("shift-invert",),
+}
+_LARGEST_RTOL = 0.1  # beyond it a residual says nothing
 
 
-def _quick_start() -> AmbientFourier:
-    """Return a start that costs less than what it saves."""
-    return AmbientFourier(m=256, bandwidth=7.0)
+def plane_waves(k: int) -> AmbientFourier:
+    """Return a start for k modes that costs less than what it saves.
+
+    The m functions grow with k, and the bandwidth like the frequency of mode k.
+    """
+    return AmbientFourier(m=max(64, round(2.7 * k)), bandwidth=0.7 * max(k, 24) ** 0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,11 +47,11 @@ class Refined:
 
     Parameters
     ----------
-    start : Subspace, default AmbientFourier(m=256, bandwidth=7.0)
-        Where to begin: a `NeoSubspace`, plane waves, `GivenBasis(previous.eigenvectors)`,
-        `RandomBasis`. The better it is, the fewer sweeps; the result is the same.
+    start : Subspace, optional
+        Where to begin: a `NeoSubspace`, `GivenBasis(previous.eigenvectors)`, `RandomBasis`; some
+        2.7 k plane waves (`AmbientFourier`) without it. The better it is, the fewer sweeps.
     rtol : float, default 1e-8
-        Stop when ``||L u - lambda M u||`` in the M^-1 norm is at most
+        From 1e-14 to 0.1. Stop when ``||L u - lambda M u||`` in the M^-1 norm is at most
         ``rtol * max(lambda, spacing)`` for every mode.
     method : {"shift-invert", "chebyshev", "lobpcg"}, default "shift-invert"
         Filtered block iterations on one sparse factor; the same without a factor, in torch on
@@ -50,24 +59,29 @@ class Refined:
     guard : float, default 0.5
         Ritz vectors beyond k, relative to k. More converge in fewer, dearer sweeps.
     degree : int, default 4
-        Of the filter in "shift-invert": solves of each column in a sweep.
+        Of the filter in "shift-invert" (alone): solves of each column in a sweep.
     max_sweeps : int, default 30
         Sweeps (iterations of LOBPCG) before giving up.
     device : str, default "cpu"
         Of "chebyshev".
     seed : int, default 0
-        Of the random columns that are added where the start has too few.
+        Of all random columns.
 
     Raises
     ------
     InvalidInputError
-        If a parameter is out of range, or `device` is used with a method that knows none.
+        If a parameter is out of range, or changed for a method that has no use for it.
     ConvergenceError
         (from `eigensolve`) if the tolerance was not reached, because of `max_sweeps` or because
-        it is below rounding; ``partial`` holds the modes that reached it.
+        it is below rounding; ``partial`` holds all k modes as they are, and its certificate says
+        how far each one came.
 
     Notes
     -----
+    A residual says that a mode is one of the operator's, not that no other was missed: `verify`
+    proves that. In "shift-invert" random columns join the first sweep, so that modes are found of
+    which the start holds nothing; the other methods trust the start.
+
     See `linalg.shift_invert.shift_invert_iteration` for the method. ``provenance.iterations``
     holds the sweeps it took, the certificate the residual of each mode.
 
@@ -81,7 +95,7 @@ class Refined:
     True
     """
 
-    start: Subspace = field(default_factory=_quick_start)
+    start: Subspace | None = None
     rtol: float = 1e-8
     method: Method = "shift-invert"
     guard: float = 0.5
@@ -92,10 +106,10 @@ class Refined:
 
     def __post_init__(self) -> None:
         _check_start(self.start)
-        if check_positive("rtol", self.rtol) < _SMALLEST_RTOL:
+        if not _SMALLEST_RTOL <= check_positive("rtol", self.rtol) <= _LARGEST_RTOL:
             raise InvalidInputError(
-                f"`rtol` must be at least {_SMALLEST_RTOL:g}, the rounding of float64,"
-                f" got {self.rtol:g}"
+                f"`rtol` must be at least {_SMALLEST_RTOL:g}, the rounding of float64, and at most"
+                f" {_LARGEST_RTOL:g}, got {self.rtol:g}"
             )
         if self.method not in ("shift-invert", "chebyshev", "lobpcg"):
             raise InvalidInputError(
@@ -106,15 +120,20 @@ class Refined:
                 f"`device` must be 'cpu' for method {self.method!r}, got {self.device!r};"
                 " on an accelerator use method='chebyshev'"
             )
+        for name, methods in _OPTIONS.items():
+            default = type(self).__dataclass_fields__[name].default
+            if self.method not in methods and getattr(self, name) != default:
+                raise InvalidInputError(
+                    f"`{name}` must be left at {default} for method {self.method!r}, which has no"
+                    f" use for it, got {getattr(self, name)!r}"
+                )
         _check_block(self.guard, self.degree, self.seed)
         check_count("max_sweeps", self.max_sweeps, low=1)
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
         if self.method == "lobpcg":
-            return Lobpcg(
-                start=self.start, rtol=self.rtol, max_steps=self.max_sweeps, seed=self.seed
-            ).eigenpairs(laplacian, k)
+            return self._by_lobpcg(laplacian, k)
         block = block_size(k, self.guard)
         if _DENSE_RATIO * block >= laplacian.n:
             return Dense().eigenpairs(laplacian, k)
@@ -131,6 +150,7 @@ class Refined:
         good = relative <= self.rtol
         if good.all():
             return pairs
+        assert pairs.iterations is not None
         why = (
             "where rounding stops them; loosen `rtol`"
             if stalled
@@ -139,8 +159,22 @@ class Refined:
         raise NotConvergedError(
             f"{int(good.sum())} of {len(good)} modes reached rtol = {self.rtol:g} in"
             f" {pairs.iterations} sweeps (largest relative residual {relative.max():.1e}); {why}",
-            Eigenpairs(pairs.eigenvalues[good], pairs.eigenvectors[:, good]),
+            pairs,
         )
+
+    def _by_lobpcg(self, laplacian: Laplacian, k: int) -> Eigenpairs:
+        """Leave it to `Lobpcg`, in the words of this class."""
+        solver = Lobpcg(
+            start=_start(self, k),
+            rtol=self.rtol,
+            max_steps=self.max_sweeps,
+            seed=self.seed,
+        )
+        try:
+            return solver.eigenpairs(laplacian, k)
+        except NotConvergedError as error:
+            message = str(error).replace("`max_steps`", "`max_sweeps`")
+            raise NotConvergedError(message, error.pairs) from error
 
     def restricted(self, rows: Ints) -> Refined:
         """Return this solver for the points `rows` of its Laplacian alone."""
@@ -151,13 +185,12 @@ class Refined:
 class Polished:
     """A predicted subspace and a fixed number of sweeps over it: cheap, no promise.
 
-    One sweep of the default degree takes the eigenvalue error of a prediction from per cents to
-    some 1e-5. The certificate says what was reached; `Refined` goes on until it is enough.
+    The certificate says what was reached; `Refined` goes on until it is enough.
 
     Parameters
     ----------
-    start : Subspace, default AmbientFourier(m=256, bandwidth=7.0)
-        The prediction.
+    start : Subspace, optional
+        The prediction, of at least k dimensions; some 2.7 k plane waves without it.
     sweeps : int, default 1
         Filters to apply.
     guard : float, default 0.5
@@ -165,12 +198,12 @@ class Polished:
     degree : int, default 4
         Of the filter: solves of each column in a sweep. 1 is a plain shift-invert iteration.
     seed : int, default 0
-        Of the random columns that are added where the start has too few.
+        Of all random columns.
 
     Raises
     ------
     InvalidInputError
-        If a parameter is out of range.
+        If a parameter is out of range, or the start spans fewer than k dimensions.
 
     Examples
     --------
@@ -182,7 +215,7 @@ class Polished:
     True
     """
 
-    start: Subspace = field(default_factory=_quick_start)
+    start: Subspace | None = None
     sweeps: int = 1
     guard: float = 0.5
     degree: int = 4
@@ -197,7 +230,7 @@ class Polished:
         """See `Eigensolver.eigenpairs`."""
         if _DENSE_RATIO * block_size(k, self.guard) >= laplacian.n:
             return Dense().eigenpairs(laplacian, k)
-        return _iterate(self, laplacian, k, rtol=0.0, sweeps=self.sweeps)[0]
+        return _iterate(self, laplacian, k, rtol=0.0, sweeps=self.sweeps, least_rank=k)[0]
 
     def restricted(self, rows: Ints) -> Polished:
         """Return this solver for the points `rows` of its Laplacian alone."""
@@ -210,12 +243,18 @@ def block_size(k: int, guard: float) -> int:
 
 
 def _iterate(
-    solver: Refined | Polished, laplacian: Laplacian, k: int, *, rtol: float, sweeps: int
+    solver: Refined | Polished,
+    laplacian: Laplacian,
+    k: int,
+    *,
+    rtol: float,
+    sweeps: int,
+    least_rank: int = 1,
 ) -> tuple[Eigenpairs, Refinement]:
     """Predict, then sweep."""
     begin = time.perf_counter()
     block = block_size(k, solver.guard)
-    basis = basis_with_kernel(solver.start, laplacian)
+    basis = basis_with_kernel(_start(solver, k), laplacian)
     predicted = time.perf_counter()
     refinement = shift_invert_iteration(
         laplacian.stiffness,
@@ -226,6 +265,7 @@ def _iterate(
         block=block,
         degree=solver.degree,
         max_sweeps=sweeps,
+        least_rank=least_rank,
         seed=solver.seed,
     )
     pairs = Eigenpairs(
@@ -244,12 +284,12 @@ def _filter_on_device(
     import torch
 
     from spectra_kit.linalg.chebyshev import chebyshev_eigenpairs
-    from spectra_kit.linalg.torch_ritz import Clock, device_memory, sparse_tensor
+    from spectra_kit.linalg.torch_device import Clock, device_memory, sparse_tensor
     from spectra_kit.neo import NeoSubspace
 
     with device_memory():
         clock = Clock(torch.device(solver.device))
-        start = solver.start
+        start = _start(solver, k)
         if isinstance(start, NeoSubspace) and start.device == solver.device:
             columns = start.tensor(laplacian.points, laplacian.mass)  # it stays where it is
             clock.stage("subspace")
@@ -281,8 +321,12 @@ def _filter_on_device(
     return pairs, residuals, found.stalled
 
 
+def _start(solver: Refined | Polished, k: int) -> Subspace:
+    return plane_waves(k) if solver.start is None else solver.start
+
+
 def _check_start(start: object) -> None:
-    if not callable(start):
+    if start is not None and not callable(start):
         raise InvalidInputError(
             f"`start` must be a subspace (a function of points and mass), got {start!r};"
             " wrap columns that you have in GivenBasis(columns)"

@@ -23,7 +23,9 @@ Singles = NDArray[np.float32]
 
 _COLUMNS = 64  # filtered together: bounds the temporaries
 _SHIFT = 1 / 8  # of the guard eigenvalue: strong on the last modes, kind to float32 on the first
-_STALLED = 0.7  # a sweep that leaves more than this of the residuals gains nothing
+_STALLED = 0.7  # a sweep that leaves more than this of the residuals gains nothing,
+_STILL = 1e-12  # unless it lowers the sum of the Ritz values by more than this share: a mode rises
+_PROBES = 8  # random columns that bring in modes of which the start has nothing
 _OUTGROWN = 1 / 4  # a shift this many times larger than wanted is worth a new factor
 
 
@@ -87,6 +89,7 @@ def shift_invert_iteration(
     block: int,
     degree: int = 4,
     max_sweeps: int = 30,
+    least_rank: int = 1,
     seed: int = 0,
 ) -> Refinement:
     """Drive the span of `start` to the k lowest eigenpairs of ``L u = lambda M u``.
@@ -108,9 +111,11 @@ def shift_invert_iteration(
     degree : int, default 4
         Of the filter: solves of each column in a sweep.
     max_sweeps : int, default 30
-        Filters before giving up; with 0 this is Rayleigh-Ritz with residuals.
+        Filters before giving up; one at least is applied, to whatever start.
+    least_rank : int, default 1
+        Rank below which a start is refused; random columns make up for what `block` lacks.
     seed : int, default 0
-        Of the random columns that make up for a start of lower rank than `block`.
+        Of all random columns.
 
     Returns
     -------
@@ -120,7 +125,8 @@ def shift_invert_iteration(
     Raises
     ------
     InvalidInputError
-        If `start` holds NaN, infinity or only zeros, or `stiffness` is not semi-definite.
+        If `start` holds NaN, infinity or only zeros, or its rank is below `least_rank`, or
+        `stiffness` is not semi-definite.
 
     Notes
     -----
@@ -132,51 +138,98 @@ def shift_invert_iteration(
     obeys the three-term recurrence of p driven by ``-mu (L - sigma M)^-1 r``. Only f is computed
     by the factor: its relative accuracy is all that counts, so float32 suffices down to the
     last digit of float64.
+
+    Residuals do not tell whether a mode is missing of which the start holds nothing: so the first
+    sweep also filters a few random columns, at twice the degree, and lets them join the block.
     """
     clock = _Clock()
     # With a mean mass of one, float32 holds every unit of length. Eigenvalues are times `unit`.
     unit = float(mass.mean())
     mass = mass / unit
     shifted: ShiftedFactor | None = None
-    values, X, _ = ritz_pairs_at_most(stiffness, mass, start, block)
+    values, X, rank = ritz_pairs_at_most(stiffness, mass, start, block)
+    if rank < least_rank:
+        raise InvalidInputError(
+            f"`start` must span at least {least_rank} dimensions, got numerical rank {rank} of"
+            f" {start.shape[1]} columns; ask for fewer modes or use a larger subspace"
+        )
+    rng = np.random.default_rng(seed)
     if X.shape[1] < block:
-        noise = np.random.default_rng(seed).standard_normal((len(X), block - X.shape[1]))
-        noise /= np.sqrt(mass @ noise**2)
-        values, X = ritz_rotation(stiffness, mass, np.hstack([X, noise]))
+        X = np.hstack([X, _noise(rng, mass, block - X.shape[1])])
+        values, X = ritz_rotation(stiffness, mass, X)
     clock.stage("rayleigh_ritz")
     R, norms = residuals(stiffness, mass, values, X)
     clock.stage("residuals")
-    solves, sweeps, stalled = 0, 0, False
+    solves, sweeps, idle = 0, 0, 0
     while True:
         open_modes = norms[:k] > unit * tolerance(values[:k] / unit)
-        if not open_modes.any() or sweeps == max_sweeps or stalled:
+        done = not open_modes.any() and sweeps > 0
+        if done or sweeps == max(max_sweeps, 1) or idle == 2:
             break
-        guard = float(values[-1])
+        # A little above the last Ritz value: the cluster that it may belong to must grow.
+        guard = float(values[-1]) * (1 + 2 / block)
         if shifted is None or -shifted.sigma * _OUTGROWN > _SHIFT * guard:
             shifted = factor_below(stiffness, mass, guard)
             clock.stage("factor")
+        probes = _filtered_noise(shifted, mass, X, guard, degree, rng) if sweeps == 0 else None
         # Guard columns move with the wanted ones; wanted ones that have converged stay.
         active = np.flatnonzero(np.concatenate([open_modes, np.full(block - k, True)]))
         for part in np.split(active, range(_COLUMNS, len(active), _COLUMNS)):
             X[:, part] += _correction(shifted, mass, R[:, part], values[part], guard, degree)
         clock.stage("filter")
-        values, X = ritz_rotation(stiffness, mass, X)
+        trace, before = values[:k].sum(), norms
+        if probes is None:
+            values, X = ritz_rotation(stiffness, mass, X)
+        else:  # they may lie in the corrected block up to little
+            values, X, _ = ritz_pairs_at_most(stiffness, mass, np.hstack([X, probes]), block)
         clock.stage("rayleigh_ritz")
-        before = norms
         R, norms = residuals(stiffness, mass, values, X)
         clock.stage("residuals")
-        solves += degree * len(active)
+        solves += degree * len(active) + (2 * degree * _PROBES if sweeps == 0 else 0)
         sweeps += 1
-        stalled = bool((norms[:k][open_modes] > _STALLED * before[:k][open_modes]).all())
+        fell = values[:k].sum() < (1 - _STILL) * trace
+        gained = (norms[:k][open_modes] <= _STALLED * before[:k][open_modes]).any()
+        idle = 0 if fell or gained else idle + 1
     return Refinement(
         values[:k] / unit,
         X[:, :k] / np.sqrt(unit),
         norms[:k] / unit,
         sweeps,
         solves,
-        stalled,
+        idle == 2,
         clock.seconds,
     )
+
+
+def _noise(rng: np.random.Generator, mass: Floats, columns: int) -> Floats:
+    """Return random columns of unit M-norm."""
+    noise = rng.standard_normal((len(mass), columns))
+    return np.asarray(noise / np.sqrt(mass @ noise**2))
+
+
+def _filtered_noise(
+    shifted: ShiftedFactor,
+    mass: Floats,
+    X: Floats,
+    guard: float,
+    degree: int,
+    rng: np.random.Generator,
+) -> Floats:
+    """Return the low modes in a few random columns, of unit norm and orthogonal to X."""
+    gain = np.float32(2 * (guard - shifted.sigma))
+    weights = mass.astype(np.float32)[:, None]
+    columns = _noise(rng, mass, _PROBES)
+    for _ in range(2):  # in between, what grew most is taken out: float32 drowns in it
+        old = columns.astype(np.float32)
+        new = gain * shifted.factor.solve(weights * old, dtype=np.float32) - old
+        for _ in range(degree - 1):
+            solved = shifted.factor.solve(weights * new, dtype=np.float32)
+            old, new = new, 2 * (gain * solved - new) - old
+        columns = new.astype(np.float64)
+        for _ in range(2):  # once leaves what cancellation leaves
+            columns -= X @ (X.T @ (mass[:, None] * columns))
+        columns /= np.sqrt(mass @ columns**2)
+    return columns
 
 
 class _Clock:
