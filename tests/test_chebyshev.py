@@ -7,15 +7,11 @@ from scipy import linalg, sparse
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import rectangle, sphere
+from spectra_kit.levels import smoothed as smoothed_numpy
 from spectra_kit.linalg import chebyshev
 from spectra_kit.linalg.chebyshev import chebyshev_eigenpairs
-from spectra_kit.linalg.filters import (
-    chebyshev_smooth,
-    shifted,
-    spectral_bound,
-    standard_form,
-)
-from spectra_kit.linalg.torch_ritz import rayleigh_ritz, sparse_tensor
+from spectra_kit.linalg.filters import shifted, smoothed, spectral_bound, standard_form
+from spectra_kit.linalg.torch_device import sparse_tensor
 from spectra_kit.operators import cotan_laplacian, robust_laplacian
 
 DEVICES = ["cpu"] + ["cuda"] * torch.cuda.is_available()
@@ -186,35 +182,20 @@ def test_the_bound_is_sharp_on_laplacians(laplacian):
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_smoothing_is_the_polynomial_it_says(laplacian, device):
-    """Of D^-1 L: each of its eigenvectors is scaled by p at its eigenvalue, as written down."""
-    L = laplacian.stiffness
-    values, vectors = linalg.eigh(L.toarray(), np.diag(L.diagonal()))
-    basis = torch.tensor(vectors, device=device)
-    smooth = chebyshev_smooth(sparse_tensor(L, device), basis, degree=6, damping=20.0)
-    factors = (np.linalg.inv(vectors) @ smooth.cpu().numpy()).diagonal()
-    np.testing.assert_allclose(smooth.cpu(), vectors * factors, atol=1e-9)
-    root = torch.tensor(L.diagonal()).sqrt()
-    top = spectral_bound(standard_form(sparse_tensor(L), root))
-    x0 = np.cosh(np.arccosh(20.0) / 6)
-    x = -x0 + values * (x0 + 1) / top  # 0 goes to -x0, the top to 1
-    expected = np.polynomial.chebyshev.Chebyshev.basis(6)(x) / 20.0
-    np.testing.assert_allclose(factors, expected, atol=1e-9)
-    assert abs(factors[0] - 1) < 1e-9
-    assert np.abs(factors[x > -1]).max() <= 0.05 + 1e-9
+@pytest.mark.parametrize("degree", [1, 2, 6, 13])
+def test_smoothing_equals_the_numpy_twin(laplacian, exact, degree, device):
+    values, modes = exact[0][:20], exact[1][:, :20]
+    rough = modes + 0.1 * modes.std() * np.random.default_rng(0).standard_normal(modes.shape)
+    tensors = (torch.tensor(a, device=device) for a in (laplacian.mass, values, rough))
+    found = smoothed(sparse_tensor(laplacian.stiffness, device), *tensors, degree=degree)
+    assert found.dtype == torch.float64
+    twin = smoothed_numpy(laplacian, values, rough, degree=degree)
+    assert np.abs(twin - rough).max() > 0.01 * np.abs(rough).max()  # there was something to do
+    np.testing.assert_allclose(found.cpu(), twin, atol=1e-5 * np.abs(rough).max())
 
 
-def test_smoothing_takes_the_kinks_out_of_a_coarse_basis(laplacian, exact):
-    """Exact modes known on cells only, constant in each: better Ritz values for a cheap sweep."""
-    rng = np.random.default_rng(0)
-    centres = rng.choice(laplacian.n, laplacian.n // 4, replace=False)
-    apart = np.linalg.norm(laplacian.points[:, None] - laplacian.points[centres], axis=2)
-    basis = torch.from_numpy(exact[1][centres[apart.argmin(1)], :30]).float()
+def test_smoothing_leaves_modes_as_they_are(laplacian, exact):
+    values, modes = (torch.from_numpy(a[..., :20].copy()) for a in exact)
     L, mass = sparse_tensor(laplacian.stiffness), torch.tensor(laplacian.mass)
-    smooth = chebyshev_smooth(L, basis, degree=6)
-    assert smooth.dtype == torch.float32
-    errors = [
-        np.abs(rayleigh_ritz(L, mass, b, 16).eigenvalues.numpy()[1:] / exact[0][1:16] - 1).mean()
-        for b in (basis, smooth)
-    ]
-    assert errors[1] < 0.5 * errors[0]
+    kept = smoothed(L, mass, values, modes)
+    assert (kept - modes).abs().max() < 1e-7 * modes.abs().max()

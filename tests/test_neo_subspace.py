@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from spectra_kit.eigensolvers import Neo, RayleighRitz, Refined, eigensolve
+from spectra_kit.eigensolvers import Capped, Neo, RayleighRitz, Refined, eigensolve
 from spectra_kit.errors import InvalidInputError, WeightsError
 from spectra_kit.geometry import PointCloud, creature
 from spectra_kit.levels import coarsen
@@ -118,7 +118,7 @@ def check_pairs(pairs, laplacian, k):
 
 def test_a_cap_solves_in_the_basis_that_is_carried_to_all_points(network, laplacian):
     subspace = NeoSubspace(network)
-    capped = neo_eigenpairs(subspace, laplacian, 10, cap=150)
+    capped = neo_eigenpairs(subspace, laplacian, 10, cap=150, smoothing=0)
     check_pairs(capped, laplacian, 10)
     level = coarsen(laplacian, 150)
     carried = level.prolongation @ subspace(level.points, level.lumped)
@@ -128,31 +128,42 @@ def test_a_cap_solves_in_the_basis_that_is_carried_to_all_points(network, laplac
     assert {"coarsen", "carry", "transfer"} <= set(capped.seconds)
 
 
-def test_a_cap_that_does_not_bind_changes_nothing(network, laplacian):
+@pytest.mark.parametrize("smoothing", [0, 1, 6])
+def test_a_cap_equals_the_capped_backend_without_sweeps(network, laplacian, smoothing):
+    subspace = NeoSubspace(network, poses=2)
+    pairs = neo_eigenpairs(subspace, laplacian, 10, cap=150, smoothing=smoothing)
+    check_pairs(pairs, laplacian, 10)
+    twin = Capped(subspace=subspace, n_points=150, sweeps=0, smoothing=smoothing)
+    twin = twin.eigenpairs(laplacian, 10)
+    np.testing.assert_allclose(pairs.eigenvalues, twin.eigenvalues, rtol=1e-5, atol=1e-9)
+    assert span_distance(pairs.eigenvectors.numpy(), twin.eigenvectors, laplacian.mass) < 1e-3
+    assert ("smooth" in pairs.seconds) == bool(smoothing)
+
+
+def test_the_shipped_network_under_a_cap_equals_the_capped_backend():
+    laplacian = robust_laplacian(creature(4000, seed=1))
+    solvers = Neo(cap=1500), Capped(subspace=Neo().subspace, n_points=1500, sweeps=0)
+    here, there = (eigensolve(laplacian, 40, solver) for solver in solvers)
+    np.testing.assert_allclose(here.eigenvalues, there.eigenvalues, rtol=1e-5)
+    assert span_distance(here.eigenvectors, there.eigenvectors, laplacian.mass) < 1e-2
+
+
+@pytest.mark.parametrize("cap", [201, 400])
+def test_a_cap_that_does_not_bind_changes_nothing(network, laplacian, cap):
     subspace = NeoSubspace(network)
-    whole, capped = (neo_eigenpairs(subspace, laplacian, 10, cap=cap) for cap in (None, 400))
+    whole, capped = (neo_eigenpairs(subspace, laplacian, 10, cap=c) for c in (None, cap))
     assert torch.equal(whole.eigenvalues, capped.eigenvalues)
     assert torch.equal(whole.eigenvectors, capped.eigenvectors)
 
 
-def test_smoothing_lowers_the_energy_of_carried_vectors(network, laplacian):
-    subspace = NeoSubspace(network)
-    rough, smooth = (
-        neo_eigenpairs(subspace, laplacian, 10, cap=100, smoothing=degree) for degree in (0, 4)
-    )
-    check_pairs(smooth, laplacian, 10)
-    assert smooth.eigenvalues.sum() < 0.9 * rough.eigenvalues.sum()
-    assert "smooth" in smooth.seconds
-
-
-def test_the_shipped_network_loses_nothing_under_a_cap():
-    laplacian = robust_laplacian(creature(12000, seed=1))
+def test_the_shipped_network_gains_from_a_cap():
+    laplacian = robust_laplacian(creature(6000, seed=1))
     exact = eigensolve(laplacian, 64).eigenvalues[1:]
-    errors = [
-        (eigensolve(laplacian, 64, Neo(cap=cap)).eigenvalues[1:] / exact - 1).mean()
-        for cap in (None, 2048)
-    ]
-    assert 0 < errors[1] < max(errors[0], 0.01)
+    solvers = Neo(), Neo(cap=2048, smoothing=0), Neo(cap=2048)
+    whole, rough, smooth = (
+        (eigensolve(laplacian, 64, solver).eigenvalues[1:] / exact - 1).mean() for solver in solvers
+    )
+    assert 0 < smooth < 0.2 * min(rough, whole)
 
 
 @pytest.mark.parametrize("device", ["cpu"] + ["cuda"] * torch.cuda.is_available())
@@ -186,7 +197,7 @@ def test_repr_tells_weights_and_options(network, tmp_path):
         f" sha256={digest[:12]!r})"
     )
     assert "<NeoNetwork, " in repr(NeoSubspace(network))
-    assert "cap=2048, smoothing=0" in repr(Neo(cap=2048))
+    assert "cap=2048, smoothing=6" in repr(Neo(cap=2048))
     assert "cap" not in repr(Neo())
 
 
@@ -199,9 +210,11 @@ def test_bad_options_are_refused(network, laplacian):
         NeoSubspace(network, chunk=0)
     with pytest.raises(WeightsError, match="weights must be one of"):
         NeoSubspace("huge")
-    with pytest.raises(InvalidInputError, match="`cap` must be at least 1, got 0"):
+    with pytest.raises(InvalidInputError, match="`cap` must be at least 100, got 0"):
         Neo(cap=0)
     with pytest.raises(InvalidInputError, match="`smoothing` must be at least 0, got -1"):
         Neo(smoothing=-1)
+    with pytest.raises(InvalidInputError, match="smooth them less"):
+        neo_eigenpairs(NeoSubspace(network, poses=4), laplacian, 40, cap=150, smoothing=60)
     with pytest.raises(InvalidInputError, match="at least k = 60 dimensions"):
         neo_eigenpairs(NeoSubspace(network), laplacian, 60)

@@ -8,14 +8,13 @@ from scipy import linalg, sparse
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
 from spectra_kit.linalg import torch_ritz as module
-from spectra_kit.linalg.filters import chebyshev_smooth
 from spectra_kit.linalg.orthonormal import orthonormalize as orthonormalize_numpy
+from spectra_kit.linalg.torch_device import sparse_tensor
 from spectra_kit.linalg.torch_ritz import (
-    device_memory,
     leading_ritz_pairs,
     orthonormalize,
     rayleigh_ritz,
-    sparse_tensor,
+    ritz_rotation,
 )
 from spectra_kit.operators import cotan_laplacian
 
@@ -132,15 +131,15 @@ def test_single_precision_columns_cost_no_mode(smallest):
     """However small the directions a mode hides in: rounding must not put others in its place."""
     laplacian = cotan_laplacian(sphere(subdivisions=4).geometry)
     L, mass = sparse_tensor(laplacian.stiffness), torch.tensor(laplacian.mass)
-    generator = torch.Generator().manual_seed(0)
-    low = torch.randn(laplacian.n, 64, generator=generator, dtype=torch.float64)
-    low = rayleigh_ritz(L, mass, chebyshev_smooth(L, low, degree=16, damping=100.0), 64)
+    _, low = sparse.linalg.eigsh(
+        laplacian.stiffness, 64, sparse.diags_array(laplacian.mass), -0.1, v0=np.ones(laplacian.n)
+    )
     mixing = torch.from_numpy(linalg.hadamard(64) / 8.0)
     singular = torch.logspace(0, np.log10(smallest), 64, dtype=torch.float64)
-    basis = (low.eigenvectors @ (mixing * singular) @ mixing).float()
+    basis = (torch.from_numpy(low) @ (mixing * singular) @ mixing).float()
     single = rayleigh_ritz(L, mass, basis, 32).eigenvalues
     double = rayleigh_ritz(L, mass, basis.double(), 32).eigenvalues
-    torch.testing.assert_close(single, double, rtol=1e-3, atol=1e-8)
+    torch.testing.assert_close(single, double, rtol=1e-3, atol=1e-4)  # beside gaps of 2 and more
 
 
 def test_a_mass_matrix_need_not_be_diagonal(problem):
@@ -164,18 +163,22 @@ def test_columns_of_any_precision_give_pairs_in_double(problem, dtype):
     np.testing.assert_allclose(pairs.eigenvalues, values[:10], atol=0.05)
 
 
+def test_columns_far_from_dependent_need_the_small_problem_alone(problem):
+    L, mass, values, vectors = problem
+    mixing = torch.eye(12) + 0.1 * torch.randn(12, 12, generator=torch.Generator().manual_seed(0))
+    pairs = ritz_rotation(sparse_tensor(L), mass, vectors[:, :12] @ mixing.double())
+    np.testing.assert_allclose(pairs.eigenvalues, values[:12], atol=1e-12)
+    assert gram_error(pairs.eigenvectors, mass) < 1e-12
+    for bad in (vectors[:, [0, 1, 1]], vectors[:, :3] * torch.nan):
+        with pytest.raises(InvalidInputError, match="far from dependent, got 3 whose Gram"):
+            ritz_rotation(sparse_tensor(L), mass, bad)
+
+
 def test_no_more_pairs_than_dimensions(problem):
     L, mass, values, vectors = problem
     pairs = leading_ritz_pairs(sparse_tensor(L), mass, vectors[:, [0, 1, 2, 2]], 8)
     np.testing.assert_allclose(pairs.eigenvalues, values[:3], atol=1e-12)
     assert pairs.eigenvectors.shape == (120, 3)
-
-
-def test_want_of_memory_is_a_memory_error():
-    with pytest.raises(MemoryError, match="can't allocate memory"), device_memory():
-        torch.empty(2**50)
-    with pytest.raises(RuntimeError, match="must match"), device_memory():
-        torch.ones(2) + torch.ones(3)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")

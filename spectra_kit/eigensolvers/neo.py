@@ -40,18 +40,20 @@ class Neo(Rebuilt):
     chunk : int, default 65536
         Points whose temporaries are held at a time.
     cap : int, optional
-        Points of a component that the network sees at most, well spread over the surface; the rest
-        get their values by interpolation. Where there are many more points than the network was
-        trained on, a cap is faster and more accurate: at 64000 points one of 2048 to 4096.
-    smoothing : int, default 0
-        Degree of a low-pass filter over interpolated vectors; 3 to 8 lower the error a little.
+        Points of a component that the network sees at most, well spread over the surface; the modes
+        are carried to all others and smoothed. This is the device's version of `Capped`, which on
+        a CPU also sweeps. Components with fewer than twice as many points are seen whole.
+    smoothing : int, default 6
+        Sparse products that smooth carried modes, before a last Rayleigh-Ritz; 0 leaves them as
+        they were carried. Without a cap there is nothing to smooth.
     rank_tol : float, default 1e-10
         Relative cut on the singular values of the basis; see `linalg.orthonormalize`.
 
     Raises
     ------
     InvalidInputError
-        If an option is none of the above, or the basis spans fewer than k dimensions.
+        If an option is none of the above, the basis spans fewer than k dimensions, or so much
+        smoothing makes modes dependent.
     WeightsError
         If the weights are unknown, missing or damaged.
 
@@ -75,13 +77,13 @@ class Neo(Rebuilt):
     dtype: Literal["float32", "bfloat16", "float16"] = "float32"
     chunk: int = 65536
     cap: int | None = None
-    smoothing: int = 0
+    smoothing: int = 6
     rank_tol: float = 1e-10
 
     def __post_init__(self) -> None:
         check_positive("rank_tol", self.rank_tol)
         if self.cap is not None:
-            check_count("cap", self.cap, low=1)
+            check_count("cap", self.cap, low=100)
         check_count("smoothing", self.smoothing, low=0)
         _ = self.subspace  # checks the other options, and that the weights exist
 

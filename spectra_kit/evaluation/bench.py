@@ -25,7 +25,8 @@ from spectra_kit.eigensolvers.base import Eigenpairs
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.evaluation.cases import Case
 from spectra_kit.evaluation.methods import Method
-from spectra_kit.linalg.torch_ritz import Clock, orthonormalize, rayleigh_ritz, sparse_tensor
+from spectra_kit.linalg.torch_device import Clock, sparse_tensor
+from spectra_kit.linalg.torch_ritz import orthonormalize, rayleigh_ritz
 from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.operators import Laplacian
 from spectra_kit.spectrum import Spectrum

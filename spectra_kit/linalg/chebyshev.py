@@ -10,14 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from spectra_kit.linalg.filters import (
-    csr_diagonal,
-    csr_rows,
-    shifted,
-    spectral_bound,
-    standard_form,
-)
-from spectra_kit.linalg.torch_ritz import csr_like, leading_ritz_pairs
+from spectra_kit.linalg.filters import shifted, spectral_bound, standard_form
+from spectra_kit.linalg.torch_device import csr_diagonal, csr_like, csr_rows
+from spectra_kit.linalg.torch_ritz import leading_ritz_pairs
 
 _GAIN = 1e6  # largest amplification in one sweep: the condition number it may give a block
 _STIFF = 4.0  # diagonal of M^-1 L, relative to its median, beyond which quick sweeps add mass
@@ -124,7 +119,7 @@ def chebyshev_eigenpairs(
     Examples
     --------
     >>> from scipy import sparse
-    >>> from spectra_kit.linalg.torch_ritz import sparse_tensor
+    >>> from spectra_kit.linalg.torch_device import sparse_tensor
     >>> diagonals, offsets = [2.0, -1, -1, -1, -1], [0, 1, -1, 99, -99]
     >>> ring = sparse.diags_array(diagonals, offsets=offsets, shape=(100, 100))
     >>> ring = sparse_tensor(ring.tocsr())

@@ -6,65 +6,71 @@ the speed of its memory; within a filter nothing waits for the host.
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.torch_ritz import csr_like
+from spectra_kit.linalg.torch_device import csr_diagonal, csr_like, csr_product, csr_rows
 
 _BOUND_STEPS = 20
+_FLOOR = 1e-3  # of the median diagonal entry: smaller ones would take steps of any length
 
 
-def chebyshev_smooth(
-    stiffness: Tensor, basis: Tensor, *, degree: int = 8, damping: float = 10.0
+def smoothed(
+    stiffness: Tensor, mass: Tensor, values: Tensor, vectors: Tensor, *, degree: int = 6
 ) -> Tensor:
-    """Damp the high frequencies of the columns of a basis.
+    """Return approximate modes without the high frequencies of their residuals.
+
+    The twin of `levels.smoothed`, where the method is described.
 
     Parameters
     ----------
     stiffness : sparse CSR Tensor of shape (n, n)
-        L, symmetric and positive semi-definite, its diagonal stored and positive.
-    basis : Tensor of shape (n, m)
-        Functions, float32 or float64; computed in that precision.
-    degree : int, default 8
-        Products with L. The band that is kept shrinks with its square.
-    damping : float, default 10.0
-        By what at least the damped band is divided; larger takes more of the low end with it.
+        L, symmetric and positive semi-definite, float64.
+    mass : Tensor of shape (n,)
+        Diagonal of M, float64, in length^2.
+    values : Tensor of shape (k,)
+        Approximate eigenvalues, float64, in 1/length^2.
+    vectors : Tensor of shape (n, k)
+        The modes, float64.
+    degree : int, default 6
+        Products with L, of float32 but for the first.
 
     Returns
     -------
-    Tensor of shape (n, m)
-        ``p(D^-1 L) basis`` with D the diagonal of L: p is the Chebyshev polynomial with p(0) = 1
-        and ``|p| <= 1 / damping`` from ``top * (acosh(damping) / (2 degree))^2``, about, to the top
-        of the spectrum of D^-1 L, which is about 2 whatever the mesh. Constants stay as they are.
+    Tensor of shape (n, k)
+        float64, not orthonormal.
 
     Examples
     --------
     >>> from scipy import sparse
-    >>> from spectra_kit.linalg.torch_ritz import sparse_tensor
+    >>> from spectra_kit.linalg.torch_device import sparse_tensor
     >>> path = sparse.csr_array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
-    >>> functions = torch.tensor([[1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
-    >>> chebyshev_smooth(sparse_tensor(path), functions)[:, 0]
-    tensor([1., 1., 1.])
+    >>> mode = torch.tensor([[1.0], [0.0], [-1.0]]).double()
+    >>> smoothed(sparse_tensor(path), torch.ones(3), torch.ones(1), mode).flatten()
+    tensor([ 1., 0., -1.], dtype=torch.float64)
     """
-    root = csr_diagonal(stiffness).double().sqrt()
-    symmetric = standard_form(stiffness, root)
-    top = spectral_bound(symmetric)
-    # x0 = -cosh(acosh(damping) / degree) is where the polynomial on [-1, 1] has size `damping`.
-    x0 = -math.cosh(math.acosh(damping) / degree)
-    cut = top * (x0 + 1) / (x0 - 1)
-    rows = csr_rows(stiffness)
-    scaled = csr_like(stiffness, stiffness.values() / root.square()[rows])
-    operator = shifted(scaled, (cut, top)).to(basis.dtype)
-    before, current = basis.clone(), (operator @ basis).div_(x0)
-    rho = 1 / x0
+    diagonal = csr_diagonal(stiffness)
+    diagonal = diagonal.clamp_min(_FLOOR * float(diagonal.quantile(0.5)))
+    ones = torch.ones(len(mass), 1, dtype=torch.float64, device=mass.device)
+    sums = csr_like(stiffness, stiffness.values().abs()) @ ones
+    highest = float((sums.squeeze(1) / diagonal).max())  # by Gershgorin
+    lowest = highest / (1 + 0.6 * degree**2)
+    centre, radius = (highest + lowest) / 2, (highest - lowest) / 2
+    residual = csr_product(stiffness, vectors, torch.float64)
+    residual = residual.addcmul_(mass.unsqueeze(1) * vectors, values, value=-1).float()
+    matrix = csr_like(stiffness, stiffness.values().float())
+    inverse, weights = (t.float().unsqueeze(1) for t in (1 / diagonal, mass))
+    values = values.float()
+    direction = inverse * residual / -centre
+    correction, ratio = direction.clone(), radius / centre
     for _ in range(degree - 1):
-        following = 1 / (2 * x0 - rho)
-        before.addmm_(operator, current, beta=-rho * following, alpha=2 * following)
-        before, current, rho = current, before, following
-    return current
+        before, ratio = ratio, 1 / (2 * centre / radius - ratio)
+        image = csr_product(matrix, correction, torch.float32).add_(residual)
+        image.addcmul_(weights * correction, values, value=-1)
+        direction.mul_(ratio * before).addcmul_(inverse, image, value=-2 * ratio / radius)
+        correction.add_(direction)
+    return vectors + correction
 
 
 def spectral_bound(operator: Tensor) -> float:
@@ -77,7 +83,7 @@ def spectral_bound(operator: Tensor) -> float:
     Examples
     --------
     >>> from scipy import sparse
-    >>> from spectra_kit.linalg.torch_ritz import sparse_tensor
+    >>> from spectra_kit.linalg.torch_device import sparse_tensor
     >>> path = sparse_tensor(sparse.csr_array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]]))
     >>> round(spectral_bound(path), 4)  # 3 is attained
     3.0000
@@ -111,17 +117,3 @@ def shifted(operator: Tensor, interval: tuple[float, float]) -> Tensor:
         )
     values = operator.values().double() - (high + low) / 2 * on_diagonal.double()
     return csr_like(operator, values / ((high - low) / 2))
-
-
-def csr_rows(operator: Tensor) -> Tensor:
-    """Return the row of each stored entry."""
-    counts = operator.crow_indices().diff()
-    rows = torch.arange(operator.shape[0], device=operator.device)
-    return torch.repeat_interleave(rows, counts, output_size=operator.values().numel())
-
-
-def csr_diagonal(operator: Tensor) -> Tensor:
-    """Return the diagonal of a CSR matrix, zero where none is stored."""
-    rows = csr_rows(operator)
-    values = operator.values() * (rows == operator.col_indices())
-    return values.new_zeros(operator.shape[0]).index_add_(0, rows, values)

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import math
-import time
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import NamedTuple
 
-import numpy as np
 import torch
-from scipy import sparse
 from torch import Tensor
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.products import spmm
+from spectra_kit.linalg.torch_device import Clock, csr_product
 
 _ROWS = 65_536  # rows of a basis handled at once: bounds the temporaries, not the result
 _SINGLE_ROWS = 2_048  # of float32 products between two float64 sums: keeps the rounding down
@@ -130,7 +124,7 @@ def rayleigh_ritz(
     Parameters
     ----------
     stiffness : sparse CSR Tensor of shape (n, n)
-        L, symmetric and positive semi-definite, float64; see `sparse_tensor`.
+        L, symmetric and positive semi-definite, float64; see `torch_device.sparse_tensor`.
     mass : Tensor of shape (n,), or sparse CSR Tensor of shape (n, n)
         Diagonal of M, or M itself, float64, in length^2.
     basis : Tensor of shape (n, m)
@@ -154,6 +148,8 @@ def rayleigh_ritz(
 
     Examples
     --------
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg.torch_device import sparse_tensor
     >>> path = sparse.csr_array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
     >>> pairs = rayleigh_ritz(sparse_tensor(path), torch.ones(3), torch.eye(3), 2)
     >>> pairs.eigenvalues.abs()
@@ -198,12 +194,32 @@ def leading_ritz_pairs(
     clock.stage("project")
     _, eigenvectors = _lift(projected, whitening, basis, most)
     clock.stage("eigh")
-    whitening = _whitening(_gram(eigenvectors, mass, torch.float64), math.inf)
-    assert whitening is not None  # the columns are nearly M-orthonormal
-    projected = _project(stiffness, eigenvectors, torch.float64)
-    values, eigenvectors = _lift(projected, whitening, eigenvectors, most)
+    return ritz_rotation(stiffness, mass, eigenvectors, clock=clock)
+
+
+def ritz_rotation(
+    stiffness: Tensor, mass: Tensor, columns: Tensor, *, clock: Clock | None = None
+) -> RitzPairs:
+    """Return all Ritz pairs in the span of columns that are far from dependent.
+
+    Such as M-orthonormal ones that were corrected a little; twin of `linalg.ritz.ritz_rotation`.
+
+    Raises
+    ------
+    InvalidInputError
+        If their Gram matrix is not positive definite.
+    """
+    clock = clock or Clock(columns.device)
+    whitening = _whitening(_gram(columns, mass, torch.float64), math.inf)
+    if whitening is None:
+        raise InvalidInputError(
+            f"`columns` must be finite and far from dependent, got {columns.shape[1]} whose Gram"
+            " matrix is not positive definite; smooth them less, or use `rayleigh_ritz`"
+        )
+    projected = _project(stiffness, columns, torch.float64)
+    values, vectors = _lift(projected, whitening, columns, columns.shape[1])
     clock.stage("settle")
-    return RitzPairs(values, eigenvectors, clock.seconds)
+    return RitzPairs(values, vectors, clock.seconds)
 
 
 def _single_whitening(basis: Tensor, mass: Tensor) -> Tensor | None:
@@ -256,26 +272,13 @@ def _project(stiffness: Tensor, basis: Tensor, dtype: torch.dtype) -> Tensor:
     rows = _SINGLE_ROWS if dtype == torch.float32 else _ROWS
     for first in range(0, m, _COLUMNS):
         columns = slice(first, first + _COLUMNS)
-        image = _image(stiffness, basis[:, columns]).to(dtype)
+        image = csr_product(stiffness, basis[:, columns], torch.float64).to(dtype)
         target = projected[first:, columns]
         for part, block in zip(
             torch.split(basis[:, first:], rows), torch.split(image, rows), strict=True
         ):
             target += part.to(dtype).mT @ block
     return projected.tril() + projected.tril(-1).mT
-
-
-def _image(stiffness: Tensor, columns: Tensor) -> Tensor:
-    """Return the float64 product of L with some columns; on the CPU by loops that beat torch's."""
-    if columns.device.type != "cpu":
-        return stiffness @ columns.double().contiguous()
-    if columns.dtype not in (torch.float32, torch.float64):
-        columns = columns.float()
-    rows, indices, values = stiffness.crow_indices(), stiffness.col_indices(), stiffness.values()
-    matrix = sparse.csr_array(
-        (values.numpy(), indices.numpy(), rows.numpy()), shape=tuple(stiffness.shape)
-    )
-    return torch.from_numpy(spmm(matrix, columns.contiguous().numpy(), dtype=np.float64))
 
 
 def _lift(projected: Tensor, whitening: Tensor, basis: Tensor, most: int) -> tuple[Tensor, Tensor]:
@@ -289,82 +292,6 @@ def _lift(projected: Tensor, whitening: Tensor, basis: Tensor, most: int) -> tup
     for part, target in zip(torch.split(basis, _ROWS), torch.split(lifted, _ROWS), strict=True):
         torch.mm(part.double(), coefficients, out=target)
     return values[:most].clone(), lifted
-
-
-def sparse_tensor(csr: sparse.csr_array, device: str = "cpu") -> Tensor:
-    """Return a SciPy array as a float64 sparse CSR tensor.
-
-    Parameters
-    ----------
-    csr : csr_array of shape (n, n)
-        For instance ``laplacian.stiffness``.
-    device : str, default "cpu"
-        Where to put it.
-    """
-    return _csr_tensor(
-        torch.tensor(csr.indptr),
-        torch.tensor(csr.indices),
-        torch.tensor(csr.data, dtype=torch.float64),
-        csr.shape,
-        device,
-    )
-
-
-def csr_like(pattern: Tensor, values: Tensor) -> Tensor:
-    """Return a sparse CSR tensor with the pattern of another, and other values."""
-    rows, columns = pattern.crow_indices(), pattern.col_indices()
-    return _csr_tensor(rows, columns, values, pattern.shape, pattern.device)
-
-
-def _csr_tensor(
-    rows: Tensor,
-    columns: Tensor,
-    values: Tensor,
-    shape: tuple[int, ...],
-    device: str | torch.device,
-) -> Tensor:
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
-        return torch.sparse_csr_tensor(
-            rows,
-            columns,
-            values,
-            size=shape,
-            device=device,
-            check_invariants=False,  # SciPy's arrays keep them
-        )
-
-
-@contextmanager
-def device_memory() -> Iterator[None]:
-    """Turn what torch raises for want of memory into a `MemoryError`."""
-    try:
-        yield
-    except torch.OutOfMemoryError as error:
-        raise MemoryError(str(error).partition("\n")[0]) from error
-    except RuntimeError as error:  # what the CPU's allocator raises has no type of its own
-        if "can't allocate memory" not in str(error):
-            raise
-        raise MemoryError(str(error).partition("\n")[0]) from error
-
-
-class Clock:
-    """Wall time by stage; waits for CUDA, which otherwise works on after a call returns."""
-
-    def __init__(self, device: torch.device) -> None:
-        self.device, self.seconds = device, dict[str, float]()
-        self._last = self._now()
-
-    def stage(self, name: str) -> None:
-        """Add the time since the last stage to that of `name`."""
-        now = self._now()
-        self.seconds[name] = self.seconds.get(name, 0.0) + now - self._last
-        self._last = now
-
-    def _now(self) -> float:
-        if self.device.type == "cuda":
-            torch.cuda.synchronize(self.device)
-        return time.perf_counter()
 
 
 def _multiply_rows(Q: Tensor, factor: Tensor) -> Tensor:

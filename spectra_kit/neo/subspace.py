@@ -16,14 +16,9 @@ from scipy import sparse
 from spectra_kit._validate import Rebuilt, check_count, check_mass, check_points
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels import coarsen
-from spectra_kit.linalg.filters import chebyshev_smooth
-from spectra_kit.linalg.torch_ritz import (
-    Clock,
-    RitzPairs,
-    device_memory,
-    rayleigh_ritz,
-    sparse_tensor,
-)
+from spectra_kit.linalg.filters import smoothed
+from spectra_kit.linalg.torch_device import Clock, device_memory, sparse_tensor
+from spectra_kit.linalg.torch_ritz import RitzPairs, rayleigh_ritz, ritz_rotation
 from spectra_kit.neo.model import NeoNetwork
 from spectra_kit.neo.pretrained import find_weights, load_pretrained
 from spectra_kit.operators.laplacian import Laplacian
@@ -175,7 +170,7 @@ def neo_eigenpairs(
     k: int,
     *,
     cap: int | None = None,
-    smoothing: int = 0,
+    smoothing: int = 6,
     rank_tol: float = 1e-10,
 ) -> RitzPairs:
     """Predict a basis and solve inside it, all on the device of the subspace.
@@ -189,11 +184,11 @@ def neo_eigenpairs(
     k : int
         Pairs to return.
     cap : int, optional
-        Points that the network sees at most, well spread over the surface. The basis is then
-        solved in on these (`levels.coarsen`), and the k Ritz vectors are carried to all points.
-    smoothing : int, default 0
-        Degree of the low-pass filter (`linalg.filters.chebyshev_smooth`) that takes out the kinks
-        of carried vectors, before Rayleigh-Ritz on all points. 0 for none.
+        Points of the subset that the network sees, about; see `eigensolvers.Capped`, of which this
+        is the twin on a device. With fewer than twice as many points it sees all.
+    smoothing : int, default 6
+        Products with L that smooth carried modes on all points (`linalg.filters.smoothed`), before
+        a last Rayleigh-Ritz there; 0 leaves them as they were carried.
     rank_tol : float, default 1e-10
         See `linalg.torch_ritz.orthonormalize`.
 
@@ -207,13 +202,13 @@ def neo_eigenpairs(
     Raises
     ------
     InvalidInputError
-        If the basis spans fewer than k dimensions.
+        If the basis spans fewer than k dimensions, or so much smoothing makes modes dependent.
     MemoryError
         If the device has too little memory.
     """
     clock = Clock(torch.device(subspace.device))
     with device_memory():
-        if cap is None or cap >= laplacian.n:
+        if cap is None or laplacian.n < 2 * cap:
             points, mass = laplacian.points, laplacian.mass
             return _solve(subspace, points, mass, laplacian.stiffness, mass, k, rank_tol, clock)
         coarse = coarsen(laplacian, cap)
@@ -234,12 +229,12 @@ def neo_eigenpairs(
         clock.stage("carry")
         if not smoothing:
             return pairs._replace(eigenvectors=carried)
-        stiffness = sparse_tensor(laplacian.stiffness, subspace.device)
-        weights = torch.tensor(laplacian.mass, device=subspace.device)
+        L = sparse_tensor(laplacian.stiffness, subspace.device)
+        M = torch.tensor(laplacian.mass, device=subspace.device)
         clock.stage("transfer")
-        smooth = chebyshev_smooth(stiffness, carried.float(), degree=smoothing)
+        smooth = smoothed(L, M, pairs.eigenvalues, carried, degree=smoothing)
         clock.stage("smooth")
-        return rayleigh_ritz(stiffness, weights, smooth, k, rank_tol=rank_tol, clock=clock)
+        return ritz_rotation(L, M, smooth, clock=clock)
 
 
 def _solve(

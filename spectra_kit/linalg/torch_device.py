@@ -1,0 +1,127 @@
+"""What computing with torch on any device needs: sparse matrices, stage times, honest errors."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import torch
+from scipy import sparse
+from torch import Tensor
+
+from spectra_kit.linalg.products import spmm
+
+
+def sparse_tensor(csr: sparse.csr_array, device: str = "cpu") -> Tensor:
+    """Return a SciPy array as a float64 sparse CSR tensor.
+
+    Parameters
+    ----------
+    csr : csr_array of shape (n, n)
+        For instance ``laplacian.stiffness``.
+    device : str, default "cpu"
+        Where to put it.
+
+    Examples
+    --------
+    >>> sparse_tensor(sparse.csr_array([[0.0, 2.0], [0.0, 0.0]])).values()
+    tensor([2.], dtype=torch.float64)
+    """
+    return _csr_tensor(
+        torch.tensor(csr.indptr),
+        torch.tensor(csr.indices),
+        torch.tensor(csr.data, dtype=torch.float64),
+        csr.shape,
+        device,
+    )
+
+
+def csr_like(pattern: Tensor, values: Tensor) -> Tensor:
+    """Return a sparse CSR tensor with the pattern of another, and other values."""
+    rows, columns = pattern.crow_indices(), pattern.col_indices()
+    return _csr_tensor(rows, columns, values, pattern.shape, pattern.device)
+
+
+def csr_rows(operator: Tensor) -> Tensor:
+    """Return the row of each stored entry."""
+    counts = operator.crow_indices().diff()
+    rows = torch.arange(operator.shape[0], device=operator.device)
+    return torch.repeat_interleave(rows, counts, output_size=operator.values().numel())
+
+
+def csr_diagonal(operator: Tensor) -> Tensor:
+    """Return the diagonal of a CSR matrix, zero where none is stored."""
+    rows = csr_rows(operator)
+    values = operator.values() * (rows == operator.col_indices())
+    return values.new_zeros(operator.shape[0]).index_add_(0, rows, values)
+
+
+def csr_product(matrix: Tensor, columns: Tensor, dtype: torch.dtype) -> Tensor:
+    """Return ``matrix @ columns`` in `dtype`, float32 or float64.
+
+    On the CPU by loops that beat torch's, and that sum in `dtype` what is stored in another.
+    """
+    if columns.device.type != "cpu":
+        return matrix.to(dtype) @ columns.to(dtype).contiguous()
+    if columns.dtype not in (torch.float32, torch.float64):
+        columns = columns.float()
+    rows, indices, values = matrix.crow_indices(), matrix.col_indices(), matrix.values()
+    csr = sparse.csr_array(
+        (values.numpy(), indices.numpy(), rows.numpy()), shape=tuple(matrix.shape)
+    )
+    result = np.float64 if dtype == torch.float64 else np.float32
+    return torch.from_numpy(spmm(csr, columns.contiguous().numpy(), dtype=result))
+
+
+def _csr_tensor(
+    rows: Tensor,
+    columns: Tensor,
+    values: Tensor,
+    shape: tuple[int, ...],
+    device: str | torch.device,
+) -> Tensor:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+        return torch.sparse_csr_tensor(
+            rows,
+            columns,
+            values,
+            size=shape,
+            device=device,
+            check_invariants=False,  # SciPy's arrays keep them
+        )
+
+
+@contextmanager
+def device_memory() -> Iterator[None]:
+    """Turn what torch raises for want of memory into a `MemoryError`."""
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        raise MemoryError(str(error).partition("\n")[0]) from error
+    except RuntimeError as error:  # what the CPU's allocator raises has no type of its own
+        if "can't allocate memory" not in str(error):
+            raise
+        raise MemoryError(str(error).partition("\n")[0]) from error
+
+
+class Clock:
+    """Wall time by stage; waits for CUDA, which otherwise works on after a call returns."""
+
+    def __init__(self, device: torch.device) -> None:
+        self.device, self.seconds = device, dict[str, float]()
+        self._last = self._now()
+
+    def stage(self, name: str) -> None:
+        """Add the time since the last stage to that of `name`."""
+        now = self._now()
+        self.seconds[name] = self.seconds.get(name, 0.0) + now - self._last
+        self._last = now
+
+    def _now(self) -> float:
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+        return time.perf_counter()
