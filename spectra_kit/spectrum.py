@@ -104,8 +104,9 @@ class Certificate(Rebuilt):
         """How much is certain: ``verified`` if every mode is known to be the one it is taken for.
 
         With ``residuals`` alone, each mode is near a true one, and some may have been missed.
+        A spectrum of no modes has nothing to verify.
         """
-        return "verified" if self.n_verified == len(self.residuals) else "residuals"
+        return "verified" if 0 < self.n_verified == len(self.residuals) else "residuals"
 
     @property
     def n_verified(self) -> int:
@@ -461,9 +462,8 @@ class Spectrum(Rebuilt):
         if stop < count.verified:  # the next mode is known to within the radius
             floor = float(self.eigenvalues[stop]) - count.radius
             count = replace(count, verified=stop, floor=floor)
-        verified = max(count.verified - start, 0)
-        complete = verified == stop - start
-        return replace(count, verified=verified, reason="" if complete else count.reason)
+        reason = "" if count.verified == stop else count.reason
+        return replace(count, verified=max(count.verified - start, 0), reason=reason)
 
 
 def _plain(certificate: Certificate) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from spectra_kit import (
 )
 from spectra_kit.cli import main
 from spectra_kit.eigensolvers import verify
+from spectra_kit.eigensolvers.verification import _Prover
 from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.linalg import SparseLDL
 
@@ -237,6 +238,44 @@ def test_count_survives_what_spectra_go_through(tmp_path, bumpy_laplacian, spect
     assert partly.truncate(3).certificate.count.reason == ""
     assert partly.truncate(4).certificate.level == "residuals"
     assert partly.nonzero().certificate.n_verified == 2
+
+
+def test_no_modes_are_nothing_verified(bumpy_laplacian, spectrum) -> None:
+    empty = verify(spectrum, bumpy_laplacian).truncate(1).nonzero().certificate
+    assert (empty.level, empty.n_verified, len(empty.residuals)) == ("residuals", 0, 0)
+    assert empty.count.reason == ""  # there is none that is not
+    assert spectrum.truncate(1).nonzero().certificate.level == "residuals"
+
+
+def test_zero_modes_must_be_there_to_be_counted(bumpy_laplacian, spectrum) -> None:
+    certificate = verify(spectrum.nonzero(), bumpy_laplacian).certificate
+    assert (certificate.level, certificate.n_verified) == ("residuals", 0)
+    expected = "1 of 1 zero modes are not in this spectrum (if `nonzero` dropped them: verify first"
+    assert certificate.count.reason.startswith(expected)
+    assert "some beyond the first 0 are missing" in certificate.count.reason
+    other = columns(spectrum, [i for i in range(20) if i != 7])  # a mode that is not one of these
+    assert "zero modes" not in verify(other, bumpy_laplacian).certificate.count.reason
+
+
+def test_a_pivot_lost_in_rounding_may_be_negative() -> None:
+    """Operators whose second pivot, at the shift 1, is rounding alone: of either sign."""
+    rng = np.random.default_rng(0)
+    negative = 0
+    for _ in range(50):
+        a, c = rng.uniform(1, 2, 2).astype(np.float32).astype(float)
+        b = np.sqrt(a * c)
+        stiffness = sparse.csr_array([[a + 1, b], [b, c + 1]])
+        prover = _Prover(stiffness, np.ones(2), 1000.0, np.zeros(1), np.zeros(1))
+        try:
+            factor = SparseLDL(sparse.csr_array([[a, b], [b, c]]), definite=False)
+        except InvalidInputError:  # an exact zero
+            continue
+        lost = int((factor.pivots < 0).sum())
+        negative += lost
+        below = prover._count(1)
+        assert below.number >= lost
+        assert below.floor < 1
+    assert negative > 5
 
 
 def _scaled(laplacian: Laplacian, factor: float) -> Laplacian:

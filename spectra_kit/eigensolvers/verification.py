@@ -46,6 +46,8 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
         mode was missed, k cuts a cluster of eigenvalues, or the residuals are too wide (as those
         of a prediction are) to tell one eigenvalue from the next.
 
+        Zero modes belong to the lowest: verify first, then drop them by `Spectrum.nonzero`.
+
     Raises
     ------
     InvalidInputError
@@ -87,6 +89,13 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     certified = spectrum.certify(laplacian)
     assert certified.certificate is not None
     count = _Prover.of(spectrum, laplacian).prove()
+    lacking = min(laplacian.kernel_dimension, spectrum.k) - certified.certificate.n_zero_modes
+    if count.reason and lacking > 0:
+        reason = (
+            f"{lacking} of {laplacian.kernel_dimension} zero modes are not in this spectrum (if"
+            f" `nonzero` dropped them: verify first, then drop them); {count.reason}"
+        )
+        count = replace(count, reason=reason)
     seconds = {**spectrum.provenance.seconds, "verify": time.perf_counter() - start}
     return replace(
         certified,
@@ -104,13 +113,27 @@ class _Below(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Prover:
-    """The operator on its free points, the eigenvalues found, and how far these may be off."""
+    """The operator on its free points, the eigenvalues found, and how far these may be off.
+
+    Attributes
+    ----------
+    stiffness : sparse array of shape (n_free, n_free)
+        L without the rows and columns of fixed points.
+    mass : ndarray of shape (n_free,)
+        The diagonal of M, in length^2.
+    spacing : float
+        `Laplacian.eigenvalue_spacing`, in 1/length^2.
+    values : ndarray of shape (k,)
+        The eigenvalues found, ascending, in 1/length^2.
+    radii : ndarray of shape (k,)
+        The first j + 1 of them are within ``radii[j]`` of as many true ones, in 1/length^2.
+    """
 
     stiffness: sparse.csr_array
     mass: Floats
     spacing: float
     values: Floats
-    radii: Floats  # (k,): the first j + 1 eigenvalues are within radii[j]
+    radii: Floats
 
     @classmethod
     def of(cls, spectrum: Spectrum, laplacian: Laplacian) -> _Prover:
@@ -171,7 +194,8 @@ class _Prover:
                 continue
             floor = float(sigma - factor.backward_error(self.mass) - _rounding(self, sigma))
             if floor > mode + radius:
-                return _Below(factor.inertia.negative, floor)
+                # What counts as zero may be negative: no more than both lie below.
+                return _Below(factor.inertia.negative + factor.inertia.zero, floor)
         return None
 
     def _reason(self, proved: int, refuted: _Below | None, at: int) -> str:
@@ -211,8 +235,10 @@ def _radii(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
     U, mass = spectrum.eigenvectors, laplacian.mass
     k = spectrum.k
     squared = (U.T @ (mass[:, None] * U) - np.eye(k)) ** 2
-    # Of each leading block of U^T M U - I, the Frobenius norm; with the rounding of the sums.
-    skew = np.sqrt(np.diag(squared.cumsum(axis=0).cumsum(axis=1))) + len(mass) * _EPS
+    # Of each leading block of U^T M U - I, the Frobenius norm; with the rounding of the sums of
+    # n products: at most (n + 1) eps in each entry, and j + 1 times that in the norm of a block.
+    rounded = (len(mass) + 1) * _EPS * np.arange(1, k + 1)
+    skew = np.sqrt(np.diag(squared.cumsum(axis=0).cumsum(axis=1))) + rounded
     # The norms of |L| and of L - L^T bound the rounding of residuals, and what one triangle hides.
     scale = sparse.diags_array(1 / np.sqrt(mass))
     magnitude = scale @ abs(laplacian.stiffness) @ scale
