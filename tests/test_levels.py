@@ -159,3 +159,15 @@ def test_lumped_areas_are_positive_and_complete():
     level = coarsen(robust_laplacian(mesh), 1000)
     assert (level.lumped > 0).all()
     assert level.lumped.sum() == pytest.approx(robust_laplacian(mesh).area)
+
+
+def test_fewer_points_than_parts_are_refused():
+    ball = sphere(subdivisions=2).geometry
+    two = robust_laplacian(
+        TriangleMesh(
+            np.vstack([ball.points, ball.points + 5]), np.vstack([ball.faces, ball.faces + ball.n])
+        )
+    )
+    with pytest.raises(InvalidInputError, match="`n_points` must be at least 2, one for each"):
+        well_spread(two, 1)
+    assert (well_spread(two, 2).indices // ball.n).tolist() == [0, 1]

@@ -7,8 +7,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._validate import check_count, frozen
+from spectra_kit.errors import InvalidInputError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -79,7 +81,7 @@ def well_spread(operator: Operator, n_points: int) -> Subset:
     Raises
     ------
     InvalidInputError
-        If `n_points` is not in [1, n].
+        If `n_points` is not in [1, n], or less than the number of connected parts.
 
     Notes
     -----
@@ -119,6 +121,11 @@ def well_spread(operator: Operator, n_points: int) -> Subset:
         guess = radius * np.sqrt(count / (0.5 * (1 + _FEWEST) * n_points))
         inside = low < guess < high
         radius = guess if inside or high == np.inf else 0.5 * (low + high)
+    if best is None and n_points < (parts := connected_components(graph, directed=False)[0]):
+        raise InvalidInputError(
+            f"`n_points` must be at least {parts}, one for each connected part of the operator,"
+            f" got {n_points}; ask for more, or treat the parts one by one"
+        )
     while best is None:  # thin shapes: their count falls more slowly than the area suggests
         radius *= 1.5
         indices = cover(starts, neighbours, points, radius)
