@@ -7,6 +7,7 @@ from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
 from spectra_kit import (
+    ConvergenceError,
     Dense,
     InvalidInputError,
     PointCloud,
@@ -17,7 +18,7 @@ from spectra_kit import (
 )
 from spectra_kit.geometry import rectangle, sphere, torus
 from spectra_kit.linalg import threads
-from spectra_kit.operators import delaunay_laplacian
+from spectra_kit.operators import delaunay, delaunay_laplacian
 
 
 def ball(n: int, seed: int = 0) -> np.ndarray:
@@ -224,3 +225,9 @@ def test_bad_input(case: str) -> None:
     build, message = BAD[case]
     with pytest.raises(InvalidInputError, match=message):
         build()
+
+
+def test_flips_that_do_not_end_are_given_up(monkeypatch) -> None:
+    monkeypatch.setattr(delaunay, "_FLIPS", 0)
+    with pytest.raises(ConvergenceError, match="no end to them after 0; raise `mollify_factor`"):
+        delaunay_laplacian(PointCloud(square(200)))

@@ -153,10 +153,11 @@ def _direction(points: Floats, low: int, high: int, apex: int, out: Floats) -> N
 
 
 @njit(nogil=True, cache=True)
-def flip_to_delaunay(tails: Ints, lengths: Floats, twins: Ints) -> int:
-    """Flip edges until the two angles opposite each sum to at most pi; return how many.
+def flip_to_delaunay(tails: Ints, lengths: Floats, twins: Ints, most: int) -> bool:
+    """Flip edges until the two angles opposite each sum to at most pi; return if all do.
 
-    Flipping lowers the Dirichlet energy (Rippa 1990), so it comes to an end. In place.
+    Flipping lowers the Dirichlet energy (Rippa 1990), so it comes to an end but for rounding;
+    after `most` flips it is given up. In place.
     """
     waiting = np.zeros(len(tails), np.bool_)
     stack = np.empty(len(tails), np.int32)
@@ -173,6 +174,8 @@ def flip_to_delaunay(tails: Ints, lengths: Floats, twins: Ints) -> int:
         g = twins[h]
         if h // 3 == g // 3 or not _is_bad(lengths, h, g):
             continue
+        if flips == most:
+            return False
         _flip(tails, lengths, twins, h, g)
         flips += 1
         for outer in (_next(h), _previous(h), _next(g), _previous(g)):
@@ -180,7 +183,7 @@ def flip_to_delaunay(tails: Ints, lengths: Floats, twins: Ints) -> int:
             if not waiting[low]:
                 stack[top], waiting[low] = low, True
                 top += 1
-    return flips
+    return True
 
 
 @njit(nogil=True, cache=True)
