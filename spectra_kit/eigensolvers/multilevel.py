@@ -121,7 +121,29 @@ class Multilevel:
 
 
 def level_sizes(n: int, block: int, *, coarsest: int, ratio: int) -> list[int]:
-    """Return the points of each level below `n`, from the finest to the coarsest."""
+    """Return how many points the levels below the finest have, from finer to coarser.
+
+    Parameters
+    ----------
+    n : int
+        Points of the operator itself.
+    block : int
+        Vectors to iterate on.
+    coarsest : int
+        Points wanted at the coarsest level; raised to 4 for each vector, capped at n / 4.
+    ratio : int
+        Between neighbouring levels; a finer one is added as long as it has at most n / ratio.
+
+    Returns
+    -------
+    list of int
+        Empty where `n` is too small for a level that holds the block.
+
+    Examples
+    --------
+    >>> level_sizes(600_000, 144, coarsest=2048, ratio=12)
+    [24576, 2048]
+    """
     size = min(max(coarsest, _ROOM * block), n // 4)
     if size < _ROOM * block:
         return []

@@ -26,8 +26,8 @@ class Laplacian(Rebuilt):
     """A symmetric positive semi-definite stiffness matrix L and a lumped mass M on n points.
 
     Its eigenproblem is ``L u = lambda M u``, lambda >= 0. Build one with `robust_laplacian`,
-    `cotan_laplacian` or `knn_laplacian`, or bring your own matrices: nothing is clamped or
-    rescaled.
+    `cotan_laplacian`, `delaunay_laplacian` or `knn_laplacian`, or bring your own matrices:
+    nothing is clamped or rescaled.
 
     Parameters
     ----------
