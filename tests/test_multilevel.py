@@ -15,6 +15,7 @@ from spectra_kit import (
     Laplacian,
     Multilevel,
     Neo,
+    Polished,
     RandomBasis,
     RayleighRitz,
     Refined,
@@ -82,7 +83,8 @@ def test_multilevel_says_what_it_did_not_reach(laplacian):
     with pytest.raises(ConvergenceError, match="raise `max_sweeps`") as caught:
         eigensolve(laplacian, K, Multilevel(rtol=1e-10, degree=1, max_sweeps=2))
     partial = caught.value.partial
-    assert partial is None or partial.k < K
+    assert partial.k == K
+    assert partial.certificate.relative_residuals.max() > 1e-10
 
 
 def test_levels_need_room():
@@ -140,14 +142,38 @@ def test_a_capped_basis_may_be_given(laplacian, exact):
 
 def test_a_cap_above_the_points_is_no_cap(bumpy_laplacian):
     subspace = AmbientFourier(m=60, bandwidth=3.0)
-    a = eigensolve(bumpy_laplacian, 10, Capped(subspace=subspace, n_points=400))
-    b = eigensolve(bumpy_laplacian, 10, RayleighRitz(subspace=subspace))
-    np.testing.assert_array_equal(a.eigenvalues, b.eigenvalues)
+    for sweeps, whole in (
+        (0, RayleighRitz(subspace=subspace)),
+        (1, Polished(start=subspace)),
+        (2, Polished(start=subspace, sweeps=2)),
+    ):
+        capped = Capped(subspace=subspace, n_points=400, sweeps=sweeps)
+        a, b = (eigensolve(bumpy_laplacian, 10, solver) for solver in (capped, whole))
+        np.testing.assert_array_equal(a.eigenvalues, b.eigenvalues)
+
+
+def test_no_cliff_where_the_cap_begins():
+    """Just below twice as many points as the cap, and just above: about as good."""
+    laplacian = robust_laplacian(creature(5000, seed=0))
+    exact = eigensolve(laplacian, 60).eigenvalues
+    errors = [
+        np.abs(eigensolve(laplacian, 60, Capped(n_points=n)).eigenvalues[1:] / exact[1:] - 1).mean()
+        for n in (2600, 2400)
+    ]
+    assert max(errors) < 1e-3
+
+
+def test_capped_checks_what_its_subspace_returns(laplacian):
+    for broken in (lambda p, m: np.ones((5, 20)), lambda p, m: np.ones(len(p))):
+        with pytest.raises(
+            InvalidInputError, match=r"`subspace` must return a real array of shape"
+        ):
+            eigensolve(laplacian, K, Capped(subspace=broken, n_points=1000))
 
 
 def test_capped_refuses_options(laplacian):
     for options, match in (
-        ({"subspace": None}, "`subspace` must be a function"),
+        ({"subspace": 3}, "`subspace` must be a function"),
         ({"n_points": 1}, "n_points"),
         ({"sweeps": -1}, "sweeps"),
         ({"smoothing": -1}, "smoothing"),

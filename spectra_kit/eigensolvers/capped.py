@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,14 @@ from scipy.linalg import eigh
 
 from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers.base import Eigenpairs
-from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
+from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz, basis_with_kernel
+from spectra_kit.eigensolvers.refined import Polished, plane_waves
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels import coarse_iteration, coarse_ritz, coarsen, smoothed
 from spectra_kit.linalg.products import spmm
 from spectra_kit.linalg.ritz import projected, weighted_gram
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.subspaces import AmbientFourier, Subspace, restricted
+from spectra_kit.subspaces import Subspace, restricted
 
 _GUARD = 0.5  # columns that are swept beyond k, relative to k
 
@@ -31,11 +32,13 @@ class Capped:
 
     Parameters
     ----------
-    subspace : Subspace, default AmbientFourier(m=256, bandwidth=7.0)
-        Any that is a function of points and masses, such as ``Neo().subspace``; with
+    subspace : Subspace, optional
+        Any that is a function of points and masses, such as ``Neo().subspace``; some 2.7 k plane
+        waves without it. With
         ``RandomBasis`` and some four sweeps it is a purely classical method.
     n_points : int, default 4096
-        Points of the subset, about. With fewer than twice as many points, `RayleighRitz` on all.
+        Points of the subset, about. Where there are fewer than twice as many, all are used, and
+        this is `Polished` (`RayleighRitz` without sweeps).
     sweeps : int, default 1
         Filtered shift-invert sweeps on the subset, before the modes are carried to all points;
         0 leaves the prediction as it is.
@@ -64,13 +67,13 @@ class Capped:
     True
     """
 
-    subspace: Subspace = field(default_factory=lambda: AmbientFourier(m=256, bandwidth=7.0))
+    subspace: Subspace | None = None
     n_points: int = 4096
     sweeps: int = 1
     smoothing: int = 6
 
     def __post_init__(self) -> None:
-        if not callable(self.subspace):
+        if self.subspace is not None and not callable(self.subspace):
             raise InvalidInputError(
                 f"`subspace` must be a function of points and mass, got {self.subspace!r}"
             )
@@ -80,16 +83,16 @@ class Capped:
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
+        subspace = plane_waves(k) if self.subspace is None else self.subspace
         if laplacian.n < 2 * self.n_points:
-            return RayleighRitz(subspace=self.subspace).eigenpairs(laplacian, k)
+            if self.sweeps:
+                return Polished(start=subspace, sweeps=self.sweeps).eigenpairs(laplacian, k)
+            return RayleighRitz(subspace=subspace).eigenpairs(laplacian, k)
         begin = time.perf_counter()
         level = coarsen(laplacian, self.n_points)
         coarsened = time.perf_counter()
-        subspace = restricted(self.subspace, level.subset.indices)
-        basis = np.asarray(subspace(level.points, level.lumped))
+        basis = basis_with_kernel(restricted(subspace, level.subset.indices), level)
         predicted = time.perf_counter()
-        if laplacian.kernel_dimension:
-            basis = np.column_stack([np.ones(level.n, basis.dtype), basis])
         guard = max(8, round(_GUARD * k)) if self.sweeps else 0
         pairs = coarse_ritz(level, basis, k, guard=guard)
         pairs = coarse_iteration(level, pairs, k, max_sweeps=self.sweeps)

@@ -12,6 +12,7 @@ from spectra_kit._validate import check_positive
 from spectra_kit.eigensolvers.base import Eigenpairs
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.levels import Coarse
 from spectra_kit.linalg.ritz import ritz_pairs
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import AmbientFourier, Subspace, restricted
@@ -89,20 +90,15 @@ class RayleighRitz:
         return replace(self, subspace=restricted(self.subspace, rows))
 
 
-def basis_with_kernel(subspace: Subspace, laplacian: Laplacian) -> NDArray[np.floating]:
-    """Return the basis of `subspace`, led by the constant function where that is a mode."""
-    basis = checked_basis(subspace, laplacian)
-    if not laplacian.kernel_dimension or (basis[0, 0] != 0 and np.ptp(basis[:, 0]) == 0):
-        return basis
-    return np.column_stack([np.ones(laplacian.n, basis.dtype), basis])
-
-
-def checked_basis(subspace: Subspace, laplacian: Laplacian) -> NDArray[np.floating]:
-    """Return the basis of `subspace` on the points of `laplacian`, of checked form."""
-    basis = np.asarray(subspace(laplacian.points, laplacian.mass))
-    if basis.ndim != 2 or len(basis) != laplacian.n or basis.dtype.kind != "f":
+def basis_with_kernel(subspace: Subspace, operator: Laplacian | Coarse) -> NDArray[np.floating]:
+    """Return the basis of `subspace`, of checked form, led by the constant where that is a mode."""
+    mass = operator.mass if isinstance(operator, Laplacian) else operator.lumped
+    basis = np.asarray(subspace(operator.points, mass))
+    if basis.ndim != 2 or len(basis) != operator.n or basis.dtype.kind != "f":
         raise InvalidInputError(
-            f"`subspace` must return a real array of shape ({laplacian.n}, m),"
+            f"`subspace` must return a real array of shape ({operator.n}, m),"
             f" got {basis.shape} of {basis.dtype}"
         )
-    return basis
+    if not operator.kernel_dimension or (basis[0, 0] != 0 and np.ptp(basis[:, 0]) == 0):
+        return basis  # most begin with the constant
+    return np.column_stack([np.ones(operator.n, basis.dtype), basis])

@@ -40,6 +40,8 @@ class Coarse:
         Area that each point stands for; positive, with the total of M.
     eigenvalue_spacing : float
         That of the `Laplacian` at the finest level.
+    kernel_dimension : int
+        That of the `Laplacian` too: constants are carried to constants.
     """
 
     subset: Subset
@@ -49,6 +51,7 @@ class Coarse:
     points: Floats
     lumped: Floats
     eigenvalue_spacing: float
+    kernel_dimension: int
 
     @property
     def n(self) -> int:
@@ -111,4 +114,5 @@ def coarsen(operator: Laplacian | Coarse, n_points: int) -> Coarse:
         operator.points[subset.indices],
         share * (operator.area / share.sum()),
         operator.eigenvalue_spacing,
+        operator.kernel_dimension,
     )
