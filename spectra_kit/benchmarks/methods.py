@@ -82,8 +82,12 @@ METHODS: dict[str, Entry] = {
     "neo": Entry(make=lambda device: Neo(device=device), devices=_BOTH),
     "neo-2": Entry(make=lambda device: Neo(poses=2, device=device), devices=_BOTH),
     "neo-cap": Entry(make=lambda device: Neo(cap=4096, device=device), devices=_BOTH),
-    "capped": Entry(make=lambda device: Capped()),
+    "capped-neo-raw": Entry(
+        make=lambda device: Capped(subspace=Neo().subspace, n_points=2048, sweeps=0, smoothing=0)
+    ),
+    "capped-neo-2k": Entry(make=lambda device: Capped(subspace=Neo().subspace, n_points=2048)),
     "capped-neo": Entry(make=lambda device: Capped(subspace=Neo().subspace)),
+    "capped": Entry(make=lambda device: Capped()),
     "polished": Entry(make=lambda device: Polished()),
     "polished-neo": Entry(make=lambda device: Polished(start=Neo().subspace)),
     "multilevel": Entry(make=lambda device: Multilevel(rtol=_RTOL), stops=_AT_RTOL),
