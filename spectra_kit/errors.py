@@ -24,7 +24,15 @@ class InvalidSpectrumError(SpectraKitError, RuntimeError):
     """A solver returned pairs that break the invariants of `Spectrum`."""
 
 
-class ConvergenceError(SpectraKitError, RuntimeError):
+class _PartialError(SpectraKitError):
+    """A failure that hands over what had been computed before it."""
+
+    def __init__(self, message: str, *, partial: Spectrum | None = None) -> None:
+        super().__init__(message)
+        self.partial = partial
+
+
+class ConvergenceError(_PartialError, RuntimeError):
     """An iterative solver stopped short of its tolerance.
 
     Attributes
@@ -33,13 +41,16 @@ class ConvergenceError(SpectraKitError, RuntimeError):
         The certified modes that had converged; None where there were none.
     """
 
-    def __init__(self, message: str, *, partial: Spectrum | None = None) -> None:
-        super().__init__(message)
-        self.partial = partial
 
+class OutOfMemoryError(_PartialError, MemoryError):
+    """A computation needs more memory than there is; the message names one that needs less.
 
-class OutOfMemoryError(SpectraKitError, MemoryError):
-    """A computation needs more memory than there is; the message names one that needs less."""
+    Attributes
+    ----------
+    partial : Spectrum or None
+        From `eigensolve`: the certified modes of the components that were solved before; None
+        where there were none.
+    """
 
 
 class MissingDependencyError(SpectraKitError, ImportError):

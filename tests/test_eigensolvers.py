@@ -343,6 +343,25 @@ def test_no_convergence_keeps_the_components_solved_before() -> None:
     assert partial.eigenvalues == pytest.approx(first.eigenvalues, abs=1e-9)
 
 
+def test_no_convergence_keeps_what_the_work_cost() -> None:
+    class Tired:
+        """Solves small components; of large ones it trusts one pair."""
+
+        def eigenpairs(self, laplacian, k):
+            values, vectors, *_ = Dense().eigenpairs(laplacian, k)
+            if laplacian.n > 200:
+                pairs = Eigenpairs(values[:1], vectors[:, :1], {"sweep": 2.0}, 7)
+                raise NotConvergedError("too tired", pairs)
+            return Eigenpairs(values, vectors, {"sweep": 1.0}, 4)
+
+    for name, seconds, iterations in (("bumpy", 2.0, 7), ("two-parts", 3.0, 11)):
+        with pytest.raises(ConvergenceError, match="too tired") as caught:
+            eigensolve(GEOMETRIES[name](), 5, Tired())
+        provenance = caught.value.partial.provenance
+        assert provenance.iterations == iterations
+        assert provenance.seconds["sweep"] == seconds
+
+
 def test_convergence_error_without_any_pair(bumpy_laplacian: Laplacian) -> None:
     class Hopeless:
         def eigenpairs(self, laplacian, k):

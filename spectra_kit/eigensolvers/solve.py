@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
+import traceback
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,7 +20,6 @@ from spectra_kit.errors import (
     InvalidInputError,
     InvalidSpectrumError,
     OutOfMemoryError,
-    SpectraKitError,
 )
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.spectrum import Provenance, Spectrum
@@ -66,7 +66,8 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
     InvalidSpectrumError
         If the backend returned pairs of the wrong shape, not M-orthonormal, or negative.
     OutOfMemoryError
-        If the backend needs more memory than there is.
+        If the backend needs more memory than there is; ``partial`` holds the certified modes of
+        the components solved before.
 
     Examples
     --------
@@ -98,27 +99,31 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
     name = repr(solver)  # before the work: a name that can't be told must not cost the result
     tally = _Tally()
     try:
-        values, vectors = _solve_components(laplacian, k, solver, tally)
+        pairs = _solve_components(laplacian, k, solver, tally)
     except NotConvergedError as error:
-        partial = None
-        if error.pairs is not None and len(error.pairs.eigenvalues):
-            partial = _pack(laplacian, error.pairs, solver, name, tally, start)
+        partial = _rescued(laplacian, k, solver, name, tally, start)
         raise ConvergenceError(f"{name}: {error}", partial=partial) from error
-    except SpectraKitError:
-        raise
     except MemoryError as error:
+        traceback.clear_frames(error.__traceback__)  # its arrays make room for what is rescued
+        try:
+            partial = _rescued(laplacian, k, solver, name, tally, start)
+        except MemoryError:
+            partial = None
         raise OutOfMemoryError(
             f"{name}: {k} modes on {laplacian.n} points do not fit into memory ({error}); ask for"
             " fewer, sample fewer points, or take a backend that needs less, such as"
-            " Lobpcg(preconditioner='amg')"
+            " Refined(method='chebyshev') or Lobpcg(preconditioner='amg')",
+            partial=partial,
         ) from error
-    return _pack(laplacian, Eigenpairs(values, vectors), solver, name, tally, start)
+    return _pack(laplacian, pairs, solver, name, tally, start)
 
 
 @dataclass
 class _Tally:
-    """What the solver reports about its work, summed over the components."""
+    """What was solved so far, and what the solver reports about it, summed over the components."""
 
+    parts: list[Ints] = field(default_factory=list)  # the points of each component
+    solved: dict[int, Eigenpairs] = field(default_factory=dict)  # by component
     seconds: dict[str, float] = field(default_factory=dict)
     iterations: int | None = None
 
@@ -132,48 +137,40 @@ class _Tally:
 
 def _solve_components(
     laplacian: Laplacian, k: int, solver: Eigensolver, tally: _Tally
-) -> tuple[Floats, Floats]:
+) -> Eigenpairs:
     """Solve each component and merge the k lowest pairs of all, eigenvectors padded with zeros."""
-    if laplacian.n_components == 1 and not len(laplacian.fixed):
-        whole = _solve_connected(laplacian, k, solver, tally)
-        return whole.eigenvalues, whole.eigenvectors
-
-    parts = _component_indices(laplacian)
+    whole = laplacian.n_components == 1 and not len(laplacian.fixed)
+    parts = tally.parts = [laplacian.free] if whole else _component_indices(laplacian)
     areas = np.array([laplacian.mass[part].sum() for part in parts])
     # Weyl: a component's share of the low modes is about its share of the area.
     wanted = [
         min(len(part), k, math.ceil(1.1 * k * share) + 6)
         for part, share in zip(parts, areas / areas.sum(), strict=True)
     ]
-    solved: list[Eigenpairs | None] = [None] * len(parts)
-    while True:
-        for i, part in enumerate(parts):
-            if solved[i] is None:
-                try:
-                    solved[i] = _solve_connected(
-                        laplacian.restricted(part), wanted[i], restricted(solver, part), tally
-                    )
-                except NotConvergedError as error:
-                    solved[i] = error.pairs
-                    kept = [j for j, p in enumerate(solved) if p is not None]
-                    rescued = [p for p in solved if p is not None]
-                    merged = _merge(rescued, [parts[j] for j in kept], laplacian.n)
-                    raise NotConvergedError(str(error), merged) from error
-        found = [p for p in solved if p is not None]
-        cut = np.sort(np.concatenate([p.eigenvalues for p in found]))[k - 1 : k]
+    due = list(range(len(parts)))
+    while due:
+        for i in due:
+            part = laplacian if whole else laplacian.restricted(parts[i])
+            own = solver if whole else restricted(solver, parts[i])
+            try:
+                tally.solved[i] = _solve_connected(part, wanted[i], own, tally)
+            except NotConvergedError as error:
+                if error.pairs is not None:
+                    tally.solved[i] = error.pairs
+                raise
+        found = [tally.solved[i].eigenvalues for i in range(len(parts))]
+        cut = np.sort(np.concatenate(found))[k - 1 : k]
         # A component whose last mode is below the cut may hold more modes below it: ask for more.
-        short = [
+        due = [
             i
-            for i, p in enumerate(found)
-            if wanted[i] < min(len(parts[i]), k) and (not len(cut) or p.eigenvalues.max() < cut[0])
+            for i, values in enumerate(found)
+            if wanted[i] < min(len(parts[i]), k) and (not len(cut) or values.max() < cut[0])
         ]
-        if not short:
-            break
-        for i in short:
+        for i in due:
             wanted[i] = min(len(parts[i]), k, 2 * wanted[i])
-            solved[i] = None
-    merged = _merge(found, parts, laplacian.n, k)
-    return merged.eigenvalues, merged.eigenvectors
+    merged = tally.solved[0] if whole else _merge(tally, laplacian.n, k)
+    tally.solved.clear()  # gigabytes, while the merged ones are certified
+    return merged
 
 
 def _component_indices(laplacian: Laplacian) -> list[Ints]:
@@ -183,8 +180,10 @@ def _component_indices(laplacian: Laplacian) -> list[Ints]:
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
 
 
-def _merge(pairs: list[Eigenpairs], parts: list[Ints], n: int, k: int | None = None) -> Eigenpairs:
-    """Return the k lowest of all pairs (or all of them) on all n points."""
+def _merge(tally: _Tally, n: int, k: int) -> Eigenpairs:
+    """Return the k lowest pairs (or all there are) of the components solved, on all n points."""
+    pairs = list(tally.solved.values())
+    parts = [tally.parts[i] for i in tally.solved]
     if not pairs:
         return Eigenpairs(np.empty(0), np.empty((n, 0)))
     values = np.concatenate([p.eigenvalues for p in pairs])
@@ -198,6 +197,14 @@ def _merge(pairs: list[Eigenpairs], parts: list[Ints], n: int, k: int | None = N
     return Eigenpairs(values[lowest], vectors)
 
 
+def _rescued(
+    laplacian: Laplacian, k: int, solver: Eigensolver, name: str, tally: _Tally, start: float
+) -> Spectrum | None:
+    """Certify what was solved before a failure, if anything was."""
+    pairs = _merge(tally, laplacian.n, k)
+    return _pack(laplacian, pairs, solver, name, tally, start) if len(pairs.eigenvalues) else None
+
+
 def _solve_connected(
     laplacian: Laplacian, k: int, solver: Eigensolver, tally: _Tally
 ) -> Eigenpairs:
@@ -206,7 +213,12 @@ def _solve_connected(
     if laplacian.n == 1:  # an isolated point: nothing to solve
         value = laplacian.stiffness.diagonal() / laplacian.mass
         return Eigenpairs(value, 1 / np.sqrt(laplacian.mass)[:, None])
-    pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
+    try:
+        pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
+    except NotConvergedError as error:
+        nothing = Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)))
+        tally.add(error.pairs or nothing, time.perf_counter() - start)
+        raise
     values, vectors = np.asarray(pairs.eigenvalues), np.asarray(pairs.eigenvectors)
     if values.shape != (k,) or vectors.shape != (laplacian.n, k):
         raise InvalidSpectrumError(
