@@ -10,8 +10,8 @@ import pytest
 from conftest import bumpy, two_parts
 
 from spectra_kit import Lobpcg, Spectrum, eigensolve, robust_laplacian
-from spectra_kit.cli import commands, main, run, tables
-from spectra_kit.errors import ConvergenceError, InvalidInputError
+from spectra_kit.cli import commands, main, options, run, tables
+from spectra_kit.errors import ConvergenceError, InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
 
 
@@ -178,6 +178,21 @@ def test_info(files, capsys):
     assert output(capsys, "info", files / "cloud.ply")["diagnosis"]["area"] is None
 
 
+def test_options_reach_the_solvers_that_take_them(files, capsys):
+    ball = files / "sphere.off"
+    for solver in options.SOLVERS[:-1]:  # all but the network
+        for option, value in (("rtol", "1e-4"), ("start", "random")):
+            command = ("spectrum", ball, "-k", 4, "--solver", solver, f"--{option}", value)
+            if solver in options.TAKERS[option]:
+                shown = "rtol=0.0001" if option == "rtol" else "RandomBasis("
+                assert shown in output(capsys, *command)["provenance"]["solver"]
+            else:
+                assert f"--{option} is for the solvers" in refusal(capsys, *command)
+    comparison = ("compare", ball, "-k", 4, "--solver", "fourier")
+    exact = output(capsys, *comparison, "--against", "refined", "--rtol", "1e-4")["exact"]
+    assert "rtol=0.0001" in exact["provenance"]["solver"]  # one of the two takes it
+
+
 def test_bad_input_is_refused_with_a_message(files, capsys, tmp_path):
     ball, cloud = files / "sphere.off", files / "cloud.ply"
     (tmp_path / "x.off").write_text("OFF\n1 0 0\nnan 0 0\n")
@@ -197,6 +212,23 @@ def test_bad_input_is_refused_with_a_message(files, capsys, tmp_path):
         ("--boundary dirichlet needs", "spectrum", ball, "--boundary", "dirichlet"),
         ("--boundary dirichlet needs", "spectrum", cloud, "--boundary", "dirichlet"),
         ("`rtol` must be positive", "spectrum", ball, "--solver", "refined", "--rtol", "0"),
+        (
+            "--rtol is for the solvers refined, multilevel and lobpcg, got arpack; choose one of",
+            "spectrum",
+            ball,
+            "--rtol",
+            "1e-4",
+        ),
+        ("got arpack and fourier", "compare", ball, "--solver", "fourier", "--rtol", "1e-4"),
+        (
+            "--start is for the solvers refined, polished and capped, got multilevel;",
+            "spectrum",
+            ball,
+            "--solver",
+            "multilevel",
+            "--start",
+            "random",
+        ),
         ("weights must be one of", "spectrum", ball, "--solver", "neo", "--weights", "none"),
         ("`n_points` must be in [500, 5000000], got 10", "spectrum", "demo", "--points", 10),
     ):
@@ -230,6 +262,9 @@ def test_exit_codes(bumpy_laplacian, capsys):
     def stalls(_):
         eigensolve(bumpy_laplacian, 30, Lobpcg(max_steps=1, rtol=1e-14))
 
+    def starves(_):
+        raise OutOfMemoryError("Refined(): 9 modes do not fit into memory")
+
     def is_interrupted(_):
         raise KeyboardInterrupt
 
@@ -237,6 +272,8 @@ def test_exit_codes(bumpy_laplacian, capsys):
     assert capsys.readouterr().err.startswith("error: Lobpcg(")
     with pytest.raises(ConvergenceError):
         run(stalls, argparse.Namespace(debug=True))
+    assert run(starves, argparse.Namespace(debug=False)) == 3
+    assert capsys.readouterr().err == "error: Refined(): 9 modes do not fit into memory\n"
     assert run(is_interrupted, argparse.Namespace(debug=False)) == 130
     assert capsys.readouterr().err == "interrupted\n"
 

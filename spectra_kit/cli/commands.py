@@ -15,7 +15,7 @@ import numpy as np
 
 from spectra_kit._validate import check_count
 from spectra_kit.cli import tables
-from spectra_kit.cli.options import DEMO
+from spectra_kit.cli.options import DEMO, TAKERS, listed
 from spectra_kit.eigensolvers import (
     Arpack,
     Capped,
@@ -30,7 +30,7 @@ from spectra_kit.eigensolvers import (
     verify,
 )
 from spectra_kit.eigensolvers.neo import Neo
-from spectra_kit.errors import ConvergenceError, InvalidInputError
+from spectra_kit.errors import ConvergenceError, InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry import (
     Geometry,
     TriangleMesh,
@@ -58,7 +58,7 @@ _EXTRA = 6
 
 
 def _start(a: argparse.Namespace) -> Subspace:
-    """Return the subspace that ``--start`` names."""
+    """Return the subspace that ``--start`` names; plane waves by default."""
     if a.start == "neo":
         return Neo(weights=a.weights, poses=a.poses, dtype=a.dtype, device=a.device).subspace
     if a.start == "random":
@@ -84,18 +84,29 @@ _SOLVERS: dict[str, Callable[[argparse.Namespace], Eigensolver]] = {
 }
 
 
+def _solvers(arguments: argparse.Namespace, *names: str) -> list[Eigensolver]:
+    """Return the solvers of these names; refuse options that none of them takes."""
+    for option, takers in TAKERS.items():
+        if getattr(arguments, option) is not None and not set(names) & set(takers):
+            raise InvalidInputError(
+                f"--{option} is for the solvers {listed(takers)}, got {listed(names)}; choose one"
+                " of those by --solver, or leave it out"
+            )
+    return [_SOLVERS[name](arguments) for name in names]
+
+
 def spectrum(arguments: argparse.Namespace) -> None:
     """Compute the lowest modes, show a few, save all."""
     if arguments.output:
         _check_output(arguments.output, ".npz")
     k = check_count("k", arguments.k, low=1)
     modes = _modes(arguments.modes, (*_SHOWN, k - 1), k)
-    solver = _SOLVERS[arguments.solver](arguments)
+    (solver,) = _solvers(arguments, arguments.solver)
     geometry, laplacian = _prepare(arguments)
     _progress(f"solving for {k} modes with {arguments.solver}")
     try:
         result = eigensolve(laplacian, k, solver)
-    except ConvergenceError as error:
+    except (ConvergenceError, OutOfMemoryError) as error:
         if arguments.output and error.partial is not None:
             rescued = arguments.output.with_suffix(".partial.npz")
             error.partial.save(rescued)
@@ -131,7 +142,8 @@ def compare(arguments: argparse.Namespace) -> None:
     k = check_count("k", arguments.k, low=1)
     modes = _modes(arguments.modes, (*_SHOWN, k - 1), k)
     predictor = arguments.solver or _default_predictor()
-    solvers = {name: _SOLVERS[name](arguments) for name in (arguments.against, predictor)}
+    names = (arguments.against, predictor)
+    solvers = dict(zip(names, _solvers(arguments, *names), strict=True))
     geometry, laplacian = _prepare(arguments)
     check_count("k", k, low=1, high=len(laplacian.free))
     spectra = {}

@@ -9,7 +9,12 @@ from collections.abc import Callable, Sequence
 
 from spectra_kit._version import VERSION
 from spectra_kit.cli import commands, options
-from spectra_kit.errors import ConvergenceError, InvalidSpectrumError, SpectraKitError
+from spectra_kit.errors import (
+    ConvergenceError,
+    InvalidSpectrumError,
+    OutOfMemoryError,
+    SpectraKitError,
+)
 
 _BAD_INPUT, _SOLVER_FAILED, _INTERRUPTED = 2, 3, 130
 
@@ -80,15 +85,15 @@ def run(command: Callable[[argparse.Namespace], None], arguments: argparse.Names
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         return _INTERRUPTED
+    except (SpectraKitError, OSError) as error:
+        if arguments.debug:
+            raise
+        sys.stderr.write(f"error: {error}\n")
+        failed = isinstance(error, ConvergenceError | InvalidSpectrumError | OutOfMemoryError)
+        return _SOLVER_FAILED if failed else _BAD_INPUT
     except MemoryError as error:
         if arguments.debug:
             raise
         sys.stderr.write(f"error: not enough memory ({error}); ask for fewer points or modes\n")
         return _BAD_INPUT
-    except (SpectraKitError, OSError) as error:
-        if arguments.debug:
-            raise
-        sys.stderr.write(f"error: {error}\n")
-        failed = isinstance(error, ConvergenceError | InvalidSpectrumError)
-        return _SOLVER_FAILED if failed else _BAD_INPUT
     return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 DEMO = "demo"
@@ -18,6 +19,16 @@ SOLVERS = (
     "fourier",
     "neo",
 )
+# The solvers that know what an option asks for; the others have no use for it.
+TAKERS = {
+    "rtol": ("refined", "multilevel", "lobpcg"),
+    "start": ("refined", "polished", "capped"),
+}
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return ``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def add_spectrum_arguments(parser: argparse.ArgumentParser) -> None:
@@ -115,13 +126,12 @@ def _add_solver(parser: argparse.ArgumentParser) -> None:
         "--rtol",
         type=float,
         metavar="R",
-        help="largest relative residual of refined, multilevel and lobpcg (default: their own)",
+        help=f"largest relative residual of {listed(TAKERS['rtol'])} (default: their own)",
     )
     group.add_argument(
         "--start",
         choices=("fourier", "neo", "random"),
-        default="fourier",
-        help="subspace that refined, polished and capped begin with (default: %(default)s)",
+        help=f"subspace that {listed(TAKERS['start'])} begin with (default: fourier)",
     )
     group.add_argument(
         "--weights", default="small", metavar="NAME|FILE", help="of neo (default: %(default)s)"
