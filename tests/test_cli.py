@@ -193,6 +193,14 @@ def test_options_reach_the_solvers_that_take_them(files, capsys):
     assert "rtol=0.0001" in exact["provenance"]["solver"]  # one of the two takes it
 
 
+@pytest.mark.parametrize("start", ["random", "fourier"])
+@pytest.mark.parametrize("solver", ["refined", "polished", "capped"])
+def test_every_start_is_enough_for_a_comparison_of_few_modes(files, capsys, solver, start):
+    """A comparison solves for more modes than were asked for; the starts must span them."""
+    command = ("compare", files / "sphere.off", "-k", 1, "--solver", solver, "--start", start)
+    assert output(capsys, *command)["predicted"]["certificate"]["n_zero_modes"] == 1
+
+
 def test_bad_input_is_refused_with_a_message(files, capsys, tmp_path):
     ball, cloud = files / "sphere.off", files / "cloud.ply"
     (tmp_path / "x.off").write_text("OFF\n1 0 0\nnan 0 0\n")

@@ -30,6 +30,7 @@ from spectra_kit.eigensolvers import (
     verify,
 )
 from spectra_kit.eigensolvers.neo import Neo
+from spectra_kit.eigensolvers.refined import plane_waves
 from spectra_kit.errors import ConvergenceError, InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry import (
     Geometry,
@@ -62,8 +63,8 @@ def _start(a: argparse.Namespace) -> Subspace:
     if a.start == "neo":
         return Neo(weights=a.weights, poses=a.poses, dtype=a.dtype, device=a.device).subspace
     if a.start == "random":
-        return RandomBasis(m=a.k + a.k // 2, seed=a.seed)
-    return AmbientFourier(m=max(256, 2 * a.k), bandwidth=7.0, seed=a.seed)
+        return RandomBasis(m=a.k + max(a.k // 2, 2 * _EXTRA), seed=a.seed)
+    return dataclasses.replace(plane_waves(a.k), seed=a.seed)
 
 
 def _rtol(a: argparse.Namespace) -> dict[str, Any]:
