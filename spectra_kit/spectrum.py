@@ -16,7 +16,6 @@ from spectra_kit._spectrum_file import read_spectrum_file, write_spectrum_file
 from spectra_kit._validate import Rebuilt, check_count, check_positive, frozen, real_array
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
 from spectra_kit.linalg.residuals import residual_norms
-from spectra_kit.linalg.ritz import weighted_gram
 from spectra_kit.operators.laplacian import ZERO_MODE, Laplacian
 
 if TYPE_CHECKING:
@@ -322,7 +321,7 @@ class Spectrum(Rebuilt):
             self.eigenvectors,
             left_out=laplacian.fixed,
         )
-        squared = np.diag(weighted_gram(self.eigenvectors, self.mass))
+        squared = self.mass @ self.eigenvectors**2
         if not squared.all():
             raise InvalidSpectrumError("`eigenvectors` must not hold a column of zeros")
         return np.asarray(norms / np.sqrt(squared))
@@ -348,7 +347,7 @@ class Spectrum(Rebuilt):
 
     def orthonormality_error(self) -> float:
         """Return the largest entry of ``|U^T M U - I|``."""
-        gram = weighted_gram(self.eigenvectors, self.mass)
+        gram = self.eigenvectors.T @ (self.mass[:, None] * self.eigenvectors)
         return float(np.abs(gram - np.eye(self.k)).max(initial=0.0))
 
     def certify(self, laplacian: Laplacian) -> Spectrum:

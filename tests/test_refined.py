@@ -321,3 +321,9 @@ def test_residuals_compiled_and_not(laplacian, exact) -> None:
     plain = np.sqrt((expected**2 / laplacian.mass[:, None]).sum(axis=0))
     assert norms == pytest.approx(plain, rel=1e-10)
     assert residual_norms(*arguments) == pytest.approx(plain, rel=1e-10)
+
+
+def test_ritz_rotation_refuses_dependent_columns(laplacian, exact) -> None:
+    twice = exact.eigenvectors[:, [1, 2, 1]]
+    with pytest.raises(InvalidInputError, match="`X` must have columns that are far from depen"):
+        ritz_rotation(laplacian.stiffness, laplacian.mass, twice)

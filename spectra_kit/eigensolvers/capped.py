@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
 
 from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers.base import Eigenpairs
@@ -16,7 +15,7 @@ from spectra_kit.eigensolvers.refined import Polished, plane_waves
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels import coarse_iteration, coarse_ritz, coarsen, smoothed
 from spectra_kit.linalg.products import spmm
-from spectra_kit.linalg.ritz import projected, weighted_gram
+from spectra_kit.linalg.ritz import ritz_rotation
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import Subspace, restricted
 
@@ -101,10 +100,7 @@ class Capped:
         vectors = np.asarray(spmm(level.prolongation, pairs.eigenvectors[:, :k]))
         if self.smoothing:
             vectors = smoothed(laplacian, values, vectors, degree=self.smoothing)
-            # Still almost orthonormal: nothing of `ritz_pairs` but the small problem is needed.
-            gram = weighted_gram(vectors, laplacian.mass)
-            values, rotation = eigh(projected(laplacian.stiffness, vectors), gram)
-            vectors = vectors @ rotation
+            values, vectors = ritz_rotation(laplacian.stiffness, laplacian.mass, vectors)
         return Eigenpairs(
             values,
             vectors,

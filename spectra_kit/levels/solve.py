@@ -14,6 +14,7 @@ from spectra_kit.levels.coarse import Coarse
 from spectra_kit.linalg.ldl import SparseLDL
 from spectra_kit.linalg.orthonormal import orthonormalize
 from spectra_kit.linalg.products import spmm
+from spectra_kit.linalg.threads import single_threaded_blas
 
 Floats = NDArray[np.float64]
 
@@ -61,6 +62,11 @@ def coarse_ritz(
     InvalidInputError
         If the numerical rank of `basis` is below k, or it holds NaN, infinity or only zeros.
     """
+    with single_threaded_blas():
+        return _ritz(level, basis, k, guard)
+
+
+def _ritz(level: Coarse, basis: NDArray[np.floating], k: int, guard: int) -> CoarsePairs:
     Y = orthonormalize(basis, level.lumped)  # nearly so in the mass of the level, too
     if Y.shape[1] < k:
         raise InvalidInputError(

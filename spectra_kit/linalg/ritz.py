@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,13 +12,13 @@ from scipy.linalg import eigh
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.orthonormal import orthonormalize
-from spectra_kit.linalg.products import spmm
+from spectra_kit.linalg.threads import in_threads, single_threaded_blas
 
 Floats = NDArray[np.float64]
 
-_ROWS = 16_384  # rows handled at once: bounds the temporaries and keeps them in the cache
+_ROWS = 4_096  # of one task: in the cache, and fixed, so that no sum depends on the threads
 _WELL_CONDITIONED = 1e-12  # of the Gram matrix: above it, one float64 Gram matrix tells all
-_ROUNDING = 1e-12  # deviation from M-orthonormality that is not worth a correction
+_ROUNDING = 1e-11  # deviation from M-orthonormality that is not worth a correction
 
 
 class RitzPairs(NamedTuple):
@@ -74,8 +75,8 @@ def ritz_pairs(
     -----
     The long side of the basis is read three times: for the Gram matrix ``Y^T M Y``, for
     ``Y^T L Y``, and to lift the k wanted vectors. Where rounding of the first left these short of
-    orthonormal, their own k x k problem takes it out. Only a badly conditioned basis is
-    orthonormalised first, as a whole.
+    orthonormal, their own k x k problem takes it out. Only a badly conditioned basis, of which
+    more is wanted than one Gram matrix resolves (`rank_tol` below 1e-6), is orthonormalised first.
 
     Examples
     --------
@@ -101,6 +102,17 @@ def ritz_pairs_at_most(
     rank_tol: float = 1e-10,
 ) -> RitzPairs:
     """Return what `ritz_pairs` does, or as many pairs as the basis has dimensions."""
+    with single_threaded_blas():
+        return _ritz_pairs(stiffness, mass, basis, k, rank_tol)
+
+
+def _ritz_pairs(
+    stiffness: sparse.csr_array,
+    mass: Floats,
+    basis: NDArray[np.floating],
+    k: int,
+    rank_tol: float,
+) -> RitzPairs:
     Y = np.ascontiguousarray(basis, dtype=np.float64)
     gram = weighted_gram(Y, mass)
     scale = np.sqrt(np.diag(gram))
@@ -109,15 +121,16 @@ def ritz_pairs_at_most(
         whitener = np.eye(Y.shape[1])
     else:
         values, vectors = np.linalg.eigh(gram / scale / scale[:, None])
-        if values[0] > max(_WELL_CONDITIONED, rank_tol**2) * values[-1]:
-            whitener = vectors / np.sqrt(values) / scale[:, None]
-        else:
+        kept = values > max(_WELL_CONDITIONED, rank_tol**2) * values[-1]
+        if kept.all() or rank_tol**2 >= _WELL_CONDITIONED:
+            whitener = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
+        else:  # directions that matter drown in the rounding of this Gram matrix
             Y = orthonormalize(Y, mass, rank_tol=rank_tol)
             whitener = np.eye(Y.shape[1])
     rank = whitener.shape[1]
     k = min(k, rank)
     inside, rotation = np.linalg.eigh(whitener.T @ projected(stiffness, Y) @ whitener)
-    U = Y @ (whitener @ rotation[:, :k])
+    U = lifted(Y, whitener @ rotation[:, :k])
     error = np.abs(weighted_gram(U, mass) - np.eye(k)).max()
     if error > _ROUNDING:
         return RitzPairs(*ritz_rotation(stiffness, mass, U), rank)
@@ -138,25 +151,67 @@ def ritz_rotation(stiffness: sparse.csr_array, mass: Floats, X: Floats) -> tuple
     Returns
     -------
     eigenvalues (b,), eigenvectors (n, b)
+
+    Raises
+    ------
+    InvalidInputError
+        If the columns are dependent.
     """
-    values, rotation = eigh(projected(stiffness, X), weighted_gram(X, mass))
-    return values, X @ rotation
+    with single_threaded_blas():
+        inside, gram = projected(stiffness, X), weighted_gram(X, mass)
+        try:
+            values, rotation = eigh(inside, gram)
+        except np.linalg.LinAlgError as error:
+            raise InvalidInputError(
+                f"`X` must have columns that are far from dependent, got {X.shape[1]} with a"
+                f" Gram matrix that is not positive definite ({error}); use `ritz_pairs`"
+            ) from error
+    return values, lifted(X, rotation)
 
 
 def weighted_gram(Y: Floats, mass: Floats) -> Floats:
-    """Return ``Y^T M Y``, a block of rows at a time."""
-    gram = np.zeros((Y.shape[1], Y.shape[1]))
-    for start in range(0, len(Y), _ROWS):
-        rows = slice(start, start + _ROWS)
+    """Return ``Y^T M Y``."""
+
+    def part(rows: slice) -> Floats:
         weighted = np.sqrt(mass[rows, None]) * Y[rows]
-        gram += weighted.T @ weighted
-    return gram
+        return np.asarray(weighted.T @ weighted)
+
+    return _sum_of(part, len(Y))
 
 
 def projected(stiffness: sparse.csr_array, Y: Floats) -> Floats:
-    """Return ``Y^T L Y``, symmetric, a block of rows at a time."""
-    inside = np.zeros((Y.shape[1], Y.shape[1]))
-    for start in range(0, len(Y), _ROWS):
-        rows = slice(start, start + _ROWS)
-        inside += Y[rows].T @ spmm(stiffness[rows], Y)
+    """Return ``Y^T L Y``, symmetric."""
+    inside = _sum_of(lambda rows: Y[rows].T @ (stiffness[rows] @ Y), len(Y))
     return (inside + inside.T) / 2
+
+
+def lifted(Y: Floats, rotation: Floats) -> Floats:
+    """Return ``Y @ rotation``."""
+    U = np.empty((len(Y), rotation.shape[1]))
+
+    def fill(rows: slice) -> None:
+        np.matmul(Y[rows], rotation, out=U[rows])
+
+    with single_threaded_blas():
+        in_threads(fill, ((rows,) for rows in _blocks(len(Y))))
+    return U
+
+
+def _sum_of(part: Callable[[slice], Floats], n: int) -> Floats:
+    """Return the sum of `part` over blocks of n rows, the same bits on any number of threads."""
+    blocks = _blocks(n)
+    parts: list[Floats] = [np.empty(0)] * len(blocks)
+
+    def compute(i: int) -> None:
+        parts[i] = part(blocks[i])
+
+    with single_threaded_blas():
+        in_threads(compute, ((i,) for i in range(len(blocks))))
+    total = parts[0].copy()
+    for other in parts[1:]:
+        total += other
+    return total
+
+
+def _blocks(n: int) -> list[slice]:
+    return [slice(start, start + _ROWS) for start in range(0, n, _ROWS)]

@@ -21,10 +21,11 @@ from spectra_kit.linalg.threads import in_threads, thread_count
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-_COLUMNS = 64  # filtered together: bounds the temporaries
+_COLUMNS = 80  # filtered together, at most: bounds the temporaries
 _SHIFT = 1 / 8  # of the guard eigenvalue: strong on the last modes, kind to float32 on the first
 _STALLED = 0.7  # a sweep that leaves more than this of the residuals gains nothing,
 _STILL = 1e-12  # unless it lowers the sum of the Ritz values by more than this share: a mode rises
+_RANK_TOL = 1e-6  # of what is to be iterated on: one Gram matrix tells, sweeps do the rest
 _PROBES = 8  # random columns that bring in modes of which the start has nothing
 _OUTGROWN = 1 / 4  # a shift this many times larger than wanted is worth a new factor
 
@@ -147,7 +148,7 @@ def shift_invert_iteration(
     unit = float(mass.mean())
     mass = mass / unit
     shifted: ShiftedFactor | None = None
-    values, X, rank = ritz_pairs_at_most(stiffness, mass, start, block)
+    values, X, rank = ritz_pairs_at_most(stiffness, mass, start, block, rank_tol=_RANK_TOL)
     if rank < least_rank:
         raise InvalidInputError(
             f"`start` must span at least {least_rank} dimensions, got numerical rank {rank} of"
@@ -174,14 +175,16 @@ def shift_invert_iteration(
         probes = _filtered_noise(shifted, mass, X, guard, degree, rng) if sweeps == 0 else None
         # Guard columns move with the wanted ones; wanted ones that have converged stay.
         active = np.flatnonzero(np.concatenate([open_modes, np.full(block - k, True)]))
-        for part in np.split(active, range(_COLUMNS, len(active), _COLUMNS)):
+        for part in np.array_split(active, -(-len(active) // _COLUMNS)):
             X[:, part] += _correction(shifted, mass, R[:, part], values[part], guard, degree)
         clock.stage("filter")
         trace, before = values[:k].sum(), norms
         if probes is None:
             values, X = ritz_rotation(stiffness, mass, X)
         else:  # they may lie in the corrected block up to little
-            values, X, _ = ritz_pairs_at_most(stiffness, mass, np.hstack([X, probes]), block)
+            values, X, _ = ritz_pairs_at_most(
+                stiffness, mass, np.hstack([X, probes]), block, rank_tol=_RANK_TOL
+            )
         clock.stage("rayleigh_ritz")
         R, norms = residuals(stiffness, mass, values, X)
         clock.stage("residuals")

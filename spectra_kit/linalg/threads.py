@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+import threading
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import cache
 from typing import Any
 
 
@@ -32,3 +35,40 @@ def in_threads(task: Callable[..., None], arguments: Iterable[tuple[Any, ...]]) 
     with ThreadPoolExecutor(workers) as pool:
         for done in [pool.submit(task, *call) for call in calls]:
             done.result()
+
+
+_lock = threading.Lock()
+_depth = 0
+_limit: Any = None
+
+
+@contextmanager
+def single_threaded_blas() -> Iterator[None]:
+    """Keep BLAS to one thread inside: the loops here bring threads of their own.
+
+    OpenBLAS shares out even the smallest product and waits for its threads by spinning; beside any
+    other work on the machine, an eigenproblem of size 150 then takes seconds. May be nested, and
+    entered from several threads; the last to leave restores what was before.
+    """
+    global _depth, _limit
+    with _lock:
+        if _depth == 0:
+            _limit = _controller().limit(limits=1, user_api="blas")
+        _depth += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _depth -= 1
+            if _depth == 0:
+                _limit.restore_original_limits()
+                _limit = None
+
+
+@cache
+def _controller() -> Any:
+    """Find the BLAS libraries of NumPy and SciPy, once: it takes longer than a small product."""
+    import scipy.linalg  # noqa: F401  (has a BLAS of its own)
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
