@@ -131,6 +131,7 @@ def test_an_interrupt_ends_the_processes(tmp_path):
         "from spectra_kit.training.corpus import CorpusConfig\n"
         "from spectra_kit.training.stream import SampleStream\n"
         "if __name__ == '__main__':\n"
+        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "    config = CorpusConfig(seed=0, n_points=100, k=4)\n"
         "    try:\n"
         "        with SampleStream(config, workers=2, capacity=64) as stream:\n"
