@@ -1,0 +1,222 @@
+"""Oriented triangles, and what is integrated over them."""
+
+import numpy as np
+import pytest
+
+from spectra_kit import InvalidInputError, TriangleMesh
+from spectra_kit.geometry import creature, disk, rectangle, sphere, torus
+from spectra_kit.operators.orientation import (
+    OrientedTriangles,
+    area_form,
+    orientation_operator,
+    oriented_triangles,
+    skew,
+)
+
+FLIP = [0, 2, 1]
+MIRROR = np.array([1.0, -1.0, 1.0])
+
+
+def volume_of(mesh: TriangleMesh) -> float:
+    return np.linalg.det(mesh.points[mesh.faces]).sum() / 6
+
+
+def joined(*meshes: TriangleMesh) -> TriangleMesh:
+    starts = np.cumsum([0] + [m.n for m in meshes[:-1]])
+    return TriangleMesh(
+        np.vstack([m.points for m in meshes]),
+        np.vstack([m.faces + s for m, s in zip(meshes, starts, strict=True)]),
+    )
+
+
+def smooth_functions(points: np.ndarray, k: int = 5, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.sin(points @ rng.standard_normal((3, k)) + rng.standard_normal(k))
+
+
+# --- meshes ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_closed_meshes_are_turned_outwards(flipped: bool, mirrored: bool) -> None:
+    mesh = creature(600)
+    points = mesh.points * (MIRROR if mirrored else 1)
+    faces = mesh.faces[:, FLIP] if flipped else mesh.faces
+    oriented = oriented_triangles(TriangleMesh(points, faces))
+    assert volume_of(TriangleMesh(points, oriented.faces)) == pytest.approx(volume_of(mesh))
+    assert (oriented.weights == 1).all()
+    assert oriented.consistent == 1
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_a_mirror_changes_the_sign_of_the_area_form(flipped: bool) -> None:
+    mesh = creature(600)
+    functions = smooth_functions(mesh.points)
+    mirror = TriangleMesh(mesh.points * MIRROR, mesh.faces[:, FLIP] if flipped else mesh.faces)
+    form = area_form(oriented_triangles(mesh), functions)
+    assert np.allclose(area_form(oriented_triangles(mirror), functions), -form, atol=1e-14)
+    assert np.abs(form).max() > 0.1
+
+
+def test_each_closed_piece_is_turned_on_its_own() -> None:
+    ball, ring = sphere(subdivisions=2).geometry, torus(n=200).geometry
+    inside_out = TriangleMesh(ring.points + [9, 0, 0], ring.faces[:, FLIP])
+    both = joined(ball, inside_out)
+    faces = oriented_triangles(both).faces
+    assert (faces[: len(ball.faces)] == ball.faces).all()
+    assert volume_of(TriangleMesh(both.points, faces[len(ball.faces) :])) > 0
+
+
+def test_pieces_that_share_one_vertex_are_turned_on_their_own() -> None:
+    ball = sphere(subdivisions=1).geometry
+    touch = int(np.argmin(np.linalg.norm(ball.points + ball.points[0], axis=1)))
+    faces = np.vstack([ball.faces, ball.faces[:, FLIP] + ball.n])
+    faces[faces == ball.n] = touch  # vertex 0 of the other ball
+    points = np.vstack([ball.points, ball.points - 2 * ball.points[0]])
+    mesh = TriangleMesh(points, faces).without_unreferenced()
+    assert volume_of(mesh) == pytest.approx(0, abs=1e-12)
+    turned = TriangleMesh(mesh.points, oriented_triangles(mesh).faces)
+    assert volume_of(turned) == pytest.approx(2 * volume_of(ball))
+
+
+def test_an_open_mesh_keeps_its_winding() -> None:
+    mesh = disk().geometry
+    for faces in (mesh.faces, mesh.faces[:, FLIP]):
+        assert (oriented_triangles(TriangleMesh(mesh.points, faces)).faces == faces).all()
+
+
+def test_a_closed_mesh_without_an_inside_keeps_its_winding() -> None:
+    sheet = rectangle(n=50).geometry
+    pillow = TriangleMesh(sheet.points, np.vstack([sheet.faces, sheet.faces[:, FLIP]]))
+    assert (oriented_triangles(pillow).faces == pillow.faces).all()
+
+
+def test_an_odd_face_may_hang_on_an_edge() -> None:
+    mesh = TriangleMesh(np.eye(5)[:, :3], [[0, 1, 2], [1, 0, 3], [0, 1, 4]])
+    assert (oriented_triangles(mesh).faces == mesh.faces).all()
+
+
+def test_mixed_winding_is_refused_with_a_way_out() -> None:
+    import igl
+
+    mesh = sphere(subdivisions=1).geometry
+    faces = np.array(mesh.faces)
+    faces[::3] = faces[::3, FLIP]
+    with pytest.raises(InvalidInputError, match="one winding") as caught:
+        oriented_triangles(TriangleMesh(mesh.points, faces))
+    assert "igl.bfs_orient(mesh.faces)[0]" in str(caught.value)
+    repaired = TriangleMesh(mesh.points, igl.bfs_orient(faces)[0])
+    assert volume_of(TriangleMesh(mesh.points, oriented_triangles(repaired).faces)) > 0
+
+
+def test_bad_triangles_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match="`areas` must hold 1 numbers >= 0"):
+        OrientedTriangles([[0, 1, 2]], [1.0], [-1.0], 3)
+    with pytest.raises(InvalidInputError, match="`weights` must be positive"):
+        OrientedTriangles([[0, 1, 2]], [0.0], [1.0], 3)
+    with pytest.raises(InvalidInputError, match="`faces` must be in"):
+        OrientedTriangles([[0, 1, 3]], [1.0], [1.0], 3)
+    with pytest.raises(InvalidInputError, match="`geometry` must be a TriangleMesh"):
+        oriented_triangles(np.eye(3))
+    with pytest.raises(InvalidInputError, match="no face uses"):
+        oriented_triangles(TriangleMesh(np.eye(4)[:, :3], [[0, 1, 2]]))
+
+
+# --- integrals ------------------------------------------------------------------------------
+
+
+def test_area_form_is_the_enclosed_volume_to_machine_precision() -> None:
+    mesh = creature(600)
+    x = mesh.points
+    form = area_form(oriented_triangles(mesh), x)
+    levi_civita = np.zeros((3, 3, 3))
+    levi_civita[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1
+    levi_civita[[0, 2, 1], [2, 1, 0], [1, 0, 2]] = -1
+    assert np.allclose(form, volume_of(mesh) * levi_civita, atol=1e-13)
+
+
+def test_area_form_matches_quadrature() -> None:
+    mesh = rectangle(n=60).geometry
+    f = smooth_functions(mesh.points, 3)
+    form = area_form(oriented_triangles(mesh), f)
+    expected = 0.0
+    for i, j, k in mesh.faces:
+        corners = mesh.points[[i, j, k], :2]
+        slope = np.linalg.solve(corners[1:] - corners[0], f[[j, k]] - f[i])  # (2, 3)
+        area = np.linalg.det(corners[1:] - corners[0]) / 2
+        expected += f[[i, j, k], 0].mean() * area * np.linalg.det(slope[:, 1:])
+    assert form[0, 1, 2] == pytest.approx(expected, rel=1e-12)
+    assert np.abs(form + form.transpose(0, 2, 1)).max() == 0
+
+
+def test_area_form_is_totally_antisymmetric_on_a_closed_surface() -> None:
+    mesh = torus(n=300).geometry
+    form = area_form(oriented_triangles(mesh), smooth_functions(mesh.points))
+    for swap in ((1, 0, 2), (2, 1, 0), (0, 2, 1)):
+        assert np.allclose(form, -form.transpose(swap), atol=1e-13)
+
+
+def test_area_form_is_multilinear_and_does_not_see_the_metric() -> None:
+    mesh = creature(600)
+    f = smooth_functions(mesh.points)
+    mixing = np.random.default_rng(1).standard_normal((5, 5))
+    form = area_form(oriented_triangles(mesh), f)
+    stretched = oriented_triangles(mesh.with_points(mesh.points * [1000, 1, 3]))
+    mixed = np.einsum("abc,ai,bj,ck->ijk", form, mixing, mixing, mixing)
+    assert np.allclose(area_form(stretched, f @ mixing), mixed, atol=1e-12)
+
+
+def test_orientation_operator_holds_slices_of_the_area_form() -> None:
+    mesh = rectangle(n=60).geometry
+    f = smooth_functions(mesh.points, 4)
+    oriented = oriented_triangles(mesh)
+    operators = orientation_operator(oriented, f, f[:, :2])
+    form = area_form(oriented, f)
+    assert operators.shape == (2, 4, 4)
+    assert np.allclose(operators, form.transpose(1, 0, 2)[:2], atol=1e-14)
+
+
+def test_weights_count() -> None:
+    mesh = sphere(subdivisions=1).geometry
+    thrice = OrientedTriangles(
+        np.tile(mesh.faces, (3, 1)),
+        np.full(3 * len(mesh.faces), 1 / 3),
+        np.tile(mesh.face_areas, 3),
+        mesh.n,
+    )
+    once = oriented_triangles(mesh)
+    f = smooth_functions(mesh.points)
+    assert np.allclose(area_form(thrice, f), area_form(once, f))
+    assert np.allclose(skew(thrice, f[:, :2], f[:, 2:4]), skew(once, f[:, :2], f[:, 2:4]))
+    opposite = area_form(once.reversed(), f)
+    assert np.allclose(opposite, -area_form(once, f))
+
+
+def test_skew_on_the_sphere_is_the_third_coordinate() -> None:
+    # n . (grad x  x  grad y) = n . (e_x x e_y) = z
+    mesh = sphere(subdivisions=4).geometry
+    x, y, z = mesh.points.T
+    value = skew(oriented_triangles(mesh), x, y)
+    assert np.abs(value - z).max() < 0.01
+    assert np.allclose(skew(oriented_triangles(mesh), y, x), -value)
+    mirror = oriented_triangles(mesh.with_points(mesh.points * MIRROR))
+    assert np.allclose(skew(mirror, x, y), -value)
+    both = skew(oriented_triangles(mesh), np.c_[x, y], np.c_[y, z])
+    assert np.allclose(both[:, 0], value)
+    assert np.abs(both[:, 1] - x).max() < 0.01
+
+
+def test_skew_is_zero_where_all_triangles_are_flat() -> None:
+    oriented = OrientedTriangles([[0, 1, 2]], [1.0], [0.0], 3)
+    assert (skew(oriented, [0.0, 1, 2], [0.0, 2, 4]) == 0).all()
+
+
+def test_functions_of_other_points_are_refused() -> None:
+    oriented = oriented_triangles(sphere(subdivisions=1).geometry)
+    with pytest.raises(InvalidInputError, match=r"`functions` must have shape \(42, k\)"):
+        area_form(oriented, np.ones((41, 2)))
+    with pytest.raises(InvalidInputError, match=r"`basis` must have shape \(42, k\)"):
+        orientation_operator(oriented, np.ones((2, 42)), np.ones(42))
+    with pytest.raises(InvalidInputError, match="`f` and `g` must have the same number of columns"):
+        skew(oriented, np.ones(42), np.ones((42, 2)))
