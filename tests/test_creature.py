@@ -36,7 +36,7 @@ def test_triangles_are_decent(animal):
 
 
 def test_vertices_lie_on_the_surface(animal):
-    field = _animal(np.random.default_rng(0), calm=True)
+    field = _animal(np.random.default_rng(0), calm=True).field
     distance = np.abs(field(animal.points))
     assert np.quantile(distance, 0.99) < 1e-3
     assert distance.max() < 2e-2
@@ -102,7 +102,7 @@ def test_fields_are_distances(name):
 
 
 def test_coarse_to_fine_polygons_are_the_same():
-    field = _animal(np.random.default_rng(2), calm=False)
+    field = _animal(np.random.default_rng(2), calm=False).field
     box = ([-1.75, -0.85, -1.05], [1.65, 0.85, 1.35])
     plain = clay.polygonize(field, *box, n_cells=60_000)
     quick = clay.polygonize(field, *box, n_cells=60_000, stride=4)

@@ -33,6 +33,7 @@ from spectra_kit.geometry.creature import creature
 from spectra_kit.geometry.diagnose import Diagnosis, diagnose
 from spectra_kit.geometry.io import read, write
 from spectra_kit.geometry.normalize import Normalization, normalize
+from spectra_kit.geometry.poses import creature_pair, mirrored, permuted
 from spectra_kit.geometry.reference import Reference, disk, rectangle, sphere, torus
 from spectra_kit.geometry.repair import Repaired, RepairReport, repair
 from spectra_kit.geometry.sampling import GaussianDensity, Samples, sample, sample_with_origin
@@ -52,10 +53,13 @@ __all__ = [
     "TriangleMesh",
     "components",
     "creature",
+    "creature_pair",
     "diagnose",
     "disk",
     "largest_component",
+    "mirrored",
     "normalize",
+    "permuted",
     "read",
     "rectangle",
     "repair",

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from spectra_kit._validate import check_count
+from spectra_kit.geometry._joints import Joint, bend, ramp
 from spectra_kit.geometry.implicit import Field, ellipsoid, limb, polygonize, smooth_union
 from spectra_kit.geometry.shapes import TriangleMesh
 
@@ -16,8 +19,18 @@ Ints = NDArray[np.int64]
 _LOW, _HIGH = np.array([-1.75, -0.85, -1.05]), np.array([1.65, 0.85, 1.35])
 _COARSE = 10_000  # vertices that marching cubes and decimation make; subdivision makes the rest
 
+# Largest angles about x, y and z in radians, and half the width over which a joint bends.
+_LIMITS = {
+    "knee": (0.1, 0.6, 0.1),
+    "hip": (0.25, 0.5, 0.15),
+    "neck": (0.3, 0.45, 0.5),
+    "tail": (0.3, 0.8, 0.8),
+    "spine": (0.3, 0.35, 0.5),
+}
+_SOFT = {"knee": 0.12, "hip": 0.16, "neck": 0.2, "tail": 0.12, "spine": 0.35}
 
-def creature(n_points: int = 8000, *, seed: int = 0) -> TriangleMesh:
+
+def creature(n_points: int = 8000, *, seed: int = 0, pose: int = 0) -> TriangleMesh:
     """Make a fox-like animal: one closed surface of genus 0, mid-stride and looking aside.
 
     Parameters
@@ -25,7 +38,10 @@ def creature(n_points: int = 8000, *, seed: int = 0) -> TriangleMesh:
     n_points : int, default 8000
         Number of vertices, at least 500; met within 1 per cent.
     seed : int, default 0
-        Proportions and pose; 0 is the animal of the pictures.
+        Proportions and stance; 0 is the animal of the pictures.
+    pose : int, default 0
+        Above 0, the same animal with spine, neck, tail and legs bent at random: vertex i is the
+        same point of the skin in every pose, and edges keep their length to a few per cent.
 
     Returns
     -------
@@ -36,7 +52,7 @@ def creature(n_points: int = 8000, *, seed: int = 0) -> TriangleMesh:
     Raises
     ------
     InvalidInputError
-        If `n_points` is below 500 or `seed` is negative.
+        If `n_points` is below 500, or `seed` or `pose` is negative.
 
     Notes
     -----
@@ -54,7 +70,9 @@ def creature(n_points: int = 8000, *, seed: int = 0) -> TriangleMesh:
 
     check_count("n_points", n_points, low=500, high=5_000_000)
     check_count("seed", seed, low=0)
-    field = _animal(np.random.default_rng(seed), calm=seed == 0)
+    check_count("pose", pose, low=0)
+    animal = _animal(np.random.default_rng(seed), calm=seed == 0)
+    field = animal.field
     levels = 0
     while n_points > _COARSE * 4**levels:
         levels += 1
@@ -63,21 +81,46 @@ def creature(n_points: int = 8000, *, seed: int = 0) -> TriangleMesh:
     for _ in range(levels):
         mesh = TriangleMesh(*igl.upsample(mesh.points, mesh.faces, 1))
         mesh = _relaxed(mesh, field, steps=1)
+    if pose:
+        mesh = mesh.with_points(
+            bend(mesh.points, _joints(animal, mesh.points), np.random.default_rng(pose))
+        )
     return mesh
 
 
-def _animal(rng: np.random.Generator, *, calm: bool) -> Field:
-    """The animal as a field; `calm` leaves out the random deviations."""
+@dataclass(frozen=True, eq=False)
+class _Animal:
+    """The primitives of one animal, in order, and where it bends.
+
+    `hinges` maps a name to the point to turn about and the numbers of the parts beyond it; those
+    nearer to the tips come first.
+    """
+
+    parts: list[Field]
+    hinges: dict[str, tuple[Floats, list[int]]]
+
+    @property
+    def field(self) -> Field:
+        """All parts melted together."""
+        return smooth_union(self.parts, 0.1)
+
+
+def _animal(rng: np.random.Generator, *, calm: bool) -> _Animal:
+    """Put the animal together; `calm` leaves out the random deviations."""
 
     def vary(amount: float) -> float:
         return 1.0 if calm else float(np.exp(amount * rng.uniform(-1, 1)))
 
     parts: list[Field] = []
+    hinges: dict[str, tuple[Floats, list[int]]] = {}
 
     def chain(joints: ArrayLike, radii: ArrayLike) -> None:
         p, r = np.asarray(joints, dtype=np.float64), np.asarray(radii, dtype=np.float64)
         for i in range(len(p) - 1):
             parts.append(limb(p[i], p[i + 1], r[i], r[i + 1]))
+
+    def hinge(name: str, pivot: ArrayLike, first: int) -> None:
+        hinges[name] = np.asarray(pivot, dtype=np.float64), list(range(first, len(parts)))
 
     stout, leggy = vary(0.25), vary(0.3)
     chain(
@@ -93,12 +136,15 @@ def _animal(rng: np.random.Generator, *, calm: bool) -> Field:
         knee = hip + [0.4 * stride + (0.1 if hind else -0.05), 0.05 * side, -0.32 * leggy]
         ankle = knee + [0.45 * stride - (0.16 if hind else -0.02), 0.0, -0.28 * leggy]
         paw = ankle + [0.1, 0.01 * side, -0.06]
-        thick = 0.17 if hind else 0.145
+        thick, first = (0.17 if hind else 0.145), len(parts)
         chain([hip, knee, ankle, paw], [thick, 0.095, 0.06, 0.065])
+        hinge(f"knee {x} {side}", knee, first + 1)
+        hinge(f"hip {x} {side}", hip, first)
     # Neck and head; the head turns and nods about its own centre.
     yaw, nod = (0.5, 0.1) if calm else rng.uniform([-0.8, -0.4], [0.8, 0.4])
     head = np.array([0.98, 0.08, 0.5]) * [1, 1, vary(0.25)]
-    chain(np.array([[0.58, 0.02, 0.08], head - [0.06, 0.0, 0.04]]), [0.19 * stout, 0.125])
+    first, neck = len(parts), np.array([0.58, 0.02, 0.08])
+    chain(np.array([neck, head - [0.06, 0.0, 0.04]]), [0.19 * stout, 0.125])
     cy, sy, cn, sn = np.cos(yaw), np.sin(yaw), np.cos(nod), np.sin(nod)
     turn = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ np.array(
         [[cn, 0, sn], [0, 1, 0], [-sn, 0, cn]]
@@ -116,14 +162,31 @@ def _animal(rng: np.random.Generator, *, calm: bool) -> Field:
         middle = at(-0.05, (0.09 + 0.3 * spread) * side, 0.1 + 0.6 * ear)
         tip = at(0.3 * spread - 0.08, (0.09 + 0.7 * spread) * side, 0.1 + ear)
         chain([at(-0.04, 0.09 * side, 0.1), middle, tip], [0.077, 0.064, 0.024])
+    hinge("neck", neck, first)
     # A brush of a tail, swung aside and up.
-    t = np.linspace(0, 1, 8)
+    t, first = np.linspace(0, 1, 8), len(parts)
     swing, lift = (0.5, 0.55) if calm else rng.uniform([-0.7, -0.2], [0.7, 0.9])
     tail = np.column_stack(
         [-0.66 - 0.8 * t + 0.12 * t**2, swing * t**1.6, 0.1 - 0.25 * t + lift * t**2]
     )
     chain(tail, 0.075 - 0.025 * t + 0.07 * np.sin(np.pi * t**1.3) * vary(0.3))
-    return smooth_union(parts, 0.1)
+    hinge("tail", tail[2], first + 2)
+    return _Animal(parts, hinges)
+
+
+def _joints(animal: _Animal, points: Floats) -> list[Joint]:
+    """Where and how far the animal bends, with the share of each point."""
+    distances = np.stack([part(points) for part in animal.parts])
+    joints, along = [], points[:, 0]
+    for name, (pivot, beyond) in animal.hinges.items():
+        kind = name.split()[0]
+        rest = np.delete(distances, beyond, axis=0).min(axis=0)
+        weight = ramp(rest - distances[beyond].min(axis=0), _SOFT[kind])
+        joints.append(Joint(pivot, np.array(_LIMITS[kind]), weight))
+        if kind == "hip":  # a leg follows the spine where it is attached
+            along = along + weight * (pivot[0] - along)
+    weight = ramp(along, _SOFT["spine"])
+    return [*joints, Joint(np.zeros(3), np.array(_LIMITS["spine"]), weight)]
 
 
 def _remeshed(field: Field, n: int) -> TriangleMesh:
