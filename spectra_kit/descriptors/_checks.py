@@ -1,0 +1,57 @@
+"""Checks that several descriptors share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit._validate import check_indices, real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.spectrum import Spectrum
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def outside_kernel(spectrum: Spectrum) -> Spectrum:
+    """Return the modes outside the kernel, of which there must be at least one."""
+    modes = spectrum.nonzero()
+    if modes.k == 0:
+        raise InvalidInputError(
+            f"`spectrum` must have modes outside its kernel, got {spectrum.k} modes, all of them"
+            " zero modes; compute more than there are components"
+        )
+    return modes
+
+
+def check_grid(name: str, values: ArrayLike) -> Floats:
+    """Return `values` as a finite float64 vector that is not empty."""
+    array = real_array(name, values)
+    if array.ndim != 1 or len(array) == 0:
+        hint = f"; write [{array}] for a single one" if array.ndim == 0 else ""
+        raise InvalidInputError(
+            f"`{name}` must be a vector of at least one number, got shape {array.shape}{hint}"
+        )
+    return array
+
+
+def check_times(values: ArrayLike) -> Floats:
+    """Return `values` as a vector of positive times."""
+    times = check_grid("times", values)
+    if not (times > 0).all():
+        raise InvalidInputError(
+            f"`times` must be positive, got {int((times <= 0).sum())} entries <= 0"
+            f" (smallest {times.min():.3g}); times are in length^2, `heat_times` suggests some"
+        )
+    return times
+
+
+def check_sources(name: str, values: ArrayLike, n: int) -> Ints:
+    """Return `values` as a vector of at least one index into n points."""
+    if np.shape(values) == (0,):  # before the dtype: an empty list is one of floats to NumPy
+        raise InvalidInputError(f"`{name}` must name at least one point, got none")
+    indices = check_indices(name, values, n)
+    if indices.ndim != 1:
+        hint = f"; write [{indices}] for a single one" if indices.ndim == 0 else ""
+        raise InvalidInputError(f"`{name}` must be a vector, got shape {indices.shape}{hint}")
+    return indices

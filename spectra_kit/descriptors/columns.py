@@ -1,0 +1,65 @@
+"""Columns of descriptors brought to one size, by the area that each point stands for."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit._validate import real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.spectrum import Spectrum
+
+Floats = NDArray[np.float64]
+
+
+def normalize_descriptors(
+    spectrum: Spectrum, descriptors: ArrayLike, *, center: bool = False
+) -> Floats:
+    """Scale each column of descriptors to the same size on the surface.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        Of the surface; only its mass is used.
+    descriptors : array_like of shape (n, d)
+        One function on the surface in each column.
+    center : bool, default False
+        Subtract the average over the area first, which is most of a heat kernel signature and
+        tells no two points apart.
+
+    Returns
+    -------
+    ndarray of shape (n, d)
+        Columns of unit M-norm, ``mass @ column**2 == 1``, in 1/length whatever the unit was.
+
+    Raises
+    ------
+    InvalidInputError
+        If `descriptors` has another shape, or a column is zero (or constant, with `center`).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> spectrum = Spectrum(np.zeros(1), np.ones((2, 1)), np.full(2, 0.5))
+    >>> normalize_descriptors(spectrum, [[3.0], [1.0]], center=True)
+    array([[ 1.],
+           [-1.]])
+    """
+    columns = real_array("descriptors", descriptors)
+    if columns.ndim != 2 or len(columns) != spectrum.n:
+        raise InvalidInputError(
+            f"`descriptors` must have shape ({spectrum.n}, d) like the points of `spectrum`, got"
+            f" {columns.shape}"
+        )
+    squared = spectrum.mass @ columns**2
+    if center:
+        columns = columns - spectrum.mass @ columns / spectrum.area
+        # A constant that rounding has left some noise of is still a constant.
+        squared = np.where(spectrum.mass @ columns**2 > 1e-24 * squared, squared, 0.0)
+    if not squared.all():
+        found = "constant" if center else "zero"
+        raise InvalidInputError(
+            f"`descriptors` must have no {found} column, got one in column"
+            f" {int(np.argmin(squared))}; leave it out"
+        )
+    return columns / np.sqrt(spectrum.mass @ columns**2)

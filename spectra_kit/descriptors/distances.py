@@ -1,0 +1,193 @@
+"""Distances between points that all paths count in, not the shortest alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import cdist
+
+from spectra_kit._validate import check_positive
+from spectra_kit.descriptors._checks import check_sources, outside_kernel
+from spectra_kit.spectrum import Spectrum
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) -> Floats:
+    """Difference of the heat that spreads from two points, a time after.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        k modes; zero modes take part.
+    sources : array_like of shape (s,)
+        Indices of points.
+    time : float
+        In length^2; `heat_times` spans the useful ones.
+
+    Returns
+    -------
+    ndarray of shape (s, n)
+        ``sqrt(sum_i exp(-2 lambda_i t) (u_i(x) - u_i(y))^2)``, in 1/length: the L2 norm of
+        ``k_t(x, .) - k_t(y, .)``. Finite between components too, which share no heat.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no source, an index is out of range, or `time` is not positive.
+
+    Notes
+    -----
+    Coifman and Lafon (2006), with the heat kernel as the diffusion. Averaged over all
+    pairs of points, k modes leave about ``exp(-2 lambda_k t) / (4 pi t)`` out of the square
+    (Weyl's law).
+
+    References
+    ----------
+    R. R. Coifman, S. Lafon, "Diffusion maps", Applied and Computational Harmonic Analysis 21(1),
+    2006.
+
+    Examples
+    --------
+    >>> spectrum = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+    >>> diffusion_distances(spectrum, [0], time=20.0)
+    array([[0., 1.]])
+    """
+    sources = check_sources("sources", sources, spectrum.n)
+    gain = np.exp(-check_positive("time", time) * spectrum.eigenvalues)
+    embedding = spectrum.eigenvectors * gain
+    return np.asarray(cdist(embedding[sources], embedding))
+
+
+def biharmonic_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
+    """Biharmonic distances: smooth, without a parameter, and local as well as global.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        k modes; the zero modes among them tell the components apart.
+    sources : array_like of shape (s,)
+        Indices of points.
+
+    Returns
+    -------
+    ndarray of shape (s, n)
+        ``sqrt(sum_i (u_i(x) - u_i(y))^2 / lambda_i^2)`` over the modes outside the kernel, in
+        length. Infinite between components; parts that are fixed to zero somewhere count as one.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no source, an index is out of range, or all modes are zero modes.
+
+    Notes
+    -----
+    Lipman et al. (2010). The sum grows with k and converges: averaged over all pairs
+    of points, k modes leave about ``1 / (2 pi lambda_k)``, or ``area / (8 pi^2 k)``, out of the
+    square (Weyl's law; exact on the sphere, where the whole is radius^2 / (2 pi)).
+
+    References
+    ----------
+    Y. Lipman, R. M. Rustamov, T. A. Funkhouser, "Biharmonic distance", ACM Transactions on
+    Graphics 29(3), 2010.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> ball = sk.geometry.sphere(subdivisions=3).geometry
+    >>> spectrum = sk.eigensolve(sk.robust_laplacian(ball), 100)
+    >>> south = ball.points[:, 2].argmin()
+    >>> distance = biharmonic_distances(spectrum, [ball.points[:, 2].argmax()])[0, south]
+    >>> bool(abs(distance - (3.14159 / 12) ** 0.5) < 0.01)  # the exact value of antipodes
+    True
+    """
+    sources = check_sources("sources", sources, spectrum.n)
+    embedding = biharmonic_embedding(spectrum)
+    distances = np.asarray(cdist(embedding[sources], embedding))
+    return _infinite_between(kernel_labels(spectrum), sources, distances)
+
+
+def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
+    """Roots of the time a random walk takes, on average, to a point and back.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        k modes; the zero modes among them tell the components apart.
+    sources : array_like of shape (s,)
+        Indices of points.
+
+    Returns
+    -------
+    ndarray of shape (s, n)
+        ``sqrt(area sum_i (u_i(x) - u_i(y))^2 / lambda_i)`` over the modes outside the kernel, in
+        length, with the area of the component. Infinite between components; parts that are
+        fixed to zero somewhere count as one.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no source, an index is out of range, or all modes are zero modes.
+
+    Notes
+    -----
+    Qiu and Hancock (2007), after Fouss et al. (2007). With all n modes of a mesh the
+    sum is the effective resistance of its edges. There is no limit for finer meshes or
+    more modes: two points of a surface never meet, and the square grows by about
+    ``area / (2 pi) log k``. Compare values of one k only; `biharmonic_distances` converge.
+
+    References
+    ----------
+    H. Qiu, E. R. Hancock, "Clustering and embedding using commute times", IEEE Transactions on
+    Pattern Analysis and Machine Intelligence 29(11), 2007.
+
+    F. Fouss, A. Pirotte, J.-M. Renders, M. Saerens, "Random-walk computation of similarities
+    between nodes of a graph", IEEE Transactions on Knowledge and Data Engineering 19(3), 2007.
+
+    Examples
+    --------
+    Two points of mass 1, joined by a conductance of 1/2: the resistance is 2, the area too.
+
+    >>> U = np.array([[1.0, 1.0], [1.0, -1.0]]) / 2**0.5
+    >>> commute_time_distances(Spectrum(np.array([0.0, 1.0]), U, np.ones(2)), [0])
+    array([[0., 2.]])
+    """
+    sources = check_sources("sources", sources, spectrum.n)
+    modes = outside_kernel(spectrum)
+    embedding = modes.eigenvectors / np.sqrt(modes.eigenvalues)
+    labels = kernel_labels(spectrum)
+    area = np.bincount(labels, spectrum.mass)[labels[sources]]
+    distances = np.sqrt(area)[:, None] * cdist(embedding[sources], embedding)
+    return _infinite_between(labels, sources, distances)
+
+
+def biharmonic_embedding(spectrum: Spectrum) -> Floats:
+    """Return ``u_i(x) / lambda_i``, (n, modes outside the kernel), in length."""
+    modes = outside_kernel(spectrum)
+    return np.asarray(modes.eigenvectors / modes.eigenvalues)
+
+
+def kernel_labels(spectrum: Spectrum) -> Ints:
+    """Return a label of each point, (n,): equal where the zero modes cannot tell them apart.
+
+    These are the components, except that all points of components without a zero mode (fixed
+    somewhere) share one label: they are joined by what they are fixed to.
+    """
+    rows = spectrum.eigenvectors[:, : spectrum.n_zero_modes]
+    # Rows are equal inside a component and orthogonal between two, of squared length 1/area.
+    size = np.maximum(np.sum(rows**2, axis=1), 1 / spectrum.area)
+    labels = np.full(spectrum.n, -1)
+    label = 0
+    while (labels < 0).any():
+        first = np.argmax(labels < 0)
+        apart = np.sum((rows - rows[first]) ** 2, axis=1)
+        same = apart < 0.5 * np.maximum(size, size[first])
+        same[first] = True
+        labels[same & (labels < 0)] = label
+        label += 1
+    return labels
+
+
+def _infinite_between(labels: Ints, sources: Ints, distances: Floats) -> Floats:
+    return np.where(labels[sources][:, None] == labels, distances, np.inf)
