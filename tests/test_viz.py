@@ -12,7 +12,7 @@ from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
 from spectra_kit.metrics import compare_spectra
 from spectra_kit.viz import Panel, plot_comparison, plot_panels
 from spectra_kit.viz.camera import choose_view
-from spectra_kit.viz.page import short
+from spectra_kit.viz.pen import short
 from spectra_kit.viz.render import render
 
 BLUE_TO_RED = np.column_stack([np.arange(256), np.zeros(256), np.arange(256)[::-1]]).astype("u1")

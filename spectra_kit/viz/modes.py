@@ -13,7 +13,8 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.metrics import Comparison, align_modes
 from spectra_kit.spectrum import Spectrum
-from spectra_kit.viz.page import Panel, plot_panels, short
+from spectra_kit.viz.page import Panel, plot_panels
+from spectra_kit.viz.pen import short
 
 Floats = NDArray[np.float64]
 

@@ -19,6 +19,7 @@ from spectra_kit._validate import real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.pen import Pen, short
 from spectra_kit.viz.render import render
 
 if TYPE_CHECKING:
@@ -157,7 +158,8 @@ def _set_page(
     width = 2 * _MARGIN + _SIDE + len(across) * (cell + _GAP) - _GAP
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
-    pen = _Pen(figure, width, height, dpi)
+    pen = Pen(figure, width, height, dpi)
+    strip = _colours(np.linspace(-1.0, 1.0, 512))
 
     if title or subtitle:
         pen.text(title, _MARGIN, _MARGIN + 0.2, width - 2 * _MARGIN, 14, bold=True)
@@ -174,97 +176,9 @@ def _set_page(
                 colour = "0.1" if line == 0 else "0.4"
                 pen.text(text, left, top + 0.15 + 0.17 * line, cell, 9, colour=colour, centred=True)
             pen.picture(next(remaining), left + (cell - picture_width) / 2, top + _CAPTION)
-            pen.bar(panel.limit, left, top + _CAPTION + picture_height + 0.13, cell)
+            ends = "\N{MINUS SIGN}" + short(panel.limit), "+" + short(panel.limit)
+            pen.bar(strip, ends, left, top + _CAPTION + picture_height + 0.13, cell)
     return figure
-
-
-class _Pen:
-    """Draws on a figure at inches from its top left corner."""
-
-    def __init__(self, figure: Figure, width: float, height: float, dpi: int) -> None:
-        self.figure, self.width, self.height, self.dpi = figure, width, height, dpi
-
-    def text(
-        self,
-        text: str,
-        left: float,
-        baseline: float,
-        width: float,
-        size: float,
-        *,
-        bold: bool = False,
-        centred: bool = False,
-        colour: str = "0.1",
-    ) -> None:
-        """Set one line, smaller where it would not fit `width`."""
-        label = self.figure.text(
-            (left + width / 2 if centred else left) / self.width,
-            1 - baseline / self.height,
-            text,
-            fontsize=size,
-            fontweight="bold" if bold else "normal",
-            color=colour,
-            ha="center" if centred else "left",
-            va="baseline",
-            parse_math=False,
-        )
-        needed = label.get_window_extent().width / self.dpi
-        if needed > width:
-            label.set_fontsize(size * width / needed)
-
-    def sideways(self, text: str, x: float, y: float, length: float) -> None:
-        """Set a bold line that reads upwards, centred at (x, y)."""
-        label = self.figure.text(
-            x / self.width,
-            1 - y / self.height,
-            text,
-            fontsize=12,
-            fontweight="bold",
-            color="0.1",
-            rotation=90,
-            ha="center",
-            va="center",
-            parse_math=False,
-        )
-        needed = label.get_window_extent().height / self.dpi
-        if needed > length:
-            label.set_fontsize(12 * length / needed)
-
-    def picture(self, picture: Bytes, left: float, top: float) -> None:
-        """Place a picture (rows, columns, 3), pixel by pixel."""
-        rows = round((self.height - top) * self.dpi) - len(picture)
-        self.figure.figimage(picture, round(left * self.dpi), rows, origin="upper")
-
-    def bar(self, limit: float, left: float, top: float, cell: float) -> None:
-        """Draw a slim colour bar with its two limits."""
-        length, thick = min(1.1, 0.45 * cell), 0.07
-        start = left + (cell - length) / 2
-        strip = _colours(np.linspace(-1.0, 1.0, max(round(length * self.dpi), 2)))
-        self.picture(np.tile(strip, (max(round(thick * self.dpi), 1), 1, 1)), start, top)
-        room = (cell - length) / 2 - 0.06
-        for sign, side, at in ((-1, "right", start - 0.06), (1, "left", start + length + 0.06)):
-            label = self.figure.text(
-                at / self.width,
-                1 - (top + thick / 2) / self.height,
-                ("+" if sign > 0 else "\N{MINUS SIGN}") + short(limit),
-                fontsize=7.5,
-                color="0.4",
-                ha=side,
-                va="center_baseline",
-            )
-            needed = label.get_window_extent().width / self.dpi
-            if needed > room:
-                label.set_fontsize(7.5 * room / needed)
-
-
-def short(value: float) -> str:
-    """Two digits, like 0.036 or 3.6e-5, 12 or 1.2e+4."""
-    if value == 0:
-        return "0"
-    if 0.01 <= abs(value) < 1000:
-        return f"{value:#.2g}" if abs(value) < 10 else f"{value:.0f}"
-    digits, exponent = f"{value:.1e}".split("e")
-    return f"{digits}e{int(exponent)}"
 
 
 def _cell_width(columns: int) -> float:

@@ -26,11 +26,11 @@ _MARGIN = 4  # pixels around the geometry
 
 def render(
     geometry: Geometry,
-    functions: Sequence[Floats],
+    functions: Sequence[Floats] | Sequence[Bytes],
     *,
     rotation: Floats,
     width: int,
-    colours: Bytes,
+    colours: Bytes | None = None,
 ) -> Bytes:
     """Draw each function on the same geometry from the same side.
 
@@ -39,12 +39,13 @@ def render(
     geometry : TriangleMesh or PointCloud
         A cloud is drawn as balls.
     functions : sequence of ndarray of shape (n,)
-        Values in [-1, 1]; what lies outside takes the colour of the end.
+        Values in [-1, 1]; what lies outside takes the colour of the end. Without `colours`: the
+        colour of each point, shape (n, 3), uint8.
     rotation : ndarray of shape (3, 3)
         Rows: to the right, up, and towards the viewer.
     width : int
         Of a picture, in pixels; the height follows the geometry.
-    colours : ndarray of shape (c, 3), uint8
+    colours : ndarray of shape (c, 3), uint8, optional
         From -1 to 1.
 
     Returns
@@ -70,11 +71,11 @@ def render(
             request,
             points=seen / unit,  # in pixels: single precision inside VTK is then enough
             faces=geometry.faces if isinstance(geometry, TriangleMesh) else np.empty((0, 3)),
-            values=np.stack(functions).astype(np.float32),
+            values=np.stack(functions).astype(np.uint8 if colours is None else np.float32),
             size=[width, height],
             half_height=height / 2,
             diameter=diameter / unit,
-            colours=colours,
+            colours=np.empty((0, 3), np.uint8) if colours is None else colours,
         )
         for environment in _environments():
             run = subprocess.run(  # -P: the folder of the worker must not shadow other modules

@@ -34,7 +34,7 @@ def main(request_path: str, answer_path: str) -> None:
         )
     surface, owner = _surface(request["points"], request["faces"])
     surface["values"] = request["values"][0][owner]
-    style = (
+    style: dict[str, Any] = (
         {"smooth_shading": True}
         if len(request["faces"])
         else {
@@ -43,12 +43,17 @@ def main(request_path: str, answer_path: str) -> None:
             "point_size": float(request["diameter"]) * OVERSAMPLE,
         }
     )
+    if len(request["colours"]):
+        style |= {
+            "cmap": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in request["colours"]],
+            "n_colors": len(request["colours"]),
+            "clim": [-1.0, 1.0],
+        }
+    else:
+        style["rgb"] = True
     plotter.add_mesh(
         surface,
         scalars="values",
-        cmap=[f"#{r:02x}{g:02x}{b:02x}" for r, g, b in request["colours"]],
-        n_colors=len(request["colours"]),
-        clim=[-1.0, 1.0],
         show_scalar_bar=False,
         ambient=0.46,
         diffuse=0.85,

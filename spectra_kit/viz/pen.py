@@ -1,0 +1,106 @@
+"""A pen that sets text, pictures and colour bars on a Matplotlib figure, measured in inches."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Bytes = NDArray[np.uint8]
+
+
+class Pen:
+    """Draws on a figure at inches from its top left corner."""
+
+    def __init__(self, figure: Figure, width: float, height: float, dpi: int) -> None:
+        self.figure, self.width, self.height, self.dpi = figure, width, height, dpi
+
+    def text(
+        self,
+        text: str,
+        left: float,
+        baseline: float,
+        width: float,
+        size: float,
+        *,
+        bold: bool = False,
+        centred: bool = False,
+        colour: str = "0.1",
+    ) -> None:
+        """Set one line, smaller where it would not fit `width`."""
+        label = self.figure.text(
+            (left + width / 2 if centred else left) / self.width,
+            1 - baseline / self.height,
+            text,
+            fontsize=size,
+            fontweight="bold" if bold else "normal",
+            color=colour,
+            ha="center" if centred else "left",
+            va="baseline",
+            parse_math=False,
+        )
+        needed = label.get_window_extent().width / self.dpi
+        if needed > width:
+            label.set_fontsize(size * width / needed)
+
+    def sideways(self, text: str, x: float, y: float, length: float) -> None:
+        """Set a bold line that reads upwards, centred at (x, y)."""
+        label = self.figure.text(
+            x / self.width,
+            1 - y / self.height,
+            text,
+            fontsize=12,
+            fontweight="bold",
+            color="0.1",
+            rotation=90,
+            ha="center",
+            va="center",
+            parse_math=False,
+        )
+        needed = label.get_window_extent().height / self.dpi
+        if needed > length:
+            label.set_fontsize(12 * length / needed)
+
+    def picture(self, picture: Bytes, left: float, top: float) -> None:
+        """Place a picture (rows, columns, 3), pixel by pixel."""
+        rows = round((self.height - top) * self.dpi) - len(picture)
+        self.figure.figimage(picture, round(left * self.dpi), rows, origin="upper")
+
+    def bar(
+        self, strip: Bytes, ends: tuple[str, str], left: float, top: float, length: float
+    ) -> None:
+        """Draw a slim bar of these colours (c, 3), `ends` written beside it, within `length`."""
+        slim, thick = min(1.1, 0.45 * length), 0.07
+        start, room = left + (length - slim) / 2, (length - slim) / 2 - 0.06
+        across = np.linspace(0, len(strip) - 1, max(round(slim * self.dpi), 2))
+        row = strip[np.round(across).astype(int)]
+        self.picture(np.tile(row, (max(round(thick * self.dpi), 1), 1, 1)), start, top)
+        for text, side, at in zip(
+            ends, ("right", "left"), (start - 0.06, start + slim + 0.06), strict=True
+        ):
+            label = self.figure.text(
+                at / self.width,
+                1 - (top + thick / 2) / self.height,
+                text,
+                fontsize=7.5,
+                color="0.4",
+                ha=side,
+                va="center_baseline",
+            )
+            needed = label.get_window_extent().width / self.dpi
+            if needed > room:
+                label.set_fontsize(7.5 * room / needed)
+
+
+def short(value: float) -> str:
+    """Two digits, like 0.036 or 3.6e-5, 12 or 1.2e+4."""
+    if value == 0:
+        return "0"
+    if 0.01 <= abs(value) < 1000:
+        return f"{value:#.2g}" if abs(value) < 10 else f"{value:.0f}"
+    digits, exponent = f"{value:.1e}".split("e")
+    return f"{digits}e{int(exponent)}"
