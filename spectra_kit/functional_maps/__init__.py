@@ -1,0 +1,29 @@
+"""Functional maps: fit, refine and convert correspondences between two spectra.
+
+Conventions, the same in every function here; `source` is the first argument, `target` the second.
+
+- ``functional_map`` is C_12, of shape (k2, k1). It carries functions from source to target:
+  coefficients ``a`` on the source's modes become ``C_12 @ a`` on the target's.
+- ``point_map`` is p2p_21, of shape (n2,). Entry i is the source point that target point i
+  corresponds to. It runs **against** the functional map, which is the pull-back along it:
+  ``C_12 = U2.T @ M2 @ U1[point_map]``.
+- Both surfaces are taken at unit area, whatever their units, so a functional map between a
+  shape in metres and its copy in millimetres is the one between equals.
+"""
+
+from spectra_kit.functional_maps.convert import (
+    Correspondence,
+    functional_map_from_point_map,
+    point_map_from_functional_map,
+)
+from spectra_kit.functional_maps.nearest import nearest_rows
+from spectra_kit.functional_maps.zoomout import zoomout, zoomout_many
+
+__all__ = [
+    "Correspondence",
+    "functional_map_from_point_map",
+    "nearest_rows",
+    "point_map_from_functional_map",
+    "zoomout",
+    "zoomout_many",
+]

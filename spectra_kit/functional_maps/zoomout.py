@@ -1,0 +1,293 @@
+"""ZoomOut: refine a map by going back and forth between points and ever more modes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
+
+from spectra_kit._validate import check_count, check_indices, real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.functional_maps._checks import (
+    at_unit_area,
+    check_components,
+    check_functional_map,
+    check_point_map,
+)
+from spectra_kit.functional_maps.convert import Correspondence, induced
+from spectra_kit.functional_maps.nearest import check_rows, nearest, nearest_torch
+from spectra_kit.spectrum import Spectrum
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_START = 20  # modes with which a point map starts: enough to tell the limbs of a body apart
+_CHUNK = 2**20  # scores of `zoomout_many` held at a time: 4 MB of float32
+
+
+def zoomout(
+    source: Spectrum,
+    target: Spectrum,
+    initial: ArrayLike,
+    *,
+    k_final: int,
+    k_start: int | None = None,
+    step: int = 5,
+    samples: tuple[ArrayLike, ArrayLike] | None = None,
+    device: str = "cpu",
+) -> Correspondence:
+    """Refine a functional map or a point map by spectral upsampling.
+
+    Parameters
+    ----------
+    source, target : Spectrum
+        Of the two surfaces, in any units, with at least `k_final` modes each.
+    initial : array_like of shape (k2, k1) or (n2,)
+        A functional map of source to target, or the source point of each target point.
+    k_final : int
+        Number of modes to end with.
+    k_start : int, optional
+        Number of modes to start with: of a functional map, by default all that it has; of a point
+        map, by default 20 or `k_final`, whichever is less.
+    step : int, default 5
+        Modes to add in each iteration.
+    samples : (indices, indices), optional
+        Source and target points to work on, for instance farthest point samples; at least
+        `k_final` of the target. Only the last step then sees all points.
+    device : str, default "cpu"
+        Where to compute: with NumPy on ``"cpu"``, else with torch, for instance ``"cuda"``.
+
+    Returns
+    -------
+    Correspondence
+        The point map, and the functional map of `k_final` x `k_final` that it induces.
+
+    Raises
+    ------
+    InvalidInputError
+        If a map does not fit the spectra, `k_final` is below the start or above the number of
+        modes, the numbers of components differ, or the samples are too few or out of range.
+
+    Notes
+    -----
+    Each iteration projects the point map onto `step` more modes and looks up the nearest row of
+    ``U1 @ C.T`` for each row of ``U2`` (Melzi et al. 2019, algorithm 1). With samples the
+    projection is the least-squares fit on them (their section 4.4); one QR factorisation serves
+    every size, for leading columns have leading factors.
+
+    Examples
+    --------
+    >>> from spectra_kit.eigensolvers import eigensolve
+    >>> from spectra_kit.geometry import creature
+    >>> from spectra_kit.operators import robust_laplacian
+    >>> s = eigensolve(robust_laplacian(creature(500)), 30)
+    >>> refined = zoomout(s, s, np.eye(8), k_final=30)
+    >>> bool((refined.point_map == np.arange(500)).all())
+    True
+    """
+    a, b = checked_pair(source, target, k_final)
+    check_count("step", step, low=1)
+    C = starting_map(a, b, initial, k_start)
+    arrays = a.eigenvectors, b.eigenvectors, b.mass, C
+    rows = None if samples is None else _checked_samples(samples, a.n, b.n, k_final)
+    if device == "cpu":
+        refined = _zoom(*arrays, rows, k_final, step, _NUMPY)
+    else:
+        import torch
+
+        A, B, mass, start = (torch.tensor(x, device=device) for x in map(np.array, arrays))
+        tools = _Tools(nearest_torch, torch.linalg.qr, _solve_torch)
+        on_device = _zoom(A, B, mass, start, rows, k_final, step, tools)
+        refined = tuple(x.cpu().numpy() for x in on_device)
+    return Correspondence(*refined)
+
+
+class _Tools(NamedTuple):
+    """What the loop needs of NumPy or torch beyond operators."""
+
+    find: Callable[..., Any]
+    qr: Callable[[Any], tuple[Any, Any]]
+    solve: Callable[[Any, Any], Any]
+
+
+def _zoom(
+    A: Any,
+    B: Any,
+    mass: Any,
+    C: Any,
+    samples: tuple[Ints, Ints] | None,
+    k_final: int,
+    step: int,
+    tools: _Tools,
+) -> tuple[Any, Any]:
+    """Return point map and functional map, from arrays or tensors."""
+    weighted = mass[:, None] * B
+
+    def project(values: Any, k: int) -> Any:
+        return weighted[:, :k].T @ values
+
+    def fit(values: Any, k: int) -> Any:
+        return tools.solve(R[:k, :k], Q[:, :k].T @ values)
+
+    rows1, rows2, represent = A, B, project
+    if samples is not None:
+        rows1, rows2, represent = A[samples[0]], B[samples[1]], fit
+        Q, R = tools.qr(rows2)
+    for k1, k2 in schedule(C.shape, k_final, step):
+        p = tools.find(rows2[:, : len(C)], rows1[:, : C.shape[1]] @ C.T, exact=False)
+        C = represent(rows1[p][:, :k1], k2)
+    p = tools.find(B[:, : len(C)], A[:, : C.shape[1]] @ C.T, exact=True)
+    return p, project(A[p], k_final)
+
+
+def _solve_torch(R: Any, Y: Any) -> Any:
+    import torch
+
+    return torch.linalg.solve_triangular(R, Y, upper=True)
+
+
+_NUMPY = _Tools(nearest, np.linalg.qr, solve_triangular)
+
+
+def zoomout_many(
+    source_rows: ArrayLike,
+    target_rows: ArrayLike,
+    maps: ArrayLike,
+    *,
+    k_final: int,
+    step: int = 2,
+) -> tuple[Floats, Ints]:
+    """Refine many candidate maps of one pair at once, on a few hundred samples.
+
+    Parameters
+    ----------
+    source_rows : array_like of shape (s1, k)
+        Eigenvectors at samples of the source, at unit area; k >= `k_final`.
+    target_rows : array_like of shape (s2, k)
+        The same for the target; s2 >= `k_final`.
+    maps : array_like of shape (c, k2, k1)
+        Candidates, all of one size.
+    k_final : int
+        Number of modes to end with.
+    step : int, default 2
+        Modes to add in each iteration.
+
+    Returns
+    -------
+    maps : ndarray of shape (c, k_final, k_final)
+        Refined candidates: the least-squares fits on the samples.
+    point_maps : ndarray of shape (c, s2)
+        Source sample of each target sample, by the refined maps.
+
+    Raises
+    ------
+    InvalidInputError
+        If a shape does not fit, a value is not finite, or there are fewer target samples than
+        `k_final`.
+
+    Notes
+    -----
+    Each candidate goes through what `zoomout` does with samples.
+
+    Examples
+    --------
+    >>> rows = np.random.default_rng(0).normal(size=(50, 10))
+    >>> maps, point_maps = zoomout_many(rows, rows, np.eye(4)[None], k_final=10)
+    >>> bool((point_maps[0] == np.arange(50)).all())
+    True
+    """
+    check_count("step", step, low=1)
+    check_count("k_final", k_final, low=1)
+    rows1, rows2 = check_rows("source_rows", source_rows), check_rows("target_rows", target_rows)
+    for name, rows in (("source_rows", rows1), ("target_rows", rows2)):
+        if rows.shape[1] < k_final:
+            raise InvalidInputError(
+                f"`{name}` must have at least `k_final` = {k_final} columns, got {rows.shape}"
+            )
+    if len(rows2) < k_final:
+        raise InvalidInputError(
+            f"`target_rows` must hold at least `k_final` = {k_final} samples, got {len(rows2)}"
+        )
+    shape = np.shape(maps)
+    if len(shape) != 3 or not (1 <= shape[1] <= k_final and 1 <= shape[2] <= k_final):
+        raise InvalidInputError(
+            f"`maps` must have shape (c, k2, k1) with k1 and k2 in [1, {k_final}], got {shape}"
+        )
+    candidates = real_array("maps", maps)
+    Q, R = np.linalg.qr(rows2[:, :k_final])
+    sizes = schedule(shape[1:], k_final, step)
+    fits = [solve_triangular(R[:k, :k], Q[:, :k].T) for _, k in sizes]
+    out = np.empty((len(candidates), k_final, k_final))
+    point_maps = np.empty((len(candidates), len(rows2)), dtype=np.int64)
+    chunk = max(1, _CHUNK // (len(rows1) * len(rows2)))
+    for a in range(0, len(candidates), chunk):
+        C = candidates[a : a + chunk]
+        for (k1, _), fit in zip(sizes, fits, strict=True):
+            C = fit @ rows1[_nearest_each(rows1, rows2, C)][..., :k1]
+        out[a : a + chunk], point_maps[a : a + chunk] = C, _nearest_each(rows1, rows2, C)
+    return out, point_maps
+
+
+def _nearest_each(rows1: Floats, rows2: Floats, C: Floats) -> Ints:
+    """Return the nearest row of ``rows1 @ C.T`` to each row of `rows2` for each map: (c, s2)."""
+    images = (C @ rows1[:, : C.shape[2]].T).astype(np.float32)  # (c, k2, s1)
+    scores = rows2[:, : C.shape[1]].astype(np.float32) @ images
+    scores -= 0.5 * (images**2).sum(axis=1)[:, None]
+    return np.asarray(scores.argmax(axis=2))
+
+
+def schedule(shape: tuple[int, int], k_final: int, step: int) -> list[tuple[int, int]]:
+    """Return the sizes (k1, k2) after that of a (k2, k1) map, `step` more modes each time."""
+    k2, k1 = shape
+    count = -(-(k_final - min(k1, k2)) // step)
+    return [(min(k1 + i * step, k_final), min(k2 + i * step, k_final)) for i in range(1, count + 1)]
+
+
+def starting_map(a: Spectrum, b: Spectrum, initial: ArrayLike, k_start: int | None) -> Floats:
+    """Return the functional map to start from, of at most the modes of the spectra."""
+    if np.ndim(initial) == 1:
+        k = min(_START, a.k, b.k) if k_start is None else k_start
+        check_count("k_start", k, low=1, high=min(a.k, b.k))
+        return induced(a, b, check_point_map("initial", initial, a.n, b.n), k, k)
+    C = check_functional_map("initial", initial, a, b)
+    if k_start is None:
+        return C
+    check_count("k_start", k_start, low=1, high=min(C.shape))
+    return C[:k_start, :k_start]
+
+
+def checked_pair(source: Spectrum, target: Spectrum, k: int) -> tuple[Spectrum, Spectrum]:
+    """Return the first `k` modes of both, at unit area; refuse pairs that cannot be refined."""
+    check_components(source, target)
+    check_count("k_final", k, low=1)
+    if k > min(source.k, target.k):
+        raise InvalidInputError(
+            f"`k_final` must be at most {min(source.k, target.k)}, got {k}: the source has"
+            f" {source.k} modes, the target {target.k}; compute more modes or end sooner"
+        )
+    return at_unit_area(source.truncate(k)), at_unit_area(target.truncate(k))
+
+
+def _checked_samples(
+    samples: tuple[ArrayLike, ArrayLike], n1: int, n2: int, k_final: int
+) -> tuple[Ints, Ints]:
+    if len(samples) != 2:
+        raise InvalidInputError(
+            f"`samples` must be two arrays, of source and of target points, got {len(samples)}"
+        )
+    first = check_indices("samples[0]", samples[0], n1)
+    second = check_indices("samples[1]", samples[1], n2)
+    if first.ndim != 1 or second.ndim != 1 or not len(first):
+        raise InvalidInputError(
+            f"`samples` must be two arrays of indices, got shapes {first.shape} and {second.shape}"
+        )
+    distinct = len(np.unique(second))
+    if distinct < k_final:
+        raise InvalidInputError(
+            f"`samples[1]` must hold at least `k_final` = {k_final} distinct points, got"
+            f" {distinct}; sample more or end sooner"
+        )
+    return first, second
