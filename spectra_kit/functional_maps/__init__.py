@@ -16,11 +16,13 @@ from spectra_kit.functional_maps.convert import (
     functional_map_from_point_map,
     point_map_from_functional_map,
 )
+from spectra_kit.functional_maps.fit import fit_functional_map
 from spectra_kit.functional_maps.nearest import nearest_rows
 from spectra_kit.functional_maps.zoomout import zoomout, zoomout_many
 
 __all__ = [
     "Correspondence",
+    "fit_functional_map",
     "functional_map_from_point_map",
     "nearest_rows",
     "point_map_from_functional_map",
