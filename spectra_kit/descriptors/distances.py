@@ -178,13 +178,14 @@ def kernel_labels(spectrum: Spectrum) -> Ints:
     # Rows are equal inside a component and orthogonal between two, of squared length 1/area.
     size = np.maximum(np.sum(rows**2, axis=1), 1 / spectrum.area)
     labels = np.full(spectrum.n, -1)
+    left = np.arange(spectrum.n)
     label = 0
-    while (labels < 0).any():
-        first = np.argmax(labels < 0)
-        apart = np.sum((rows - rows[first]) ** 2, axis=1)
-        same = apart < 0.5 * np.maximum(size, size[first])
-        same[first] = True
-        labels[same & (labels < 0)] = label
+    while len(left):
+        first = left[0]
+        apart = np.sum((rows[left] - rows[first]) ** 2, axis=1)
+        same = apart < 0.5 * np.maximum(size[left], size[first])
+        labels[left[same]] = label
+        left = left[~same]
         label += 1
     return labels
 

@@ -1,0 +1,323 @@
+"""Signatures of points: closed forms, definitions by brute force, and what must not matter."""
+
+import numpy as np
+import pytest
+from conftest import bumpy, two_parts
+from scipy.linalg import block_diag, expm
+from scipy.special import eval_legendre, gammaln, lpmv
+
+from spectra_kit import (
+    Dense,
+    InvalidInputError,
+    Spectrum,
+    TriangleMesh,
+    cotan_laplacian,
+    eigensolve,
+    robust_laplacian,
+)
+from spectra_kit.descriptors import (
+    global_point_signature,
+    heat_kernel,
+    heat_kernel_signature,
+    heat_times,
+    landmark_heat_kernel_signature,
+    landmark_wave_kernel_signature,
+    normalize_descriptors,
+    wave_energies,
+    wave_kernel_signature,
+)
+from spectra_kit.geometry import rectangle, sphere
+
+LANDMARKS = [3, 17]
+SIGNATURES = {
+    "hks": heat_kernel_signature,
+    "hks-scaled": lambda s: heat_kernel_signature(s, scaled=True),
+    "wks": wave_kernel_signature,
+    "landmark-hks": lambda s: landmark_heat_kernel_signature(s, LANDMARKS),
+    "landmark-wks": lambda s: landmark_wave_kernel_signature(s, LANDMARKS),
+}
+
+
+@pytest.fixture(params=SIGNATURES.values(), ids=SIGNATURES)
+def signature(request):
+    return request.param
+
+
+def harmonics(n=60, degree=6, radius=1.0):
+    """The exact spectrum of a sphere at random points: real spherical harmonics."""
+    points = np.random.default_rng(0).standard_normal((n, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    z, angle = points[:, 2], np.arctan2(points[:, 1], points[:, 0])
+    columns, values = [], []
+    for l in range(degree + 1):
+        for m in range(-l, l + 1):
+            a = abs(m)
+            norm = (2 * l + 1) / (4 * np.pi) * np.exp(gammaln(l - a + 1) - gammaln(l + a + 1))
+            wave = np.sqrt(2 - (a == 0)) * (np.cos(a * angle) if m >= 0 else np.sin(a * angle))
+            columns.append(np.sqrt(norm) * lpmv(a, l, z) * wave / radius)
+            values.append(l * (l + 1) / radius**2)
+    mass = np.full(n, 4 * np.pi * radius**2 / n)
+    return Spectrum(np.array(values), np.stack(columns, axis=1), mass), points @ points.T
+
+
+def shuffled(spectrum):
+    """The same spectrum with every eigenspace in another orthonormal basis."""
+    rng = np.random.default_rng(1)
+    sizes = np.unique(spectrum.eigenvalues, return_counts=True)[1]
+    turn = block_diag(*(np.linalg.qr(rng.standard_normal((d, d)))[0] for d in sizes))
+    return Spectrum(spectrum.eigenvalues, spectrum.eigenvectors @ turn, spectrum.mass)
+
+
+@pytest.fixture(scope="module")
+def bumps():
+    return eigensolve(robust_laplacian(bumpy()), 40)
+
+
+@pytest.fixture(scope="module")
+def complete():
+    """All modes of a small mesh, with its matrices: sums over modes are then exact."""
+    laplacian = cotan_laplacian(sphere(subdivisions=1).geometry)
+    return eigensolve(laplacian, laplacian.n, Dense()), laplacian
+
+
+def test_heat_kernel_of_the_sphere():
+    spectrum, cosine = harmonics(degree=12)
+    times = [0.3, 1.0]
+    expected = sum(
+        (2 * l + 1) / (4 * np.pi) * np.exp(-l * (l + 1) * np.array(times))
+        * eval_legendre(l, cosine[:5, :, None])
+        for l in range(13)
+    )  # fmt: skip
+    np.testing.assert_allclose(heat_kernel(spectrum, range(5), times), expected, atol=1e-12)
+
+
+def test_heat_kernel_of_a_meshed_sphere():
+    ball = sphere(subdivisions=3).geometry
+    spectrum = eigensolve(robust_laplacian(ball), 49)
+    cosine = ball.points[:3] @ ball.points.T
+    expected = sum(
+        (2 * l + 1) / (4 * np.pi) * np.exp(-0.5 * l * (l + 1)) * eval_legendre(l, cosine)
+        for l in range(20)
+    )
+    found = heat_kernel(spectrum, [0, 1, 2], [0.5])[:, :, 0]
+    np.testing.assert_allclose(found, expected, atol=0.01 * expected.max())
+
+
+def test_heat_kernel_is_the_exponential_of_the_operator(complete):
+    spectrum, laplacian = complete
+    generator = laplacian.stiffness.toarray() / laplacian.mass[:, None]
+    times = [0.01, 1.0]
+    expected = np.stack([expm(-t * generator) / laplacian.mass for t in times], axis=2)
+    np.testing.assert_allclose(heat_kernel(spectrum, range(spectrum.n), times), expected, atol=1e-9)
+    np.testing.assert_allclose(
+        heat_kernel_signature(spectrum, times), np.einsum("iit->it", expected), atol=1e-9
+    )
+    columns = landmark_heat_kernel_signature(spectrum, LANDMARKS, times)
+    np.testing.assert_allclose(
+        columns, np.hstack([expected[:, i] for i in LANDMARKS]), atol=1e-9
+    )  # fmt: skip
+
+
+def test_short_times_see_a_plane_and_long_times_the_area():
+    spectrum, _ = harmonics(degree=40)
+    short, long = heat_kernel_signature(spectrum, [0.01, 20.0]).T
+    np.testing.assert_allclose(short, 1 / (4 * np.pi * 0.01), rtol=0.01)
+    np.testing.assert_allclose(long, 1 / (4 * np.pi), rtol=1e-12)
+
+
+def test_wks_is_a_loop_over_its_formula(bumps):
+    energies, width = wave_energies(bumps, 9)
+    expected = np.zeros((bumps.n, 9))
+    for j, e in enumerate(energies):
+        weights = np.exp(-((e - np.log(bumps.eigenvalues[1:])) ** 2) / (2 * width**2))
+        for i, w in enumerate(weights):
+            expected[:, j] += w / weights.sum() * bumps.eigenvectors[:, i + 1] ** 2
+    np.testing.assert_allclose(wave_kernel_signature(bumps, count=9), expected, rtol=1e-10)
+    np.testing.assert_allclose(wave_kernel_signature(bumps, energies, width=width), expected)
+    np.testing.assert_allclose(wave_kernel_signature(bumps, energies), expected)
+
+
+def test_the_diagonal_of_landmarks_is_the_signature(bumps):
+    everyone = range(bumps.n)
+    for all_pairs, alone in (
+        (landmark_heat_kernel_signature, heat_kernel_signature),
+        (landmark_wave_kernel_signature, wave_kernel_signature),
+    ):
+        columns = all_pairs(bumps, everyone, count=3).reshape(bumps.n, bumps.n, 3)
+        np.testing.assert_allclose(np.einsum("iit->it", columns), alone(bumps, count=3))
+
+
+def test_scaled_columns_have_integral_one(bumps):
+    hks = heat_kernel_signature(bumps, scaled=True)
+    np.testing.assert_allclose(bumps.mass @ hks, 1, rtol=1e-10)
+    np.testing.assert_allclose(bumps.mass @ wave_kernel_signature(bumps), 1, rtol=1e-10)
+    trace = np.exp(-np.outer(bumps.eigenvalues, heat_times(bumps))).sum(axis=0)
+    np.testing.assert_allclose(hks * trace, heat_kernel_signature(bumps))
+
+
+def test_nothing_underflows(bumps):
+    # Without the constant all heat is gone long before; the shares of it that are left are not.
+    hks = heat_kernel_signature(bumps.nonzero(), [1e6], scaled=True)
+    np.testing.assert_allclose(hks[:, 0], bumps.eigenvectors[:, 1] ** 2)
+    wks = wave_kernel_signature(bumps, [-1000.0])
+    np.testing.assert_allclose(wks[:, 0], bumps.eigenvectors[:, 1] ** 2)
+
+
+def test_bases_of_eigenspaces_do_not_matter(signature):
+    spectrum, _ = harmonics()
+    np.testing.assert_allclose(signature(shuffled(spectrum)), signature(spectrum), atol=1e-12)
+
+
+def test_all_points_of_a_sphere_are_alike():
+    spectrum, _ = harmonics()
+    for signature in (heat_kernel_signature, wave_kernel_signature):
+        found = signature(spectrum)
+        np.testing.assert_allclose(found, np.tile(found[:1], (spectrum.n, 1)), rtol=1e-10)
+
+
+def test_scaling_is_a_power_of_the_scale(bumps, signature):
+    small, big = signature(bumps), signature(bumps.rescale(1000.0))
+    np.testing.assert_allclose(1e6 * big, small, rtol=1e-10, atol=1e-12)
+
+
+def test_grids_follow_the_scale(bumps):
+    big = bumps.rescale(10.0)
+    np.testing.assert_allclose(heat_times(big), 100 * heat_times(bumps))
+    (low, narrow), (high, wide) = wave_energies(big), wave_energies(bumps)
+    np.testing.assert_allclose(high - low, np.log(100))
+    assert narrow == pytest.approx(wide, rel=1e-12)
+
+
+def test_grids_follow_the_definitions(bumps):
+    first, last = bumps.eigenvalues[[1, -1]]
+    times = heat_times(bumps, 5)
+    np.testing.assert_allclose(np.exp(-first * times[-1]), 1e-4)
+    np.testing.assert_allclose(np.exp(-last * times[0]), 1e-4)
+    np.testing.assert_allclose(times[1:] / times[:-1], times[1] / times[0])
+    energies, width = wave_energies(bumps)
+    assert width == pytest.approx(7 * np.log(last / first) / 100)
+    np.testing.assert_allclose(energies[[0, -1]], np.log([first, last]) + [2 * width, -2 * width])
+
+
+def test_points_keep_their_values_in_another_order(bumps):
+    order = np.random.default_rng(2).permutation(bumps.n)
+    moved = Spectrum(bumps.eigenvalues, bumps.eigenvectors[order], bumps.mass[order])
+    where = np.argsort(order)[LANDMARKS]
+    for plain, permuted in (
+        (heat_kernel_signature(bumps), heat_kernel_signature(moved)),
+        (wave_kernel_signature(bumps), wave_kernel_signature(moved)),
+        (
+            landmark_heat_kernel_signature(bumps, LANDMARKS),
+            landmark_heat_kernel_signature(moved, where),
+        ),
+    ):
+        np.testing.assert_allclose(permuted, plain[order], rtol=1e-9, atol=1e-12)
+
+
+def test_a_folded_sheet_is_a_flat_one(signature):
+    flat = rectangle(n=300).geometry
+    middle = np.unique(flat.points[:, 0])[7]
+    beyond = np.maximum(flat.points[:, 0] - middle, 0)
+    # Folded upright along a line of edges: no triangle changes.
+    folded = flat.points - beyond[:, None] * [1, 0, -1]
+    one, other = (
+        eigensolve(cotan_laplacian(TriangleMesh(p, flat.faces)), 30) for p in (flat.points, folded)
+    )
+    np.testing.assert_allclose(signature(other), signature(one), rtol=1e-6, atol=1e-6)
+
+
+def test_two_components_do_not_break_the_grids():
+    spectrum = eigensolve(robust_laplacian(two_parts()), 40)
+    assert spectrum.n_zero_modes == 2
+    assert heat_times(spectrum)[-1] == pytest.approx(4 * np.log(10) / spectrum.eigenvalues[2])
+    energies, _ = wave_energies(spectrum)
+    assert energies[0] > np.log(spectrum.eigenvalues[2])
+
+
+def test_components_do_not_see_each_other():
+    a, b = harmonics(n=40)[0], harmonics(n=30, radius=0.5)[0]
+    values = np.concatenate([a.eigenvalues, b.eigenvalues])
+    order = np.argsort(values, kind="stable")
+    vectors = block_diag(a.eigenvectors, b.eigenvectors)[:, order]
+    both = Spectrum(values[order], vectors, np.concatenate([a.mass, b.mass]))
+    times = [0.1, 1.0, 100.0]
+    together = heat_kernel_signature(both, times)
+    np.testing.assert_allclose(together[:40], heat_kernel_signature(a, times))
+    np.testing.assert_allclose(together[40:], heat_kernel_signature(b, times))
+    assert not heat_kernel(both, [0], times)[0, 40:].any()
+
+
+def test_gps_products_are_greens_function(complete):
+    spectrum, laplacian = complete
+    gps = global_point_signature(spectrum)
+    assert gps.shape == (spectrum.n, spectrum.n - 1)
+    # Green's function: L g = M (delta - 1/area), of zero mean.
+    ones = np.ones((spectrum.n, spectrum.n))
+    right = np.eye(spectrum.n) - ones * laplacian.mass[:, None] / spectrum.area
+    np.testing.assert_allclose(laplacian.stiffness @ (gps @ gps.T), right, atol=1e-9)
+    np.testing.assert_array_equal(global_point_signature(spectrum, 5), gps[:, :5])
+
+
+def test_gps_has_no_unit(bumps):
+    np.testing.assert_allclose(
+        global_point_signature(bumps.rescale(7.0)), global_point_signature(bumps)
+    )
+
+
+def test_normalized_columns_have_one_size(bumps):
+    hks = heat_kernel_signature(bumps)
+    unit = normalize_descriptors(bumps, hks)
+    np.testing.assert_allclose(bumps.mass @ unit**2, 1)
+    np.testing.assert_allclose(unit[:, 3] / unit[0, 3], hks[:, 3] / hks[0, 3])
+    centred = normalize_descriptors(bumps, hks, center=True)
+    np.testing.assert_allclose(bumps.mass @ centred, 0, atol=1e-9)
+    np.testing.assert_allclose(bumps.mass @ centred**2, 1)
+
+
+def test_lapy_finds_the_same_signature(bumps):
+    heat = pytest.importorskip("lapy.heat")
+    U, values, times = bumps.eigenvectors, bumps.eigenvalues[:, None], heat_times(bumps)
+    expected = heat.diagonal(times[None, :], np.arange(bumps.n), U, values, bumps.k)
+    np.testing.assert_allclose(heat_kernel_signature(bumps), expected)
+
+
+TWO = Spectrum(np.zeros(2), np.eye(2), np.ones(2))
+ONE_VALUE = Spectrum(np.array([0.0, 2.0, 2.0]), np.eye(3), np.ones(3))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: heat_times(TWO), "modes outside its kernel, got 2 modes, all of them"),
+        (lambda s: global_point_signature(TWO), "`spectrum` must have modes outside its kernel"),
+        (lambda s: wave_energies(ONE_VALUE), "must have two different eigenvalues .* 2 times 2"),
+        (lambda s: heat_times(s, 1), "`count` must be at least 2, got 1"),
+        (lambda s: wave_energies(s, 1), "`count` must be at least 2, got 1"),
+        (lambda s: wave_energies(s, width=9.0), "`width` must be below a quarter of the range"),
+        (lambda s: wave_energies(s, width=0.0), "`width` must be positive and finite, got 0"),
+        (lambda s: wave_kernel_signature(s, [1.0], width=-1.0), "`width` must be positive"),
+        (lambda s: wave_kernel_signature(s, 1.0), r"`energies` must be a vector.*; write \[1.0\]"),
+        (lambda s: wave_kernel_signature(s, []), r"at least one number, got shape \(0,\)"),
+        (lambda s: heat_kernel_signature(s, [0.0, 1.0]), "`times` must be positive, got 1 entries"),
+        (lambda s: heat_kernel_signature(s, [np.nan]), "`times` must be finite"),
+        (lambda s: heat_kernel(s, [], [1.0]), "`sources` must name at least one point, got none"),
+        (lambda s: heat_kernel(s, 3, [1.0]), r"`sources` must be a vector.*; write \[3\]"),
+        (lambda s: heat_kernel(s, [s.n], [1.0]), r"`sources` must be in \[0, 642\), got 642"),
+        (lambda s: landmark_heat_kernel_signature(s, []), "`landmarks` must name at least one"),
+        (lambda s: landmark_wave_kernel_signature(s, []), "`landmarks` must name at least one"),
+        (lambda s: landmark_wave_kernel_signature(s, [-1]), r"`landmarks` must be in \[0, 642\)"),
+        (lambda s: global_point_signature(s, s.k), r"`count` must be in \[1, 39\], got 40"),
+        (lambda s: normalize_descriptors(s, np.ones(3)), r"must have shape \(642, d\)"),
+        (
+            lambda s: normalize_descriptors(s, np.eye(s.n)[:, :2] * [1, 0]),
+            "no zero column, got one in column 1",
+        ),
+        (
+            lambda s: normalize_descriptors(s, np.full((s.n, 1), 0.1), center=True),
+            "no constant column, got one in column 0",
+        ),
+    ],
+)
+def test_bad_input_is_refused(bumps, call, message):
+    with pytest.raises(InvalidInputError, match=message):
+        call(bumps)
