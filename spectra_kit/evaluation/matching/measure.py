@@ -1,0 +1,153 @@
+"""`measure_pair`: match one pair and measure the map in every way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._validate import frozen
+from spectra_kit.correspondence import (
+    MapErrors,
+    Truth,
+    accuracy_curve,
+    auc,
+    bijectivity_errors,
+    coverage,
+    dirichlet_energy,
+    geodesic_errors,
+    map_errors,
+    orientation,
+)
+from spectra_kit.evaluation.matching.methods import Outcome
+from spectra_kit.evaluation.matching.subjects import Subject, truth_between
+from spectra_kit.functional_maps import (
+    functional_map_from_point_map,
+    point_map_from_functional_map,
+)
+from spectra_kit.operators import robust_laplacian
+from spectra_kit.spectrum import Spectrum
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: Where accuracy curves are taken, in hundredths of the root of the area.
+THRESHOLDS = frozen(np.linspace(0, 10, 41))
+_SCOUTS = 400  # correspondences that rank candidates before the best one is measured on all
+_WAY_BACK = 100  # modes of the functional map whose transpose leads back
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PairResult:
+    """What came of a pair; errors in hundredths of the root of the source's area.
+
+    Attributes
+    ----------
+    direct, symmetric, either : float
+        Mean geodesic errors against the truth, its mirror image, and the smaller one at each
+        correspondence; `symmetric` is NaN where there is no mirror image.
+    flipped : bool
+        See `correspondence.MapErrors.flipped`.
+    auc : float
+        Of the direct errors up to 10.
+    auc_either : float
+        Of the smaller ones.
+    coverage, energy, bijectivity, orientation : float
+        See `correspondence`; `bijectivity` is the mean distance to where the transposed
+        functional map leads back, the others need no more than the point map. `orientation`
+        counts faces as they are wound in the files.
+    oracle : float
+        Mean direct error of the best candidate, chosen by the truth; NaN without candidates.
+    margin : float
+        Which the method reports; NaN where it does not.
+    seconds, cpu_seconds : float
+        Of the matching, spectra given.
+    accuracy, accuracy_either : ndarray of shape (41,)
+        Share of errors up to each of `THRESHOLDS`, direct and smaller.
+    """
+
+    direct: float
+    symmetric: float
+    either: float
+    flipped: bool
+    auc: float
+    auc_either: float
+    coverage: float
+    energy: float
+    bijectivity: float
+    orientation: float
+    oracle: float
+    margin: float
+    seconds: float
+    cpu_seconds: float
+    accuracy: Floats
+    accuracy_either: Floats
+
+
+def measure_pair(
+    source: Subject,
+    target: Subject,
+    spectra: tuple[Spectrum, Spectrum],
+    outcome: Outcome,
+) -> PairResult:
+    """Measure an outcome against the truth and without it.
+
+    Parameters
+    ----------
+    source, target : Subject
+        Of one class.
+    spectra : (Spectrum, Spectrum)
+        Of source and target, whatever the method used.
+    outcome : Outcome
+        Of a method.
+
+    Returns
+    -------
+    PairResult
+        Distances are those along the edges of the source's mesh, also where clouds were matched.
+    """
+    truth, p = truth_between(source, target), outcome.point_map
+    errors = map_errors(source.mesh, p, truth)
+    laplacian_1, laplacian_2 = (robust_laplacian(subject.mesh) for subject in (source, target))
+    return PairResult(
+        direct=float(errors.direct.mean()),
+        symmetric=_mean(errors.symmetric),
+        either=float(errors.either.mean()),
+        flipped=errors.flipped(),
+        auc=auc(errors.direct),
+        auc_either=auc(errors.either),
+        coverage=coverage(p, laplacian_1.mass),
+        energy=dirichlet_energy(laplacian_1, laplacian_2, p),
+        bijectivity=_bijectivity(source, spectra, p),
+        orientation=orientation(source.mesh.points, source.mesh.faces, target.mesh.faces, p),
+        oracle=_oracle(source, truth, outcome, errors),
+        margin=outcome.margin,
+        seconds=outcome.seconds,
+        cpu_seconds=outcome.cpu_seconds,
+        accuracy=accuracy_curve(errors.direct, THRESHOLDS),
+        accuracy_either=accuracy_curve(errors.either, THRESHOLDS),
+    )
+
+
+def _mean(errors: Floats | None) -> float:
+    return float("nan") if errors is None else float(errors.mean())
+
+
+def _bijectivity(source: Subject, spectra: tuple[Spectrum, Spectrum], point_map: Ints) -> float:
+    k = min(_WAY_BACK, *(s.k for s in spectra))
+    C = functional_map_from_point_map(*spectra, point_map, k=k)
+    # Of a bijection that keeps areas the map is orthogonal, and its transpose leads back.
+    back = point_map_from_functional_map(spectra[1], spectra[0], C.T)
+    return float(bijectivity_errors(source.mesh, point_map, back).mean())
+
+
+def _oracle(source: Subject, truth: Truth, outcome: Outcome, errors: MapErrors) -> float:
+    """Mean direct error of the candidate that is best by the truth, the chosen map among them."""
+    if not outcome.candidates:
+        return float("nan")
+    some = np.linspace(0, len(truth.source) - 1, min(_SCOUTS, len(truth.source))).astype(np.int64)
+    few = Truth(truth.source[some], truth.target[some])
+    scouted = [geodesic_errors(source.mesh, p, few).mean() for p in outcome.candidates]
+    best = outcome.candidates[int(np.argmin(scouted))]
+    return min(float(geodesic_errors(source.mesh, best, truth).mean()), float(errors.direct.mean()))

@@ -1,0 +1,156 @@
+"""What is compared: functions that take two sides and return a point map."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.evaluation.matching import pyfm_peer
+from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.spectrum import Spectrum
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One of the two to match.
+
+    Attributes
+    ----------
+    geometry : TriangleMesh or PointCloud
+        As the method may use it.
+    spectrum : Spectrum
+        Of its backend, in the units of the geometry.
+    """
+
+    geometry: Geometry
+    spectrum: Spectrum
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a method returns for a pair.
+
+    Attributes
+    ----------
+    point_map : ndarray of shape (n2,)
+        Source point of each target point.
+    seconds, cpu_seconds : float
+        Of the matching, spectra given.
+    candidates : tuple of ndarray of shape (n2,)
+        All refined maps that it chose among, where it reports them.
+    margin : float
+        By how much the chosen one was better; NaN where it does not say.
+    """
+
+    point_map: Ints
+    seconds: float
+    cpu_seconds: float
+    candidates: tuple[Ints, ...] = ()
+    margin: float = float("nan")
+
+
+def match_wks(source: Side, target: Side) -> Outcome:
+    """Nearest wave kernel signatures, then ZoomOut from 20 modes to all: the plain method."""
+    from spectra_kit.descriptors import wave_kernel_signature
+    from spectra_kit.functional_maps import nearest_rows, zoomout
+
+    clock = _Clock()
+    a, b = (side.spectrum.rescale(1 / np.sqrt(side.spectrum.area)) for side in (source, target))
+    initial = nearest_rows(wave_kernel_signature(b), wave_kernel_signature(a))
+    found = zoomout(a, b, initial, k_final=min(a.k, b.k))
+    return clock.outcome(found.point_map)
+
+
+def match_pyfm(source: Side, target: Side, *, python: str = sys.executable) -> Outcome:
+    """PyFM with the parameters of its README, on spectra of its own.
+
+    Parameters
+    ----------
+    source, target : Side
+        Meshes; of the spectra only the number of modes is used.
+    python : path, optional
+        Of an environment where pyFM is installed; this one by default.
+
+    Returns
+    -------
+    Outcome
+        Its seconds leave out the spectra.
+
+    Raises
+    ------
+    InvalidInputError
+        If a side is no mesh.
+    MissingDependencyError
+        If pyFM is not installed there, or fails.
+    """
+    if not isinstance(source.geometry, TriangleMesh) or not isinstance(
+        target.geometry, TriangleMesh
+    ):
+        raise InvalidInputError("`source` and `target` must be meshes: pyFM knows no clouds")
+    with tempfile.TemporaryDirectory() as folder:
+        given, answer = Path(folder) / "in.npz", Path(folder) / "out.npz"
+        np.savez(
+            given,
+            V1=source.geometry.points,
+            F1=source.geometry.faces,
+            V2=target.geometry.points,
+            F2=target.geometry.faces,
+            k=source.spectrum.k,
+        )
+        script = str(pyfm_peer.__file__)
+        done = subprocess.run(
+            [python, script, str(given), str(answer)], capture_output=True, text=True, check=False
+        )
+        if done.returncode:
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            raise MissingDependencyError(
+                f"pyFM does not run in {python} ({last}); pip install pyfmaps there, or name"
+                " another Python"
+            )
+        with np.load(answer) as file:
+            return Outcome(
+                file["point_map"].astype(np.int64),
+                float(file["seconds"]),
+                float(file["cpu_seconds"]),
+            )
+
+
+#: Methods by name; each takes a source and a target `Side`.
+METHODS: dict[str, Callable[[Side, Side], Outcome]] = {
+    "wks-zoomout": match_wks,
+    "pyfm": match_pyfm,
+}
+
+
+class _Clock:
+    """Seconds since it was made."""
+
+    def __init__(self) -> None:
+        self._start = time.perf_counter(), time.process_time()
+
+    def outcome(
+        self,
+        point_map: Ints,
+        *,
+        candidates: Sequence[Ints] = (),
+        margin: float = float("nan"),
+    ) -> Outcome:
+        wall, cpu = self._start
+        return Outcome(
+            point_map,
+            time.perf_counter() - wall,
+            time.process_time() - cpu,
+            tuple(candidates),
+            margin,
+        )

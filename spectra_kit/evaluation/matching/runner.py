@@ -1,0 +1,339 @@
+"""`run_tasks`: solve the spectra, match the pairs in processes side by side, remember both."""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from tqdm import tqdm
+
+from spectra_kit._files import atomic_path
+from spectra_kit._validate import check_count
+from spectra_kit.errors import InvalidInputError, SpectraKitError
+from spectra_kit.evaluation.matching.measure import PairResult, measure_pair
+from spectra_kit.evaluation.matching.methods import METHODS, Side, match_pyfm
+from spectra_kit.evaluation.matching.spectra import (
+    BACKENDS,
+    KINDS,
+    Kind,
+    geometry_of,
+    load_spectrum,
+    solve_to,
+    spectrum_path,
+)
+from spectra_kit.evaluation.matching.subjects import Subject
+from spectra_kit.evaluation.matching.table import PairTable, Task
+from spectra_kit.spectrum import Spectrum
+
+# One thread in each process: the processes share the cores.
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_HELD = 8  # spectra in the memory of a process
+_WATCH = 1.0  # seconds between two looks at whether the parent still lives
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Settings:
+    """What the processes share.
+
+    Attributes
+    ----------
+    subjects : mapping of str to Subject
+        By name.
+    folder : Path
+        For spectra, maps and the table; made if missing.
+    k : int, default 150
+        Modes of each spectrum.
+    weights : str, default "small"
+        Of the network.
+    pyfm_python : str, optional
+        The Python that has pyFM, if another.
+    """
+
+    subjects: Mapping[str, Subject]
+    folder: Path
+    k: int = 150
+    weights: str = "small"
+    pyfm_python: str | None = None
+
+    def spectrum_path(self, name: str, kind: str, backend: str) -> Path:
+        """Return where the spectrum of a subject lies."""
+        return spectrum_path(
+            self.folder / "spectra",
+            self.subjects[name],
+            cast(Kind, kind),
+            backend,
+            k=self.k,
+            weights=self.weights,
+        )
+
+    def map_path(self, task: Task) -> Path:
+        """Return where the point map of a task lies."""
+        run = f"{task.kind}-{task.backend}-{task.method}"
+        return self.folder / "maps" / run / f"{task.source}--{task.target}.npy"
+
+    def digest(self, task: Task) -> str:
+        """Hash of the two subjects and their spectra's keys: what decides a result."""
+        digest = hashlib.blake2b(digest_size=12)
+        for name in (task.source, task.target):
+            digest.update(self.subjects[name].digest.encode())
+            digest.update(self.spectrum_path(name, task.kind, task.backend).name.encode())
+        return digest.hexdigest()
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Everything that was asked for, as far as it could be measured.
+
+    Attributes
+    ----------
+    results : dict of Task to PairResult
+        In the order of the tasks.
+    failures : dict of Task to str
+        Why there is no result. Failures are not remembered.
+    """
+
+    results: dict[Task, PairResult] = field(default_factory=dict)
+    failures: dict[Task, str] = field(default_factory=dict)
+
+
+def make_tasks(
+    pairs: Iterable[tuple[str, str]],
+    *,
+    kinds: Sequence[str] = ("mesh",),
+    backends: Sequence[str] = ("exact",),
+    methods: Sequence[str] = ("wks-zoomout",),
+) -> list[Task]:
+    """Return all combinations, pair by pair.
+
+    Raises
+    ------
+    InvalidInputError
+        If a name is none of those known.
+
+    Examples
+    --------
+    >>> len(make_tasks([("a", "b"), ("b", "a")], kinds=["mesh", "cloud"]))
+    4
+
+    pyFM solves for itself, and knows no clouds: it is asked once for each pair.
+
+    >>> tasks = make_tasks([("a", "b")], backends=["exact", "neo"], methods=["pyfm"])
+    >>> [task.backend for task in tasks]
+    ['exact']
+    """
+    for name, values, known in (
+        ("kinds", kinds, KINDS),
+        ("backends", backends, BACKENDS),
+        ("methods", methods, tuple(METHODS)),
+    ):
+        if unknown := [value for value in values if value not in known]:
+            raise InvalidInputError(
+                f"`{name}` must be among {', '.join(known)}, got {', '.join(unknown)}"
+            )
+    ours = [method for method in methods if method != "pyfm"]
+    runs = [(kind, backend, m) for m in ours for kind in kinds for backend in backends]
+    if "pyfm" in methods:
+        runs.append(("mesh", "exact", "pyfm"))
+    return [Task(*pair, *run) for pair in pairs for run in runs]
+
+
+def run_tasks(
+    tasks: Sequence[Task], settings: Settings, *, jobs: int = 1, progress: bool = False
+) -> Run:
+    """Match every pair that has not been matched before.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+        See `make_tasks`.
+    settings : Settings
+        Subjects and folder.
+    jobs : int, default 1
+        Processes side by side, of one thread each; with 1 everything runs in this process, with
+        the threads that it has.
+    progress : bool, default False
+        Show a bar on a terminal.
+
+    Returns
+    -------
+    Run
+        Each result is a line of ``pairs.csv`` as soon as it is there; the same call after an
+        interruption goes on from there.
+    """
+    check_count("jobs", jobs, low=1)
+    (settings.folder / "spectra").mkdir(parents=True, exist_ok=True)
+    table = PairTable(settings.folder / "pairs.csv")
+    digests = {task: settings.digest(task) for task in tasks}
+    missing = [task for task in tasks if table.get(task, digests[task]) is None]
+    run = Run()
+    if missing:
+        for path in {settings.map_path(task).parent for task in missing}:
+            path.mkdir(parents=True, exist_ok=True)
+        with _pool(settings, jobs) as submit:
+            wanted = {
+                (name, task.kind, task.backend): settings.spectrum_path(
+                    name, task.kind, task.backend
+                )
+                for task in missing
+                for name in (task.source, task.target)
+            }
+            unsolved = [which for which, path in wanted.items() if not path.exists()]
+            reasons: dict[tuple[str, str, str], str] = {}
+            for which, answer in _done(submit, _solve, unsolved, "spectrum", progress):
+                if isinstance(answer, str):
+                    reasons[which] = answer
+            ready = []
+            for task in missing:
+                ends = [(name, task.kind, task.backend) for name in (task.source, task.target)]
+                why = [f"{end[0]}: {reasons[end]}" for end in ends if end in reasons]
+                if why:
+                    run.failures[task] = why[0]
+                else:
+                    ready.append(task)
+            for task, answer in _done(submit, _match, ready, "pair", progress):
+                if isinstance(answer, str):
+                    run.failures[task] = answer
+                else:
+                    table.add(task, digests[task], answer)
+    for task in tasks:
+        result = table.get(task, digests[task])
+        if result is not None:
+            run.results[task] = result
+    return run
+
+
+# --- in the processes ---
+
+_SHARED: list[Settings] = []  # of this process
+
+
+def _begin(settings: Settings, parent: int | None = None) -> None:
+    """Take the settings; in a process of its own, leave Ctrl-C to the parent and end with it."""
+    _SHARED[:] = [settings]
+    _spectrum.cache_clear()
+    if parent is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_WATCH)
+    os._exit(1)  # the parent was killed: nobody waits for this
+
+
+def _solve(which: tuple[str, str, str]) -> str | None:
+    """Solve one spectrum; return what went wrong."""
+    name, kind, backend = which
+    settings = _SHARED[0]
+    try:
+        solve_to(
+            settings.spectrum_path(*which),
+            settings.subjects[name],
+            cast(Kind, kind),
+            backend,
+            k=settings.k,
+            weights=settings.weights,
+        )
+    except SpectraKitError as error:
+        return str(error)
+    return None
+
+
+def _match(task: Task) -> PairResult | str:
+    """Match one pair, write the map and measure it; or return what went wrong."""
+    settings = _SHARED[0]
+    method = METHODS[task.method]
+    if task.method == "pyfm" and settings.pyfm_python:
+        method = partial(match_pyfm, python=settings.pyfm_python)
+    subjects = [settings.subjects[name] for name in (task.source, task.target)]
+    try:
+        spectra = [
+            _spectrum(settings.spectrum_path(s.name, task.kind, task.backend)) for s in subjects
+        ]
+        sides = [
+            Side(geometry_of(subject, cast(Kind, task.kind)), spectrum)
+            for subject, spectrum in zip(subjects, spectra, strict=True)
+        ]
+        outcome = method(sides[0], sides[1])
+        result = measure_pair(subjects[0], subjects[1], (spectra[0], spectra[1]), outcome)
+        with atomic_path(settings.map_path(task)) as part:
+            np.save(part, outcome.point_map.astype(np.int32))
+    except SpectraKitError as error:
+        return str(error)
+    return result
+
+
+@lru_cache(maxsize=_HELD)
+def _spectrum(path: Path) -> Spectrum:
+    return load_spectrum(path)
+
+
+# --- the pool ---
+
+Submit = Callable[[Callable[[Any], Any], Any], "Future[Any]"]
+
+
+@contextmanager
+def _pool(settings: Settings, jobs: int) -> Iterator[Submit]:
+    if jobs == 1:
+        _begin(settings)
+        yield _now
+        return
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))  # the processes read it as they start
+    executor = ProcessPoolExecutor(
+        jobs,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_begin,
+        initargs=(settings, os.getpid()),
+    )
+    try:
+        yield executor.submit
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _now(function: Callable[[Any], Any], item: Any) -> Future[Any]:
+    """Compute at once, in this process."""
+    future: Future[Any] = Future()
+    future.set_result(function(item))
+    return future
+
+
+def _done(
+    submit: Submit,
+    function: Callable[[Any], Any],
+    items: Sequence[Any],
+    unit: str,
+    progress: bool,
+) -> Iterator[tuple[Any, Any]]:
+    """Yield items with their answers, as they come."""
+    bar = tqdm(total=len(items), unit=unit, disable=None if progress else True)
+    with bar:
+        if submit is _now:  # one at a time: what was done before an interruption is kept
+            for item in items:
+                yield item, function(item)
+                bar.update()
+            return
+        futures = {submit(function, item): item for item in items}
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+            bar.update()
