@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 from spectra_kit._validate import check_count
 from spectra_kit.descriptors.distances import biharmonic_embedding, kernel_labels
@@ -56,16 +55,16 @@ def farthest_points(spectrum: Spectrum, count: int, *, start: int | None = None)
     """
     check_count("count", count, low=1, high=spectrum.n)
     embedding, labels = biharmonic_embedding(spectrum), kernel_labels(spectrum)
-    from_middle = np.sqrt(np.sum(embedding**2, axis=1))
-    # Components without a point are infinitely far; among their points the tips go first.
-    gap = 2 * from_middle.max() + from_middle
+    from_middle = np.sum(embedding**2, axis=1)  # squared, as all that follows
+    # Components without a point are farther than any distance; among their points, tips go first.
+    gap = 4 * from_middle.max() + from_middle
     if start is not None:
         start = check_count("start", start, low=0, high=spectrum.n - 1)
     chosen = [int(np.argmax(gap)) if start is None else start]
     while len(chosen) < count:
         last = chosen[-1]
-        distance = cdist(embedding[last : last + 1], embedding)[0]
+        distance = from_middle + from_middle[last] - 2 * (embedding @ embedding[last])
         gap = np.where(labels == labels[last], np.minimum(gap, distance), gap)
-        gap[last] = -1.0
+        gap[last] = -np.inf  # where points coincide, a distance may round below zero
         chosen.append(int(np.argmax(gap)))
     return np.array(chosen, dtype=np.int64)
