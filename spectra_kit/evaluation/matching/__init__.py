@@ -7,6 +7,12 @@ Data flows `subjects` (meshes with landmarks) -> `protocols` (pairs) -> `spectra
 from spectra_kit.evaluation.matching.measure import THRESHOLDS, PairResult, measure_pair
 from spectra_kit.evaluation.matching.methods import METHODS, Outcome, Side
 from spectra_kit.evaluation.matching.protocols import PROTOCOLS, Protocol, make_protocol
+from spectra_kit.evaluation.matching.report import (
+    Summary,
+    draw_extremes,
+    summarize_runs,
+    write_matching_report,
+)
 from spectra_kit.evaluation.matching.runner import Run, Settings, make_tasks, run_tasks
 from spectra_kit.evaluation.matching.spectra import BACKENDS, KINDS
 from spectra_kit.evaluation.matching.subjects import (
@@ -31,12 +37,16 @@ __all__ = [
     "Settings",
     "Side",
     "Subject",
+    "Summary",
     "Task",
     "demo_subjects",
+    "draw_extremes",
     "make_protocol",
     "make_tasks",
     "measure_pair",
     "run_tasks",
     "subjects_in",
+    "summarize_runs",
     "truth_between",
+    "write_matching_report",
 ]

@@ -8,6 +8,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,12 @@ from numpy.typing import NDArray
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.evaluation.matching import pyfm_peer
 from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.operators.orientation import oriented_triangles
 from spectra_kit.spectrum import Spectrum
 
 Ints = NDArray[np.int64]
+
+_FITTED, _THINNED = 30, 4  # modes of a fitted map; of 100 signatures every fourth
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,16 +64,42 @@ class Outcome:
     margin: float = float("nan")
 
 
-def match_wks(source: Side, target: Side) -> Outcome:
-    """Nearest wave kernel signatures, then ZoomOut from 20 modes to all: the plain method."""
-    from spectra_kit.descriptors import wave_kernel_signature
-    from spectra_kit.functional_maps import nearest_rows, zoomout
+def match_wks(source: Side, target: Side, *, orientation: float = 0.0) -> Outcome:
+    """Fit 30 modes to wave kernel signatures, then ZoomOut to all: the plain method.
+
+    Parameters
+    ----------
+    source, target : Side
+        With equal numbers of modes, 31 at least.
+    orientation : float, default 0
+        Weight of the orientation term; see `fit_functional_map`.
+
+    Returns
+    -------
+    Outcome
+        One map, no candidates.
+    """
+    from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
+    from spectra_kit.functional_maps import zoomout
+    from spectra_kit.functional_maps.fit import fit_functional_map
 
     clock = _Clock()
-    a, b = (side.spectrum.rescale(1 / np.sqrt(side.spectrum.area)) for side in (source, target))
-    initial = nearest_rows(wave_kernel_signature(b), wave_kernel_signature(a))
-    found = zoomout(a, b, initial, k_final=min(a.k, b.k))
-    return clock.outcome(found.point_map)
+    a, b = (side.spectrum for side in (source, target))
+    turned = [
+        oriented_triangles(side.geometry) if orientation else None for side in (source, target)
+    ]
+    f, g = (normalize_descriptors(s, wave_kernel_signature(s))[:, ::_THINNED] for s in (a, b))
+    fitted = fit_functional_map(
+        a,
+        b,
+        f,
+        g,
+        k=_FITTED,
+        orientation=orientation,
+        source_orientation=turned[0],
+        target_orientation=turned[1],
+    )
+    return clock.outcome(zoomout(a, b, fitted, k_final=min(a.k, b.k)).point_map)
 
 
 def match_pyfm(source: Side, target: Side, *, python: str = sys.executable) -> Outcome:
@@ -129,6 +159,7 @@ def match_pyfm(source: Side, target: Side, *, python: str = sys.executable) -> O
 #: Methods by name; each takes a source and a target `Side`.
 METHODS: dict[str, Callable[[Side, Side], Outcome]] = {
     "wks-zoomout": match_wks,
+    "wks-orient-zoomout": partial(match_wks, orientation=1.0),
     "pyfm": match_pyfm,
 }
 

@@ -1,0 +1,154 @@
+r"""Match a set of meshes whose correspondence is known, and measure the maps.
+
+    python apps/match_faust.py OUT --data faust_r                       # 100 random pairs
+    python apps/match_faust.py OUT --data faust_r --backends exact neo neo-polished
+    python apps/match_faust.py OUT --data faust_r --methods match pyfm --pyfm-python other/python
+    python apps/match_faust.py OUT --data faust_r --protocol ren-300
+    python apps/match_faust.py OUT --data tosca_r --protocol same-class --only cat
+    python apps/match_faust.py OUT --demo                               # an animal, no data
+
+The data are NAME.npz files: vertices V, faces F, corres (vertices in corresponding places, the same
+number in each file) and corres_sym (their mirror images), all counted from 0.
+
+OUT gets the spectra, the maps (source vertex of each target vertex, .npy), pairs.csv with a line
+for each pair as soon as it is matched, matching.md, matching.json, accuracy curves, and pictures of
+the best, median and worst pair. The same command after an interruption computes only what is
+missing; take another folder, or move pairs.csv away, to measure anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
+from spectra_kit.evaluation.matching import (
+    BACKENDS,
+    KINDS,
+    METHODS,
+    PROTOCOLS,
+    Protocol,
+    Run,
+    Settings,
+    Subject,
+    demo_subjects,
+    draw_extremes,
+    make_protocol,
+    make_tasks,
+    run_tasks,
+    subjects_in,
+    summarize_runs,
+    write_matching_report,
+)
+
+DEFAULT = next(iter(METHODS))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="match_faust.py",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("out", type=Path, help="folder for everything")
+    add("--data", type=Path, help="folder of subjects (default: $SPECTRA_KIT_DATA/faust_r)")
+    add("--demo", action="store_true", help="a demo animal in four poses instead, 12 pairs")
+    add("--only", nargs="+", metavar="PREFIX", help="only subjects whose names begin so")
+    add(
+        "--protocol",
+        choices=list(PROTOCOLS),
+        default="random",
+        help="which pairs, and which errors count (default: %(default)s)",
+    )
+    add("--pairs", type=int, metavar="N", help="draw N of them (random: 100; others: all)")
+    add("--seed", type=int, default=0, help="of the draw (%(default)s)")
+    add("--pair-list", type=Path, help="of ren-300 (default: ren_pairs.txt beside the data)")
+    add("--backends", nargs="+", choices=BACKENDS, default=["exact"], metavar="NAME",
+        help=f"spectra: {', '.join(BACKENDS)} (default: exact)")  # fmt: skip
+    add("--methods", nargs="+", choices=list(METHODS), default=[DEFAULT], metavar="NAME",
+        help=f"{', '.join(METHODS)} (default: {DEFAULT})")  # fmt: skip
+    add("--geometry", nargs="+", choices=KINDS, default=["mesh"], help="clouds have no faces")
+    add("-k", type=int, default=150, help="modes (%(default)s)")
+    add("--weights", default="small", metavar="NAME|FILE", help="of the network (%(default)s)")
+    add("--pyfm-python", metavar="PATH", help="the Python that has pyFM, if it is another one")
+    add("--jobs", type=int, default=os.cpu_count() or 1, help="processes (%(default)s)")
+    add("--no-pictures", action="store_true", help="do not draw best, median and worst pairs")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Evaluate, print the report; return the exit code."""
+    args = _parser().parse_args(argv)
+    try:
+        subjects, protocol = _problem(args)
+        settings = Settings(
+            subjects=subjects,
+            folder=args.out,
+            k=args.k,
+            weights=args.weights,
+            pyfm_python=args.pyfm_python,
+        )
+        tasks = make_tasks(
+            protocol.pairs, kinds=args.geometry, backends=args.backends, methods=args.methods
+        )
+        run = run_tasks(tasks, settings, jobs=args.jobs, progress=True)
+        report = write_matching_report(run, settings, protocol)
+        print(report.read_text(), flush=True)
+        print(f"report: {report}")
+        if not args.no_pictures:
+            _draw(run, settings, protocol)
+    except SpectraKitError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except BrokenProcessPool:
+        print(
+            "error: a process was killed, as systems do when memory ends; run the same command"
+            " with fewer --jobs to go on",
+            file=sys.stderr,
+        )
+        return 2
+    except KeyboardInterrupt:
+        print(f"\nstopped; run the same command to continue {args.out}", file=sys.stderr)
+        return 130
+    return 0 if run.results else 1
+
+
+def _problem(args: argparse.Namespace) -> tuple[dict[str, Subject], Protocol]:
+    """Subjects, and the pairs of them."""
+    if args.demo:
+        subjects = demo_subjects()
+        return subjects, make_protocol("all-pairs", subjects.values(), count=args.pairs)
+    root = os.environ.get("SPECTRA_KIT_DATA")
+    folder = args.data or (Path(root) / "faust_r" if root else None)
+    if folder is None:
+        raise InvalidInputError("name a folder with --data, set SPECTRA_KIT_DATA, or try --demo")
+    subjects = subjects_in(folder)
+    if args.only:
+        subjects = {n: s for n, s in subjects.items() if n.startswith(tuple(args.only))}
+    protocol = make_protocol(
+        args.protocol,
+        subjects.values(),
+        count=args.pairs,
+        seed=args.seed,
+        listed=args.pair_list or folder / "ren_pairs.txt",
+    )
+    used = {name for pair in protocol.pairs for name in pair}
+    return {name: subject for name, subject in subjects.items() if name in used}, protocol
+
+
+def _draw(run: Run, settings: Settings, protocol: Protocol) -> None:
+    """Draw the extremes of each run, where pictures can be drawn."""
+    try:
+        for row in summarize_runs(run.results, protocol):
+            print(f"picture: {draw_extremes(run, settings, protocol, row.name)}")
+    except MissingDependencyError as error:
+        print(f"best, median and worst pairs are not drawn: {error}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
