@@ -16,7 +16,6 @@ Floats = NDArray[np.float64]
 _DENSE = 2500  # unknowns up to which one Cholesky factor is quicker than conjugate gradients
 _RTOL = 1e-10  # of the residual, in the norm of the preconditioner
 _MAX_STEPS = 5000
-_SINGULAR = 1e-14  # smallest pivot of a Cholesky factor, of the largest
 
 
 def minimise(
@@ -45,23 +44,29 @@ def minimise(
     # the constraint says what the first column of Y is.
     Q, length = _reflection(constants[0])
     fixed = constants[1] / length
-    terms = [Commuting(Q @ term.source @ Q, term.target, term.weight) for term in commuting]
+    m = min(k1, k2)
+    shared = Q[:, :m] @ Q[:m]  # of the source's coefficients, those below m
+    terms = []
+    for c in commuting:
+        target = c.target.copy()
+        target[:, m:] = 0
+        terms.append(Commuting(Q @ c.source[:, :, :m] @ Q[:m], target, c.weight))
     gram, linear = np.zeros((k1, k1)), np.zeros((k2, k1))
     for p in preserved:
         a = Q @ p.a
         gram += p.weight * a @ a.T
         linear += p.weight * p.b @ a.T
-    for c in terms:
-        gram += c.weight * np.einsum("pij,pkj->ik", c.source, c.source, optimize=True)
     # The energy couples the entries of each row by a matrix of their own, ...
     rows = gram + np.einsum("ij,aj,bj->iab", mask, Q, Q, optimize=True)
+    for c in terms:
+        rows[:m] += c.weight * np.einsum("pij,pkj->ik", c.source, c.source, optimize=True)
     # ... and those of each column by one for all, besides the cross terms of the operators.
     columns = np.zeros((k2, k2))
     for c in terms:
         columns += c.weight * np.einsum("pji,pjk->ik", c.target, c.target, optimize=True)
 
     def gradient(Y: Floats) -> Floats:
-        out = np.einsum("iab,ib->ia", rows, Y, optimize=True) + columns @ Y
+        out = np.einsum("iab,ib->ia", rows, Y, optimize=True) + columns @ Y @ shared
         for c in terms:
             out -= c.weight * _cross(c.target, Y, c.source)
         return np.asarray(out)
@@ -72,9 +77,9 @@ def minimise(
         return np.asarray(Y @ Q)
     right = (linear - gradient(Y))[:, 1:]
     if terms and right.size <= dense:
-        Y[:, 1:] = _dense(rows, columns, terms, right)
+        Y[:, 1:] = _dense(rows, columns, shared, terms, right)
     else:
-        blocks = rows[:, 1:, 1:] + np.einsum("ii,ab->iab", columns, np.eye(k1 - 1))
+        blocks = rows[:, 1:, 1:] + np.einsum("ii,ab->iab", columns, shared[1:, 1:])
 
         def apply(X: Floats) -> Floats:
             return gradient(np.pad(X, ((0, 0), (1, 0))))[:, 1:]
@@ -102,7 +107,9 @@ def _cross(left: Floats, Y: Floats, right: Floats) -> Floats:
     )
 
 
-def _dense(rows: Floats, columns: Floats, terms: Sequence[Commuting], right: Floats) -> Floats:
+def _dense(
+    rows: Floats, columns: Floats, shared: Floats, terms: Sequence[Commuting], right: Floats
+) -> Floats:
     """Solve by one Cholesky factor for all free entries, row by row."""
     k2, free = right.shape
     normal = np.zeros((k2, k2, free, free))
@@ -113,24 +120,19 @@ def _dense(rows: Floats, columns: Floats, terms: Sequence[Commuting], right: Flo
     normal += normal.transpose(1, 0, 3, 2).copy()
     diagonal = np.arange(k2)
     normal[diagonal, diagonal] += rows[:, 1:, 1:]
-    normal += columns[:, :, None, None] * np.eye(free)
+    normal += columns[:, :, None, None] * shared[1:, 1:]
     matrix = normal.transpose(0, 2, 1, 3).reshape(right.size, right.size)
     return np.asarray(cho_solve(_factor(matrix), right.ravel()).reshape(right.shape))
 
 
 def _factor(matrix: Floats) -> tuple[Floats, bool]:
-    message = (
-        "the terms must determine the map, got a singular system; raise `commutativity`, or pass"
-        " more descriptors"
-    )
     try:
-        factor: tuple[Floats, bool] = cho_factor(matrix, lower=True)
+        return cho_factor(matrix, lower=True)  # type: ignore[no-any-return]
     except LinAlgError as error:
-        raise InvalidInputError(message) from error
-    pivots = np.diagonal(factor[0]) ** 2
-    if pivots.min() <= _SINGULAR * pivots.max():  # rounding can hide a zero
-        raise InvalidInputError(message)
-    return factor
+        raise InvalidInputError(
+            "the weights must leave the fit well conditioned, got a singular system;"
+            " bring them nearer to each other"
+        ) from error
 
 
 def _by_rows(blocks: Floats) -> Callable[[Floats], Floats]:

@@ -34,7 +34,11 @@ class Preserved:
 
 @dataclass(frozen=True, eq=False)
 class Commuting:
-    """The term ``weight * sum_p |C source_p - target_p C|^2``."""
+    """The term ``weight * sum_p |C source_p - target_p C|^2``, its first m rows and columns.
+
+    m is the smaller of k1 and k2. Beyond m one side has modes that the other lacks, and the
+    truncated operators do not commute with the true map.
+    """
 
     source: Floats  # (p, k1, k1)
     target: Floats  # (p, k2, k2)
@@ -81,10 +85,10 @@ def preserved(
 
 def commuting(name: str, source: Floats, target: Floats, weight: float) -> Commuting:
     """Return the term that asks for C source = target C."""
-    k1, k2 = source.shape[1], target.shape[1]
-    size = k2 * np.sum(source**2) + k1 * np.sum(target**2)
-    trace = np.trace(source, axis1=1, axis2=2) @ np.trace(target, axis1=1, axis2=2)
-    mean = (size - 2 * trace) * min(k1, k2) / (k1 * k2)
+    m, k = sorted((source.shape[1], target.shape[1]))
+    size = np.sum(source[:, :, :m] ** 2) + np.sum(target[:, :m] ** 2)
+    trace = np.einsum("pii->p", source[:, :m, :m]) @ np.einsum("pii->p", target[:, :m, :m])
+    mean = (size - 2 * trace / m) * m / k
     if mean <= _VOID * size or size == 0:
         raise InvalidInputError(
             f"`{name}` must be 0 where all descriptors are constant: their operators commute with"
