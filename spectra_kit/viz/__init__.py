@@ -1,10 +1,25 @@
-"""Pictures of functions on meshes and clouds, written as PNG without a display.
+"""Pictures of functions on meshes and clouds, and of maps between them, as PNG without a display.
 
 PyVista draws the panels off-screen in a process of its own, Matplotlib sets the page around them.
 Neither is imported before a picture is drawn.
 """
 
+from spectra_kit.viz.correspondence import (
+    MatchedPair,
+    plot_correspondence,
+    plot_correspondences,
+)
+from spectra_kit.viz.maps import plot_error_curves, plot_functional_map
 from spectra_kit.viz.modes import plot_comparison
 from spectra_kit.viz.page import Panel, plot_panels
 
-__all__ = ["Panel", "plot_comparison", "plot_panels"]
+__all__ = [
+    "MatchedPair",
+    "Panel",
+    "plot_comparison",
+    "plot_correspondence",
+    "plot_correspondences",
+    "plot_error_curves",
+    "plot_functional_map",
+    "plot_panels",
+]

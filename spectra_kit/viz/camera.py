@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,20 +19,22 @@ _GRID = 40
 _CLEARLY = 1.06  # a later view must show this much more than an earlier one
 
 
-def choose_view(geometry: Geometry) -> Floats:
+def choose_view(geometry: Geometry, *, up: Literal["y", "z"] | None = None) -> Floats:
     """Return the rotation (3, 3) whose rows point right, up, and towards the viewer.
 
-    Up is y, or z where the geometry stands more broadly on that side. Of eight oblique views
+    Up is y, or z where the geometry stands more broadly on that side, or what is said. Of eight
+    oblique views
     the one that covers most of the picture plane wins, earlier ones when in doubt.
     """
     if isinstance(geometry, TriangleMesh) and geometry.area > 0:
         points = sample(geometry, 4000, seed=0).points
     else:
         points = geometry.points[:: max(geometry.n // 4000, 1)]
-    up = 2 if _stands_on(points, 2) > _stands_on(points, 1) else 1
-    size = np.ptp(points, axis=0)
-    flat = size[up] < 0.12 * np.delete(size, up).min()
-    views = [_rotation(up, azimuth, _STEEP if flat else _ELEVATION) for azimuth in _AZIMUTHS]
+    if up is None:
+        up = "z" if _stands_on(points, 2) > _stands_on(points, 1) else "y"
+    axis, size = "xyz".index(up), np.ptp(points, axis=0)
+    flat = size[axis] < 0.12 * np.delete(size, axis).min()
+    views = [_rotation(axis, azimuth, _STEEP if flat else _ELEVATION) for azimuth in _AZIMUTHS]
     best, shown = views[0], _coverage(points @ views[0].T)
     for view in views[1:]:
         if (covered := _coverage(points @ view.T)) > _CLEARLY * shown:

@@ -31,6 +31,8 @@ def render(
     rotation: Floats,
     width: int,
     colours: Bytes | None = None,
+    normals: Floats | None = None,
+    behind: bool = False,
 ) -> Bytes:
     """Draw each function on the same geometry from the same side.
 
@@ -47,6 +49,10 @@ def render(
         Of a picture, in pixels; the height follows the geometry.
     colours : ndarray of shape (c, 3), uint8, optional
         From -1 to 1.
+    normals : ndarray of shape (n, 3), optional
+        Of a mesh, to light it by; by default those of its faces, averaged where it is not sharp.
+    behind : bool, default False
+        Draw all functions again from the other side.
 
     Returns
     -------
@@ -76,6 +82,8 @@ def render(
             half_height=height / 2,
             diameter=diameter / unit,
             colours=np.empty((0, 3), np.uint8) if colours is None else colours,
+            normals=np.empty((0, 3)) if normals is None else normals @ rotation.T,
+            sides=[1, -1] if behind else [1],
         )
         for environment in _environments():
             run = subprocess.run(  # -P: the folder of the worker must not shadow other modules

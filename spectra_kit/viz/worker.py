@@ -32,7 +32,7 @@ def main(request_path: str, answer_path: str) -> None:
         plotter.add_light(  # in the coordinates of the camera
             pv.Light(position=direction, intensity=strength, light_type="camera light")
         )
-    surface, owner = _surface(request["points"], request["faces"])
+    surface, owner = _surface(request["points"], request["faces"], request["normals"])
     surface["values"] = request["values"][0][owner]
     style: dict[str, Any] = (
         {"smooth_shading": True}
@@ -62,25 +62,29 @@ def main(request_path: str, answer_path: str) -> None:
         reset_camera=False,
         **style,
     )
-    _place_camera(plotter, request["points"], float(request["half_height"]))
     pictures = []
-    for values in request["values"]:
-        surface["values"] = values[owner]
-        plotter.render()
-        picture = plotter.screenshot(return_img=True)
-        assert picture is not None  # it was asked for
-        pictures.append(_shrink(np.asarray(picture)))
+    for side in request["sides"]:
+        _place_camera(plotter, request["points"], float(request["half_height"]), int(side))
+        for values in request["values"]:
+            surface["values"] = values[owner]
+            plotter.render()
+            picture = plotter.screenshot(return_img=True)
+            assert picture is not None  # it was asked for
+            pictures.append(_shrink(np.asarray(picture)))
     plotter.close()
     np.save(answer_path, np.stack(pictures))
 
 
 def _surface(
-    points: NDArray[np.float64], faces: NDArray[Any]
+    points: NDArray[np.float64], faces: NDArray[Any], normals: NDArray[np.float64]
 ) -> tuple[pv.PolyData, NDArray[np.int64]]:
     """The geometry with vertices doubled along sharp edges, and which point each vertex was."""
     if not len(faces):
         return pv.PolyData(points), np.arange(len(points))
     mesh = pv.PolyData.from_regular_faces(points, faces)
+    if len(normals):
+        mesh.point_data.active_normals = normals
+        return mesh, np.arange(len(points))
     mesh["owner"] = np.arange(len(points))
     mesh = mesh.compute_normals(
         cell_normals=False,
@@ -91,13 +95,15 @@ def _surface(
     return mesh, np.asarray(mesh["owner"]).astype(np.int64)
 
 
-def _place_camera(plotter: pv.Plotter, points: NDArray[np.float64], half_height: float) -> None:
-    """Look down the z axis, without perspective; the picture is 2 * half_height high."""
+def _place_camera(
+    plotter: pv.Plotter, points: NDArray[np.float64], half_height: float, side: int
+) -> None:
+    """Look along the z axis, down it for side 1; the picture is 2 * half_height high."""
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     reach = float(np.ptp(points, axis=0).max()) or 1.0
     camera = plotter.camera
     camera.focal_point = centre
-    camera.position = centre + [0.0, 0.0, 4 * reach]
+    camera.position = centre + [0.0, 0.0, side * 4 * reach]
     camera.up = (0.0, 1.0, 0.0)
     camera.parallel_projection = True
     camera.parallel_scale = half_height

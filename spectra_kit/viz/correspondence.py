@@ -1,0 +1,327 @@
+"""Pictures of point maps: the colours of the source carried to the target, and the error there."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit._files import atomic_path
+from spectra_kit._validate import check_indices, check_positive
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.colours import error_colours, position_colours, refined
+from spectra_kit.viz.pen import Pen, short
+from spectra_kit.viz.render import render
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+
+# Inches.
+_MARGIN, _GAP, _SIDE, _HEAD, _TITLE, _LINE, _BAR = 0.15, 0.25, 0.3, 0.34, 0.62, 0.19, 0.3
+_WIDEST, _NARROWEST, _TALLEST = 3.4, 2.2, 3.6  # of a picture
+_PIXELS = 4  # to a vertex, at which a pattern inside triangles looks sharp
+_PERCENTILE = 99.0  # a lone outlier must not bleach the rest
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MatchedPair:
+    """Two geometries, a map between them, and what to write beside their pictures.
+
+    Attributes
+    ----------
+    source, target : TriangleMesh or PointCloud
+        With n1 and n2 points.
+    point_map : array_like of shape (n2,), integers
+        The source point of each target point.
+    errors : array_like of shape (n2,), optional
+        Of the map at each target point, >= 0; NaN where not known.
+    name : str
+        Set beside the row, reading upwards.
+    names : tuple of str
+        What to call the two.
+    """
+
+    source: Geometry
+    target: Geometry
+    point_map: ArrayLike
+    errors: ArrayLike | None = None
+    name: str = ""
+    names: tuple[str, str] = ("source", "target")
+
+
+def plot_correspondence(
+    path: str | os.PathLike[str],
+    source: Geometry,
+    target: Geometry,
+    point_map: ArrayLike,
+    *,
+    errors: ArrayLike | None = None,
+    up: Literal["y", "z"] | None = None,
+    limit: float | None = None,
+    error_label: str = "geodesic error, 100 / √area",
+    names: tuple[str, str] = ("source", "target"),
+    title: str = "",
+    subtitle: str = "",
+    dpi: int = 200,
+) -> None:
+    """Draw the source in colours, and the target in those that a point map gives it.
+
+    Both are seen from the same side, and below from the other side.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.png`` file to write, whole or not at all.
+    source, target : TriangleMesh or PointCloud
+        With n1 and n2 points. A cloud is drawn as balls that overlap a little.
+    point_map : array_like of shape (n2,), integers
+        The source point of each target point.
+    errors : array_like of shape (n2,), optional
+        Of the map at each target point, >= 0, drawn in a third column; NaN where not known.
+    up : {"y", "z"}, optional
+        The axis of the source that points up in the picture; by default the one it seems to stand
+        on.
+    limit : float, optional
+        The error at the dark end of the colours; by default the 99th percentile.
+    error_label : str
+        Says what the errors are, and in which unit.
+    names : tuple of str, default ("source", "target")
+        What to call the two.
+    title, subtitle : str, optional
+        Two lines at the head of the page.
+    dpi : int, default 200
+        Pixels per inch; the page is at most 11 inches wide.
+
+    Raises
+    ------
+    InvalidInputError
+        If `point_map` or `errors` does not fit the geometries, or `path` is not a ``.png`` in an
+        existing folder.
+    MissingDependencyError
+        If there is no PyVista, or no OpenGL library that it can draw with.
+
+    Notes
+    -----
+    A colour stands for a place on the source: blue to yellow from left to right, dark to light
+    upwards, green to red towards the viewer. On meshes a faint checkerboard shows
+    noise and stretch. A map that confuses left and right exchanges blue and yellow.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from spectra_kit.geometry import creature_pair
+    >>> source, target, point_map = creature_pair(600)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "map.png"
+    ...     plot_correspondence(path, source, target, point_map, dpi=30)
+    ...     path.exists()
+    True
+    """
+    pair = MatchedPair(
+        source=source, target=target, point_map=point_map, errors=errors, names=names
+    )
+    _draw(path, [pair], True, up, limit, error_label, title, subtitle, dpi)
+
+
+def plot_correspondences(
+    path: str | os.PathLike[str],
+    pairs: Sequence[MatchedPair],
+    *,
+    up: Literal["y", "z"] | None = None,
+    limit: float | None = None,
+    error_label: str = "geodesic error, 100 / √area",
+    title: str = "",
+    subtitle: str = "",
+    dpi: int = 200,
+) -> None:
+    """Draw several matched pairs, one row each, from one side.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.png`` file to write, whole or not at all.
+    pairs : sequence of MatchedPair
+        At least one. If one has errors, all share their colour scale.
+    up, limit, error_label, title, subtitle, dpi
+        As in `plot_correspondence`.
+
+    Raises
+    ------
+    InvalidInputError
+        As in `plot_correspondence`, or if there is no pair.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from spectra_kit.geometry import creature_pair
+    >>> source, target, point_map = creature_pair(600)
+    >>> pair = MatchedPair(source=source, target=target, point_map=point_map, name="truth")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "maps.png"
+    ...     plot_correspondences(path, [pair], dpi=30)
+    ...     path.exists()
+    True
+    """
+    if not pairs:
+        raise InvalidInputError("`pairs` must hold at least one MatchedPair, got none")
+    _draw(path, pairs, False, up, limit, error_label, title, subtitle, dpi)
+
+
+def _draw(
+    path: str | os.PathLike[str],
+    pairs: Sequence[MatchedPair],
+    behind: bool,
+    up: Literal["y", "z"] | None,
+    limit: float | None,
+    error_label: str,
+    title: str,
+    subtitle: str,
+    dpi: int,
+) -> None:
+    """Check everything, draw the pictures of each row, set the page."""
+    if Path(path).suffix.lower() != ".png":
+        raise InvalidInputError(f"`path` must end in .png, got {str(path)!r}")
+    if up not in (None, "y", "z"):
+        raise InvalidInputError(f"`up` must be 'y', 'z' or None, got {up!r}")
+    maps = [_check_map(pair) for pair in pairs]
+    errors = [_check_errors(pair) for pair in pairs]
+    known = np.concatenate([e[np.isfinite(e)] for e in errors if e is not None] or [np.zeros(0)])
+    if limit is None:
+        limit = (float(np.percentile(known, _PERCENTILE)) if len(known) else 0.0) or 1.0
+    check_positive("limit", limit)
+    with atomic_path(path) as part:  # around all: a bad path is told before the work
+        rows = []
+        for pair, p, e in zip(pairs, maps, errors, strict=True):
+            drawn = _pictures(pair, p, e, limit, dpi, choose_view(pair.source, up=up), behind)
+            sides = ("front", "behind") if behind else (pair.name,)
+            names = None if behind else pair.names
+            rows += [_Row(s, names, d) for s, d in zip(sides, drawn, strict=True)]
+        heads = [*(pairs[0].names if behind else ("source", "target")), "error"]
+        bar = None if all(e is None for e in errors) else (limit, error_label)
+        figure = _set_page(rows, heads, bar, title, subtitle, dpi)
+        figure.savefig(part, dpi=dpi)
+
+
+def _check_map(pair: MatchedPair) -> Ints:
+    """Return the point map of a pair if it fits the two geometries."""
+    n = pair.target.n
+    if np.shape(pair.point_map) != (n,):
+        raise InvalidInputError(
+            f"`point_map` must have shape ({n},), a source point for each target point,"
+            f" got {np.shape(pair.point_map)}; are source and target exchanged?"
+        )
+    return check_indices("point_map", pair.point_map, pair.source.n)
+
+
+def _check_errors(pair: MatchedPair) -> Floats | None:
+    if pair.errors is None:
+        return None
+    errors = np.asarray(pair.errors, dtype=np.float64)
+    if errors.shape != (pair.target.n,) or (errors < 0).any():
+        raise InvalidInputError(
+            f"`errors` must have shape ({pair.target.n},), one number >= 0 or NaN for each target"
+            f" point, got shape {errors.shape} with {int((errors < 0).sum())} negative"
+        )
+    return errors
+
+
+def _pictures(
+    pair: MatchedPair,
+    point_map: Ints,
+    errors: Floats | None,
+    limit: float,
+    dpi: int,
+    rotation: Floats,
+    behind: bool,
+) -> list[list[Bytes]]:
+    """Source, target, and the errors on the target where there are any: from each side."""
+    places = pair.source.points @ rotation.T
+    low, high = places.min(axis=0), places.max(axis=0)
+
+    def draw(geometry: Geometry, values: Floats) -> Bytes:
+        width, height = (round(side * dpi) for side in _fitting_size(geometry, rotation))
+        fine, values, normals = refined(geometry, values, width * height // _PIXELS)
+        colours = [position_colours(values[:, :3], low, high, squares=normals is not None)]
+        if values.shape[1] > 3:
+            colours.append(error_colours(values[:, 3], limit))
+        return render(fine, colours, rotation=rotation, width=width, normals=normals, behind=behind)
+
+    carried = places[point_map]
+    on_source = draw(pair.source, places)
+    on_target = draw(pair.target, carried if errors is None else np.column_stack([carried, errors]))
+    each = np.split(on_target, len(on_source))  # the pictures of one side follow each other
+    return [[source, *target] for source, target in zip(on_source, each, strict=True)]
+
+
+def _fitting_size(geometry: Geometry, rotation: Floats) -> tuple[float, float]:
+    """Width and height in inches at which a picture fits its place."""
+    across, up = np.maximum(np.ptp(geometry.points @ rotation.T, axis=0)[:2], 1e-300)
+    width = float(max(min(_WIDEST, _TALLEST * across / up), 0.3))
+    return width, min(width * float(up / across), _TALLEST)
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """Pictures beside each other, the name of the row, and of source and target if not above."""
+
+    name: str
+    names: tuple[str, str] | None
+    pictures: list[Bytes]
+
+
+def _set_page(
+    rows: list[_Row],
+    heads: list[str],
+    bar: tuple[float, str] | None,
+    title: str,
+    subtitle: str,
+    dpi: int,
+) -> Figure:
+    """Place the pictures, names and the colour bar; everything in inches from the top."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = 2 if bar is None else 3
+    cell = max(_NARROWEST, *(p.shape[1] / dpi for row in rows for p in row.pictures))
+    tall = [max(p.shape[0] for p in row.pictures) / dpi for row in rows]
+    head = _MARGIN + (_TITLE if title or subtitle else 0.0)
+    lines = [0.0 if row.names is None else _LINE for row in rows]
+    height = head + _HEAD + sum(tall) + sum(lines) + len(rows) * _GAP + _MARGIN
+    height += 0.0 if bar is None else _BAR
+    width = 2 * _MARGIN + _SIDE + columns * (cell + _GAP) - _GAP
+    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
+    FigureCanvasAgg(figure)
+    pen = Pen(figure, width, height, dpi)
+    if title or subtitle:
+        pen.text(title, _MARGIN, _MARGIN + 0.2, width - 2 * _MARGIN, 14, bold=True)
+        pen.text(subtitle, _MARGIN, _MARGIN + 0.46, width - 2 * _MARGIN, 9, colour="0.35")
+    lefts = [_MARGIN + _SIDE + i * (cell + _GAP) for i in range(columns)]
+    for left, name in zip(lefts, heads, strict=False):
+        pen.text(name, left, head + 0.22, cell, 12, bold=True, centred=True)
+    top = head + _HEAD
+    for row, line, room in zip(rows, lines, tall, strict=True):
+        for left, text in zip(lefts, row.names or (), strict=False):
+            pen.text(text, left, top + 0.12, cell, 9, colour="0.35", centred=True)
+        top += line
+        pen.sideways(row.name, _MARGIN + 0.1, top + room / 2, room + _GAP)
+        for left, picture in zip(lefts, row.pictures, strict=False):
+            high, wide = (side / dpi for side in picture.shape[:2])
+            pen.picture(picture, left + (cell - wide) / 2, top + (room - high) / 2)
+        top += room + _GAP
+    if bar is not None:
+        limit, label = bar
+        strip = error_colours(np.linspace(0.0, 1.0, 256), 1.0)
+        pen.bar(strip, ("0", short(limit)), lefts[2], top - 0.05, cell)
+        pen.text(label, lefts[2], top + 0.2, cell, 8, colour="0.4", centred=True)
+    return figure

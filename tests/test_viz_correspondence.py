@@ -1,0 +1,196 @@
+"""Pictures of maps: colours that travel with them, errors, matrices and curves."""
+
+import os
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.geometry import creature_pair, sphere
+from spectra_kit.viz import (
+    MatchedPair,
+    plot_correspondence,
+    plot_correspondences,
+    plot_error_curves,
+    plot_functional_map,
+)
+from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.colours import UNKNOWN, error_colours, position_colours, refined
+from spectra_kit.viz.render import render
+
+BOX = np.zeros(3), np.ones(3)
+
+
+@pytest.fixture(scope="module")
+def ball():
+    return sphere(subdivisions=2).geometry
+
+
+@pytest.fixture(scope="module")
+def pair(ball):
+    """Two poses; skips where nothing can be drawn."""
+    try:
+        render(ball, [np.zeros((ball.n, 3), np.uint8)], rotation=np.eye(3), width=20)
+    except MissingDependencyError as error:
+        pytest.skip(f"no picture can be drawn here: {error}")
+    return creature_pair(600, poses=(0, 1))
+
+
+def page(path):
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB")).astype(int)
+
+
+def coloured(picture):
+    """The pixels that have a hue: neither page nor text."""
+    return picture[np.ptp(picture, axis=2) > 12]
+
+
+def grey(colours):
+    return colours.astype(float) @ [0.299, 0.587, 0.114]
+
+
+def test_positions_are_told_apart_in_every_direction():
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    colours = position_colours(corners, *BOX, squares=False).astype(int)
+    distance = np.abs(colours[:, None] - colours).sum(axis=2) + 1000 * np.eye(8, dtype=int)
+    assert distance.min() > 60
+    left, right = colours[corners[:, 0] == 0], colours[corners[:, 0] == 1]
+    assert (left[:, 2] - left[:, 0] > right[:, 2] - right[:, 0] + 50).all()  # bluer
+    low, high = colours[corners[:, 1] == 0], colours[corners[:, 1] == 1]
+    assert (grey(high) > grey(low) + 40).all()
+
+
+def test_colours_are_gradual_but_for_the_squares():
+    line = np.column_stack([np.linspace(0, 1, 1001), np.full(1001, 0.5), np.full(1001, 0.5)])
+    plain, pattern = (position_colours(line, *BOX, squares=s).astype(int) for s in (False, True))
+    assert np.abs(np.diff(plain, axis=0)).max() <= 2
+    jumps = (np.abs(np.diff(pattern, axis=0)).max(axis=1) > 8).sum()
+    assert jumps == 16  # squares between 16 cells, and the last point opens another
+
+
+def test_errors_darken_and_unknown_ones_are_grey():
+    colours = error_colours(np.array([0.0, 0.5, 1.0, 2.0, 9.0, np.nan, np.inf]), 2.0)
+    shades = grey(colours)
+    assert shades[0] > shades[1] > shades[2] > shades[3] == shades[4] == shades[6]
+    assert tuple(colours[5]) == UNKNOWN
+
+
+def test_refining_interpolates_linearly(ball):
+    fine, values, normals = refined(ball, 2 * ball.points, 10_000)
+    assert 10_000 <= fine.n < 41_000
+    assert fine.area == pytest.approx(ball.area)
+    np.testing.assert_allclose(values, 2 * fine.points, atol=1e-12)
+    radial = fine.points / np.linalg.norm(fine.points, axis=1, keepdims=True)
+    assert (np.sum(normals * radial, axis=1) > 0.99).all()
+    cloud = ball.as_cloud()
+    assert refined(cloud, ball.points, 10_000)[0] is cloud
+
+
+def test_behind_is_the_same_outline_mirrored(pair):
+    mesh = pair[0]
+    colours = np.tile(np.array([200, 80, 40], np.uint8), (mesh.n, 1))
+    front, behind = render(
+        mesh, [colours], rotation=choose_view(mesh, up="z"), width=90, behind=True
+    )
+    assert (front < 250).any()
+    differing = (front < 250).any(axis=2) != (behind[:, ::-1] < 250).any(axis=2)
+    assert differing.mean() < 0.01
+
+
+def test_a_point_has_the_colour_it_was_given(ball, pair):
+    blue = np.tile(np.array([30, 60, 220], np.uint8), (ball.n, 1))
+    picture = render(ball, [blue], rotation=np.eye(3), width=40)[0].astype(int)
+    middle = picture[picture.shape[0] // 2, 20]
+    assert middle[2] > 150
+    assert middle[2] > middle[0] + 80
+
+
+@pytest.mark.parametrize("as_cloud", [False, True])
+def test_the_identity_gives_the_target_the_colours_of_the_source(tmp_path, pair, as_cloud):
+    mesh = pair[0].as_cloud() if as_cloud else pair[0]
+    plot_correspondence(tmp_path / "map.png", mesh, mesh, range(mesh.n), names=("x", "x"), dpi=40)
+    picture = page(tmp_path / "map.png")
+    hue = np.ptp(picture, axis=2) > 12
+    columns = np.flatnonzero(hue.any(axis=0))
+    gap = columns[np.argmax(np.diff(columns))]
+    left, right = picture[:, columns[0] : gap + 1], picture[:, gap + 1 :]
+    right = right[:, np.flatnonzero((np.ptp(right, axis=2) > 12).any(axis=0))[0] :]
+    np.testing.assert_array_equal(left, right[:, : left.shape[1]])
+
+
+def test_a_constant_map_gives_one_colour(tmp_path, pair):
+    source, target, _ = pair
+    plot_correspondence(
+        tmp_path / "map.png", source, target, np.zeros(target.n, dtype=int), up="z", dpi=40
+    )
+    picture = page(tmp_path / "map.png")
+    half = picture.shape[1] // 2
+    spread = [
+        np.ptp(p[:, 0] - p[:, 2])
+        for p in (coloured(picture[:, :half]), coloured(picture[:, half:]))
+    ]
+    assert spread[1] < 0.5 * spread[0]
+
+
+def test_pages_keep_their_margins_and_leave_nothing_else(tmp_path, pair):
+    source, target, point_map = pair
+    errors = np.linspace(0, 10, target.n)
+    errors[:9] = np.nan
+    several = [
+        MatchedPair(source=source, target=target, point_map=point_map, name="best of all pairs"),
+        MatchedPair(source=source, target=target, point_map=point_map, errors=errors, name="worst"),
+    ]
+    plot_correspondence(
+        tmp_path / "a.png", source, target, point_map, errors=errors, title="a" * 300, dpi=40
+    )
+    plot_correspondences(tmp_path / "b.png", several, title="pairs", subtitle="two", dpi=40)
+    assert sorted(os.listdir(tmp_path)) == ["a.png", "b.png"]
+    for name in ("a.png", "b.png"):
+        picture = page(tmp_path / name)
+        assert picture.shape[1] <= 11.5 * 40
+        border = np.ones(picture.shape[:2], dtype=bool)
+        border[3:-3, 3:-3] = False
+        assert (picture[border] == 255).all()
+        assert (picture < 200).any()
+
+
+def test_diagrams(tmp_path):
+    plot_functional_map(tmp_path / "c.png", np.eye(20)[:15], title="map", subtitle="20", dpi=50)
+    matrix = page(tmp_path / "c.png")
+    dark_red = (matrix[..., 0] - matrix[..., 2] > 60).sum()
+    assert dark_red > 100  # the diagonal
+    plot_error_curves(
+        tmp_path / "d.png",
+        {f"method {i}": np.arange(5.0) * i for i in range(9)},
+        title="errors",
+        dpi=50,
+    )
+    curves = page(tmp_path / "d.png")
+    assert len(np.unique(coloured(curves), axis=0)) > 6
+    assert sorted(os.listdir(tmp_path)) == ["c.png", "d.png"]
+
+
+def test_bad_input_is_refused(tmp_path, ball):
+    good, path = np.arange(ball.n), tmp_path / "x.png"
+    for options, message in (
+        ({"point_map": good[:5]}, r"`point_map` must have shape \(162,\).*exchanged"),
+        ({"point_map": good + 1}, r"`point_map` must be in \[0, 162\)"),
+        ({"point_map": good, "errors": -np.ones(ball.n)}, r"`errors` must .* 162 negative"),
+        ({"point_map": good, "errors": [1.0]}, r"`errors` must have shape \(162,\)"),
+        ({"point_map": good, "up": "x"}, r"`up` must be 'y', 'z' or None, got 'x'"),
+        ({"point_map": good, "limit": 0.0}, r"`limit` must be positive"),
+        ({"point_map": good, "path": "x.jpg"}, r"`path` must end in .png, got 'x.jpg'"),
+        ({"point_map": good, "path": tmp_path / "no" / "x.png"}, r"the folder .* does not exist"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            plot_correspondence(**{"path": path, "source": ball, "target": ball, **options})
+    with pytest.raises(InvalidInputError, match="`pairs` must hold at least one MatchedPair"):
+        plot_correspondences(path, [])
+    with pytest.raises(InvalidInputError, match=r"`functional_map` must have shape \(k2, k1\)"):
+        plot_functional_map(path, np.zeros(4))
+    with pytest.raises(InvalidInputError, match=r"`path` must end in .png, got 'c.pdf'"):
+        plot_functional_map("c.pdf", np.eye(4))
+    with pytest.raises(InvalidInputError, match="`errors` must hold at least one method"):
+        plot_error_curves(path, {})
