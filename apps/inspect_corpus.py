@@ -23,7 +23,7 @@ from spectra_kit.training.shards import open_shards
 from spectra_kit.training.surfaces import join
 from spectra_kit.training.survey import Survey, read_config, survey
 from spectra_kit.viz.camera import choose_view
-from spectra_kit.viz.render import render
+from spectra_kit.viz.render import Scene, render
 
 NAMES = (*FAMILIES, "pool")
 PITCH = 2.3  # from one surface to the next, their half size being 1
@@ -72,13 +72,14 @@ def draw_sheet(path: Path, meshes: Sequence[TriangleMesh], cells: Sequence[dict[
     family = np.array([cell["family"] % len(NAMES) for cell in cells])
     values = np.repeat((2 * family + 1) / len(NAMES) - 1, [mesh.n for mesh in placed])
     everything = join(placed)
-    (picture,) = render(
-        everything,
-        [values],
+    scene = Scene(
+        geometry=everything,
+        functions=[values],
         rotation=np.eye(3),
         width=170 * columns,
         colours=np.round(255 * (0.35 + 0.65 * colours)).astype(np.uint8),
     )
+    ((picture,),) = render([scene])
     _label(path, picture, everything, places, [_title(cell) for cell in cells])
 
 

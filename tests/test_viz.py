@@ -13,7 +13,7 @@ from spectra_kit.metrics import compare_spectra
 from spectra_kit.viz import Panel, plot_comparison, plot_panels
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.pen import short
-from spectra_kit.viz.render import render
+from spectra_kit.viz.render import Scene, render
 
 BLUE_TO_RED = np.column_stack([np.arange(256), np.zeros(256), np.arange(256)[::-1]]).astype("u1")
 
@@ -33,9 +33,14 @@ def small_picture(ball):
 
 def draw(geometry, *, width=120):
     values = geometry.points / np.abs(geometry.points).max()
-    return render(
-        geometry, list(values.T), rotation=np.eye(3), width=width, colours=BLUE_TO_RED
-    ).astype(float)
+    scene = Scene(
+        geometry=geometry,
+        functions=list(values.T),
+        rotation=np.eye(3),
+        width=width,
+        colours=BLUE_TO_RED,
+    )
+    return render([scene])[0].astype(float)
 
 
 def without(fake, tmp_path, monkeypatch):
@@ -89,14 +94,14 @@ def test_a_flat_geometry_is_seen_from_above():
 @pytest.mark.parametrize("points", [[[0, 0, 0]], [[0, 0, 0], [1, 0, 0]]])
 def test_geometries_without_extent_are_drawn(points):
     cloud = PointCloud(points)
-    pictures = render(
-        cloud,
-        [np.zeros(cloud.n)],
+    scene = Scene(
+        geometry=cloud,
+        functions=[np.zeros(cloud.n)],
         rotation=choose_view(cloud),
         width=30,
         colours=BLUE_TO_RED,
     )
-    assert pictures.shape[0] == 1
+    assert render([scene])[0].shape[0] == 1
 
 
 def test_comparison_page(tmp_path):

@@ -17,7 +17,7 @@ from spectra_kit.viz import (
 )
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.colours import UNKNOWN, error_colours, position_colours, refined
-from spectra_kit.viz.render import render
+from spectra_kit.viz.render import Scene, render
 
 BOX = np.zeros(3), np.ones(3)
 
@@ -31,10 +31,16 @@ def ball():
 def pair(ball):
     """Two poses; skips where nothing can be drawn."""
     try:
-        render(ball, [np.zeros((ball.n, 3), np.uint8)], rotation=np.eye(3), width=20)
+        painted(ball, [0, 0, 0], rotation=np.eye(3), width=20)
     except MissingDependencyError as error:
         pytest.skip(f"no picture can be drawn here: {error}")
     return creature_pair(600, poses=(0, 1))
+
+
+def painted(geometry, colour, **options):
+    """Draw everything in one colour."""
+    colours = np.tile(np.array(colour, np.uint8), (geometry.n, 1))
+    return render([Scene(geometry=geometry, functions=[colours], **options)])[0]
 
 
 def page(path):
@@ -90,9 +96,8 @@ def test_refining_interpolates_linearly(ball):
 
 def test_behind_is_the_same_outline_mirrored(pair):
     mesh = pair[0]
-    colours = np.tile(np.array([200, 80, 40], np.uint8), (mesh.n, 1))
-    front, behind = render(
-        mesh, [colours], rotation=choose_view(mesh, up="z"), width=90, behind=True
+    front, behind = painted(
+        mesh, [200, 80, 40], rotation=choose_view(mesh, up="z"), width=90, behind=True
     )
     assert (front < 250).any()
     differing = (front < 250).any(axis=2) != (behind[:, ::-1] < 250).any(axis=2)
@@ -100,8 +105,7 @@ def test_behind_is_the_same_outline_mirrored(pair):
 
 
 def test_a_point_has_the_colour_it_was_given(ball, pair):
-    blue = np.tile(np.array([30, 60, 220], np.uint8), (ball.n, 1))
-    picture = render(ball, [blue], rotation=np.eye(3), width=40)[0].astype(int)
+    (picture,) = painted(ball, [30, 60, 220], rotation=np.eye(3), width=40).astype(int)
     middle = picture[picture.shape[0] // 2, 20]
     assert middle[2] > 150
     assert middle[2] > middle[0] + 80

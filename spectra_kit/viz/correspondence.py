@@ -18,7 +18,7 @@ from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.colours import error_colours, position_colours, refined
 from spectra_kit.viz.pen import Pen, short
-from spectra_kit.viz.render import render
+from spectra_kit.viz.render import Scene, render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -201,12 +201,20 @@ def _draw(
         limit = (float(np.percentile(known, _PERCENTILE)) if len(known) else 0.0) or 1.0
     check_positive("limit", limit)
     with atomic_path(path) as part:  # around all: a bad path is told before the work
-        rows = []
-        for pair, p, e in zip(pairs, maps, errors, strict=True):
-            drawn = _pictures(pair, p, e, limit, dpi, choose_view(pair.source, up=up), behind)
+        scenes = [
+            scene
+            for pair, p, e in zip(pairs, maps, errors, strict=True)
+            for scene in _scenes(pair, p, e, limit, dpi, choose_view(pair.source, up=up), behind)
+        ]
+        drawn, rows = render(scenes), []
+        for pair, source, target in zip(pairs, drawn[::2], drawn[1::2], strict=True):
             sides = ("front", "behind") if behind else (pair.name,)
             names = None if behind else pair.names
-            rows += [_Row(s, names, d) for s, d in zip(sides, drawn, strict=True)]
+            each = np.split(target, len(source))  # the pictures of one side follow each other
+            rows += [
+                _Row(side, names, [first, *rest])
+                for side, first, rest in zip(sides, source, each, strict=True)
+            ]
         heads = [*(pairs[0].names if behind else ("source", "target")), "error"]
         bar = None if all(e is None for e in errors) else (limit, error_label)
         figure = _set_page(rows, heads, bar, title, subtitle, dpi)
@@ -236,7 +244,7 @@ def _check_errors(pair: MatchedPair) -> Floats | None:
     return errors
 
 
-def _pictures(
+def _scenes(
     pair: MatchedPair,
     point_map: Ints,
     errors: Floats | None,
@@ -244,24 +252,29 @@ def _pictures(
     dpi: int,
     rotation: Floats,
     behind: bool,
-) -> list[list[Bytes]]:
-    """Source, target, and the errors on the target where there are any: from each side."""
+) -> tuple[Scene, Scene]:
+    """Source, and target with the errors where there are any."""
     places = pair.source.points @ rotation.T
     low, high = places.min(axis=0), places.max(axis=0)
 
-    def draw(geometry: Geometry, values: Floats) -> Bytes:
+    def scene(geometry: Geometry, values: Floats) -> Scene:
         width, height = (round(side * dpi) for side in _fitting_size(geometry, rotation))
         fine, values, normals = refined(geometry, values, width * height // _PIXELS)
         colours = [position_colours(values[:, :3], low, high, squares=normals is not None)]
         if values.shape[1] > 3:
             colours.append(error_colours(values[:, 3], limit))
-        return render(fine, colours, rotation=rotation, width=width, normals=normals, behind=behind)
+        return Scene(
+            geometry=fine,
+            functions=colours,
+            rotation=rotation,
+            width=width,
+            normals=normals,
+            behind=behind,
+        )
 
     carried = places[point_map]
-    on_source = draw(pair.source, places)
-    on_target = draw(pair.target, carried if errors is None else np.column_stack([carried, errors]))
-    each = np.split(on_target, len(on_source))  # the pictures of one side follow each other
-    return [[source, *target] for source, target in zip(on_source, each, strict=True)]
+    on_target = carried if errors is None else np.column_stack([carried, errors])
+    return scene(pair.source, places), scene(pair.target, on_target)
 
 
 def _fitting_size(geometry: Geometry, rotation: Floats) -> tuple[float, float]:

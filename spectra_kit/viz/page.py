@@ -20,7 +20,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.pen import Pen, short
-from spectra_kit.viz.render import render
+from spectra_kit.viz.render import Scene, render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -126,13 +126,14 @@ def plot_panels(
     width = cell if aspect < _TALLEST else cell * _TALLEST / aspect
     functions = [panel.values / panel.limit for row in table for panel in row]
     with atomic_path(path) as part:  # around all: a bad path is told before the work
-        pictures = render(
-            geometry,
-            functions,
+        scene = Scene(
+            geometry=geometry,
+            functions=functions,
             rotation=rotation,
             width=round(width * dpi),
             colours=_colours(np.linspace(-1.0, 1.0, 256)),
         )
+        (pictures,) = render([scene])
         figure = _set_page(table, across, down, pictures, cell, title, subtitle, dpi)
         figure.savefig(part, dpi=dpi)
 

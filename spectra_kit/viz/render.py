@@ -1,4 +1,4 @@
-"""Pictures of functions on one geometry, drawn by PyVista in a process of its own."""
+"""Pictures of functions on geometries, drawn by PyVista in a process of its own."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,19 +26,11 @@ _WORKER = Path(__file__).with_name("worker.py")
 _MARGIN = 4  # pixels around the geometry
 
 
-def render(
-    geometry: Geometry,
-    functions: Sequence[Floats] | Sequence[Bytes],
-    *,
-    rotation: Floats,
-    width: int,
-    colours: Bytes | None = None,
-    normals: Floats | None = None,
-    behind: bool = False,
-) -> Bytes:
-    """Draw each function on the same geometry from the same side.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Scene:
+    """A geometry seen from one side, or two, once for each function on it.
 
-    Parameters
+    Attributes
     ----------
     geometry : TriangleMesh or PointCloud
         A cloud is drawn as balls.
@@ -53,11 +47,29 @@ def render(
         Of a mesh, to light it by; by default those of its faces, averaged where it is not sharp.
     behind : bool, default False
         Draw all functions again from the other side.
+    """
+
+    geometry: Geometry
+    functions: Sequence[Floats] | Sequence[Bytes]
+    rotation: Floats
+    width: int
+    colours: Bytes | None = None
+    normals: Floats | None = None
+    behind: bool = False
+
+
+def render(scenes: Sequence[Scene]) -> list[Bytes]:
+    """Draw scenes, all in one process: to start it takes longer than to draw.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+        At least one.
 
     Returns
     -------
-    ndarray of shape (pictures, height, width, 3), uint8
-        On white.
+    list of ndarray of shape (pictures, height, width, 3), uint8
+        For each scene, on white.
 
     Raises
     ------
@@ -66,41 +78,46 @@ def render(
     """
     if importlib.util.find_spec("pyvista") is None:
         raise MissingDependencyError("pictures need PyVista: pip install pyvista")
-    diameter = _ball_diameter(geometry)
-    seen = geometry.points @ rotation.T
-    extent = np.ptp(seen, axis=0)[:2] + diameter
-    unit = max(float(extent[0]), float(extent[1]) / 8, 1e-300) / max(width - 2 * _MARGIN, 1)
-    height = int(np.ceil(extent[1] / unit)) + 2 * _MARGIN
     with tempfile.TemporaryDirectory() as folder:
-        request, answer = Path(folder) / "request.npz", Path(folder) / "pictures.npy"
-        np.savez(
-            request,
-            points=seen / unit,  # in pixels: single precision inside VTK is then enough
-            faces=geometry.faces if isinstance(geometry, TriangleMesh) else np.empty((0, 3)),
-            values=np.stack(functions).astype(np.uint8 if colours is None else np.float32),
-            size=[width, height],
-            half_height=height / 2,
-            diameter=diameter / unit,
-            colours=np.empty((0, 3), np.uint8) if colours is None else colours,
-            normals=np.empty((0, 3)) if normals is None else normals @ rotation.T,
-            sides=[1, -1] if behind else [1],
-        )
+        for i, scene in enumerate(scenes):
+            np.savez(Path(folder) / f"request{i}.npz", **_request(scene))
         for environment in _environments():
             run = subprocess.run(  # -P: the folder of the worker must not shadow other modules
-                [sys.executable, "-P", str(_WORKER), str(request), str(answer)],
+                [sys.executable, "-P", str(_WORKER), folder, str(len(scenes))],
                 env=environment,
                 capture_output=True,
                 text=True,
                 check=False,
             )
             if run.returncode == 0:
-                return np.asarray(np.load(answer))
+                return [np.load(Path(folder) / f"pictures{i}.npy") for i in range(len(scenes))]
     # A Python error says what is wrong; VTK without OpenGL dies by a signal.
     reason = run.stderr.strip().split("\n")[-1] if run.returncode == 1 else "it crashed"
     raise MissingDependencyError(
         f"PyVista could not draw ({reason}); it needs an OpenGL library but no display,"
         " on Debian or Ubuntu: apt-get install libegl1 libgl1"
     )
+
+
+def _request(scene: Scene) -> dict[str, Any]:
+    """What the worker reads: everything in pixels, as single precision inside VTK wants it."""
+    geometry, colours, normals = scene.geometry, scene.colours, scene.normals
+    diameter = _ball_diameter(geometry)
+    seen = geometry.points @ scene.rotation.T
+    extent = np.ptp(seen, axis=0)[:2] + diameter
+    unit = max(float(extent[0]), float(extent[1]) / 8, 1e-300) / max(scene.width - 2 * _MARGIN, 1)
+    height = int(np.ceil(extent[1] / unit)) + 2 * _MARGIN
+    return {
+        "points": seen / unit,
+        "faces": geometry.faces if isinstance(geometry, TriangleMesh) else np.empty((0, 3)),
+        "values": np.stack(scene.functions).astype(np.uint8 if colours is None else np.float32),
+        "size": [scene.width, height],
+        "half_height": height / 2,
+        "diameter": diameter / unit,
+        "colours": np.empty((0, 3), np.uint8) if colours is None else colours,
+        "normals": np.empty((0, 3)) if normals is None else normals @ scene.rotation.T,
+        "sides": [1, -1] if scene.behind else [1],
+    }
 
 
 def _environments() -> list[Mapping[str, str]]:

@@ -1,4 +1,4 @@
-"""The process that draws: reads a request, writes the pictures, and may crash alone.
+"""The process that draws: reads requests, writes the pictures, and may crash alone.
 
 Run by path from `spectra_kit.viz.render`, never imported. VTK ends the whole process where it finds
 no OpenGL, and talks to stderr about every driver it tries; in a process of its own both are
@@ -8,6 +8,7 @@ contained. It needs NumPy and PyVista only.
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,10 +20,16 @@ SHARP = 40.0  # degrees; edges that bend more are drawn sharp
 LIGHTS = (((-0.5, 0.75, 1.0), 0.52), ((0.9, 0.1, 0.8), 0.24))  # (direction, strength)
 
 
-def main(request_path: str, answer_path: str) -> None:
-    """Draw every function of the request with one plotter."""
-    with np.load(request_path) as file:
-        request = {name: file[name] for name in file.files}
+def main(folder: str, count: str) -> None:
+    """Answer every request in the folder."""
+    for i in range(int(count)):
+        with np.load(Path(folder) / f"request{i}.npz") as file:
+            request = {name: file[name] for name in file.files}
+        np.save(Path(folder) / f"pictures{i}.npy", draw(request))
+
+
+def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
+    """Draw every function of a request with one plotter."""
     columns, rows = (int(side) for side in request["size"])
     plotter = pv.Plotter(
         off_screen=True, window_size=[columns * OVERSAMPLE, rows * OVERSAMPLE], lighting="none"
@@ -72,7 +79,7 @@ def main(request_path: str, answer_path: str) -> None:
             assert picture is not None  # it was asked for
             pictures.append(_shrink(np.asarray(picture)))
     plotter.close()
-    np.save(answer_path, np.stack(pictures))
+    return np.stack(pictures)
 
 
 def _surface(
