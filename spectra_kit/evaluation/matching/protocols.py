@@ -61,7 +61,8 @@ def make_protocol(
     subjects : iterable of Subject
         In the order that random pairs are drawn from.
     count : int, optional
-        So many of the pairs, drawn at random; "random" takes 100 by default, others all.
+        So many of the pairs, drawn at random; "random" takes 100 by default, others all. A
+        larger number adds pairs to those of a smaller one.
     seed : int, default 0
         Of the draw.
     listed : path, optional
@@ -111,8 +112,8 @@ def make_protocol(
 
 def _drawn(pairs: Sequence[tuple[str, str]], count: int, seed: int) -> list[tuple[str, str]]:
     rng = np.random.default_rng(check_count("seed", seed, low=0))
-    chosen = rng.choice(len(pairs), min(count, len(pairs)), replace=False)
-    return [pairs[i] for i in chosen]
+    # The first of one order: a larger draw begins with a smaller one, and goes on from it.
+    return [pairs[i] for i in rng.permutation(len(pairs))[:count]]
 
 
 def _listed(path: str | os.PathLike[str] | None) -> list[tuple[str, str]]:
