@@ -10,7 +10,7 @@ import pytest
 from conftest import bumpy, two_parts
 
 from spectra_kit import Lobpcg, Spectrum, eigensolve, robust_laplacian
-from spectra_kit.cli import commands, main, options, run, tables
+from spectra_kit.cli import inputs, main, options, run, tables
 from spectra_kit.errors import ConvergenceError, InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
 
@@ -310,7 +310,7 @@ def test_robust_laplacian_is_the_default(files, capsys):
 
 def test_what_converged_is_saved(tmp_path, capsys, monkeypatch):
     impatient = Lobpcg(max_steps=8)
-    monkeypatch.setitem(commands._SOLVERS, "lobpcg", lambda arguments: impatient)
+    monkeypatch.setitem(inputs.SOLVERS, "lobpcg", lambda arguments: impatient)
     out = tmp_path / "modes.npz"
     arguments = ["spectrum", "demo", "--points", "600", "-k", "20", "--solver", "lobpcg"]
     assert main([*arguments, "-o", str(out)]) == 3

@@ -1,0 +1,120 @@
+"""What the commands begin with: solvers by name, geometries from files, and their operators."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from spectra_kit.cli.options import DEMO, TAKERS, listed
+from spectra_kit.cli.output import progress
+from spectra_kit.eigensolvers import (
+    Arpack,
+    Capped,
+    Dense,
+    Eigensolver,
+    Lobpcg,
+    Multilevel,
+    Polished,
+    RayleighRitz,
+    Refined,
+)
+from spectra_kit.eigensolvers.neo import Neo
+from spectra_kit.eigensolvers.refined import plane_waves
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import Geometry, TriangleMesh, creature, read, repair, sample
+from spectra_kit.operators import (
+    Laplacian,
+    cotan_laplacian,
+    delaunay_laplacian,
+    knn_laplacian,
+    robust_laplacian,
+)
+from spectra_kit.subspaces import AmbientFourier, RandomBasis, Subspace
+
+# Both sides of a comparison are solved for a few modes more: pushed-out modes are found again,
+# and a cluster that k cuts is known as one.
+EXTRA = 6
+
+
+def _start(a: argparse.Namespace) -> Subspace:
+    """Return the subspace that ``--start`` names; plane waves by default."""
+    if a.start == "neo":
+        return Neo(weights=a.weights, poses=a.poses, dtype=a.dtype, device=a.device).subspace
+    if a.start == "random":
+        return RandomBasis(m=a.k + max(a.k // 2, 2 * EXTRA), seed=a.seed)
+    return dataclasses.replace(plane_waves(a.k), seed=a.seed)
+
+
+def _rtol(a: argparse.Namespace) -> dict[str, Any]:
+    """Return the tolerance, where one was asked for."""
+    return {} if a.rtol is None else {"rtol": a.rtol}
+
+
+SOLVERS: dict[str, Callable[[argparse.Namespace], Eigensolver]] = {
+    "arpack": lambda a: Arpack(seed=a.seed),
+    "multilevel": lambda a: Multilevel(seed=a.seed, **_rtol(a)),
+    "refined": lambda a: Refined(start=_start(a), seed=a.seed, **_rtol(a)),
+    "lobpcg": lambda a: Lobpcg(seed=a.seed, **_rtol(a)),
+    "dense": lambda _: Dense(),
+    "polished": lambda a: Polished(start=_start(a), seed=a.seed),
+    "capped": lambda a: Capped(subspace=_start(a)),
+    "fourier": lambda a: RayleighRitz(subspace=AmbientFourier(seed=a.seed)),
+    "neo": lambda a: Neo(weights=a.weights, poses=a.poses, dtype=a.dtype, device=a.device),
+}
+
+
+def solvers_named(arguments: argparse.Namespace, *names: str) -> list[Eigensolver]:
+    """Return the solvers of these names; refuse options that none of them takes."""
+    for option, takers in TAKERS.items():
+        if getattr(arguments, option) is not None and not set(names) & set(takers):
+            raise InvalidInputError(
+                f"--{option} is for the solvers {listed(takers)}, got {listed(names)}; choose one"
+                " of those by --solver, or leave it out"
+            )
+    return [SOLVERS[name](arguments) for name in names]
+
+
+def load(arguments: argparse.Namespace) -> Geometry:
+    """Read or make the geometry; repair and sample it where that was asked for."""
+    geometry: Geometry
+    if arguments.file == DEMO:
+        geometry = creature(arguments.points, seed=arguments.seed)
+    else:
+        progress(f"reading {arguments.file}")
+        geometry = read(arguments.file)
+    if arguments.repair:
+        repaired = repair(geometry)
+        geometry = repaired.geometry
+        counts = dataclasses.asdict(repaired.report)
+        done = ", ".join(f"{n} {what.replace('_', ' ')}" for what, n in counts.items() if n)
+        sys.stderr.write(f"repaired: {done or 'nothing to do'}\n")
+    if arguments.cloud is not None:
+        if not isinstance(geometry, TriangleMesh):
+            raise InvalidInputError("--cloud samples a mesh, and this file holds a point cloud")
+        geometry = sample(geometry, arguments.cloud, seed=arguments.seed)
+    return geometry
+
+
+def assemble(arguments: argparse.Namespace, geometry: Geometry) -> Laplacian:
+    """Assemble the operator with its boundary condition."""
+    chosen = arguments.operator or ("robust" if isinstance(geometry, TriangleMesh) else "delaunay")
+    if chosen == "robust":
+        laplacian = robust_laplacian(geometry)
+    elif chosen == "knn":
+        laplacian = knn_laplacian(geometry)
+    elif chosen == "delaunay":
+        if isinstance(geometry, TriangleMesh):
+            raise InvalidInputError("--operator delaunay needs points; sample the mesh by --cloud")
+        laplacian = delaunay_laplacian(geometry)
+    elif isinstance(geometry, TriangleMesh):
+        laplacian = cotan_laplacian(geometry)
+    else:
+        raise InvalidInputError("--operator cotan needs a mesh; use another for points")
+    if arguments.boundary == "dirichlet":
+        if not isinstance(geometry, TriangleMesh) or not len(geometry.boundary_vertices):
+            raise InvalidInputError("--boundary dirichlet needs a mesh that has a boundary")
+        laplacian = laplacian.dirichlet(geometry.boundary_vertices)
+    return laplacian
