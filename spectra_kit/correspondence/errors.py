@@ -160,7 +160,23 @@ def geodesic_errors(
     *,
     method: Literal["edges", "exact"] = "edges",
 ) -> Floats:
-    """Return the direct errors of `map_errors`, shape (c,), in hundredths of the root of area.
+    """Measure how far a point map is from the truth, whatever its mirror image.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        The source, with n1 vertices.
+    point_map : array_like of shape (n2,), integers
+        Source vertex of each target point.
+    truth : Truth
+        With c correspondences.
+    method : {"edges", "exact"}, default "edges"
+        See `geodesic_distances`.
+
+    Returns
+    -------
+    ndarray of shape (c,)
+        The direct errors of `map_errors`, in hundredths of the root of the source's area.
 
     Examples
     --------
@@ -173,7 +189,19 @@ def geodesic_errors(
 
 
 def accuracy_curve(errors: ArrayLike, thresholds: ArrayLike) -> Floats:
-    """Return the share of `errors` at or below each threshold, shape (t,).
+    """Return the share of errors at or below each threshold.
+
+    Parameters
+    ----------
+    errors : array_like of shape (c,)
+        As of `map_errors`.
+    thresholds : array_like of shape (t,)
+        In the unit of `errors`.
+
+    Returns
+    -------
+    ndarray of shape (t,)
+        From 0 to 1.
 
     Examples
     --------
