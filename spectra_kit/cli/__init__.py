@@ -7,6 +7,14 @@ wrong usage or bad input, 3 a solver failed, 130 interrupted.
 
 from spectra_kit.cli.commands import compare
 from spectra_kit.cli.entry import main, run
-from spectra_kit.cli.options import add_compare_arguments
+from spectra_kit.cli.match import match_shapes
+from spectra_kit.cli.options import add_compare_arguments, add_match_arguments
 
-__all__ = ["add_compare_arguments", "compare", "main", "run"]
+__all__ = [
+    "add_compare_arguments",
+    "add_match_arguments",
+    "compare",
+    "main",
+    "match_shapes",
+    "run",
+]

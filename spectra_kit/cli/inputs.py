@@ -81,7 +81,8 @@ def load(arguments: argparse.Namespace) -> Geometry:
     """Read or make the geometry; repair and sample it where that was asked for."""
     geometry: Geometry
     if arguments.file == DEMO:
-        geometry = creature(arguments.points, seed=arguments.seed)
+        pose = getattr(arguments, "pose", 0)
+        geometry = creature(arguments.points, seed=arguments.seed, pose=pose)
     else:
         progress(f"reading {arguments.file}")
         geometry = read(arguments.file)

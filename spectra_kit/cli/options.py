@@ -74,6 +74,46 @@ def add_compare_arguments(
     _add_modes(parser)
 
 
+def add_match_arguments(
+    parser: argparse.ArgumentParser, *, files: tuple[str, str] | None = None, output: str = "match"
+) -> None:
+    """Add the arguments of a match of two shapes; `files` and `output` are defaults."""
+    group = parser.add_argument_group("input")
+    for i, name in enumerate(("source", "target")):
+        _add_file(group, name, files and files[i])
+    _add_reading(group)
+    group.add_argument(
+        "--landmarks",
+        type=Path,
+        metavar="TXT",
+        help="corresponding points: a line for each with its number on the source and on the"
+        " target, counted from 0",
+    )
+    group.add_argument(
+        "--truth",
+        type=Path,
+        metavar="NPY",
+        help="the true source point of each target point, to measure errors by (negative: unknown)",
+    )
+    _add_operator(parser)
+    _add_solver(parser)
+    parser.set_defaults(k=150)
+    parser.add_argument("--solver", choices=SOLVERS, default="arpack", help="default: %(default)s")
+    group = parser.add_argument_group("output")
+    group.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FOLDER",
+        default=Path(output),
+        help="for the maps, the report and the pictures (default: %(default)s)",
+    )
+    group.add_argument("--no-pictures", action="store_true", help="write maps and report only")
+    group.add_argument(
+        "--up", choices=("y", "z"), help="axis that points up in the picture (default: it looks)"
+    )
+
+
 def add_info_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``info``."""
     _add_input(parser, file=None)
@@ -82,14 +122,22 @@ def add_info_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_input(parser: argparse.ArgumentParser, *, file: str | None) -> None:
     group = parser.add_argument_group("input")
+    _add_file(group, "file", file)
+    _add_reading(group)
+
+
+def _add_file(group: argparse._ArgumentGroup, name: str, default: str | None) -> None:
     group.add_argument(
-        "file",
-        metavar="FILE",
-        nargs="?" if file else None,
-        default=file,
+        name,
+        metavar=name.upper(),
+        nargs="?" if default else None,
+        default=default,
         help=f"a mesh or point cloud (obj, off, ply, stl, glb, gltf, xyz, npy, npz), or"
-        f" {DEMO!r} for a procedural animal" + (" (default: %(default)s)" if file else ""),
+        f" {DEMO!r} for a procedural animal" + (" (default: %(default)s)" if default else ""),
     )
+
+
+def _add_reading(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--points", type=int, default=8000, metavar="N", help="vertices of the demo (%(default)s)"
     )

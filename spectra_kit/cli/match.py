@@ -1,0 +1,225 @@
+"""Match two shapes: a point map, its quality, and pictures."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._files import atomic_path
+from spectra_kit._validate import check_indices
+from spectra_kit.cli import tables
+from spectra_kit.cli.inputs import assemble, load, solvers_named
+from spectra_kit.cli.options import DEMO
+from spectra_kit.cli.output import plain, print_blocks, print_json, progress
+from spectra_kit.cli.quality import Errors, Side, errors_of, quality_of
+from spectra_kit.descriptors import (
+    landmark_wave_kernel_signature,
+    normalize_descriptors,
+    wave_kernel_signature,
+)
+from spectra_kit.eigensolvers import Eigensolver, eigensolve
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.functional_maps import Correspondence, fit_functional_map, zoomout
+from spectra_kit.geometry import Geometry, creature_pair, write
+
+Ints = NDArray[np.int64]
+
+
+def match_shapes(arguments: argparse.Namespace) -> None:
+    """Match, judge the map, write maps, report and pictures into one folder."""
+    folder: Path = arguments.output
+    if not folder.parent.is_dir():
+        raise InvalidInputError(f"cannot make {str(folder)!r}: there is no {str(folder.parent)!r}")
+    changed = arguments.repair or arguments.cloud is not None
+    if changed and (arguments.landmarks or arguments.truth):
+        raise InvalidInputError(
+            "--landmarks and --truth number the points of the files, which --repair and --cloud"
+            " change; repair or sample first, and match what came out"
+        )
+    (solver,) = solvers_named(arguments, arguments.solver)
+    geometries, truth = _geometries(arguments)
+    if arguments.truth:
+        truth = _read_truth(arguments.truth, *(g.n for g in geometries))
+    landmarks = None
+    if arguments.landmarks:
+        landmarks = _read_landmarks(arguments.landmarks, *(g.n for g in geometries))
+    source, target = (
+        _solve(arguments, name, geometry, solver)
+        for name, geometry in zip((arguments.source, arguments.target), geometries, strict=True)
+    )
+    progress("matching")
+    start = time.perf_counter()
+    found = _matched(source, target, landmarks)
+    seconds = time.perf_counter() - start
+    progress("judging the map")
+    quality = {"seconds": seconds} | quality_of(source, target, found.point_map)
+    errors = None if truth is None else errors_of(source, found.point_map, truth)
+    if errors is not None:
+        quality |= errors.summary()
+    record = {
+        "source": _side_record(source),
+        "target": _side_record(target),
+        "landmarks": 0 if landmarks is None else len(landmarks[0]),
+        "match": quality,
+    }
+    folder.mkdir(exist_ok=True)
+    written = _write(folder, found, record)
+    if changed or DEMO in (arguments.source, arguments.target):
+        for name, side in (("source", source), ("target", target)):
+            write(side.geometry, folder / f"{name}.npz")
+            written.append(folder / f"{name}.npz")
+    if not arguments.no_pictures:
+        progress("drawing")
+        up = arguments.up or ("z" if source.name == DEMO else None)
+        written += _draw(folder, source, target, found, errors, up)
+    if arguments.json:
+        print_json(**record, written=[str(path) for path in written])
+        return
+    print_blocks(
+        *(tables.headline(side.name, side.geometry, side.laplacian) for side in (source, target)),
+        tables.pairs({name.replace("_", " "): _told(value) for name, value in quality.items()}),
+        "\n".join(f"written: {path}" for path in written),
+    )
+
+
+def _geometries(arguments: argparse.Namespace) -> tuple[tuple[Geometry, Geometry], Ints | None]:
+    """Read or make both; the demo is one animal in two poses, whose true map is known."""
+    names = (arguments.source, arguments.target)
+    if names == (DEMO, DEMO) and arguments.cloud is None:
+        n = arguments.points
+        source, target, truth = creature_pair(n, max(9 * n // 10, 500), seed=arguments.seed)
+        return (source, target), truth
+    read = [
+        load(argparse.Namespace(**vars(arguments) | {"file": name, "pose": pose}))
+        for pose, name in enumerate(names, start=1)
+    ]
+    return (read[0], read[1]), None
+
+
+def _solve(
+    arguments: argparse.Namespace, name: str, geometry: Geometry, solver: Eigensolver
+) -> Side:
+    progress(f"{name}: assembling the Laplacian of {geometry.n:,} points")
+    laplacian = assemble(arguments, geometry)
+    progress(f"{name}: solving for {arguments.k} modes with {arguments.solver}")
+    spectrum = eigensolve(laplacian, arguments.k, solver)
+    return Side(name, geometry, laplacian, spectrum)
+
+
+def _matched(source: Side, target: Side, landmarks: tuple[Ints, Ints] | None) -> Correspondence:
+    a, b = (side.spectrum.rescale(side.spectrum.area**-0.5) for side in (source, target))
+    f, g = (normalize_descriptors(s, wave_kernel_signature(s)) for s in (a, b))
+    if landmarks is not None:
+        extra = [
+            normalize_descriptors(s, landmark_wave_kernel_signature(s, l, count=20))
+            for s, l in zip((a, b), landmarks, strict=True)
+        ]
+        f, g = np.hstack([f, extra[0]]), np.hstack([g, extra[1]])
+    C = fit_functional_map(a, b, f[:, ::4], g[:, ::4], k=30, landmarks=landmarks)
+    return zoomout(a, b, C, k_final=min(a.k, b.k))
+
+
+def _read_landmarks(path: Path, n_source: int, n_target: int) -> tuple[Ints, Ints]:
+    """Two columns of numbers: on the source, on the target."""
+    lines = [line.split("#")[0].split() for line in path.read_text().splitlines()]
+    try:
+        rows = np.array([[int(word) for word in line] for line in lines if line])
+    except ValueError as error:
+        raise InvalidInputError(f"{path}: must hold lines of two integers ({error})") from error
+    if rows.ndim != 2 or rows.shape[1] != 2:
+        raise InvalidInputError(
+            f"{path}: must hold lines of two integers, on the source and on the target, got an"
+            f" array of shape {rows.shape}"
+        )
+    try:
+        return (
+            check_indices("source landmarks", rows[:, 0], n_source),
+            check_indices("target landmarks", rows[:, 1], n_target),
+        )
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path}: {error}; are the columns exchanged?") from error
+
+
+def _read_truth(path: Path, n_source: int, n_target: int) -> Ints:
+    """An integer for each target point, below n_source; negative where it is not known."""
+    try:
+        truth = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise InvalidInputError(f"{path}: not a whole npy file of numbers ({error})") from error
+    fits = isinstance(truth, np.ndarray) and truth.dtype.kind in "iu"
+    if not fits or truth.shape != (n_target,) or truth.max() < 0 or truth.max() >= n_source:
+        got = f"{truth.dtype} of shape {truth.shape}" if isinstance(truth, np.ndarray) else "npz"
+        raise InvalidInputError(
+            f"{path}: must hold {n_target} integers below {n_source}, the source point of each"
+            f" target point, some of them known, got {got}; are source and target exchanged?"
+        )
+    return np.asarray(truth, dtype=np.int64)
+
+
+def _side_record(side: Side) -> tables.Record:
+    provenance = side.spectrum.provenance
+    return {
+        "input": side.name,
+        **tables.geometry_record(side.geometry),
+        **tables.operator_record(side.laplacian),
+        "solver": provenance.solver,
+        "modes": side.spectrum.k,
+        "seconds": sum(provenance.seconds.values()),
+    }
+
+
+def _write(folder: Path, found: Correspondence, record: tables.Record) -> list[Path]:
+    """The two maps and the report, each whole or not at all."""
+    paths = [folder / name for name in ("point_map.npy", "functional_map.npy", "report.json")]
+    for path, array in zip(paths, (found.point_map, found.functional_map), strict=False):
+        with atomic_path(path) as part, part.open("wb") as file:
+            np.save(file, array)
+    with atomic_path(paths[2]) as part:
+        part.write_text(json.dumps(plain(record), indent=2, allow_nan=False) + "\n")
+    return paths
+
+
+def _draw(
+    folder: Path,
+    source: Side,
+    target: Side,
+    found: Correspondence,
+    errors: Errors | None,
+    up: str | None,
+) -> list[Path]:
+    from spectra_kit.viz import plot_correspondence, plot_error_curves, plot_functional_map
+
+    paths = [folder / "correspondence.png", folder / "functional_map.png"]
+    names = tuple(Path(side.name).stem for side in (source, target))
+    title = " to ".join(names)
+    plot_correspondence(
+        paths[0],
+        source.geometry,
+        target.geometry,
+        found.point_map,
+        errors=None if errors is None else errors.at_points,
+        error_label=errors.label if errors else "",
+        up=up,  # type: ignore[arg-type]
+        names=(names[0], names[1]) if names[0] != names[1] else ("source", "target"),
+        title=title,
+        subtitle=f"{source.geometry.n:,} and {target.geometry.n:,} points",
+    )
+    plot_functional_map(paths[1], found.functional_map, title=title)
+    if errors is not None:
+        paths.append(folder / "errors.png")
+        plot_error_curves(paths[2], {title: errors.known}, error_label=errors.label, title=title)
+    return paths
+
+
+def _told(value: object) -> object:
+    """A value as the table shows it."""
+    if value is None:
+        return "not measured"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4g}" if isinstance(value, float) else value

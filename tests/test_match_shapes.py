@@ -1,0 +1,152 @@
+"""The app that matches two files."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+from test_apps import load
+
+from spectra_kit.geometry import creature, creature_pair, mirrored, permuted, write
+
+FILES = {"point_map.npy", "functional_map.npy", "report.json"}
+
+
+@pytest.fixture(scope="module")
+def app():
+    return load("match_shapes").main
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """An animal, the same one renumbered, one bent, and the truth of both."""
+    folder = tmp_path_factory.mktemp("shapes")
+    mesh = creature(1000)
+    copy, order = permuted(mesh, seed=1)
+    write(mesh, folder / "animal.off")
+    write(mesh.as_cloud(), folder / "cloud.ply")
+    write(copy, folder / "permuted.off")
+    write(mirrored(mesh), folder / "mirrored.off")
+    np.save(folder / "order.npy", order)
+    source, target, truth = creature_pair(1000, 900)
+    write(source, folder / "source.off")
+    write(target, folder / "target.off")
+    np.save(folder / "truth.npy", truth)
+    chosen = np.linspace(0, 899, 12).astype(int)
+    np.savetxt(folder / "landmarks.txt", np.column_stack([truth[chosen], chosen]), fmt="%d")
+    return folder
+
+
+def report(app, capsys, *arguments):
+    """Run a match that must succeed in silence; return its report and its folder."""
+    code = app([*map(str, arguments), "--no-pictures", "--json"])
+    out, err = capsys.readouterr()
+    assert (code, err) == (0, "")
+    return json.loads(out)
+
+
+def refusal(app, capsys, *arguments):
+    assert app([*map(str, arguments), "--no-pictures"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    return err
+
+
+def test_a_permuted_copy_gives_the_permutation(app, files, tmp_path, capsys):
+    result = report(
+        app,
+        capsys,
+        *(files / "animal.off", files / "permuted.off", "--truth", files / "order.npy"),
+        *("-k", 60, "-o", tmp_path / "out"),
+    )
+    found = np.load(tmp_path / "out" / "point_map.npy")
+    np.testing.assert_array_equal(found, np.load(files / "order.npy"))
+    assert set(os.listdir(tmp_path / "out")) == FILES
+    assert np.load(tmp_path / "out" / "functional_map.npy").shape == (60, 60)
+    match = result["match"]
+    assert match["mean_error"] == match["way_back_error"] == 0
+    assert match["orientation"] == match["coverage"] == match["auc_to_10"] == 1
+    assert match["dirichlet_energy"] == pytest.approx(1, rel=1e-3)
+    assert match["turns_left_into_right"] is False
+    assert result["target"]["points"] == 1000
+    saved = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert saved == {key: value for key, value in result.items() if key != "written"}
+
+
+def test_a_mirrored_copy_is_recognised(app, files, tmp_path, capsys):
+    result = report(
+        app, capsys, files / "animal.off", files / "mirrored.off", "-k", 60, "-o", tmp_path / "m"
+    )
+    assert result["match"]["turns_left_into_right"] is True
+    assert result["match"]["orientation"] < -0.9
+
+
+def test_a_bent_and_remeshed_copy_by_landmarks(app, files, tmp_path, capsys):
+    result = report(
+        app,
+        capsys,
+        *(files / "source.off", files / "target.off", "-k", 80, "-o", tmp_path / "out"),
+        *("--truth", files / "truth.npy", "--landmarks", files / "landmarks.txt"),
+    )
+    assert result["landmarks"] == 12
+    assert result["match"]["mean_error"] < 4
+    assert result["match"]["orientation"] > 0.5
+
+
+def test_clouds_are_matched_and_judged_as_far_as_they_can_be(app, files, tmp_path, capsys):
+    result = report(
+        app,
+        capsys,
+        *(files / "cloud.ply", files / "cloud.ply", "-k", 60, "-o", tmp_path / "out"),
+    )
+    assert result["source"]["kind"] == "cloud"
+    assert result["match"]["coverage"] == 1
+    assert result["match"]["way_back_error"] is None
+
+
+def test_the_demo_draws_its_pictures(app, tmp_path, capsys):
+    folder = tmp_path / "demo"
+    code = app(["--points", "800", "-k", "40", "-o", str(folder)])
+    out, err = capsys.readouterr()
+    if code == 2 and "OpenGL" in err:
+        pytest.skip("no OpenGL library on this machine")
+    assert code == 0, err
+    assert "dirichlet energy" in out
+    assert "mean error" in out
+    pictures = {"correspondence.png", "functional_map.png", "errors.png"}
+    assert set(os.listdir(folder)) == FILES | pictures | {"source.npz", "target.npz"}
+    for name in os.listdir(folder):
+        assert f"written: {folder / name}" in out
+
+
+def test_bad_input_is_refused_before_the_work(app, files, tmp_path, capsys):
+    pair, out = (files / "source.off", files / "target.off"), ("-o", tmp_path / "out")
+    empty, words, single, ragged = (
+        tmp_path / f"{name}.txt" for name in ("empty", "words", "single", "ragged")
+    )
+    empty.write_text("# nothing\n")
+    words.write_text("nose ear\n")
+    ragged.write_text("1 2 # nose\n3\n")
+    single.write_text("1\n2\n")
+    swapped = tmp_path / "swapped.txt"
+    swapped.write_text("5 950\n")
+    (tmp_path / "broken.npy").write_bytes(b"\x93NUMPY")
+    np.save(tmp_path / "short.npy", np.arange(7))
+    np.savez(tmp_path / "several.npz", a=np.arange(3))
+    for options, message in (
+        (("--landmarks", empty), "must hold lines of two integers"),
+        (("--landmarks", words), "must hold lines of two integers"),
+        (("--landmarks", ragged), "must hold lines of two integers"),
+        (("--landmarks", single), "got an array of shape (2, 1)"),
+        (("--landmarks", swapped), "are the columns exchanged?"),
+        (("--landmarks", tmp_path / "none.txt"), "none.txt"),
+        (("--truth", tmp_path / "broken.npy"), "not a whole npy file"),
+        (("--truth", tmp_path / "short.npy"), "got int64 of shape (7,)"),
+        (("--truth", tmp_path / "several.npz"), "got npz"),
+        (("--truth", files / "truth.npy", "--repair"), "repair or sample first"),
+        (("--landmarks", files / "landmarks.txt", "--cloud", 700), "repair or sample first"),
+        (("--solver", "arpack", "--rtol", 1e-3), "--rtol is for the solvers"),
+    ):
+        assert message in refusal(app, capsys, *pair, *out, *options)
+    assert "there is no" in refusal(app, capsys, *pair, "-o", tmp_path / "no" / "out")
+    assert not (tmp_path / "out").exists()
