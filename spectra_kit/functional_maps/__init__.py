@@ -11,21 +11,27 @@ Conventions, the same in every function here; `source` is the first argument, `t
   shape in metres and its copy in millimetres is the one between equals.
 """
 
+from spectra_kit.functional_maps.bijective import bijective_zoomout
 from spectra_kit.functional_maps.convert import (
     Correspondence,
     functional_map_from_point_map,
     point_map_from_functional_map,
 )
 from spectra_kit.functional_maps.fit import fit_functional_map
+from spectra_kit.functional_maps.icp import icp
 from spectra_kit.functional_maps.nearest import nearest_rows
+from spectra_kit.functional_maps.sinkhorn import sinkhorn_zoomout
 from spectra_kit.functional_maps.zoomout import zoomout, zoomout_many
 
 __all__ = [
     "Correspondence",
+    "bijective_zoomout",
     "fit_functional_map",
     "functional_map_from_point_map",
+    "icp",
     "nearest_rows",
     "point_map_from_functional_map",
+    "sinkhorn_zoomout",
     "zoomout",
     "zoomout_many",
 ]

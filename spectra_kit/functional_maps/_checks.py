@@ -12,6 +12,8 @@ from spectra_kit.spectrum import Spectrum
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_START = 20  # modes with which a point map starts: enough to tell the limbs of a body apart
+
 
 def check_point_map(name: str, values: ArrayLike, n_source: int, n_target: int) -> Ints:
     """Return `values` as the source point of each target point: int64 of shape (n_target,)."""
@@ -64,3 +66,61 @@ def at_unit_area(spectrum: Spectrum) -> Spectrum:
     """Return the spectrum of the surface scaled to area 1."""
     area = spectrum.area
     return spectrum if abs(area - 1.0) < 1e-12 else spectrum.rescale(area**-0.5)
+
+
+def starting_map(a: Spectrum, b: Spectrum, initial: ArrayLike, k_start: int | None) -> Floats:
+    """Return the functional map to start from, of at most the modes of the spectra."""
+    if np.ndim(initial) == 1:
+        k = min(_START, a.k, b.k) if k_start is None else k_start
+        check_count("k_start", k, low=1, high=min(a.k, b.k))
+        point_map = check_point_map("initial", initial, a.n, b.n)
+        return b.truncate(k).project(a.eigenvectors[point_map, :k])
+    C = check_functional_map("initial", initial, a, b)
+    if k_start is None:
+        return C
+    check_count("k_start", k_start, low=1, high=min(C.shape))
+    return C[:k_start, :k_start]
+
+
+def checked_pair(source: Spectrum, target: Spectrum, k: int) -> tuple[Spectrum, Spectrum]:
+    """Return the first `k` modes of both, at unit area; refuse pairs that cannot be refined."""
+    check_components(source, target)
+    check_count("k_final", k, low=1)
+    if k > min(source.k, target.k):
+        raise InvalidInputError(
+            f"`k_final` must be at most {min(source.k, target.k)}, got {k}: the source has"
+            f" {source.k} modes, the target {target.k}; compute more modes or end sooner"
+        )
+    return at_unit_area(source.truncate(k)), at_unit_area(target.truncate(k))
+
+
+def checked_samples(
+    samples: int | tuple[ArrayLike, ArrayLike], n1: int, n2: int, k_final: int, seed: int
+) -> tuple[Ints, Ints]:
+    """Return the source and the target points to work on: given, or chosen at random."""
+    if isinstance(samples, int | np.integer):
+        count = check_count("samples", samples, low=k_final)
+        rng = np.random.default_rng(check_count("seed", seed, low=0))
+        first, second = (
+            np.sort(rng.choice(n, min(count, n), replace=False)).astype(np.int64) for n in (n1, n2)
+        )
+        return first, second
+    if not isinstance(samples, tuple | list) or len(samples) != 2:
+        raise InvalidInputError(
+            "`samples` must be a number, or two arrays of indices (of the source, of the target),"
+            f" got a {type(samples).__name__}"
+        )
+    first = check_indices("samples[0]", samples[0], n1)
+    second = check_indices("samples[1]", samples[1], n2)
+    for name, indices in (("samples[0]", first), ("samples[1]", second)):
+        if indices.ndim != 1 or len(indices) == 0:
+            raise InvalidInputError(
+                f"`{name}` must be a non-empty list of indices, got shape {indices.shape}"
+            )
+    distinct = len(np.unique(second))
+    if distinct < k_final:
+        raise InvalidInputError(
+            f"`samples[1]` must hold at least `k_final` = {k_final} distinct points, got"
+            f" {distinct}; sample more or end sooner"
+        )
+    return first, second

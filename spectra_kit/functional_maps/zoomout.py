@@ -9,22 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
-from spectra_kit._validate import check_count, check_indices, real_array
+from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.functional_maps._checks import (
-    at_unit_area,
-    check_components,
-    check_functional_map,
-    check_point_map,
-)
-from spectra_kit.functional_maps.convert import Correspondence, induced
+from spectra_kit.functional_maps._checks import checked_pair, checked_samples, starting_map
+from spectra_kit.functional_maps.convert import Correspondence
 from spectra_kit.functional_maps.nearest import check_rows, nearest, nearest_torch
 from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_START = 20  # modes with which a point map starts: enough to tell the limbs of a body apart
 _CHUNK = 2**20  # scores of `zoomout_many` held at a time: 4 MB of float32
 
 
@@ -36,7 +30,8 @@ def zoomout(
     k_final: int,
     k_start: int | None = None,
     step: int = 5,
-    samples: tuple[ArrayLike, ArrayLike] | None = None,
+    samples: int | tuple[ArrayLike, ArrayLike] | None = None,
+    seed: int = 0,
     device: str = "cpu",
 ) -> Correspondence:
     """Refine a functional map or a point map by spectral upsampling.
@@ -54,9 +49,11 @@ def zoomout(
         map, by default 20 or `k_final`, whichever is less.
     step : int, default 5
         Modes to add in each iteration.
-    samples : (indices, indices), optional
-        Source and target points to work on, for instance farthest point samples; at least
-        `k_final` of the target. Only the last step then sees all points.
+    samples : int or (indices, indices), optional
+        How many points to choose at random on each surface, or the source and the target points
+        to work on: several times `k_final`. Only the last step then sees all points.
+    seed : int, default 0
+        Of the choice of samples.
     device : str, default "cpu"
         Where to compute: with NumPy on ``"cpu"``, else with torch, for instance ``"cuda"``.
 
@@ -92,7 +89,7 @@ def zoomout(
     check_count("step", step, low=1)
     C = starting_map(a, b, initial, k_start)
     arrays = a.eigenvectors, b.eigenvectors, b.mass, C
-    rows = None if samples is None else _checked_samples(samples, a.n, b.n, k_final)
+    rows = None if samples is None else checked_samples(samples, a.n, b.n, k_final, seed)
     if device == "cpu":
         refined = _zoom(*arrays, rows, k_final, step, _NUMPY)
     else:
@@ -244,50 +241,3 @@ def schedule(shape: tuple[int, int], k_final: int, step: int) -> list[tuple[int,
     k2, k1 = shape
     count = -(-(k_final - min(k1, k2)) // step)
     return [(min(k1 + i * step, k_final), min(k2 + i * step, k_final)) for i in range(1, count + 1)]
-
-
-def starting_map(a: Spectrum, b: Spectrum, initial: ArrayLike, k_start: int | None) -> Floats:
-    """Return the functional map to start from, of at most the modes of the spectra."""
-    if np.ndim(initial) == 1:
-        k = min(_START, a.k, b.k) if k_start is None else k_start
-        check_count("k_start", k, low=1, high=min(a.k, b.k))
-        return induced(a, b, check_point_map("initial", initial, a.n, b.n), k, k)
-    C = check_functional_map("initial", initial, a, b)
-    if k_start is None:
-        return C
-    check_count("k_start", k_start, low=1, high=min(C.shape))
-    return C[:k_start, :k_start]
-
-
-def checked_pair(source: Spectrum, target: Spectrum, k: int) -> tuple[Spectrum, Spectrum]:
-    """Return the first `k` modes of both, at unit area; refuse pairs that cannot be refined."""
-    check_components(source, target)
-    check_count("k_final", k, low=1)
-    if k > min(source.k, target.k):
-        raise InvalidInputError(
-            f"`k_final` must be at most {min(source.k, target.k)}, got {k}: the source has"
-            f" {source.k} modes, the target {target.k}; compute more modes or end sooner"
-        )
-    return at_unit_area(source.truncate(k)), at_unit_area(target.truncate(k))
-
-
-def _checked_samples(
-    samples: tuple[ArrayLike, ArrayLike], n1: int, n2: int, k_final: int
-) -> tuple[Ints, Ints]:
-    if len(samples) != 2:
-        raise InvalidInputError(
-            f"`samples` must be two arrays, of source and of target points, got {len(samples)}"
-        )
-    first = check_indices("samples[0]", samples[0], n1)
-    second = check_indices("samples[1]", samples[1], n2)
-    if first.ndim != 1 or second.ndim != 1 or not len(first):
-        raise InvalidInputError(
-            f"`samples` must be two arrays of indices, got shapes {first.shape} and {second.shape}"
-        )
-    distinct = len(np.unique(second))
-    if distinct < k_final:
-        raise InvalidInputError(
-            f"`samples[1]` must hold at least `k_final` = {k_final} distinct points, got"
-            f" {distinct}; sample more or end sooner"
-        )
-    return first, second
