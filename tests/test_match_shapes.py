@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from test_apps import load
 
+from spectra_kit.cli import main
 from spectra_kit.geometry import creature, creature_pair, mirrored, permuted, write
 
 FILES = {"point_map.npy", "functional_map.npy", "report.json"}
@@ -71,6 +72,15 @@ def test_a_permuted_copy_gives_the_permutation(app, files, tmp_path, capsys):
     assert result["target"]["points"] == 1000
     saved = json.loads((tmp_path / "out" / "report.json").read_text())
     assert saved == {key: value for key, value in result.items() if key != "written"}
+
+
+def test_the_command_does_the_same(files, tmp_path, capsys):
+    pair = [str(files / name) for name in ("animal.off", "permuted.off")]
+    folder = tmp_path / "out"
+    assert main(["match", *pair, "-k", "60", "-o", str(folder), "--no-pictures"]) == 0
+    assert "written:" in capsys.readouterr().out
+    found = np.load(folder / "point_map.npy")
+    np.testing.assert_array_equal(found, np.load(files / "order.npy"))
 
 
 def test_a_mirrored_copy_is_recognised(app, files, tmp_path, capsys):

@@ -1,8 +1,9 @@
 """The ``spectra-kit`` command.
 
 ``spectra-kit spectrum FILE`` solves and saves, ``spectra-kit compare FILE`` sets a prediction
-beside the exact modes, ``spectra-kit info FILE`` says what a file holds. Exit codes: 0 fine, 2
-wrong usage or bad input, 3 a solver failed, 130 interrupted.
+beside the exact modes, ``spectra-kit match SOURCE TARGET`` finds corresponding points,
+``spectra-kit info FILE`` says what a file holds. Exit codes: 0 fine, 2 wrong usage or bad input, 3
+a solver failed, 130 interrupted.
 """
 
 from spectra_kit.cli.commands import compare

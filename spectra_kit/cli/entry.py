@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 
 from spectra_kit._version import VERSION
 from spectra_kit.cli import commands, options
+from spectra_kit.cli.match import match_shapes
 from spectra_kit.errors import (
     ConvergenceError,
     InvalidSpectrumError,
@@ -52,6 +53,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             "set predicted modes beside exact ones",
             options.add_compare_arguments,
             commands.compare,
+        ),
+        (
+            "match",
+            "find the point of one shape that each point of another is",
+            options.add_match_arguments,
+            match_shapes,
         ),
         ("info", "say what a file holds and needs", options.add_info_arguments, commands.info),
     ):

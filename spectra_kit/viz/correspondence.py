@@ -208,7 +208,7 @@ def _draw(
         ]
         drawn, rows = render(scenes), []
         for pair, source, target in zip(pairs, drawn[::2], drawn[1::2], strict=True):
-            sides = ("front", "behind") if behind else (pair.name,)
+            sides = ("one side", "other side") if behind else (pair.name,)
             names = None if behind else pair.names
             each = np.split(target, len(source))  # the pictures of one side follow each other
             rows += [

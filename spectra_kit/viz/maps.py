@@ -69,9 +69,8 @@ def plot_functional_map(
         raise InvalidInputError(f"`functional_map` must have shape (k2, k1), got {matrix.shape}")
     with atomic_path(_png(path)) as part:
         rows, columns = matrix.shape
-        wide = 5.2
-        tall = float(np.clip(4.4 * rows / columns, 1.5, 9.0)) + 0.9
-        figure = _figure(wide, tall, title, subtitle)
+        tall = float(np.clip(4.4 * rows / columns, 1.5, 9.0))
+        figure = _figure(5.8, tall + 0.75, title, subtitle)
         panel = figure.add_subplot()
         image = panel.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1, interpolation="none")
         panel.set(xlabel="mode of the source", ylabel="mode of the target")
