@@ -37,6 +37,7 @@ from spectra_kit.evaluation.matching import (
     truth_between,
     write_matching_report,
 )
+from spectra_kit.evaluation.matching.measure import way_back
 from spectra_kit.evaluation.matching.report import ranked
 from spectra_kit.evaluation.matching.runner import Run
 from spectra_kit.evaluation.matching.spectra import make_solver, operator_of
@@ -171,10 +172,14 @@ def copies():
     return a, b, tuple(eigensolve(operator_of(s, "mesh"), K) for s in (a, b)), np.asarray(order)
 
 
+def measured(source, target, spectra, outcome):
+    return measure_pair(source, target, outcome, way_back(*spectra, outcome.point_map))
+
+
 def test_the_truth_has_no_error(copies):
     a, b, spectra, order = copies
     worse = np.roll(order, 1)
-    result = measure_pair(a, b, spectra, Outcome(order, 2.0, 1.0, (worse, order), margin=0.25))
+    result = measured(a, b, spectra, Outcome(order, 2.0, 1.0, (worse, order), margin=0.25))
     assert result.direct == result.either == result.bijectivity == result.oracle == 0
     assert result.symmetric > 1
     assert not result.flipped
@@ -188,15 +193,15 @@ def test_the_truth_has_no_error(copies):
 def test_the_oracle_knows_the_best_candidate(copies):
     a, b, spectra, order = copies
     wrong = np.zeros_like(order)
-    result = measure_pair(a, b, spectra, Outcome(wrong, 0, 0, (wrong, order)))
+    result = measured(a, b, spectra, Outcome(wrong, 0, 0, (wrong, order)))
     assert result.direct > 10
     assert result.oracle == 0
-    assert np.isnan(measure_pair(a, b, spectra, Outcome(wrong, 0, 0)).oracle)
+    assert np.isnan(measured(a, b, spectra, Outcome(wrong, 0, 0)).oracle)
 
 
 def test_a_mirrored_map_counts_as_flipped(copies):
     a, b, spectra, order = copies
-    result = measure_pair(a, b, spectra, Outcome(a.mirrored[order], 0, 0))
+    result = measured(a, b, spectra, Outcome(a.mirrored[order], 0, 0))
     assert result.symmetric == result.either == 0
     assert result.flipped
     assert result.auc_either == 1 > result.auc
@@ -234,6 +239,22 @@ def test_backends_are_solvers_and_share_no_spectrum(settings):
     assert len(paths) == 16
     more = replace(settings, k=K + 1).spectrum_path("creature0", "mesh", "exact")
     assert more not in paths
+
+
+def test_vertices_at_one_place_are_one_point_of_a_cloud(tmp_path):
+    mesh = creature(700)
+    # A vertex of no extent is split off, as careless remeshing does: two at one place.
+    doubled = TriangleMesh(
+        np.vstack([mesh.points, mesh.points[5]]),
+        np.vstack([mesh.faces, [[5, mesh.n, int(mesh.faces[mesh.faces[:, 0] == 5][0, 1])]]]),
+    )
+    copy, order = permuted(doubled, seed=0)
+    a, b = Subject("a0", doubled, np.arange(701)), Subject("a1", copy, np.argsort(order))
+    settings = Settings(subjects={"a0": a, "a1": b}, folder=tmp_path / "out", k=K)
+    tasks = make_tasks([("a0", "a1")], kinds=["cloud"])
+    [result] = run_tasks(tasks, settings).results.values()
+    assert result.direct == pytest.approx(0, abs=1e-9)
+    assert np.load(settings.map_path(tasks[0])).shape == (701,)
 
 
 # --- running and remembering ---
@@ -301,7 +322,7 @@ def test_a_line_cut_short_is_dropped_and_another_file_refused(tmp_path, copies):
     a, b, spectra, order = copies
     path = tmp_path / "pairs.csv"
     task = Task("a0", "a1", "mesh", "exact", "wks-zoomout")
-    result = measure_pair(a, b, spectra, Outcome(order, 1.5, 1.25))
+    result = measured(a, b, spectra, Outcome(order, 1.5, 1.25))
     table = PairTable(path)
     table.add(task, "x", result)
     table.add(task, "y", result)
@@ -455,6 +476,7 @@ def app():
     return module.main
 
 
+@pytest.mark.slow
 def test_the_app_measures_draws_and_prints(app, tmp_path, capsys):
     arguments = [str(tmp_path / "out"), "--demo", "--pairs", "2", "-k", str(K), "--jobs", "1"]
     assert app([*arguments, "--methods", "wks-zoomout"]) == 0

@@ -88,8 +88,8 @@ class PairResult:
 def measure_pair(
     source: Subject,
     target: Subject,
-    spectra: tuple[Spectrum, Spectrum],
     outcome: Outcome,
+    back: Ints,
 ) -> PairResult:
     """Measure an outcome against the truth and without it.
 
@@ -97,10 +97,10 @@ def measure_pair(
     ----------
     source, target : Subject
         Of one class.
-    spectra : (Spectrum, Spectrum)
-        Of source and target, whatever the method used.
     outcome : Outcome
-        Of a method.
+        Of a method; its maps are between vertices.
+    back : array_like of shape (n1,), integers
+        Target vertex of each source vertex; see `way_back`.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def measure_pair(
         auc_either=auc(errors.either),
         coverage=coverage(p, laplacian_1.mass),
         energy=dirichlet_energy(laplacian_1, laplacian_2, p),
-        bijectivity=_bijectivity(source, spectra, p),
+        bijectivity=float(bijectivity_errors(source.mesh, p, back).mean()),
         orientation=orientation(source.mesh.points, source.mesh.faces, target.mesh.faces, p),
         oracle=_oracle(source, truth, outcome, errors),
         margin=outcome.margin,
@@ -130,16 +130,30 @@ def measure_pair(
     )
 
 
+def way_back(source: Spectrum, target: Spectrum, point_map: Ints) -> Ints:
+    """Return the target point of each source point, by the transpose of the functional map.
+
+    Of a bijection that keeps areas the functional map is orthogonal, and its transpose leads back.
+
+    Parameters
+    ----------
+    source, target : Spectrum
+        With n1 and n2 points.
+    point_map : ndarray of shape (n2,)
+        Source point of each target point.
+
+    Returns
+    -------
+    ndarray of shape (n1,)
+        Target points.
+    """
+    k = min(_WAY_BACK, source.k, target.k)
+    C = functional_map_from_point_map(source, target, point_map, k=k)
+    return point_map_from_functional_map(target, source, C.T)
+
+
 def _mean(errors: Floats | None) -> float:
     return float("nan") if errors is None else float(errors.mean())
-
-
-def _bijectivity(source: Subject, spectra: tuple[Spectrum, Spectrum], point_map: Ints) -> float:
-    k = min(_WAY_BACK, *(s.k for s in spectra))
-    C = functional_map_from_point_map(*spectra, point_map, k=k)
-    # Of a bijection that keeps areas the map is orthogonal, and its transpose leads back.
-    back = point_map_from_functional_map(spectra[1], spectra[0], C.T)
-    return float(bijectivity_errors(source.mesh, point_map, back).mean())
 
 
 def _oracle(source: Subject, truth: Truth, outcome: Outcome, errors: MapErrors) -> float:

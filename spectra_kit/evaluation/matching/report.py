@@ -19,7 +19,6 @@ from spectra_kit.correspondence import FLIP_MARGIN, geodesic_errors
 from spectra_kit.evaluation.matching.measure import THRESHOLDS, PairResult
 from spectra_kit.evaluation.matching.protocols import PROTOCOLS, Protocol
 from spectra_kit.evaluation.matching.runner import Run, Settings
-from spectra_kit.evaluation.matching.spectra import Kind, geometry_of
 from spectra_kit.evaluation.matching.subjects import Subject, truth_between
 from spectra_kit.evaluation.matching.table import Task
 from spectra_kit.viz.correspondence import MatchedPair, plot_correspondences
@@ -103,7 +102,20 @@ def counted(result: PairResult, protocol: Protocol) -> float:
 
 
 def summarize_runs(results: Mapping[Task, PairResult], protocol: Protocol) -> list[Summary]:
-    """Summarise results by kind, backend and method, in the order in which they first appear."""
+    """Summarise results by kind, backend and method.
+
+    Parameters
+    ----------
+    results : mapping of Task to PairResult
+        Of a `Run`.
+    protocol : Protocol
+        Which errors count.
+
+    Returns
+    -------
+    list of Summary
+        In the order in which they first appear.
+    """
     groups: dict[Name, list[PairResult]] = {}
     for task, result in results.items():
         groups.setdefault((task.kind, task.backend, task.method), []).append(result)
@@ -212,9 +224,7 @@ def draw_extremes(run: Run, settings: Settings, protocol: Protocol, name: Name) 
             _drawn(settings, task, f"{what}: {counted(run.results[task], protocol):.2f}")
             for what, task in chosen.items()
         ],
-        title=f"{name[2]}: {name[1]} spectra of {name[0]}es"
-        if name[0] == "mesh"
-        else f"{name[2]}: {name[1]} spectra of clouds",
+        title=f"{name[2]}: {name[1]} spectra of {'meshes' if name[0] == 'mesh' else 'clouds'}",
         subtitle=f"mean geodesic errors of {len(tasks)} pairs, in hundredths of √area",
     )
     return path
@@ -345,7 +355,8 @@ def _relative(rows: Sequence[Summary]) -> list[str]:
 def _drawn(settings: Settings, task: Task, name: str) -> MatchedPair:
     subjects = [settings.subjects[who] for who in (task.source, task.target)]
     point_map = np.load(settings.map_path(task)).astype(np.int64)
-    geometries = [geometry_of(subject, _kind(task.kind)) for subject in subjects]
+    meshes = [subject.mesh for subject in subjects]
+    geometries = [mesh.as_cloud() if task.kind == "cloud" else mesh for mesh in meshes]
     return MatchedPair(
         source=geometries[0],
         target=geometries[1],
@@ -363,10 +374,6 @@ def _spread(source: Subject, target: Subject, point_map: NDArray[np.int64]) -> F
     points = target.mesh.points
     _, nearest = cKDTree(points[truth.target]).query(points)
     return np.asarray(errors[nearest])
-
-
-def _kind(name: str) -> Kind:
-    return "cloud" if name == "cloud" else "mesh"
 
 
 def _save(figure: Figure, path: Path) -> None:

@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
-import os
-import signal
-import threading
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
-from tqdm import tqdm
 
 from spectra_kit._files import atomic_path
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError, SpectraKitError
-from spectra_kit.evaluation.matching.measure import PairResult, measure_pair
+from spectra_kit.evaluation.matching.measure import PairResult, measure_pair, way_back
 from spectra_kit.evaluation.matching.methods import METHODS, Side, match_pyfm
+from spectra_kit.evaluation.matching.processes import done, workers
 from spectra_kit.evaluation.matching.spectra import (
     BACKENDS,
     KINDS,
     Kind,
+    between_vertices,
     geometry_of,
     load_spectrum,
     solve_to,
@@ -37,10 +31,7 @@ from spectra_kit.evaluation.matching.subjects import Subject
 from spectra_kit.evaluation.matching.table import PairTable, Task
 from spectra_kit.spectrum import Spectrum
 
-# One thread in each process: the processes share the cores.
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _HELD = 8  # spectra in the memory of a process
-_WATCH = 1.0  # seconds between two looks at whether the parent still lives
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -115,7 +106,19 @@ def make_tasks(
     backends: Sequence[str] = ("exact",),
     methods: Sequence[str] = ("wks-zoomout",),
 ) -> list[Task]:
-    """Return all combinations, pair by pair.
+    """Combine pairs with what is to be run on them.
+
+    Parameters
+    ----------
+    pairs : iterable of (str, str)
+        Names of source and target.
+    kinds, backends, methods : sequence of str
+        Among `KINDS`, `BACKENDS` and `METHODS`.
+
+    Returns
+    -------
+    list of Task
+        All combinations, pair by pair.
 
     Raises
     ------
@@ -181,7 +184,7 @@ def run_tasks(
     if missing:
         for path in {settings.map_path(task).parent for task in missing}:
             path.mkdir(parents=True, exist_ok=True)
-        with _pool(settings, jobs) as submit:
+        with workers(jobs, _begin, settings) as submit:
             wanted = {
                 (name, task.kind, task.backend): settings.spectrum_path(
                     name, task.kind, task.backend
@@ -191,7 +194,7 @@ def run_tasks(
             }
             unsolved = [which for which, path in wanted.items() if not path.exists()]
             reasons: dict[tuple[str, str, str], str] = {}
-            for which, answer in _done(submit, _solve, unsolved, "spectrum", progress):
+            for which, answer in done(submit, _solve, unsolved, "spectrum", progress):
                 if isinstance(answer, str):
                     reasons[which] = answer
             ready = []
@@ -202,7 +205,7 @@ def run_tasks(
                     run.failures[task] = why[0]
                 else:
                     ready.append(task)
-            for task, answer in _done(submit, _match, ready, "pair", progress):
+            for task, answer in done(submit, _match, ready, "pair", progress):
                 if isinstance(answer, str):
                     run.failures[task] = answer
                 else:
@@ -219,19 +222,10 @@ def run_tasks(
 _SHARED: list[Settings] = []  # of this process
 
 
-def _begin(settings: Settings, parent: int | None = None) -> None:
-    """Take the settings; in a process of its own, leave Ctrl-C to the parent and end with it."""
+def _begin(settings: Settings) -> None:
+    """Take the settings."""
     _SHARED[:] = [settings]
     _spectrum.cache_clear()
-    if parent is not None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-
-
-def _end_with(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(_WATCH)
-    os._exit(1)  # the parent was killed: nobody waits for this
 
 
 def _solve(which: tuple[str, str, str]) -> str | None:
@@ -258,17 +252,26 @@ def _match(task: Task) -> PairResult | str:
     method = METHODS[task.method]
     if task.method == "pyfm" and settings.pyfm_python:
         method = partial(match_pyfm, python=settings.pyfm_python)
-    subjects = [settings.subjects[name] for name in (task.source, task.target)]
+    source, target = (settings.subjects[name] for name in (task.source, task.target))
+    kind = cast(Kind, task.kind)
     try:
-        spectra = [
-            _spectrum(settings.spectrum_path(s.name, task.kind, task.backend)) for s in subjects
-        ]
-        sides = [
-            Side(geometry_of(subject, cast(Kind, task.kind)), spectrum)
-            for subject, spectrum in zip(subjects, spectra, strict=True)
-        ]
-        outcome = method(sides[0], sides[1])
-        result = measure_pair(subjects[0], subjects[1], (spectra[0], spectra[1]), outcome)
+        a, b = (
+            Side(
+                geometry_of(subject, kind),
+                _spectrum(settings.spectrum_path(subject.name, kind, task.backend)),
+            )
+            for subject in (source, target)
+        )
+        outcome = method(a, b)
+        back = way_back(a.spectrum, b.spectrum, outcome.point_map)
+        candidates = (between_vertices(p, source, target, kind) for p in outcome.candidates)
+        outcome = replace(
+            outcome,
+            point_map=between_vertices(outcome.point_map, source, target, kind),
+            candidates=tuple(candidates),
+        )
+        back = between_vertices(back, target, source, kind)
+        result = measure_pair(source, target, outcome, back)
         with atomic_path(settings.map_path(task)) as part:
             np.save(part, outcome.point_map.astype(np.int32))
     except SpectraKitError as error:
@@ -279,61 +282,3 @@ def _match(task: Task) -> PairResult | str:
 @lru_cache(maxsize=_HELD)
 def _spectrum(path: Path) -> Spectrum:
     return load_spectrum(path)
-
-
-# --- the pool ---
-
-Submit = Callable[[Callable[[Any], Any], Any], "Future[Any]"]
-
-
-@contextmanager
-def _pool(settings: Settings, jobs: int) -> Iterator[Submit]:
-    if jobs == 1:
-        _begin(settings)
-        yield _now
-        return
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))  # the processes read it as they start
-    executor = ProcessPoolExecutor(
-        jobs,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_begin,
-        initargs=(settings, os.getpid()),
-    )
-    try:
-        yield executor.submit
-    finally:
-        executor.shutdown(wait=True, cancel_futures=True)
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-def _now(function: Callable[[Any], Any], item: Any) -> Future[Any]:
-    """Compute at once, in this process."""
-    future: Future[Any] = Future()
-    future.set_result(function(item))
-    return future
-
-
-def _done(
-    submit: Submit,
-    function: Callable[[Any], Any],
-    items: Sequence[Any],
-    unit: str,
-    progress: bool,
-) -> Iterator[tuple[Any, Any]]:
-    """Yield items with their answers, as they come."""
-    bar = tqdm(total=len(items), unit=unit, disable=None if progress else True)
-    with bar:
-        if submit is _now:  # one at a time: what was done before an interruption is kept
-            for item in items:
-                yield item, function(item)
-                bar.update()
-            return
-        futures = {submit(function, item): item for item in items}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-            bar.update()

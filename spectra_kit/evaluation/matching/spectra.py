@@ -7,16 +7,21 @@ import json
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from spectra_kit._version import VERSION
 from spectra_kit.eigensolvers import Arpack, Neo, Polished, Refined, eigensolve
 from spectra_kit.eigensolvers.base import Eigensolver
 from spectra_kit.evaluation.matching.subjects import Subject
 from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.geometry.shapes import distinct_rows
 from spectra_kit.neo import NeoSubspace
 from spectra_kit.neo.pretrained import load_pretrained
 from spectra_kit.operators import Laplacian, delaunay_laplacian, robust_laplacian
 from spectra_kit.spectrum import Spectrum
 
+Ints = NDArray[np.int64]
 Kind = Literal["mesh", "cloud"]
 
 #: Backends by name: ARPACK, the network alone, polished once, and refined to the end.
@@ -42,8 +47,17 @@ def make_solver(backend: str, weights: str = "small") -> Eigensolver:
 
 
 def geometry_of(subject: Subject, kind: Kind) -> Geometry:
-    """Return the mesh, or its vertices alone."""
-    return subject.mesh if kind == "mesh" else subject.mesh.as_cloud()
+    """Return the mesh, or its vertices alone, of those at one place the first."""
+    return subject.mesh if kind == "mesh" else subject.mesh.as_cloud().without_duplicates()
+
+
+def between_vertices(point_map: Ints, source: Subject, target: Subject, kind: Kind) -> Ints:
+    """Return a map between two geometries of `geometry_of` as one between the meshes' vertices."""
+    if kind == "mesh":
+        return point_map
+    vertex, _ = distinct_rows(source.mesh.points)
+    _, point = distinct_rows(target.mesh.points)
+    return vertex[point_map[point]]
 
 
 def operator_of(subject: Subject, kind: Kind) -> Laplacian:

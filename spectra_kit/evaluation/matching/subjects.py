@@ -75,7 +75,17 @@ class Subject(Rebuilt):
 
 
 def truth_between(source: Subject, target: Subject) -> Truth:
-    """Return which points of two subjects of one class correspond.
+    """Tell which points of two subjects of one class correspond.
+
+    Parameters
+    ----------
+    source, target : Subject
+        With the same landmarks in the same order.
+
+    Returns
+    -------
+    Truth
+        With the mirror images, if those of the source are known.
 
     Raises
     ------
@@ -123,6 +133,18 @@ def subjects_in(folder: str | os.PathLike[str]) -> dict[str, Subject]:
 
 def demo_subjects(n_points: int = 1000, *, poses: int = 4) -> dict[str, Subject]:
     """Make one demo animal in several poses, for trials without any data.
+
+    Parameters
+    ----------
+    n_points : int, default 1000
+        Vertices of each, about; the same triangles in every pose.
+    poses : int, default 4
+        How many, at least 2.
+
+    Returns
+    -------
+    dict of str to Subject
+        By name; every vertex is a landmark.
 
     Examples
     --------
