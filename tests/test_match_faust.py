@@ -38,9 +38,9 @@ from spectra_kit.evaluation.matching import (
     write_matching_report,
 )
 from spectra_kit.evaluation.matching.measure import way_back
-from spectra_kit.evaluation.matching.report import ranked
 from spectra_kit.evaluation.matching.runner import Run
 from spectra_kit.evaluation.matching.spectra import make_solver, operator_of
+from spectra_kit.evaluation.matching.summaries import ranked
 from spectra_kit.geometry import creature, permuted
 
 APP = Path(__file__).parents[1] / "apps" / "match_faust.py"

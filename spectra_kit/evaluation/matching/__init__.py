@@ -4,15 +4,11 @@ Data flows `subjects` (meshes with landmarks) -> `protocols` (pairs) -> `spectra
 -> `methods` (point maps) -> `measure` (errors) -> `runner` (side by side, remembered) -> `report`.
 """
 
+from spectra_kit.evaluation.matching.figures import draw_extremes
 from spectra_kit.evaluation.matching.measure import THRESHOLDS, PairResult, measure_pair
 from spectra_kit.evaluation.matching.methods import METHODS, Outcome, Side
 from spectra_kit.evaluation.matching.protocols import PROTOCOLS, Protocol, make_protocol
-from spectra_kit.evaluation.matching.report import (
-    Summary,
-    draw_extremes,
-    summarize_runs,
-    write_matching_report,
-)
+from spectra_kit.evaluation.matching.report import write_matching_report
 from spectra_kit.evaluation.matching.runner import Run, Settings, make_tasks, run_tasks
 from spectra_kit.evaluation.matching.spectra import BACKENDS, KINDS
 from spectra_kit.evaluation.matching.subjects import (
@@ -21,6 +17,7 @@ from spectra_kit.evaluation.matching.subjects import (
     subjects_in,
     truth_between,
 )
+from spectra_kit.evaluation.matching.summaries import Summary, summarize_runs
 from spectra_kit.evaluation.matching.table import PairTable, Task
 
 __all__ = [

@@ -194,9 +194,9 @@ def run_tasks(
             }
             unsolved = [which for which, path in wanted.items() if not path.exists()]
             reasons: dict[tuple[str, str, str], str] = {}
-            for which, answer in done(submit, _solve, unsolved, "spectrum", progress):
-                if isinstance(answer, str):
-                    reasons[which] = answer
+            for which, reason in done(submit, _solve, unsolved, "spectrum", progress):
+                if reason is not None:
+                    reasons[which] = reason
             ready = []
             for task in missing:
                 ends = [(name, task.kind, task.backend) for name in (task.source, task.target)]
