@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,19 +17,14 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.colours import error_colours, position_colours, refined
-from spectra_kit.viz.pen import Pen, short
 from spectra_kit.viz.render import Scene, render
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from spectra_kit.viz.rows import Row, set_rows
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
-# Inches.
-_MARGIN, _GAP, _SIDE, _HEAD, _TITLE, _LINE, _BAR = 0.15, 0.25, 0.3, 0.34, 0.62, 0.19, 0.3
-_WIDEST, _NARROWEST, _TALLEST = 3.4, 2.2, 3.6  # of a picture
+_WIDEST, _TALLEST = 3.4, 3.6  # inches of a picture
 _PIXELS = 4  # to a vertex, at which a pattern inside triangles looks sharp
 _PERCENTILE = 99.0  # a lone outlier must not bleach the rest
 
@@ -212,12 +207,12 @@ def _draw(
             names = None if behind else pair.names
             each = np.split(target, len(source))  # the pictures of one side follow each other
             rows += [
-                _Row(side, names, [first, *rest])
+                Row(side, names, [first, *rest])
                 for side, first, rest in zip(sides, source, each, strict=True)
             ]
         heads = [*(pairs[0].names if behind else ("source", "target")), "error"]
         bar = None if all(e is None for e in errors) else (limit, error_label)
-        figure = _set_page(rows, heads, bar, title, subtitle, dpi)
+        figure = set_rows(rows, heads, bar, title, subtitle, dpi)
         figure.savefig(part, dpi=dpi)
 
 
@@ -282,59 +277,3 @@ def _fitting_size(geometry: Geometry, rotation: Floats) -> tuple[float, float]:
     across, up = np.maximum(np.ptp(geometry.points @ rotation.T, axis=0)[:2], 1e-300)
     width = float(max(min(_WIDEST, _TALLEST * across / up), 0.3))
     return width, min(width * float(up / across), _TALLEST)
-
-
-@dataclass(frozen=True, eq=False)
-class _Row:
-    """Pictures beside each other, the name of the row, and of source and target if not above."""
-
-    name: str
-    names: tuple[str, str] | None
-    pictures: list[Bytes]
-
-
-def _set_page(
-    rows: list[_Row],
-    heads: list[str],
-    bar: tuple[float, str] | None,
-    title: str,
-    subtitle: str,
-    dpi: int,
-) -> Figure:
-    """Place the pictures, names and the colour bar; everything in inches from the top."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    columns = 2 if bar is None else 3
-    cell = max(_NARROWEST, *(p.shape[1] / dpi for row in rows for p in row.pictures))
-    tall = [max(p.shape[0] for p in row.pictures) / dpi for row in rows]
-    head = _MARGIN + (_TITLE if title or subtitle else 0.0)
-    lines = [0.0 if row.names is None else _LINE for row in rows]
-    height = head + _HEAD + sum(tall) + sum(lines) + len(rows) * _GAP + _MARGIN
-    height += 0.0 if bar is None else _BAR
-    width = 2 * _MARGIN + _SIDE + columns * (cell + _GAP) - _GAP
-    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
-    FigureCanvasAgg(figure)
-    pen = Pen(figure, width, height, dpi)
-    if title or subtitle:
-        pen.text(title, _MARGIN, _MARGIN + 0.2, width - 2 * _MARGIN, 14, bold=True)
-        pen.text(subtitle, _MARGIN, _MARGIN + 0.46, width - 2 * _MARGIN, 9, colour="0.35")
-    lefts = [_MARGIN + _SIDE + i * (cell + _GAP) for i in range(columns)]
-    for left, name in zip(lefts, heads, strict=False):
-        pen.text(name, left, head + 0.22, cell, 12, bold=True, centred=True)
-    top = head + _HEAD
-    for row, line, room in zip(rows, lines, tall, strict=True):
-        for left, text in zip(lefts, row.names or (), strict=False):
-            pen.text(text, left, top + 0.12, cell, 9, colour="0.35", centred=True)
-        top += line
-        pen.sideways(row.name, _MARGIN + 0.1, top + room / 2, room + _GAP)
-        for left, picture in zip(lefts, row.pictures, strict=False):
-            high, wide = (side / dpi for side in picture.shape[:2])
-            pen.picture(picture, left + (cell - wide) / 2, top + (room - high) / 2)
-        top += room + _GAP
-    if bar is not None:
-        limit, label = bar
-        strip = error_colours(np.linspace(0.0, 1.0, 256), 1.0)
-        pen.bar(strip, ("0", short(limit)), lefts[2], top - 0.05, cell)
-        pen.text(label, lefts[2], top + 0.2, cell, 8, colour="0.4", centred=True)
-    return figure
