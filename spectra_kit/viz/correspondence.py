@@ -148,8 +148,16 @@ def plot_correspondences(
         The ``.png`` file to write, whole or not at all.
     pairs : sequence of MatchedPair
         At least one. If one has errors, all share their colour scale.
-    up, limit, error_label, title, subtitle, dpi
+    up : {"y", "z"}, optional
         As in `plot_correspondence`.
+    limit : float, optional
+        The error at the dark end of the colours, for all.
+    error_label : str
+        Says what the errors are, and in which unit.
+    title, subtitle : str, optional
+        Two lines at the head of the page.
+    dpi : int, default 200
+        Pixels per inch; the page is at most 11 inches wide.
 
     Raises
     ------
