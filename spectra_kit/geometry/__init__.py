@@ -33,6 +33,7 @@ from spectra_kit.geometry.creature import creature
 from spectra_kit.geometry.diagnose import Diagnosis, diagnose
 from spectra_kit.geometry.io import read, write
 from spectra_kit.geometry.normalize import Normalization, normalize
+from spectra_kit.geometry.normals import estimate_normals, orient_normals
 from spectra_kit.geometry.poses import creature_pair, mirrored, permuted
 from spectra_kit.geometry.reference import Reference, disk, rectangle, sphere, torus
 from spectra_kit.geometry.repair import Repaired, RepairReport, repair
@@ -56,9 +57,11 @@ __all__ = [
     "creature_pair",
     "diagnose",
     "disk",
+    "estimate_normals",
     "largest_component",
     "mirrored",
     "normalize",
+    "orient_normals",
     "permuted",
     "read",
     "rectangle",

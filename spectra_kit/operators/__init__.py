@@ -9,11 +9,23 @@
 from spectra_kit.operators.assemble import cotan_laplacian, knn_laplacian, robust_laplacian
 from spectra_kit.operators.delaunay import delaunay_laplacian
 from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.operators.orientation import (
+    OrientedTriangles,
+    area_form,
+    orientation_operator,
+    oriented_triangles,
+    skew,
+)
 
 __all__ = [
     "Laplacian",
+    "OrientedTriangles",
+    "area_form",
     "cotan_laplacian",
     "delaunay_laplacian",
     "knn_laplacian",
+    "orientation_operator",
+    "oriented_triangles",
     "robust_laplacian",
+    "skew",
 ]

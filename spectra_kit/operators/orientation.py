@@ -24,6 +24,7 @@ from spectra_kit._validate import (
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators._checks import check_faces_usable, check_geometry
+from spectra_kit.operators._fans import oriented_fans
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -46,8 +47,8 @@ class OrientedTriangles(Rebuilt):
     n : int
         Number of points.
     consistent : float, default 1.0
-        Share of the triangles whose corners agree on the side: 1 for a mesh; for a cloud, how far
-        the propagation succeeded.
+        Share of the triangles whose corners agree on the side: 1 for a mesh; for a cloud, a sign of
+        how far its orientation can be trusted.
 
     Raises
     ------
@@ -89,41 +90,58 @@ class OrientedTriangles(Rebuilt):
         return replace(self, faces=self.faces[:, [0, 2, 1]])
 
 
-def oriented_triangles(geometry: Geometry) -> OrientedTriangles:
-    """Return triangles of a mesh that all turn the same way round.
+def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> OrientedTriangles:
+    """Return triangles of a surface that all turn the same way round.
 
     Parameters
     ----------
-    geometry : TriangleMesh
-        With faces of one winding: along an edge run as many as against it, but for one where the
-        number is odd.
+    geometry : TriangleMesh or PointCloud
+        A mesh needs faces of one winding: along an edge run as many as against it, but for one
+        where the number is odd.
+    n_neighbors : int, default 30
+        Of a cloud: candidates for the triangles of a point, as in `delaunay_laplacian`.
 
     Returns
     -------
     OrientedTriangles
-        The faces. Each closed piece is turned such that it encloses a positive volume; so a
-        mirrored copy has the opposite winding, whether or not its faces were flipped with its
+        Of a mesh, its faces. Each closed piece is turned such that it encloses a positive volume;
+        so a mirrored copy has the opposite winding, whether or not its faces were flipped with its
         points. Pieces with a boundary, or flat ones without an inside, keep the winding they came
         with, which a mirror does not change.
+
+        Of a cloud, the triangles of its local Delaunay triangulations, each counted a third, as a
+        good one is found by all its three corners. Each component is turned to enclose a positive
+        volume, seen from its centroid, which an open sheet that is nearly flat does not decide.
 
     Raises
     ------
     InvalidInputError
         If neighbouring faces of a mesh turn opposite ways, a vertex has no face or a face names
-        one twice.
+        one twice; if a cloud has fewer than four points, duplicates, or lies on a line.
+
+    Notes
+    -----
+    Points of a cloud whose triangulations share triangles vote for one side by the windings of
+    these, which sharp edges do not disturb as they do the votes of normals (Hoppe et al. 1992), and
+    groups that agree vote together. Parts that came out inside out are found by their winding
+    number (Barill et al. 2018). All this fails where sheets are about as near to each other as
+    the points of one, as in the hands of a coarse body; `consistent` then stays below 1.
 
     Examples
     --------
     >>> from spectra_kit.geometry import sphere
-    >>> mesh = sphere(subdivisions=2).geometry
+    >>> mesh = sphere(subdivisions=3).geometry
     >>> inside_out = TriangleMesh(mesh.points, mesh.faces[:, ::-1])
     >>> print(area_form(oriented_triangles(inside_out), mesh.points)[0, 1, 2])
-    4.05
+    4.15
+    >>> print(area_form(oriented_triangles(mesh.as_cloud()), mesh.points)[0, 1, 2])
+    4.15
     """
     check_geometry(geometry)
     if isinstance(geometry, TriangleMesh):
         return _of_mesh(geometry)
-    raise InvalidInputError("`geometry` must be a TriangleMesh, got a PointCloud")
+    faces, areas, consistent = oriented_fans(geometry, n_neighbors)
+    return OrientedTriangles(faces, np.full(len(faces), 1 / 3), areas, geometry.n, consistent)
 
 
 def _of_mesh(mesh: TriangleMesh) -> OrientedTriangles:
