@@ -1,0 +1,16 @@
+"""Match two surfaces without flipping them: candidates, their scores, the best one refined."""
+
+from spectra_kit.matching.match import Candidate, Match, match
+from spectra_kit.matching.prepare import Prepared, prepare
+from spectra_kit.matching.score import mismatches, orientation_of, score_of
+
+__all__ = [
+    "Candidate",
+    "Match",
+    "Prepared",
+    "match",
+    "mismatches",
+    "orientation_of",
+    "prepare",
+    "score_of",
+]

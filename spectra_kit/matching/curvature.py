@@ -1,0 +1,66 @@
+"""Mean curvature of a surface, smoothed by its spectrum: what tells the front of a limb from its back."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit.geometry import Geometry
+from spectra_kit.operators.orientation import OrientedTriangles
+from spectra_kit.spectrum import Spectrum
+
+Floats = NDArray[np.float64]
+
+
+def outward_normals(points: Floats, oriented: OrientedTriangles) -> Floats:
+    """Return unit normals at the points, (n, 3): of the triangles around, weighted by area.
+
+    Zero where no triangle is, or where the triangles around cancel.
+    """
+    i, j, k = oriented.faces.T
+    across = np.cross(points[j] - points[i], points[k] - points[i]) * oriented.weights[:, None]
+    sums = np.column_stack(
+        [
+            np.bincount(oriented.faces.ravel(), np.repeat(across[:, r], 3), minlength=len(points))
+            for r in range(3)
+        ]
+    )
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.divide(sums, lengths, out=np.zeros_like(sums), where=lengths > 0)
+
+
+def smoothed_mean_curvature(
+    spectrum: Spectrum, geometry: Geometry, oriented: OrientedTriangles, modes: tuple[int, ...]
+) -> Floats:
+    """Return twice the signed mean curvature of the surface, smoothed by a short heat flow.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        Of the surface, in the units of `geometry`.
+    geometry : TriangleMesh or PointCloud
+        The surface.
+    oriented : OrientedTriangles
+        Which side is out.
+    modes : tuple of int
+        One column for each: heat flows for the time 1 / lambda of that mode.
+
+    Returns
+    -------
+    ndarray of shape (n, len(modes))
+        In 1/length; positive where the surface is convex.
+
+    Notes
+    -----
+    The mean curvature normal is the Laplacian of the coordinates, ``2 H n = L x``; with the heat
+    flow, ``n . U diag(lambda exp(-t lambda)) U^T M x``. Bending a surface changes it at the bends
+    only. It does not see reflections.
+    """
+    normals = outward_normals(geometry.points, oriented)
+    coefficients = spectrum.project(geometry.points)
+    out = np.empty((spectrum.n, len(modes)))
+    for c, mode in enumerate(modes):
+        gain = spectrum.eigenvalues * np.exp(-spectrum.eigenvalues / spectrum.eigenvalues[mode])
+        smooth = spectrum.eigenvectors @ (gain[:, None] * coefficients)
+        out[:, c] = np.einsum("nr,nr->n", smooth, normals)
+    return out

@@ -1,0 +1,147 @@
+"""What matching needs to know of one surface, computed once and used for all its pairs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._validate import Rebuilt, check_count, frozen
+from spectra_kit.descriptors import farthest_points, wave_kernel_signature
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh
+from spectra_kit.matching.curvature import smoothed_mean_curvature
+from spectra_kit.operators.orientation import area_form, oriented_triangles
+from spectra_kit.spectrum import Spectrum
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+LOWEST_K = 30  # modes without which there is no matching
+FORM_K = 40  # modes of the area form
+_CURVATURES = (60, 30)  # modes whose heat times smooth the curvature: fine, coarse
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Prepared(Rebuilt):
+    """A surface, ready to be matched; `prepare` makes it. All at unit area.
+
+    Attributes
+    ----------
+    spectrum : Spectrum
+        Scaled to area 1.
+    samples : ndarray of shape (s,)
+        Well-spread points, the first ones the farthest apart.
+    wave : ndarray of shape (n, e)
+        Wave kernel signature.
+    curvature : ndarray of shape (n, 2) or None
+        Smoothed mean curvature, fine and coarse; None without a geometry.
+    form : ndarray of shape (q, q, q) or None
+        Area form of the lowest modes: ``form[a, b, c]`` is the integral of ``u_a du_b ^ du_c``;
+        None without a geometry.
+    consistent : float
+        Share of the triangles that agree on which side is out; 1 for meshes.
+    """
+
+    spectrum: Spectrum
+    samples: Ints
+    wave: Floats
+    curvature: Floats | None = None
+    form: Floats | None = None
+    consistent: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("samples", "wave", "curvature", "form"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    def __repr__(self) -> str:
+        seen = "spectrum alone" if self.form is None else "spectrum and geometry"
+        return f"Prepared(n={self.spectrum.n}, k={self.spectrum.k}, from {seen})"
+
+
+def prepare(
+    spectrum: Spectrum, geometry: Geometry | None = None, *, n_samples: int = 600
+) -> Prepared:
+    """Gather what `match` needs to know of a surface.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        Of one connected surface, in any unit, with at least 30 modes.
+    geometry : TriangleMesh or PointCloud, optional
+        The surface, in the same unit: its sides and its curvature. Without it, a match cannot tell
+        left from right, and hardly the front from the back.
+    n_samples : int, default 600
+        Points on which candidates are refined; capped at n.
+
+    Returns
+    -------
+    Prepared
+
+    Raises
+    ------
+    InvalidInputError
+        If the spectrum has fewer than 30 modes or several components, the geometry has other
+        points or another area, or its faces have no consistent winding
+        (`operators.oriented_triangles`).
+
+    Examples
+    --------
+    >>> from spectra_kit.eigensolvers import eigensolve
+    >>> from spectra_kit.geometry import creature
+    >>> from spectra_kit.operators import robust_laplacian
+    >>> mesh = creature(1000)
+    >>> prepare(eigensolve(robust_laplacian(mesh), 60), mesh)
+    Prepared(n=1000, k=60, from spectrum and geometry)
+    """
+    check_count("n_samples", n_samples, low=200)
+    if spectrum.k < LOWEST_K:
+        raise InvalidInputError(
+            f"`spectrum` must have at least {LOWEST_K} modes to be matched, got {spectrum.k};"
+            " solve for more (150 match best)"
+        )
+    if spectrum.n_zero_modes != 1:
+        raise InvalidInputError(
+            "`spectrum` must be of one connected surface, with its constant mode, got"
+            f" {spectrum.n_zero_modes} zero modes; match component by component"
+            " (geometry.components)"
+        )
+    scale = spectrum.area**-0.5
+    unit = spectrum.rescale(scale)
+    sides = {} if geometry is None else _sides(unit, geometry, scale)
+    return Prepared(
+        spectrum=unit,
+        samples=farthest_points(unit, min(n_samples, unit.n)),
+        wave=wave_kernel_signature(unit, count=60),
+        **sides,
+    )
+
+
+def _sides(unit: Spectrum, geometry: Geometry, scale: float) -> dict[str, Floats | float]:
+    """Return what the geometry adds: curvature, area form, and how far its sides agree."""
+    if not isinstance(geometry, TriangleMesh | PointCloud) or geometry.n != unit.n:
+        arrived = getattr(geometry, "n", type(geometry).__name__)
+        raise InvalidInputError(
+            f"`geometry` must be the mesh or cloud of the spectrum, of {unit.n} points,"
+            f" got {arrived}"
+        )
+    oriented = oriented_triangles(geometry)
+    scaled = (
+        TriangleMesh(geometry.points * scale, geometry.faces)
+        if isinstance(geometry, TriangleMesh)
+        else PointCloud(geometry.points * scale)
+    )
+    area = float(oriented.weights @ oriented.areas) * scale**2
+    if not 0.5 < area < 2.0:
+        raise InvalidInputError(
+            "`geometry` must be in the unit of the spectrum, got"
+            f" {area:.3g} times the area; pass the geometry that the spectrum was computed of"
+        )
+    modes = tuple(min(mode, unit.k - 1) for mode in _CURVATURES)
+    return {
+        "curvature": smoothed_mean_curvature(unit, scaled, oriented, modes),
+        "form": area_form(oriented, unit.eigenvectors[:, : min(FORM_K, unit.k)]),
+        "consistent": oriented.consistent,
+    }
