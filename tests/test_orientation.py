@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from spectra_kit import InvalidInputError, TriangleMesh
-from spectra_kit.geometry import creature, disk, rectangle, sphere, torus
+from spectra_kit import InvalidInputError, PointCloud, TriangleMesh
+from spectra_kit.geometry import creature, disk, rectangle, sample_with_origin, sphere, torus
 from spectra_kit.operators.orientation import (
     OrientedTriangles,
     area_form,
@@ -15,6 +15,11 @@ from spectra_kit.operators.orientation import (
 
 FLIP = [0, 2, 1]
 MIRROR = np.array([1.0, -1.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def animal() -> TriangleMesh:
+    return creature(1500)
 
 
 def volume_of(mesh: TriangleMesh) -> float:
@@ -121,6 +126,79 @@ def test_bad_triangles_are_refused() -> None:
         oriented_triangles(np.eye(3))
     with pytest.raises(InvalidInputError, match="no face uses"):
         oriented_triangles(TriangleMesh(np.eye(4)[:, :3], [[0, 1, 2]]))
+
+
+# --- clouds ---------------------------------------------------------------------------------
+
+
+def relative_error(form: np.ndarray, truth: np.ndarray) -> float:
+    return float(np.linalg.norm(form - truth) / np.linalg.norm(truth))
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_the_area_form_of_a_cloud_is_near_that_of_its_mesh(
+    animal: TriangleMesh, mirror: float
+) -> None:
+    for mesh, error in ((sphere(subdivisions=3).geometry, 1e-6), (animal, 0.06)):
+        f = smooth_functions(mesh.points)
+        cloud = PointCloud(mesh.points * [1000, 1000, 1000 * mirror] + 7)
+        oriented = oriented_triangles(cloud)
+        assert oriented.consistent > 0.99
+        assert oriented.n == mesh.n
+        assert (oriented.weights == 1 / 3).all()
+        truth = mirror * area_form(oriented_triangles(mesh), f)
+        assert relative_error(area_form(oriented, f), truth) < error
+        area = oriented.weights @ oriented.areas
+        assert area == pytest.approx(1e6 * mesh.area, rel=0.02)
+
+
+def test_random_points_of_an_animal_are_oriented_outwards(animal: TriangleMesh) -> None:
+    samples = sample_with_origin(animal, 4000, seed=0)
+    f = smooth_functions(animal.points)
+    truth = area_form(oriented_triangles(animal), f)
+    form = area_form(oriented_triangles(samples.cloud), samples.interpolate(f))
+    assert relative_error(form, truth) < 0.1
+
+
+def test_components_of_a_cloud_are_oriented_on_their_own() -> None:
+    ball, ring = sphere(subdivisions=2).geometry, torus(n=600).geometry
+    far = TriangleMesh(ring.points * [1, -1, 1] + [9, 0, 0], ring.faces[:, FLIP])
+    both = joined(ball, far)
+    f = smooth_functions(both.points)
+    form = area_form(oriented_triangles(both.as_cloud()), f)
+    assert relative_error(form, area_form(oriented_triangles(both), f)) < 0.03
+
+
+def test_a_flat_cloud_has_one_side() -> None:
+    points = np.c_[np.random.default_rng(0).random((300, 2)), np.zeros(300)]
+    oriented = oriented_triangles(PointCloud(points))
+    x, y, _ = points.T
+    signed = area_form(oriented, np.c_[np.ones(300), x, y])[0, 1, 2]
+    assert abs(signed) == pytest.approx(oriented.weights @ oriented.areas)
+    assert oriented.consistent == 1
+
+
+def test_near_sheets_are_told_apart_down_to_the_spacing_of_their_points() -> None:
+    rng = np.random.default_rng(0)
+    flat = [rng.random((400, 2)) for _ in range(2)]  # a spacing of 0.05
+
+    def slab(gap: float) -> tuple[OrientedTriangles, np.ndarray]:
+        points = np.vstack([np.c_[f, np.full(400, z)] for f, z in zip(flat, (0, gap), strict=True)])
+        oriented = oriented_triangles(PointCloud(points))
+        a, b, c = (points[oriented.faces[:, i]] for i in range(3))
+        return oriented, np.cross(b - a, c - a)[:, 2] * np.sign(a[:, 2] - gap / 2)
+
+    apart, outwards = slab(0.2)
+    assert apart.consistent > 0.99
+    assert (outwards >= 0).mean() > 0.99
+    assert slab(0.07)[0].consistent < 0.9
+    one, _ = slab(0.01)  # two sheets are taken for one
+    assert one.weights @ one.areas == pytest.approx(1, abs=0.1)
+
+
+def test_unusable_clouds_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match="duplicate points"):
+        oriented_triangles(PointCloud(np.vstack([np.eye(3), np.eye(3), np.zeros((1, 3))])))
 
 
 # --- integrals ------------------------------------------------------------------------------

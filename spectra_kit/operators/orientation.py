@@ -124,8 +124,9 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
     Points of a cloud whose triangulations share triangles vote for one side by the windings of
     these, which sharp edges do not disturb as they do the votes of normals (Hoppe et al. 1992), and
     groups that agree vote together. Parts that came out inside out are found by their winding
-    number (Barill et al. 2018). All this fails where sheets are about as near to each other as
-    the points of one, as in the hands of a coarse body; `consistent` then stays below 1.
+    number (Barill et al. 2018). Where sheets are about as near to each other as the points of one,
+    as in the hands of a coarse body, some triangles bridge them and `consistent` falls below 1;
+    sheets a good deal nearer are taken for one, and it does not.
 
     Examples
     --------

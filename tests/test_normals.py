@@ -1,0 +1,176 @@
+"""Normals of point clouds, and the signs under them."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.spatial.transform import Rotation
+
+from spectra_kit import InvalidInputError, PointCloud
+from spectra_kit.geometry import (
+    creature,
+    estimate_normals,
+    orient_normals,
+    sphere,
+    torus,
+)
+from spectra_kit.geometry._signs import (
+    agree_on_signs,
+    symmetric_votes,
+    turn_outwards,
+    winding_numbers,
+)
+
+
+def ball(n: int, seed: int = 0) -> np.ndarray:
+    points = np.random.default_rng(seed).standard_normal((n, 3))
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def shuffled(normals: np.ndarray) -> np.ndarray:
+    return normals * np.random.default_rng(0).choice([-1.0, 1.0], (len(normals), 1))
+
+
+# --- normals ----------------------------------------------------------------------------------
+
+
+def test_on_a_plane_they_are_exact_and_in_any_direction() -> None:
+    flat = np.c_[np.random.default_rng(0).random((50, 2)), np.zeros(50)]
+    turn = Rotation.random(rng=np.random.default_rng(1)).as_matrix()
+    normals = estimate_normals(PointCloud(flat @ turn.T + 3))
+    assert np.allclose(np.abs(normals @ turn[:, 2]), 1, atol=1e-12)
+
+
+def test_the_error_on_a_sphere_falls_with_the_spacing() -> None:
+    error = [
+        np.sqrt(1 - np.sum(estimate_normals(PointCloud(p)) * p, axis=1) ** 2).mean()
+        for p in (ball(500), ball(8000))
+    ]
+    assert error[0] < 0.06
+    assert error[1] < error[0] / 3  # a quarter of the spacing
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_a_ball_is_oriented_outwards_wherever_it_is(mirror: float) -> None:
+    points = ball(800) * [1, 2, 3 * mirror] * 50 + [1e3, 0, 0]
+    cloud = PointCloud(points)
+    normals = orient_normals(cloud, shuffled(estimate_normals(cloud)))
+    assert (np.sum(normals * (points - [1e3, 0, 0]), axis=1) > 0).all()
+
+
+def test_a_torus_and_an_animal_are_oriented_like_their_meshes() -> None:
+    for mesh, right in ((torus(n=900).geometry, 1.0), (creature(1500), 0.98)):
+        truth = np.zeros((mesh.n, 3))
+        corners = mesh.points[mesh.faces]
+        face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        for c in range(3):
+            np.add.at(truth, mesh.faces[:, c], face_normals)
+        cloud = mesh.as_cloud()
+        normals = orient_normals(cloud, shuffled(estimate_normals(cloud)))
+        assert (np.sum(normals * truth, axis=1) > 0).mean() >= right
+
+
+def test_components_are_oriented_on_their_own() -> None:
+    points = np.vstack([ball(300), 0.5 * ball(200, 1) + [5, 0, 0]])
+    cloud = PointCloud(points)
+    normals = orient_normals(cloud, shuffled(estimate_normals(cloud)))
+    assert (np.sum(normals[:300] * points[:300], axis=1) > 0).all()
+    assert (np.sum(normals[300:] * (points[300:] - [5, 0, 0]), axis=1) > 0).all()
+
+
+def test_an_open_bowl_is_oriented_away_from_its_middle_and_a_flat_sheet_as_one() -> None:
+    half = ball(1500)
+    half = half[half[:, 2] > 0.3]
+    cloud = PointCloud(half)
+    normals = orient_normals(cloud, shuffled(estimate_normals(cloud)))
+    assert (np.sum(normals * half, axis=1) > 0).all()
+    sheet = PointCloud(np.c_[np.random.default_rng(0).random((200, 2)), np.zeros(200)])
+    normals = orient_normals(sheet, shuffled(estimate_normals(sheet)))
+    assert abs(normals[:, 2].sum()) == pytest.approx(200)
+
+
+def test_two_sheets_farther_apart_than_their_points_are_told_apart() -> None:
+    rng = np.random.default_rng(0)
+    flat = rng.random((900, 2))  # a spacing of about 0.033
+    for gap, right in ((0.1, 0.97), (0.02, 0.0)):
+        # The faces of a thin slab; nearer than its points, both share their neighbours.
+        points = np.vstack(
+            [np.c_[flat, np.full(900, gap)], np.c_[rng.random((900, 2)), 0 * flat[:, 0]]]
+        )
+        cloud = PointCloud(points)
+        normals = orient_normals(cloud, shuffled(estimate_normals(cloud)))
+        up = np.sign(points[:, 2] - gap / 2)
+        assert (normals[:, 2] * up > 0).mean() >= right
+
+
+def test_bad_input_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="`cloud` must be a PointCloud"):
+        estimate_normals(sphere(subdivisions=1).geometry)
+    with pytest.raises(InvalidInputError, match="`cloud` must have at least 3 points, got 2"):
+        estimate_normals(PointCloud(np.eye(3)[:2]))
+    cloud = PointCloud(ball(20))
+    with pytest.raises(InvalidInputError, match=r"`normals` must have shape \(20, 3\)"):
+        orient_normals(cloud, np.ones((19, 3)))
+    with pytest.raises(InvalidInputError, match="`normals` must be unit vectors"):
+        orient_normals(cloud, np.ones((20, 3)))
+    with pytest.raises(InvalidInputError, match="`n_neighbors` must be at least 2"):
+        estimate_normals(cloud, n_neighbors=1)
+
+
+# --- signs ------------------------------------------------------------------------------------
+
+
+def test_votes_without_contradiction_are_all_agreed_with() -> None:
+    rng = np.random.default_rng(0)
+    truth = rng.choice([-1.0, 1.0], 60)
+    truth[40:] *= truth[40] * truth[0]
+    i, j = rng.integers(0, 40, (2, 200))
+    i, j = np.r_[i, 40 + np.arange(19)], np.r_[j, 41 + np.arange(19)]  # a second component
+    i, j = i[i != j], j[i != j]
+    votes = symmetric_votes(60, i, j, truth[i] * truth[j] * rng.uniform(0.1, 1, len(i)))
+    signs, labels = agree_on_signs(votes)
+    count, expected = sparse.csgraph.connected_components(votes, directed=False)
+    assert labels.max() + 1 == count
+    for label in range(count):
+        group = labels == label
+        assert len(np.unique(expected[group])) == 1
+        assert len(np.unique((signs * truth)[group])) == 1
+
+
+def test_groups_vote_together_against_one_loud_edge() -> None:
+    # Two rings of points; six quiet votes between them outweigh a loud one, which a spanning tree
+    # would follow.
+    ring = np.arange(6)
+    i = np.r_[ring, ring + 6, ring, 0]
+    j = np.r_[(ring + 1) % 6, (ring + 1) % 6 + 6, ring + 6, 9]
+    votes = symmetric_votes(12, i, j, np.r_[np.full(12, 5.0), np.full(6, 0.5), -2.0])
+    signs, labels = agree_on_signs(votes)
+    assert (labels == 0).all()
+    assert len(np.unique(signs)) == 1
+
+
+def test_points_without_a_vote_are_components() -> None:
+    signs, labels = agree_on_signs(
+        symmetric_votes(3, np.array([0]), np.array([1]), np.array([-1.0]))
+    )
+    assert signs[0] == -signs[1]
+    assert len(np.unique(labels)) == 2
+
+
+def test_winding_number_at_the_points_of_a_ball_is_one_half() -> None:
+    points = np.vstack([ball(1500), [[9, 9, 9]]])
+    vectors = points * (4 * np.pi / 1500)
+    vectors[-1] = 0  # a point without area
+    winding = winding_numbers(points, vectors)
+    assert np.median(winding[:-1]) == pytest.approx(0.5, abs=0.03)
+    assert np.allclose(winding_numbers(points, -vectors), -winding)
+    assert winding[-1] == 0
+    assert (winding_numbers(points[:1], vectors[:1]) == 0).all()
+
+
+def test_a_limb_inside_out_is_turned() -> None:
+    points = ball(1500) * [1, 1, 4]
+    vectors = ball(1500) * [4, 4, 1] * (4 * np.pi / 1500)
+    signs = np.where(points[:, 2] > 1.5, -1.0, 1.0)
+    votes = sparse.csr_array((1500, 1500))
+    turned = turn_outwards(points, vectors, signs, np.zeros(1500, dtype=np.int64), votes)
+    assert (turned == 1).mean() > 0.995
