@@ -29,6 +29,7 @@ def files(tmp_path_factory):
     write(copy, folder / "permuted.off")
     write(mirrored(mesh), folder / "mirrored.off")
     np.save(folder / "order.npy", order)
+    np.save(folder / "same.npy", np.arange(mesh.n))
     source, target, truth = creature_pair(1000, 900)
     write(source, folder / "source.off")
     write(target, folder / "target.off")
@@ -58,17 +59,17 @@ def test_a_permuted_copy_gives_the_permutation(app, files, tmp_path, capsys):
         app,
         capsys,
         *(files / "animal.off", files / "permuted.off", "--truth", files / "order.npy"),
-        *("-k", 60, "-o", tmp_path / "out"),
+        *("-k", 150, "-o", tmp_path / "out"),
     )
     found = np.load(tmp_path / "out" / "point_map.npy")
     np.testing.assert_array_equal(found, np.load(files / "order.npy"))
     assert set(os.listdir(tmp_path / "out")) == FILES
-    assert np.load(tmp_path / "out" / "functional_map.npy").shape == (60, 60)
+    assert np.load(tmp_path / "out" / "functional_map.npy").shape == (150, 150)
     match = result["match"]
     assert match["mean_error"] == match["way_back_error"] == 0
     assert match["orientation"] == match["coverage"] == match["auc_to_10"] == 1
     assert match["dirichlet_energy"] == pytest.approx(1, rel=1e-3)
-    assert match["turns_left_into_right"] is False
+    assert match["mirrored"] is match["ambiguous"] is False
     assert result["target"]["points"] == 1000
     saved = json.loads((tmp_path / "out" / "report.json").read_text())
     assert saved == {key: value for key, value in result.items() if key != "written"}
@@ -77,7 +78,7 @@ def test_a_permuted_copy_gives_the_permutation(app, files, tmp_path, capsys):
 def test_the_command_does_the_same(files, tmp_path, capsys):
     pair = [str(files / name) for name in ("animal.off", "permuted.off")]
     folder = tmp_path / "out"
-    assert main(["match", *pair, "-k", "60", "-o", str(folder), "--no-pictures"]) == 0
+    assert main(["match", *pair, "-k", "150", "-o", str(folder), "--no-pictures"]) == 0
     assert "written:" in capsys.readouterr().out
     found = np.load(folder / "point_map.npy")
     np.testing.assert_array_equal(found, np.load(files / "order.npy"))
@@ -85,9 +86,13 @@ def test_the_command_does_the_same(files, tmp_path, capsys):
 
 def test_a_mirrored_copy_is_recognised(app, files, tmp_path, capsys):
     result = report(
-        app, capsys, files / "animal.off", files / "mirrored.off", "-k", 60, "-o", tmp_path / "m"
+        app,
+        capsys,
+        *(files / "animal.off", files / "mirrored.off", "--truth", files / "same.npy"),
+        *("-k", 150, "-o", tmp_path / "out"),
     )
-    assert result["match"]["turns_left_into_right"] is True
+    assert result["match"]["mirrored"] is True
+    assert result["match"]["mean_error"] == 0
     assert result["match"]["orientation"] < -0.9
 
 
@@ -116,7 +121,7 @@ def test_clouds_are_matched_and_judged_as_far_as_they_can_be(app, files, tmp_pat
 
 def test_the_demo_draws_its_pictures(app, tmp_path, capsys):
     folder = tmp_path / "demo"
-    code = app(["--points", "800", "-k", "40", "-o", str(folder)])
+    code = app(["--points", "800", "-k", "40", "--dpi", "50", "-o", str(folder)])
     out, err = capsys.readouterr()
     if code == 2 and "OpenGL" in err:
         pytest.skip("no OpenGL library on this machine")

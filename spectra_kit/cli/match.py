@@ -26,8 +26,14 @@ from spectra_kit.eigensolvers import Eigensolver, eigensolve
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps import Correspondence, fit_functional_map, zoomout
 from spectra_kit.geometry import Geometry, creature_pair, write
+from spectra_kit.matching import Match, match, prepare
+from spectra_kit.matching.match import Sides
+from spectra_kit.spectrum import Spectrum
 
 Ints = NDArray[np.int64]
+
+_FITTED = 30  # modes of a map that is fitted to landmarks
+_SIGNATURES, _SEEN = 25, 20  # energies of the wave kernel: of each point, from each landmark
 
 
 def match_shapes(arguments: argparse.Namespace) -> None:
@@ -53,11 +59,9 @@ def match_shapes(arguments: argparse.Namespace) -> None:
         for name, geometry in zip((arguments.source, arguments.target), geometries, strict=True)
     )
     progress("matching")
-    start = time.perf_counter()
-    found = _matched(source, target, landmarks)
-    seconds = time.perf_counter() - start
+    found, quality = _matched(source, target, landmarks, arguments.sides)
     progress("judging the map")
-    quality = {"seconds": seconds} | quality_of(source, target, found.point_map)
+    quality |= quality_of(source, target, found.point_map)
     errors = None if truth is None else errors_of(source, found.point_map, truth)
     if errors is not None:
         quality |= errors.summary()
@@ -76,7 +80,7 @@ def match_shapes(arguments: argparse.Namespace) -> None:
     if not arguments.no_pictures:
         progress("drawing")
         up = arguments.up or ("z" if source.name == DEMO else None)
-        written += _draw(folder, source, target, found, errors, up)
+        written += _draw(folder, source, target, found, errors, up, arguments.dpi)
     if arguments.json:
         print_json(**record, written=[str(path) for path in written])
         return
@@ -111,17 +115,44 @@ def _solve(
     return Side(name, geometry, laplacian, spectrum)
 
 
-def _matched(source: Side, target: Side, landmarks: tuple[Ints, Ints] | None) -> Correspondence:
-    a, b = (side.spectrum.rescale(side.spectrum.area**-0.5) for side in (source, target))
-    f, g = (normalize_descriptors(s, wave_kernel_signature(s)) for s in (a, b))
+def _matched(
+    source: Side, target: Side, landmarks: tuple[Ints, Ints] | None, sides: Sides
+) -> tuple[Match | Correspondence, tables.Record]:
+    """The maps, and what the match says of itself."""
+    start = time.perf_counter()
     if landmarks is not None:
-        extra = [
-            normalize_descriptors(s, landmark_wave_kernel_signature(s, l, count=20))
-            for s, l in zip((a, b), landmarks, strict=True)
-        ]
-        f, g = np.hstack([f, extra[0]]), np.hstack([g, extra[1]])
-    C = fit_functional_map(a, b, f[:, ::4], g[:, ::4], k=30, landmarks=landmarks)
-    return zoomout(a, b, C, k_final=min(a.k, b.k))
+        by_points = _by_landmarks(source.spectrum, target.spectrum, landmarks)
+        return by_points, {"match_seconds": time.perf_counter() - start}
+    prepared = [prepare(side.spectrum, side.geometry) for side in (source, target)]
+    middle = time.perf_counter()
+    found = match(prepared[0], prepared[1], sides=sides, k=source.spectrum.k)
+    return found, {
+        "prepare_seconds": middle - start,
+        "match_seconds": time.perf_counter() - middle,
+        "ambiguous": found.ambiguous,
+        "margin": found.margin,
+        "score": found.score,
+        "candidates": len(found.candidates),
+        "mirrored": found.mirrored,
+    }
+
+
+def _by_landmarks(
+    source: Spectrum, target: Spectrum, landmarks: tuple[Ints, Ints]
+) -> Correspondence:
+    """Fit to what the landmarks see, which tells left from right, and refine."""
+    a, b = (spectrum.rescale(spectrum.area**-0.5) for spectrum in (source, target))
+    f, g = (
+        np.hstack(
+            [
+                normalize_descriptors(s, wave_kernel_signature(s, count=_SIGNATURES)),
+                normalize_descriptors(s, landmark_wave_kernel_signature(s, l, count=_SEEN)),
+            ]
+        )
+        for s, l in zip((a, b), landmarks, strict=True)
+    )
+    fitted = fit_functional_map(a, b, f, g, k=min(_FITTED, a.k, b.k), landmarks=landmarks)
+    return zoomout(a, b, fitted, k_final=min(a.k, b.k))
 
 
 def _read_landmarks(path: Path, n_source: int, n_target: int) -> tuple[Ints, Ints]:
@@ -173,7 +204,7 @@ def _side_record(side: Side) -> tables.Record:
     }
 
 
-def _write(folder: Path, found: Correspondence, record: tables.Record) -> list[Path]:
+def _write(folder: Path, found: Match | Correspondence, record: tables.Record) -> list[Path]:
     """The two maps and the report, each whole or not at all."""
     paths = [folder / name for name in ("point_map.npy", "functional_map.npy", "report.json")]
     for path, array in zip(paths, (found.point_map, found.functional_map), strict=False):
@@ -188,7 +219,7 @@ def _draw(
     folder: Path,
     source: Side,
     target: Side,
-    found: Correspondence,
+    found: Match | Correspondence,
     errors: Errors | None,
     up: str | None,
 ) -> list[Path]:
@@ -208,11 +239,14 @@ def _draw(
         names=(names[0], names[1]) if names[0] != names[1] else ("source", "target"),
         title=title,
         subtitle=f"{source.geometry.n:,} and {target.geometry.n:,} points",
+        dpi=dpi,
     )
-    plot_functional_map(paths[1], found.functional_map, title=title)
+    plot_functional_map(paths[1], found.functional_map, title=title, dpi=dpi)
     if errors is not None:
         paths.append(folder / "errors.png")
-        plot_error_curves(paths[2], {title: errors.known}, error_label=errors.label, title=title)
+        plot_error_curves(
+            paths[2], {title: errors.known}, error_label=errors.label, title=title, dpi=dpi
+        )
     return paths
 
 

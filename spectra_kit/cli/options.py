@@ -90,6 +90,12 @@ def add_match_arguments(
         " target, counted from 0",
     )
     group.add_argument(
+        "--sides",
+        choices=("either", "kept", "reversed"),
+        default="either",
+        help="whether the map may mirror (default: only if that is clearly better)",
+    )
+    group.add_argument(
         "--truth",
         type=Path,
         metavar="NPY",
@@ -109,6 +115,7 @@ def add_match_arguments(
         help="for the maps, the report and the pictures (default: %(default)s)",
     )
     group.add_argument("--no-pictures", action="store_true", help="write maps and report only")
+    group.add_argument("--dpi", type=int, default=200, help="of the pictures (%(default)s)")
     group.add_argument(
         "--up", choices=("y", "z"), help="axis that points up in the picture (default: it looks)"
     )

@@ -30,7 +30,6 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _WAY_BACK = 60  # modes that lead from source to target
-_CLEARLY = 0.5  # of the area keeps, or loses, its orientation
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,10 +89,8 @@ def errors_of(source: Side, point_map: Ints, truth: Ints) -> Errors:
 
 def quality_of(source: Side, target: Side, point_map: Ints) -> dict[str, object]:
     """Judge a point map by itself; None stands for what cannot be measured on these shapes."""
-    sign = _orientation(source, target, point_map)
     return {
-        "orientation": sign,
-        "turns_left_into_right": None if sign is None or abs(sign) < _CLEARLY else sign < 0,
+        "orientation": _orientation(source, target, point_map),
         "coverage": coverage(point_map, source.spectrum.mass),
         "dirichlet_energy": dirichlet_energy(source.laplacian, target.laplacian, point_map),
         "way_back_error": _way_back(source, target, point_map),
