@@ -38,9 +38,11 @@ from spectra_kit.evaluation.matching import (
     write_matching_report,
 )
 from spectra_kit.evaluation.matching.measure import way_back
+from spectra_kit.evaluation.matching.oracle import best_candidate
 from spectra_kit.evaluation.matching.runner import Run
 from spectra_kit.evaluation.matching.spectra import make_solver, operator_of
 from spectra_kit.evaluation.matching.summaries import ranked
+from spectra_kit.functional_maps import functional_map_from_point_map
 from spectra_kit.geometry import creature, permuted
 
 APP = Path(__file__).parents[1] / "apps" / "match_faust.py"
@@ -58,6 +60,7 @@ def settings(subjects, tmp_path):
 
 
 PAIR = [("creature0", "creature1")]
+PLAIN = ["wks-zoomout"]
 
 
 # --- subjects ---
@@ -178,9 +181,8 @@ def measured(source, target, spectra, outcome):
 
 def test_the_truth_has_no_error(copies):
     a, b, spectra, order = copies
-    worse = np.roll(order, 1)
-    result = measured(a, b, spectra, Outcome(order, 2.0, 1.0, (worse, order), margin=0.25))
-    assert result.direct == result.either == result.bijectivity == result.oracle == 0
+    result = measured(a, b, spectra, Outcome(order, 2.0, 1.0, margin=0.25, ambiguous=True))
+    assert result.direct == result.either == result.bijectivity == 0
     assert result.symmetric > 1
     assert not result.flipped
     assert result.auc == result.coverage == 1
@@ -188,15 +190,22 @@ def test_the_truth_has_no_error(copies):
     assert result.orientation == pytest.approx(1, abs=1e-3)  # sharp edges at the ears
     assert (result.accuracy == 1).all()
     assert (result.seconds, result.cpu_seconds, result.margin) == (2, 1, 0.25)
+    assert result.ambiguous
+    assert np.isnan(result.oracle)
 
 
 def test_the_oracle_knows_the_best_candidate(copies):
     a, b, spectra, order = copies
-    wrong = np.zeros_like(order)
-    result = measured(a, b, spectra, Outcome(wrong, 0, 0, (wrong, order)))
-    assert result.direct > 10
-    assert result.oracle == 0
-    assert np.isnan(measured(a, b, spectra, Outcome(wrong, 0, 0)).oracle)
+    maps = [functional_map_from_point_map(*spectra, p, k=30) for p in (0 * order, order)]
+    same = np.arange(a.mesh.n)
+    best = best_candidate(a, b, spectra, maps, same, same)
+    np.testing.assert_array_equal(best, order)
+    assert best_candidate(a, b, spectra, maps[::-1], same, same) is None
+    back = np.argsort(order)
+    wrong = Outcome(0 * order, 0, 0, tuple(maps))
+    assert measure_pair(a, b, wrong, back, best=best).oracle == 0
+    chosen = measure_pair(a, b, wrong, back)  # the chosen one was the best
+    assert chosen.oracle == chosen.direct > 10
 
 
 def test_a_mirrored_map_counts_as_flipped(copies):
@@ -207,12 +216,13 @@ def test_a_mirrored_map_counts_as_flipped(copies):
     assert result.auc_either == 1 > result.auc
 
 
-@pytest.mark.parametrize("name", ["wks-zoomout", "wks-orient-zoomout"])
+@pytest.mark.parametrize("name", ["match", "wks-zoomout", "wks-orient-zoomout"])
 def test_methods_find_a_permutation(copies, name):
     a, b, spectra, order = copies
     outcome = METHODS[name](*(Side(x.mesh, s) for x, s in zip((a, b), spectra, strict=True)))
     np.testing.assert_array_equal(outcome.point_map, order)
     assert outcome.seconds > 0
+    assert bool(outcome.candidates) == (name == "match")
 
 
 def test_pyfm_must_be_installed(copies):
@@ -251,7 +261,7 @@ def test_vertices_at_one_place_are_one_point_of_a_cloud(tmp_path):
     copy, order = permuted(doubled, seed=0)
     a, b = Subject("a0", doubled, np.arange(701)), Subject("a1", copy, np.argsort(order))
     settings = Settings(subjects={"a0": a, "a1": b}, folder=tmp_path / "out", k=K)
-    tasks = make_tasks([("a0", "a1")], kinds=["cloud"])
+    tasks = make_tasks([("a0", "a1")], kinds=["cloud"], methods=PLAIN)
     [result] = run_tasks(tasks, settings).results.values()
     assert result.direct == pytest.approx(0, abs=1e-9)
     assert np.load(settings.map_path(tasks[0])).shape == (701,)
@@ -261,7 +271,7 @@ def test_vertices_at_one_place_are_one_point_of_a_cloud(tmp_path):
 
 
 def test_a_run_is_remembered(settings, monkeypatch):
-    tasks = make_tasks(PAIR, kinds=["mesh", "cloud"], backends=["exact", "neo"])
+    tasks = make_tasks(PAIR, kinds=["mesh", "cloud"], backends=["exact", "neo"], methods=PLAIN)
     first = run_tasks(tasks, settings)
     assert list(first.results) == tasks
     assert not first.failures
@@ -285,7 +295,7 @@ def test_a_run_is_remembered(settings, monkeypatch):
 
 
 def test_an_interruption_loses_one_pair(settings, monkeypatch):
-    tasks = make_tasks([*PAIR, ("creature1", "creature2")])
+    tasks = make_tasks([*PAIR, ("creature1", "creature2")], methods=PLAIN)
     calls = []
 
     def interrupted(source, target):
@@ -305,13 +315,13 @@ def test_an_interruption_loses_one_pair(settings, monkeypatch):
 
 def test_failures_say_why_and_are_not_remembered(settings):
     few = replace(settings, k=10)  # the fit needs 30
-    run = run_tasks(make_tasks(PAIR), few)
+    run = run_tasks(make_tasks(PAIR, methods=PLAIN), few)
     assert not run.results
     [why] = run.failures.values()
     assert "k" in why
     assert len((few.folder / "pairs.csv").read_text().splitlines()) == 1
     many = replace(settings, k=5000)  # more than vertices
-    [why] = run_tasks(make_tasks(PAIR), many).failures.values()
+    [why] = run_tasks(make_tasks(PAIR, methods=PLAIN), many).failures.values()
     assert why.startswith("creature0: `k` must be")
     text = write_matching_report(run, few, Protocol("random", tuple(PAIR))).read_text()
     assert "Nothing was measured" in text
@@ -358,7 +368,7 @@ def test_tasks():
 def test_processes_find_the_same_and_a_killed_run_goes_on(tmp_path):
     out = tmp_path / "out"
     command = [sys.executable, str(APP), str(out), "--demo", "-k", str(K), "--pairs", "8"]
-    command += ["--no-pictures"]
+    command += ["--no-pictures", "--methods", *PLAIN]
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     process = subprocess.Popen(
         [*command, "--jobs", "2"],
@@ -386,7 +396,7 @@ def test_processes_find_the_same_and_a_killed_run_goes_on(tmp_path):
     subjects = demo_subjects()
     task = next(iter(csv.DictReader(after)))
     alone = Settings(subjects=subjects, folder=tmp_path / "alone", k=K)
-    run = run_tasks(make_tasks([(task["source"], task["target"])]), alone)
+    run = run_tasks(make_tasks([(task["source"], task["target"])], methods=PLAIN), alone)
     [result] = run.results.values()
     assert result.direct == pytest.approx(float(task["direct"]), rel=1e-6)
 
@@ -417,6 +427,7 @@ def results_with(direct, either=None, **fields):
         ["symmetric", "auc", "auc_either", "coverage", "energy", "bijectivity", "orientation"], 0.5
     )
     values |= {"oracle": 1.0, "margin": 0.1, "seconds": 2.0, "cpu_seconds": 1.0, "flipped": False}
+    values |= {"ambiguous": False}
     curve = np.ones(len(THRESHOLDS))
     return [
         methods_result(values | fields | {"direct": d, "either": e}, curve)
@@ -451,6 +462,10 @@ def test_summaries_do_their_sums():
     counted = summarize_runs(run.results, replace(protocol, symmetric=True))
     assert (counted[0].mean, counted[0].bad) == (1.5, 0)
     assert exact.label == "wks-zoomout, exact"
+    for task, result in run.results.items():
+        run.results[task] = replace(result, ambiguous=task.source != "s1")
+    warned = summarize_runs(run.results, protocol)[0]
+    assert (warned.warned, warned.false_alarms) == (1, 1)
 
 
 def test_report_names_protocol_numbers_and_ratio(settings):

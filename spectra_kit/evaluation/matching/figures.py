@@ -28,6 +28,7 @@ Floats = NDArray[np.float64]
 # Okabe and Ito's colours: told apart with every kind of colour blindness.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 _DASHES = ("-", "--", ":", "-.")
+_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)  # less is drawn as the first
 _DPI = 150
 
 
@@ -42,13 +43,17 @@ def draw_accuracy(run: Run, rows: Sequence[Summary], protocol: Protocol, path: P
     for i, row in enumerate(rows):
         these = [r for t, r in run.results.items() if (t.kind, t.backend, t.method) == row.name]
         curves = [r.accuracy_either if protocol.symmetric else r.accuracy for r in these]
-        style = {"color": _COLOURS[i % len(_COLOURS)], "ls": _DASHES[i // len(_COLOURS) % 4]}
+        style = {"color": _COLOURS[i % len(_COLOURS)], "ls": _DASHES[i % len(_DASHES)]}
         points.plot(THRESHOLDS, 100 * np.mean(curves, axis=0), label=row.label, lw=1.6, **style)
-        errors = np.sort([counted(r, protocol) for r in these])
-        share = 100 * np.arange(1, len(errors) + 1) / len(errors)
-        pairs.step(errors, share, where="post", lw=1.6, **style)
+        errors = np.sort([max(counted(r, protocol), _TICKS[0]) for r in these])
+        share = 100 * np.arange(len(errors) + 1) / len(errors)
+        pairs.step(np.append(errors[0], errors), share, where="post", lw=1.6, **style)
     points.set(xlim=(0, 10), xlabel="geodesic error (100 / √area)", ylabel="points (%)")
     pairs.set(xscale="log", xlabel="mean error of a pair (100 / √area)", ylabel="pairs (%)")
+    low, high = pairs.get_xlim()
+    ticks = [t for t in _TICKS if low <= t <= high]
+    pairs.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    pairs.set_xticks([], minor=True)
     pairs.axvline(BAD, color="0.6", lw=0.8, zorder=0)
     for axes in (points, pairs):
         axes.set_ylim(0, 101)
@@ -84,13 +89,13 @@ def draw_extremes(run: Run, settings: Settings, protocol: Protocol, name: Name) 
         Without PyVista, or an OpenGL library.
     """
     tasks = ranked(run, name, protocol)
-    chosen = {"best": tasks[0], "median": tasks[(len(tasks) - 1) // 2], "worst": tasks[-1]}
+    chosen = {tasks[-1]: "worst", tasks[(len(tasks) - 1) // 2]: "median", tasks[0]: "best"}
     path = settings.folder / f"extremes-{'-'.join(name)}.png"
     plot_correspondences(
         path,
         [
             _drawn(settings, task, f"{what}: {counted(run.results[task], protocol):.2f}")
-            for what, task in chosen.items()
+            for task, what in reversed(chosen.items())
         ],
         title=f"{name[2]}: {name[1]} spectra of {'meshes' if name[0] == 'mesh' else 'clouds'}",
         subtitle=f"mean geodesic errors of {len(tasks)} pairs, in hundredths of √area",

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from spectra_kit._validate import frozen
 from spectra_kit.correspondence import (
-    MapErrors,
-    Truth,
     accuracy_curve,
     auc,
     bijectivity_errors,
@@ -34,7 +32,6 @@ Ints = NDArray[np.int64]
 
 #: Where accuracy curves are taken, in hundredths of the root of the area.
 THRESHOLDS = frozen(np.linspace(0, 10, 41))
-_SCOUTS = 400  # correspondences that rank candidates before the best one is measured on all
 _WAY_BACK = 100  # modes of the functional map whose transpose leads back
 
 
@@ -59,8 +56,8 @@ class PairResult:
         counts faces as they are wound in the files.
     oracle : float
         Mean direct error of the best candidate, chosen by the truth; NaN without candidates.
-    margin : float
-        Which the method reports; NaN where it does not.
+    margin, ambiguous : float, bool
+        Which the method reports; NaN and False where it does not.
     seconds, cpu_seconds : float
         Of the matching, spectra given.
     accuracy, accuracy_either : ndarray of shape (41,)
@@ -79,6 +76,7 @@ class PairResult:
     orientation: float
     oracle: float
     margin: float
+    ambiguous: bool
     seconds: float
     cpu_seconds: float
     accuracy: Floats
@@ -90,6 +88,8 @@ def measure_pair(
     target: Subject,
     outcome: Outcome,
     back: Ints,
+    *,
+    best: Ints | None = None,
 ) -> PairResult:
     """Measure an outcome against the truth and without it.
 
@@ -98,9 +98,11 @@ def measure_pair(
     source, target : Subject
         Of one class.
     outcome : Outcome
-        Of a method; its maps are between vertices.
+        Of a method; its map is between vertices.
     back : array_like of shape (n1,), integers
         Target vertex of each source vertex; see `way_back`.
+    best : array_like of shape (n2,), integers, optional
+        Map of the candidate that is best by the truth, if another than the chosen one.
 
     Returns
     -------
@@ -109,6 +111,9 @@ def measure_pair(
     """
     truth, p = truth_between(source, target), outcome.point_map
     errors = map_errors(source.mesh, p, truth)
+    oracle = float(errors.direct.mean()) if outcome.candidates else float("nan")
+    if best is not None:
+        oracle = min(oracle, float(geodesic_errors(source.mesh, best, truth).mean()))
     laplacian_1, laplacian_2 = (robust_laplacian(subject.mesh) for subject in (source, target))
     return PairResult(
         direct=float(errors.direct.mean()),
@@ -121,7 +126,8 @@ def measure_pair(
         energy=dirichlet_energy(laplacian_1, laplacian_2, p),
         bijectivity=float(bijectivity_errors(source.mesh, p, back).mean()),
         orientation=orientation(source.mesh.points, source.mesh.faces, target.mesh.faces, p),
-        oracle=_oracle(source, truth, outcome, errors),
+        oracle=oracle,
+        ambiguous=outcome.ambiguous,
         margin=outcome.margin,
         seconds=outcome.seconds,
         cpu_seconds=outcome.cpu_seconds,
@@ -154,14 +160,3 @@ def way_back(source: Spectrum, target: Spectrum, point_map: Ints) -> Ints:
 
 def _mean(errors: Floats | None) -> float:
     return float("nan") if errors is None else float(errors.mean())
-
-
-def _oracle(source: Subject, truth: Truth, outcome: Outcome, errors: MapErrors) -> float:
-    """Mean direct error of the candidate that is best by the truth, the chosen map among them."""
-    if not outcome.candidates:
-        return float("nan")
-    some = np.linspace(0, len(truth.source) - 1, min(_SCOUTS, len(truth.source))).astype(np.int64)
-    few = Truth(truth.source[some], truth.target[some])
-    scouted = [geodesic_errors(source.mesh, p, few).mean() for p in outcome.candidates]
-    best = outcome.candidates[int(np.argmin(scouted))]
-    return min(float(geodesic_errors(source.mesh, best, truth).mean()), float(errors.direct.mean()))

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,12 +14,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.evaluation.matching import pyfm_peer
+from spectra_kit.functional_maps import zoomout
+from spectra_kit.functional_maps.fit import fit_functional_map
 from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.matching import match, prepare
 from spectra_kit.operators.orientation import oriented_triangles
 from spectra_kit.spectrum import Spectrum
 
+Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _FITTED, _THINNED = 30, 4  # modes of a fitted map; of 100 signatures every fourth
@@ -51,17 +56,45 @@ class Outcome:
         Source point of each target point.
     seconds, cpu_seconds : float
         Of the matching, spectra given.
-    candidates : tuple of ndarray of shape (n2,)
-        All refined maps that it chose among, where it reports them.
+    candidates : tuple of ndarray of shape (k, k)
+        Functional maps that it chose among, the chosen one first, where it reports them.
     margin : float
         By how much the chosen one was better; NaN where it does not say.
+    ambiguous : bool
+        Whether it warns that the map may be flipped.
     """
 
     point_map: Ints
     seconds: float
     cpu_seconds: float
-    candidates: tuple[Ints, ...] = ()
+    candidates: tuple[Floats, ...] = ()
     margin: float = float("nan")
+    ambiguous: bool = False
+
+
+def match_best(source: Side, target: Side) -> Outcome:
+    """Match as `matching.match` does by default.
+
+    Parameters
+    ----------
+    source, target : Side
+        Connected, with at least 30 modes.
+
+    Returns
+    -------
+    Outcome
+        With candidates and margin; its seconds include preparing both sides.
+    """
+    clock = _Clock()
+    prepared = (prepare(side.spectrum, side.geometry) for side in (source, target))
+    found = match(*prepared, k=min(source.spectrum.k, target.spectrum.k))
+    return Outcome(
+        found.point_map,
+        *clock.read(),
+        candidates=tuple(candidate.functional_map for candidate in found.candidates),
+        margin=found.margin,
+        ambiguous=found.ambiguous,
+    )
 
 
 def match_wks(source: Side, target: Side, *, orientation: float = 0.0) -> Outcome:
@@ -79,10 +112,6 @@ def match_wks(source: Side, target: Side, *, orientation: float = 0.0) -> Outcom
     Outcome
         One map, no candidates.
     """
-    from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
-    from spectra_kit.functional_maps import zoomout
-    from spectra_kit.functional_maps.fit import fit_functional_map
-
     clock = _Clock()
     a, b = (side.spectrum for side in (source, target))
     turned = [
@@ -99,7 +128,8 @@ def match_wks(source: Side, target: Side, *, orientation: float = 0.0) -> Outcom
         source_orientation=turned[0],
         target_orientation=turned[1],
     )
-    return clock.outcome(zoomout(a, b, fitted, k_final=min(a.k, b.k)).point_map)
+    refined = zoomout(a, b, fitted, k_final=min(a.k, b.k))
+    return Outcome(refined.point_map, *clock.read())
 
 
 def match_pyfm(source: Side, target: Side, *, python: str = sys.executable) -> Outcome:
@@ -158,6 +188,7 @@ def match_pyfm(source: Side, target: Side, *, python: str = sys.executable) -> O
 
 #: Methods by name; each takes a source and a target `Side`.
 METHODS: dict[str, Callable[[Side, Side], Outcome]] = {
+    "match": match_best,
     "wks-zoomout": match_wks,
     "wks-orient-zoomout": partial(match_wks, orientation=1.0),
     "pyfm": match_pyfm,
@@ -168,20 +199,8 @@ class _Clock:
     """Seconds since it was made."""
 
     def __init__(self) -> None:
-        self._start = time.perf_counter(), time.process_time()
+        self._wall, self._cpu = time.perf_counter(), time.process_time()
 
-    def outcome(
-        self,
-        point_map: Ints,
-        *,
-        candidates: Sequence[Ints] = (),
-        margin: float = float("nan"),
-    ) -> Outcome:
-        wall, cpu = self._start
-        return Outcome(
-            point_map,
-            time.perf_counter() - wall,
-            time.process_time() - cpu,
-            tuple(candidates),
-            margin,
-        )
+    def read(self) -> tuple[float, float]:
+        """Return wall and CPU seconds."""
+        return time.perf_counter() - self._wall, time.process_time() - self._cpu

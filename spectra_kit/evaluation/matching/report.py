@@ -66,6 +66,7 @@ _HEADS = (
     "either",
     "flipped",
     "oracle",
+    "warned",
     "coverage",
     "energy",
     "back",
@@ -86,9 +87,10 @@ def _markdown(run: Run, rows: Sequence[Summary], settings: Settings, protocol: P
         f" its area; *mean*, *median*, *over 8* (share of pairs) and *AUC* (up to 10): {what}"
         " errors. *Flipped*: pairs whose mean symmetric error is lower than the direct one by more"
         f" than {FLIP_MARGIN:g}. *Oracle*: direct error if the truth chose among the candidates."
-        " *Coverage*: share of the source's area hit. *Energy*: Dirichlet, 1 for an isometry."
+        " *Warned*: pairs called ambiguous, of those over 8 and of the others. *Coverage*: share of"
+        " the source's area hit. *Energy*: Dirichlet, 1 for an isometry."
         " *Back*: mean distance to where the transposed functional map leads back. Seconds are"
-        " medians of one pair, spectra given.",
+        " medians of one pair, spectra given and nothing else.",
         "",
     ]
     if rows:
@@ -129,12 +131,21 @@ def _cells(row: Summary) -> list[str]:
         number(row.either, 2),
         str(row.flipped),
         number(row.oracle, 2),
+        _warned(row),
         number(row.coverage, 2),
         number(row.energy, 2),
         number(row.bijectivity, 2),
         number(row.seconds, 2),
         number(row.cpu_seconds, 2),
     ]
+
+
+def _warned(row: Summary) -> str:
+    """Share of bad pairs with a warning, and of the others."""
+    if np.isnan(row.oracle):  # it chooses among nothing
+        return ""
+    bad = round(row.bad * row.pairs)
+    return f"{row.warned}/{bad}, {row.false_alarms}/{row.pairs - bad}"
 
 
 def _relative(rows: Sequence[Summary]) -> list[str]:

@@ -16,14 +16,15 @@ from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.evaluation.matching.measure import PairResult, measure_pair, way_back
 from spectra_kit.evaluation.matching.methods import METHODS, Side, match_pyfm
+from spectra_kit.evaluation.matching.oracle import best_candidate
 from spectra_kit.evaluation.matching.processes import done, workers
 from spectra_kit.evaluation.matching.spectra import (
     BACKENDS,
     KINDS,
     Kind,
-    between_vertices,
     geometry_of,
     load_spectrum,
+    points_of,
     solve_to,
     spectrum_path,
 )
@@ -104,7 +105,7 @@ def make_tasks(
     *,
     kinds: Sequence[str] = ("mesh",),
     backends: Sequence[str] = ("exact",),
-    methods: Sequence[str] = ("wks-zoomout",),
+    methods: Sequence[str] = ("match",),
 ) -> list[Task]:
     """Combine pairs with what is to be run on them.
 
@@ -263,15 +264,27 @@ def _match(task: Task) -> PairResult | str:
             for subject in (source, target)
         )
         outcome = method(a, b)
+        (vertex_1, point_1), (vertex_2, point_2) = (points_of(s, kind) for s in (source, target))
         back = way_back(a.spectrum, b.spectrum, outcome.point_map)
-        candidates = (between_vertices(p, source, target, kind) for p in outcome.candidates)
-        outcome = replace(
+        best = None
+        if outcome.candidates:
+            best = best_candidate(
+                source,
+                target,
+                (a.spectrum, b.spectrum),
+                outcome.candidates,
+                vertex_1,
+                point_2,
+            )
+        # From points of the spectra to vertices of the meshes.
+        outcome = replace(outcome, point_map=vertex_1[outcome.point_map[point_2]])
+        result = measure_pair(
+            source,
+            target,
             outcome,
-            point_map=between_vertices(outcome.point_map, source, target, kind),
-            candidates=tuple(candidates),
+            vertex_2[back[point_1]],
+            best=None if best is None else vertex_1[best[point_2]],
         )
-        back = between_vertices(back, target, source, kind)
-        result = measure_pair(source, target, outcome, back)
         with atomic_path(settings.map_path(task)) as part:
             np.save(part, outcome.point_map.astype(np.int32))
     except SpectraKitError as error:

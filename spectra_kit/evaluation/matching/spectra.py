@@ -51,13 +51,12 @@ def geometry_of(subject: Subject, kind: Kind) -> Geometry:
     return subject.mesh if kind == "mesh" else subject.mesh.as_cloud().without_duplicates()
 
 
-def between_vertices(point_map: Ints, source: Subject, target: Subject, kind: Kind) -> Ints:
-    """Return a map between two geometries of `geometry_of` as one between the meshes' vertices."""
+def points_of(subject: Subject, kind: Kind) -> tuple[Ints, Ints]:
+    """Return the vertex of each point of `geometry_of`, and the point of each vertex."""
     if kind == "mesh":
-        return point_map
-    vertex, _ = distinct_rows(source.mesh.points)
-    _, point = distinct_rows(target.mesh.points)
-    return vertex[point_map[point]]
+        same = np.arange(subject.mesh.n)
+        return same, same
+    return distinct_rows(subject.mesh.points)
 
 
 def operator_of(subject: Subject, kind: Kind) -> Laplacian:

@@ -41,6 +41,8 @@ class Summary:
         Means over the pairs.
     oracle : float
         Mean over the pairs of the best candidate's direct error; NaN without candidates.
+    warned, false_alarms : int
+        Pairs above `BAD` that the method called ambiguous, and pairs below it.
     seconds, cpu_seconds : float
         Medians over the pairs: of the clock, and of work.
     """
@@ -61,6 +63,8 @@ class Summary:
     energy: float
     bijectivity: float
     oracle: float
+    warned: int
+    false_alarms: int
     seconds: float
     cpu_seconds: float
 
@@ -130,6 +134,8 @@ def _summary(name: Name, rows: Sequence[PairResult], protocol: Protocol) -> Summ
         energy=mean("energy"),
         bijectivity=mean("bijectivity"),
         oracle=mean("oracle"),
+        warned=sum(r.ambiguous for r, e in zip(rows, errors, strict=True) if e > BAD),
+        false_alarms=sum(r.ambiguous for r, e in zip(rows, errors, strict=True) if e <= BAD),
         seconds=statistics.median(row.seconds for row in rows),
         cpu_seconds=statistics.median(row.cpu_seconds for row in rows),
     )

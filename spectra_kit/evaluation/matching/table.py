@@ -117,6 +117,6 @@ def _text(value: object) -> str:
 
 def _parsed(row: dict[str, str]) -> PairResult:
     values: dict[str, object] = {name: float(row[name]) for name in _NUMBERS if name not in _ARRAYS}
-    values["flipped"] = bool(values["flipped"])
+    values |= {name: bool(values[name]) for name in ("flipped", "ambiguous")}
     values |= {name: np.array(row[name].split(), dtype=np.float64) for name in _ARRAYS}
     return PairResult(**values)  # type: ignore[arg-type]
