@@ -20,6 +20,7 @@ from spectra_kit.functional_maps.convert import (
 from spectra_kit.functional_maps.fit import fit_functional_map
 from spectra_kit.functional_maps.icp import icp
 from spectra_kit.functional_maps.nearest import nearest_rows
+from spectra_kit.functional_maps.precise import functional_map_from_precise_map, precise_map
 from spectra_kit.functional_maps.sinkhorn import sinkhorn_zoomout
 from spectra_kit.functional_maps.zoomout import zoomout, zoomout_many
 
@@ -28,9 +29,11 @@ __all__ = [
     "bijective_zoomout",
     "fit_functional_map",
     "functional_map_from_point_map",
+    "functional_map_from_precise_map",
     "icp",
     "nearest_rows",
     "point_map_from_functional_map",
+    "precise_map",
     "sinkhorn_zoomout",
     "zoomout",
     "zoomout_many",

@@ -110,13 +110,14 @@ def checked_samples(
             "`samples` must be a number, or two arrays of indices (of the source, of the target),"
             f" got a {type(samples).__name__}"
         )
+    for i in range(2):
+        if np.ndim(samples[i]) != 1 or np.size(samples[i]) == 0:
+            raise InvalidInputError(
+                f"`samples[{i}]` must be a non-empty list of indices, got shape"
+                f" {np.shape(samples[i])}"
+            )
     first = check_indices("samples[0]", samples[0], n1)
     second = check_indices("samples[1]", samples[1], n2)
-    for name, indices in (("samples[0]", first), ("samples[1]", second)):
-        if indices.ndim != 1 or len(indices) == 0:
-            raise InvalidInputError(
-                f"`{name}` must be a non-empty list of indices, got shape {indices.shape}"
-            )
     distinct = len(np.unique(second))
     if distinct < k_final:
         raise InvalidInputError(

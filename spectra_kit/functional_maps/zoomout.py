@@ -51,7 +51,7 @@ def zoomout(
         Modes to add in each iteration.
     samples : int or (indices, indices), optional
         How many points to choose at random on each surface, or the source and the target points
-        to work on: several times `k_final`. Only the last step then sees all points.
+        to work on: several times `k_final`. Only one last step then sees all points.
     seed : int, default 0
         Of the choice of samples.
     device : str, default "cpu"
@@ -136,6 +136,9 @@ def _zoom(
     for k1, k2 in schedule(C.shape, k_final, step):
         p = tools.find(rows2[:, : len(C)], rows1[:, : C.shape[1]] @ C.T, exact=False)
         C = represent(rows1[p][:, :k1], k2)
+    if samples is not None:  # one step on all points evens out the noise of the samples
+        p = tools.find(B[:, : len(C)], A[:, : C.shape[1]] @ C.T, exact=False)
+        C = project(A[p], k_final)
     p = tools.find(B[:, : len(C)], A[:, : C.shape[1]] @ C.T, exact=True)
     return p, project(A[p], k_final)
 

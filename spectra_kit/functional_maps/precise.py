@@ -1,0 +1,167 @@
+"""Maps into the triangles of the source, by barycentric coordinates, instead of to its vertices."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from spectra_kit._validate import check_faces
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.functional_maps._checks import at_unit_area, check_functional_map, check_sizes
+from spectra_kit.functional_maps.nearest import nearest
+from spectra_kit.spectrum import Spectrum
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def precise_map(
+    source: Spectrum, target: Spectrum, functional_map: ArrayLike, faces: ArrayLike
+) -> sparse.csr_array:
+    """Recover from a functional map where on the source's triangles each target point lies.
+
+    Parameters
+    ----------
+    source, target : Spectrum
+        Of the two surfaces, in any units.
+    functional_map : array_like of shape (k2, k1)
+        Source coefficients to target coefficients, at unit area.
+    faces : array_like of shape (f, 3)
+        Triangles of the source.
+
+    Returns
+    -------
+    csr_array of shape (n2, n1)
+        Barycentric coordinates: rows of at most three positive entries that sum to 1. The map times
+        values on the source's vertices, or its vertices themselves, gives those on the target.
+
+    Raises
+    ------
+    InvalidInputError
+        If `functional_map` does not fit the spectra, or `faces` do not fit the source.
+
+    Notes
+    -----
+    Ezuz and Ben-Chen 2017, Deblurring and denoising of maps between shapes, section 4.1: each row
+    of ``U2`` is projected onto the triangles spanned by the rows of ``U1 @ C.T``. Only triangles
+    around the nearest row are tried, where the original searches all of them.
+
+    Examples
+    --------
+    >>> from spectra_kit.eigensolvers import eigensolve
+    >>> from spectra_kit.geometry import creature
+    >>> from spectra_kit.operators import robust_laplacian
+    >>> mesh = creature(500)
+    >>> s = eigensolve(robust_laplacian(mesh), 20)
+    >>> P = precise_map(s, s, np.eye(20), mesh.faces)
+    >>> bool(np.allclose(P @ mesh.points, mesh.points))
+    True
+    """
+    C = check_functional_map("functional_map", functional_map, source, target)
+    triangles = check_faces("faces", faces, source.n)
+    k2, k1 = C.shape
+    images = at_unit_area(source).eigenvectors[:, :k1] @ C.T
+    rows = at_unit_area(target).eigenvectors[:, :k2]
+    closest = nearest(rows, images, exact=True)
+
+    # One candidate for each triangle around the nearest vertex of each target point.
+    corners = sparse.csr_array(
+        (np.ones(triangles.size), (triangles.ravel(), np.repeat(np.arange(len(triangles)), 3))),
+        shape=(source.n, len(triangles)),
+    )
+    candidates = corners[closest].tocoo()
+    point, face = candidates.coords
+    weights, squared = _project(rows[point], images[triangles[face]])
+    # Targets of vertices without a triangle keep the vertex.
+    order = np.lexsort((squared, point))
+    first = order[np.unique(point[order], return_index=True)[1]]
+    bare = np.setdiff1d(np.arange(target.n), point)
+    values = np.concatenate([weights[first].ravel(), np.ones(len(bare))])
+    columns = np.concatenate([triangles[face[first]].ravel(), closest[bare]])
+    at = np.concatenate([np.repeat(point[first], 3), bare])
+    result = sparse.csr_array((values, (at, columns)), shape=(target.n, source.n))
+    result.eliminate_zeros()
+    return result
+
+
+def functional_map_from_precise_map(
+    source: Spectrum,
+    target: Spectrum,
+    precise: sparse.csr_array,
+    *,
+    k: int | tuple[int, int] | None = None,
+) -> Floats:
+    """Represent a map given by barycentric coordinates in the modes of two spectra.
+
+    Parameters
+    ----------
+    source, target : Spectrum
+        Of the two surfaces, in any units.
+    precise : sparse array of shape (n2, n1)
+        As `precise_map` returns it: each row mixes source points.
+    k : int or (int, int), optional
+        Number of modes, or (source's, target's); all by default.
+
+    Returns
+    -------
+    ndarray of shape (k2, k1)
+        ``U2.T @ M2 @ (precise @ U1)`` at unit area.
+
+    Raises
+    ------
+    InvalidInputError
+        If `precise` has another shape, or there are fewer modes than `k`.
+
+    Examples
+    --------
+    >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+    >>> functional_map_from_precise_map(s, s, sparse.csr_array([[0.0, 1.0], [0.5, 0.5]]))
+    array([[0. , 1. ],
+           [0.5, 0.5]])
+    """
+    k1, k2 = check_sizes(k, source, target)
+    if precise.shape != (target.n, source.n):
+        raise InvalidInputError(
+            f"`precise` must have shape ({target.n}, {source.n}), one row for each target point,"
+            f" got {precise.shape}"
+        )
+    values = precise @ at_unit_area(source).eigenvectors[:, :k1]
+    return at_unit_area(target).truncate(k2).project(values)
+
+
+def _project(points: Floats, corners: Floats) -> tuple[Floats, Floats]:
+    """Return barycentric coordinates (c, 3) of, and squared distances (c,) to, the nearest points.
+
+    `points` are (c, d), the triangles' `corners` (c, 3, d), degenerate ones included.
+    """
+    a, b, c = (corners[:, i] for i in range(3))
+    weights = [_inside(points, a, b, c)]
+    for i in range(3):  # and the nearest points of the three sides
+        j = (i + 1) % 3
+        side = corners[:, j] - corners[:, i]
+        t = np.einsum("cd,cd->c", points - corners[:, i], side)
+        t = np.clip(t / np.maximum(np.einsum("cd,cd->c", side, side), 1e-300), 0, 1)
+        on_side = np.zeros((len(points), 3))
+        on_side[:, i], on_side[:, j] = 1 - t, t
+        weights.append(on_side)
+    options = np.stack(weights)
+    apart = np.einsum("oci,cid->ocd", options, corners) - points
+    squared = np.einsum("ocd,ocd->oc", apart, apart)
+    squared[0, (options[0] < 0).any(axis=1)] = np.inf
+    best, each = squared.argmin(axis=0), np.arange(len(points))
+    return options[best, each], squared[best, each]
+
+
+def _inside(points: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
+    """Barycentric coordinates of the feet of the perpendiculars; negative in flat triangles."""
+    u, v, w = b - a, c - a, points - a
+    uu, uv, vv = (np.einsum("cd,cd->c", x, y) for x, y in ((u, u), (u, v), (v, v)))
+    wu, wv = (np.einsum("cd,cd->c", w, x) for x in (u, v))
+    determinant = uu * vv - uv**2
+    flat = determinant <= 1e-12 * uu * vv
+    scale = np.where(flat, 0.0, 1 / np.where(flat, 1.0, determinant))
+    s, t = (vv * wu - uv * wv) * scale, (uu * wv - uv * wu) * scale
+    foot = np.column_stack([1 - s - t, s, t])
+    foot[flat] = -1
+    return foot
