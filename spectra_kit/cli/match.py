@@ -6,6 +6,7 @@ import argparse
 import json
 import time
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,7 +222,8 @@ def _draw(
     target: Side,
     found: Match | Correspondence,
     errors: Errors | None,
-    up: str | None,
+    up: Literal["y", "z"] | None,
+    dpi: int,
 ) -> list[Path]:
     from spectra_kit.viz import plot_correspondence, plot_error_curves, plot_functional_map
 
@@ -235,7 +237,7 @@ def _draw(
         found.point_map,
         errors=None if errors is None else errors.at_points,
         error_label=errors.label if errors else "",
-        up=up,  # type: ignore[arg-type]
+        up=up,
         names=(names[0], names[1]) if names[0] != names[1] else ("source", "target"),
         title=title,
         subtitle=f"{source.geometry.n:,} and {target.geometry.n:,} points",
