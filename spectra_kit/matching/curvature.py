@@ -1,4 +1,4 @@
-"""Mean curvature of a surface, smoothed by its spectrum: what tells the front of a limb from its back."""
+"""Smoothed mean curvature: what tells the front of a limb from its back."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ def outward_normals(points: Floats, oriented: OrientedTriangles) -> Floats:
         ]
     )
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    return np.divide(sums, lengths, out=np.zeros_like(sums), where=lengths > 0)
+    out: Floats = np.divide(sums, lengths, out=np.zeros_like(sums), where=lengths > 0)
+    return out
 
 
 def smoothed_mean_curvature(

@@ -110,16 +110,20 @@ def prepare(
         )
     scale = spectrum.area**-0.5
     unit = spectrum.rescale(scale)
-    sides = {} if geometry is None else _sides(unit, geometry, scale)
+    curvature, form, consistent = (
+        (None, None, 1.0) if geometry is None else _sides(unit, geometry, scale)
+    )
     return Prepared(
         spectrum=unit,
         samples=farthest_points(unit, min(n_samples, unit.n)),
         wave=wave_kernel_signature(unit, count=60),
-        **sides,
+        curvature=curvature,
+        form=form,
+        consistent=consistent,
     )
 
 
-def _sides(unit: Spectrum, geometry: Geometry, scale: float) -> dict[str, Floats | float]:
+def _sides(unit: Spectrum, geometry: Geometry, scale: float) -> tuple[Floats, Floats, float]:
     """Return what the geometry adds: curvature, area form, and how far its sides agree."""
     if not isinstance(geometry, TriangleMesh | PointCloud) or geometry.n != unit.n:
         arrived = getattr(geometry, "n", type(geometry).__name__)
@@ -140,8 +144,6 @@ def _sides(unit: Spectrum, geometry: Geometry, scale: float) -> dict[str, Floats
             f" {area:.3g} times the area; pass the geometry that the spectrum was computed of"
         )
     modes = tuple(min(mode, unit.k - 1) for mode in _CURVATURES)
-    return {
-        "curvature": smoothed_mean_curvature(unit, scaled, oriented, modes),
-        "form": area_form(oriented, unit.eigenvectors[:, : min(FORM_K, unit.k)]),
-        "consistent": oriented.consistent,
-    }
+    curvature = smoothed_mean_curvature(unit, scaled, oriented, modes)
+    form = area_form(oriented, unit.eigenvectors[:, : min(FORM_K, unit.k)])
+    return curvature, form, oriented.consistent
