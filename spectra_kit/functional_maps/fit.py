@@ -34,7 +34,7 @@ def fit_functional_map(
     target_descriptors: ArrayLike,
     *,
     k: int | tuple[int, int] = 30,
-    commutativity: float = 1e-2,
+    commutativity: float = 1.0,
     mask: Mask = "resolvent",
     multiplication: float = 1.0,
     orientation: float = 0.0,
@@ -56,7 +56,7 @@ def fit_functional_map(
         alike.
     k : int or (int, int), default 30
         Size of the map, or (source's, target's).
-    commutativity : float, default 1e-2
+    commutativity : float, default 1.0
         Weight of ``|C Lambda_1 - Lambda_2 C|^2``, masked; see `mask`.
     mask : {"resolvent", "standard"}, default "resolvent"
         Commute with the resolvent of the Laplacian's square root, or with the Laplacian itself,
@@ -125,8 +125,8 @@ def fit_functional_map(
     k1, k2 = check_sizes(k, source, target)
     check_components(source, target)
     source, target = at_unit_area(source), at_unit_area(target)
-    f = _descriptors("source_descriptors", source_descriptors, source.n)
-    g = _descriptors("target_descriptors", target_descriptors, target.n)
+    f = _descriptors("source_descriptors", source_descriptors, source)
+    g = _descriptors("target_descriptors", target_descriptors, target)
     if f.shape[1] != g.shape[1]:
         raise InvalidInputError(
             "`source_descriptors` and `target_descriptors` must have the same number of columns,"
@@ -166,14 +166,18 @@ def fit_functional_map(
     return minimise(weights, terms, operators, constants)
 
 
-def _descriptors(name: str, values: ArrayLike, n: int) -> Floats:
+def _descriptors(name: str, values: ArrayLike, spectrum: Spectrum) -> Floats:
+    """Return `values` less their averages: multiplication by a constant commutes with any map."""
     f = real_array(name, values)
-    if f.ndim != 2 or len(f) != n or f.shape[1] == 0:
+    if f.ndim != 2 or len(f) != spectrum.n or f.shape[1] == 0:
         raise InvalidInputError(
-            f"`{name}` must have shape ({n}, p), p >= 1 functions on the points of the spectrum,"
-            f" got {f.shape}"
+            f"`{name}` must have shape ({spectrum.n}, p), p >= 1 functions on the points of the"
+            f" spectrum, got {f.shape}"
         )
-    return f
+    varying = f - spectrum.mass @ f / spectrum.area
+    # A constant that rounding has left some noise of is still a constant.
+    varying[:, spectrum.mass @ varying**2 <= 1e-24 * (spectrum.mass @ f**2)] = 0.0
+    return np.asarray(varying)
 
 
 def _check_weight(name: str, value: float) -> None:
