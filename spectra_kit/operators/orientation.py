@@ -6,6 +6,7 @@ mirror image, too. The area form ``T[a, b, c] = integral of f_a df_b ^ df_c`` do
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +30,7 @@ from spectra_kit.operators._fans import oriented_fans
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_BLOCK = 1024  # triangles
 _FLAT = 1e-9  # enclosed volume over area^(3/2), 0.094 for a ball; below it there is no inside
 
 
@@ -233,14 +235,14 @@ def area_form(oriented: OrientedTriangles, functions: ArrayLike) -> Floats:
     """
     f = _functions("functions", functions, oriented.n)
     k = f.shape[1]
-    mean = _weighted_means(oriented, f)
-    first, second = _differences(oriented, f)
     form = np.zeros((k, k, k))
-    for b in range(k - 1):
-        later = slice(b + 1, k)
-        two_form = first[:, b, None] * second[:, later] - second[:, b, None] * first[:, later]
-        form[:, b, later] = mean.T @ two_form
-        form[:, later, b] = -form[:, b, later]
+    for faces, weights in _blocks(oriented):
+        total, first, second = _along_sides(f, faces)
+        total *= weights / 6  # half the mean of f_a, times the weight
+        for b in range(k - 1):
+            two_form = first[b] * second[b + 1 :] - second[b] * first[b + 1 :]
+            form[:, b, b + 1 :] += total @ two_form.T
+    form -= form.transpose(0, 2, 1).copy()
     return form
 
 
@@ -286,12 +288,13 @@ def orientation_operator(
     """
     u = _functions("basis", basis, oriented.n)
     f = _functions("functions", functions, oriented.n)
-    mean = _weighted_means(oriented, u)
-    first, second = _differences(oriented, u)
-    along, across = _differences(oriented, f)
-    operators = np.empty((f.shape[1], u.shape[1], u.shape[1]))
-    for p in range(f.shape[1]):
-        operators[p] = mean.T @ (along[:, p, None] * second - across[:, p, None] * first)
+    operators = np.zeros((f.shape[1], u.shape[1], u.shape[1]))
+    for faces, weights in _blocks(oriented):
+        total, first, second = _along_sides(u, faces)
+        total *= weights / 6
+        _, along, across = _along_sides(f, faces)
+        for p in range(len(operators)):
+            operators[p] += total @ (along[p] * second - across[p] * first).T
     return operators
 
 
@@ -326,20 +329,20 @@ def skew(oriented: OrientedTriangles, f: ArrayLike, g: ArrayLike) -> Floats:
     True
     """
     shape = np.shape(f)
-    first, second = _differences(oriented, _functions("f", f, oriented.n))
-    along, across = _differences(oriented, _functions("g", g, oriented.n))
+    _, first, second = _along_sides(_functions("f", f, oriented.n), oriented.faces)
+    _, along, across = _along_sides(_functions("g", g, oriented.n), oriented.faces)
     if first.shape != along.shape:
         raise InvalidInputError(
             f"`f` and `g` must have the same number of columns, got {shape} and {np.shape(g)}"
         )
-    share = oriented.weights[:, None] * (first * across - second * along) / 2
+    share = oriented.weights * (first * across - second * along) / 2
     corners = oriented.faces.ravel()
 
     def around(values: Floats) -> Floats:
         return np.bincount(corners, np.repeat(values, 3), oriented.n).astype(np.float64)
 
     area = around(oriented.weights * oriented.areas)
-    total = np.column_stack([around(column) for column in share.T])
+    total = np.column_stack([around(column) for column in share])
     out = np.divide(total, area[:, None], out=np.zeros_like(total), where=area[:, None] > 0)
     return np.asarray(out.reshape(shape))
 
@@ -354,13 +357,17 @@ def _functions(name: str, values: ArrayLike, n: int) -> Floats:
     return f.reshape(n, -1)
 
 
-def _differences(oriented: OrientedTriangles, f: Floats) -> tuple[Floats, Floats]:
-    """Return how much `f` rises along the first and the last side of each triangle, (f, k)."""
-    i, j, k = oriented.faces.T
-    return f[j] - f[i], f[k] - f[i]
+def _blocks(oriented: OrientedTriangles) -> Iterator[tuple[Ints, Floats]]:
+    """Yield faces and weights of some triangles at a time: their functions stay in the cache."""
+    for start in range(0, len(oriented.faces), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        yield oriented.faces[block], oriented.weights[block]
 
 
-def _weighted_means(oriented: OrientedTriangles, f: Floats) -> Floats:
-    """Return half the mean of `f` in each triangle times the triangle's weight, (f, k)."""
-    i, j, k = oriented.faces.T
-    return np.asarray(oriented.weights[:, None] / 6 * (f[i] + f[j] + f[k]))
+def _along_sides(f: Floats, faces: Ints) -> tuple[Floats, Floats, Floats]:
+    """Return the sum of `f` over the corners, and its rise along the first and the last side.
+
+    All of shape (k, faces).
+    """
+    a, b, c = (f[corner].T for corner in faces.T)
+    return np.add(a + b, c, order="C"), np.subtract(b, a, order="C"), np.subtract(c, a, order="C")
