@@ -457,6 +457,7 @@ def test_summaries_do_their_sums():
     exact, neo = summarize_runs(run.results, protocol)
     assert (exact.mean, exact.median, exact.bad) == (4, 2, pytest.approx(1 / 3))
     assert (exact.pairs, exact.direct, exact.either) == (3, 4, 1.5)
+    assert (exact.flipped, exact.partly) == (0, 1)
     assert neo.mean == 8
     assert [t.source for t in ranked(run, neo.name, protocol)] == ["s0", "s1", "s2"]
     counted = summarize_runs(run.results, replace(protocol, symmetric=True))

@@ -65,6 +65,7 @@ _HEADS = (
     "symmetric",
     "either",
     "flipped",
+    "partly",
     "oracle",
     "warned",
     "coverage",
@@ -86,7 +87,8 @@ def _markdown(run: Run, rows: Sequence[Summary], settings: Settings, protocol: P
         "Errors are geodesic distances along the edges of the source, in hundredths of the root of"
         f" its area; *mean*, *median*, *over 8* (share of pairs) and *AUC* (up to 10): {what}"
         " errors. *Flipped*: pairs whose mean symmetric error is lower than the direct one by more"
-        f" than {FLIP_MARGIN:g}. *Oracle*: direct error if the truth chose among the candidates."
+        f" than {FLIP_MARGIN:g}; *partly*: others whose smaller error at each correspondence is lower"
+        " by as much. *Oracle*: direct error if the truth chose among the candidates."
         " *Warned*: pairs called ambiguous, of those over 8 and of the others. *Coverage*: share of"
         " the source's area hit. *Energy*: Dirichlet, 1 for an isometry."
         " *Back*: mean distance to where the transposed functional map leads back. Seconds are"
@@ -130,6 +132,7 @@ def _cells(row: Summary) -> list[str]:
         number(row.symmetric, 2),
         number(row.either, 2),
         str(row.flipped),
+        str(row.partly),
         number(row.oracle, 2),
         _warned(row),
         number(row.coverage, 2),

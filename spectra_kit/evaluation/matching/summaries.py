@@ -6,6 +6,7 @@ import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from spectra_kit.correspondence import FLIP_MARGIN
 from spectra_kit.evaluation.matching.measure import PairResult
 from spectra_kit.evaluation.matching.protocols import Protocol
 from spectra_kit.evaluation.matching.runner import Run
@@ -37,6 +38,9 @@ class Summary:
         Means over the pairs of each kind of error.
     flipped : int
         Pairs whose symmetric error is smaller than the direct one by more than the margin.
+    partly : int
+        Other pairs where the smaller error at each correspondence is on average smaller than the
+        direct one by more than the margin: an arm or a leg went to the other side.
     coverage, energy, bijectivity : float
         Means over the pairs.
     oracle : float
@@ -59,6 +63,7 @@ class Summary:
     symmetric: float
     either: float
     flipped: int
+    partly: int
     coverage: float
     energy: float
     bijectivity: float
@@ -130,6 +135,7 @@ def _summary(name: Name, rows: Sequence[PairResult], protocol: Protocol) -> Summ
         symmetric=mean("symmetric"),
         either=mean("either"),
         flipped=sum(row.flipped for row in rows),
+        partly=sum(row.direct - row.either > FLIP_MARGIN and not row.flipped for row in rows),
         coverage=mean("coverage"),
         energy=mean("energy"),
         bijectivity=mean("bijectivity"),
