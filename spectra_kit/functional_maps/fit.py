@@ -181,7 +181,7 @@ def _descriptors(name: str, values: ArrayLike, spectrum: Spectrum) -> Floats:
 
 
 def _check_weight(name: str, value: float) -> None:
-    if not (np.isfinite(value) and value >= 0):
+    if not (isinstance(value, int | float | np.number) and 0 <= value < np.inf):
         raise InvalidInputError(f"`{name}` must be a finite weight >= 0, got {value!r}")
 
 
