@@ -32,6 +32,7 @@ from spectra_kit.matching.match import Sides
 from spectra_kit.spectrum import Spectrum
 
 Ints = NDArray[np.int64]
+Up = Literal["y", "z"]
 
 _FITTED = 30  # modes of a map that is fitted to landmarks
 _SIGNATURES, _SEEN = 25, 20  # energies of the wave kernel: of each point, from each landmark
@@ -80,7 +81,7 @@ def match_shapes(arguments: argparse.Namespace) -> None:
             written.append(folder / f"{name}.npz")
     if not arguments.no_pictures:
         progress("drawing")
-        up = arguments.up or ("z" if source.name == DEMO else None)
+        up: Up | None = arguments.up or ("z" if source.name == DEMO else None)
         written += _draw(folder, source, target, found, errors, up, arguments.dpi)
     if arguments.json:
         print_json(**record, written=[str(path) for path in written])
@@ -222,7 +223,7 @@ def _draw(
     target: Side,
     found: Match | Correspondence,
     errors: Errors | None,
-    up: Literal["y", "z"] | None,
+    up: Up | None,
     dpi: int,
 ) -> list[Path]:
     from spectra_kit.viz import plot_correspondence, plot_error_curves, plot_functional_map
