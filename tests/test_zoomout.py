@@ -128,6 +128,37 @@ def test_soft_maps_give_every_sample_its_mass() -> None:
     assert mass2 @ plan == pytest.approx(mass1, rel=1e-6)
 
 
+def test_features_steer_where_the_modes_cannot_tell(mesh, spectrum, bent, distances) -> None:
+    """Coordinates known at rest, and with noise in the pose, make a few modes enough."""
+    truth = np.arange(N)
+    start = true_map(spectrum, bent, truth, 6)
+    known = (mesh.points - mesh.points.mean(axis=0)) / mesh.points.std(axis=0)
+    noisy = known + 0.05 * np.random.default_rng(9).normal(size=known.shape)
+    errors = [
+        distances[truth, bijective_zoomout(spectrum, bent, start, k_final=12, features=f).point_map]
+        for f in (None, (0 * known, 0 * noisy), (3 * known, 3 * noisy))
+    ]
+    assert (errors[0] == errors[1]).all()
+    assert errors[2].mean() < 0.5 * errors[0].mean()
+
+
+FEATURES = {
+    r"shapes \(1500, p\) and \(1500, p\).* got \(1500, 2\) and \(1500, 3\)": (
+        np.ones((N, 2)),
+        np.ones((N, 3)),
+    ),
+    r"got \(1500,\) and \(1500, 1\)": (np.ones(N), np.ones((N, 1))),
+    r"got \(2, 1\) and \(1500, 1\)": (np.ones((2, 1)), np.ones((N, 1))),
+    r"`features\[1\]` must be finite": (np.ones((N, 1)), np.full((N, 1), np.nan)),
+}
+
+
+@pytest.mark.parametrize("message", FEATURES)
+def test_features_must_fit(spectrum, bent, message) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        bijective_zoomout(spectrum, bent, np.eye(5), k_final=6, features=FEATURES[message])
+
+
 def test_icp_stops_at_a_fixed_point(spectrum, copy, shuffle) -> None:
     start = true_map(spectrum, copy, shuffle, 60)
     few, many = (icp(spectrum, copy, start, iterations=i) for i in (1, 1000))

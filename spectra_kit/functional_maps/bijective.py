@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._validate import check_count
+from spectra_kit._validate import check_count, real_array
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._checks import checked_pair, starting_map
 from spectra_kit.functional_maps.convert import Correspondence, induced
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.functional_maps.zoomout import schedule
 from spectra_kit.spectrum import Spectrum
+
+Floats = NDArray[np.float64]
 
 
 def bijective_zoomout(
@@ -20,6 +24,7 @@ def bijective_zoomout(
     k_final: int,
     k_start: int | None = None,
     step: int = 5,
+    features: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> Correspondence:
     """Refine a map by ZoomOut in both directions, kept each other's inverse.
 
@@ -38,6 +43,10 @@ def bijective_zoomout(
         Number of modes to start with; see `zoomout`.
     step : int, default 5
         Modes to add in each iteration.
+    features : (array_like of shape (n1, p), array_like of shape (n2, p)), optional
+        Functions known on the source and on the target, such as smoothed mean curvature: more
+        columns in which neighbours are to be near. The scale is their weight: a column with mean
+        square 1 counts like one mode; two to three times that has served for curvature.
 
     Returns
     -------
@@ -47,7 +56,7 @@ def bijective_zoomout(
     Raises
     ------
     InvalidInputError
-        As `zoomout`.
+        As `zoomout`; if `features` do not fit the points or each other, or are not finite.
 
     Notes
     -----
@@ -58,7 +67,6 @@ def bijective_zoomout(
 
     Examples
     --------
-    >>> import numpy as np
     >>> from spectra_kit.eigensolvers import eigensolve
     >>> from spectra_kit.geometry import creature
     >>> from spectra_kit.operators import robust_laplacian
@@ -70,10 +78,27 @@ def bijective_zoomout(
     a, b = checked_pair(source, target, k_final)
     check_count("step", step, low=1)
     C = starting_map(a, b, initial, k_start)
+    more1, more2 = _checked_features(features, a.n, b.n)
     for k1, k2 in schedule(C.shape, k_final, step):
         A, B = a.eigenvectors[:, : C.shape[1]], b.eigenvectors[:, : len(C)]
-        to_source, to_target = nearest(B, A @ C.T), nearest(A, B @ C)
+        to_source = nearest(np.hstack([B, more2]), np.hstack([A @ C.T, more1]))
+        to_target = nearest(np.hstack([A, more1]), np.hstack([B @ C, more2]))
         C = 0.5 * (induced(a, b, to_source, k1, k2) + induced(b, a, to_target, k2, k1).T)
     A, B = a.eigenvectors[:, : C.shape[1]], b.eigenvectors[:, : len(C)]
-    point_map = nearest(B, A @ C.T, exact=True)
+    point_map = nearest(np.hstack([B, more2]), np.hstack([A @ C.T, more1]), exact=True)
     return Correspondence(point_map, induced(a, b, point_map, k_final, k_final))
+
+
+def _checked_features(
+    features: tuple[ArrayLike, ArrayLike] | None, n1: int, n2: int
+) -> tuple[Floats, Floats]:
+    if features is None:
+        return np.empty((n1, 0)), np.empty((n2, 0))
+    shapes = [np.shape(f) for f in features]
+    p = shapes[0][1] if shapes[0][1:] else 0
+    if shapes != [(n1, p), (n2, p)]:
+        raise InvalidInputError(
+            f"`features` must be two arrays of shapes ({n1}, p) and ({n2}, p), of the source and of"
+            f" the target, got {' and '.join(map(str, shapes))}"
+        )
+    return real_array("features[0]", features[0]), real_array("features[1]", features[1])
