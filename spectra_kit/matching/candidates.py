@@ -32,6 +32,7 @@ _FORMS = 8  # modes whose area forms are compared
 _FORMS_UNTIL = 20  # modes from which a map holds its orientation by itself
 _FORM_SHARE = 0.5  # squared length of the area forms, relative to that of the modes
 _CURVATURE_SHARE = 0.1  # the same for curvature
+_COARSE = slice(0, 3)  # of the smoothed curvatures
 
 
 def sign_candidates(source: Prepared, target: Prepared, *, reversing: bool = False) -> Floats:
@@ -98,16 +99,18 @@ def _form_values(
     source: Prepared, target: Prepared, first: Ints, second: Ints, reversing: bool
 ) -> _Forms | None:
     """Return the area forms at the samples, or None without both geometries."""
-    if source.form is None or target.form is None:
+    if source.surface is None or target.surface is None:
         return None
     values = [
         np.einsum(
             "sl,lij->sij",
-            side.spectrum.eigenvectors[chosen, : len(side.form)],
-            side.form[:, :_FORMS, :_FORMS],
+            side.spectrum.eigenvectors[chosen, : len(form)],
+            form[:, :_FORMS, :_FORMS],
         )
-        for side, chosen in ((source, first), (target, second))
-        if side.form is not None
+        for side, form, chosen in (
+            (source, source.surface.form, first),
+            (target, target.surface.form, second),
+        )
     ]
     i, j = np.triu_indices(_FORMS, 1)
     pairs = (i[i > 0], j[i > 0])  # those with the constant vanish
@@ -119,13 +122,10 @@ def _form_values(
 def _curvatures(
     source: Prepared, target: Prepared, first: Ints, second: Ints
 ) -> tuple[Floats, Floats] | None:
-    """Return the curvatures at the samples, centred and scaled alike; None without geometries."""
-    if source.curvature is None or target.curvature is None:
+    """Return the coarser curvatures at the samples; None without both geometries."""
+    if source.surface is None or target.surface is None:
         return None
-    middle, spread = target.curvature.mean(axis=0), target.curvature.std(axis=0)
-    if not (spread > 1e-9).all():  # a sphere has nothing to tell
-        return None
-    return (source.curvature[first] - middle) / spread, (target.curvature[second] - middle) / spread
+    return source.surface.curvature[first, _COARSE], target.surface.curvature[second, _COARSE]
 
 
 def _nearest_each(rows1: Floats, rows2: Floats) -> Ints:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit.geometry import Geometry
 from spectra_kit.operators.orientation import OrientedTriangles
 from spectra_kit.spectrum import Spectrum
 
@@ -31,16 +30,16 @@ def outward_normals(points: Floats, oriented: OrientedTriangles) -> Floats:
 
 
 def smoothed_mean_curvature(
-    spectrum: Spectrum, geometry: Geometry, oriented: OrientedTriangles, modes: tuple[int, ...]
+    spectrum: Spectrum, points: Floats, oriented: OrientedTriangles, modes: tuple[int, ...]
 ) -> Floats:
     """Return twice the signed mean curvature of the surface, smoothed by a short heat flow.
 
     Parameters
     ----------
     spectrum : Spectrum
-        Of the surface, in the units of `geometry`.
-    geometry : TriangleMesh or PointCloud
-        The surface.
+        Of the surface, in the units of `points`.
+    points : ndarray of shape (n, 3)
+        Of the surface.
     oriented : OrientedTriangles
         Which side is out.
     modes : tuple of int
@@ -57,8 +56,8 @@ def smoothed_mean_curvature(
     flow, ``n . U diag(lambda exp(-t lambda)) U^T M x``. Bending a surface changes it at the bends
     only. It does not see reflections.
     """
-    normals = outward_normals(geometry.points, oriented)
-    coefficients = spectrum.project(geometry.points)
+    normals = outward_normals(points, oriented)
+    coefficients = spectrum.project(points)
     out = np.empty((spectrum.n, len(modes)))
     for c, mode in enumerate(modes):
         gain = spectrum.eigenvalues * np.exp(-spectrum.eigenvalues / spectrum.eigenvalues[mode])

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from spectra_kit._validate import Rebuilt, check_count, frozen
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.functional_maps import zoomout, zoomout_many
+from spectra_kit.functional_maps import (
+    bijective_zoomout,
+    functional_map_from_point_map,
+    zoomout_many,
+)
+from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.geometry import Geometry
 from spectra_kit.matching.candidates import sign_candidates
+from spectra_kit.matching.elastic import elastic_point_map
 from spectra_kit.matching.prepare import LOWEST_K, Prepared, prepare
 from spectra_kit.matching.score import mismatches, orientation_of, score_of
 from spectra_kit.spectrum import Spectrum
@@ -23,9 +28,11 @@ Ints = NDArray[np.int64]
 
 Sides = Literal["kept", "reversed", "either"]
 
-_SAME = 0.15  # squared difference per mode below which two maps are one
+_SAME = 0.05  # squared difference per mode below which two maps are one
 _FINALISTS = 6  # candidates that are refined
 _REFINED = 60  # modes they are refined to
+_STEPS = 3  # from there to the end
+_CURVATURE = 2.0  # weight of each curvature, in modes, in those steps
 _MIRRORED = 1.5  # how many times better a mirroring map must be to be believed
 _CLEAR = 1.1  # margin below which a match is called ambiguous
 
@@ -115,7 +122,7 @@ def match(
     target_geometry: Geometry | None = None,
     sides: Sides = "either",
     k: int = 150,
-    step: int = 10,
+    elastic: bool = True,
 ) -> Match:
     """Find which point of the source corresponds to each point of the target.
 
@@ -131,8 +138,8 @@ def match(
         mirroring one is 1.5 times better.
     k : int, default 150
         Modes to end with; fewer where a spectrum has fewer.
-    step : int, default 10
-        Modes to add in each iteration of the final ZoomOut.
+    elastic : bool, default True
+        Whether to bend the source onto the target in the end, where both geometries are given.
 
     Returns
     -------
@@ -149,11 +156,11 @@ def match(
     if sides not in ("either", "kept", "reversed"):
         raise InvalidInputError(f"`sides` must be 'either', 'kept' or 'reversed', got {sides!r}")
     k = min(check_count("k", k, low=LOWEST_K), a.spectrum.k, b.spectrum.k)
-    has_sides = a.form is not None and b.form is not None
+    has_sides = a.surface is not None and b.surface is not None
     if sides == "reversed" and not has_sides:
         raise InvalidInputError(
             "`sides='reversed'` needs both geometries, got"
-            f" {'none' if a.form is None and b.form is None else 'one'};"
+            f" {'none' if a.surface is None and b.surface is None else 'one'};"
             " pass source_geometry and target_geometry"
         )
     ways = {"either": (False, True), "kept": (False,), "reversed": (True,)}[sides]
@@ -162,53 +169,79 @@ def match(
         found.reverse()
     chosen = found[0][0]
     others = [c.score for c in found[0][1:]]
-    result = zoomout(
-        a.spectrum,
-        b.spectrum,
-        chosen.functional_map,
-        k_final=k,
-        step=step,
-    )
+    point_map, functional_map = _refined(a, b, chosen, k, elastic)
     return Match(
-        point_map=result.point_map,
-        functional_map=result.functional_map,
+        point_map=point_map,
+        functional_map=functional_map,
         mirrored=chosen.reversing,
-        orientation=orientation_of(a, b, result.functional_map),
+        orientation=orientation_of(a, b, functional_map),
         margin=min(others) / chosen.score if others else float("inf"),
         candidates=tuple(c for way in found for c in way),
     )
 
 
+def _refined(
+    a: Prepared, b: Prepared, chosen: Candidate, k: int, elastic: bool
+) -> tuple[Ints, Floats]:
+    """Return the point map and the functional map that a candidate is refined to."""
+    step = -(-(k - len(chosen.functional_map)) // _STEPS)
+    if a.surface is None or b.surface is None:
+        result = bijective_zoomout(
+            a.spectrum, b.spectrum, chosen.functional_map, k_final=k, step=max(step, 1)
+        )
+        return result.point_map, result.functional_map
+    features = (_CURVATURE * a.surface.curvature, _CURVATURE * b.surface.curvature)
+    result = bijective_zoomout(
+        a.spectrum,
+        b.spectrum,
+        chosen.functional_map,
+        k_final=k,
+        step=max(step, 1),
+        features=features,
+    )
+    if not elastic:
+        return result.point_map, result.functional_map
+    rows1 = a.spectrum.eigenvectors[:, :k] @ result.functional_map.T
+    way_there = nearest(
+        np.hstack([rows1, features[0]]), np.hstack([b.spectrum.eigenvectors[:, :k], features[1]])
+    )
+    point_map = elastic_point_map(a.surface, b.surface, way_there, mirrored=chosen.reversing)
+    return point_map, functional_map_from_point_map(a.spectrum, b.spectrum, point_map, k=k)
+
+
 def _candidates(a: Prepared, b: Prepared, *, reversing: bool) -> list[Candidate]:
     """Return the refined candidates of one way round, the best first."""
-    grown = _distinct(sign_candidates(a, b, reversing=reversing))
-    rough = [score_of(mismatches(a, b, C, reversing=reversing, n_samples=200)) for C in grown]
-    maps = np.stack([grown[i] for i in np.argsort(rough)[:_FINALISTS]])
+    grown = [
+        _scored(a, b, C, reversing, rough=True) for C in sign_candidates(a, b, reversing=reversing)
+    ]
+    finalists = _distinct(grown)[:_FINALISTS]
     k = min(_REFINED, a.spectrum.k, b.spectrum.k)
     refined, _ = zoomout_many(
         a.spectrum.eigenvectors[a.samples, :k],
         b.spectrum.eigenvectors[b.samples, :k],
-        maps,
+        np.stack([c.functional_map for c in finalists]),
         k_final=k,
         step=6,
     )
-    out = []
-    for C in _distinct(refined):
-        values = mismatches(a, b, C, reversing=reversing)
-        out.append(
-            Candidate(
-                functional_map=C, score=score_of(values), mismatches=values, reversing=reversing
-            )
-        )
-    return sorted(out, key=lambda c: c.score)
+    return _distinct([_scored(a, b, C, reversing) for C in refined])
 
 
-def _distinct(maps: ArrayLike | Sequence[Floats]) -> list[Floats]:
-    """Return the maps that differ from all before them."""
-    kept: list[Floats] = []
-    for C in np.asarray(maps):
-        if all(((C - other) ** 2).sum() > _SAME * len(C) for other in kept):
-            kept.append(C)
+def _scored(
+    a: Prepared, b: Prepared, C: Floats, reversing: bool, *, rough: bool = False
+) -> Candidate:
+    values = mismatches(a, b, C, reversing=reversing, rough=rough)
+    return Candidate(
+        functional_map=C, score=score_of(values), mismatches=values, reversing=reversing
+    )
+
+
+def _distinct(candidates: list[Candidate]) -> list[Candidate]:
+    """Return the candidates by score, without those that all but repeat a better one."""
+    kept: list[Candidate] = []
+    for c in sorted(candidates, key=lambda c: c.score):
+        C = c.functional_map
+        if all(((C - other.functional_map) ** 2).sum() > _SAME * len(C) for other in kept):
+            kept.append(c)
     return kept
 
 

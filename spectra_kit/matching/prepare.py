@@ -12,7 +12,7 @@ from spectra_kit.descriptors import farthest_points, wave_kernel_signature
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh
 from spectra_kit.matching.curvature import smoothed_mean_curvature
-from spectra_kit.operators.orientation import area_form, oriented_triangles
+from spectra_kit.operators.orientation import OrientedTriangles, area_form, oriented_triangles
 from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
@@ -20,7 +20,38 @@ Ints = NDArray[np.int64]
 
 LOWEST_K = 30  # modes without which there is no matching
 FORM_K = 40  # modes of the area form
-_CURVATURES = (60, 30)  # modes whose heat times smooth the curvature: fine, coarse
+_EVEN = 1e-6  # at unit area, a curvature that varies less than that does not vary: a sphere
+_CURVATURES = (80, 40, 20, 10)  # modes whose heat times smooth the curvature, fine to coarse
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Surface(Rebuilt):
+    """What the geometry of a surface adds to its spectrum, at unit area.
+
+    Attributes
+    ----------
+    points : ndarray of shape (n, 3)
+        Positions.
+    mass : ndarray of shape (n,)
+        Of the spectrum.
+    oriented : OrientedTriangles
+        Which side is out.
+    curvature : ndarray of shape (n, 4)
+        Smoothed mean curvature, fine to coarse: minus its mean, divided by its standard deviation
+        (zero where it does not vary).
+    form : ndarray of shape (q, q, q)
+        Area form of the lowest modes: ``form[a, b, c]`` is the integral of ``u_a du_b ^ du_c``.
+    """
+
+    points: Floats
+    mass: Floats
+    oriented: OrientedTriangles
+    curvature: Floats
+    form: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("points", "mass", "curvature", "form"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -35,29 +66,21 @@ class Prepared(Rebuilt):
         Well-spread points, the first ones the farthest apart.
     wave : ndarray of shape (n, e)
         Wave kernel signature.
-    curvature : ndarray of shape (n, 2) or None
-        Smoothed mean curvature, fine and coarse; None without a geometry.
-    form : ndarray of shape (q, q, q) or None
-        Area form of the lowest modes: ``form[a, b, c]`` is the integral of ``u_a du_b ^ du_c``;
-        None without a geometry.
-    consistent : float
-        Share of the triangles that agree on which side is out; 1 for meshes.
+    surface : Surface or None
+        What the geometry adds; None without one.
     """
 
     spectrum: Spectrum
     samples: Ints
     wave: Floats
-    curvature: Floats | None = None
-    form: Floats | None = None
-    consistent: float = 1.0
+    surface: Surface | None = None
 
     def __post_init__(self) -> None:
-        for name in ("samples", "wave", "curvature", "form"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, frozen(getattr(self, name)))
+        for name in ("samples", "wave"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def __repr__(self) -> str:
-        seen = "spectrum alone" if self.form is None else "spectrum and geometry"
+        seen = "spectrum alone" if self.surface is None else "spectrum and geometry"
         return f"Prepared(n={self.spectrum.n}, k={self.spectrum.k}, from {seen})"
 
 
@@ -110,21 +133,16 @@ def prepare(
         )
     scale = spectrum.area**-0.5
     unit = spectrum.rescale(scale)
-    curvature, form, consistent = (
-        (None, None, 1.0) if geometry is None else _sides(unit, geometry, scale)
-    )
     return Prepared(
         spectrum=unit,
         samples=farthest_points(unit, min(n_samples, unit.n)),
         wave=wave_kernel_signature(unit, count=60),
-        curvature=curvature,
-        form=form,
-        consistent=consistent,
+        surface=None if geometry is None else _surface(unit, geometry, scale),
     )
 
 
-def _sides(unit: Spectrum, geometry: Geometry, scale: float) -> tuple[Floats, Floats, float]:
-    """Return what the geometry adds: curvature, area form, and how far its sides agree."""
+def _surface(unit: Spectrum, geometry: Geometry, scale: float) -> Surface:
+    """Return what the geometry adds to the spectrum."""
     if not isinstance(geometry, TriangleMesh | PointCloud) or geometry.n != unit.n:
         arrived = getattr(geometry, "n", type(geometry).__name__)
         raise InvalidInputError(
@@ -132,18 +150,23 @@ def _sides(unit: Spectrum, geometry: Geometry, scale: float) -> tuple[Floats, Fl
             f" got {arrived}"
         )
     oriented = oriented_triangles(geometry)
-    scaled = (
-        TriangleMesh(geometry.points * scale, geometry.faces)
-        if isinstance(geometry, TriangleMesh)
-        else PointCloud(geometry.points * scale)
-    )
     area = float(oriented.weights @ oriented.areas) * scale**2
     if not 0.5 < area < 2.0:
         raise InvalidInputError(
             "`geometry` must be in the unit of the spectrum, got"
-            f" {area:.3g} times the area; pass the geometry that the spectrum was computed of"
+            f" {area:.3g} times its area; pass the geometry that the spectrum was computed of"
         )
-    modes = tuple(min(mode, unit.k - 1) for mode in _CURVATURES)
-    curvature = smoothed_mean_curvature(unit, scaled, oriented, modes)
-    form = area_form(oriented, unit.eigenvectors[:, : min(FORM_K, unit.k)])
-    return curvature, form, oriented.consistent
+    points = geometry.points * scale
+    curvature = smoothed_mean_curvature(
+        unit, points, oriented, tuple(min(mode, unit.k - 1) for mode in _CURVATURES)
+    )
+    curvature -= unit.mass @ curvature
+    spread = np.sqrt(unit.mass @ curvature**2)
+    varies = spread > _EVEN
+    return Surface(
+        points=points,
+        mass=unit.mass,
+        oriented=oriented,
+        curvature=np.divide(curvature, spread, out=np.zeros_like(curvature), where=varies),
+        form=area_form(oriented, unit.eigenvectors[:, : min(FORM_K, unit.k)]),
+    )

@@ -11,6 +11,8 @@ from spectra_kit.matching.prepare import Prepared
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_FINE = slice(0, 2)  # of the smoothed curvatures
+_FEW = 200  # samples of a rough look
 _LEAST = 1e-3  # mismatch below which maps count as equally good
 
 # Exponents of the mismatches in the score; absent ones are left out.
@@ -23,7 +25,7 @@ def mismatches(
     functional_map: Floats,
     *,
     reversing: bool = False,
-    n_samples: int | None = None,
+    rough: bool = False,
 ) -> dict[str, float]:
     """Return what a map of good surfaces keeps small, each in [0, about 1], dimensionless.
 
@@ -35,8 +37,9 @@ def mismatches(
         Of source to target.
     reversing : bool, default False
         Whether it is meant to turn the surface over.
-    n_samples : int, optional
-        How many of the samples to look at; all by default.
+    rough : bool, default False
+        Look for the images of 200 samples among the samples only; else those of all samples among
+        all points.
 
     Returns
     -------
@@ -49,13 +52,18 @@ def mismatches(
     """
     a, b = source.spectrum, target.spectrum
     k = len(functional_map)
-    image = a.eigenvectors[:, :k] @ functional_map.T
-    here, there = target.samples[:n_samples], source.samples[:n_samples]
-    back = nearest(b.eigenvectors[here, :k], image)
-    forth = nearest(image[there], b.eigenvectors[:, :k])
-    rows = b.eigenvectors[here, :k]
+    here, there = target.samples, source.samples
+    pool1: Ints | slice = source.samples if rough else slice(None)
+    pool2: Ints | slice = target.samples if rough else slice(None)
+    if rough:
+        here, there = here[:_FEW], there[:_FEW]
+    rows1, rows2 = a.eigenvectors[:, :k] @ functional_map.T, b.eigenvectors[:, :k]
+    back = nearest(rows2[here], rows1[pool1])
+    forth = nearest(rows1[there], rows2[pool2])
+    if rough:
+        back, forth = source.samples[back], target.samples[forth]
     values = {
-        "embedding": float(np.linalg.norm(rows - image[back]) / np.linalg.norm(rows)),
+        "embedding": float(np.linalg.norm(rows2[here] - rows1[back]) / np.linalg.norm(rows2[here])),
         "spacing": _spacing_error(functional_map, a.eigenvalues[:k], b.eigenvalues[:k]),
         "wave": float(
             np.mean(
@@ -66,11 +74,12 @@ def mismatches(
             )
         ),
     }
-    if source.curvature is not None and target.curvature is not None:
+    if source.surface is not None and target.surface is not None:
+        curved1, curved2 = source.surface.curvature[:, _FINE], target.surface.curvature[:, _FINE]
         values["curvature"] = float(
             np.sqrt(
-                _curvature_error(source.curvature[back], target.curvature[here])
-                * _curvature_error(source.curvature[there], target.curvature[forth])
+                _curvature_error(curved1[back], curved2[here])
+                * _curvature_error(curved1[there], curved2[forth])
             )
         )
     turning = orientation_of(source, target, functional_map)
@@ -80,7 +89,18 @@ def mismatches(
 
 
 def score_of(values: dict[str, float]) -> float:
-    """Return the weighted geometric mean of `mismatches`: the lower, the better."""
+    """Return the weighted geometric mean of `mismatches`: the lower, the better.
+
+    Parameters
+    ----------
+    values : dict of str to float
+        Of `mismatches`.
+
+    Returns
+    -------
+    float
+        Dimensionless.
+    """
     total = sum(WEIGHTS[name] for name in values)
     logs = sum(WEIGHTS[name] * np.log(max(value, 0.0) + _LEAST) for name, value in values.items())
     return float(np.exp(logs / total))
@@ -89,15 +109,30 @@ def score_of(values: dict[str, float]) -> float:
 def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -> float | None:
     """Return the turning of a map: near 1 if it keeps the sides, near -1 for a mirror image.
 
-    It is the correlation of the area forms ``T[a, b, c] = integral of u_a du_b ^ du_c`` of the
-    target's modes with those of the source's, carried over by the map. None without geometries.
+    Parameters
+    ----------
+    source, target : Prepared
+        The surfaces.
+    functional_map : ndarray of shape (k, k)
+        Of source to target.
+
+    Returns
+    -------
+    float or None
+        None without both geometries.
+
+    Notes
+    -----
+    The correlation of the area forms ``T[a, b, c] = integral of u_a du_b ^ du_c`` of the target's
+    20 lowest modes with those of the source's, carried over by the map.
     """
-    if source.form is None or target.form is None:
+    if source.surface is None or target.surface is None:
         return None
-    m = min(20, len(functional_map), len(source.form), len(target.form))
+    form1, form2 = source.surface.form, target.surface.form
+    m = min(20, len(functional_map), len(form1), len(form2))
     C = functional_map[:m, :m]
-    carried = np.einsum("ia,jb,kc,abc->ijk", C, C, C, source.form[:m, :m, :m], optimize=True)
-    form = target.form[:m, :m, :m]
+    carried = np.einsum("ia,jb,kc,abc->ijk", C, C, C, form1[:m, :m, :m], optimize=True)
+    form = form2[:m, :m, :m]
     return float(np.vdot(carried, form) / (np.linalg.norm(carried) * np.linalg.norm(form)))
 
 

@@ -1,0 +1,124 @@
+"""The last step of a match: bend the source onto the target, and see which points meet.
+
+Bending keeps lengths, so it holds the map together where the modes are too smooth to decide, and
+positions and normals tell what lengths cannot: how far along a limb a point is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from spectra_kit.linalg.cholesky import SparseCholesky
+from spectra_kit.matching.curvature import outward_normals
+from spectra_kit.matching.prepare import Surface
+from spectra_kit.operators.orientation import OrientedTriangles
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_PULL = 400.0  # weight of the target, in 1/area: rigid below lengths of 1/20 of the root of it
+_NORMAL = 0.05  # length that a turn of the normal by one radian counts like
+_ROUNDS = 5  # of finding nearest points
+_BENDS = 2  # of bending within each round
+_FIRST_BENDS = 8
+
+
+def elastic_point_map(
+    source: Surface, target: Surface, way_there: Ints, *, mirrored: bool = False
+) -> Ints:
+    """Refine a map by bending the source as rigidly as possible onto the target.
+
+    Parameters
+    ----------
+    source, target : Surface
+        At unit area.
+    way_there : ndarray of shape (n1,)
+        The target point of each source point, to begin with.
+    mirrored : bool, default False
+        Whether the target is a mirror image of the source.
+
+    Returns
+    -------
+    ndarray of shape (n2,)
+        The source point of each target point.
+
+    Notes
+    -----
+    Each round minimises ``sum_ij w_ij |(y_i - y_j) - R_i (x_i - x_j)|^2 + p sum_i m_i |y_i -
+    c_i|^2`` over positions y and rotations R (Sorkine and Alexa 2007, with cotangent weights w), c
+    being the target points; then the nearest in position and normal become the new c.
+    """
+    points = source.points * ([-1.0, 1.0, 1.0] if mirrored else 1.0)
+    oriented = source.oriented.reversed() if mirrored else source.oriented
+    bend = _bending(points, oriented, source.mass)
+    there = np.hstack([target.points, _NORMAL * outward_normals(target.points, target.oriented)])
+    tree = cKDTree(there)
+    bent = target.points[way_there]
+    bends = _FIRST_BENDS
+    for _ in range(_ROUNDS):
+        bent = bend(bent, target.points[way_there], bends)
+        bends = _BENDS
+        here = np.hstack([bent, _NORMAL * outward_normals(bent, oriented)])
+        way_there = tree.query(here)[1]
+    return np.asarray(cKDTree(here).query(there)[1], dtype=np.int64)
+
+
+def _bending(
+    points: Floats, oriented: OrientedTriangles, mass: Floats
+) -> Callable[[Floats, Floats, int], Floats]:
+    """Return the function that bends `points` to goals, from some positions, so many times."""
+    i, j, w = _edges(points, oriented)
+    n = len(points)
+    graph = sparse.coo_array((w, (i, j)), shape=(n, n)).tocsr()
+    graph = graph + graph.T
+    stiffness = sparse.diags_array(np.asarray(graph.sum(axis=1)).ravel()) - graph
+    factor = SparseCholesky(sparse.csr_array(stiffness + sparse.diags_array(_PULL * mass)))
+    sides = points[i] - points[j]
+    tails = sparse.csr_array((np.ones(len(i)), (i, np.arange(len(i)))), shape=(n, len(i)))
+    heads = sparse.csr_array((np.ones(len(j)), (j, np.arange(len(j)))), shape=(n, len(j)))
+    both, difference = sparse.csr_array(tails + heads), sparse.csr_array(tails - heads)
+
+    def bend(bent: Floats, goals: Floats, times: int) -> Floats:
+        for _ in range(times):
+            outer = (w[:, None] * sides)[:, :, None] * (bent[i] - bent[j])[:, None, :]
+            rotations = _rotations((both @ outer.reshape(-1, 9)).reshape(n, 3, 3))
+            turned = 0.5 * np.einsum("eij,ej->ei", rotations[i] + rotations[j], sides)
+            bent = factor.solve(
+                difference @ (w[:, None] * turned) + (_PULL * mass)[:, None] * goals
+            )
+        return bent
+
+    return bend
+
+
+def _rotations(covariances: Floats) -> Floats:
+    """Return the rotations R that fit best: the largest trace of ``R S`` for each S, (n, 3, 3)."""
+    u, _, vt = np.linalg.svd(covariances)
+    flipped = np.linalg.det(u) * np.linalg.det(vt) < 0
+    vt[flipped, 2] *= -1
+    return np.asarray(np.swapaxes(u @ vt, 1, 2))
+
+
+def _edges(points: Floats, oriented: OrientedTriangles) -> tuple[Ints, Ints, Floats]:
+    """Return the edges i < j with positive cotangent weights."""
+    i: list[Ints] = []
+    j: list[Ints] = []
+    w: list[Floats] = []
+    for c in range(3):
+        apex, a, b = oriented.faces[:, c], oriented.faces[:, c - 2], oriented.faces[:, c - 1]
+        u, v = points[a] - points[apex], points[b] - points[apex]
+        across = np.linalg.norm(np.cross(u, v), axis=1)
+        cot = np.einsum("fr,fr->f", u, v) / np.maximum(across, 1e-12 * (u**2).sum(axis=1) + 1e-300)
+        i.append(np.minimum(a, b))
+        j.append(np.maximum(a, b))
+        w.append(0.5 * oriented.weights * np.clip(cot, -10, 10))
+    n = len(points)
+    edges, edge = np.unique(np.concatenate(i) * n + np.concatenate(j), return_inverse=True)
+    weights = np.bincount(edge, np.concatenate(w)).astype(np.float64)
+    kept = weights > 0
+    return edges[kept] // n, edges[kept] % n, weights[kept]
