@@ -18,24 +18,14 @@ from spectra_kit.cli.inputs import assemble, load, solvers_named
 from spectra_kit.cli.options import DEMO
 from spectra_kit.cli.output import plain, print_blocks, print_json, progress
 from spectra_kit.cli.quality import Errors, Side, errors_of, quality_of
-from spectra_kit.descriptors import (
-    landmark_wave_kernel_signature,
-    normalize_descriptors,
-    wave_kernel_signature,
-)
 from spectra_kit.eigensolvers import Eigensolver, eigensolve
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.functional_maps import Correspondence, fit_functional_map, zoomout
 from spectra_kit.geometry import Geometry, creature_pair, write
 from spectra_kit.matching import Match, match, prepare
 from spectra_kit.matching.match import Sides
-from spectra_kit.spectrum import Spectrum
 
 Ints = NDArray[np.int64]
 Up = Literal["y", "z"]
-
-_FITTED = 30  # modes of a map that is fitted to landmarks
-_SIGNATURES, _SEEN = 25, 20  # energies of the wave kernel: of each point, from each landmark
 
 
 def match_shapes(arguments: argparse.Namespace) -> None:
@@ -119,15 +109,12 @@ def _solve(
 
 def _matched(
     source: Side, target: Side, landmarks: tuple[Ints, Ints] | None, sides: Sides
-) -> tuple[Match | Correspondence, tables.Record]:
+) -> tuple[Match, tables.Record]:
     """The maps, and what the match says of itself."""
     start = time.perf_counter()
-    if landmarks is not None:
-        by_points = _by_landmarks(source.spectrum, target.spectrum, landmarks)
-        return by_points, {"match_seconds": time.perf_counter() - start}
     prepared = [prepare(side.spectrum, side.geometry) for side in (source, target)]
     middle = time.perf_counter()
-    found = match(prepared[0], prepared[1], sides=sides, k=source.spectrum.k)
+    found = match(prepared[0], prepared[1], landmarks=landmarks, sides=sides, k=source.spectrum.k)
     return found, {
         "prepare_seconds": middle - start,
         "match_seconds": time.perf_counter() - middle,
@@ -137,24 +124,6 @@ def _matched(
         "candidates": len(found.candidates),
         "mirrored": found.mirrored,
     }
-
-
-def _by_landmarks(
-    source: Spectrum, target: Spectrum, landmarks: tuple[Ints, Ints]
-) -> Correspondence:
-    """Fit to what the landmarks see, which tells left from right, and refine."""
-    a, b = (spectrum.rescale(spectrum.area**-0.5) for spectrum in (source, target))
-    f, g = (
-        np.hstack(
-            [
-                normalize_descriptors(s, wave_kernel_signature(s, count=_SIGNATURES)),
-                normalize_descriptors(s, landmark_wave_kernel_signature(s, l, count=_SEEN)),
-            ]
-        )
-        for s, l in zip((a, b), landmarks, strict=True)
-    )
-    fitted = fit_functional_map(a, b, f, g, k=min(_FITTED, a.k, b.k), landmarks=landmarks)
-    return zoomout(a, b, fitted, k_final=min(a.k, b.k))
 
 
 def _read_landmarks(path: Path, n_source: int, n_target: int) -> tuple[Ints, Ints]:
@@ -206,7 +175,7 @@ def _side_record(side: Side) -> tables.Record:
     }
 
 
-def _write(folder: Path, found: Match | Correspondence, record: tables.Record) -> list[Path]:
+def _write(folder: Path, found: Match, record: tables.Record) -> list[Path]:
     """The two maps and the report, each whole or not at all."""
     paths = [folder / name for name in ("point_map.npy", "functional_map.npy", "report.json")]
     for path, array in zip(paths, (found.point_map, found.functional_map), strict=False):
@@ -221,7 +190,7 @@ def _draw(
     folder: Path,
     source: Side,
     target: Side,
-    found: Match | Correspondence,
+    found: Match,
     errors: Errors | None,
     up: Up | None,
     dpi: int,

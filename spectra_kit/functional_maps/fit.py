@@ -145,7 +145,7 @@ def fit_functional_map(
         preserved("descriptors", one.project(f), other.project(g), constants, 1.0),
     ]
     if landmarks is not None:
-        here, there = _check_landmarks(landmarks, source.n, target.n)
+        here, there = check_landmarks(landmarks, source.n, target.n)
         deltas = one.eigenvectors[here].T, other.eigenvectors[there].T
         terms.append(preserved("landmarks", *deltas, constants, landmark_weight))
     operators = []
@@ -185,9 +185,10 @@ def _check_weight(name: str, value: float) -> None:
         raise InvalidInputError(f"`{name}` must be a finite weight >= 0, got {value!r}")
 
 
-def _check_landmarks(
+def check_landmarks(
     landmarks: Landmarks, n_source: int, n_target: int
-) -> tuple[NDArray[np.int64], ...]:
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the landmarks as checked indices of the source and of the target."""
     if not isinstance(landmarks, tuple) or len(landmarks) != 2:
         raise InvalidInputError(
             "`landmarks` must be a pair (points of the source, points of the target),"

@@ -9,15 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._validate import Rebuilt, check_count, frozen
+from spectra_kit.descriptors import landmark_wave_kernel_signature, normalize_descriptors
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps import (
     bijective_zoomout,
+    fit_functional_map,
     functional_map_from_point_map,
     zoomout_many,
 )
+from spectra_kit.functional_maps.fit import Landmarks, check_landmarks
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.geometry import Geometry
-from spectra_kit.matching.candidates import sign_candidates
+from spectra_kit.matching.candidates import GROWN, sign_candidates
 from spectra_kit.matching.elastic import elastic_point_map
 from spectra_kit.matching.prepare import LOWEST_K, Prepared, prepare
 from spectra_kit.matching.score import mismatches, orientation_of, score_of
@@ -26,9 +29,11 @@ from spectra_kit.spectrum import Spectrum
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+Pairs = tuple[Ints, Ints]
 Sides = Literal["kept", "reversed", "either"]
 
 _SAME = 0.05  # squared difference per mode below which two maps are one
+_SEEN = 20  # energies of the wave kernel signature seen from each landmark
 _FINALISTS = 6  # candidates that are refined
 _REFINED = 60  # modes they are refined to
 _STEPS = 3  # from there to the end
@@ -120,6 +125,7 @@ def match(
     *,
     source_geometry: Geometry | None = None,
     target_geometry: Geometry | None = None,
+    landmarks: Landmarks | None = None,
     sides: Sides = "either",
     k: int = 150,
     elastic: bool = True,
@@ -133,6 +139,9 @@ def match(
     source_geometry, target_geometry : TriangleMesh or PointCloud, optional
         Of a `Spectrum`: the surface, for its sides and its curvature. Without them the match may
         be flipped, and says so.
+    landmarks : (array_like of shape (l,), array_like of shape (l,)), optional
+        Source and target points known to correspond. They make one more candidate and count in
+        the scores; the final map is free to leave them by a little.
     sides : {"either", "kept", "reversed"}
         Whether maps may turn the surface over. ``either`` prefers those that do not, unless a
         mirroring one is 1.5 times better.
@@ -148,8 +157,8 @@ def match(
     Raises
     ------
     InvalidInputError
-        If a spectrum has fewer than 30 modes or several components, or sides are asked for
-        without both geometries.
+        If a spectrum has fewer than 30 modes or several components, sides are asked for
+        without both geometries, or landmarks are empty, unpaired or out of range.
     """
     a = _prepared("source", source, source_geometry)
     b = _prepared("target", target, target_geometry)
@@ -164,7 +173,9 @@ def match(
             " pass source_geometry and target_geometry"
         )
     ways = {"either": (False, True), "kept": (False,), "reversed": (True,)}[sides]
-    found = [_candidates(a, b, reversing=way) for way in (ways if has_sides else (False,))]
+    pairs = None if landmarks is None else check_landmarks(landmarks, a.spectrum.n, b.spectrum.n)
+    fit = None if pairs is None else _landmark_fit(a, b, pairs)
+    found = [_candidates(a, b, way, pairs, fit) for way in (ways if has_sides else (False,))]
     if len(found) == 2 and found[1][0].score * _MIRRORED < found[0][0].score:
         found.reverse()
     chosen = found[0][0]
@@ -184,17 +195,16 @@ def _refined(
     a: Prepared, b: Prepared, chosen: Candidate, k: int, elastic: bool
 ) -> tuple[Ints, Floats]:
     """Return the point map and the functional map that a candidate is refined to."""
-    step = -(-(k - len(chosen.functional_map)) // _STEPS)
+    start = chosen.functional_map[:k, :k]
+    step = -(-(k - len(start)) // _STEPS)
     if a.surface is None or b.surface is None:
-        result = bijective_zoomout(
-            a.spectrum, b.spectrum, chosen.functional_map, k_final=k, step=max(step, 1)
-        )
+        result = bijective_zoomout(a.spectrum, b.spectrum, start, k_final=k, step=max(step, 1))
         return result.point_map, result.functional_map
     features = (_CURVATURE * a.surface.curvature, _CURVATURE * b.surface.curvature)
     result = bijective_zoomout(
         a.spectrum,
         b.spectrum,
-        chosen.functional_map,
+        start,
         k_final=k,
         step=max(step, 1),
         features=features,
@@ -209,11 +219,14 @@ def _refined(
     return point_map, functional_map_from_point_map(a.spectrum, b.spectrum, point_map, k=k)
 
 
-def _candidates(a: Prepared, b: Prepared, *, reversing: bool) -> list[Candidate]:
+def _candidates(
+    a: Prepared, b: Prepared, reversing: bool, landmarks: Pairs | None, fit: Floats | None
+) -> list[Candidate]:
     """Return the refined candidates of one way round, the best first."""
-    grown = [
-        _scored(a, b, C, reversing, rough=True) for C in sign_candidates(a, b, reversing=reversing)
-    ]
+    maps = list(sign_candidates(a, b, reversing=reversing))
+    if fit is not None and ((orientation_of(a, b, fit) or 1.0) < 0) == reversing:
+        maps.append(fit)
+    grown = [_scored(a, b, C, reversing, landmarks, rough=True) for C in maps]
     finalists = _distinct(grown)[:_FINALISTS]
     k = min(_REFINED, a.spectrum.k, b.spectrum.k)
     refined, _ = zoomout_many(
@@ -223,13 +236,36 @@ def _candidates(a: Prepared, b: Prepared, *, reversing: bool) -> list[Candidate]
         k_final=k,
         step=6,
     )
-    return _distinct([_scored(a, b, C, reversing) for C in refined])
+    return _distinct([_scored(a, b, C, reversing, landmarks) for C in refined])
+
+
+def _landmark_fit(a: Prepared, b: Prepared, landmarks: Pairs) -> Floats:
+    """Return the functional map that fits the landmarks and what is seen from them."""
+    f, g = (
+        normalize_descriptors(
+            side.spectrum,
+            np.hstack(
+                [
+                    side.wave,
+                    landmark_wave_kernel_signature(side.spectrum, points, count=_SEEN),
+                ]
+            ),
+        )
+        for side, points in zip((a, b), landmarks, strict=True)
+    )
+    return fit_functional_map(a.spectrum, b.spectrum, f, g, k=GROWN, landmarks=landmarks)
 
 
 def _scored(
-    a: Prepared, b: Prepared, C: Floats, reversing: bool, *, rough: bool = False
+    a: Prepared,
+    b: Prepared,
+    C: Floats,
+    reversing: bool,
+    landmarks: Pairs | None,
+    *,
+    rough: bool = False,
 ) -> Candidate:
-    values = mismatches(a, b, C, reversing=reversing, rough=rough)
+    values = mismatches(a, b, C, reversing=reversing, landmarks=landmarks, rough=rough)
     return Candidate(
         functional_map=C, score=score_of(values), mismatches=values, reversing=reversing
     )

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.matching.prepare import Prepared
+from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -16,7 +17,14 @@ _FEW = 200  # samples of a rough look
 _LEAST = 1e-3  # mismatch below which maps count as equally good
 
 # Exponents of the mismatches in the score; absent ones are left out.
-WEIGHTS = {"curvature": 2.0, "wave": 0.5, "spacing": 0.5, "embedding": 1.0, "orientation": 0.2}
+WEIGHTS = {
+    "curvature": 2.0,
+    "wave": 0.5,
+    "spacing": 0.5,
+    "embedding": 1.0,
+    "orientation": 0.2,
+    "landmarks": 2.0,
+}
 
 
 def mismatches(
@@ -25,6 +33,7 @@ def mismatches(
     functional_map: Floats,
     *,
     reversing: bool = False,
+    landmarks: tuple[Ints, Ints] | None = None,
     rough: bool = False,
 ) -> dict[str, float]:
     """Return what a map of good surfaces keeps small, each in [0, about 1], dimensionless.
@@ -37,6 +46,8 @@ def mismatches(
         Of source to target.
     reversing : bool, default False
         Whether it is meant to turn the surface over.
+    landmarks : (ndarray of shape (l,), ndarray of shape (l,)), optional
+        Source and target points known to correspond.
     rough : bool, default False
         Look for the images of 200 samples among the samples only; else those of all samples among
         all points.
@@ -48,7 +59,8 @@ def mismatches(
         length; ``spacing``: ``|C diag(lambda1) - diag(lambda2) C|^2 / |lambda2|^2``, zero for
         isometries; ``wave``: relative difference of the wave kernel signatures; ``curvature``: that
         of the smoothed mean curvatures, both ways; ``orientation``: (1 - t) / 2 with the turning
-        t of `orientation_of`.
+        t of `orientation_of`; ``landmarks``: biharmonic distance between where the map takes the
+        landmarks and where they belong, relative to the root mean square of the source.
     """
     a, b = source.spectrum, target.spectrum
     k = len(functional_map)
@@ -74,6 +86,9 @@ def mismatches(
             )
         ),
     }
+    if landmarks is not None:
+        on_source, on_target = landmarks
+        values["landmarks"] = _biharmonic(a, nearest(rows2[on_target], rows1), on_source)
     if source.surface is not None and target.surface is not None:
         curved1, curved2 = source.surface.curvature[:, _FINE], target.surface.curvature[:, _FINE]
         values["curvature"] = float(
@@ -134,6 +149,14 @@ def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -
     carried = np.einsum("ia,jb,kc,abc->ijk", C, C, C, form1[:m, :m, :m], optimize=True)
     form = form2[:m, :m, :m]
     return float(np.vdot(carried, form) / (np.linalg.norm(carried) * np.linalg.norm(form)))
+
+
+def _biharmonic(spectrum: Spectrum, found: Ints, wanted: Ints) -> float:
+    """Return the root mean square distance of pairs of points, relative to that of all points."""
+    nonzero = spectrum.nonzero()
+    embedding = nonzero.eigenvectors / nonzero.eigenvalues
+    apart = ((embedding[found] - embedding[wanted]) ** 2).sum(axis=1).mean()
+    return float(np.sqrt(apart / (2 * (spectrum.mass @ embedding**2).sum())))
 
 
 def _spacing_error(C: Floats, values1: Floats, values2: Floats) -> float:
