@@ -64,39 +64,30 @@ def mismatches(
     """
     a, b = source.spectrum, target.spectrum
     k = len(functional_map)
-    here, there = target.samples, source.samples
-    pool1: Ints | slice = source.samples if rough else slice(None)
-    pool2: Ints | slice = target.samples if rough else slice(None)
-    if rough:
-        here, there = here[:_FEW], there[:_FEW]
-    rows1, rows2 = a.eigenvectors[:, :k] @ functional_map.T, b.eigenvectors[:, :k]
-    back = nearest(rows2[here], rows1[pool1])
-    forth = nearest(rows1[there], rows2[pool2])
-    if rough:
-        back, forth = source.samples[back], target.samples[forth]
+    every1, every2 = np.arange(a.n), np.arange(b.n)
+    pool1, pool2 = (source.samples, target.samples) if rough else (every1, every2)
+    there, here = (every1[:_FEW], every2[:_FEW]) if rough else (source.samples, target.samples)
+    rows1 = a.eigenvectors[pool1, :k] @ functional_map.T
+    rows2 = b.eigenvectors[pool2, :k]
+    back, forth = nearest(rows2[here], rows1), nearest(rows1[there], rows2)
+    wave1, wave2 = source.wave[pool1], target.wave[pool2]
+    waves = _relative(wave1[back], wave2[here]) + _relative(wave1[there], wave2[forth])
     values = {
         "embedding": float(np.linalg.norm(rows2[here] - rows1[back]) / np.linalg.norm(rows2[here])),
         "spacing": _spacing_error(functional_map, a.eigenvalues[:k], b.eigenvalues[:k]),
-        "wave": float(
-            np.mean(
-                [
-                    _relative(source.wave[back], target.wave[here]),
-                    _relative(source.wave[there], target.wave[forth]),
-                ]
-            )
-        ),
+        "wave": waves / 2,
     }
     if landmarks is not None:
         on_source, on_target = landmarks
-        values["landmarks"] = _biharmonic(a, nearest(rows2[on_target], rows1), on_source)
+        found = nearest(b.eigenvectors[on_target, :k], rows1)
+        values["landmarks"] = _biharmonic(a, pool1[found], on_source)
     if source.surface is not None and target.surface is not None:
-        curved1, curved2 = source.surface.curvature[:, _FINE], target.surface.curvature[:, _FINE]
-        values["curvature"] = float(
-            np.sqrt(
-                _curvature_error(curved1[back], curved2[here])
-                * _curvature_error(curved1[there], curved2[forth])
-            )
+        curved1 = source.surface.curvature[pool1, _FINE]
+        curved2 = target.surface.curvature[pool2, _FINE]
+        there_and_back = _curvature_error(curved1[back], curved2[here]) * _curvature_error(
+            curved1[there], curved2[forth]
         )
+        values["curvature"] = float(np.sqrt(there_and_back))
     turning = orientation_of(source, target, functional_map)
     if turning is not None:
         values["orientation"] = (1 + turning if reversing else 1 - turning) / 2
