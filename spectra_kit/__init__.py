@@ -7,7 +7,8 @@
 array([0., 2., 2., 2., 6., 6., 6., 6., 6.])
 
 A file becomes a geometry (`read`), a geometry a `Laplacian` (`robust_laplacian` and others), that
-a `Spectrum` (`eigensolve`, with the backend of your choice), and a spectrum everything else.
+a `Spectrum` (`eigensolve`, with the backend of your choice), and a spectrum everything else: two of
+them a map from one surface to the other (`match`).
 
 Conventions, everywhere the same:
 
@@ -16,9 +17,11 @@ Conventions, everywhere the same:
 - L is the positive semi-definite weak Laplacian, M the lumped mass: ``L u = lambda M u``.
 - Units are the input's: eigenvalues in 1/length^2, mass in length^2, eigenvectors in 1/length.
 - Eigenvectors are M-orthonormal; their signs, and bases inside an eigenspace, are unspecified.
+- Of two surfaces the first is the source, the second the target. ``point_map (n2,)`` holds the
+  source point of each target point; ``functional_map (k2, k1)`` takes functions the other way.
 """
 
-from spectra_kit import geometry
+from spectra_kit import correspondence, descriptors, functional_maps, geometry, matching
 from spectra_kit.eigensolvers import (
     Arpack,
     Capped,
@@ -42,6 +45,7 @@ from spectra_kit.errors import (
     WeightsError,
 )
 from spectra_kit.geometry import PointCloud, TriangleMesh, read, write
+from spectra_kit.matching import Match, Prepared, match, prepare
 from spectra_kit.operators import (
     Laplacian,
     cotan_laplacian,
@@ -64,6 +68,7 @@ __all__ = [
     "InvalidSpectrumError",
     "Laplacian",
     "Lobpcg",
+    "Match",
     "MissingDependencyError",
     "ModeCount",
     "Multilevel",
@@ -71,6 +76,7 @@ __all__ = [
     "OutOfMemoryError",
     "PointCloud",
     "Polished",
+    "Prepared",
     "Provenance",
     "RandomBasis",
     "RayleighRitz",
@@ -80,11 +86,17 @@ __all__ = [
     "TriangleMesh",
     "Union",
     "WeightsError",
+    "correspondence",
     "cotan_laplacian",
     "delaunay_laplacian",
+    "descriptors",
     "eigensolve",
+    "functional_maps",
     "geometry",
     "knn_laplacian",
+    "match",
+    "matching",
+    "prepare",
     "read",
     "robust_laplacian",
     "verify",
