@@ -39,7 +39,7 @@ _REFINED = 60  # modes they are refined to
 _STEPS = 3  # from there to the end
 _CURVATURE = 2.0  # weight of each curvature, in modes, in those steps
 _MIRRORED = 1.5  # how many times better a mirroring map must be to be believed
-_CLEAR = 1.1  # margin below which a match is called ambiguous
+_CLEAR = 1.04  # margin below which a match is called ambiguous; right ones on bodies had 1.06
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
