@@ -58,7 +58,7 @@ def check_components(source: Spectrum, target: Spectrum) -> None:
         raise InvalidInputError(
             "`source` and `target` must have the same number of components, got"
             f" {a} and {b} zero modes; match component by component"
-            " (geometry.split_components)"
+            " (geometry.components)"
         )
 
 
@@ -75,6 +75,11 @@ def starting_map(a: Spectrum, b: Spectrum, initial: ArrayLike, k_start: int | No
         check_count("k_start", k, low=1, high=min(a.k, b.k))
         point_map = check_point_map("initial", initial, a.n, b.n)
         return b.truncate(k).project(a.eigenvectors[point_map, :k])
+    if np.ndim(initial) == 2 and max(np.shape(initial)) > min(a.k, b.k):
+        raise InvalidInputError(
+            f"`k_final` must be at least the size of `initial`, {np.shape(initial)}, got"
+            f" {min(a.k, b.k)}; end later, or cut `initial`"
+        )
     C = check_functional_map("initial", initial, a, b)
     if k_start is None:
         return C

@@ -191,7 +191,7 @@ def check_landmarks(
     """Return the landmarks as checked indices of the source and of the target."""
     if not isinstance(landmarks, tuple) or len(landmarks) != 2:
         raise InvalidInputError(
-            "`landmarks` must be a pair (points of the source, points of the target),"
+            "`landmarks` must be a pair (points of the source, points of the target), as a tuple,"
             f" got {type(landmarks).__name__}"
         )
     shapes = np.shape(landmarks[0]), np.shape(landmarks[1])
