@@ -163,6 +163,9 @@ def test_errors_refuse(ball):
         map_errors(ball, [7], Truth([0], [5]))
     with pytest.raises(InvalidInputError, match=r"`point_map` must have shape \(n2,\)"):
         map_errors(ball, [[7]], Truth([0], [0]))
+    for measure in (map_errors, geodesic_errors):
+        with pytest.raises(InvalidInputError, match=r"got list; .* Truth.of_map\(point_map\)"):
+            measure(ball, [7], [7])
     with pytest.raises(InvalidInputError, match="`errors` must be at least one number >= 0"):
         auc([])
     with pytest.raises(InvalidInputError, match="with 1 negative or NaN"):
