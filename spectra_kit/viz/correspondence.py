@@ -26,6 +26,7 @@ Bytes = NDArray[np.uint8]
 
 _WIDEST, _TALLEST = 3.4, 3.6  # inches of a picture
 _PIXELS = 4  # to a vertex, at which a pattern inside triangles looks sharp
+_HEADS = ("source", "target")
 _PERCENTILE = 99.0  # a lone outlier must not bleach the rest
 
 
@@ -212,13 +213,13 @@ def _draw(
         drawn, rows = render(scenes), []
         for pair, source, target in zip(pairs, drawn[::2], drawn[1::2], strict=True):
             sides = ("one side", "other side") if behind else (pair.name,)
-            names = None if behind else pair.names
+            names = None if behind or pair.names == _HEADS else pair.names
             each = np.split(target, len(source))  # the pictures of one side follow each other
             rows += [
                 Row(side, names, [first, *rest])
                 for side, first, rest in zip(sides, source, each, strict=True)
             ]
-        heads = [*(pairs[0].names if behind else ("source", "target")), "error"]
+        heads = [*(pairs[0].names if behind else _HEADS), "error"]
         bar = None if all(e is None for e in errors) else (limit, error_label)
         figure = set_rows(rows, heads, bar, title, subtitle, dpi)
         figure.savefig(part, dpi=dpi)
