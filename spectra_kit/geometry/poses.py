@@ -41,7 +41,7 @@ def creature_pair(
     Returns
     -------
     source, target : TriangleMesh
-        Nearly isometric, and nearly symmetric inside: left and right are easily confused.
+        Nearly isometric. Left and right differ little, so that they are easily confused.
     point_map : ndarray of shape (n2,)
         The source vertex of each target vertex: exact for equal triangles, else the nearest on the
         animal at rest.
