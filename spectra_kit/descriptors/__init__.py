@@ -33,6 +33,14 @@ a gap.
 (1000, 16)
 >>> biharmonic_distances(spectrum, [0, 1]).shape
 (2, 1000)
+
+Of two surfaces, with one grid of energies for both:
+
+>>> other = sk.eigensolve(sk.robust_laplacian(sk.geometry.creature(900, pose=1)), 50)
+>>> first, second = (s.rescale(s.area**-0.5) for s in (spectrum, other))
+>>> energies, width = wave_energies(first)
+>>> wave_kernel_signature(second, energies, width=width).shape
+(900, 100)
 """
 
 from spectra_kit.descriptors.columns import normalize_descriptors

@@ -8,7 +8,29 @@ Conventions, the same in every function here; `source` is the first argument, `t
   corresponds to. It runs **against** the functional map, which is the pull-back along it:
   ``C_12 = U2.T @ M2 @ U1[point_map]``.
 - Both surfaces are taken at unit area, whatever their units, so a functional map between a
-  shape in metres and its copy in millimetres is the one between equals.
+  surface in metres and its copy in millimetres is the one between equals.
+
+========  ==================================================  ===================================
+fit       `fit_functional_map`                                from descriptors or landmarks
+refine    `zoomout`, `bijective_zoomout`, `icp`               to a `Correspondence`: both maps
+          `sinkhorn_zoomout`, `zoomout_many`                  on samples, to go on from
+convert   `point_map_from_functional_map`,                    one kind of map to the other
+          `functional_map_from_point_map`
+          `precise_map`, `functional_map_from_precise_map`    with points inside triangles
+========  ==================================================  ===================================
+
+A fit may be flipped, and no refinement turns it round; `spectra_kit.matching` sees to that.
+
+>>> import spectra_kit as sk
+>>> from spectra_kit.descriptors import wave_kernel_signature
+>>> mesh = sk.geometry.creature(600)
+>>> copy, truth = sk.geometry.permuted(mesh)
+>>> source, target = (sk.eigensolve(sk.robust_laplacian(m), 40) for m in (mesh, copy))
+>>> descriptors = [wave_kernel_signature(spectrum) for spectrum in (source, target)]
+>>> functional_map = fit_functional_map(source, target, *descriptors, k=20)
+>>> refined = zoomout(source, target, functional_map, k_final=40)
+>>> refined, bool((refined.point_map == truth).all())
+(Correspondence(600 points, functional map 40 x 40), True)
 """
 
 from spectra_kit.functional_maps.bijective import bijective_zoomout
