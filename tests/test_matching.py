@@ -1,0 +1,365 @@
+"""Matches: copies are found exactly, mirrors seen as mirrors, poses not flipped, doubt admitted."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from spectra_kit import InvalidInputError, Spectrum, TriangleMesh, robust_laplacian
+from spectra_kit.correspondence import Truth, geodesic_errors
+from spectra_kit.eigensolvers import eigensolve
+from spectra_kit.functional_maps import functional_map_from_point_map
+from spectra_kit.geometry import (
+    Geometry,
+    creature,
+    creature_pair,
+    mirrored,
+    permuted,
+    sphere,
+)
+from spectra_kit.matching import Match, Prepared, match, prepare
+
+K = 150
+TURN = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+TURN *= np.linalg.det(TURN)
+
+
+def solved(geometry: Geometry, k: int = K) -> Spectrum:
+    return eigensolve(robust_laplacian(geometry), k)
+
+
+def prepared(geometry: Geometry, k: int = K) -> Prepared:
+    return prepare(solved(geometry, k), geometry)
+
+
+def moved(geometry: Geometry, scale: float = 25.4) -> Geometry:
+    """The same surface turned, and in another unit."""
+    return geometry.with_points(scale * geometry.points @ TURN)
+
+
+@pytest.fixture(scope="module")
+def mesh() -> TriangleMesh:
+    return creature(1000)
+
+
+@pytest.fixture(scope="module")
+def spectrum(mesh) -> Spectrum:
+    return solved(mesh)
+
+
+@pytest.fixture(scope="module")
+def source(mesh, spectrum) -> Prepared:
+    return prepare(spectrum, mesh)
+
+
+@pytest.fixture(scope="module")
+def copy(mesh) -> tuple[TriangleMesh, Spectrum, np.ndarray]:
+    """The animal turned, in another unit and order, and its true map; solved anew."""
+    shuffled, truth = permuted(mesh, seed=1)
+    shuffled = moved(shuffled)
+    return shuffled, solved(shuffled), truth
+
+
+# --- copies ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("k", [30, 60, 80, 100, 150])
+@pytest.mark.parametrize("seen", ["geometry", "spectrum alone"])
+def test_a_copy_gives_the_permutation(mesh, spectrum, copy, k, seen) -> None:
+    shuffled, target, truth = copy
+    geometries = (mesh, shuffled) if seen == "geometry" else (None, None)
+    a, b = prepare(spectrum.truncate(k), geometries[0]), prepare(target.truncate(k), geometries[1])
+    found = match(a, b)
+    assert (found.point_map == truth).all()
+    assert found.functional_map.shape == (k, k)
+    C = functional_map_from_point_map(a.spectrum, b.spectrum, truth)
+    assert found.functional_map == pytest.approx(C, abs=1e-9)
+    assert found.score == pytest.approx(1e-3, rel=1e-3)
+    assert found.margin > 5
+    assert not found.ambiguous
+    assert not found.mirrored
+    assert found.orientation == (pytest.approx(1) if seen == "geometry" else None)
+
+
+@pytest.mark.parametrize(("n", "seed"), [(600, 0), (1800, 0), (1000, 3)])
+def test_copies_of_other_sizes_and_animals(n, seed) -> None:
+    mesh = creature(n, seed=seed)
+    shuffled, truth = permuted(mesh, seed=2)
+    found = match(prepared(mesh, 100), prepared(moved(shuffled, 1e-3), 100))
+    assert (found.point_map == truth).all()
+
+
+@pytest.mark.parametrize("options", [{"elastic": False}, {"k": 40}, {"sides": "kept"}], ids=str)
+def test_no_option_breaks_a_copy(source, copy, options) -> None:
+    shuffled, target, truth = copy
+    found = match(source, prepare(target, shuffled), **options)
+    assert (found.point_map == truth).all()
+    assert len(found.functional_map) == options.get("k", K)
+
+
+def test_the_smaller_spectrum_and_the_smaller_mesh_set_the_limits(source, copy) -> None:
+    shuffled, target, truth = copy
+    found = match(source, prepare(target.truncate(90), shuffled))
+    assert (found.point_map == truth).all()
+    assert found.functional_map.shape == (90, 90)
+    ball = prepared(sphere(subdivisions=2).geometry, 40)  # fewer points than samples
+    assert (match(ball, ball).point_map == np.arange(162)).all()
+
+
+def test_a_spectrum_is_prepared_with_its_geometry(mesh, spectrum, source, copy) -> None:
+    shuffled, target, truth = copy
+    found = match(spectrum, target, source_geometry=mesh, target_geometry=shuffled, k=60)
+    assert (found.point_map == truth).all()
+    assert found.orientation == pytest.approx(1)
+    one = match(spectrum, prepare(target, shuffled), k=60)  # one geometry does not tell sides
+    assert one.orientation is None
+    assert (one.point_map == truth).all()
+
+
+def test_a_match_is_the_same_every_time_and_in_every_process(source, copy) -> None:
+    target = prepare(copy[1], copy[0])
+    one = match(source, target)
+    two = match(pickle.loads(pickle.dumps(source)), target)
+    assert (one.point_map == two.point_map).all()
+    assert (one.functional_map == two.functional_map).all()
+    assert (one.margin, one.orientation) == (two.margin, two.orientation)
+    back = pickle.loads(pickle.dumps(one))
+    assert (back.point_map == one.point_map).all()
+    assert [c.score for c in back.candidates] == [c.score for c in two.candidates]
+    assert not back.point_map.flags.writeable
+
+
+# --- mirrors --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("axis", [0, 2])
+def test_a_mirrored_copy_is_seen_as_one(mesh, source, axis, flipped) -> None:
+    image, truth = permuted(mirrored(mesh, axis=axis), seed=5)
+    image = moved(TriangleMesh(image.points, image.faces[:, ::-1]) if flipped else image)
+    target = prepared(image)
+    for sides in ("either", "reversed"):
+        found = match(source, target, sides=sides)
+        assert found.mirrored
+        assert (found.point_map == truth).all()
+        assert found.orientation == pytest.approx(-1)
+        assert found.candidates[0].reversing
+        assert "k=150, mirrored" in repr(found)
+    kept = match(source, target, sides="kept")
+    assert not kept.mirrored
+    assert not any(c.reversing for c in kept.candidates)
+    assert kept.score > 50 * found.score
+
+
+def test_the_sides_of_a_copy_can_be_forced_to_turn(source, copy) -> None:
+    target = prepare(copy[1], copy[0])
+    either, forced = (match(source, target, sides=s) for s in ("either", "reversed"))
+    assert not either.mirrored
+    assert {c.reversing for c in either.candidates} == {False, True}
+    assert forced.mirrored
+    assert forced.score > 50 * either.score
+
+
+def test_a_spectrum_alone_cannot_tell_a_mirror(spectrum, mesh) -> None:
+    image, truth = permuted(mirrored(mesh), seed=5)
+    found = match(spectrum, solved(image))
+    assert (found.point_map == truth).all()
+    assert not found.mirrored
+    assert found.orientation is None
+
+
+# --- poses ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def pose() -> tuple[TriangleMesh, TriangleMesh, Prepared, Prepared]:
+    """Two poses of one animal, point i corresponding to point i."""
+    source, target, _ = creature_pair(1000, seed=2)
+    return source, target, prepared(source), prepared(target)
+
+
+def mean_error(mesh: TriangleMesh, found: Match) -> float:
+    truth = Truth.of_map(np.arange(len(found.point_map)))
+    return float(geodesic_errors(mesh, found.point_map, truth).mean())
+
+
+@pytest.mark.parametrize(("seed", "n_target"), [(0, None), (3, None), (0, 800)])
+def test_poses_are_matched_and_not_flipped(seed, n_target) -> None:
+    """Errors are in hundredths of the root of the area; edges are about 6 long."""
+    source, target, truth = creature_pair(1000, n_target, seed=seed)
+    found = match(prepared(source), prepared(target))
+    errors = geodesic_errors(source, found.point_map, Truth.of_map(truth))
+    assert errors.mean() < 2.0
+    assert (errors > 15).mean() < 0.06  # a foot of the third animal is turned about itself
+    assert not found.mirrored
+    assert found.orientation > 0.85
+
+
+def test_bending_improves_a_match(pose) -> None:
+    mesh, _, a, b = pose
+    found, stiff = match(a, b), match(a, b, elastic=False)
+    assert mean_error(mesh, found) < mean_error(mesh, stiff) < 1.0
+    assert found.score == stiff.score
+
+
+def test_a_mirrored_pose_is_matched_when_told_so(pose) -> None:
+    _, target, a, b = pose
+    forced = match(a, prepared(mirrored(target)), sides="reversed")
+    assert (forced.point_map == match(a, b).point_map).all()
+    assert forced.orientation < -0.85
+
+
+def test_poses_are_matched_without_their_geometry(pose) -> None:
+    mesh, _, a, b = pose
+    assert mean_error(mesh, match(a.spectrum, b.spectrum)) < 1.0
+
+
+# --- clouds ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reflect", [False, True])
+def test_clouds_have_sides_too(mesh, reflect) -> None:
+    cloud = mesh.as_cloud()
+    image, truth = permuted(mirrored(cloud) if reflect else cloud, seed=6)
+    found = match(prepared(cloud), prepared(moved(image)))
+    assert (found.point_map == truth).all()
+    assert found.mirrored == reflect
+    assert found.orientation == pytest.approx(-1 if reflect else 1, abs=1e-2)
+
+
+@pytest.mark.parametrize("cloud_first", [False, True])
+def test_a_mesh_and_its_cloud(mesh, source, cloud_first) -> None:
+    sides = [source, prepared(mesh.as_cloud())]
+    found = match(*(sides[::-1] if cloud_first else sides))
+    errors = geodesic_errors(mesh, found.point_map, Truth.of_map(np.arange(mesh.n)))
+    assert errors.mean() < 0.2
+    assert not found.mirrored
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_a_pose_seen_as_a_cloud(pose, both) -> None:
+    mesh, target, a, _ = pose
+    found = match(prepared(mesh.as_cloud()) if both else a, prepared(target.as_cloud()))
+    assert mean_error(mesh, found) < 1.5
+    assert not found.mirrored
+
+
+# --- doubt ----------------------------------------------------------------------------------
+
+
+def ellipsoids(axes: tuple[float, float, float]) -> tuple[TriangleMesh, TriangleMesh]:
+    """One ellipsoid, in two sets of triangles."""
+    ball = sphere(subdivisions=3).geometry
+    return ball.with_points(ball.points * axes), ball.with_points((ball.points @ TURN) * axes)
+
+
+@pytest.mark.parametrize("sides", ["kept", "reversed"])
+def test_a_surface_of_revolution_is_ambiguous(sides) -> None:
+    one, other = ellipsoids((1, 1, 1.7))
+    found = match(prepared(one, 60), prepared(other, 60), sides=sides)
+    assert found.margin < 1.03
+    assert found.ambiguous
+    assert "ambiguous" in repr(found)
+
+
+@pytest.mark.parametrize(("sides", "sign"), [("kept", 1), ("reversed", -1)])
+def test_all_symmetries_of_an_ellipsoid_are_candidates(sides, sign) -> None:
+    """Four rotations take it to itself, and four reflections."""
+    axes = (1, 1.3, 1.7)
+    one, other = ellipsoids(axes)
+    found = match(prepared(one, 80), prepared(other, 80), sides=sides)
+    four, others = found.candidates[:4], found.candidates[4:]
+    assert four[3].score < 1.5 * four[0].score
+    assert all(c.score > 2 * four[0].score for c in others)
+    # The first three modes are nearly the coordinates.
+    signs = {tuple(np.sign(np.diag(c.functional_map)[1:4])) for c in four}
+    assert len(signs) == 4
+    images = (one.points / axes)[found.point_map]
+    fit = np.linalg.lstsq(other.points / axes, images, rcond=None)[0]
+    assert np.abs(np.abs(np.diag(fit)) - 1).max() < 0.02
+    assert np.sign(np.diag(fit)).prod() == sign
+    assert found.orientation * sign > 0.9
+
+
+def test_unlike_surfaces_score_badly(source) -> None:
+    found = match(source, prepared(sphere(subdivisions=3).geometry, 80))
+    assert found.score > 0.4
+    assert np.isfinite(found.margin)
+
+
+def test_doubt_is_a_matter_of_the_margin(source) -> None:
+    found = match(source, source, k=30)
+    fields = {name: getattr(found, name) for name in Match.__dataclass_fields__}
+    assert not Match(**{**fields, "margin": np.inf}).ambiguous
+    assert Match(**{**fields, "margin": 1.01}).ambiguous
+
+
+# --- landmarks ------------------------------------------------------------------------------
+
+
+def test_landmarks_settle_a_symmetry() -> None:
+    """Three points of an ellipsoid say which of its four rotations is meant."""
+    one, _ = ellipsoids((1, 1.3, 1.7))
+    shuffled, truth = permuted(one, seed=7)
+    a, b = prepared(one, 80), prepared(shuffled, 80)
+    here = np.array([0, 5, 17])
+    for turned in (np.ones(3), np.array([-1.0, -1, 1]), np.array([1.0, -1, -1])):
+        images = np.argmin(((one.points[:, None] - turned * one.points) ** 2).sum(axis=2), axis=0)
+        there = np.argsort(truth)[images[here]]
+        found = match(a, b, landmarks=(here, there))
+        assert np.abs(turned * shuffled.points - one.points[found.point_map]).max() < 0.2
+
+
+# --- refusals -------------------------------------------------------------------------------
+
+
+LANDMARKS = {
+    r"two lists of one length, at least 1, got shapes \(0,\) and \(0,\)": ([], []),
+    r"got shapes \(2,\) and \(1,\)": ([0, 1], [0]),
+    r"`landmarks of the source` must be in \[0, 1000\), got 1000": ([1000], [0]),
+    r"`landmarks of the target` must be in \[0, 1000\), got -1": ([0], [-1]),
+    r"`landmarks` must be a pair .* got ndarray": np.zeros((2, 3), dtype=int),
+}
+
+
+@pytest.mark.parametrize("message", LANDMARKS)
+def test_landmarks_must_fit(source, message) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        match(source, source, landmarks=LANDMARKS[message])
+
+
+def test_what_cannot_be_matched_is_refused(mesh, spectrum, source) -> None:
+    alone = prepare(spectrum)
+    with pytest.raises(InvalidInputError, match="`sides` must be 'either', 'kept' or 'reversed'"):
+        match(source, source, sides="both")
+    for pair, count in (
+        ((alone, alone), "none"),
+        ((source, alone), "one"),
+        ((alone, source), "one"),
+    ):
+        with pytest.raises(InvalidInputError, match=f"needs both geometries, got {count};"):
+            match(*pair, sides="reversed")
+    with pytest.raises(InvalidInputError, match="`k` must be at least 30, got 29"):
+        match(source, source, k=29)
+    with pytest.raises(
+        InvalidInputError, match="`source` must be a Spectrum or a Prepared surface, got Tri"
+    ):
+        match(mesh, source)
+    with pytest.raises(
+        InvalidInputError, match="`target` must be a Spectrum or a Prepared surface, got Non"
+    ):
+        match(source, None)
+    with pytest.raises(
+        InvalidInputError, match="`source_geometry` must be left out for a prepared"
+    ):
+        match(source, source, source_geometry=mesh)
+    with pytest.raises(
+        InvalidInputError, match="`target_geometry` must be left out for a prepared"
+    ):
+        match(spectrum, source, target_geometry=mesh)
+    with pytest.raises(
+        InvalidInputError, match="at least 30 modes to be matched, got 29; solve for"
+    ):
+        match(source, spectrum.truncate(29))

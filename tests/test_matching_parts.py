@@ -1,0 +1,334 @@
+"""What `match` is made of: curvature, bending, scores and candidates, each held to its formula."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from spectra_kit import InvalidInputError, PointCloud, Spectrum, TriangleMesh, robust_laplacian
+from spectra_kit.eigensolvers import eigensolve
+from spectra_kit.functional_maps import functional_map_from_point_map
+from spectra_kit.geometry import creature, mirrored, permuted, rectangle, sphere
+from spectra_kit.matching import Prepared, mismatches, orientation_of, prepare, score_of
+from spectra_kit.matching.candidates import _form_values, _nearest_each, sign_candidates
+from spectra_kit.matching.curvature import outward_normals, smoothed_mean_curvature
+from spectra_kit.matching.elastic import (
+    _PULL,
+    _bending,
+    _edges,
+    _rotations,
+    elastic_point_map,
+)
+from spectra_kit.operators import OrientedTriangles, oriented_triangles
+
+K = 60
+
+
+def prepared(mesh: TriangleMesh, k: int = K) -> Prepared:
+    return prepare(eigensolve(robust_laplacian(mesh), k), mesh)
+
+
+@pytest.fixture(scope="module")
+def mesh() -> TriangleMesh:
+    return creature(1000)
+
+
+@pytest.fixture(scope="module")
+def source(mesh) -> Prepared:
+    return prepared(mesh)
+
+
+@pytest.fixture(scope="module")
+def copy(mesh) -> tuple[Prepared, np.ndarray]:
+    shuffled, truth = permuted(mesh, seed=1)
+    return prepared(shuffled), truth
+
+
+@pytest.fixture(scope="module")
+def image(mesh) -> Prepared:
+    return prepared(mirrored(mesh))
+
+
+def true_map(source: Prepared, target: Prepared, point_map: np.ndarray) -> np.ndarray:
+    return functional_map_from_point_map(source.spectrum, target.spectrum, point_map)
+
+
+# --- preparation ----------------------------------------------------------------------------
+
+
+def test_a_unit_does_not_matter(mesh, source) -> None:
+    tripled = mesh.with_points(mesh.points * 3 / mesh.area**0.5)
+    same = prepare(source.spectrum.rescale(3.0), tripled)
+    assert same.spectrum.area == pytest.approx(1)
+    assert (same.samples == source.samples).all()
+    assert same.wave == pytest.approx(source.wave, rel=1e-9)
+    for name in ("points", "mass", "curvature", "form"):
+        assert getattr(same.surface, name) == pytest.approx(getattr(source.surface, name), abs=1e-8)
+
+
+def test_curvature_has_mean_zero_and_mean_square_one(source) -> None:
+    curvature, mass = source.surface.curvature, source.surface.mass
+    assert mass @ curvature == pytest.approx(np.zeros(4), abs=1e-9)
+    assert mass @ curvature**2 == pytest.approx(np.ones(4))
+
+
+def test_a_flat_sheet_has_no_curvature() -> None:
+    flat = prepared(rectangle(n=400).geometry, 40)
+    assert (flat.surface.curvature == 0).all()
+    assert repr(flat) == f"Prepared(n={flat.spectrum.n}, k=40, from spectrum and geometry)"
+    assert repr(prepare(flat.spectrum)).endswith("from spectrum alone)")
+
+
+def test_what_cannot_be_prepared_is_refused(mesh, source) -> None:
+    spectrum = source.spectrum.rescale(mesh.area**0.5)
+    with pytest.raises(InvalidInputError, match="`n_samples` must be at least 200, got 199"):
+        prepare(spectrum, n_samples=199)
+    with pytest.raises(
+        InvalidInputError, match=r"at least 30 modes to be matched, got 29; solve for"
+    ):
+        prepare(spectrum.truncate(29))
+    two = Spectrum(
+        np.array([0.0, 0.0, *spectrum.eigenvalues[2:]]), spectrum.eigenvectors, spectrum.mass
+    )
+    with pytest.raises(InvalidInputError, match="got 2 zero modes; match component by component"):
+        prepare(two)
+    fixed = Spectrum(spectrum.eigenvalues[1:], spectrum.eigenvectors[:, 1:], spectrum.mass)
+    with pytest.raises(InvalidInputError, match="with its constant mode, got 0 zero modes"):
+        prepare(fixed)
+    with pytest.raises(
+        InvalidInputError, match="mesh or cloud of the spectrum, of 1000 points, got 600"
+    ):
+        prepare(spectrum, creature(600))
+    with pytest.raises(InvalidInputError, match="of 1000 points, got ndarray"):
+        prepare(spectrum, mesh.points)
+    with pytest.raises(
+        InvalidInputError, match="in the unit of the spectrum, got 100 times its area"
+    ):
+        prepare(spectrum, mesh.with_points(10 * mesh.points))
+    faces = np.array(mesh.faces)
+    faces[::2] = faces[::2, ::-1]
+    with pytest.raises(InvalidInputError, match="faces of one winding"):
+        prepare(spectrum, TriangleMesh(mesh.points, faces))
+
+
+# --- curvature ------------------------------------------------------------------------------
+
+
+def test_normals_of_a_ball_point_outwards() -> None:
+    ball = sphere(subdivisions=3, radius=2.5).geometry
+    for geometry in (ball, TriangleMesh(ball.points, ball.faces[:, ::-1]), ball.as_cloud()):
+        normals = outward_normals(geometry.points, oriented_triangles(geometry))
+        assert normals == pytest.approx(ball.points / 2.5, abs=0.02)
+        assert np.linalg.norm(normals, axis=1) == pytest.approx(np.ones(ball.n))
+
+
+def test_where_there_is_no_normal_it_is_zero() -> None:
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [5, 5, 5]])
+    both = OrientedTriangles([[0, 1, 2], [0, 2, 1], [0, 1, 3]], np.ones(3), np.full(3, 0.5), 5)
+    normals = outward_normals(points, both)
+    assert normals[[2, 4]] == pytest.approx(np.zeros((2, 3)))
+    assert normals[3] == pytest.approx([0, -1, 0])
+
+
+@pytest.mark.parametrize("radius", [1.0, 0.2])
+def test_the_mean_curvature_of_a_ball(radius) -> None:
+    """The coordinates are its first modes, so smoothing only scales them: 2 H = 2 / r."""
+    ball = sphere(subdivisions=4, radius=radius).geometry
+    spectrum = eigensolve(robust_laplacian(ball), 30)
+    modes = (5, 15, 29)
+    curvature = smoothed_mean_curvature(spectrum, ball.points, oriented_triangles(ball), modes)
+    first, cut = 2 / radius**2, spectrum.eigenvalues[list(modes)]
+    expected = 2 / radius * np.exp(-first / cut)
+    assert curvature == pytest.approx(np.broadcast_to(expected, curvature.shape), rel=5e-3)
+
+
+def test_a_mirror_keeps_the_curvature(source, image) -> None:
+    assert image.surface.curvature == pytest.approx(source.surface.curvature, abs=1e-6)
+
+
+# --- bending --------------------------------------------------------------------------------
+
+
+def test_rotations_are_those_of_procrustes() -> None:
+    rng = np.random.default_rng(0)
+    before, after = rng.normal(size=(2, 7, 5, 3))
+    after[3] = before[3] * [-1, 1, 1]  # a mirror image has no rotation that fits
+    found = _rotations(np.einsum("esi,esj->eij", before, after))
+    for b, a, R in zip(before, after, found, strict=True):
+        best, _ = Rotation.align_vectors(a, b)
+        assert np.abs(R - best.as_matrix()).max() < 1e-10
+        assert np.linalg.det(R) == pytest.approx(1)
+
+
+def test_edges_have_cotangent_weights(mesh) -> None:
+    import igl
+
+    i, j, w = _edges(mesh.points, oriented_triangles(mesh))
+    cotangents = igl.cotmatrix(mesh.points, mesh.faces)
+    expected = np.asarray(cotangents[i, j]).ravel()
+    assert w == pytest.approx(expected, abs=1e-9)
+    assert (i < j).all()
+    assert (w > 0).all()
+    off = cotangents.copy()
+    off.setdiag(0)
+    assert len(w) == (off > 1e-12).sum() // 2
+
+
+def energy(mesh: TriangleMesh, mass: np.ndarray, bent: np.ndarray, goals: np.ndarray) -> float:
+    """How much a bend stretches, with the best rotation at each end of each edge, and how far."""
+    i, j, w = _edges(mesh.points, oriented_triangles(mesh))
+    total = _PULL * float(mass @ ((bent - goals) ** 2).sum(axis=1))
+    for v in range(mesh.n):
+        at = (i == v) | (j == v)
+        x, y = mesh.points[i[at]] - mesh.points[j[at]], bent[i[at]] - bent[j[at]]
+        R, _ = Rotation.align_vectors(y, x, w[at])
+        total += 0.5 * float(w[at] @ ((y - R.apply(x)) ** 2).sum(axis=1))
+    return total
+
+
+def test_a_rigid_motion_is_no_bend() -> None:
+    mesh = creature(600)
+    oriented, mass = oriented_triangles(mesh), robust_laplacian(mesh).mass
+    goals = mesh.points @ Rotation.from_rotvec([1, 2, -0.5]).as_matrix().T + [3, 4, 5]
+    bend = _bending(mesh.points, oriented, mass)
+    assert bend(goals, goals, 5) == pytest.approx(goals, abs=1e-9)
+    reached = bend(goals + 0.03 * np.sin(7 * mesh.points), goals, 100)  # from a dented start
+    assert reached == pytest.approx(goals, abs=1e-4)
+
+
+def test_bending_lowers_the_energy_every_time() -> None:
+    mesh, pose = creature(500), creature(500, pose=2)
+    oriented, mass = oriented_triangles(mesh), robust_laplacian(mesh).mass / mesh.area
+    bend = _bending(mesh.points, oriented, mass)
+    bent, goals = mesh.points, pose.points
+    energies = [energy(mesh, mass, bent, goals)]
+    for _ in range(4):
+        bent = bend(bent, goals, 1)
+        energies.append(energy(mesh, mass, bent, goals))
+    assert (np.diff(energies) < 0).all()
+    assert np.abs(bent - goals).max() < 0.5 * np.abs(mesh.points - goals).max()
+
+
+def test_bending_repairs_a_noisy_map(source, image) -> None:
+    truth = np.arange(source.spectrum.n)
+    near = np.linalg.norm(source.surface.points[:, None] - source.surface.points, axis=2)
+    noisy = np.argsort(near, axis=1)[truth, np.random.default_rng(2).integers(12, size=len(truth))]
+    assert (noisy != truth).mean() > 0.8
+    for target, reflect in ((source, False), (image, True)):
+        found = elastic_point_map(source.surface, target.surface, noisy, mirrored=reflect)
+        assert (found == truth).all()
+
+
+# --- candidates -----------------------------------------------------------------------------
+
+
+def test_the_map_of_a_copy_is_a_candidate(source, copy) -> None:
+    target, truth = copy
+    for a, b in ((source, target), (prepare(source.spectrum), prepare(target.spectrum))):
+        maps = sign_candidates(a, b)
+        assert maps.shape == (32, 30, 30)
+        left = ((maps - true_map(a, b, truth)[:30, :30]) ** 2).sum(axis=(1, 2))
+        assert left.min() < 0.5
+        best = min(range(32), key=lambda c: score_of(mismatches(a, b, maps[c], rough=True)))
+        assert left[best] < 0.5
+
+
+def test_the_map_to_the_mirror_is_a_reversing_candidate(source, image) -> None:
+    truth = true_map(source, image, np.arange(source.spectrum.n))[:30, :30]
+    left = [
+        ((sign_candidates(source, image, reversing=reversing) - truth) ** 2).sum(axis=(1, 2)).min()
+        for reversing in (True, False)
+    ]
+    assert left[0] < 0.5 < left[1]
+
+
+def test_forms_follow_the_map_and_turn_in_the_mirror(source, copy, image) -> None:
+    target, truth = copy
+    there = target.samples
+    for b, here, sign in ((target, truth[there], 1), (image, image.samples, -1)):
+        C = true_map(source, b, truth if sign == 1 else np.arange(len(truth)))
+        forms = _form_values(source, b, here, b.samples, sign < 0)
+        assert forms.mapped(C[None])[0] == pytest.approx(forms.target, abs=1e-6)
+        turned = _form_values(source, b, here, b.samples, sign > 0)
+        assert turned.target == pytest.approx(-forms.target)
+    assert _form_values(source, prepare(target.spectrum), there, there, False) is None
+
+
+def test_nearest_rows_of_many_candidates() -> None:
+    rng = np.random.default_rng(4)
+    rows1, rows2 = rng.normal(size=(3, 40, 5)), rng.normal(size=(25, 5))
+    expected = ((rows2[:, None] - rows1[:, None]) ** 2).sum(axis=3).argmin(axis=2)
+    assert (_nearest_each(rows1, rows2) == expected).all()
+
+
+# --- scores ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rough", [False, True])
+def test_nothing_is_wrong_with_the_true_map(source, copy, rough) -> None:
+    target, truth = copy
+    points = np.array([3, 500, 77])
+    identity = mismatches(source, source, np.eye(K), rough=rough, landmarks=(points, points))
+    assert set(identity) == {
+        "embedding", "spacing", "wave", "curvature", "orientation", "landmarks"
+    }  # fmt: skip
+    if rough:  # the landmarks are looked for among the samples
+        assert 0 < identity.pop("landmarks") < 0.05
+    assert max(map(abs, identity.values())) < 1e-12
+    assert score_of(identity) == pytest.approx(1e-3)
+    if not rough:
+        values = mismatches(source, target, true_map(source, target, truth))
+        assert max(map(abs, values.values())) < 1e-6
+    alone = prepare(source.spectrum)
+    assert set(mismatches(alone, source, np.eye(K))) == {"embedding", "spacing", "wave"}
+
+
+def test_a_wrong_map_has_much_against_it(source) -> None:
+    signs = np.where(np.random.default_rng(5).random(K) < 0.5, -1.0, 1.0)
+    points = np.array([3, 500, 77])
+    values = mismatches(source, source, np.diag(signs), landmarks=(points, points))
+    assert values.pop("spacing") == 0  # it commutes with the Laplacian all the same
+    assert min(values.values()) > 0.04
+    assert max(values.values()) < 1.5
+    rotated = np.linalg.qr(np.random.default_rng(6).normal(size=(K, K)))[0]
+    assert mismatches(source, source, rotated)["spacing"] > 0.1
+
+
+def test_sides_count_in_the_mismatches(source, image) -> None:
+    to_image = true_map(source, image, np.arange(source.spectrum.n))
+    for target, C, turned in ((source, np.eye(K), False), (image, to_image, True)):
+        right = mismatches(source, target, C, reversing=turned)
+        wrong = mismatches(source, target, C, reversing=not turned)
+        assert right.pop("orientation") == pytest.approx(0, abs=1e-9)
+        assert wrong.pop("orientation") == pytest.approx(1)
+        assert right == wrong
+
+
+def test_the_turning_of_a_map(source, copy, image) -> None:
+    target, truth = copy
+    assert orientation_of(source, source, np.eye(K)) == pytest.approx(1)
+    C = true_map(source, target, truth)
+    assert orientation_of(source, target, C) == pytest.approx(1)
+    assert orientation_of(source, target, 2 * C) == pytest.approx(1)  # of any scale
+    there = true_map(source, image, np.arange(len(truth)))
+    assert orientation_of(source, image, there) == pytest.approx(-1)
+    assert orientation_of(image, source, there.T) == pytest.approx(-1)
+    assert orientation_of(source, prepare(target.spectrum), C) is None
+    rotated = np.linalg.qr(np.random.default_rng(6).normal(size=(K, K)))[0]
+    assert abs(orientation_of(source, source, rotated)) < 0.2
+
+
+def test_the_score_is_a_geometric_mean() -> None:
+    assert score_of({"wave": 0.2, "spacing": 0.2, "curvature": 0.2}) == pytest.approx(0.201)
+    low, high = score_of({"wave": 0.1, "embedding": 0.3}), score_of({"wave": 0.1, "embedding": 0.4})
+    assert 0.1 < low < high < 0.4
+    assert score_of({"wave": 0.0, "embedding": -1e-17}) == pytest.approx(1e-3)
+
+
+def test_clouds_are_prepared_as_their_meshes_are(mesh, source) -> None:
+    cloud = prepared(PointCloud(mesh.points))
+    C = true_map(source, cloud, np.arange(mesh.n))
+    assert orientation_of(source, cloud, C) > 0.9
+    fine = source.surface.curvature[:, 0], cloud.surface.curvature[:, 0]
+    assert np.corrcoef(*fine)[0, 1] > 0.8
