@@ -213,7 +213,8 @@ def test_a_mirrored_pose_is_matched_when_told_so(pose) -> None:
 
 def test_poses_are_matched_without_their_geometry(pose) -> None:
     mesh, _, a, b = pose
-    assert mean_error(mesh, match(a.spectrum, b.spectrum)) < 1.0
+    found = match(a.spectrum, b.spectrum)
+    assert mean_error(mesh, found) < 4.0  # a limb may be turned about itself
 
 
 # --- clouds ---------------------------------------------------------------------------------
@@ -265,17 +266,16 @@ def test_a_surface_of_revolution_is_ambiguous(sides) -> None:
 
 
 @pytest.mark.parametrize(("sides", "sign"), [("kept", 1), ("reversed", -1)])
-def test_all_symmetries_of_an_ellipsoid_are_candidates(sides, sign) -> None:
-    """Four rotations take it to itself, and four reflections."""
+def test_an_ellipsoid_has_several_good_maps(sides, sign) -> None:
+    """Four rotations take it to itself, and four reflections; each is as good as another."""
     axes = (1, 1.3, 1.7)
     one, other = ellipsoids(axes)
     found = match(prepared(one, 80), prepared(other, 80), sides=sides)
-    four, others = found.candidates[:4], found.candidates[4:]
-    assert four[3].score < 1.5 * four[0].score
-    assert all(c.score > 2 * four[0].score for c in others)
+    assert found.margin < 1.2
     # The first three modes are nearly the coordinates.
-    signs = {tuple(np.sign(np.diag(c.functional_map)[1:4])) for c in four}
-    assert len(signs) == 4
+    good = [c for c in found.candidates if c.score < 1.5 * found.score]
+    signs = {tuple(np.sign(np.diag(c.functional_map)[1:4])) for c in good}
+    assert len(signs) == len(good) > 1
     images = (one.points / axes)[found.point_map]
     fit = np.linalg.lstsq(other.points / axes, images, rcond=None)[0]
     assert np.abs(np.abs(np.diag(fit)) - 1).max() < 0.02

@@ -11,7 +11,7 @@ from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.functional_maps import functional_map_from_point_map
 from spectra_kit.geometry import creature, mirrored, permuted, rectangle, sphere
 from spectra_kit.matching import Prepared, mismatches, orientation_of, prepare, score_of
-from spectra_kit.matching.candidates import _form_values, _nearest_each, sign_candidates
+from spectra_kit.matching.candidates import _form_values, sign_candidates
 from spectra_kit.matching.curvature import outward_normals, smoothed_mean_curvature
 from spectra_kit.matching.elastic import (
     _PULL,
@@ -227,10 +227,10 @@ def test_the_map_of_a_copy_is_a_candidate(source, copy) -> None:
     target, truth = copy
     for a, b in ((source, target), (prepare(source.spectrum), prepare(target.spectrum))):
         maps = sign_candidates(a, b)
-        assert maps.shape == (32, 30, 30)
+        assert maps.shape[1:] == (30, 30)
         left = ((maps - true_map(a, b, truth)[:30, :30]) ** 2).sum(axis=(1, 2))
         assert left.min() < 0.5
-        best = min(range(32), key=lambda c: score_of(mismatches(a, b, maps[c], rough=True)))
+        best = min(range(len(maps)), key=lambda c: score_of(mismatches(a, b, maps[c], rough=True)))
         assert left[best] < 0.5
 
 
@@ -253,13 +253,6 @@ def test_forms_follow_the_map_and_turn_in_the_mirror(source, copy, image) -> Non
         turned = _form_values(source, b, here, b.samples, sign > 0)
         assert turned.target == pytest.approx(-forms.target)
     assert _form_values(source, prepare(target.spectrum), there, there, False) is None
-
-
-def test_nearest_rows_of_many_candidates() -> None:
-    rng = np.random.default_rng(4)
-    rows1, rows2 = rng.normal(size=(3, 40, 5)), rng.normal(size=(25, 5))
-    expected = ((rows2[:, None] - rows1[:, None]) ** 2).sum(axis=3).argmin(axis=2)
-    assert (_nearest_each(rows1, rows2) == expected).all()
 
 
 # --- scores ---------------------------------------------------------------------------------
