@@ -1,9 +1,11 @@
-"""Candidate maps: every choice of signs for the lowest modes, each grown with an eye on the side.
+"""Candidate maps: all signs and likely orders of the lowest modes, grown with an eye on the side.
 
-A near-isometric pair leaves the signs of the lowest modes open (Ren et al. 2020 explore them as a
-tree). Each choice is one candidate: a diagonal map of six modes, which ZoomOut (Melzi et al. 2019)
-grows on some two hundred samples. Growing alone turns many candidates front to back, because the
-lowest modes of a limb are the same all around it. So two kinds of functions join the modes:
+A near-isometric pair leaves the signs of the lowest modes open, and the order of those whose
+eigenvalues are close (Ren et al. 2020 explore both as a tree). Each choice is one candidate: a
+signed permutation of seven modes, which ZoomOut (Melzi et al. 2019) grows on some two hundred
+samples, and which is dropped on the way if others fit these far better. Growing alone turns many
+candidates front to back, because the lowest modes of a limb are the same all around it. So two
+kinds of functions join the modes:
 
 - the area forms ``n . (grad f_a x grad f_b)`` of mapped pairs of low modes. They change sign where
   a map turns the surface over, and hence hold it to one orientation. They are the orientation term
@@ -13,7 +15,7 @@ lowest modes of a limb are the same all around it. So two kinds of functions joi
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -21,11 +23,14 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from spectra_kit.matching.prepare import Prepared
+from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-SIGNED = 6  # modes whose signs are tried, the constant aside: 2^5 candidates
+_SIGNED = 7  # modes whose signs are tried, the constant aside: 2^6 candidates
+_ORDERS = 3  # orders of these modes that are tried
+_KEPT = {7: 96, 9: 40, 12: 16}  # how many candidates go on from so many modes
 GROWN = 30  # modes that a candidate is grown to
 _SAMPLES = 200
 _FORMS = 8  # modes whose area forms are compared
@@ -36,7 +41,7 @@ _COARSE = slice(0, 3)  # of the smoothed curvatures
 
 
 def sign_candidates(source: Prepared, target: Prepared, *, reversing: bool = False) -> Floats:
-    """Return candidate functional maps, grown from all signs of the lowest modes.
+    """Return candidate functional maps, grown from all signs and likely orders of low modes.
 
     Parameters
     ----------
@@ -47,19 +52,17 @@ def sign_candidates(source: Prepared, target: Prepared, *, reversing: bool = Fal
 
     Returns
     -------
-    ndarray of shape (32, 30, 30)
-        One functional map (k2, k1) of source to target for each choice of signs.
+    ndarray of shape (16, 30, 30)
+        Functional maps (k2, k1) of source to target, the 16 most promising of 192.
     """
     first, second = source.samples[:_SAMPLES], target.samples[:_SAMPLES]
     a, b = source.spectrum, target.spectrum
     rows1, rows2 = a.eigenvectors[first, :GROWN], b.eigenvectors[second, :GROWN]
     curved = _curvatures(source, target, first, second)
     forms = _form_values(source, target, first, second, reversing)
-    constant = np.sign(a.eigenvectors[0, 0] * b.eigenvectors[0, 0])
-    signs = np.array([(constant, *s) for s in product((1.0, -1.0), repeat=SIGNED - 1)])
-    maps: Floats = signs[:, :, None] * np.eye(SIGNED)
+    maps = _starts(a, b)
     Q, R = np.linalg.qr(rows2)
-    for k in range(SIGNED, GROWN + 1):
+    for k in range(_SIGNED, GROWN + 1):
         columns1 = [rows1[:, :k] @ maps.transpose(0, 2, 1)]
         columns2 = [rows2[:, :k]]
         if forms is not None and k < _FORMS_UNTIL:
@@ -70,11 +73,29 @@ def sign_candidates(source: Prepared, target: Prepared, *, reversing: bool = Fal
             weight = np.sqrt(_CURVATURE_SHARE * k / curved[1].shape[1])
             columns1.append(np.broadcast_to(weight * curved[0], (len(maps), *curved[0].shape)))
             columns2.append(weight * curved[1])
-        nearest = _nearest_each(np.concatenate(columns1, axis=2), np.hstack(columns2))
+        nearest, fits = _nearest_each(np.concatenate(columns1, axis=2), np.hstack(columns2))
+        if k in _KEPT:
+            nearest = nearest[np.argsort(-fits, kind="stable")[: _KEPT[k]]]
         k_next = min(k + 1, GROWN)
         fit = solve_triangular(R[:k_next, :k_next], Q[:, :k_next].T)
-        maps = fit @ rows1[nearest][:, :, :k_next]
+        maps = fit @ rows1[:, :k_next][nearest]
     return maps
+
+
+def _starts(a: Spectrum, b: Spectrum) -> Floats:
+    """Return signed permutations of the lowest modes, (c, 7, 7): all signs, the likeliest orders.
+
+    An order is the likelier, the less the logarithms of the eigenvalues that it pairs differ.
+    """
+    logs1, logs2 = np.log(a.eigenvalues[1:_SIGNED]), np.log(b.eigenvalues[1:_SIGNED])
+    orders = np.array(list(permutations(range(_SIGNED - 1))))
+    differ = ((logs1[orders] - logs2) ** 2).sum(axis=1)
+    orders = 1 + orders[np.argsort(differ, kind="stable")[:_ORDERS]]
+    ordered = np.eye(_SIGNED)[np.insert(orders, 0, 0, axis=1)]
+    constant = np.sign(a.eigenvectors[0, 0] * b.eigenvectors[0, 0])
+    signs = np.array([(constant, *s) for s in product((1.0, -1.0), repeat=_SIGNED - 1)])
+    starts: Floats = (signs[:, None, :, None] * ordered).reshape(-1, _SIGNED, _SIGNED)
+    return starts
 
 
 class _Forms(NamedTuple):
@@ -128,9 +149,12 @@ def _curvatures(
     return source.surface.curvature[first, _COARSE], target.surface.curvature[second, _COARSE]
 
 
-def _nearest_each(rows1: Floats, rows2: Floats) -> Ints:
-    """Return the nearest of the source's rows (c, s1, d) to each of the target's (s2, d)."""
+def _nearest_each(rows1: Floats, rows2: Floats) -> tuple[Ints, Floats]:
+    """Return the nearest of the source's rows (c, s1, d) to each of the target's (s2, d).
+
+    And how near they are: the sum (c,) of ``row2 . row1 - |row1|^2 / 2``.
+    """
     images = rows1.astype(np.float32).transpose(0, 2, 1)
     scores = rows2.astype(np.float32) @ images
     scores -= 0.5 * (images**2).sum(axis=1)[:, None]
-    return np.asarray(scores.argmax(axis=2))
+    return scores.argmax(axis=2), scores.max(axis=2).sum(axis=1)
