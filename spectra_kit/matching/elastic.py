@@ -49,9 +49,10 @@ def elastic_point_map(
 
     Notes
     -----
-    Each round minimises ``sum_ij w_ij |(y_i - y_j) - R_i (x_i - x_j)|^2 + p sum_i m_i |y_i -
-    c_i|^2`` over positions y and rotations R (Sorkine and Alexa 2007, with cotangent weights w), c
-    being the target points; then the nearest in position and normal become the new c.
+    Each round lowers ``1/2 sum_ij w_ij |(y_i - y_j) - R_i (x_i - x_j)|^2 + p sum_i m_i |y_i -
+    c_i|^2``, where i j runs over all edges in both directions, over positions y and rotations R in
+    turn (Sorkine and Alexa, *As-Rigid-As-Possible Surface Modeling*, SGP 2007, with cotangent
+    weights w), c being the target points; then the nearest in position and normal become the new c.
     """
     points = source.points * ([-1.0, 1.0, 1.0] if mirrored else 1.0)
     oriented = source.oriented.reversed() if mirrored else source.oriented

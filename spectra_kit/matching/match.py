@@ -83,10 +83,10 @@ class Match(Rebuilt):
         Near 1 if the map keeps the sides, near -1 if it mirrors; far from both, parts of it are
         flipped. None if a geometry is missing.
     margin : float
-        Score of the best other candidate over that of the chosen one, above 1; infinite if there
-        was no other.
+        Score of the next best candidate of the same side over that of the chosen one, at least 1;
+        infinite if there was no other.
     candidates : tuple of Candidate
-        All that were refined, the chosen one first.
+        Those that were refined and came out different, the chosen one first.
     """
 
     point_map: Ints
@@ -138,13 +138,14 @@ def match(
         Connected surfaces, in any units; a `Prepared` one saves time over many pairs.
     source_geometry, target_geometry : TriangleMesh or PointCloud, optional
         Of a `Spectrum`: the surface, for its sides and its curvature. Without them the match may
-        be flipped, and says so.
+        be flipped, and its `orientation` is None.
     landmarks : (array_like of shape (l,), array_like of shape (l,)), optional
         Source and target points known to correspond. They make one more candidate and count in
         the scores; the final map is free to leave them by a little.
     sides : {"either", "kept", "reversed"}
         Whether maps may turn the surface over. ``either`` prefers those that do not, unless a
-        mirroring one is 1.5 times better.
+        mirroring one is 1.5 times better: as a mirrored copy is, but not one that is bent as well
+        and looks much like its mirror image. Say ``reversed`` where that is known.
     k : int, default 150
         Modes to end with; fewer where a spectrum has fewer.
     elastic : bool, default True
@@ -153,12 +154,26 @@ def match(
     Returns
     -------
     Match
+        The point map, the functional map, and how sure they are.
 
     Raises
     ------
     InvalidInputError
-        If a spectrum has fewer than 30 modes or several components, sides are asked for
-        without both geometries, or landmarks are empty, unpaired or out of range.
+        If a spectrum has fewer than 30 modes or several components, `k` is below 30, reversed
+        sides are asked for without both geometries, or landmarks are empty, unpaired or out of
+        range.
+
+    Examples
+    --------
+    >>> from spectra_kit.eigensolvers import eigensolve
+    >>> from spectra_kit.geometry import creature, mirrored
+    >>> from spectra_kit.operators import robust_laplacian
+    >>> animal = creature(600)
+    >>> image = mirrored(animal)
+    >>> a, b = (prepare(eigensolve(robust_laplacian(m), 60), m) for m in (animal, image))
+    >>> found = match(a, b)
+    >>> found.mirrored, bool((found.point_map == np.arange(600)).all())
+    (True, True)
     """
     a = _prepared("source", source, source_geometry)
     b = _prepared("target", target, target_geometry)

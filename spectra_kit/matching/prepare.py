@@ -102,12 +102,13 @@ def prepare(
     Returns
     -------
     Prepared
+        At unit area, for any number of matches.
 
     Raises
     ------
     InvalidInputError
-        If the spectrum has fewer than 30 modes or several components, the geometry has other
-        points or another area, or its faces have no consistent winding
+        If the spectrum has fewer than 30 modes or several components, `n_samples` is below 200,
+        the geometry has other points or another area, or its faces have no consistent winding
         (`operators.oriented_triangles`).
 
     Examples

@@ -105,7 +105,12 @@ def score_of(values: dict[str, float]) -> float:
     Returns
     -------
     float
-        Dimensionless.
+        Dimensionless, at least 0.001: mismatches below that count as equally good.
+
+    Examples
+    --------
+    >>> print(score_of({"curvature": 0.5, "wave": 0.1}))
+    0.363
     """
     total = sum(WEIGHTS[name] for name in values)
     logs = sum(WEIGHTS[name] * np.log(max(value, 0.0) + _LEAST) for name, value in values.items())
@@ -131,6 +136,18 @@ def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -
     -----
     The correlation of the area forms ``T[a, b, c] = integral of u_a du_b ^ du_c`` of the target's
     20 lowest modes with those of the source's, carried over by the map.
+
+    Examples
+    --------
+    >>> from spectra_kit.eigensolvers import eigensolve
+    >>> from spectra_kit.geometry import creature, mirrored
+    >>> from spectra_kit.matching import prepare
+    >>> from spectra_kit.operators import robust_laplacian
+    >>> animal = creature(600)
+    >>> spectrum = eigensolve(robust_laplacian(animal), 30)
+    >>> a, b = prepare(spectrum, animal), prepare(spectrum, mirrored(animal))
+    >>> print(orientation_of(a, a, np.eye(30)), orientation_of(a, b, np.eye(30)))
+    1.0 -1.0
     """
     if source.surface is None or target.surface is None:
         return None
