@@ -134,8 +134,7 @@ def test_a_match_is_the_same_every_time_and_in_every_process(source, copy) -> No
 # --- mirrors --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("flipped", [False, True])
-@pytest.mark.parametrize("axis", [0, 2])
+@pytest.mark.parametrize(("axis", "flipped"), [(0, False), (2, True)])
 def test_a_mirrored_copy_is_seen_as_one(mesh, source, axis, flipped) -> None:
     image, truth = permuted(mirrored(mesh, axis=axis), seed=5)
     image = moved(TriangleMesh(image.points, image.faces[:, ::-1]) if flipped else image)
