@@ -2,10 +2,10 @@
 
 A near-isometric pair leaves the signs of the lowest modes open, and the order of those whose
 eigenvalues are close (Ren et al. 2020 explore both as a tree). Each choice is one candidate: a
-signed permutation of seven modes, which ZoomOut (Melzi et al. 2019) grows on some two hundred
-samples, and which is dropped on the way if others fit these far better. Growing alone turns many
-candidates front to back, because the lowest modes of a limb are the same all around it. So two
-kinds of functions join the modes:
+signed permutation of seven modes. Those that fit best on a few samples are grown on two hundred,
+by ZoomOut (Melzi et al. 2019), and fewer and fewer go on. Growing alone turns many candidates front
+to back, because the lowest modes of a limb are the same all around it. So two kinds of functions
+join the modes:
 
 - the area forms ``n . (grad f_a x grad f_b)`` of mapped pairs of low modes. They change sign where
   a map turns the surface over, and hence hold it to one orientation. They are the orientation term
@@ -29,8 +29,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _SIGNED = 7  # modes whose signs are tried, the constant aside: 2^6 candidates
-_ORDERS = 3  # orders of these modes that are tried
-_KEPT = {7: 96, 9: 40, 12: 16}  # how many candidates go on from so many modes
+_ORDERS = 32  # likeliest orders of these modes that are tried: 2048 candidates
+_FEW = 60  # samples on which these are compared
+_LEFT = 128  # how many then start to grow
+_KEPT = {7: 96, 9: 40, 12: 16}  # how many go on from so many modes
 GROWN = 30  # modes that a candidate is grown to
 _SAMPLES = 200
 _FORMS = 8  # modes whose area forms are compared
@@ -53,33 +55,33 @@ def sign_candidates(source: Prepared, target: Prepared, *, reversing: bool = Fal
     Returns
     -------
     ndarray of shape (16, 30, 30)
-        Functional maps (k2, k1) of source to target, the 16 most promising of 192.
+        Functional maps (k2, k1) of source to target, the 16 that fit best on the way.
     """
     first, second = source.samples[:_SAMPLES], target.samples[:_SAMPLES]
     a, b = source.spectrum, target.spectrum
-    rows1, rows2 = a.eigenvectors[first, :GROWN], b.eigenvectors[second, :GROWN]
-    curved = _curvatures(source, target, first, second)
-    forms = _form_values(source, target, first, second, reversing)
+    samples = _Samples(
+        a.eigenvectors[first, :GROWN],
+        b.eigenvectors[second, :GROWN],
+        _form_values(source, target, first, second, reversing),
+        _curvatures(source, target, first, second),
+    )
     maps = _starts(a, b)
-    Q, R = np.linalg.qr(rows2)
+    _, fits = samples.head(_FEW).nearest(maps)
+    maps = maps[_best(fits, _LEFT)]
+    Q, R = np.linalg.qr(samples.rows2)
     for k in range(_SIGNED, GROWN + 1):
-        columns1 = [rows1[:, :k] @ maps.transpose(0, 2, 1)]
-        columns2 = [rows2[:, :k]]
-        if forms is not None and k < _FORMS_UNTIL:
-            weight = np.sqrt(_FORM_SHARE * k / forms.target.shape[1])
-            columns1.append(weight * forms.mapped(maps))
-            columns2.append(weight * forms.target)
-        if curved is not None:
-            weight = np.sqrt(_CURVATURE_SHARE * k / curved[1].shape[1])
-            columns1.append(np.broadcast_to(weight * curved[0], (len(maps), *curved[0].shape)))
-            columns2.append(weight * curved[1])
-        nearest, fits = _nearest_each(np.concatenate(columns1, axis=2), np.hstack(columns2))
+        nearest, fits = samples.nearest(maps)
         if k in _KEPT:
-            nearest = nearest[np.argsort(-fits, kind="stable")[: _KEPT[k]]]
+            nearest = nearest[_best(fits, _KEPT[k])]
         k_next = min(k + 1, GROWN)
         fit = solve_triangular(R[:k_next, :k_next], Q[:, :k_next].T)
-        maps = fit @ rows1[:, :k_next][nearest]
+        maps = fit @ samples.rows1[:, :k_next][nearest]
     return maps
+
+
+def _best(fits: Floats, count: int) -> Ints:
+    """Return which fit best, the best first."""
+    return np.argsort(-fits, kind="stable")[:count]
 
 
 def _starts(a: Spectrum, b: Spectrum) -> Floats:
@@ -111,9 +113,51 @@ class _Forms(NamedTuple):
         m = min(len(self.source[0]), maps.shape[1])
         C = np.zeros((len(maps), len(self.source[0]), m))
         C[:, :m] = maps[:, :m, :m]
-        turned = C[:, None] @ self.source[None, :, :m, :m] @ C.transpose(0, 2, 1)[:, None]
-        out: Floats = turned[:, :, self.pairs[0], self.pairs[1]] / self.scale
+        c, q, s = len(maps), len(self.source[0]), len(self.source)
+        half = C @ self.source[:, :m, :m].transpose(1, 0, 2).reshape(m, s * m)
+        turned = (half.reshape(c, q * s, m) @ C.transpose(0, 2, 1)).reshape(c, q, s, q)
+        out: Floats = turned.transpose(0, 2, 1, 3)[:, :, self.pairs[0], self.pairs[1]] / self.scale
         return out
+
+
+class _Samples(NamedTuple):
+    """What maps are compared by, at samples of both surfaces."""
+
+    rows1: Floats  # (s1, 30) modes of the source
+    rows2: Floats  # (s2, 30) and of the target
+    forms: _Forms | None
+    curved: tuple[Floats, Floats] | None
+
+    def head(self, count: int) -> _Samples:
+        """Return the first samples."""
+        forms, curved = self.forms, self.curved
+        if forms is not None:
+            forms = forms._replace(source=forms.source[:count], target=forms.target[:count])
+        if curved is not None:
+            curved = (curved[0][:count], curved[1][:count])
+        return _Samples(self.rows1[:count], self.rows2[:count], forms, curved)
+
+    def nearest(self, maps: Floats) -> tuple[Ints, Floats]:
+        """Return the source's sample nearest to each of the target's, (c, s2), and the fit (c,).
+
+        The fit is the sum of ``row2 . row1 - |row1|^2 / 2``: the larger, the nearer they are.
+        """
+        k = maps.shape[1]
+        columns1 = [self.rows1[:, :k] @ maps.transpose(0, 2, 1)]
+        columns2 = [self.rows2[:, :k]]
+        if self.forms is not None and k < _FORMS_UNTIL:
+            weight = np.sqrt(_FORM_SHARE * k / self.forms.target.shape[1])
+            columns1.append(weight * self.forms.mapped(maps))
+            columns2.append(weight * self.forms.target)
+        if self.curved is not None:
+            on_source, on_target = self.curved
+            weight = np.sqrt(_CURVATURE_SHARE * k / on_target.shape[1])
+            columns1.append(np.broadcast_to(weight * on_source, (len(maps), *on_source.shape)))
+            columns2.append(weight * on_target)
+        images = np.concatenate(columns1, axis=2, dtype=np.float32).transpose(0, 2, 1)
+        scores = np.concatenate(columns2, axis=1, dtype=np.float32) @ images
+        scores -= 0.5 * (images**2).sum(axis=1)[:, None]
+        return scores.argmax(axis=2), scores.max(axis=2).sum(axis=1)
 
 
 def _form_values(
@@ -147,14 +191,3 @@ def _curvatures(
     if source.surface is None or target.surface is None:
         return None
     return source.surface.curvature[first, _COARSE], target.surface.curvature[second, _COARSE]
-
-
-def _nearest_each(rows1: Floats, rows2: Floats) -> tuple[Ints, Floats]:
-    """Return the nearest of the source's rows (c, s1, d) to each of the target's (s2, d).
-
-    And how near they are: the sum (c,) of ``row2 . row1 - |row1|^2 / 2``.
-    """
-    images = rows1.astype(np.float32).transpose(0, 2, 1)
-    scores = rows2.astype(np.float32) @ images
-    scores -= 0.5 * (images**2).sum(axis=1)[:, None]
-    return scores.argmax(axis=2), scores.max(axis=2).sum(axis=1)
