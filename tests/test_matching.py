@@ -113,9 +113,9 @@ def test_a_spectrum_is_prepared_with_its_geometry(mesh, spectrum, source, copy) 
     found = match(spectrum, target, source_geometry=mesh, target_geometry=shuffled, k=60)
     assert (found.point_map == truth).all()
     assert found.orientation == pytest.approx(1)
-    one = match(spectrum, prepare(target, shuffled), k=60)  # one geometry does not tell sides
-    assert one.orientation is None
-    assert (one.point_map == truth).all()
+    alone = match(spectrum, target, k=60)
+    assert alone.orientation is None
+    assert (alone.point_map == truth).all()
 
 
 def test_a_match_is_the_same_every_time_and_in_every_process(source, copy) -> None:
@@ -291,8 +291,11 @@ def test_unlike_surfaces_score_badly(source) -> None:
 def test_doubt_is_a_matter_of_the_margin(source) -> None:
     found = match(source, source, k=30)
     fields = {name: getattr(found, name) for name in Match.__dataclass_fields__}
-    assert not Match(**{**fields, "margin": np.inf}).ambiguous
-    assert Match(**{**fields, "margin": 1.01}).ambiguous
+    clear = {**fields, "margin": np.inf, "other_side": np.inf}
+    assert not Match(**clear).ambiguous
+    assert Match(**{**clear, "margin": 1.01}).ambiguous
+    assert Match(**{**clear, "other_side": 0.85}).ambiguous
+    assert not Match(**{**clear, "other_side": 1.01}).ambiguous
 
 
 # --- landmarks ------------------------------------------------------------------------------
@@ -333,13 +336,12 @@ def test_what_cannot_be_matched_is_refused(mesh, spectrum, source) -> None:
     alone = prepare(spectrum)
     with pytest.raises(InvalidInputError, match="`sides` must be 'either', 'kept' or 'reversed'"):
         match(source, source, sides="both")
-    for pair, count in (
-        ((alone, alone), "none"),
-        ((source, alone), "one"),
-        ((alone, source), "one"),
-    ):
-        with pytest.raises(InvalidInputError, match=f"needs both geometries, got {count};"):
-            match(*pair, sides="reversed")
+    for sides in ("kept", "reversed"):
+        with pytest.raises(InvalidInputError, match=f"`sides='{sides}'` needs both geometries"):
+            match(alone, alone, sides=sides)
+    for pair, which in (((source, alone), "source"), ((alone, source), "target")):
+        with pytest.raises(InvalidInputError, match=f"got only that of the {which}"):
+            match(*pair)
     with pytest.raises(InvalidInputError, match="`k` must be at least 30, got 29"):
         match(source, source, k=29)
     with pytest.raises(

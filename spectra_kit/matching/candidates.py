@@ -30,9 +30,9 @@ Ints = NDArray[np.int64]
 
 _SIGNED = 7  # modes whose signs are tried, the constant aside: 2^6 candidates
 _ORDERS = 32  # likeliest orders of these modes that are tried: 2048 candidates
-_FEW = 60  # samples on which these are compared
-_LEFT = 128  # how many then start to grow
-_KEPT = {7: 96, 9: 40, 12: 16}  # how many go on from so many modes
+_FEW = 48  # samples on which these are compared
+_LEFT = 96  # how many then start to grow
+_KEPT = {8: 48, 11: 16}  # how many go on from so many modes
 GROWN = 30  # modes that a candidate is grown to
 _SAMPLES = 200
 _FORMS = 8  # modes whose area forms are compared

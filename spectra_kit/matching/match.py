@@ -33,12 +33,14 @@ Pairs = tuple[Ints, Ints]
 Sides = Literal["kept", "reversed", "either"]
 
 _SAME = 0.05  # squared difference per mode below which two maps are one
+_RIVAL = 0.15  # the same, below which one is no rival of the other
 _SEEN = 20  # energies of the wave kernel signature seen from each landmark
 _FINALISTS = 6  # candidates that are refined
 _REFINED = 60  # modes they are refined to
 _STEPS = 3  # from there to the end
 _CURVATURE = 2.0  # weight of each curvature, in modes, in those steps
-_MIRRORED = 1.5  # how many times better a mirroring map must be to be believed
+_MIRRORED = 1.25  # how many times better a mirroring map must be to be believed
+_DOUBTED = 1.1  # how many times better it must be to raise doubts
 _CLEAR = 1.04  # margin below which a match is called ambiguous; right ones on bodies had 1.06
 
 
@@ -84,7 +86,11 @@ class Match(Rebuilt):
         flipped. None if a geometry is missing.
     margin : float
         Score of the next best candidate of the same side over that of the chosen one, at least 1;
-        infinite if there was no other.
+        infinite if there was no other. Maps that differ in small parts only do not count.
+    other_side : float
+        Score of the best candidate of the other side (mirroring, if the chosen one is not) over
+        that of the chosen one; near 1 for bodies whose halves are alike, infinite if there was
+        none.
     candidates : tuple of Candidate
         Those that were refined and came out different, the chosen one first.
     """
@@ -94,6 +100,7 @@ class Match(Rebuilt):
     mirrored: bool
     orientation: float | None
     margin: float
+    other_side: float
     candidates: tuple[Candidate, ...]
 
     def __post_init__(self) -> None:
@@ -107,8 +114,8 @@ class Match(Rebuilt):
 
     @property
     def ambiguous(self) -> bool:
-        """Whether another map is nearly as good, so that this one may be flipped."""
-        return self.margin < _CLEAR
+        """Whether another map is nearly as good, or a mirroring one better: it may be flipped."""
+        return self.margin < _CLEAR or self.other_side * _DOUBTED < 1
 
     def __repr__(self) -> str:
         how = "mirrored" if self.mirrored else "not mirrored"
@@ -144,7 +151,7 @@ def match(
         the scores; the final map is free to leave them by a little.
     sides : {"either", "kept", "reversed"}
         Whether maps may turn the surface over. ``either`` prefers those that do not, unless a
-        mirroring one is 1.5 times better: as a mirrored copy is, but not one that is bent as well
+        mirroring one is 1.25 times better: as a mirrored copy is, but not one that is bent as well
         and looks much like its mirror image. Say ``reversed`` where that is known.
     k : int, default 150
         Modes to end with; fewer where a spectrum has fewer.
@@ -180,11 +187,15 @@ def match(
     if sides not in ("either", "kept", "reversed"):
         raise InvalidInputError(f"`sides` must be 'either', 'kept' or 'reversed', got {sides!r}")
     k = min(check_count("k", k, low=LOWEST_K), a.spectrum.k, b.spectrum.k)
-    has_sides = a.surface is not None and b.surface is not None
-    if sides == "reversed" and not has_sides:
+    has_sides = a.surface is not None
+    if has_sides != (b.surface is not None):
         raise InvalidInputError(
-            "`sides='reversed'` needs both geometries, got"
-            f" {'none' if a.surface is None and b.surface is None else 'one'};"
+            "`source` and `target` must come both with their geometry or both without, got only"
+            f" that of the {'source' if has_sides else 'target'}; pass the other one, too"
+        )
+    if sides != "either" and not has_sides:
+        raise InvalidInputError(
+            f"`sides={sides!r}` needs both geometries, got none;"
             " pass source_geometry and target_geometry"
         )
     ways = {"either": (False, True), "kept": (False,), "reversed": (True,)}[sides]
@@ -194,14 +205,16 @@ def match(
     if len(found) == 2 and found[1][0].score * _MIRRORED < found[0][0].score:
         found.reverse()
     chosen = found[0][0]
-    others = [c.score for c in found[0][1:]]
+    opposite = [c.score for c in found[-1]] if len(found) == 2 else []
+    rivals = [c.score for c in found[0][1:] if _apart(c, chosen) > _RIVAL]
     point_map, functional_map = _refined(a, b, chosen, k, elastic)
     return Match(
         point_map=point_map,
         functional_map=functional_map,
         mirrored=chosen.reversing,
         orientation=orientation_of(a, b, functional_map),
-        margin=min(others) / chosen.score if others else float("inf"),
+        margin=min(rivals) / chosen.score if rivals else float("inf"),
+        other_side=min(opposite) / chosen.score if opposite else float("inf"),
         candidates=tuple(c for way in found for c in way),
     )
 
@@ -212,7 +225,7 @@ def _refined(
     """Return the point map and the functional map that a candidate is refined to."""
     start = chosen.functional_map[:k, :k]
     step = -(-(k - len(start)) // _STEPS)
-    if a.surface is None or b.surface is None:
+    if a.surface is None or b.surface is None:  # both: match allows no other
         result = bijective_zoomout(a.spectrum, b.spectrum, start, k_final=k, step=max(step, 1))
         return result.point_map, result.functional_map
     features = (_CURVATURE * a.surface.curvature, _CURVATURE * b.surface.curvature)
@@ -286,12 +299,17 @@ def _scored(
     )
 
 
+def _apart(c: Candidate, other: Candidate) -> float:
+    """Return the squared difference of two maps, per mode."""
+    C = c.functional_map
+    return float(((C - other.functional_map) ** 2).sum() / len(C))
+
+
 def _distinct(candidates: list[Candidate]) -> list[Candidate]:
     """Return the candidates by score, without those that all but repeat a better one."""
     kept: list[Candidate] = []
     for c in sorted(candidates, key=lambda c: c.score):
-        C = c.functional_map
-        if all(((C - other.functional_map) ** 2).sum() > _SAME * len(C) for other in kept):
+        if all(_apart(c, other) > _SAME for other in kept):
             kept.append(c)
     return kept
 
@@ -306,6 +324,7 @@ def _prepared(name: str, side: Prepared | Spectrum, geometry: Geometry | None) -
         return side
     if not isinstance(side, Spectrum):
         raise InvalidInputError(
-            f"`{name}` must be a Spectrum or a Prepared surface, got {type(side).__name__}"
+            f"`{name}` must be a Spectrum or a Prepared surface, got {type(side).__name__};"
+            " solve for one: eigensolve(robust_laplacian(mesh), 150)"
         )
     return prepare(side, geometry)
