@@ -39,7 +39,7 @@ _FINALISTS = 6  # candidates that are refined
 _REFINED = 60  # modes they are refined to
 _STEPS = 3  # from there to the end
 _CURVATURE = 2.0  # weight of each curvature, in modes, in those steps
-_MIRRORED = 1.25  # how many times better a mirroring map must be to be believed
+_MIRRORED = 1.5  # how many times better a mirroring map must be to be believed
 _DOUBTED = 1.1  # how many times better it must be to raise doubts
 _CLEAR = 1.04  # margin below which a match is called ambiguous; right ones on bodies had 1.06
 
@@ -151,7 +151,7 @@ def match(
         the scores; the final map is free to leave them by a little.
     sides : {"either", "kept", "reversed"}
         Whether maps may turn the surface over. ``either`` prefers those that do not, unless a
-        mirroring one is 1.25 times better: as a mirrored copy is, but not one that is bent as well
+        mirroring one is 1.5 times better: as a mirrored copy is, but not one that is bent as well
         and looks much like its mirror image. Say ``reversed`` where that is known.
     k : int, default 150
         Modes to end with; fewer where a spectrum has fewer.
