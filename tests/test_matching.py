@@ -17,6 +17,7 @@ from spectra_kit.geometry import (
     creature_pair,
     mirrored,
     permuted,
+    rectangle,
     sphere,
 )
 from spectra_kit.matching import Match, Prepared, match, prepare
@@ -99,13 +100,57 @@ def test_no_option_breaks_a_copy(source, copy, options) -> None:
     assert len(found.functional_map) == options.get("k", K)
 
 
-def test_the_smaller_spectrum_and_the_smaller_mesh_set_the_limits(source, copy) -> None:
-    shuffled, target, truth = copy
-    found = match(source, prepare(target.truncate(90), shuffled))
-    assert (found.point_map == truth).all()
-    assert found.functional_map.shape == (90, 90)
-    ball = prepared(sphere(subdivisions=2).geometry, 40)  # fewer points than samples
+def test_a_mesh_may_have_fewer_points_than_samples() -> None:
+    ball = prepared(sphere(subdivisions=2).geometry, 40)
     assert (match(ball, ball).point_map == np.arange(162)).all()
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+@pytest.mark.parametrize("inside_out", [False, True])
+def test_scans_with_holes_have_an_outside(mirror, inside_out) -> None:
+    """However their faces are wound: a copy is no mirror image, and a mirror image is one."""
+    whole = creature(1000)
+    near = np.argsort(((whole.points - whole.points[0]) ** 2).sum(axis=1))[:12]
+    mesh = TriangleMesh(
+        whole.points, whole.faces[~np.isin(whole.faces, near).any(axis=1)]
+    ).without_unreferenced()
+    copy = TriangleMesh(
+        mesh.points * ([-1, 1, 1] if mirror else 1),
+        mesh.faces[:, ::-1] if inside_out else mesh.faces,
+    )
+    found = match(prepared(mesh, 60), prepared(copy, 60))
+    assert (found.point_map == np.arange(mesh.n)).all()
+    assert found.mirrored == mirror
+
+
+@pytest.mark.parametrize("rolled_first", [True, False])
+def test_a_rolled_sheet_matches_the_flat_one(rolled_first) -> None:
+    """Its curvature varies, and that of the flat one does not: it must not be compared."""
+    flat = rectangle(n=900).geometry
+    x, y = flat.points[:, 0], flat.points[:, 1]
+    turn = 0.9 * x + 0.6 * x**2  # faster and faster, so that the curvature varies
+    steps = np.linspace(0, x.max(), 2001)
+    heading = 0.9 * steps + 0.6 * steps**2
+    along = np.cumsum(np.cos(heading)) * steps[1], np.cumsum(np.sin(heading)) * steps[1]
+    rolled = flat.with_points(
+        np.column_stack([np.interp(x, steps, along[0]), y, np.interp(x, steps, along[1])])
+    )
+    assert np.ptp(turn) > 1
+    pair = [prepared(rolled, 60), prepared(flat, 60)]
+    found = match(*(pair if rolled_first else pair[::-1]))
+    assert np.isfinite(found.score)
+    # A rectangle has four symmetries, and the map is near one of them.
+    corner, far = flat.points.min(axis=0), flat.points.max(axis=0)
+    for flips in np.ndindex(2, 2):
+        image = flat.points.copy()
+        for axis in range(2):
+            if flips[axis]:
+                image[:, axis] = corner[axis] + far[axis] - image[:, axis]
+        apart = np.linalg.norm(flat.points[found.point_map] - image, axis=1)
+        if apart.max() < 0.1:
+            break
+    else:
+        pytest.fail("the map is near none of the four symmetries")
 
 
 def test_a_spectrum_is_prepared_with_its_geometry(mesh, spectrum, source, copy) -> None:
@@ -283,7 +328,7 @@ def test_an_ellipsoid_has_several_good_maps(sides, sign) -> None:
 
 
 def test_unlike_surfaces_score_badly(source) -> None:
-    found = match(source, prepared(sphere(subdivisions=3).geometry, 80))
+    found = match(source, prepared(sphere(subdivisions=3).geometry))
     assert found.score > 0.4
     assert np.isfinite(found.margin)
 
@@ -291,11 +336,17 @@ def test_unlike_surfaces_score_badly(source) -> None:
 def test_doubt_is_a_matter_of_the_margin(source) -> None:
     found = match(source, source, k=30)
     fields = {name: getattr(found, name) for name in Match.__dataclass_fields__}
-    clear = {**fields, "margin": np.inf, "other_side": np.inf}
+    clear = {**fields, "margin": np.inf, "other_side": np.inf, "orientation": 0.9}
     assert not Match(**clear).ambiguous
     assert Match(**{**clear, "margin": 1.01}).ambiguous
     assert Match(**{**clear, "other_side": 0.85}).ambiguous
     assert not Match(**{**clear, "other_side": 1.01}).ambiguous
+    assert Match(**{**clear, "margin": np.nan}).ambiguous
+    assert Match(**{**clear, "orientation": 0.4}).ambiguous
+    assert Match(**{**clear, "orientation": -0.9}).ambiguous
+    assert not Match(**{**clear, "orientation": -0.9, "mirrored": True}).ambiguous
+    assert not Match(**{**clear, "orientation": None}).ambiguous
+    assert Match(**{**clear, "consistent": 0.8}).ambiguous
 
 
 # --- landmarks ------------------------------------------------------------------------------
@@ -342,6 +393,8 @@ def test_what_cannot_be_matched_is_refused(mesh, spectrum, source) -> None:
     for pair, which in (((source, alone), "source"), ((alone, source), "target")):
         with pytest.raises(InvalidInputError, match=f"got only that of the {which}"):
             match(*pair)
+    with pytest.raises(InvalidInputError, match="equally many modes, got 150 and 90"):
+        match(source, prepare(spectrum.truncate(90), mesh))
     with pytest.raises(InvalidInputError, match="`k` must be at least 30, got 29"):
         match(source, source, k=29)
     with pytest.raises(

@@ -85,7 +85,24 @@ def test_pieces_that_share_one_vertex_are_turned_on_their_own() -> None:
     assert volume_of(turned) == pytest.approx(2 * volume_of(ball))
 
 
-def test_an_open_mesh_keeps_its_winding() -> None:
+@pytest.mark.parametrize("mirror", [1, -1])
+def test_a_mesh_with_a_hole_is_turned_outwards(mirror) -> None:
+    """As if the hole were closed: however its faces came, and in a mirror too."""
+    ball = sphere(subdivisions=3).geometry
+    points = ball.points * [mirror, 1.0, 1.0]
+    kept = ball.faces[points[ball.faces].mean(axis=1)[:, 2] < 0.7]
+    for faces in (kept, kept[:, FLIP]):
+        mesh = TriangleMesh(points, faces).without_unreferenced()
+        turned = TriangleMesh(mesh.points, oriented_triangles(mesh).faces)
+        outwards = np.einsum(
+            "fr,fr->f",
+            np.cross(*np.moveaxis(np.diff(turned.points[turned.faces], axis=1), 1, 0)),
+            turned.points[turned.faces].mean(axis=1),
+        )
+        assert (outwards > 0).all()
+
+
+def test_a_flat_mesh_keeps_its_winding() -> None:
     mesh = disk().geometry
     for faces in (mesh.faces, mesh.faces[:, FLIP]):
         assert (oriented_triangles(TriangleMesh(mesh.points, faces)).faces == faces).all()

@@ -1,7 +1,8 @@
 """Match two surfaces without flipping them: candidates, their scores, the best one refined."""
 
-from spectra_kit.matching.match import Candidate, Match, match
+from spectra_kit.matching.match import match
 from spectra_kit.matching.prepare import Prepared, prepare
+from spectra_kit.matching.result import Candidate, Match
 from spectra_kit.matching.score import mismatches, orientation_of, score_of
 
 __all__ = [

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from spectra_kit.matching.prepare import Prepared
+from spectra_kit.matching.prepare import Prepared, curvatures
 from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
@@ -39,7 +39,7 @@ _FORMS = 8  # modes whose area forms are compared
 _FORMS_UNTIL = 20  # modes from which a map holds its orientation by itself
 _FORM_SHARE = 0.5  # squared length of the area forms, relative to that of the modes
 _CURVATURE_SHARE = 0.1  # the same for curvature
-_COARSE = slice(0, 3)  # of the smoothed curvatures
+_COLUMNS = slice(0, 3)  # of the smoothed curvatures
 
 
 def sign_candidates(source: Prepared, target: Prepared, *, reversing: bool = False) -> Floats:
@@ -187,7 +187,6 @@ def _form_values(
 def _curvatures(
     source: Prepared, target: Prepared, first: Ints, second: Ints
 ) -> tuple[Floats, Floats] | None:
-    """Return the coarser curvatures at the samples; None without both geometries."""
-    if source.surface is None or target.surface is None:
-        return None
-    return source.surface.curvature[first, _COARSE], target.surface.curvature[second, _COARSE]
+    """Return the finer curvatures at the samples, where they can be compared."""
+    both = curvatures(source, target)
+    return both and (both[0][first, _COLUMNS], both[1][second, _COLUMNS])

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import Rebuilt, check_count, frozen
+from spectra_kit._validate import check_count
 from spectra_kit.descriptors import landmark_wave_kernel_signature, normalize_descriptors
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps import (
@@ -22,7 +21,8 @@ from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.geometry import Geometry
 from spectra_kit.matching.candidates import GROWN, sign_candidates
 from spectra_kit.matching.elastic import elastic_point_map
-from spectra_kit.matching.prepare import LOWEST_K, Prepared, prepare
+from spectra_kit.matching.prepare import LOWEST_K, Prepared, curvatures, prepare
+from spectra_kit.matching.result import Candidate, Match
 from spectra_kit.matching.score import mismatches, orientation_of, score_of
 from spectra_kit.spectrum import Spectrum
 
@@ -38,92 +38,8 @@ _SEEN = 20  # energies of the wave kernel signature seen from each landmark
 _FINALISTS = 6  # candidates that are refined
 _REFINED = 60  # modes they are refined to
 _STEPS = 3  # from there to the end
-_CURVATURE = 2.0  # weight of each curvature, in modes, in those steps
+_CURVATURE = 2.0  # scale of each curvature in those steps: it counts like four modes
 _MIRRORED = 1.5  # how many times better a mirroring map must be to be believed
-_DOUBTED = 1.1  # how many times better it must be to raise doubts
-_CLEAR = 1.04  # margin below which a match is called ambiguous; right ones on bodies had 1.06
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Candidate(Rebuilt):
-    """One of the maps that `match` chose from.
-
-    Attributes
-    ----------
-    functional_map : ndarray of shape (k, k)
-        Refined to some 60 modes.
-    score : float
-        The lower, the better: `matching.score_of` of the mismatches.
-    mismatches : dict of str to float
-        What the score is made of; see `matching.mismatches`.
-    reversing : bool
-        Whether the map turns the surface over, like a mirror.
-    """
-
-    functional_map: Floats
-    score: float
-    mismatches: dict[str, float]
-    reversing: bool
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "functional_map", frozen(self.functional_map))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Match(Rebuilt):
-    """A map from source to target, and how far it can be trusted.
-
-    Attributes
-    ----------
-    point_map : ndarray of shape (n2,)
-        The source point of each target point (p2p_21).
-    functional_map : ndarray of shape (k, k)
-        C_12, of the surfaces at unit area.
-    mirrored : bool
-        Whether the target is a mirror image of the source: the map turns the surface over.
-    orientation : float or None
-        Near 1 if the map keeps the sides, near -1 if it mirrors; far from both, parts of it are
-        flipped. None if a geometry is missing.
-    margin : float
-        Score of the next best candidate of the same side over that of the chosen one, at least 1;
-        infinite if there was no other. Maps that differ in small parts only do not count.
-    other_side : float
-        Score of the best candidate of the other side (mirroring, if the chosen one is not) over
-        that of the chosen one; near 1 for bodies whose halves are alike, infinite if there was
-        none.
-    candidates : tuple of Candidate
-        Those that were refined and came out different, the chosen one first.
-    """
-
-    point_map: Ints
-    functional_map: Floats
-    mirrored: bool
-    orientation: float | None
-    margin: float
-    other_side: float
-    candidates: tuple[Candidate, ...]
-
-    def __post_init__(self) -> None:
-        for name in ("point_map", "functional_map"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-
-    @property
-    def score(self) -> float:
-        """Score of the chosen candidate; the lower, the better."""
-        return self.candidates[0].score
-
-    @property
-    def ambiguous(self) -> bool:
-        """Whether another map is nearly as good, or a mirroring one better: it may be flipped."""
-        return self.margin < _CLEAR or self.other_side * _DOUBTED < 1
-
-    def __repr__(self) -> str:
-        how = "mirrored" if self.mirrored else "not mirrored"
-        doubt = ", ambiguous" if self.ambiguous else ""
-        return (
-            f"Match({len(self.point_map)} points, k={len(self.functional_map)}, {how},"
-            f" margin {self.margin:.2f}{doubt})"
-        )
 
 
 def match(
@@ -154,7 +70,7 @@ def match(
         mirroring one is 1.5 times better: as a mirrored copy is, but not one that is bent as well
         and looks much like its mirror image. Say ``reversed`` where that is known.
     k : int, default 150
-        Modes to end with; fewer where a spectrum has fewer.
+        Modes to end with; fewer where the spectra have fewer.
     elastic : bool, default True
         Whether to bend the source onto the target in the end, where both geometries are given.
 
@@ -186,7 +102,13 @@ def match(
     b = _prepared("target", target, target_geometry)
     if sides not in ("either", "kept", "reversed"):
         raise InvalidInputError(f"`sides` must be 'either', 'kept' or 'reversed', got {sides!r}")
-    k = min(check_count("k", k, low=LOWEST_K), a.spectrum.k, b.spectrum.k)
+    if a.spectrum.k != b.spectrum.k:
+        raise InvalidInputError(
+            "`source` and `target` must have equally many modes, got"
+            f" {a.spectrum.k} and {b.spectrum.k}; truncate the longer spectrum, as their"
+            " descriptors depend on all modes"
+        )
+    k = min(check_count("k", k, low=LOWEST_K), a.spectrum.k)
     has_sides = a.surface is not None
     if has_sides != (b.surface is not None):
         raise InvalidInputError(
@@ -215,6 +137,9 @@ def match(
         orientation=orientation_of(a, b, functional_map),
         margin=min(rivals) / chosen.score if rivals else float("inf"),
         other_side=min(opposite) / chosen.score if opposite else float("inf"),
+        consistent=min(
+            1.0 if side.surface is None else side.surface.oriented.consistent for side in (a, b)
+        ),
         candidates=tuple(c for way in found for c in way),
     )
 
@@ -225,24 +150,18 @@ def _refined(
     """Return the point map and the functional map that a candidate is refined to."""
     start = chosen.functional_map[:k, :k]
     step = -(-(k - len(start)) // _STEPS)
-    if a.surface is None or b.surface is None:  # both: match allows no other
-        result = bijective_zoomout(a.spectrum, b.spectrum, start, k_final=k, step=max(step, 1))
-        return result.point_map, result.functional_map
-    features = (_CURVATURE * a.surface.curvature, _CURVATURE * b.surface.curvature)
+    curved = curvatures(a, b)
+    features = curved and (_CURVATURE * curved[0], _CURVATURE * curved[1])
     result = bijective_zoomout(
-        a.spectrum,
-        b.spectrum,
-        start,
-        k_final=k,
-        step=max(step, 1),
-        features=features,
+        a.spectrum, b.spectrum, start, k_final=k, step=max(step, 1), features=features
     )
-    if not elastic:
+    if not elastic or a.surface is None or b.surface is None:
         return result.point_map, result.functional_map
     rows1 = a.spectrum.eigenvectors[:, :k] @ result.functional_map.T
-    way_there = nearest(
-        np.hstack([rows1, features[0]]), np.hstack([b.spectrum.eigenvectors[:, :k], features[1]])
-    )
+    rows2 = b.spectrum.eigenvectors[:, :k]
+    if features is not None:
+        rows1, rows2 = np.hstack([rows1, features[0]]), np.hstack([rows2, features[1]])
+    way_there = nearest(rows1, rows2)
     point_map = elastic_point_map(a.surface, b.surface, way_there, mirrored=chosen.reversing)
     return point_map, functional_map_from_point_map(a.spectrum, b.spectrum, point_map, k=k)
 

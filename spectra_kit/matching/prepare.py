@@ -131,7 +131,12 @@ def prepare(
             f"`spectrum` must have at least {LOWEST_K} modes to be matched, got {spectrum.k};"
             " solve for more (150 match best)"
         )
-    if spectrum.n_zero_modes != 1:
+    if spectrum.n_zero_modes == 0:
+        raise InvalidInputError(
+            "`spectrum` must hold the constant mode, got no zero mode;"
+            " pass it whole, without `.nonzero()`, and of a surface without fixed points"
+        )
+    if spectrum.n_zero_modes > 1:
         raise InvalidInputError(
             "`spectrum` must be of one connected surface, with its constant mode, got"
             f" {spectrum.n_zero_modes} zero modes; match component by component"
@@ -176,3 +181,15 @@ def _surface(unit: Spectrum, geometry: Geometry, scale: float) -> Surface:
         curvature=np.divide(curvature, spread, out=np.zeros_like(curvature), where=varies),
         form=area_form(oriented, unit.eigenvectors[:, : min(FORM_K, unit.k)]),
     )
+
+
+def curvatures(source: Prepared, target: Prepared) -> tuple[Floats, Floats] | None:
+    """Return the curvatures of both, (n1, 4) and (n2, 4), where they can be compared.
+
+    None without geometries, or where one of them does not bend: curvature tells a sheet from the
+    same sheet rolled up, but not where its points are.
+    """
+    if source.surface is None or target.surface is None:
+        return None
+    both = source.surface.curvature, target.surface.curvature
+    return both if all(c.any(axis=0).all() for c in both) else None

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit.functional_maps.nearest import nearest
-from spectra_kit.matching.prepare import Prepared
+from spectra_kit.matching.prepare import Prepared, curvatures
 from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
@@ -58,9 +58,10 @@ def mismatches(
         ``embedding``: distance of the rows ``U2`` to their nearest in ``U1 C^T``, relative to their
         length; ``spacing``: ``|C diag(lambda1) - diag(lambda2) C|^2 / |lambda2|^2``, zero for
         isometries; ``wave``: relative difference of the wave kernel signatures; ``curvature``: that
-        of the smoothed mean curvatures, both ways; ``orientation``: (1 - t) / 2 with the turning
-        t of `orientation_of`; ``landmarks``: biharmonic distance between where the map takes the
-        landmarks and where they belong, relative to the root mean square of the source.
+        of the smoothed mean curvatures, both ways, where both surfaces bend; ``orientation``:
+        (1 - t) / 2 with the turning t of `orientation_of`; ``landmarks``: biharmonic distance
+        between where the map takes the landmarks and where they belong, relative to the root mean
+        square of the source.
     """
     a, b = source.spectrum, target.spectrum
     k = len(functional_map)
@@ -81,9 +82,9 @@ def mismatches(
         on_source, on_target = landmarks
         found = nearest(b.eigenvectors[on_target, :k], rows1)
         values["landmarks"] = _biharmonic(a, pool1[found], on_source)
-    if source.surface is not None and target.surface is not None:
-        curved1 = source.surface.curvature[pool1, _FINE]
-        curved2 = target.surface.curvature[pool2, _FINE]
+    curved = curvatures(source, target)
+    if curved is not None:
+        curved1, curved2 = curved[0][pool1, _FINE], curved[1][pool2, _FINE]
         there_and_back = _curvature_error(curved1[back], curved2[here]) * _curvature_error(
             curved1[there], curved2[forth]
         )
@@ -180,4 +181,4 @@ def _relative(x: Floats, y: Floats) -> float:
 
 def _curvature_error(x: Floats, y: Floats) -> float:
     """Return the mean difference, relative to the mean size, averaged over columns."""
-    return float((np.abs(x - y).mean(axis=0) / (np.abs(y).mean(axis=0) + 1e-300)).mean())
+    return float((np.abs(x - y).mean(axis=0) / np.abs(y).mean(axis=0)).mean())

@@ -31,7 +31,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _BLOCK = 1024  # triangles
-_FLAT = 1e-9  # enclosed volume over area^(3/2), 0.094 for a ball; below it there is no inside
+# Volume over area^(3/2), 0.094 for a ball and 0.03 for a body; below it there is no inside.
+_FLAT = 1e-9
+_OPEN = 0.005  # the same where there is a boundary, seen from the middle
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -106,10 +108,10 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
     Returns
     -------
     OrientedTriangles
-        Of a mesh, its faces. Each closed piece is turned such that it encloses a positive volume;
-        so a mirrored copy has the opposite winding, whether or not its faces were flipped with its
-        points. Pieces with a boundary, or flat ones without an inside, keep the winding they came
-        with, which a mirror does not change.
+        Of a mesh, its faces. Each piece is turned such that it encloses a positive volume, one
+        with a boundary as seen from its middle; so a mirrored copy has the opposite winding,
+        whether or not its faces were flipped with its points. Pieces that are nearly flat, or
+        enclose nothing, keep the winding they came with, which a mirror does not change.
 
         Of a cloud, the triangles of its local Delaunay triangulations, each counted a third, as a
         good one is found by all its three corners. Each component is turned to enclose a positive
@@ -152,7 +154,8 @@ def _of_mesh(mesh: TriangleMesh) -> OrientedTriangles:
     piece, closed = _pieces(mesh)
     volume = np.bincount(piece, _signed_volumes(mesh.points, mesh.faces, piece))
     area = np.bincount(piece, mesh.face_areas)
-    turned = (closed & (volume < -_FLAT * area**1.5))[piece]
+    inside = np.where(closed, _FLAT, _OPEN) * area**1.5
+    turned = (volume < -inside)[piece]
     faces = np.where(turned[:, None], mesh.faces[:, [0, 2, 1]], mesh.faces)
     return OrientedTriangles(faces, np.ones(len(faces)), mesh.face_areas, mesh.n)
 
