@@ -16,6 +16,10 @@ from spectra_kit import (
     robust_laplacian,
 )
 from spectra_kit.descriptors import (
+    biharmonic_distances,
+    commute_time_distances,
+    diffusion_distances,
+    farthest_points,
     global_point_signature,
     heat_kernel,
     heat_kernel_signature,
@@ -23,6 +27,7 @@ from spectra_kit.descriptors import (
     landmark_heat_kernel_signature,
     landmark_wave_kernel_signature,
     normalize_descriptors,
+    shape_dna,
     wave_energies,
     wave_kernel_signature,
 )
@@ -267,11 +272,28 @@ def test_gps_has_no_unit(bumps):
 def test_normalized_columns_have_one_size(bumps):
     hks = heat_kernel_signature(bumps)
     unit = normalize_descriptors(bumps, hks)
-    np.testing.assert_allclose(bumps.mass @ unit**2, 1)
+    np.testing.assert_allclose(bumps.mass @ unit**2, bumps.area)
     np.testing.assert_allclose(unit[:, 3] / unit[0, 3], hks[:, 3] / hks[0, 3])
     centred = normalize_descriptors(bumps, hks, center=True)
     np.testing.assert_allclose(bumps.mass @ centred, 0, atol=1e-9)
-    np.testing.assert_allclose(bumps.mass @ centred**2, 1)
+    np.testing.assert_allclose(bumps.mass @ centred**2, bumps.area)
+    # Without a unit: in millimetres the columns, of which 1/length^2 is the unit, are the same.
+    in_mm = bumps.rescale(1000.0)
+    np.testing.assert_allclose(normalize_descriptors(in_mm, heat_kernel_signature(in_mm)), unit)
+
+
+def test_landmarks_tell_sides_apart_off_the_plane_of_symmetry():
+    ball = sphere(subdivisions=2).geometry
+    x, y, z = ball.points.T
+    egg = ball.with_points(ball.points * (1 + 0.2 * np.sin(2 * x + z))[:, None] * [1, 1.3, 1.7])
+    mirror = [np.linalg.norm(ball.points * [1, -1, 1] - p, axis=1).argmin() for p in ball.points]
+    spectrum = eigensolve(cotan_laplacian(egg), 20)
+    middle, side = int(np.abs(y).argmin()), int(y.argmax())
+    for signature in (landmark_heat_kernel_signature, landmark_wave_kernel_signature):
+        for landmark, alike in ((middle, True), (side, False)):
+            seen = signature(spectrum, [landmark])
+            gap = np.abs(seen - seen[mirror]).max() / np.abs(seen).max()
+            assert (gap < 1e-6) == alike
 
 
 def test_lapy_finds_the_same_signature(bumps):
@@ -306,6 +328,10 @@ ONE_VALUE = Spectrum(np.array([0.0, 2.0, 2.0]), np.eye(3), np.ones(3))
         (lambda s: landmark_heat_kernel_signature(s, []), "`landmarks` must name at least one"),
         (lambda s: landmark_wave_kernel_signature(s, []), "`landmarks` must name at least one"),
         (lambda s: landmark_wave_kernel_signature(s, [-1]), r"`landmarks` must be in \[0, 642\)"),
+        (
+            lambda s: wave_kernel_signature(s, wave_energies(s)),
+            "a vector, got a tuple .* write `energies, width = wave_energies",
+        ),
         (lambda s: global_point_signature(s, s.k), r"`count` must be in \[1, 39\], got 40"),
         (lambda s: normalize_descriptors(s, np.ones(3)), r"must have shape \(642, d\)"),
         (
@@ -321,3 +347,29 @@ ONE_VALUE = Spectrum(np.array([0.0, 2.0, 2.0]), np.eye(3), np.ones(3))
 def test_bad_input_is_refused(bumps, call, message):
     with pytest.raises(InvalidInputError, match=message):
         call(bumps)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        heat_times,
+        wave_energies,
+        heat_kernel_signature,
+        wave_kernel_signature,
+        global_point_signature,
+        shape_dna,
+        lambda mesh: wave_kernel_signature(mesh, [0.0]),
+        lambda mesh: heat_kernel_signature(mesh, [1.0]),
+        lambda mesh: heat_kernel(mesh, [0], [1.0]),
+        lambda mesh: landmark_heat_kernel_signature(mesh, [0]),
+        lambda mesh: landmark_wave_kernel_signature(mesh, [0]),
+        lambda mesh: diffusion_distances(mesh, [0], time=1.0),
+        lambda mesh: biharmonic_distances(mesh, [0]),
+        lambda mesh: commute_time_distances(mesh, [0]),
+        lambda mesh: farthest_points(mesh, 3),
+        lambda mesh: normalize_descriptors(mesh, np.ones((mesh.n, 1))),
+    ],
+)
+def test_a_mesh_is_no_spectrum(call):
+    with pytest.raises(InvalidInputError, match="must be a Spectrum, got TriangleMesh; solve for"):
+        call(bumpy())

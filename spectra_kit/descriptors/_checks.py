@@ -13,8 +13,18 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+def check_spectrum(spectrum: Spectrum) -> None:
+    """Refuse what is no spectrum, such as the mesh itself."""
+    if not isinstance(spectrum, Spectrum):
+        raise InvalidInputError(
+            f"`spectrum` must be a Spectrum, got {type(spectrum).__name__};"
+            " solve for one: eigensolve(robust_laplacian(mesh), 50)"
+        )
+
+
 def outside_kernel(spectrum: Spectrum) -> Spectrum:
     """Return the modes outside the kernel, of which there must be at least one."""
+    check_spectrum(spectrum)
     modes = spectrum.nonzero()
     if modes.k == 0:
         raise InvalidInputError(
@@ -35,6 +45,16 @@ def check_grid(name: str, values: ArrayLike) -> Floats:
     return array
 
 
+def check_energies(values: ArrayLike) -> Floats:
+    """Return `values` as a vector of energies."""
+    if isinstance(values, tuple) and len(values) == 2 and np.ndim(values[0]) > np.ndim(values[1]):
+        raise InvalidInputError(
+            "`energies` must be a vector, got a tuple of two as `wave_energies` returns it; write"
+            " `energies, width = wave_energies(spectrum)` and pass both"
+        )
+    return check_grid("energies", values)
+
+
 def check_times(values: ArrayLike) -> Floats:
     """Return `values` as a vector of positive times."""
     times = check_grid("times", values)
@@ -46,11 +66,12 @@ def check_times(values: ArrayLike) -> Floats:
     return times
 
 
-def check_sources(name: str, values: ArrayLike, n: int) -> Ints:
-    """Return `values` as a vector of at least one index into n points."""
+def check_sources(name: str, values: ArrayLike, spectrum: Spectrum) -> Ints:
+    """Return `values` as a vector of at least one index of a point."""
+    check_spectrum(spectrum)
     if np.shape(values) == (0,):  # before the dtype: an empty list is one of floats to NumPy
         raise InvalidInputError(f"`{name}` must name at least one point, got none")
-    indices = check_indices(name, values, n)
+    indices = check_indices(name, values, spectrum.n)
     if indices.ndim != 1:
         hint = f"; write [{indices}] for a single one" if indices.ndim == 0 else ""
         raise InvalidInputError(f"`{name}` must be a vector, got shape {indices.shape}{hint}")

@@ -1,4 +1,4 @@
-"""Columns of descriptors brought to one size, by the area that each point stands for."""
+"""Columns of descriptors brought to one size and rid of their unit."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._validate import real_array
+from spectra_kit.descriptors._checks import check_spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectrum import Spectrum
 
@@ -15,7 +16,9 @@ Floats = NDArray[np.float64]
 def normalize_descriptors(
     spectrum: Spectrum, descriptors: ArrayLike, *, center: bool = False
 ) -> Floats:
-    """Scale each column of descriptors to the same size on the surface.
+    """Scale each column of descriptors to root mean square 1 over the surface.
+
+    What is left has no unit: columns of surfaces in different units can be compared.
 
     Parameters
     ----------
@@ -30,7 +33,7 @@ def normalize_descriptors(
     Returns
     -------
     ndarray of shape (n, d)
-        Columns of unit M-norm, ``mass @ column**2 == 1``, in 1/length whatever the unit was.
+        Columns with ``mass @ column**2 == area``, without a unit.
 
     Raises
     ------
@@ -40,11 +43,12 @@ def normalize_descriptors(
     Examples
     --------
     >>> import numpy as np
-    >>> spectrum = Spectrum(np.zeros(1), np.ones((2, 1)), np.full(2, 0.5))
+    >>> spectrum = Spectrum(np.zeros(1), np.full((2, 1), 0.5), np.full(2, 2.0))
     >>> normalize_descriptors(spectrum, [[3.0], [1.0]], center=True)
     array([[ 1.],
            [-1.]])
     """
+    check_spectrum(spectrum)
     columns = real_array("descriptors", descriptors)
     if columns.ndim != 2 or len(columns) != spectrum.n:
         raise InvalidInputError(
@@ -62,4 +66,4 @@ def normalize_descriptors(
             f"`descriptors` must have no {found} column, got one in column"
             f" {int(np.argmin(squared))}; leave it out"
         )
-    return columns / np.sqrt(spectrum.mass @ columns**2)
+    return columns / np.sqrt(spectrum.mass @ columns**2 / spectrum.area)

@@ -54,7 +54,7 @@ def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) 
     >>> diffusion_distances(spectrum, [0], time=20.0)
     array([[0., 1.]])
     """
-    sources = check_sources("sources", sources, spectrum.n)
+    sources = check_sources("sources", sources, spectrum)
     gain = np.exp(-check_positive("time", time) * spectrum.eigenvalues)
     embedding = spectrum.eigenvectors * gain
     return np.asarray(cdist(embedding[sources], embedding))
@@ -102,7 +102,7 @@ def biharmonic_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     >>> bool(abs(distance - (3.14159 / 12) ** 0.5) < 0.01)  # the exact value of antipodes
     True
     """
-    sources = check_sources("sources", sources, spectrum.n)
+    sources = check_sources("sources", sources, spectrum)
     embedding = biharmonic_embedding(spectrum)
     distances = np.asarray(cdist(embedding[sources], embedding))
     return _infinite_between(kernel_labels(spectrum), sources, distances)
@@ -153,7 +153,7 @@ def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     >>> commute_time_distances(Spectrum(np.array([0.0, 1.0]), U, np.ones(2)), [0])
     array([[0., 2.]])
     """
-    sources = check_sources("sources", sources, spectrum.n)
+    sources = check_sources("sources", sources, spectrum)
     modes = outside_kernel(spectrum)
     embedding = modes.eigenvectors / np.sqrt(modes.eigenvalues)
     labels = kernel_labels(spectrum)

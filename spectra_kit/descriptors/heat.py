@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit.descriptors._checks import check_sources, check_times
+from spectra_kit.descriptors._checks import check_sources, check_spectrum, check_times
 from spectra_kit.descriptors.grids import heat_times
 from spectra_kit.spectrum import Spectrum
 
@@ -48,7 +48,7 @@ def heat_kernel(spectrum: Spectrum, sources: ArrayLike, times: ArrayLike) -> Flo
     >>> heat_kernel(spectrum, [1], [1.0])[0, :, 0]
     array([0.   , 0.367...])
     """
-    sources = check_sources("sources", sources, spectrum.n)
+    sources = check_sources("sources", sources, spectrum)
     times = check_times(times)
     columns = seen_from(spectrum, sources, np.exp(-np.outer(times, spectrum.eigenvalues)))
     return np.moveaxis(columns, 0, 1)
@@ -103,6 +103,7 @@ def heat_kernel_signature(
     >>> hks[0] * 4 * 3.14159
     array([4.366..., 1.005...])
     """
+    check_spectrum(spectrum)
     times = heat_times(spectrum, count) if times is None else check_times(times)
     weights = heat_weights(spectrum, times, scaled=scaled)
     return np.asarray(spectrum.eigenvectors**2 @ weights.T)
@@ -118,7 +119,8 @@ def landmark_heat_kernel_signature(
 ) -> Floats:
     """Heat that reaches each point from some landmarks: `heat_kernel` as a descriptor.
 
-    Unlike `heat_kernel_signature`, it tells apart the two sides of a symmetric surface.
+    Unlike `heat_kernel_signature`, it tells apart the two sides of a symmetric surface, unless all
+    landmarks lie on its plane of symmetry, from where mirror images look alike.
 
     Parameters
     ----------
@@ -152,7 +154,7 @@ def landmark_heat_kernel_signature(
     array([[1.   , 0.   ],
            [0.   , 0.367...]])
     """
-    landmarks = check_sources("landmarks", landmarks, spectrum.n)
+    landmarks = check_sources("landmarks", landmarks, spectrum)
     times = heat_times(spectrum, count) if times is None else check_times(times)
     weights = heat_weights(spectrum, times, scaled=scaled)
     return seen_from(spectrum, landmarks, weights).reshape(spectrum.n, -1)

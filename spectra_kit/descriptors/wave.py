@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._validate import check_positive
-from spectra_kit.descriptors._checks import check_grid, check_sources, outside_kernel
+from spectra_kit.descriptors._checks import check_energies, check_sources, outside_kernel
 from spectra_kit.descriptors.grids import default_width, wave_energies
 from spectra_kit.descriptors.heat import seen_from, shares
 from spectra_kit.spectrum import Spectrum
@@ -82,7 +82,8 @@ def landmark_wave_kernel_signature(
 ) -> Floats:
     """Correlation of each point with some landmarks, in bands of energy.
 
-    Unlike `wave_kernel_signature`, it tells apart the two sides of a symmetric surface.
+    Unlike `wave_kernel_signature`, it tells apart the two sides of a symmetric surface, unless all
+    landmarks lie on its plane of symmetry, from where mirror images look alike.
 
     Parameters
     ----------
@@ -118,7 +119,7 @@ def landmark_wave_kernel_signature(
     >>> landmark_wave_kernel_signature(spectrum, [0, 1], [0.0, 0.7]).shape
     (2, 4)
     """
-    landmarks = check_sources("landmarks", landmarks, spectrum.n)
+    landmarks = check_sources("landmarks", landmarks, spectrum)
     modes, weights = _bands(spectrum, energies, count, width)
     return seen_from(modes, landmarks, weights).reshape(spectrum.n, -1)
 
@@ -130,7 +131,7 @@ def _bands(
     if energies is None:
         grid, width = wave_energies(spectrum, count, width=width)
     else:
-        grid = check_grid("energies", energies)
+        grid = check_energies(energies)
         width = default_width(spectrum) if width is None else check_positive("width", width)
     modes = outside_kernel(spectrum)
     away = (grid[:, None] - np.log(modes.eigenvalues)) / width
