@@ -1,11 +1,13 @@
 """Point maps, functional maps and precise maps turn into one another as the conventions say."""
 
+import sys
+
 import numpy as np
 import pytest
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from spectra_kit import InvalidInputError, Spectrum, robust_laplacian
+from spectra_kit import InvalidInputError, MissingDependencyError, Spectrum, robust_laplacian
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.functional_maps import (
     Correspondence,
@@ -96,6 +98,28 @@ def test_torch_finds_the_same_rows() -> None:
     close = 1000.0 + 1e-3 * points
     assert (nearest_rows(close, close, device="cpu:0") == nearest_rows(close, close)).all()
     assert nearest_rows(queries, points[:1], device="cpu:0").max() == 0
+    points.flags.writeable = False  # as eigenvectors are
+    assert (nearest_rows(points, points, device="cpu:0") == nearest_rows(points, points)).all()
+
+
+def test_torch_decides_in_single_precision_where_that_is_enough() -> None:
+    rows = 1000.0 + 1e-3 * np.random.default_rng(4).normal(size=(300, 4))
+    rough, exact = (nearest_rows(rows, rows, exact=e, device="cpu:0") for e in (False, True))
+    assert (exact == np.arange(300)).all()
+    assert (rough != exact).any()
+
+
+@pytest.mark.parametrize("device", ["quantum", "meta", "cuda:99", ""])
+def test_a_device_that_is_not_there_is_refused(device: str) -> None:
+    with pytest.raises(InvalidInputError, match=rf"`device` must .* '{device}' \(.*; try 'cpu'"):
+        nearest_rows([[0.0]], [[0.0]], device=device)
+
+
+def test_without_torch_there_is_one_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(MissingDependencyError, match="got 'cuda': pip install torch"):
+        nearest_rows([[0.0]], [[0.0]], device="cuda")
+    assert nearest_rows([[0.0]], [[0.0]]).tolist() == [0]
 
 
 def test_rows_must_fit() -> None:
@@ -215,7 +239,11 @@ def test_a_vertex_without_triangles_stands_for_itself(mesh, spectrum) -> None:
 
 
 def test_precise_maps_must_fit(spectrum, copy) -> None:
-    with pytest.raises(InvalidInputError, match=r"`faces` must be in \[0, 700\), got 700"):
+    with pytest.raises(InvalidInputError, match=r"`faces of the source` must be in \[0, 700\)"):
         precise_map(spectrum, copy, np.eye(3), [[0, 1, 700]])
+    with pytest.raises(InvalidInputError, match=r"`precise` must be a sparse .* got list; for"):
+        functional_map_from_precise_map(spectrum, copy, [0, 1, 2])
+    with pytest.raises(InvalidInputError, match="`data of precise` must be finite"):
+        functional_map_from_precise_map(spectrum, copy, np.nan * sparse.eye_array(700))
     with pytest.raises(InvalidInputError, match=r"`precise` must have shape \(700, 700\)"):
         functional_map_from_precise_map(spectrum, copy, sparse.csr_array((700, 3)))

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from spectra_kit import InvalidInputError, Spectrum, TriangleMesh, robust_laplacian
+from spectra_kit import (
+    InvalidInputError,
+    MissingDependencyError,
+    Spectrum,
+    TriangleMesh,
+    robust_laplacian,
+)
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.functional_maps import (
     bijective_zoomout,
     functional_map_from_point_map,
     icp,
-    sinkhorn_zoomout,
     zoomout,
     zoomout_many,
 )
-from spectra_kit.functional_maps.sinkhorn import _soft_map, sample_mass
 from spectra_kit.functional_maps.zoomout import schedule
 from spectra_kit.geometry import creature
 
@@ -83,12 +89,9 @@ def test_a_copy_gives_the_permutation(spectrum, copy, shuffle, options) -> None:
     assert found.functional_map == pytest.approx(true_map(spectrum, copy, shuffle, K), abs=1e-12)
 
 
-def test_soft_and_bijective_steps_give_the_permutation_of_a_copy(spectrum, copy, shuffle) -> None:
-    C = sinkhorn_zoomout(
-        spectrum, copy, true_map(spectrum, copy, shuffle, 8), k_final=40, samples=700
-    )
-    assert np.abs(C - true_map(spectrum, copy, shuffle, 40)).max() < 0.2
-    assert (bijective_zoomout(spectrum, copy, C, k_final=K, step=20).point_map == shuffle).all()
+def test_both_ways_give_the_permutation_of_a_copy(spectrum, copy, shuffle) -> None:
+    start = true_map(spectrum, copy, shuffle, 8)
+    assert (bijective_zoomout(spectrum, copy, start, k_final=K, step=20).point_map == shuffle).all()
 
 
 def test_a_noisy_point_map_is_repaired(spectrum, copy, shuffle) -> None:
@@ -103,29 +106,18 @@ def test_poses_are_matched_within_an_edge(mesh, spectrum, bent, distances) -> No
     """From the true map of 10 modes: ZoomOut, in each variant, undoes the bend; ICP does not."""
     truth = np.arange(N)
     start = true_map(spectrum, bent, truth, 10)
-    soft = sinkhorn_zoomout(spectrum, bent, start, k_final=40, samples=700)
     found = {
         "start": icp(spectrum, bent, start, iterations=0),
         "icp": icp(spectrum, bent, start),
         "zoomout": zoomout(spectrum, bent, start, k_final=K),
         "samples": zoomout(spectrum, bent, start, k_final=K, samples=700),
         "bijective": bijective_zoomout(spectrum, bent, start, k_final=K),
-        "soft": bijective_zoomout(spectrum, bent, soft, k_final=K, step=20),
     }
     error = {name: distances[truth, it.point_map].mean() for name, it in found.items()}
     edge = np.linalg.norm(np.diff(mesh.points[mesh.edges], axis=1), axis=2).mean()
     edge /= np.sqrt(mesh.area)
     assert error["start"] > edge < error["icp"]
-    assert max(error[n] for n in ("zoomout", "samples", "bijective", "soft")) < 0.1 * edge
-
-
-def test_soft_maps_give_every_sample_its_mass() -> None:
-    rng = np.random.default_rng(8)
-    images, rows = rng.normal(size=(40, 3)), rng.normal(size=(50, 3)) + 1.0  # far from each other
-    mass1, mass2 = (rng.dirichlet(np.ones(n)) for n in (40, 50))
-    plan = _soft_map(images, rows, (mass1, mass2), np.eye(40), temperature=0.5, sweeps=500)
-    assert plan.sum(axis=1) == pytest.approx(np.ones(50))
-    assert mass2 @ plan == pytest.approx(mass1, rel=1e-6)
+    assert max(error[n] for n in ("zoomout", "samples", "bijective")) < 0.1 * edge
 
 
 def test_features_steer_where_the_modes_cannot_tell(mesh, spectrum, bent, distances) -> None:
@@ -177,37 +169,27 @@ def test_rectangular_starts_are_welcome(spectrum, copy, shuffle) -> None:
     C = functional_map_from_point_map(spectrum, copy, shuffle, k=(14, 9))
     for refine in (zoomout, bijective_zoomout):
         assert (refine(spectrum, copy, C, k_final=K).point_map == shuffle).all()
-    assert sinkhorn_zoomout(spectrum, copy, C, k_final=30).shape == (30, 30)
 
 
 def test_nothing_to_add_converts_the_map(spectrum, copy, shuffle) -> None:
     C = true_map(spectrum, copy, shuffle, K)
     assert (zoomout(spectrum, copy, C, k_final=K).point_map == shuffle).all()
     assert (bijective_zoomout(spectrum, copy, C, k_final=K).point_map == shuffle).all()
-    assert sinkhorn_zoomout(spectrum, copy, C, k_final=K) == pytest.approx(C)
 
 
 def test_given_samples_and_seeds_decide(spectrum, bent) -> None:
     start = true_map(spectrum, bent, np.arange(N), 10)
-    C = [
-        sinkhorn_zoomout(spectrum, bent, start, k_final=30, samples=300, seed=s) for s in (0, 0, 1)
+    drawn = [
+        zoomout(spectrum, bent, start, k_final=30, samples=300, seed=s).functional_map
+        for s in (0, 0, 1)
     ]
-    assert (C[0] == C[1]).all()
-    assert (C[0] != C[2]).any()
+    assert (drawn[0] == drawn[1]).all()
+    assert (drawn[0] != drawn[2]).any()
     some = np.arange(0, N, 4)
-    given = sinkhorn_zoomout(spectrum, bent, start, k_final=30, samples=(some, some))
-    assert np.abs(given - C[0]).max() < 0.5
+    given = zoomout(spectrum, bent, start, k_final=30, samples=(some, some)).functional_map
+    assert np.abs(given - drawn[0]).max() < 0.5
     everything = zoomout(spectrum, bent, start, k_final=30, samples=10**6)
     assert everything.point_map.shape == (N,)
-
-
-def test_cells_share_the_mass(spectrum) -> None:
-    unit = spectrum.rescale(spectrum.area**-0.5)
-    samples = np.random.default_rng(5).choice(N, 300, replace=False)
-    mass = sample_mass(unit, samples)
-    assert mass.sum() == pytest.approx(1.0)
-    assert (mass >= unit.mass[samples] * (1 - 1e-12)).all()  # a sample is in its own cell
-    assert sample_mass(unit, np.arange(N)) == pytest.approx(unit.mass)
 
 
 def test_many_candidates_go_the_way_of_one(spectrum, bent) -> None:
@@ -237,7 +219,7 @@ def test_what_cannot_be_refined_is_refused(spectrum, bent) -> None:
     C = np.eye(10)
     few = bent.truncate(30)
     two = Spectrum(np.array([0.0, 0.0, *bent.eigenvalues[2:]]), bent.eigenvectors, bent.mass)
-    for refine in (zoomout, bijective_zoomout, sinkhorn_zoomout):
+    for refine in (zoomout, bijective_zoomout):
         with pytest.raises(InvalidInputError, match=r"at most 30, got 60: .* 80 modes, .* 30;"):
             refine(spectrum, few, C, k_final=60)
         with pytest.raises(InvalidInputError, match="`k_final` must be at least 1, got 0"):
@@ -262,10 +244,15 @@ def test_what_cannot_be_refined_is_refused(spectrum, bent) -> None:
         icp(spectrum, bent, np.eye(81))
     with pytest.raises(InvalidInputError, match="`iterations` must be at least 0"):
         icp(spectrum, bent, C, iterations=-1)
-    with pytest.raises(InvalidInputError, match="`sweeps` must be at least 1"):
-        sinkhorn_zoomout(spectrum, bent, C, k_final=20, sweeps=0)
-    with pytest.raises(InvalidInputError, match="`temperature` must be positive"):
-        sinkhorn_zoomout(spectrum, bent, C, k_final=20, temperature=0.0)
+
+
+def test_a_device_that_is_not_there_is_refused(spectrum, bent, monkeypatch) -> None:
+    with pytest.raises(InvalidInputError, match=r"`device` .* got 'quantum' \(.*\); try 'cpu'"):
+        zoomout(spectrum, bent, np.eye(5), k_final=6, device="quantum")
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(MissingDependencyError, match="'cpu' without PyTorch, got 'cuda': pip"):
+        zoomout(spectrum, bent, np.eye(5), k_final=6, device="cuda")
+    zoomout(spectrum, bent, np.eye(5), k_final=6)
 
 
 SAMPLES = {
@@ -286,9 +273,8 @@ SAMPLES = {
 
 @pytest.mark.parametrize("message", SAMPLES)
 def test_samples_must_fit(spectrum, bent, message) -> None:
-    for refine in (zoomout, sinkhorn_zoomout):
-        with pytest.raises(InvalidInputError, match=message):
-            refine(spectrum, bent, np.eye(5), k_final=20, samples=SAMPLES[message])
+    with pytest.raises(InvalidInputError, match=message):
+        zoomout(spectrum, bent, np.eye(5), k_final=20, samples=SAMPLES[message])
 
 
 def test_candidates_must_fit() -> None:

@@ -13,11 +13,15 @@ Conventions, the same in every function here; `source` is the first argument, `t
 ========  ==================================================  ===================================
 fit       `fit_functional_map`                                from descriptors or landmarks
 refine    `zoomout`, `bijective_zoomout`, `icp`               to a `Correspondence`: both maps
-          `sinkhorn_zoomout`, `zoomout_many`                  on samples, to go on from
+          `zoomout_many`                                      on samples, to go on from
 convert   `point_map_from_functional_map`,                    one kind of map to the other
           `functional_map_from_point_map`
           `precise_map`, `functional_map_from_precise_map`    with points inside triangles
 ========  ==================================================  ===================================
+
+ZoomOut comes in three variants: one way on all points or on samples (`zoomout`), both ways on all
+points with features besides (`bijective_zoomout`), and many candidates at once on samples
+(`zoomout_many`).
 
 A fit may be flipped, and no refinement turns it round; `spectra_kit.matching` sees to that.
 
@@ -43,7 +47,6 @@ from spectra_kit.functional_maps.fit import fit_functional_map
 from spectra_kit.functional_maps.icp import icp
 from spectra_kit.functional_maps.nearest import nearest_rows
 from spectra_kit.functional_maps.precise import functional_map_from_precise_map, precise_map
-from spectra_kit.functional_maps.sinkhorn import sinkhorn_zoomout
 from spectra_kit.functional_maps.zoomout import zoomout, zoomout_many
 
 __all__ = [
@@ -56,7 +59,6 @@ __all__ = [
     "nearest_rows",
     "point_map_from_functional_map",
     "precise_map",
-    "sinkhorn_zoomout",
     "zoomout",
     "zoomout_many",
 ]

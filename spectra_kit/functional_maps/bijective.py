@@ -28,8 +28,7 @@ def bijective_zoomout(
 ) -> Correspondence:
     """Refine a map by ZoomOut in both directions, kept each other's inverse.
 
-    Twice the work of `zoomout` for each step, and more accurate; after `sinkhorn_zoomout` two or
-    three steps are enough.
+    Twice the work of `zoomout` for each step.
 
     Parameters
     ----------
@@ -46,7 +45,7 @@ def bijective_zoomout(
     features : (array_like of shape (n1, p), array_like of shape (n2, p)), optional
         Functions known on the source and on the target, such as smoothed mean curvature: more
         columns in which neighbours are to be near. The scale is their weight: a column with mean
-        square 1 counts like one mode; two to three times that has served for curvature.
+        square 1 counts like one mode; a scale of 2 counts like four.
 
     Returns
     -------

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._validate import real_array
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.functional_maps._device import checked_device
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas, thread_count
 
 if TYPE_CHECKING:
@@ -46,7 +47,10 @@ def nearest_rows(
     Raises
     ------
     InvalidInputError
-        If an array is not two-dimensional, not finite or empty, or the widths differ.
+        If an array is not two-dimensional, not finite or empty, the widths differ, or torch cannot
+        use `device`.
+    MissingDependencyError
+        If `device` is not ``"cpu"`` and there is no torch.
 
     Notes
     -----
@@ -69,11 +73,11 @@ def nearest_rows(
         )
     if device == "cpu":
         return nearest(Q, X, exact=exact)
+    place = checked_device(device)
     import torch
 
-    # Not float64 everywhere: Apple's devices have none, and there the check runs on the host.
-    on_device = nearest_torch(torch.as_tensor(Q, device=device), torch.as_tensor(X, device=device))
-    return on_device.cpu().numpy()
+    there = (torch.tensor(np.array(rows), device=place) for rows in (Q, X))  # torch wants to write
+    return nearest_torch(*there, exact=exact).cpu().numpy()
 
 
 def nearest(Q: Floats, X: Floats, *, exact: bool = False) -> Ints:

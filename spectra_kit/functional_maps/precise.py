@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from spectra_kit._validate import check_faces
+from spectra_kit._validate import check_faces, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._checks import at_unit_area, check_functional_map, check_sizes
 from spectra_kit.functional_maps.nearest import nearest
@@ -28,7 +28,7 @@ def precise_map(
     functional_map : array_like of shape (k2, k1)
         Source coefficients to target coefficients, at unit area.
     faces : array_like of shape (f, 3)
-        Triangles of the source.
+        Triangles of the source, where the map goes; not of the target.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def precise_map(
     True
     """
     C = check_functional_map("functional_map", functional_map, source, target)
-    triangles = check_faces("faces", faces, source.n)
+    triangles = check_faces("faces of the source", faces, source.n)
     k2, k1 = C.shape
     images = at_unit_area(source).eigenvectors[:, :k1] @ C.T
     rows = at_unit_area(target).eigenvectors[:, :k2]
@@ -111,7 +111,8 @@ def functional_map_from_precise_map(
     Raises
     ------
     InvalidInputError
-        If `precise` has another shape, or there are fewer modes than `k`.
+        If `precise` is not sparse, not finite or of another shape, or there are fewer modes than
+        `k`.
 
     Examples
     --------
@@ -121,11 +122,19 @@ def functional_map_from_precise_map(
            [0.5, 0.5]])
     """
     k1, k2 = check_sizes(k, source, target)
+    if not sparse.issparse(precise):
+        raise InvalidInputError(
+            "`precise` must be a sparse array as `precise_map` returns it, got"
+            f" {type(precise).__name__}; for a list of source points there is"
+            " functional_map_from_point_map"
+        )
     if precise.shape != (target.n, source.n):
         raise InvalidInputError(
             f"`precise` must have shape ({target.n}, {source.n}), one row for each target point,"
             f" got {precise.shape}"
         )
+    precise = sparse.csr_array(precise)
+    real_array("data of precise", precise.data)
     values = precise @ at_unit_area(source).eigenvectors[:, :k1]
     return at_unit_area(target).truncate(k2).project(values)
 

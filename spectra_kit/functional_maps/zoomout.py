@@ -12,6 +12,7 @@ from scipy.linalg import solve_triangular
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._checks import checked_pair, checked_samples, starting_map
+from spectra_kit.functional_maps._device import checked_device
 from spectra_kit.functional_maps.convert import Correspondence
 from spectra_kit.functional_maps.nearest import check_rows, nearest, nearest_torch
 from spectra_kit.spectrum import Spectrum
@@ -66,7 +67,10 @@ def zoomout(
     ------
     InvalidInputError
         If a map does not fit the spectra, `k_final` is below the start or above the number of
-        modes, the numbers of components differ, or the samples are too few or out of range.
+        modes, the numbers of components differ, the samples are too few or out of range, or torch
+        cannot use `device`.
+    MissingDependencyError
+        If `device` is not ``"cpu"`` and there is no torch.
 
     Notes
     -----
@@ -93,9 +97,10 @@ def zoomout(
     if device == "cpu":
         refined = _zoom(*arrays, rows, k_final, step, _NUMPY)
     else:
+        place = checked_device(device)
         import torch
 
-        A, B, mass, start = (torch.tensor(x, device=device) for x in map(np.array, arrays))
+        A, B, mass, start = (torch.tensor(x, device=place) for x in map(np.array, arrays))
         tools = _Tools(nearest_torch, torch.linalg.qr, _solve_torch)
         on_device = _zoom(A, B, mass, start, rows, k_final, step, tools)
         refined = tuple(x.cpu().numpy() for x in on_device)
