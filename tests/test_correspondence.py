@@ -5,7 +5,7 @@ import pytest
 from conftest import bumpy, two_parts
 from scipy.sparse.csgraph import floyd_warshall
 
-from spectra_kit import TriangleMesh, cotan_laplacian, robust_laplacian
+from spectra_kit import TriangleMesh, cotan_laplacian, eigensolve, robust_laplacian
 from spectra_kit.correspondence import (
     MapErrors,
     Truth,
@@ -21,7 +21,7 @@ from spectra_kit.correspondence import (
     orientation,
 )
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import rectangle, sphere
+from spectra_kit.geometry import creature, creature_pair, rectangle, sphere
 
 
 @pytest.fixture(scope="module")
@@ -183,6 +183,11 @@ def test_coverage_counts_area():
     assert coverage([2, 0, 1], 1e6 * mass) == 1
 
 
+def test_a_true_map_between_two_meshings_leaves_some_points_out():
+    source, _, point_map = creature_pair(900, 800)
+    assert 0.8 < coverage(point_map, robust_laplacian(source).mass) < 1
+
+
 def test_energy_of_an_affine_map_is_that_of_its_matrix():
     mesh = rectangle(n=600).geometry
     wide = mesh.with_points(mesh.points * [2.0, 1.0, 1.0])
@@ -190,6 +195,21 @@ def test_energy_of_an_affine_map_is_that_of_its_matrix():
     # x goes to 2x: (2^2 + 1^2) / 2 for each unit of area, which is doubled.
     energy = dirichlet_energy(cotan_laplacian(wide), cotan_laplacian(mesh), same)
     assert energy == pytest.approx(5 / 4, rel=1e-9)
+
+
+def test_energy_of_the_identity_is_one_but_for_triangles_that_are_not_delaunay():
+    mesh = creature(900)
+    stretched = mesh.with_points(mesh.points * [1.0, 1.0, 2.5])
+    exact, near, less = (
+        dirichlet_energy(laplacian, laplacian, range(laplacian.n))
+        for laplacian in (
+            cotan_laplacian(stretched),
+            robust_laplacian(mesh),
+            robust_laplacian(stretched),
+        )
+    )
+    assert exact == pytest.approx(1, rel=1e-9)
+    assert 0.95 < less < near < 1
 
 
 def test_energy_does_not_depend_on_the_units():
@@ -234,6 +254,10 @@ def test_quality_refuses(ball):
     laplacian = robust_laplacian(ball)
     with pytest.raises(InvalidInputError, match=r"`point_map` must have shape \(642,\)"):
         dirichlet_energy(laplacian, laplacian, [0, 1])
+    spectrum = eigensolve(laplacian, 4)
+    for name, pair in (("source", (spectrum, laplacian)), ("target", (laplacian, ball))):
+        with pytest.raises(InvalidInputError, match=f"`{name}` must be a Laplacian, got .*; pass"):
+            dirichlet_energy(*pair, np.arange(642))
     with pytest.raises(InvalidInputError, match=r"`point_map` must have shape \(n2,\)"):
         coverage([[0]], [1.0])
     with pytest.raises(InvalidInputError, match=r"`point_map` must be in \[0, 1\), got 1"):

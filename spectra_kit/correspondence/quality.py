@@ -28,8 +28,8 @@ def coverage(point_map: ArrayLike, mass: ArrayLike) -> float:
     Returns
     -------
     float
-        1 for a permutation; about 0.85 for a good map between two meshings of as many vertices,
-        where neighbours may share their nearest vertex.
+        1 for a permutation; less for a true map between two meshings, where several points may
+        share their nearest vertex, and others are nobody's.
 
     Examples
     --------
@@ -57,13 +57,15 @@ def dirichlet_energy(source: Laplacian, target: Laplacian, point_map: ArrayLike)
     -------
     float
         ``tr(X^T L X) / (2 area)`` with X the source points that the target points go to, shape
-        (n2, 3): no unit. 1 for an isometry, at least 1 for a continuous map onto the source
-        (with equality where it is conformal), 0 for a constant one; jumps cost most.
+        (n2, 3): no unit. Near 1 for an isometry (a little less where the mesh is not
+        Delaunay), more for a map onto the source that stretches unevenly, 0 for a constant one;
+        jumps cost most.
 
     Raises
     ------
     InvalidInputError
-        If `point_map` has another length than target points, or an index out of range.
+        If `source` or `target` is no Laplacian, or `point_map` has another length than target
+        points, or an index out of range.
 
     Notes
     -----
@@ -79,6 +81,12 @@ def dirichlet_energy(source: Laplacian, target: Laplacian, point_map: ArrayLike)
     >>> round(dirichlet_energy(laplacian, laplacian, range(laplacian.n)), 6)
     1.0
     """
+    for name, side in (("source", source), ("target", target)):
+        if not isinstance(side, Laplacian):
+            raise InvalidInputError(
+                f"`{name}` must be a Laplacian, got {type(side).__name__};"
+                " pass robust_laplacian(geometry)"
+            )
     p = _checked(point_map, source.n, target.n)
     X = source.points[p]
     return float(np.sum(X * (target.stiffness @ X)) / (2 * source.area))
