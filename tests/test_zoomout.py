@@ -80,13 +80,21 @@ def true_map(source: Spectrum, target: Spectrum, point_map: np.ndarray, k: int) 
 
 
 @pytest.mark.parametrize(
-    "options", [{}, {"step": 11}, {"samples": 900}, {"device": "cpu:0"}], ids=str
+    "options",
+    [{}, {"step": 11}, {"samples": 900}, {"device": "cpu:0"}, {"device": "cpu:0", "samples": 900}],
+    ids=str,
 )
 def test_a_copy_gives_the_permutation(spectrum, copy, shuffle, options) -> None:
     start = true_map(spectrum, copy, shuffle, 8)
     found = zoomout(spectrum, copy, start, k_final=K, **options)
     assert (found.point_map == shuffle).all()
     assert found.functional_map == pytest.approx(true_map(spectrum, copy, shuffle, K), abs=1e-12)
+
+
+def test_a_start_may_be_cut(spectrum, bent) -> None:
+    start = true_map(spectrum, bent, np.arange(N), 10)
+    cut = zoomout(spectrum, bent, start, k_final=20, k_start=6)
+    assert (cut.point_map == zoomout(spectrum, bent, start[:6, :6], k_final=20).point_map).all()
 
 
 def test_both_ways_give_the_permutation_of_a_copy(spectrum, copy, shuffle) -> None:

@@ -52,8 +52,8 @@ def fit_functional_map(
         Of the two surfaces, in any units.
     source_descriptors, target_descriptors : array_like of shape (n1, p) and (n2, p)
         Functions that correspond, column by column, in one unit. What is constant in them does not
-        matter. They weigh as they are: bring columns to one norm first where they should count
-        alike.
+        matter. They weigh as they are: where columns should count alike, or the surfaces are in
+        different units, pass them through `descriptors.normalize_descriptors` first.
     k : int or (int, int), default 30
         Size of the map, or (source's, target's).
     commutativity : float, default 1.0
