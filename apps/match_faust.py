@@ -13,7 +13,8 @@ number in each file) and corres_sym (their mirror images), all counted from 0.
 OUT gets the spectra, the maps (source vertex of each target vertex, .npy), pairs.csv with a line
 for each pair as soon as it is matched, matching.md, matching.json, accuracy curves, and pictures of
 the best, median and worst pair. The same command after an interruption computes only what is
-missing; take another folder, or move pairs.csv away, to measure anew.
+missing. Results are remembered by their inputs and the release of spectra_kit, not by its code:
+after a change of the code, take another folder, or move pairs.csv away, to measure anew.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
+from typing import Literal
 
 from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
 from spectra_kit.evaluation.matching import (
@@ -73,10 +75,13 @@ def _parser() -> argparse.ArgumentParser:
     add("--methods", nargs="+", choices=list(METHODS), default=[DEFAULT], metavar="NAME",
         help=f"{', '.join(METHODS)} (default: {DEFAULT})")  # fmt: skip
     add("--geometry", nargs="+", choices=KINDS, default=["mesh"], help="clouds have no faces")
-    add("-k", type=int, default=150, help="modes (%(default)s)")
+    add("-k", type=int, default=150, help="modes; pyFM ends with 110 all the same (%(default)s)")
     add("--weights", default="small", metavar="NAME|FILE", help="of the network (%(default)s)")
     add("--pyfm-python", metavar="PATH", help="the Python that has pyFM, if it is another one")
-    add("--jobs", type=int, default=os.cpu_count() or 1, help="processes (%(default)s)")
+    add("--geodesics", choices=("edges", "exact"), default="edges",
+        help="distances along edges, or exact ones: minutes a pair (%(default)s)")  # fmt: skip
+    add("--jobs", type=int, default=os.cpu_count() or 1,
+        help="pairs side by side, on one thread each (%(default)s)")  # fmt: skip
     add("--no-pictures", action="store_true", help="do not draw best, median and worst pairs")
     return parser
 
@@ -92,6 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             k=args.k,
             weights=args.weights,
             pyfm_python=args.pyfm_python,
+            geodesics=args.geodesics,
         )
         tasks = make_tasks(
             protocol.pairs, kinds=args.geometry, backends=args.backends, methods=args.methods
@@ -101,7 +107,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(report.read_text(), flush=True)
         print(f"report: {report}")
         if not args.no_pictures:
-            _draw(run, settings, protocol)
+            _draw(run, settings, protocol, up="z" if args.demo else None)
     except SpectraKitError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -141,11 +147,11 @@ def _problem(args: argparse.Namespace) -> tuple[dict[str, Subject], Protocol]:
     return {name: subject for name, subject in subjects.items() if name in used}, protocol
 
 
-def _draw(run: Run, settings: Settings, protocol: Protocol) -> None:
+def _draw(run: Run, settings: Settings, protocol: Protocol, up: Literal["y", "z"] | None) -> None:
     """Draw the extremes of each run, where pictures can be drawn."""
     try:
         for row in summarize_runs(run.results, protocol):
-            print(f"picture: {draw_extremes(run, settings, protocol, row.name)}")
+            print(f"picture: {draw_extremes(run, settings, protocol, row.name, up=up)}")
     except MissingDependencyError as error:
         print(f"best, median and worst pairs are not drawn: {error}", file=sys.stderr)
 

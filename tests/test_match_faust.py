@@ -15,7 +15,7 @@ import pytest
 from conftest import bumpy
 
 from spectra_kit import Arpack, Neo, Polished, Refined, TriangleMesh, eigensolve
-from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
 from spectra_kit.evaluation.matching import (
     METHODS,
     THRESHOLDS,
@@ -194,7 +194,7 @@ def test_the_truth_has_no_error(copies):
     assert np.isnan(result.oracle)
 
 
-def test_the_oracle_knows_the_best_candidate(copies):
+def test_the_best_finalist_is_the_one_that_the_truth_prefers(copies):
     a, b, spectra, order = copies
     maps = [functional_map_from_point_map(*spectra, p, k=30) for p in (0 * order, order)]
     same = np.arange(a.mesh.n)
@@ -230,11 +230,53 @@ def test_pyfm_must_be_installed(copies):
     if importlib.util.find_spec("pyFM"):
         pytest.skip("pyFM is installed")
     sides = [Side(x.mesh, s) for x, s in zip((a, b), spectra, strict=True)]
-    with pytest.raises(MissingDependencyError, match=r"pyFM does not run in .*No module named"):
+    with pytest.raises(MissingDependencyError, match=r"cannot be imported \(No module named"):
         methods.match_pyfm(*sides)
     cloud = replace(sides[0], geometry=a.mesh.as_cloud())
     with pytest.raises(InvalidInputError, match="must be meshes: pyFM knows no clouds"):
         methods.match_pyfm(cloud, sides[1])
+
+
+def test_pyfm_fails_in_another_way_than_by_being_away(copies, tmp_path):
+    a, b, spectra, _ = copies
+    sides = [Side(x.mesh, s) for x, s in zip((a, b), spectra, strict=True)]
+    broken = tmp_path / "python"
+    broken.write_text("#!/bin/sh\necho first >&2\necho 'ValueError: too few modes' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    with pytest.raises(SpectraKitError, match=r"pyFM failed on this pair .*too few modes") as error:
+        methods.match_pyfm(*sides, python=str(broken))
+    assert not isinstance(error.value, MissingDependencyError)
+    with pytest.raises(MissingDependencyError, match="the Python of pyFM must be a program, got"):
+        methods.match_pyfm(*sides, python=str(tmp_path / "nowhere"))
+
+
+def test_errors_can_be_those_of_exact_geodesics(copies, settings):
+    a, b, spectra, order = copies
+    few = [replace(x, landmarks=x.landmarks[:40], mirrored=None) for x in (a, b)]
+    outcome = Outcome(a.mirrored[order], 0, 0, candidates=(np.eye(30),))
+    back = way_back(*spectra, outcome.point_map)
+    edges, exact = (
+        measure_pair(*few, outcome, back, best=outcome.point_map, geodesics=method)
+        for method in ("edges", "exact")
+    )
+    assert 0.8 * edges.direct < exact.direct < edges.direct
+    assert exact.oracle == exact.direct
+    assert exact.bijectivity == edges.bijectivity
+    task = Task("creature0", "creature1", "mesh", "exact", "wks-zoomout")
+    assert replace(settings, geodesics="edges").digest(task) == settings.digest(task)
+    assert replace(settings, geodesics="exact").digest(task) != settings.digest(task)
+
+
+def test_windings_of_the_files_do_not_count(copies):
+    a, b, spectra, order = copies
+    outcome = Outcome(order, 0, 0)
+    plain = measured(a, b, spectra, outcome)
+    inside_out = replace(b, mesh=TriangleMesh(b.mesh.points, b.mesh.faces[:, ::-1]))
+    assert measured(a, inside_out, spectra, outcome).orientation == plain.orientation
+    mixed = b.mesh.faces.copy()
+    mixed[:9] = mixed[:9, ::-1]
+    torn = replace(b, mesh=TriangleMesh(b.mesh.points, mixed))
+    assert np.isnan(measured(a, torn, spectra, outcome).orientation)
 
 
 def test_backends_are_solvers_and_share_no_spectrum(settings):
@@ -292,6 +334,26 @@ def test_a_run_is_remembered(settings, monkeypatch):
         )
     with pytest.raises(AssertionError, match="matched again"):  # other inputs, other results
         run_tasks(tasks, replace(settings, k=K + 1))
+
+
+@pytest.mark.parametrize("before", [None, "7"])
+def test_one_job_has_one_thread(settings, monkeypatch, before):
+    from threadpoolctl import threadpool_info
+
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    if before:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", before)
+    seen = []
+
+    def watching(source, target):
+        seen.append(os.environ["OPENBLAS_NUM_THREADS"])
+        seen.extend(i["num_threads"] for i in threadpool_info() if i["user_api"] == "blas")
+        return Outcome(np.zeros(target.geometry.n, np.int64), 0, 0)
+
+    monkeypatch.setitem(METHODS, "wks-zoomout", watching)
+    run_tasks(make_tasks(PAIR, methods=PLAIN), settings)
+    assert {str(count) for count in seen} == {"1"}
+    assert os.environ.get("OPENBLAS_NUM_THREADS") == before
 
 
 def test_an_interruption_loses_one_pair(settings, monkeypatch):
@@ -469,6 +531,21 @@ def test_summaries_do_their_sums():
     assert (warned.warned, warned.false_alarms) == (1, 1)
 
 
+def test_without_a_symmetric_truth_nothing_is_called_flipped(settings):
+    settings.folder.mkdir()
+    run, protocol = made_up_run(), Protocol("random", (("s0", "t"),))
+    first = next(iter(run.results))
+    run.results[first] = replace(run.results[first], symmetric=float("nan"))
+    unknown, known = summarize_runs(run.results, protocol)
+    assert (unknown.flipped, unknown.partly) == (None, None)
+    assert (known.flipped, known.partly) == (0, 1)
+    text = write_matching_report(run, settings, protocol).read_text()
+    assert "| 4.00 |  | 1.50 |  |  | 1.00 |" in text  # direct to best finalist
+    record = json.loads((settings.folder / "matching.json").read_text())
+    assert record["summaries"][0]["symmetric"] is None
+    assert record["summaries"][0]["flipped"] is None
+
+
 def test_report_names_protocol_numbers_and_ratio(settings):
     settings.folder.mkdir()
     run, protocol = made_up_run(), Protocol("random", (("s0", "t"),))
@@ -476,9 +553,20 @@ def test_report_names_protocol_numbers_and_ratio(settings):
     assert "ordered pairs drawn at random" in text
     assert "| wks-zoomout, exact | 3 | **4.00** | 2.00 | 33% |" in text
     assert "wks-zoomout, neo: 2.00 times the mean error with exact spectra" in text
+    for words in ("along the edges of the source", "left for right", "A pair has one thread"):
+        assert words in text
+    assert "by its inputs (meshes, landmarks, modes, weights) and the release" in text
+    assert "pyFM" not in text
     record = json.loads((settings.folder / "matching.json").read_text())
     assert record["summaries"][1]["mean"] == 8
+    assert record["geodesics"] == "edges"
     assert (settings.folder / "accuracy.png").stat().st_size > 10_000
+    for task, result in list(run.results.items()):
+        run.results[replace(task, backend="exact", method="pyfm")] = result
+    exact = replace(settings, geodesics="exact")
+    text = write_matching_report(run, exact, protocol).read_text()
+    assert "exact geodesic distances on the source" in text
+    assert "pyfm: pyFM with the parameters of its README (version 1.3.1): 30 modes" in text
 
 
 # --- the app ---
@@ -495,6 +583,7 @@ def app():
 @pytest.mark.slow
 def test_the_app_measures_draws_and_prints(app, tmp_path, capsys):
     arguments = [str(tmp_path / "out"), "--demo", "--pairs", "2", "-k", str(K), "--jobs", "1"]
+    arguments += ["--geodesics", "exact"]
     assert app([*arguments, "--methods", "wks-zoomout"]) == 0
     out, err = capsys.readouterr()
     assert "12 pairs" not in out

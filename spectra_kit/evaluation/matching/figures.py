@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +64,14 @@ def draw_accuracy(run: Run, rows: Sequence[Summary], protocol: Protocol, path: P
     return path
 
 
-def draw_extremes(run: Run, settings: Settings, protocol: Protocol, name: Name) -> Path:
+def draw_extremes(
+    run: Run,
+    settings: Settings,
+    protocol: Protocol,
+    name: Name,
+    *,
+    up: Literal["y", "z"] | None = None,
+) -> Path:
     """Draw the best, median and worst map of one group, with their errors.
 
     Parameters
@@ -77,6 +84,8 @@ def draw_extremes(run: Run, settings: Settings, protocol: Protocol, name: Name) 
         Which errors rank.
     name : (str, str, str)
         Kind, backend and method.
+    up : {"y", "z"}, optional
+        As in `viz.plot_correspondences`.
 
     Returns
     -------
@@ -97,6 +106,7 @@ def draw_extremes(run: Run, settings: Settings, protocol: Protocol, name: Name) 
             _drawn(settings, task, f"{what}: {counted(run.results[task], protocol):.2f}")
             for task, what in reversed(chosen.items())
         ],
+        up=up,
         title=f"{name[2]}: {name[1]} spectra of {'meshes' if name[0] == 'mesh' else 'clouds'}",
         subtitle=f"mean geodesic errors of {len(tasks)} pairs, in hundredths of √area",
     )
@@ -119,7 +129,7 @@ def _drawn(settings: Settings, task: Task, name: str) -> MatchedPair:
 
 
 def _spread(source: Subject, target: Subject, point_map: NDArray[np.int64]) -> Floats:
-    """Direct errors on all target points: each has that of the nearest landmark."""
+    """Direct errors along edges on all target points: each has that of the nearest landmark."""
     truth = truth_between(source, target)
     errors = geodesic_errors(source.mesh, point_map, truth)
     points = target.mesh.points

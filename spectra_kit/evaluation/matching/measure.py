@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +19,21 @@ from spectra_kit.correspondence import (
     map_errors,
     orientation,
 )
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.evaluation.matching.methods import Outcome
 from spectra_kit.evaluation.matching.subjects import Subject, truth_between
 from spectra_kit.functional_maps import (
     functional_map_from_point_map,
     point_map_from_functional_map,
 )
+from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators import robust_laplacian
+from spectra_kit.operators.orientation import oriented_triangles
 from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Geodesics = Literal["edges", "exact"]
 
 #: Where accuracy curves are taken, in hundredths of the root of the area.
 THRESHOLDS = frozen(np.linspace(0, 10, 41))
@@ -45,17 +50,20 @@ class PairResult:
         Mean geodesic errors against the truth, its mirror image, and the smaller one at each
         correspondence; `symmetric` is NaN where there is no mirror image.
     flipped : bool
-        See `correspondence.MapErrors.flipped`.
+        Left for right: see `correspondence.MapErrors.flipped`. False where there is no mirror
+        image.
     auc : float
         Of the direct errors up to 10.
     auc_either : float
         Of the smaller ones.
     coverage, energy, bijectivity, orientation : float
         See `correspondence`; `bijectivity` is the mean distance to where the transposed
-        functional map leads back, the others need no more than the point map. `orientation`
-        counts faces as they are wound in the files.
+        functional map leads back, the others need no more than the point map. `orientation` is
+        NaN where a mesh has no consistent winding.
     oracle : float
-        Mean direct error of the best candidate, chosen by the truth; NaN without candidates.
+        Mean direct error of the best finalist: of the map itself, or of the reported candidate that
+        the truth prefers, finished by plain ZoomOut (see `best_candidate`), if that is smaller.
+        NaN without candidates.
     margin, ambiguous : float, bool
         Which the method reports; NaN and False where it does not.
     seconds, cpu_seconds : float
@@ -90,6 +98,7 @@ def measure_pair(
     back: Ints,
     *,
     best: Ints | None = None,
+    geodesics: Geodesics = "edges",
 ) -> PairResult:
     """Measure an outcome against the truth and without it.
 
@@ -103,17 +112,21 @@ def measure_pair(
         Target vertex of each source vertex; see `way_back`.
     best : array_like of shape (n2,), integers, optional
         Map of the candidate that is best by the truth, if another than the chosen one.
+    geodesics : {"edges", "exact"}, default "edges"
+        How errors are measured; see `correspondence.geodesic_distances`.
 
     Returns
     -------
     PairResult
-        Distances are those along the edges of the source's mesh, also where clouds were matched.
+        Distances are those on the source's mesh, also where clouds were matched; those of
+        `bijectivity` are always along its edges.
     """
     truth, p = truth_between(source, target), outcome.point_map
-    errors = map_errors(source.mesh, p, truth)
+    errors = map_errors(source.mesh, p, truth, method=geodesics)
     oracle = float(errors.direct.mean()) if outcome.candidates else float("nan")
     if best is not None:
-        oracle = min(oracle, float(geodesic_errors(source.mesh, best, truth).mean()))
+        rival = geodesic_errors(source.mesh, best, truth, method=geodesics)
+        oracle = min(oracle, float(rival.mean()))
     laplacian_1, laplacian_2 = (robust_laplacian(subject.mesh) for subject in (source, target))
     return PairResult(
         direct=float(errors.direct.mean()),
@@ -125,7 +138,7 @@ def measure_pair(
         coverage=coverage(p, laplacian_1.mass),
         energy=dirichlet_energy(laplacian_1, laplacian_2, p),
         bijectivity=float(bijectivity_errors(source.mesh, p, back).mean()),
-        orientation=orientation(source.mesh.points, source.mesh.faces, target.mesh.faces, p),
+        orientation=_orientation(source.mesh, target.mesh, p),
         oracle=oracle,
         ambiguous=outcome.ambiguous,
         margin=outcome.margin,
@@ -156,6 +169,14 @@ def way_back(source: Spectrum, target: Spectrum, point_map: Ints) -> Ints:
     k = min(_WAY_BACK, source.k, target.k)
     C = functional_map_from_point_map(source, target, point_map, k=k)
     return point_map_from_functional_map(target, source, C.T)
+
+
+def _orientation(source: TriangleMesh, target: TriangleMesh, point_map: Ints) -> float:
+    try:
+        a, b = oriented_triangles(source), oriented_triangles(target)
+    except InvalidInputError:  # a surface without a consistent winding has no orientation
+        return float("nan")
+    return orientation(source.points, a.faces, b.faces, point_map)
 
 
 def _mean(errors: Floats | None) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
-from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
 from spectra_kit.evaluation.matching import pyfm_peer
 from spectra_kit.functional_maps import zoomout
 from spectra_kit.functional_maps.fit import fit_functional_map
@@ -152,7 +152,9 @@ def match_pyfm(source: Side, target: Side, *, python: str = sys.executable) -> O
     InvalidInputError
         If a side is no mesh.
     MissingDependencyError
-        If pyFM is not installed there, or fails.
+        If there is no such Python, or it has no pyFM.
+    SpectraKitError
+        If pyFM fails on this pair.
     """
     if not isinstance(source.geometry, TriangleMesh) or not isinstance(
         target.geometry, TriangleMesh
@@ -168,15 +170,22 @@ def match_pyfm(source: Side, target: Side, *, python: str = sys.executable) -> O
             F2=target.geometry.faces,
             k=source.spectrum.k,
         )
-        script = str(pyfm_peer.__file__)
-        done = subprocess.run(
-            [python, script, str(given), str(answer)], capture_output=True, text=True, check=False
-        )
-        if done.returncode:
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        command = [python, str(pyfm_peer.__file__), str(given), str(answer)]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+        except OSError as error:
             raise MissingDependencyError(
-                f"pyFM does not run in {python} ({last}); pip install pyfmaps there, or name"
-                " another Python"
+                f"the Python of pyFM must be a program, got {python} ({error}); name another"
+            ) from error
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        if done.returncode == pyfm_peer.MISSING:
+            raise MissingDependencyError(
+                f"pyFM must be installed in {python}, cannot be imported ({last}); pip install"
+                " pyfmaps there, or name another Python"
+            )
+        if done.returncode:
+            raise SpectraKitError(
+                f"pyFM failed on this pair with exit status {done.returncode} ({last})"
             )
         with np.load(answer) as file:
             return Outcome(

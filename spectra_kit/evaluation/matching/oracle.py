@@ -1,4 +1,8 @@
-"""What the best candidate would have given, had the truth chosen it: the ceiling of any score."""
+"""Which of the candidates that a method reports is the best by the truth, by plain ZoomOut.
+
+A yardstick for the choice among them, no bound: candidates that were dropped before are not seen,
+and the chosen one is finished by the whole method, the others by plain ZoomOut alone.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +31,7 @@ def best_candidate(
     vertices: Ints,
     points: Ints,
 ) -> Ints | None:
-    """Refine the candidate that is best by the truth.
+    """Finish the candidate that is best by the truth, by plain ZoomOut.
 
     Parameters
     ----------

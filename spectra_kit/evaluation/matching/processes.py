@@ -14,11 +14,13 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
+from spectra_kit.linalg.threads import single_threaded_blas
+
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 Submit = Callable[[Callable[[Any], Any], Any], "Future[Any]"]
 
-# One thread in each process: the processes share the cores.
+# One thread for each pair: processes share the cores, and times of one job are those of many.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _WATCH = 1.0  # seconds between two looks at whether the parent still lives
 
@@ -30,7 +32,7 @@ def workers(jobs: int, begin: Callable[[Any], None], shared: object) -> Iterator
     Parameters
     ----------
     jobs : int
-        How many; with 1 this process begins itself, and no other is started.
+        How many, of one thread each; with 1 this process begins itself, and starts no other.
     begin : callable
         Of a module that can be imported.
     shared : object
@@ -41,22 +43,32 @@ def workers(jobs: int, begin: Callable[[Any], None], shared: object) -> Iterator
     callable or None
         Takes a function and its argument to a process; None where there is none.
     """
-    if jobs == 1:
-        begin(shared)
-        yield None
-        return
+    with _one_thread():
+        if jobs == 1:
+            begin(shared)
+            with single_threaded_blas():  # which read the environment as it was loaded
+                yield None
+            return
+        executor = ProcessPoolExecutor(
+            jobs,
+            mp_context=multiprocessing.get_context("spawn"),
+            initializer=_begin,
+            initargs=(os.getpid(), begin, shared),
+        )
+        try:
+            yield executor.submit
+        finally:
+            executor.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Tell the processes that start meanwhile, and the loops of this one, to use one thread."""
     before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))  # the processes read it as they start
-    executor = ProcessPoolExecutor(
-        jobs,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_begin,
-        initargs=(os.getpid(), begin, shared),
-    )
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
-        yield executor.submit
+        yield
     finally:
-        executor.shutdown(wait=True, cancel_futures=True)
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)

@@ -14,9 +14,15 @@ from spectra_kit._version import VERSION
 from spectra_kit.correspondence import FLIP_MARGIN
 from spectra_kit.evaluation.matching.figures import draw_accuracy
 from spectra_kit.evaluation.matching.protocols import PROTOCOLS, Protocol
+from spectra_kit.evaluation.matching.pyfm_peer import PARAMETERS
 from spectra_kit.evaluation.matching.runner import Run, Settings
 from spectra_kit.evaluation.matching.summaries import Summary, summarize_runs
 from spectra_kit.evaluation.matching.table import Task
+
+_DISTANCES = {
+    "edges": "geodesic distances along the edges of",
+    "exact": "exact geodesic distances on",
+}
 
 
 def write_matching_report(run: Run, settings: Settings, protocol: Protocol) -> Path:
@@ -42,11 +48,12 @@ def write_matching_report(run: Run, settings: Settings, protocol: Protocol) -> P
         "version": VERSION,
         "protocol": {"name": protocol.name, "pairs": len(protocol.pairs)},
         "k": settings.k,
-        "summaries": [asdict(row) for row in rows],
+        "geodesics": settings.geodesics,
+        "summaries": [_plain(row) for row in rows],
         "failures": [{**asdict(task), "reason": why} for task, why in run.failures.items()],
     }
     with atomic_path(folder / "matching.json") as part:
-        part.write_text(json.dumps(record, indent=1) + "\n")
+        part.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
     with atomic_path(folder / "matching.md") as part:
         part.write_text(_markdown(run, rows, settings, protocol))
     if rows:
@@ -66,7 +73,7 @@ _HEADS = (
     "either",
     "flipped",
     "partly",
-    "oracle",
+    "best finalist",
     "warned",
     "coverage",
     "energy",
@@ -84,15 +91,33 @@ def _markdown(run: Run, rows: Sequence[Summary], settings: Settings, protocol: P
         f"{len(protocol.pairs)} pairs ({protocol.name}: {PROTOCOLS[protocol.name]});"
         f" {settings.k} modes; spectra_kit {VERSION}.",
         "",
-        "Errors are geodesic distances along the edges of the source, in hundredths of the root of"
+        f"Errors are {_DISTANCES[settings.geodesics]} the source, in hundredths of the root of"
         f" its area; *mean*, *median*, *over 8* (share of pairs) and *AUC* (up to 10): {what}"
-        " errors. *Flipped*: pairs whose mean symmetric error is lower than the direct one by more"
-        f" than {FLIP_MARGIN:g}; *partly*: others where the smaller error at each correspondence is"
-        " lower by as much. *Oracle*: direct error if the truth chose among the candidates."
+        " errors. *Flipped*: pairs with left for right, whose mean symmetric error is lower than"
+        f" the direct one by more than {FLIP_MARGIN:g}; *partly*: others where the smaller error at"
+        " each correspondence is lower by as much. Both are blank without a symmetric truth, and"
+        " front for back is in neither. *Best finalist*: direct error if, of the map and of the"
+        " other candidates that were refined last, finished by plain ZoomOut, the truth chose; no"
+        " bound, as the whole method might finish those better."
         " *Warned*: pairs called ambiguous, of those over 8 and of the others. *Coverage*: share of"
         " the source's area hit. *Energy*: Dirichlet, 1 for an isometry."
-        " *Back*: mean distance to where the transposed functional map leads back. Seconds are"
-        " medians of one pair, spectra given and nothing else.",
+        " *Back*: mean distance along edges to where the transposed functional map leads back.",
+        "",
+        "Seconds are medians of one pair, spectra given and nothing else. A pair has one thread,"
+        " also with `--jobs 1`; with more, as many pairs run side by side and share the machine,"
+        " which lengthens *s*.",
+        "",
+    ]
+    if any(row.method == "pyfm" for row in rows):
+        lines += [
+            f"pyfm: {PARAMETERS}. `-k` does not change that: it sets how many modes pyFM solves"
+            " for and makes the signatures of.",
+            "",
+        ]
+    lines += [
+        "`pairs.csv` remembers a pair by its inputs (meshes, landmarks, modes, weights) and the"
+        " release, not by the code: where that has changed since, the lines of before stay until"
+        " the file is moved away.",
         "",
     ]
     if rows:
@@ -117,6 +142,14 @@ def _markdown(run: Run, rows: Sequence[Summary], settings: Settings, protocol: P
     return "\n".join(lines)
 
 
+def _plain(row: Summary) -> dict[str, object]:
+    """Return the fields as JSON has them: it knows no NaN."""
+    return {
+        name: None if isinstance(value, float) and not np.isfinite(value) else value
+        for name, value in asdict(row).items()
+    }
+
+
 def _cells(row: Summary) -> list[str]:
     def number(value: float, digits: int) -> str:
         return "" if np.isnan(value) else f"{value:.{digits}f}"
@@ -131,8 +164,8 @@ def _cells(row: Summary) -> list[str]:
         number(row.direct, 2),
         number(row.symmetric, 2),
         number(row.either, 2),
-        str(row.flipped),
-        str(row.partly),
+        "" if row.flipped is None else str(row.flipped),
+        "" if row.partly is None else str(row.partly),
         number(row.oracle, 2),
         _warned(row),
         number(row.coverage, 2),

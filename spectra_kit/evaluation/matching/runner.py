@@ -14,7 +14,7 @@ import numpy as np
 from spectra_kit._files import atomic_path
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError, SpectraKitError
-from spectra_kit.evaluation.matching.measure import PairResult, measure_pair, way_back
+from spectra_kit.evaluation.matching.measure import Geodesics, PairResult, measure_pair, way_back
 from spectra_kit.evaluation.matching.methods import METHODS, Side, match_pyfm
 from spectra_kit.evaluation.matching.oracle import best_candidate
 from spectra_kit.evaluation.matching.processes import done, workers
@@ -51,6 +51,8 @@ class Settings:
         Of the network.
     pyfm_python : str, optional
         The Python that has pyFM, if another.
+    geodesics : {"edges", "exact"}, default "edges"
+        How errors are measured; see `measure_pair`.
     """
 
     subjects: Mapping[str, Subject]
@@ -58,6 +60,7 @@ class Settings:
     k: int = 150
     weights: str = "small"
     pyfm_python: str | None = None
+    geodesics: Geodesics = "edges"
 
     def spectrum_path(self, name: str, kind: str, backend: str) -> Path:
         """Return where the spectrum of a subject lies."""
@@ -76,11 +79,17 @@ class Settings:
         return self.folder / "maps" / run / f"{task.source}--{task.target}.npy"
 
     def digest(self, task: Task) -> str:
-        """Hash of the two subjects and their spectra's keys: what decides a result."""
+        """Hash of what a result is remembered by: the inputs and how they are measured.
+
+        Those are the two subjects and the keys of their spectra, which hold the release. The code
+        between two releases is not: what it changes is measured anew in another folder.
+        """
         digest = hashlib.blake2b(digest_size=12)
         for name in (task.source, task.target):
             digest.update(self.subjects[name].digest.encode())
             digest.update(self.spectrum_path(name, task.kind, task.backend).name.encode())
+        if self.geodesics != "edges":
+            digest.update(self.geodesics.encode())
         return digest.hexdigest()
 
 
@@ -165,8 +174,8 @@ def run_tasks(
     settings : Settings
         Subjects and folder.
     jobs : int, default 1
-        Processes side by side, of one thread each; with 1 everything runs in this process, with
-        the threads that it has.
+        Processes side by side, of one thread each; with 1 everything runs in this process, on one
+        thread, too.
     progress : bool, default False
         Show a bar on a terminal.
 
@@ -284,6 +293,7 @@ def _match(task: Task) -> PairResult | str:
             outcome,
             vertex_2[back[point_1]],
             best=None if best is None else vertex_1[best[point_2]],
+            geodesics=settings.geodesics,
         )
         with atomic_path(settings.map_path(task)) as part:
             np.save(part, outcome.point_map.astype(np.int32))

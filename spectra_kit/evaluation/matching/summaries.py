@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -36,15 +37,16 @@ class Summary:
         Mean area under the accuracy curve up to 10.
     direct, symmetric, either : float
         Means over the pairs of each kind of error.
-    flipped : int
-        Pairs whose symmetric error is smaller than the direct one by more than the margin.
-    partly : int
+    flipped : int or None
+        Pairs with left for right: the symmetric error is smaller than the direct one by more than
+        the margin. None if a pair has no symmetric truth.
+    partly : int or None
         Other pairs where the smaller error at each correspondence is on average smaller than the
         direct one by more than the margin: an arm or a leg went to the other side.
     coverage, energy, bijectivity : float
         Means over the pairs.
     oracle : float
-        Mean over the pairs of the best candidate's direct error; NaN without candidates.
+        Mean over the pairs of the best finalist's direct error; see `PairResult`.
     warned, false_alarms : int
         Pairs above `BAD` that the method called ambiguous, and pairs below it.
     seconds, cpu_seconds : float
@@ -62,8 +64,8 @@ class Summary:
     direct: float
     symmetric: float
     either: float
-    flipped: int
-    partly: int
+    flipped: int | None
+    partly: int | None
     coverage: float
     energy: float
     bijectivity: float
@@ -122,6 +124,7 @@ def _summary(name: Name, rows: Sequence[PairResult], protocol: Protocol) -> Summ
         return statistics.fmean(getattr(row, field) for row in rows)
 
     errors = [counted(row, protocol) for row in rows]
+    sided = not any(math.isnan(row.symmetric) for row in rows)
     return Summary(
         kind=name[0],
         backend=name[1],
@@ -134,8 +137,8 @@ def _summary(name: Name, rows: Sequence[PairResult], protocol: Protocol) -> Summ
         direct=mean("direct"),
         symmetric=mean("symmetric"),
         either=mean("either"),
-        flipped=sum(row.flipped for row in rows),
-        partly=sum(row.direct - row.either > FLIP_MARGIN and not row.flipped for row in rows),
+        flipped=sum(row.flipped for row in rows) if sided else None,
+        partly=sum(map(_partly, rows)) if sided else None,
         coverage=mean("coverage"),
         energy=mean("energy"),
         bijectivity=mean("bijectivity"),
@@ -145,3 +148,7 @@ def _summary(name: Name, rows: Sequence[PairResult], protocol: Protocol) -> Summ
         seconds=statistics.median(row.seconds for row in rows),
         cpu_seconds=statistics.median(row.cpu_seconds for row in rows),
     )
+
+
+def _partly(row: PairResult) -> bool:
+    return row.direct - row.either > FLIP_MARGIN and not row.flipped
