@@ -583,7 +583,6 @@ def app():
 @pytest.mark.slow
 def test_the_app_measures_draws_and_prints(app, tmp_path, capsys):
     arguments = [str(tmp_path / "out"), "--demo", "--pairs", "2", "-k", str(K), "--jobs", "1"]
-    arguments += ["--geodesics", "exact"]
     assert app([*arguments, "--methods", "wks-zoomout"]) == 0
     out, err = capsys.readouterr()
     assert "12 pairs" not in out
@@ -601,8 +600,11 @@ def test_the_app_says_what_is_wrong(app, tmp_path, capsys, monkeypatch):
     assert "name a folder with --data" in capsys.readouterr().err
     assert app([out, "--data", str(tmp_path)]) == 2
     assert "must hold .npz files" in capsys.readouterr().err
-    assert app([out, "--demo", "--pairs", "1", "-k", "9999", "--jobs", "1", "--no-pictures"]) == 1
-    assert "Not matched" in capsys.readouterr().out
+    few = ["--demo", "--pairs", "1", "-k", "9999", "--jobs", "1", "--no-pictures"]
+    assert app([out, *few, "--geodesics", "exact"]) == 1
+    report = capsys.readouterr().out
+    assert "Not matched" in report
+    assert "exact geodesic distances on the source" in report
 
 
 def test_the_app_can_be_interrupted(app, tmp_path, capsys, monkeypatch):

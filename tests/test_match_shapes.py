@@ -2,13 +2,26 @@
 
 import json
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from test_apps import load
 
 from spectra_kit.cli import main
-from spectra_kit.geometry import creature, creature_pair, mirrored, permuted, write
+from spectra_kit.cli.quality import doubts_of
+from spectra_kit.eigensolvers import eigensolve
+from spectra_kit.geometry import (
+    creature,
+    creature_pair,
+    mirrored,
+    permuted,
+    sphere,
+    write,
+)
+from spectra_kit.matching import match
+from spectra_kit.operators import robust_laplacian
 
 FILES = {"point_map.npy", "functional_map.npy", "report.json"}
 
@@ -70,6 +83,8 @@ def test_a_permuted_copy_gives_the_permutation(app, files, tmp_path, capsys):
     assert match["orientation"] == match["coverage"] == match["auc_to_10"] == 1
     assert match["dirichlet_energy"] == pytest.approx(1, rel=1e-3)
     assert match["mirrored"] is match["ambiguous"] is False
+    assert match["other_side"] > 1
+    assert "doubts" not in match
     assert result["target"]["points"] == 1000
     saved = json.loads((tmp_path / "out" / "report.json").read_text())
     assert saved == {key: value for key, value in result.items() if key != "written"}
@@ -134,6 +149,63 @@ def test_the_demo_draws_its_pictures(app, tmp_path, capsys):
         assert f"written: {folder / name}" in out
 
 
+def test_every_doubt_is_told(files):
+    mesh = creature(600)
+    spectrum = eigensolve(robust_laplacian(mesh), 40)
+    found = match(spectrum, spectrum, source_geometry=mesh, target_geometry=mesh)
+    assert doubts_of(found) == ""
+    for doubtful, why in (
+        ({"margin": 1.01}, "another map scores nearly as well"),
+        ({"other_side": 0.5}, "one that mirrors scores better"),
+        ({"orientation": 0.1}, "its orientation is not that of a whole map"),
+        ({"orientation": None, "consistent": 0.5}, "it is in doubt which side of a cloud is out"),
+        (
+            {"mirrored": True, "orientation": -1.0, "other_side": 0.5, "margin": 1.0},
+            "another map scores nearly as well, one that does not mirror scores better",
+        ),
+    ):
+        assert doubts_of(replace(found, **doubtful)) == why
+
+
+def test_an_ambiguous_match_says_why(app, tmp_path, capsys):
+    ball = sphere(subdivisions=3).geometry
+    turn = Rotation.from_rotvec([0.3, 0.5, 0.7]).as_matrix()
+    eggs = [tmp_path / "one.off", tmp_path / "other.off"]
+    for path, points in zip(eggs, (ball.points, ball.points @ turn), strict=True):
+        write(ball.with_points(points * [1.0, 1.0, 1.7]), path)
+    result = report(app, capsys, *eggs, "-k", 40, "--sides", "kept", "-o", tmp_path / "out")
+    assert result["match"]["ambiguous"] is True
+    assert "another map scores nearly as well" in result["match"]["doubts"]
+    assert result["match"]["other_side"] is None  # not tried
+
+
+def test_files_of_another_match_are_not_mixed_with_its_own(app, files, tmp_path, capsys):
+    pair, out = (files / "animal.off", files / "permuted.off"), tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    few = ("-k", 40, "-o", out)
+    report(app, capsys, *pair, *few)
+    report(app, capsys, *pair, *few)  # all is replaced
+    (out / "source.npz").write_bytes(b"of the demo")
+    assert "got source.npz, which would stay beside the new one" in refusal(
+        app, capsys, *pair, *few
+    )
+    assert (out / "source.npz").read_bytes() == b"of the demo"
+    write(creature(1000), out / "source.npz")
+    report(app, capsys, out / "source.npz", pair[1], *few)  # an input may lie there
+    for options in (
+        (out / "source.npz", pair[1], *few, "--cloud", 700),
+        (*pair, *few, "--truth", out / "point_map.npy"),
+    ):
+        assert "the output must not replace an input, got" in refusal(app, capsys, *options)
+
+
+def test_modes_are_numbers(capsys):
+    with pytest.raises(SystemExit):
+        main(["spectrum", "demo", "--modes", "1,x"])
+    assert "expected numbers like 1,2,5,10, got '1,x'" in capsys.readouterr().err
+
+
 def test_bad_input_is_refused_before_the_work(app, files, tmp_path, capsys):
     pair, out = (files / "source.off", files / "target.off"), ("-o", tmp_path / "out")
     empty, words, single, ragged = (
@@ -163,5 +235,6 @@ def test_bad_input_is_refused_before_the_work(app, files, tmp_path, capsys):
         (("--solver", "arpack", "--rtol", 1e-3), "--rtol is for the solvers"),
     ):
         assert message in refusal(app, capsys, *pair, *out, *options)
+    assert "cannot make" in refusal(app, capsys, *pair, "-o", tmp_path / "no" / "out")
     assert "there is no" in refusal(app, capsys, *pair, "-o", tmp_path / "no" / "out")
     assert not (tmp_path / "out").exists()

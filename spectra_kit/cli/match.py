@@ -17,7 +17,7 @@ from spectra_kit.cli import tables
 from spectra_kit.cli.inputs import assemble, load, solvers_named
 from spectra_kit.cli.options import DEMO
 from spectra_kit.cli.output import plain, print_blocks, print_json, progress
-from spectra_kit.cli.quality import Errors, Side, errors_of, quality_of
+from spectra_kit.cli.quality import Errors, Side, doubts_of, errors_of, quality_of
 from spectra_kit.eigensolvers import Eigensolver, eigensolve
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, creature_pair, write
@@ -27,19 +27,23 @@ from spectra_kit.matching.match import Sides
 Ints = NDArray[np.int64]
 Up = Literal["y", "z"]
 
+_MAPS = ("point_map.npy", "functional_map.npy", "report.json")
+_SIDES = ("source.npz", "target.npz")
+_PICTURES = ("correspondence.png", "functional_map.png", "errors.png")
+
 
 def match_shapes(arguments: argparse.Namespace) -> None:
     """Match, judge the map, write maps, report and pictures into one folder."""
     folder: Path = arguments.output
     if not folder.parent.is_dir():
         raise InvalidInputError(f"cannot make {str(folder)!r}: there is no {str(folder.parent)!r}")
-    changed = arguments.repair or arguments.cloud is not None
-    if changed and (arguments.landmarks or arguments.truth):
+    if _changed(arguments) and (arguments.landmarks or arguments.truth):
         raise InvalidInputError(
             "--landmarks and --truth number the points of the files, which --repair and --cloud"
             " change; repair or sample first, and match what came out"
         )
     (solver,) = solvers_named(arguments, arguments.solver)
+    _check_folder(folder, _files(arguments), _inputs(arguments))
     geometries, truth = _geometries(arguments)
     if arguments.truth:
         truth = _read_truth(arguments.truth, *(g.n for g in geometries))
@@ -65,10 +69,10 @@ def match_shapes(arguments: argparse.Namespace) -> None:
     }
     folder.mkdir(exist_ok=True)
     written = _write(folder, found, record)
-    if changed or DEMO in (arguments.source, arguments.target):
-        for name, side in (("source", source), ("target", target)):
-            write(side.geometry, folder / f"{name}.npz")
-            written.append(folder / f"{name}.npz")
+    if _writes_sides(arguments):
+        for name, side in zip(_SIDES, (source, target), strict=True):
+            write(side.geometry, folder / name)
+            written.append(folder / name)
     if not arguments.no_pictures:
         progress("drawing")
         up: Up | None = arguments.up or ("z" if source.name == DEMO else None)
@@ -83,10 +87,56 @@ def match_shapes(arguments: argparse.Namespace) -> None:
     )
 
 
+def _changed(arguments: argparse.Namespace) -> bool:
+    return arguments.repair or arguments.cloud is not None
+
+
+def _writes_sides(arguments: argparse.Namespace) -> bool:
+    """Whether the maps number other points than those of files that exist."""
+    return _changed(arguments) or DEMO in (arguments.source, arguments.target)
+
+
+def _is_demo_pair(arguments: argparse.Namespace) -> bool:
+    return arguments.source == arguments.target == DEMO and arguments.cloud is None
+
+
+def _files(arguments: argparse.Namespace) -> tuple[str, ...]:
+    """Names of all that will be written."""
+    truth = arguments.truth or _is_demo_pair(arguments)
+    pictures = () if arguments.no_pictures else _PICTURES if truth else _PICTURES[:2]
+    return _MAPS + (_SIDES if _writes_sides(arguments) else ()) + pictures
+
+
+def _inputs(arguments: argparse.Namespace) -> set[Path]:
+    """Files that are read."""
+    names = (arguments.source, arguments.target, arguments.landmarks, arguments.truth)
+    return {Path(name).resolve() for name in names if name not in (DEMO, None)}
+
+
+def _check_folder(folder: Path, files: tuple[str, ...], inputs: set[Path]) -> None:
+    """Refuse to write over an input, or beside files of an earlier match that will stay."""
+    if taken := [name for name in files if (folder / name).resolve() in inputs]:
+        raise InvalidInputError(
+            f"the output must not replace an input, got {', '.join(taken)} in {str(folder)!r} as"
+            " one; name another folder with --output"
+        )
+    left = [
+        name
+        for name in _MAPS + _SIDES + _PICTURES
+        if name not in files and (folder / name).resolve() not in inputs
+        if (folder / name).exists()
+    ]
+    if left:
+        raise InvalidInputError(
+            f"{str(folder)!r} must hold no other match, got {', '.join(left)}, which would stay"
+            " beside the new one; remove what is old, or name another folder with --output"
+        )
+
+
 def _geometries(arguments: argparse.Namespace) -> tuple[tuple[Geometry, Geometry], Ints | None]:
     """Read or make both; the demo is one animal in two poses, whose true map is known."""
     names = (arguments.source, arguments.target)
-    if names == (DEMO, DEMO) and arguments.cloud is None:
+    if _is_demo_pair(arguments):
         n = arguments.points
         source, target, truth = creature_pair(n, max(9 * n // 10, 500), seed=arguments.seed)
         return (source, target), truth
@@ -119,7 +169,9 @@ def _matched(
         "prepare_seconds": middle - start,
         "match_seconds": time.perf_counter() - middle,
         "ambiguous": found.ambiguous,
+        **({"doubts": doubts_of(found)} if found.ambiguous else {}),
         "margin": found.margin,
+        "other_side": found.other_side,
         "score": found.score,
         "candidates": len(found.candidates),
         "mirrored": found.mirrored,
@@ -177,7 +229,7 @@ def _side_record(side: Side) -> tables.Record:
 
 def _write(folder: Path, found: Match, record: tables.Record) -> list[Path]:
     """The two maps and the report, each whole or not at all."""
-    paths = [folder / name for name in ("point_map.npy", "functional_map.npy", "report.json")]
+    paths = [folder / name for name in _MAPS]
     for path, array in zip(paths, (found.point_map, found.functional_map), strict=False):
         with atomic_path(path) as part, part.open("wb") as file:
             np.save(file, array)
@@ -197,7 +249,7 @@ def _draw(
 ) -> list[Path]:
     from spectra_kit.viz import plot_correspondence, plot_error_curves, plot_functional_map
 
-    paths = [folder / "correspondence.png", folder / "functional_map.png"]
+    paths = [folder / name for name in (_PICTURES[:2] if errors is None else _PICTURES)]
     names = tuple(Path(side.name).stem for side in (source, target))
     title = " to ".join(names)
     plot_correspondence(
@@ -215,7 +267,6 @@ def _draw(
     )
     plot_functional_map(paths[1], found.functional_map, title=title, dpi=dpi)
     if errors is not None:
-        paths.append(folder / "errors.png")
         plot_error_curves(
             paths[2], {title: errors.known}, error_label=errors.label, title=title, dpi=dpi
         )

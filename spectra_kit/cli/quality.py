@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from spectra_kit.functional_maps import (
     point_map_from_functional_map,
 )
 from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.matching import Match
 from spectra_kit.operators import Laplacian
 from spectra_kit.operators.orientation import oriented_triangles
 from spectra_kit.spectrum import Spectrum
@@ -72,6 +74,25 @@ class Errors:
             "share_of_errors_below_5": float((known <= 5).mean()),
             "auc_to_10": auc(known),
         }
+
+
+def doubts_of(found: Match) -> str:
+    """Say why a match is ambiguous; nothing if it is not."""
+    clear = {
+        "margin": math.inf,
+        "other_side": math.inf,
+        "orientation": -1.0 if found.mirrored else 1.0,
+        "consistent": 1.0,
+    }
+    other = "does not mirror" if found.mirrored else "mirrors"
+    told = {
+        "margin": "another map scores nearly as well",
+        "other_side": f"one that {other} scores better",
+        "orientation": "its orientation is not that of a whole map",
+        "consistent": "it is in doubt which side of a cloud is out",
+    }
+    alone = {name: clear | {name: getattr(found, name)} for name in clear}  # one doubt at a time
+    return ", ".join(why for name, why in told.items() if replace(found, **alone[name]).ambiguous)
 
 
 def errors_of(source: Side, point_map: Ints, truth: Ints) -> Errors:
