@@ -110,8 +110,7 @@ def _markdown(run: Run, rows: Sequence[Summary], settings: Settings, protocol: P
     ]
     if any(row.method == "pyfm" for row in rows):
         lines += [
-            f"pyfm: {PARAMETERS}. `-k` does not change that: it sets how many modes pyFM solves"
-            " for and makes the signatures of.",
+            f"pyfm: {PARAMETERS}. `-k` does not change that, only how many modes it solves for.",
             "",
         ]
     lines += [
