@@ -14,6 +14,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from spectra_kit.linalg.cholesky import SparseCholesky
+from spectra_kit.linalg.threads import in_threads
 from spectra_kit.matching.curvature import outward_normals
 from spectra_kit.matching.prepare import Surface
 from spectra_kit.operators.orientation import OrientedTriangles
@@ -26,6 +27,7 @@ _NORMAL = 0.05  # length that a turn of the normal by one radian counts like
 _ROUNDS = 5  # of finding nearest points
 _BENDS = 2  # of bending within each round
 _FIRST_BENDS = 8
+_SHARE = 2500  # rotations that a thread works out at a time
 
 
 def elastic_point_map(
@@ -99,10 +101,16 @@ def _bending(
 
 def _rotations(covariances: Floats) -> Floats:
     """Return the rotations R that fit best: the largest trace of ``R S`` for each S, (n, 3, 3)."""
-    u, _, vt = np.linalg.svd(covariances)
-    flipped = np.linalg.det(u) * np.linalg.det(vt) < 0
-    vt[flipped, 2] *= -1
-    return np.asarray(np.swapaxes(u @ vt, 1, 2))
+    out = np.empty_like(covariances)
+
+    def rotate(part: slice) -> None:
+        u, _, vt = np.linalg.svd(covariances[part])
+        flipped = np.linalg.det(u) * np.linalg.det(vt) < 0
+        vt[flipped, 2] *= -1
+        out[part] = np.swapaxes(u @ vt, 1, 2)
+
+    in_threads(rotate, [(slice(a, a + _SHARE),) for a in range(0, len(covariances), _SHARE)])
+    return out
 
 
 def _edges(points: Floats, oriented: OrientedTriangles) -> tuple[Ints, Ints, Floats]:

@@ -19,6 +19,7 @@ from spectra_kit.functional_maps import (
 from spectra_kit.functional_maps.fit import Landmarks, check_landmarks
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.geometry import Geometry
+from spectra_kit.linalg.threads import in_threads, single_threaded_blas
 from spectra_kit.matching.candidates import GROWN, sign_candidates
 from spectra_kit.matching.elastic import elastic_point_map
 from spectra_kit.matching.prepare import LOWEST_K, Prepared, curvatures, prepare
@@ -122,14 +123,14 @@ def match(
         )
     ways = {"either": (False, True), "kept": (False,), "reversed": (True,)}[sides]
     pairs = None if landmarks is None else check_landmarks(landmarks, a.spectrum.n, b.spectrum.n)
-    fit = None if pairs is None else _landmark_fit(a, b, pairs)
-    found = [_candidates(a, b, way, pairs, fit) for way in (ways if has_sides else (False,))]
-    if len(found) == 2 and found[1][0].score * _MIRRORED < found[0][0].score:
-        found.reverse()
-    chosen = found[0][0]
+    with single_threaded_blas():  # small products: the threads are ours
+        found = _both_ways(a, b, ways if has_sides else (False,), pairs)
+        if len(found) == 2 and found[1][0].score * _MIRRORED < found[0][0].score:
+            found.reverse()
+        chosen = found[0][0]
+        point_map, functional_map = _refined(a, b, chosen, k, elastic)
     opposite = [c.score for c in found[-1]] if len(found) == 2 else []
     rivals = [c.score for c in found[0][1:] if _apart(c, chosen) > _RIVAL]
-    point_map, functional_map = _refined(a, b, chosen, k, elastic)
     return Match(
         point_map=point_map,
         functional_map=functional_map,
@@ -164,6 +165,20 @@ def _refined(
     way_there = nearest(rows1, rows2)
     point_map = elastic_point_map(a.surface, b.surface, way_there, mirrored=chosen.reversing)
     return point_map, functional_map_from_point_map(a.spectrum, b.spectrum, point_map, k=k)
+
+
+def _both_ways(
+    a: Prepared, b: Prepared, ways: tuple[bool, ...], landmarks: Pairs | None
+) -> list[list[Candidate]]:
+    """Return the candidates of each way round, looked for side by side."""
+    fit = None if landmarks is None else _landmark_fit(a, b, landmarks)
+    found: list[list[Candidate]] = [[] for _ in ways]
+
+    def look(i: int) -> None:
+        found[i] = _candidates(a, b, ways[i], landmarks, fit)
+
+    in_threads(look, [(i,) for i in range(len(ways))])
+    return found
 
 
 def _candidates(
