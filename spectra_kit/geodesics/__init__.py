@@ -1,0 +1,1 @@
+"""Geodesic distances: by the heat method, exactly, or from the modes alone."""
