@@ -1,0 +1,318 @@
+"""Where the heat is put: at vertices, or at any point of a face."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit._validate import check_count, check_indices, frozen, real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.operators._checks import check_geometry
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: What rounding may do to barycentric coordinates.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class FacePoint:
+    """A point of a face of a mesh.
+
+    Parameters
+    ----------
+    face : int
+        Index of the face.
+    barycentric : array_like of shape (3,)
+        Weights of the corners of the face, in its order: not negative, and of sum 1.
+
+    Raises
+    ------
+    InvalidInputError
+        If `face` is negative, or the coordinates are not barycentric.
+
+    Examples
+    --------
+    >>> FacePoint(7, [0.5, 0.25, 0.25])
+    FacePoint(face=7, barycentric=(0.5, 0.25, 0.25))
+    """
+
+    face: int
+    barycentric: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        weights = real_array("barycentric", self.barycentric)
+        if weights.shape != (3,):
+            raise InvalidInputError(
+                f"`barycentric` must have shape (3,), got {weights.shape};"
+                " one weight for each corner of the face"
+            )
+        if weights.min() < -_ROUNDING or abs(weights.sum() - 1) > _ROUNDING:
+            raise InvalidInputError(
+                "`barycentric` must be non-negative and sum to 1, got"
+                f" {tuple(weights.tolist())} of sum {weights.sum():.6g};"
+                " `nearest_source` finds those of a coordinate"
+            )
+        weights = np.maximum(weights, 0.0)
+        object.__setattr__(self, "face", check_count("face", self.face, low=0))
+        object.__setattr__(self, "barycentric", tuple((weights / weights.sum()).tolist()))
+
+    def position(self, mesh: TriangleMesh) -> Floats:
+        """Return the coordinates of the point on `mesh`, shape (3,).
+
+        Raises
+        ------
+        InvalidInputError
+            If `mesh` has no such face.
+        """
+        return np.asarray(np.array(self.barycentric) @ mesh.points[_corners(self, mesh)])
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """Heat at vertices, and how far each is from the nearest source: what `check_sources` makes.
+
+    Parameters
+    ----------
+    n : int
+        Number of points of the geometry.
+    vertices : ndarray of shape (m,)
+        Vertices that receive heat, ascending, each once: the sources, or the corners around them.
+    heat : ndarray of shape (m,)
+        Heat that each receives, positive.
+    offsets : ndarray of shape (m,)
+        Distance of each to the nearest source around it, in length: 0 at a source.
+    """
+
+    n: int
+    vertices: Ints
+    heat: Floats
+    offsets: Floats
+
+    def right_hand_side(self) -> Floats:
+        """Return the heat at all points, shape (n,), integrated: the right side of the heat step.
+
+        Examples
+        --------
+        >>> from spectra_kit.geometry import PointCloud
+        >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+        >>> check_sources(2, cloud).right_hand_side()
+        array([0., 0., 1.])
+        """
+        heat = np.zeros(self.n)
+        heat[self.vertices] = self.heat
+        return heat
+
+
+class HasPoints(Protocol):
+    """A geometry, or what was made of one and has kept its points: a triangulation, a spectrum."""
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+
+
+#: What names sources: an index, a face point, several of these, or a mask of the points.
+SourcesLike = Sources | FacePoint | int | Sequence[int | FacePoint] | NDArray[np.integer | np.bool_]
+
+
+def check_sources(
+    sources: SourcesLike, geometry: HasPoints, weights: ArrayLike | None = None
+) -> Sources:
+    """Turn any way to name sources into heat at vertices.
+
+    Parameters
+    ----------
+    sources : int, FacePoint, sequence of these, integer array, boolean mask, or Sources
+        Indices of vertices, a mask of shape (n,) of them, points of faces, or what this function
+        returned before. Two sources at one place are one that emits the heat of both.
+    geometry : TriangleMesh, PointCloud, IntrinsicTriangulation or Spectrum
+        Of n points. A `FacePoint` needs the mesh, whose faces it counts.
+    weights : array_like of shape (s,), optional
+        Heat that each of the s sources emits, positive; 1 by default. The shorter the time, the
+        less it matters to distances.
+
+    Returns
+    -------
+    Sources
+        The heat of a point of a face goes to its corners by its barycentric coordinates, so that
+        one at a corner is that vertex, and the heat stays linear across the face.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no source, one is out of range, at a vertex without a face or on a face of what
+        has none, or `weights` are not s positive numbers.
+
+    Examples
+    --------
+    >>> from spectra_kit.geometry import TriangleMesh
+    >>> mesh = TriangleMesh([[0, 0, 0], [3, 0, 0], [0, 4, 0]], [[0, 1, 2]])
+    >>> found = check_sources([0, FacePoint(0, [0, 0.5, 0.5])], mesh)
+    >>> found.vertices, found.heat, found.offsets
+    (array([0, 1, 2]), array([1. , 0.5, 0.5]), array([0. , 2.5, 2.5]))
+    """
+    if isinstance(sources, Sources):
+        return _same(sources, geometry, weights)
+    named = _named(sources, geometry)
+    if not named:
+        raise InvalidInputError("`sources` must name at least one source, got none")
+    emitted = np.ones(len(named)) if weights is None else _check_weights(weights, len(named))
+    rows = [_spread(source, geometry) for source in named]
+    every = np.concatenate([row[0] for row in rows])
+    shares = np.concatenate([w * row[1] for w, row in zip(emitted, rows, strict=True)])
+    lengths = np.concatenate([row[2] for row in rows])
+    _check_referenced(every, geometry)
+
+    vertices, index = np.unique(every, return_inverse=True)
+    offsets = np.full(len(vertices), np.inf)
+    np.minimum.at(offsets, index, lengths)
+    heat = np.zeros(len(vertices))
+    np.add.at(heat, index, shares)
+    return Sources(geometry.n, frozen(vertices), frozen(heat), frozen(offsets))
+
+
+def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint:
+    """Find the source nearest to a point of space.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        Where to search.
+    coordinate : array_like of shape (3,)
+        In the unit of `geometry`; it need not lie on the surface.
+
+    Returns
+    -------
+    FacePoint or int
+        The nearest point of the faces of a mesh, put on a corner or side within 1e-9 of it (in
+        barycentric coordinates); the index of the nearest point of a cloud.
+
+    Raises
+    ------
+    InvalidInputError
+        If `coordinate` has another shape or is not finite, or all faces have zero area.
+
+    Examples
+    --------
+    >>> from spectra_kit.geometry import TriangleMesh
+    >>> mesh = TriangleMesh([[0, 0, 0], [3, 0, 0], [0, 4, 0]], [[0, 1, 2]])
+    >>> nearest_source(mesh, [0.0, 1.0, 5.0])
+    FacePoint(face=0, barycentric=(0.75, 0.0, 0.25))
+    >>> nearest_source(mesh.as_cloud(), [0.0, 1.0, 5.0])
+    0
+    """
+    check_geometry(geometry)
+    target = real_array("coordinate", coordinate)
+    if target.shape != (3,):
+        raise InvalidInputError(f"`coordinate` must have shape (3,), got {target.shape}")
+    if not isinstance(geometry, TriangleMesh):
+        return int(np.argmin(np.sum((geometry.points - target) ** 2, axis=1)))
+    import igl
+
+    # A face of no area has no coordinates of its own; its sides belong to others too.
+    proper = np.flatnonzero(~geometry.degenerate_faces())
+    if not len(proper):
+        raise InvalidInputError(
+            f"`geometry` must have a face of positive area, got {len(geometry.faces)} without"
+        )
+    faces = np.array(geometry.faces[proper])
+    _, face, closest = igl.point_mesh_squared_distance(target[None], geometry.points, faces)
+    a, b, c = geometry.points[faces[face[0]]]
+    sides = np.column_stack([b - a, c - a])
+    beta, gamma = np.linalg.lstsq(sides, closest[0] - a)[0]
+    weights = np.array([1 - beta - gamma, beta, gamma])
+    weights = np.where(weights < _ROUNDING, 0.0, weights)
+    return FacePoint(int(proper[face[0]]), tuple((weights / weights.sum()).tolist()))
+
+
+def _same(sources: Sources, geometry: HasPoints, weights: ArrayLike | None) -> Sources:
+    if weights is not None:
+        raise InvalidInputError(
+            "`weights` must be None where `sources` are checked ones, which hold their heat"
+        )
+    if sources.n != geometry.n:
+        raise InvalidInputError(
+            f"`sources` must belong to the geometry of {geometry.n} points, got those of one of"
+            f" {sources.n}"
+        )
+    return sources
+
+
+def _named(sources: Any, geometry: HasPoints) -> list[int | FacePoint]:
+    """Return the sources one by one."""
+    if isinstance(sources, FacePoint):
+        return [sources]
+    if isinstance(sources, Sequence) and any(isinstance(s, FacePoint) for s in sources):
+        last = geometry.n - 1
+        return [
+            s if isinstance(s, FacePoint) else check_count("sources", s, low=0, high=last)
+            for s in sources
+        ]
+    if isinstance(sources, np.ndarray) and sources.dtype == bool:
+        if sources.shape != (geometry.n,):
+            raise InvalidInputError(
+                f"`sources` as a mask must have shape ({geometry.n},), got {sources.shape}"
+            )
+        sources = np.flatnonzero(sources)
+    if isinstance(sources, Sequence) and not sources:
+        return []  # to NumPy an empty list is one of floats
+    array = check_indices("sources", sources, geometry.n)
+    if array.ndim > 1:
+        raise InvalidInputError(
+            f"`sources` must be one index or a vector of them, got shape {array.shape};"
+            " `nearest_source` finds that of a coordinate"
+        )
+    return list(np.atleast_1d(array).tolist())
+
+
+def _spread(source: int | FacePoint, geometry: HasPoints) -> tuple[Ints, Floats, Floats]:
+    """Return the vertices a source heats, their shares and their distances to it."""
+    if not isinstance(source, FacePoint):
+        return np.array([source]), np.ones(1), np.zeros(1)
+    if not isinstance(geometry, TriangleMesh):
+        raise InvalidInputError(
+            f"`sources` has a FacePoint, which needs the faces of a TriangleMesh, got a"
+            f" {type(geometry).__name__}; on a cloud, name the nearest point, and for a spectrum"
+            " or triangulation pass `check_sources(sources, mesh)`"
+        )
+    corners, shares = _corners(source, geometry), np.array(source.barycentric)
+    lengths = np.linalg.norm(geometry.points[corners] - source.position(geometry), axis=1)
+    heated = shares > 0
+    return corners[heated], shares[heated], lengths[heated]
+
+
+def _corners(point: FacePoint, mesh: TriangleMesh) -> Ints:
+    return np.asarray(mesh.faces[check_indices("face", point.face, len(mesh.faces))])
+
+
+def _check_referenced(vertices: Ints, geometry: HasPoints) -> None:
+    if isinstance(geometry, TriangleMesh):
+        used = np.zeros(geometry.n, dtype=bool)
+        used[geometry.faces] = True
+        if not used[vertices].all():
+            lone = vertices[np.argmin(used[vertices])]
+            raise InvalidInputError(
+                f"`sources` must lie on the surface, got vertex {lone}, which no face uses;"
+                " drop such vertices with `mesh.without_unreferenced()`"
+            )
+
+
+def _check_weights(weights: ArrayLike, count: int) -> Floats:
+    array = real_array("weights", weights)
+    if array.shape != (count,):
+        raise InvalidInputError(
+            f"`weights` must have one entry for each of the {count} sources, got shape"
+            f" {array.shape}"
+        )
+    if not (array > 0).all():
+        raise InvalidInputError(
+            f"`weights` must be positive, got {array.min():.3g}; leave the source out instead"
+        )
+    return array
