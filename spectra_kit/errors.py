@@ -6,10 +6,7 @@ A message names the argument, what was expected, what arrived, and what to do ne
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from spectra_kit.spectrum import Spectrum
+from typing import Any
 
 
 class SpectraKitError(Exception):
@@ -25,9 +22,12 @@ class InvalidSpectrumError(SpectraKitError, RuntimeError):
 
 
 class _PartialError(SpectraKitError):
-    """A failure that hands over what had been computed before it."""
+    """A failure that hands over what had been computed before it.
 
-    def __init__(self, message: str, *, partial: Spectrum | None = None) -> None:
+    What that is depends on the solver, which its caller knows: hence `Any`.
+    """
+
+    def __init__(self, message: str, *, partial: Any = None) -> None:
         super().__init__(message)
         self.partial = partial
 
@@ -37,8 +37,9 @@ class ConvergenceError(_PartialError, RuntimeError):
 
     Attributes
     ----------
-    partial : Spectrum or None
-        The certified modes that had converged; None where there were none.
+    partial : Spectrum or LinearSolution or None
+        From `eigensolve`: the certified modes that had converged; None where there were none.
+        From `linalg.pcg`: the last iterate, with its residuals.
     """
 
 

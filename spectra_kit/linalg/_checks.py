@@ -1,0 +1,90 @@
+"""Checks of a linear system at the border: matrix, right-hand side, kernel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from spectra_kit._validate import real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg.constant_kernel import ConstantKernel
+
+Floats = NDArray[np.float64]
+
+#: Share of the sum of magnitudes below which a sum counts as zero: rounding of n terms.
+_ROUNDING = 1e-9
+
+
+def check_matrix(matrix: Any) -> sparse.csr_array:
+    """Return `matrix` as a square, finite csr_array in float64, with 32-bit indices if they do."""
+    if not sparse.issparse(matrix) or matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
+        raise InvalidInputError(
+            "`matrix` must be a square scipy sparse array,"
+            f" got {type(matrix).__name__} of shape {np.shape(matrix)}"
+        )
+    rows = sparse.csr_array(matrix, dtype=np.float64)
+    if not rows.has_canonical_format:
+        rows = rows.copy()
+        rows.sum_duplicates()
+    if not np.isfinite(rows.data).all():
+        raise InvalidInputError(
+            f"`matrix` must be finite, got {int((~np.isfinite(rows.data)).sum())} NaN or infinite"
+            " entries"
+        )
+    if rows.nnz < 2**31 and rows.indices.dtype != np.int32:
+        rows = sparse.csr_array(
+            (rows.data, rows.indices.astype(np.int32), rows.indptr.astype(np.int32)), rows.shape
+        )
+    return rows
+
+
+def check_symmetric(matrix: sparse.csr_array) -> None:
+    """Raise unless `matrix` equals its transpose to rounding."""
+    largest = np.abs(matrix.data).max(initial=0.0)
+    asymmetry = abs(matrix - matrix.T).max() if matrix.nnz else 0.0
+    if asymmetry > 1e-8 * largest:
+        raise InvalidInputError(
+            f"`matrix` must be symmetric, got |A - A.T| up to {asymmetry:.2e};"
+            " pass (A + A.T) / 2 if that is meant"
+        )
+
+
+def check_kernel(kernel: ConstantKernel | None, matrix: sparse.csr_array) -> ConstantKernel | None:
+    """Return `kernel` if `matrix` maps its functions to zero."""
+    if kernel is None:
+        return None
+    n = matrix.shape[0]
+    if kernel.n != n:
+        raise InvalidInputError(f"`kernel` must have {n} labels, one for each row, got {kernel.n}")
+    image = np.abs(matrix @ (kernel.labels + 1.0))
+    scale = abs(matrix).sum(axis=1) * (kernel.labels.max() + 1.0)
+    inside = kernel.labels >= 0
+    bad = np.flatnonzero(inside & (image > _ROUNDING * scale))
+    if len(bad):
+        raise InvalidInputError(
+            "`kernel` must hold constants that `matrix` maps to zero, but it does not in"
+            f" {len(bad)} rows, the first {bad[0]}; label points of a component that has a fixed"
+            " point or a potential -1"
+        )
+    return kernel
+
+
+def check_rhs(rhs: ArrayLike, n: int, kernel: ConstantKernel | None) -> Floats:
+    """Return `rhs` less its rounding error in the kernel, if it is in the range otherwise."""
+    if np.shape(rhs) != (n,):
+        raise InvalidInputError(f"`rhs` must have shape ({n},), got {np.shape(rhs)}")
+    values = real_array("rhs", rhs)
+    if kernel is None:
+        return values
+    means, sizes = kernel.means(values), kernel.means(np.abs(values))
+    bad = np.flatnonzero(np.abs(means) > _ROUNDING * sizes)
+    if len(bad):
+        raise InvalidInputError(
+            f"`rhs` must sum to zero on each component of the kernel, got a mean of"
+            f" {means[bad[0]]:.3g} on component {bad[0]} (of values of size {sizes[bad[0]]:.3g});"
+            " subtract it with `kernel.remove(rhs)` if a least-squares solution is meant"
+        )
+    return kernel.remove(values)

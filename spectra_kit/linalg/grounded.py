@@ -1,0 +1,98 @@
+"""Direct solution of a singular system: one point of each component held at zero."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from spectra_kit.linalg._checks import check_kernel, check_matrix, check_rhs, check_symmetric
+from spectra_kit.linalg.cholesky import SparseCholesky
+from spectra_kit.linalg.constant_kernel import ConstantKernel
+from spectra_kit.linalg.solution import LinearSolution
+
+Floats = NDArray[np.float64]
+
+_ACCURATE = 1e-7  # relative residual up to which a direct solution counts as one
+
+
+class GroundedCholesky:
+    """A Cholesky factor of a Laplacian with constant kernel, for any number of right-hand sides.
+
+    Parameters
+    ----------
+    matrix : sparse array of shape (n, n)
+        Symmetric positive semi-definite; both triangles stored.
+    kernel : ConstantKernel, optional
+        The kernel of `matrix`. Without it `matrix` is factorised as it is.
+
+    Attributes
+    ----------
+    seconds : float
+        Time the factor took.
+
+    Raises
+    ------
+    InvalidInputError
+        If `matrix` is not square, finite and symmetric, or not positive definite apart from
+        `kernel`; if
+        `kernel` is of another size or not in the kernel of `matrix`.
+
+    Notes
+    -----
+    The solution is determined up to a constant on each component of the kernel. The factor fixes
+    that by dropping the row and column of one of its points, where the value is then zero: as a
+    right-hand side in the range sums to zero, the equation that was dropped holds too. Each
+    constant is moved to mean zero afterwards.
+
+    Examples
+    --------
+    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    >>> GroundedCholesky(path, ConstantKernel([0, 0, 0])).solve(np.array([1.0, 0.0, -1.0]))
+    array([ 1.,  0., -1.])
+    """
+
+    def __init__(self, matrix: sparse.csr_array, kernel: ConstantKernel | None = None) -> None:
+        start = time.perf_counter()
+        self._matrix = check_matrix(matrix)
+        check_symmetric(self._matrix)
+        self._kernel = check_kernel(kernel, self._matrix)
+        self.n: int = self._matrix.shape[0]
+        self._free = np.arange(self.n)
+        if self._kernel is not None:
+            labels, first = np.unique(self._kernel.labels, return_index=True)
+            self._free = np.delete(self._free, first[labels >= 0])
+        self._factor = None
+        if len(self._free):
+            inner = sparse.csr_array(self._matrix[self._free][:, self._free])
+            self._factor = SparseCholesky(inner)
+        self.seconds = time.perf_counter() - start
+
+    def solve(self, rhs: ArrayLike) -> Floats:
+        """Solve ``matrix @ x = rhs`` for `rhs` (n,), with mean zero on each kernel component."""
+        rhs = check_rhs(rhs, self.n, self._kernel)
+        x = np.zeros(self.n)
+        if self._factor is not None:
+            x[self._free] = self._factor.solve(rhs[self._free])
+        return x if self._kernel is None else self._kernel.remove(x)
+
+    def solution(self, rhs: ArrayLike) -> LinearSolution:
+        """Solve, and say how well and how fast."""
+        start = time.perf_counter()
+        rhs = check_rhs(rhs, self.n, self._kernel)
+        x = self.solve(rhs)
+        seconds = time.perf_counter() - start
+        residual = float(np.linalg.norm(rhs - self._matrix @ x))
+        norm = float(np.linalg.norm(rhs))
+        return LinearSolution(
+            x=x,
+            residual_norms=np.array([residual]),
+            rhs_norm=norm,
+            converged=residual <= _ACCURATE * norm,
+            method="Cholesky",
+            setup_seconds=self.seconds,
+            seconds=seconds,
+            times=np.array([seconds]),
+        )
