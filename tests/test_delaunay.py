@@ -18,7 +18,7 @@ from spectra_kit import (
 )
 from spectra_kit.geometry import rectangle, sphere, torus
 from spectra_kit.linalg import threads
-from spectra_kit.operators import delaunay, delaunay_laplacian
+from spectra_kit.operators import _gluing, delaunay_laplacian
 
 
 def ball(n: int, seed: int = 0) -> np.ndarray:
@@ -190,10 +190,7 @@ def test_operator_is_recorded() -> None:
 
 POINTS = ball(50)
 BAD = {
-    "mesh": (
-        lambda: delaunay_laplacian(sphere().geometry),
-        "`cloud` must be a PointCloud, got Tri",
-    ),
+    "array": (lambda: delaunay_laplacian(POINTS), "`geometry` must be a TriangleMesh or Point"),
     "mollify": (
         lambda: delaunay_laplacian(PointCloud(POINTS), mollify_factor=0),
         "`mollify_factor` must be positive",
@@ -228,6 +225,6 @@ def test_bad_input(case: str) -> None:
 
 
 def test_flips_that_do_not_end_are_given_up(monkeypatch) -> None:
-    monkeypatch.setattr(delaunay, "_FLIPS", 0)
+    monkeypatch.setattr(_gluing, "_FLIPS", 0)
     with pytest.raises(ConvergenceError, match="no end to them after 0; raise `mollify_factor`"):
         delaunay_laplacian(PointCloud(square(200)))

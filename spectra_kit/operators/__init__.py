@@ -8,6 +8,7 @@
 
 from spectra_kit.operators.assemble import cotan_laplacian, knn_laplacian, robust_laplacian
 from spectra_kit.operators.delaunay import delaunay_laplacian
+from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.orientation import (
     OrientedTriangles,
@@ -18,11 +19,13 @@ from spectra_kit.operators.orientation import (
 )
 
 __all__ = [
+    "IntrinsicTriangulation",
     "Laplacian",
     "OrientedTriangles",
     "area_form",
     "cotan_laplacian",
     "delaunay_laplacian",
+    "intrinsic_delaunay",
     "knn_laplacian",
     "orientation_operator",
     "oriented_triangles",

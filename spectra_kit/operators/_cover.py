@@ -18,11 +18,14 @@ Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 
 _ROUNDING = 1e-9  # sums of cotangents this far below zero, relatively, are zero
+_COINCIDENT = 1e-12  # triangles smaller than this, in a geometry of size 1, are mollified to it
+_TIE = 1e-12  # cosines that differ by less are equal, but for rounding
+_NONE, _PAIRED = -1, -2
 
 
 @njit(nogil=True, cache=True)
-def half_edges(points: Floats, triangles: Ints, mollify: float) -> tuple[Ints, Floats]:
-    """Return where each half-edge starts, and its length.
+def side_lengths(points: Floats, triangles: Ints, mollify: float) -> Floats:
+    """Return the length of each side ``c`` to ``c + 1`` of each triangle, shape (t, 3).
 
     A side ij is longer than in space by ``offset[i] + offset[j]``, so that in each triangle the
     sum of two sides exceeds the third by `mollify` times the mean side. This is the mollification
@@ -30,23 +33,20 @@ def half_edges(points: Floats, triangles: Ints, mollify: float) -> tuple[Ints, F
     the dense parts of a cloud.
     """
     offset = np.zeros(len(points))
-    side = np.empty(3)
+    lengths = np.empty((len(triangles), 3))
     for t in range(len(triangles)):
+        side = lengths[t]
         for c in range(3):
             side[c] = _distance(points, triangles[t, c], triangles[t, (c + 1) % 3])
-        wanted = mollify * (side[0] + side[1] + side[2]) / 3
+        wanted = max(mollify * (side[0] + side[1] + side[2]) / 3, mollify * _COINCIDENT)
         for c in range(3):
             slack = side[c] + side[(c + 2) % 3] - side[(c + 1) % 3]
             offset[triangles[t, c]] = max(offset[triangles[t, c]], (wanted - slack) / 2)
-    tails = np.empty(6 * len(triangles), np.int32)
-    lengths = np.empty(6 * len(triangles))
     for t in range(len(triangles)):
         for c in range(3):
-            a, b = triangles[t, c], triangles[t, (c + 1) % 3]
-            front, back = 6 * t + c, 6 * t + 5 - c
-            tails[front], tails[back] = a, b
-            lengths[front] = lengths[back] = _distance(points, a, b) + offset[a] + offset[b]
-    return tails, lengths
+            lengths[t, c] += offset[triangles[t, c]]
+            lengths[t, c] += offset[triangles[t, (c + 1) % 3]]
+    return lengths
 
 
 @njit(nogil=True, cache=True)
@@ -69,6 +69,43 @@ def sides_by_corner(triangles: Ints, n: int) -> tuple[Longs, Ints]:
 
 
 @njit(nogil=True, cache=True)
+def pair_sides(triangles: Ints, starts: Longs, sides: Ints, twins: Ints) -> bool:
+    """Glue the two triangles at each edge; return whether there are two that may be, at all.
+
+    They must run along it in opposite directions, and be no copies of each other (see `glue`).
+    """
+    seen = np.full(len(starts) - 1, _NONE, np.int32)  # by upper corner: a side without partner
+    for low in range(len(starts) - 1):
+        mine = sides[starts[low] : starts[low + 1]]
+        for side in mine:
+            high, apex = _upper_and_apex(triangles, side, low)
+            other = seen[high]
+            if other == _NONE:
+                seen[high] = side
+                continue
+            if other == _PAIRED or apex == _upper_and_apex(triangles, other, low)[1]:
+                return False
+            if triangles[side // 3, side % 3] == triangles[other // 3, other % 3]:
+                return False
+            twins[side], twins[other] = other, side
+            seen[high] = _PAIRED
+        for side in mine:
+            high, _ = _upper_and_apex(triangles, side, low)
+            if seen[high] != _PAIRED:
+                return False
+        for side in mine:
+            seen[_upper_and_apex(triangles, side, low)[0]] = _NONE
+    return True
+
+
+@njit(nogil=True, cache=True)
+def _upper_and_apex(triangles: Ints, side: int, low: int) -> tuple[int, int]:
+    t, c = side // 3, side % 3
+    a, b = triangles[t, c], triangles[t, (c + 1) % 3]
+    return (b if a == low else a), triangles[t, (c + 2) % 3]
+
+
+@njit(nogil=True, cache=True)
 def glue(
     points: Floats,
     triangles: Ints,
@@ -76,6 +113,7 @@ def glue(
     sides: Ints,
     first: int,
     last: int,
+    sharpest: float,
     twins: Ints,
 ) -> None:
     """Glue the faces at all edges whose lower corner is in ``first .. last - 1``."""
@@ -93,36 +131,44 @@ def glue(
             end = begin + 1
             while end < m and key[end] // m == high:
                 end += 1
-            _glue_edge(points, triangles, mine[key[begin:end] % m], low, high, twins)
+            _glue_edge(points, triangles, mine[key[begin:end] % m], low, high, sharpest, twins)
             begin = end
 
 
 @njit(nogil=True, cache=True)
 def _glue_edge(
-    points: Floats, triangles: Ints, sides: Ints, low: int, high: int, twins: Ints
+    points: Floats,
+    triangles: Ints,
+    sides: Ints,
+    low: int,
+    high: int,
+    sharpest: float,
+    twins: Ints,
 ) -> None:
     """Pair the triangles of one edge that continue each other best, and glue their faces.
 
-    Copies of one triangle lie on the same side of the edge, so they are never glued to each
-    other, where flips would fold them away. A triangle without a partner has its front glued
-    to its back, which is a boundary.
+    The cosine of the angle between them must be below `sharpest`. Copies of one triangle are
+    never glued to each other, where flips would fold them away. A triangle without a partner has
+    its front glued to its back, which is a boundary.
     """
     d = len(sides)
     out = np.empty((d, 3))  # unit vectors from the edge into each triangle
     up, down = np.empty(d, np.int64), np.empty(d, np.int64)  # half-edges from and to `low`
+    apex = np.empty(d, np.int64)
     for j in range(d):
         t, c = sides[j] // 3, sides[j] % 3
         front, back = 6 * t + c, 6 * t + 5 - c
         up[j], down[j] = (front, back) if triangles[t, c] == low else (back, front)
-        _direction(points, low, high, triangles[t, (c + 2) % 3], out[j])
+        apex[j] = triangles[t, (c + 2) % 3]
+        _direction(points, low, high, apex[j], out[j])
     paired = np.zeros(d, np.bool_)
-    for _ in range(d):
-        best, p, q = 0.0, -1, -1
+    for _ in range(d // 2):
+        best, p, q = sharpest, -1, -1
         for i in range(d):
             for j in range(i + 1, d):
-                if not paired[i] and not paired[j]:
+                if not paired[i] and not paired[j] and apex[i] != apex[j]:
                     dot = out[i, 0] * out[j, 0] + out[i, 1] * out[j, 1] + out[i, 2] * out[j, 2]
-                    if dot < best - 1e-12:  # the first of equals, whatever the rounding
+                    if dot < best - _TIE:  # the first of equals, whatever the rounding
                         best, p, q = dot, i, j
         if p < 0:
             break
@@ -145,7 +191,8 @@ def _direction(points: Floats, low: int, high: int, apex: int, out: Floats) -> N
         square += edge * edge
     norm = 0.0
     for r in range(3):
-        out[r] -= along / square * (points[high, r] - points[low, r])
+        if square > 0:
+            out[r] -= along / square * (points[high, r] - points[low, r])
         norm += out[r] * out[r]
     if norm > 0:
         for r in range(3):

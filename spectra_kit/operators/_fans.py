@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from spectra_kit.geometry._signs import agree_on_signs, symmetric_votes, turn_outwards
 from spectra_kit.geometry.shapes import PointCloud
 from spectra_kit.operators._checks import check_cloud_usable
-from spectra_kit.operators.delaunay import _local_triangles
+from spectra_kit.operators._local_delaunay import local_triangles
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -30,7 +30,7 @@ def oriented_fans(cloud: PointCloud, n_neighbors: int) -> tuple[Ints, Floats, fl
     order = cKDTree(cloud.points).indices
     unit = float(np.ptp(cloud.points, axis=0).max())
     points = (cloud.points[order] - cloud.points.mean(axis=0)) / unit
-    faces = _local_triangles(points, n_neighbors).astype(np.int64)
+    faces = local_triangles(points, n_neighbors)[0].astype(np.int64)
     owners = faces[:, 0]
     a, b, c = (points[faces[:, i]] for i in range(3))
     doubled: Floats = np.cross(b - a, c - a)

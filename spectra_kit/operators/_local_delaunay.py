@@ -1,0 +1,43 @@
+"""Triangles of a point cloud: the Delaunay star of each point in its tangent plane."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from spectra_kit.linalg.threads import in_threads, thread_count
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Bools = NDArray[np.bool_]
+
+_BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
+_TIE = 1e-7  # weight of a point, of its squared distance to the nearest: decides between diagonals
+
+
+def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools]:
+    """Return the triangles of all stars and which stars are closed, shapes (t, 3) and (n,).
+
+    The first corner of a triangle is the point whose star it belongs to, so a consistent triangle
+    is there three times.
+    """
+    from spectra_kit.operators._stars import stars, triangles
+
+    tree = cKDTree(points)
+    n = len(points)
+    owners = np.arange(n, dtype=np.int32)
+    nearest, neighbors = np.empty(n), np.empty((n, n_neighbors), dtype=np.int32)
+    blocks = [slice(first, first + _BLOCK) for first in range(0, n, _BLOCK)]
+    for b in blocks:
+        distance, index = tree.query(points[b], n_neighbors + 1, workers=thread_count())
+        nearest[b], neighbors[b] = distance[:, 1], index[:, 1:]
+    # Random but fixed: all stars decide alike between the diagonals of a square.
+    ties = _TIE * nearest**2 * np.random.default_rng(0).random(n)
+    links, sizes = np.empty_like(neighbors), np.empty(n, dtype=np.int32)
+    closed = np.empty(n, dtype=bool)
+    in_threads(
+        stars,
+        ((points, owners[b], neighbors[b], ties, links[b], sizes[b], closed[b]) for b in blocks),
+    )
+    return triangles(owners, links, sizes, closed), closed

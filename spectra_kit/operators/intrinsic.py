@@ -1,0 +1,309 @@
+"""`IntrinsicTriangulation`: a surface by the lengths of its edges, flipped until Delaunay."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from spectra_kit._validate import Rebuilt, check_indices, check_positive, frozen, real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.operators._checks import (
+    check_cloud_usable,
+    check_faces_usable,
+    check_geometry,
+)
+from spectra_kit.operators._gluing import front_and_back, make_delaunay, stiffness_and_mass
+from spectra_kit.operators._local_delaunay import local_triangles
+from spectra_kit.operators.laplacian import Laplacian
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Corners = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class IntrinsicTriangulation(Rebuilt):
+    """Triangles known by their corners and side lengths alone, and the Laplacian they make.
+
+    Build one with `intrinsic_delaunay`. The surface has no other shape in space than its points:
+    two triangles may share all their corners, and a side may start and end at one point.
+
+    Parameters
+    ----------
+    corners : array_like of shape (f, 3)
+        Points at the corners of each triangle.
+    lengths : array_like of shape (f, 3)
+        ``lengths[:, c]`` is the side from corner c to corner c + 1, in the unit of the points.
+    share : float
+        How much each triangle counts in areas and energies: 1, or 1/2 where the surface is covered
+        by a front and a back, or 1/6 where each triangle was also found by three points.
+    boundary : array_like of shape (b,)
+        Points on the boundary of the surface.
+    laplacian : Laplacian
+        Of piecewise linear functions on these triangles, Neumann, on n points.
+
+    Raises
+    ------
+    InvalidInputError
+        If shapes disagree, an index is out of range, or a length is not positive.
+
+    Examples
+    --------
+    >>> from spectra_kit.geometry import sphere
+    >>> triangulation = intrinsic_delaunay(sphere(subdivisions=3).geometry)
+    >>> height = triangulation.points[:, 2]
+    >>> energy = height @ triangulation.divergence(triangulation.gradient(height))
+    >>> print(round(energy, 2), round(height @ triangulation.laplacian.stiffness @ height, 2))
+    8.33 8.33
+    """
+
+    corners: Corners
+    lengths: Floats
+    share: float
+    boundary: Ints
+    laplacian: Laplacian
+
+    def __post_init__(self) -> None:
+        n = self.laplacian.n
+        corners = np.asarray(self.corners)
+        check_indices("corners", corners, n)
+        lengths = real_array("lengths", self.lengths)
+        if corners.ndim != 2 or corners.shape[1] != 3 or lengths.shape != corners.shape:
+            raise InvalidInputError(
+                "`corners` and `lengths` must have the same shape (f, 3),"
+                f" got {corners.shape} and {lengths.shape}"
+            )
+        if not (lengths > 0).all():
+            raise InvalidInputError(
+                f"`lengths` must be positive, got {int((lengths <= 0).sum())} entries <= 0;"
+                " `intrinsic_delaunay` lengthens the sides of degenerate triangles"
+            )
+        boundary = np.unique(check_indices("boundary", self.boundary, n))
+        object.__setattr__(self, "corners", frozen(corners.astype(np.int32)))
+        object.__setattr__(self, "lengths", frozen(lengths.copy()))
+        object.__setattr__(self, "share", check_positive("share", self.share))
+        object.__setattr__(self, "boundary", frozen(boundary))
+
+    def __repr__(self) -> str:
+        return f"IntrinsicTriangulation({len(self.corners)} triangles on {self.n} points)"
+
+    @property
+    def points(self) -> Floats:
+        """Where the corners are in space, shape (n, 3)."""
+        return self.laplacian.points
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+        return self.laplacian.n
+
+    @property
+    def operator(self) -> str:
+        """How this was made, for the record."""
+        return self.laplacian.operator
+
+    @property
+    def seconds(self) -> float:
+        """Time spent on making it, the Laplacian included."""
+        return self.laplacian.seconds
+
+    @cached_property
+    def face_areas(self) -> Floats:
+        """Area of each triangle, shape (f,), in length^2; not multiplied by `share`."""
+        from spectra_kit.operators._triangle_calculus import areas
+
+        return frozen(areas(self.lengths))
+
+    @property
+    def area(self) -> float:
+        """Area of the surface, in length^2."""
+        return self.share * float(self.face_areas.sum())
+
+    @cached_property
+    def mean_edge_length(self) -> float:
+        """Mean length of the edges of the triangulation."""
+        return float(self.lengths.mean())  # without a boundary, each edge is two sides
+
+    def gradient(self, values: ArrayLike) -> Floats:
+        """Return the gradient of a piecewise linear function, constant in each triangle.
+
+        Parameters
+        ----------
+        values : array_like of shape (n,)
+            At the points.
+
+        Returns
+        -------
+        ndarray of shape (f, 2)
+            In the unit of `values` over length, in a frame of each triangle: x runs along side 0,
+            y points to corner 2. Frames of different triangles have nothing to do with each other.
+
+        Raises
+        ------
+        InvalidInputError
+            If `values` has another shape or is not finite.
+        """
+        from spectra_kit.operators._triangle_calculus import gradients
+
+        function = _of_shape("values", values, (self.n,))
+        return np.asarray(gradients(self.corners, self.lengths, function))
+
+    def divergence(self, vectors: ArrayLike) -> Floats:
+        """Return the integrated divergence, with its sign turned: the adjoint of `gradient`.
+
+        Parameters
+        ----------
+        vectors : array_like of shape (f, 2)
+            One in each triangle, in the frame of `gradient`.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            For any function v, ``v @ divergence(X)`` is the integral of ``<grad v, X>`` over the
+            surface, so ``divergence(gradient(u))`` is ``laplacian.stiffness @ u``.
+
+        Raises
+        ------
+        InvalidInputError
+            If `vectors` has another shape or is not finite.
+        """
+        from spectra_kit.operators._triangle_calculus import divergences
+
+        field = _of_shape("vectors", vectors, (len(self.corners), 2))
+        return np.asarray(self.share * divergences(self.corners, self.lengths, field, self.n))
+
+
+def intrinsic_delaunay(
+    geometry: Geometry, *, mollify_factor: float = 1e-5, n_neighbors: int = 30
+) -> IntrinsicTriangulation:
+    """Triangulate a mesh or a point cloud by Delaunay triangles on its own surface.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        With n points. A mesh may have any edges (non-manifold, of inconsistent winding, on a
+        boundary), slivers, and copies of triangles, which count as often as they are there.
+    mollify_factor : float, default 1e-5
+        Intrinsic mollification of (near) degenerate triangles, relative to their mean side.
+    n_neighbors : int, default 30
+        Of a cloud: neighbours that define the tangent plane of a point and are candidates for its
+        triangles; capped at n - 1. Fewer than 30 miss triangles of random points, more may bridge
+        a gap.
+
+    Returns
+    -------
+    IntrinsicTriangulation
+        Its Laplacian has edge weights that are not negative beyond rounding. The same bits whatever
+        the number of threads.
+
+    Raises
+    ------
+    InvalidInputError
+        If a vertex of a mesh belongs to no face, or a face repeats a vertex; if points of a cloud
+        coincide, lie on one line, are fewer than four, or one is in no triangle.
+    ConvergenceError
+        If the edge flips do not end, which rounding could do to a degenerate geometry; none is
+        known.
+
+    Notes
+    -----
+    Triangles that continue each other at an edge are glued, front to back where the surface is not
+    known to be closed and of one winding, and edges are flipped until the angles opposite each sum
+    to at most pi: Sharp and Crane, *A Laplacian for Nonmanifold Triangle Meshes*, SGP 2020.
+    A triangle alone at an edge has its front glued to its back.
+
+    Each point of a cloud contributes its star in the tangential Delaunay complex (Boissonnat and
+    Ghosh, *Manifold reconstruction using tangential Delaunay complexes*, Discrete Comput. Geom.
+    2014), with a third of each triangle's energy and area. `robust_laplacian` glues the triangles
+    of an edge in cyclic order instead; equal ones, of which a consistent triangulation has three,
+    then become pillows that the flips deflate.
+
+    Examples
+    --------
+    >>> from spectra_kit.geometry import rectangle
+    >>> triangulation = intrinsic_delaunay(rectangle(n=100).geometry)
+    >>> round(triangulation.area, 3), len(triangulation.boundary)
+    (1.618, 36)
+    """
+    start = time.perf_counter()
+    check_geometry(geometry)
+    check_positive("mollify_factor", mollify_factor)
+    if isinstance(geometry, PointCloud):
+        return _of_cloud(geometry, mollify_factor, check_cloud_usable(geometry, n_neighbors), start)
+    check_faces_usable(geometry)
+    return _of_mesh(geometry, mollify_factor, start)
+
+
+def _of_mesh(mesh: TriangleMesh, mollify_factor: float, start: float) -> IntrinsicTriangulation:
+    from spectra_kit.operators._cover import pair_sides, side_lengths, sides_by_corner
+
+    unit = float(np.ptp(mesh.points, axis=0).max())
+    if not unit:
+        raise InvalidInputError(
+            f"`geometry` must have an extent, got {mesh.n} vertices at one point"
+        )
+    points = (mesh.points - mesh.points.mean(axis=0)) / unit
+    corners = mesh.faces.astype(np.int32)
+    lengths = side_lengths(points, corners, mollify_factor)
+    starts, sides = sides_by_corner(corners, mesh.n)
+    twins = np.empty(3 * len(corners), dtype=np.int32)
+    copies, boundary = 1, np.empty(0, dtype=np.int64)
+    if not pair_sides(corners, starts, sides, twins):
+        corners, lengths, twins = front_and_back(points, corners, lengths, sharpest=2.0)
+        copies, boundary = 2, mesh.boundary_vertices
+    make_delaunay(corners, lengths, twins)
+    stiffness, mass = stiffness_and_mass(corners, lengths, twins, mesh.n, copies)
+    laplacian = Laplacian(
+        stiffness,
+        mass * unit**2,
+        mesh.points,
+        operator=f"intrinsic_delaunay(mesh, mollify_factor={mollify_factor:g})",
+        seconds=time.perf_counter() - start,
+    )
+    return IntrinsicTriangulation(corners, lengths * unit, 1 / copies, boundary, laplacian)
+
+
+def _of_cloud(
+    cloud: PointCloud, mollify_factor: float, n_neighbors: int, start: float
+) -> IntrinsicTriangulation:
+    from spectra_kit.operators._cover import side_lengths
+
+    # Neighbours in space become neighbours in memory; any unit of length becomes about 1.
+    order = cKDTree(cloud.points).indices
+    unit = float(np.ptp(cloud.points, axis=0).max())
+    points = (cloud.points[order] - cloud.points.mean(axis=0)) / unit
+    triangles, closed = local_triangles(points, n_neighbors)
+    lengths = side_lengths(points, triangles, mollify_factor)
+    corners, lengths, twins = front_and_back(points, triangles, lengths, sharpest=0.0)
+    make_delaunay(corners, lengths, twins)
+    corners = order[corners].astype(np.int32)
+    copies = 6  # three stars, a front and a back
+    stiffness, mass = stiffness_and_mass(corners, lengths, twins, cloud.n, copies)
+    if not mass.all():
+        raise InvalidInputError(
+            f"`geometry` has {int((mass == 0).sum())} points in no triangle (such as"
+            f" {int(np.argmin(mass))}): their neighbours lie on one line;"
+            " remove such curves first"
+        )
+    laplacian = Laplacian(
+        stiffness,
+        mass * unit**2,
+        cloud.points,
+        operator=f"delaunay_laplacian(mollify_factor={mollify_factor:g},"
+        f" n_neighbors={n_neighbors})",
+        seconds=time.perf_counter() - start,
+    )
+    return IntrinsicTriangulation(corners, lengths * unit, 1 / copies, order[~closed], laplacian)
+
+
+def _of_shape(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    array = real_array(name, values)
+    if array.shape != shape:
+        raise InvalidInputError(f"`{name}` must have shape {shape}, got {array.shape}")
+    return array
