@@ -1,7 +1,7 @@
-"""Pictures of functions on meshes and clouds, and of maps between them, as PNG without a display.
+"""Pictures of functions and distances on geometries, and of maps between them, as PNG.
 
-PyVista draws the panels off-screen in a process of its own, Matplotlib sets the page around them.
-Neither is imported before a picture is drawn.
+No display is needed: PyVista draws the panels off-screen in a process of its own, Matplotlib sets
+the page around them. Neither is imported before a picture is drawn.
 """
 
 from spectra_kit.viz.correspondence import (
@@ -9,6 +9,7 @@ from spectra_kit.viz.correspondence import (
     plot_correspondence,
     plot_correspondences,
 )
+from spectra_kit.viz.isolines import plot_distance
 from spectra_kit.viz.maps import plot_error_curves, plot_functional_map
 from spectra_kit.viz.modes import plot_comparison
 from spectra_kit.viz.page import Panel, plot_panels
@@ -19,6 +20,7 @@ __all__ = [
     "plot_comparison",
     "plot_correspondence",
     "plot_correspondences",
+    "plot_distance",
     "plot_error_curves",
     "plot_functional_map",
     "plot_panels",

@@ -51,7 +51,7 @@ def position_colours(positions: Floats, low: Floats, high: Floats, *, squares: b
         cell = side.max() / _SQUARES
         parity = np.floor((positions - low) / cell).astype(np.int64).sum(axis=1) % 2
         lightness = lightness + _RELIEF * (2 * parity - 1)
-    return _srgb(np.column_stack([lightness, 0.13 * near, 0.15 * right]))
+    return oklab_to_srgb(np.column_stack([lightness, 0.13 * near, 0.15 * right]))
 
 
 def error_colours(errors: Floats, limit: float) -> Bytes:
@@ -92,7 +92,7 @@ def _normals(mesh: TriangleMesh) -> Floats:
     return np.asarray(sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-300))
 
 
-def _srgb(lab: Floats) -> Bytes:
+def oklab_to_srgb(lab: Floats) -> Bytes:
     """Oklab (n, 3) as sRGB bytes; what lies outside is cut off."""
     linear = np.clip((lab @ _TO_LMS.T) ** 3 @ _TO_RGB.T, 0.0, 1.0)
     gamma = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
