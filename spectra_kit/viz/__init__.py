@@ -4,6 +4,7 @@ No display is needed: PyVista draws the panels off-screen in a process of its ow
 the page around them. Neither is imported before a picture is drawn.
 """
 
+from spectra_kit.viz.convergence import SolverRun, plot_convergence
 from spectra_kit.viz.correspondence import (
     MatchedPair,
     plot_correspondence,
@@ -17,7 +18,9 @@ from spectra_kit.viz.page import Panel, plot_panels
 __all__ = [
     "MatchedPair",
     "Panel",
+    "SolverRun",
     "plot_comparison",
+    "plot_convergence",
     "plot_correspondence",
     "plot_correspondences",
     "plot_distance",

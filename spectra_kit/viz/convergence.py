@@ -1,0 +1,309 @@
+"""How iterative solvers of one system converge: by iterations, and by the clock."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit._files import atomic_path
+from spectra_kit._validate import check_positive, real_array
+from spectra_kit.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+# Okabe and Ito's colours: told apart with every kind of colour blindness; dashes help in print.
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+_DASHES = ("-", "--", "-.", ":")
+_STAGES = ("#D9D9D9", "#B4C7DE", "#8297B8", "#BAD0AE", "#8AAB80", "#A0A0A0", "#6E6E6E")
+_SPECTRUM = "#F4E3B2"
+_FLOOR = 1e-16  # of relative residuals in the picture: below it there is only rounding
+_ROW = 0.27  # inches of one bar
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SolverRun:
+    """One solver at work: what it did before its first iteration, and its residuals since.
+
+    Attributes
+    ----------
+    name : str
+        Of the solver.
+    stages : mapping of str to float
+        Seconds of what comes before the iterations, in this order.
+    spectrum_seconds : float, default 0
+        Seconds that the modes took which it uses; 0 if it uses none.
+    times : array_like of shape (i,)
+        Seconds from the start of the solve to when each residual was known, ascending.
+    residuals : array_like of shape (i,)
+        Relative residuals: at the start and after each iteration, or of a direct solver the one
+        that it ends with. Without any, only the seconds are drawn.
+    """
+
+    name: str
+    stages: Mapping[str, float]
+    spectrum_seconds: float = 0.0
+    times: ArrayLike = field(default_factory=lambda: np.zeros(0))
+    residuals: ArrayLike = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        times = real_array("times", self.times)
+        residuals = real_array("residuals", self.residuals)
+        if times.ndim != 1 or residuals.shape != times.shape or (np.diff(times) < 0).any():
+            raise InvalidInputError(
+                "`times` must be ascending seconds, one for each of `residuals`, got shapes"
+                f" {times.shape} and {residuals.shape}"
+            )
+        object.__setattr__(self, "times", times)
+        object.__setattr__(self, "residuals", residuals)
+
+    @property
+    def start(self) -> float:
+        """Seconds before the iterations, those of the spectrum left out."""
+        return float(sum(self.stages.values()))
+
+    @property
+    def seconds(self) -> float:
+        """Seconds in all, those of the spectrum left out."""
+        return self.start + self.solve_seconds
+
+    @property
+    def solve_seconds(self) -> float:
+        """Seconds of the iterations."""
+        times = np.asarray(self.times)
+        return float(times[-1]) if len(times) else 0.0
+
+    @property
+    def iterations(self) -> int | None:
+        """How many there were; None for a solver that has none."""
+        count = len(np.asarray(self.residuals))
+        return count - 1 if count > 1 else None
+
+
+def plot_convergence(
+    path: str | os.PathLike[str],
+    runs: Sequence[SolverRun],
+    *,
+    rtol: float = 1e-8,
+    solve_name: str = "solve",
+    title: str = "",
+    subtitle: str = "",
+    dpi: int = 200,
+) -> None:
+    """Draw the residuals of solvers against iterations and against the clock, and their stages.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.png`` file to write, whole or not at all.
+    runs : sequence of SolverRun
+        At least one.
+    rtol : float, default 1e-8
+        The relative residual at which the solvers stop, a line across.
+    solve_name : str, default "solve"
+        What to call the iterations, beside the names of the other stages.
+    title, subtitle : str, optional
+        Set above and below.
+    dpi : int, default 200
+        Pixels per inch; the page is 12 inches wide.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no run, `rtol` is not positive, or `path` is not a ``.png`` in an existing
+        folder.
+
+    Notes
+    -----
+    The clock begins where nothing but the geometry is there: a curve starts when all its stages
+    are over. The second clock counts the modes too, which the first one takes as given.
+    Bars below share the seconds of the clock above them.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> run = SolverRun(
+    ...     name="CG", stages={"setup": 0.1}, times=[0.0, 0.1, 0.2], residuals=[1.0, 1e-4, 1e-9]
+    ... )
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "convergence.png"
+    ...     plot_convergence(path, [run], dpi=40)
+    ...     path.exists()
+    True
+    """
+    if Path(path).suffix.lower() != ".png":
+        raise InvalidInputError(f"`path` must end in .png, got {str(path)!r}")
+    if not runs:
+        raise InvalidInputError("`runs` must hold at least one SolverRun, got none")
+    check_positive("rtol", rtol)
+    with atomic_path(path) as part:
+        _page(runs, rtol, solve_name, title, subtitle).savefig(part, dpi=dpi)
+
+
+def _page(
+    runs: Sequence[SolverRun], rtol: float, solve_name: str, title: str, subtitle: str
+) -> Figure:
+    """Three diagrams; below the first a table, below the two clocks the bars of its rows."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    rows = _ROW * (len(runs) + 1.2)
+    height = 4.3 + rows + 1.1
+    figure = Figure(figsize=(12, height), facecolor="white")
+    FigureCanvasAgg(figure)
+    figure.text(0.02, 1 - 0.3 / height, title, fontsize=14, fontweight="bold", parse_math=False)
+    figure.text(0.02, 1 - 0.55 / height, subtitle, fontsize=9, color="0.35", parse_math=False)
+    grid = figure.add_gridspec(
+        2,
+        3,
+        height_ratios=(3.4, rows),
+        left=0.06,
+        right=0.985,
+        top=1 - 0.95 / height,
+        bottom=0.75 / height,
+        wspace=0.06,
+        hspace=0.32 * 6 / height,
+        width_ratios=(1.15, 1, 1),
+    )
+    iterations = figure.add_subplot(grid[0, 0])
+    _draw_iterations(iterations, runs)
+    table = figure.add_subplot(grid[1, 0])
+    _draw_table(table, runs)
+    colours = {
+        name: _STAGES[i % len(_STAGES)]
+        for i, name in enumerate(dict.fromkeys(s for run in runs for s in run.stages))
+    }
+    for column, counted in ((1, False), (2, True)):
+        clock = figure.add_subplot(grid[0, column], sharey=iterations)
+        _draw_clock(clock, runs, counted)
+        bars = figure.add_subplot(grid[1, column], sharex=clock)
+        _draw_bars(bars, runs, colours, counted)
+        clock.tick_params(labelleft=False)
+    iterations.set_ylim(*_limits(runs, rtol))
+    for panel in figure.axes[:1] + figure.axes[2::2]:
+        panel.axhline(rtol, color="0.6", lw=0.8, zorder=0)
+    _set_key(figure, colours, any(run.spectrum_seconds for run in runs), solve_name)
+    return figure
+
+
+def _style(i: int) -> tuple[str, str]:
+    """Colour and dashes of the run number `i`."""
+    return _COLOURS[i % len(_COLOURS)], _DASHES[i // len(_COLOURS) % len(_DASHES)]
+
+
+def _shown(run: SolverRun) -> Floats:
+    return np.maximum(np.asarray(run.residuals), _FLOOR)
+
+
+def _limits(runs: Sequence[SolverRun], rtol: float) -> tuple[float, float]:
+    every = np.concatenate([_shown(run) for run in runs] + [np.array([1.0, rtol])])
+    return float(every.min()) / 4, float(every.max()) * 4
+
+
+def _draw_iterations(panel: Axes, runs: Sequence[SolverRun]) -> None:
+    for i, run in enumerate(runs):
+        colour, dashes = _style(i)
+        residuals = _shown(run)
+        if run.iterations is None:
+            panel.plot(
+                np.zeros(len(residuals)),
+                residuals,
+                color=colour,
+                marker="D",
+                ms=6,
+                ls="",
+                clip_on=False,
+            )
+        else:
+            panel.plot(residuals, color=colour, ls=dashes, lw=1.7)
+    panel.set(yscale="log", xlabel="iteration", ylabel="relative residual")
+    panel.set_title("by iterations", fontsize=11, loc="left")
+    _tidy(panel)
+
+
+def _draw_clock(panel: Axes, runs: Sequence[SolverRun], counted: bool) -> None:
+    """Curves that begin when their stages are over; a direct solver is a point."""
+    for i, run in enumerate(runs):
+        colour, dashes = _style(i)
+        begin = run.start + (run.spectrum_seconds if counted else 0.0)
+        residuals, times = _shown(run), begin + np.asarray(run.times)
+        if not len(residuals):
+            panel.axvline(begin, color=colour, ls=":", lw=1.4)
+        elif run.iterations is None:
+            panel.plot(times, residuals, color=colour, marker="D", ms=6, ls="")
+        else:
+            panel.plot([0, times[0]], residuals[[0, 0]], color=colour, ls=dashes, lw=0.9, alpha=0.5)
+            panel.plot(times, residuals, color=colour, ls=dashes, lw=1.7)
+    head = "by the clock, the spectrum counted" if counted else "by the clock, the spectrum at hand"
+    panel.set_title(head, fontsize=11, loc="left")
+    _tidy(panel)
+
+
+def _draw_bars(
+    panel: Axes, runs: Sequence[SolverRun], colours: Mapping[str, str], counted: bool
+) -> None:
+    """The stages of each run, one after the other."""
+    for row, run in enumerate(runs):
+        left = 0.0
+        pieces = [(seconds, colours[name]) for name, seconds in run.stages.items()]
+        pieces.append((run.solve_seconds, _style(row)[0]))
+        if counted:
+            pieces.insert(0, (run.spectrum_seconds, _SPECTRUM))
+        for seconds, colour in pieces:
+            panel.barh(row, seconds, left=left, height=0.66, color=colour)
+            left += seconds
+        panel.text(left, row, f" {left:.2f} s", fontsize=8, color="0.3", va="center")
+    most = max(run.seconds + (run.spectrum_seconds if counted else 0.0) for run in runs)
+    panel.set(xlim=(0, 1.16 * most), xlabel="seconds")
+    panel.set_ylim(len(runs) - 0.4, -0.6)
+    panel.set_yticks([])
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.tick_params(labelsize=9)
+
+
+def _draw_table(panel: Axes, runs: Sequence[SolverRun]) -> None:
+    """Names with their lines, and their iterations, beside the bars."""
+    panel.set(xlim=(0, 1))
+    panel.set_ylim(len(runs) - 0.4, -0.6)
+    panel.axis("off")
+    panel.text(0.97, -0.75, "iterations", fontsize=8, color="0.4", ha="right", va="bottom")
+    for row, run in enumerate(runs):
+        colour, dashes = _style(row)
+        residuals = np.asarray(run.residuals)
+        if len(residuals) == 1:
+            panel.plot(0.035, row, color=colour, marker="D", ms=6)
+        else:
+            sample = dashes if len(residuals) else ":"
+            panel.plot([0, 0.07], [row, row], color=colour, ls=sample, lw=1.9)
+        panel.text(0.1, row, run.name, fontsize=9.5, va="center", parse_math=False)
+        count = "\N{EN DASH}" if run.iterations is None else f"{run.iterations}"
+        panel.text(0.97, row, count, fontsize=9.5, va="center", ha="right")
+
+
+def _set_key(figure: Figure, colours: Mapping[str, str], spectrum: bool, solve_name: str) -> None:
+    """What the colours of the bars stand for."""
+    from matplotlib.patches import Patch
+
+    key = [Patch(color=_SPECTRUM, label="spectrum")] if spectrum else []
+    key += [Patch(color=colour, label=name) for name, colour in colours.items()]
+    key.append(Patch(color=_COLOURS[0], label=f"{solve_name} (colour of the line)"))
+    figure.legend(
+        handles=key, loc="lower right", ncols=len(key), frameon=False, fontsize=9, handlelength=1.2
+    )
+
+
+def _tidy(panel: Axes) -> None:
+    panel.grid(color="0.92", lw=0.7)
+    panel.set_axisbelow(True)
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.tick_params(labelsize=9)
+    panel.set_xlim(left=0)
