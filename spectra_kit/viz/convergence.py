@@ -201,7 +201,7 @@ def _style(i: int) -> tuple[str, str]:
 
 
 def _shown(run: SolverRun) -> Floats:
-    return np.maximum(np.asarray(run.residuals), _FLOOR)
+    return np.asarray(np.maximum(np.asarray(run.residuals), _FLOOR))
 
 
 def _limits(runs: Sequence[SolverRun], rtol: float) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -158,12 +159,23 @@ def _faces(columns: Columns) -> NDArray[np.int64] | None:
     return triangle_fans([row.astype(np.int64).tolist() for row in corners])
 
 
-def write(geometry: Geometry, path: Path) -> None:
-    """Write little-endian binary with double coordinates, which loses nothing."""
+def write(
+    geometry: Geometry, path: Path, properties: Mapping[str, NDArray[np.generic]] | None = None
+) -> None:
+    """Write little-endian binary with double coordinates, which loses nothing.
+
+    `properties` are more columns of the vertices, each of shape (n,), float64 or uint8.
+    """
     faces = geometry.faces if isinstance(geometry, TriangleMesh) else None
+    columns = dict(zip("xyz", geometry.points.T, strict=True)) | dict(properties or {})
+    kinds = {np.dtype("f8"): "double", np.dtype("u1"): "uchar"}
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {geometry.n}"]
-    header += [f"property double {axis}" for axis in "xyz"]
-    body = geometry.points.astype("<f8").tobytes()
+    header += [f"property {kinds[column.dtype]} {name}" for name, column in columns.items()]
+    fields = [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()]
+    vertices = np.empty(geometry.n, dtype=fields)
+    for name, column in columns.items():
+        vertices[name] = column
+    body = vertices.tobytes()
     if faces is not None:
         header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
         rows = np.zeros(len(faces), dtype=[("size", "u1"), ("corners", "<i4", 3)])
