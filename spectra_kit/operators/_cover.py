@@ -1,8 +1,9 @@
-"""Overlapping triangles glued to an intrinsic surface, and its Delaunay flips; numba.
+"""Triangles glued to an intrinsic surface without boundary, and its Delaunay flips; numba.
 
-Each triangle becomes a front and a back face of three half-edges: those of triangle t are
-``6 t + c`` for its sides ``c = 0, 1, 2`` and ``6 t + 5 - c`` for the same side of the back face,
-which runs the other way. So the surface has no boundary, and is oriented whatever the input.
+Half-edge ``3 t + c`` runs along side c of triangle t, from corner c to corner c + 1. In the cover
+by front and back faces, those of triangle t are ``6 t + c`` for its sides ``c = 0, 1, 2`` and
+``6 t + 5 - c`` for the same side of the back face, which runs the other way. So the cover has no
+boundary, and is oriented whatever the input.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ _ROUNDING = 1e-9  # sums of cotangents this far below zero, relatively, are zero
 _COINCIDENT = 1e-12  # triangles smaller than this, in a geometry of size 1, are mollified to it
 _TIE = 1e-12  # cosines that differ by less are equal, but for rounding
 _NONE, _PAIRED = -1, -2
+_AFTER, _BEFORE = (1, 2, 0), (2, 0, 1)  # corners of a triangle
 
 
 @njit(nogil=True, cache=True)
@@ -37,72 +39,69 @@ def side_lengths(points: Floats, triangles: Ints, mollify: float) -> Floats:
     for t in range(len(triangles)):
         side = lengths[t]
         for c in range(3):
-            side[c] = _distance(points, triangles[t, c], triangles[t, (c + 1) % 3])
+            side[c] = _distance(points, triangles[t, c], triangles[t, _AFTER[c]])
         wanted = max(mollify * (side[0] + side[1] + side[2]) / 3, mollify * _COINCIDENT)
         for c in range(3):
-            slack = side[c] + side[(c + 2) % 3] - side[(c + 1) % 3]
+            slack = side[c] + side[_BEFORE[c]] - side[_AFTER[c]]
             offset[triangles[t, c]] = max(offset[triangles[t, c]], (wanted - slack) / 2)
     for t in range(len(triangles)):
         for c in range(3):
             lengths[t, c] += offset[triangles[t, c]]
-            lengths[t, c] += offset[triangles[t, (c + 1) % 3]]
+            lengths[t, c] += offset[triangles[t, _AFTER[c]]]
     return lengths
 
 
 @njit(nogil=True, cache=True)
-def sides_by_corner(triangles: Ints, n: int) -> tuple[Longs, Ints]:
-    """Sort the sides ``3 t + c`` by their lower corner: those of i at ``starts[i:i + 2]``."""
+def sides_by_corner(triangles: Ints, n: int) -> tuple[Longs, Ints, Ints]:
+    """Sort the sides ``3 t + c`` by their lower corner; return their upper ones beside them.
+
+    Those of point i are at ``starts[i]`` to ``starts[i + 1]``.
+    """
     starts = np.zeros(n + 1, np.int64)
     for t in range(len(triangles)):
         for c in range(3):
-            starts[min(triangles[t, c], triangles[t, (c + 1) % 3]) + 1] += 1
+            starts[min(triangles[t, c], triangles[t, _AFTER[c]]) + 1] += 1
     for i in range(n):
         starts[i + 1] += starts[i]
     free = starts[:-1].copy()
-    sides = np.empty(3 * len(triangles), np.int32)
+    sides, uppers = np.empty(3 * len(triangles), np.int32), np.empty(3 * len(triangles), np.int32)
     for t in range(len(triangles)):
         for c in range(3):
-            low = min(triangles[t, c], triangles[t, (c + 1) % 3])
-            sides[free[low]] = 3 * t + c
-            free[low] += 1
-    return starts, sides
+            a, b = triangles[t, c], triangles[t, _AFTER[c]]
+            at = free[min(a, b)]
+            free[min(a, b)] += 1
+            sides[at], uppers[at] = 3 * t + c, max(a, b)
+    return starts, sides, uppers
 
 
 @njit(nogil=True, cache=True)
-def pair_sides(triangles: Ints, starts: Longs, sides: Ints, twins: Ints) -> bool:
+def pair_sides(triangles: Ints, starts: Longs, sides: Ints, uppers: Ints, twins: Ints) -> bool:
     """Glue the two triangles at each edge; return whether there are two that may be, at all.
 
     They must run along it in opposite directions, and be no copies of each other (see `glue`).
     """
-    seen = np.full(len(starts) - 1, _NONE, np.int32)  # by upper corner: a side without partner
+    waiting = np.full(len(starts) - 1, _NONE, np.int32)  # by upper corner: one without partner
     for low in range(len(starts) - 1):
-        mine = sides[starts[low] : starts[low + 1]]
-        for side in mine:
-            high, apex = _upper_and_apex(triangles, side, low)
-            other = seen[high]
+        unpaired = 0
+        for at in range(starts[low], starts[low + 1]):
+            side, other = sides[at], waiting[uppers[at]]
             if other == _NONE:
-                seen[high] = side
+                waiting[uppers[at]] = side
+                unpaired += 1
                 continue
-            if other == _PAIRED or apex == _upper_and_apex(triangles, other, low)[1]:
+            t, c, s, b = side // 3, side % 3, other // 3, other % 3
+            if other == _PAIRED or triangles[t, c] == triangles[s, b]:
                 return False
-            if triangles[side // 3, side % 3] == triangles[other // 3, other % 3]:
+            if triangles[t, _BEFORE[c]] == triangles[s, _BEFORE[b]]:
                 return False
             twins[side], twins[other] = other, side
-            seen[high] = _PAIRED
-        for side in mine:
-            high, _ = _upper_and_apex(triangles, side, low)
-            if seen[high] != _PAIRED:
-                return False
-        for side in mine:
-            seen[_upper_and_apex(triangles, side, low)[0]] = _NONE
+            waiting[uppers[at]] = _PAIRED
+            unpaired -= 1
+        if unpaired:
+            return False
+        for at in range(starts[low], starts[low + 1]):
+            waiting[uppers[at]] = _NONE
     return True
-
-
-@njit(nogil=True, cache=True)
-def _upper_and_apex(triangles: Ints, side: int, low: int) -> tuple[int, int]:
-    t, c = side // 3, side % 3
-    a, b = triangles[t, c], triangles[t, (c + 1) % 3]
-    return (b if a == low else a), triangles[t, (c + 2) % 3]
 
 
 @njit(nogil=True, cache=True)
@@ -111,28 +110,34 @@ def glue(
     triangles: Ints,
     starts: Longs,
     sides: Ints,
-    first: int,
-    last: int,
+    uppers: Ints,
     sharpest: float,
     twins: Ints,
+    first: int,
+    last: int,
 ) -> None:
     """Glue the faces at all edges whose lower corner is in ``first .. last - 1``."""
+    most = 0
     for low in range(first, last):
-        mine = sides[starts[low] : starts[low + 1]]
-        m = len(mine)
-        key = np.empty(m, np.int64)
-        for j in range(m):
-            t, c = mine[j] // 3, mine[j] % 3
-            key[j] = np.int64(max(triangles[t, c], triangles[t, (c + 1) % 3])) * m + j
-        key.sort()
-        begin = 0
-        while begin < m:
-            high = key[begin] // m
-            end = begin + 1
-            while end < m and key[end] // m == high:
-                end += 1
-            _glue_edge(points, triangles, mine[key[begin:end] % m], low, high, sharpest, twins)
-            begin = end
+        most = max(most, starts[low + 1] - starts[low])
+    head, link = np.full(len(points), _NONE, np.int32), np.empty(most, np.int32)
+    group, halves, out = (
+        np.empty(most, np.int32),
+        np.empty((3, most), np.int32),
+        np.empty((most, 3)),
+    )
+    for low in range(first, last):
+        begin, end = starts[low], starts[low + 1]
+        for at in range(end - 1, begin - 1, -1):  # a list of sides for each upper corner
+            link[at - begin], head[uppers[at]] = head[uppers[at]], at - begin
+        for high in uppers[begin:end]:
+            d, j = 0, head[high]
+            while j != _NONE:
+                group[d] = sides[begin + j]
+                d, j = d + 1, link[j]
+            head[high] = _NONE
+            if d:
+                _glue_edge(points, triangles, group[:d], low, high, sharpest, halves, out, twins)
 
 
 @njit(nogil=True, cache=True)
@@ -143,41 +148,39 @@ def _glue_edge(
     low: int,
     high: int,
     sharpest: float,
+    halves: Ints,
+    out: Floats,
     twins: Ints,
 ) -> None:
     """Pair the triangles of one edge that continue each other best, and glue their faces.
 
     The cosine of the angle between them must be below `sharpest`. Copies of one triangle are
     never glued to each other, where flips would fold them away. A triangle without a partner has
-    its front glued to its back, which is a boundary.
+    its front glued to its back, which is a boundary. `halves` and `out` are scratch.
     """
     d = len(sides)
-    out = np.empty((d, 3))  # unit vectors from the edge into each triangle
-    up, down = np.empty(d, np.int64), np.empty(d, np.int64)  # half-edges from and to `low`
-    apex = np.empty(d, np.int64)
+    up, down, apex = halves[0], halves[1], halves[2]  # half-edges from and to `low`
     for j in range(d):
         t, c = sides[j] // 3, sides[j] % 3
         front, back = 6 * t + c, 6 * t + 5 - c
         up[j], down[j] = (front, back) if triangles[t, c] == low else (back, front)
-        apex[j] = triangles[t, (c + 2) % 3]
-        _direction(points, low, high, apex[j], out[j])
-    paired = np.zeros(d, np.bool_)
+        apex[j] = triangles[t, _BEFORE[c]]
+        twins[up[j]], twins[down[j]] = down[j], up[j]
+        if d > 1:
+            _direction(points, low, high, apex[j], out[j])
     for _ in range(d // 2):
         best, p, q = sharpest, -1, -1
         for i in range(d):
             for j in range(i + 1, d):
-                if not paired[i] and not paired[j] and apex[i] != apex[j]:
+                if apex[i] != apex[j] and apex[i] != _PAIRED and apex[j] != _PAIRED:
                     dot = out[i, 0] * out[j, 0] + out[i, 1] * out[j, 1] + out[i, 2] * out[j, 2]
                     if dot < best - _TIE:  # the first of equals, whatever the rounding
                         best, p, q = dot, i, j
         if p < 0:
             break
-        paired[p] = paired[q] = True
+        apex[p] = apex[q] = _PAIRED
         twins[up[p]], twins[down[q]] = down[q], up[p]
         twins[up[q]], twins[down[p]] = down[p], up[q]
-    for j in range(d):
-        if not paired[j]:
-            twins[up[j]], twins[down[j]] = down[j], up[j]
 
 
 @njit(nogil=True, cache=True)

@@ -16,22 +16,23 @@ _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the num
 _TIE = 1e-7  # weight of a point, of its squared distance to the nearest: decides between diagonals
 
 
-def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools]:
-    """Return the triangles of all stars and which stars are closed, shapes (t, 3) and (n,).
+def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools, Floats]:
+    """Return the triangles of all stars, which stars are closed, and how far each point looked.
 
-    The first corner of a triangle is the point whose star it belongs to, so a consistent triangle
-    is there three times.
+    Of shapes (t, 3), (n,) and (n,). The first corner of a triangle is the point whose star it
+    belongs to, so a consistent triangle is there three times.
     """
     from spectra_kit.operators._stars import stars, triangles
 
     tree = cKDTree(points)
     n = len(points)
     owners = np.arange(n, dtype=np.int32)
-    nearest, neighbors = np.empty(n), np.empty((n, n_neighbors), dtype=np.int32)
+    nearest, farthest = np.empty(n), np.empty(n)
+    neighbors = np.empty((n, n_neighbors), dtype=np.int32)
     blocks = [slice(first, first + _BLOCK) for first in range(0, n, _BLOCK)]
     for b in blocks:
         distance, index = tree.query(points[b], n_neighbors + 1, workers=thread_count())
-        nearest[b], neighbors[b] = distance[:, 1], index[:, 1:]
+        nearest[b], farthest[b], neighbors[b] = distance[:, 1], distance[:, -1], index[:, 1:]
     # Random but fixed: all stars decide alike between the diagonals of a square.
     ties = _TIE * nearest**2 * np.random.default_rng(0).random(n)
     links, sizes = np.empty_like(neighbors), np.empty(n, dtype=np.int32)
@@ -40,4 +41,4 @@ def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools]:
         stars,
         ((points, owners[b], neighbors[b], ties, links[b], sizes[b], closed[b]) for b in blocks),
     )
-    return triangles(owners, links, sizes, closed), closed
+    return triangles(owners, links, sizes, closed), closed, farthest

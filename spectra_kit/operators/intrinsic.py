@@ -24,7 +24,12 @@ from spectra_kit.operators.laplacian import Laplacian
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 Corners = NDArray[np.int32]
+
+# Circles through the corners of a triangle are no larger, for the distance of the 30th neighbour,
+# between random points on a sphere; along a boundary they are.
+_WIDE = 1.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -44,7 +49,7 @@ class IntrinsicTriangulation(Rebuilt):
         How much each triangle counts in areas and energies: 1, or 1/2 where the surface is covered
         by a front and a back, or 1/6 where each triangle was also found by three points.
     boundary : array_like of shape (b,)
-        Points on the boundary of the surface.
+        Points on the boundary of the surface. Of a cloud, about every other point along it.
     laplacian : Laplacian
         Of piecewise linear functions on these triangles, Neumann, on n points.
 
@@ -251,10 +256,10 @@ def _of_mesh(mesh: TriangleMesh, mollify_factor: float, start: float) -> Intrins
     points = (mesh.points - mesh.points.mean(axis=0)) / unit
     corners = mesh.faces.astype(np.int32)
     lengths = side_lengths(points, corners, mollify_factor)
-    starts, sides = sides_by_corner(corners, mesh.n)
+    starts, sides, uppers = sides_by_corner(corners, mesh.n)
     twins = np.empty(3 * len(corners), dtype=np.int32)
     copies, boundary = 1, np.empty(0, dtype=np.int64)
-    if not pair_sides(corners, starts, sides, twins):
+    if not pair_sides(corners, starts, sides, uppers, twins):
         corners, lengths, twins = front_and_back(points, corners, lengths, sharpest=2.0)
         copies, boundary = 2, mesh.boundary_vertices
     make_delaunay(corners, lengths, twins)
@@ -278,8 +283,9 @@ def _of_cloud(
     order = cKDTree(cloud.points).indices
     unit = float(np.ptp(cloud.points, axis=0).max())
     points = (cloud.points[order] - cloud.points.mean(axis=0)) / unit
-    triangles, closed = local_triangles(points, n_neighbors)
+    triangles, closed, reach = local_triangles(points, n_neighbors)
     lengths = side_lengths(points, triangles, mollify_factor)
+    is_boundary = _is_boundary(triangles, lengths, closed, reach)
     corners, lengths, twins = front_and_back(points, triangles, lengths, sharpest=0.0)
     make_delaunay(corners, lengths, twins)
     corners = order[corners].astype(np.int32)
@@ -299,7 +305,23 @@ def _of_cloud(
         f" n_neighbors={n_neighbors})",
         seconds=time.perf_counter() - start,
     )
-    return IntrinsicTriangulation(corners, lengths * unit, 1 / copies, order[~closed], laplacian)
+    return IntrinsicTriangulation(
+        corners, lengths * unit, 1 / copies, order[is_boundary], laplacian
+    )
+
+
+def _is_boundary(triangles: Corners, lengths: Floats, closed: Bools, reach: Floats) -> Bools:
+    """Mark points whose star is open, or has a triangle far too large for the points around it.
+
+    Such triangles fill the bays of a sampled boundary.
+    """
+    from spectra_kit.operators._triangle_calculus import areas
+
+    marked = ~closed
+    owners = triangles[:, 0]
+    radii = lengths.prod(axis=1) / (4 * areas(lengths))  # of the circles through the corners
+    marked[owners[radii > _WIDE * reach[owners]]] = True
+    return marked
 
 
 def _of_shape(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
