@@ -1,8 +1,9 @@
 """Inner loops of `IncompleteCholesky`, compiled by numba on first use and kept on disk after it.
 
-All factors are ``A = (I + L) D (I + L)^T`` with L strictly lower triangular. A pivot that is zero
-to rounding and has nothing below it ends a component of a singular matrix: its inverse is stored
-as zero, which holds that unknown at zero.
+All factors are ``A ~ (I + L) D (I + L)^T`` with L strictly lower triangular, computed by columns
+of L, which are rows of its transpose. A pivot that is zero to rounding and has nothing below it
+ends a component of a singular matrix: its inverse is stored as zero, which holds that unknown at
+zero.
 """
 
 from __future__ import annotations
@@ -13,67 +14,214 @@ from numpy.typing import NDArray
 
 Reals = NDArray[np.float64] | NDArray[np.float32]
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int32] | NDArray[np.int64]
+Ints = NDArray[np.int32] | NDArray[np.int64] | NDArray[np.uint32]
 
 ROUNDING = 1e-11  # share of the diagonal entry below which a pivot is zero
 
 
 @njit(nogil=True, cache=True)
-def factor_level_zero(
-    starts: Ints, columns: Ints, values: Floats, diagonal: Floats, last: Ints, inverse: Floats
-) -> int:
-    """Overwrite the strictly lower rows of A with those of L; `inverse` receives 1 / D.
+def _inverted(pivot: float, scale: float, ends: bool) -> float:
+    """Return the inverse of a pivot, zero for one that ends a component, NaN for a breakdown."""
+    if pivot > ROUNDING * scale:
+        return 1.0 / pivot
+    if ends and pivot >= -ROUNDING * scale:
+        return 0.0
+    return np.nan
 
-    Row i of A left of its diagonal is ``values[starts[i]:starts[i + 1]]``, `columns` ascending.
-    ``last[i]`` says whether no later row refers to i. Returns the row where the factorisation
-    broke down, or -1.
+
+@njit(nogil=True, cache=True)
+def factor_level_zero(
+    starts: Ints, columns: Ints, upper: Floats, diagonal: Floats, relaxation: float, inverse: Floats
+) -> int:
+    """Overwrite the strictly upper rows of A with those of L^T; `inverse` receives 1 / D.
+
+    Row i of A right of its diagonal is ``upper[starts[i]:starts[i + 1]]``, `columns` ascending.
+    `relaxation` times every entry that falls outside of the pattern moves to the diagonals of its
+    row and column. Overwrites `diagonal`. Returns the row where it broke down, or -1.
     """
-    n = len(diagonal)
-    for i in range(n):
-        begin, end = starts[i], starts[i + 1]
-        pivot = diagonal[i]
+    scale = diagonal.copy()
+    for k in range(len(diagonal)):
+        begin, end = starts[k], starts[k + 1]
+        inverse[k] = _inverted(diagonal[k], scale[k], begin == end)
+        if np.isnan(inverse[k]):
+            return k
         for p in range(begin, end):
-            j = columns[p]
-            # values[p] becomes L[i, j] D[j]; the row is divided by D at its end
-            total = values[p]
-            a, b, stop = begin, starts[j], starts[j + 1]
-            while a < p and b < stop:
-                if columns[a] == columns[b]:
-                    total -= values[a] * values[b]
-                    a += 1
-                    b += 1
-                elif columns[a] < columns[b]:
-                    a += 1
+            i = columns[p]
+            factor = upper[p] * inverse[k]
+            diagonal[i] -= factor * upper[p]
+            s, stop = starts[i], starts[i + 1]
+            for q in range(p + 1, end):
+                j = columns[q]
+                while s < stop and columns[s] < j:
+                    s += 1
+                if s < stop and columns[s] == j:
+                    upper[s] -= factor * upper[q]
                 else:
-                    b += 1
-            values[p] = total
+                    lost = relaxation * factor * upper[q]
+                    diagonal[i] -= lost
+                    diagonal[j] -= lost
         for p in range(begin, end):
-            scaled = values[p] * inverse[columns[p]]
-            pivot -= values[p] * scaled
-            values[p] = scaled
-        if abs(pivot) <= ROUNDING * diagonal[i] and last[i]:
-            inverse[i] = 0.0
-        elif pivot > ROUNDING * diagonal[i]:
-            inverse[i] = 1.0 / pivot
-        else:
-            return i
+            upper[p] *= inverse[k]
     return -1
 
 
 @njit(nogil=True, cache=True)
-def solve_rows(
-    starts: Ints, columns: Ints, lower: Reals, inverse: Reals, rhs: Reals, out: Reals
+def factor_threshold(
+    starts: Ints,
+    columns: Ints,
+    upper: Floats,
+    diagonal: Floats,
+    smallest: Floats,
+    max_fill: int,
+    relaxation: float,
+    inverse: Floats,
+) -> tuple[int, NDArray[np.int64], NDArray[np.int32], Floats]:
+    """Factorise by columns, left-looking; keep what exceeds ``smallest[k]`` in column k of L D.
+
+    Of these at most `max_fill`, the largest. What is dropped is treated as in
+    `factor_level_zero`. Returns the column where it broke down (or -1), and L^T by rows.
+    """
+    n = len(diagonal)
+    scale = diagonal.copy()
+    out_starts = np.zeros(n + 1, np.int64)
+    capacity = 4 * len(upper) + n
+    out_columns, out_values = np.empty(capacity, np.int32), np.empty(capacity, np.float64)
+    work, touched = np.zeros(n), np.zeros(n, np.bool_)
+    rows = np.empty(n, np.int32)
+    position = np.empty(n, np.int64)  # in each finished column: its first entry at k or below
+    head, following = np.full(n, -1, np.int32), np.full(n, -1, np.int32)  # columns, by that entry
+    for k in range(n):
+        count = 0
+        for p in range(starts[k], starts[k + 1]):
+            i = columns[p]
+            work[i] = upper[p]
+            touched[i] = True
+            rows[count] = i
+            count += 1
+        column = head[k]
+        while column >= 0:
+            after = following[column]
+            p, end = position[column], out_starts[column + 1]
+            weight = out_values[p] / inverse[column]
+            for q in range(p + 1, end):
+                i = out_columns[q]
+                if not touched[i]:
+                    touched[i] = True
+                    rows[count] = i
+                    count += 1
+                work[i] -= weight * out_values[q]
+            if p + 1 < end:
+                position[column] = p + 1
+                row = out_columns[p + 1]
+                following[column] = head[row]
+                head[row] = column
+            column = after
+        kept = 0
+        for t in range(count):
+            i = rows[t]
+            if abs(work[i]) > smallest[k]:
+                rows[kept], rows[t] = i, rows[kept]
+                kept += 1
+        pattern = np.sort(rows[:kept])
+        if kept > max_fill:
+            sizes = np.empty(kept)
+            for t in range(kept):
+                sizes[t] = -abs(work[pattern[t]])
+            order = np.argsort(sizes, kind="mergesort")
+            for t in range(max_fill):
+                rows[t] = pattern[order[t]]
+            for t in range(max_fill, kept):
+                rows[t] = pattern[order[t]]
+            pattern = np.sort(rows[:max_fill])
+            kept = max_fill
+        for t in range(kept, count):
+            lost = relaxation * work[rows[t]]
+            diagonal[k] += lost
+            diagonal[rows[t]] += lost
+        inverse[k] = _inverted(diagonal[k], scale[k], kept == 0)
+        if np.isnan(inverse[k]):
+            return k, out_starts, out_columns, out_values
+        begin = out_starts[k]
+        out_starts[k + 1] = begin + kept
+        if begin + kept > capacity:
+            capacity = 2 * capacity + kept
+            wider_columns, wider_values = np.empty(capacity, np.int32), np.empty(capacity)
+            wider_columns[:begin], wider_values[:begin] = out_columns[:begin], out_values[:begin]
+            out_columns, out_values = wider_columns, wider_values
+        for t in range(kept):
+            i = pattern[t]
+            out_columns[begin + t] = i
+            out_values[begin + t] = work[i] * inverse[k]
+            diagonal[i] -= work[i] * work[i] * inverse[k]
+        for t in range(count):
+            work[rows[t]] = 0.0
+            touched[rows[t]] = False
+        if kept:
+            position[k] = begin
+            following[k] = head[pattern[0]]
+            head[pattern[0]] = k
+    return -1, out_starts, out_columns, out_values
+
+
+@njit(nogil=True, cache=True)
+def fill_quads(
+    starts: Ints, columns: Ints, values: Floats, quads: Ints, out_columns: Ints, out_values: Reals
 ) -> None:
-    """Write to `out` the solution of ``(I + L) D (I + L)^T out = rhs``, L stored by rows."""
+    """Copy the rows of a sparse matrix to ones of whole groups of four entries, filled with zeros.
+
+    Row i goes to ``4 * quads[i]``. A zero stands in the first column of its row, which the row
+    refers to anyway. A loop over groups goes round once in most rows, so that it is predicted.
+    """
+    for i in range(len(starts) - 1):
+        q = 4 * quads[i]
+        for p in range(starts[i], starts[i + 1]):
+            out_columns[q], out_values[q] = columns[p], values[p]
+            q += 1
+        while q < 4 * quads[i + 1]:
+            out_columns[q], out_values[q] = columns[starts[i]], 0.0
+            q += 1
+
+
+@njit(nogil=True, cache=True)
+def solve_factor(
+    lower_quads: Ints,
+    lower_columns: Ints,
+    lower: Reals,
+    upper_quads: Ints,
+    upper_columns: Ints,
+    upper: Reals,
+    inverse: Floats,
+    order: Ints,
+    rhs: Floats,
+    work: Floats,
+    out: Floats,
+) -> None:
+    """Write to `out` the solution of ``P (I + L) D (I + L)^T P^T out = rhs``; all (n,).
+
+    L by rows in `lower`, its transpose in `upper`, both in the groups of four of `fill_quads`.
+    Unknown i of the factor is unknown ``order[i]`` of the system.
+    """
     n = len(inverse)
     for i in range(n):
-        total = rhs[i]
-        for p in range(starts[i], starts[i + 1]):
-            total -= lower[p] * out[columns[p]]
-        out[i] = total
-    for i in range(n):
-        out[i] *= inverse[i]
+        total = rhs[order[i]]
+        for g in range(lower_quads[i], lower_quads[i + 1]):
+            p = 4 * g
+            total -= (
+                lower[p] * work[lower_columns[p]] + lower[p + 1] * work[lower_columns[p + 1]]
+            ) + (
+                lower[p + 2] * work[lower_columns[p + 2]]
+                + lower[p + 3] * work[lower_columns[p + 3]]
+            )
+        work[i] = total
     for i in range(n - 1, -1, -1):
-        value = out[i]
-        for p in range(starts[i], starts[i + 1]):
-            out[columns[p]] -= lower[p] * value
+        total = work[i] * inverse[i]
+        for g in range(upper_quads[i], upper_quads[i + 1]):
+            p = 4 * g
+            total -= (
+                upper[p] * work[upper_columns[p]] + upper[p + 1] * work[upper_columns[p + 1]]
+            ) + (
+                upper[p + 2] * work[upper_columns[p + 2]]
+                + upper[p + 3] * work[upper_columns[p + 3]]
+            )
+        work[i] = total
+        out[order[i]] = total

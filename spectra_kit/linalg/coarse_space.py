@@ -1,4 +1,4 @@
-"""Coarse spaces from known low modes, and two-level preconditioners with them."""
+"""Coarse spaces of known low modes: the part of a preconditioner that a factor does badly."""
 
 from __future__ import annotations
 
@@ -9,21 +9,63 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 from scipy import sparse
 
+from spectra_kit._validate import check_mass
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg._checks import check_matrix
+from spectra_kit.linalg._coarse_energy import check_basis, inverse_energy
+from spectra_kit.linalg._team import Call, ranges, side_by_side
 from spectra_kit.linalg.products import real_dtype
 
 Floats = NDArray[np.float64]
 
 
 class Preconditioner(Protocol):
-    """Anything with a symmetric positive semi-definite ``solve``."""
+    """Anything that applies a fixed symmetric positive (semi-)definite matrix near ``A^-1``."""
 
     def solve(self, rhs: Floats) -> Floats:
-        """Return an approximation of ``A^-1 rhs`` for `rhs` (n,)."""
+        """Return the preconditioner applied to `rhs` (n,), as a new array."""
 
 
 class CoarseSpace:
-    """``Y E^-1 Y^T``."""
+    """``Q = Y E^-1 Y^T`` with ``E = Y^T A Y``: the exact solution of a system within span(Y).
+
+    Parameters
+    ----------
+    basis : array_like of shape (n, k)
+        Y, of any units. Not the kernel of A: pass ``spectrum.nonzero().eigenvectors``.
+    energies : array_like of shape (k,), optional
+        The diagonal of E where it has no other entries, as for Ritz vectors: their eigenvalues.
+    matrix : sparse array of shape (n, n), optional
+        A, for any other basis: E is then computed. Directions that depend on others to rounding,
+        and those in the kernel of A, are dropped.
+    dtype : {float32, float64}
+        What Y is stored in and multiplied with. Reading Y is what an application costs; rounded
+        to float32 it spans almost the same space, and convergence does not notice.
+
+    Attributes
+    ----------
+    n : int
+        Number of points.
+    dimension : int
+        Of the space that is left, at most k.
+    seconds : float
+        Time the preparation took.
+
+    Raises
+    ------
+    InvalidInputError
+        If neither or both of `energies` and `matrix` are given, if shapes disagree, if a value is
+        not finite or an energy not positive, or if nothing of the basis is left.
+
+    Examples
+    --------
+    On the path below, Y spans an eigenspace, in which Q inverts A:
+
+    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    >>> coarse = CoarseSpace(np.array([[1.0], [0.0], [-1.0]]), matrix=path)
+    >>> coarse.solve(path @ np.array([5.0, 0.0, -5.0]))
+    array([ 5., 0., -5.])
+    """
 
     def __init__(
         self,
@@ -33,54 +75,173 @@ class CoarseSpace:
         matrix: sparse.csr_array | None = None,
         dtype: DTypeLike = np.float32,
     ) -> None:
-        start = time.perf_counter()
+        begin = time.perf_counter()
         kind = real_dtype("dtype", dtype)
-        Y = np.asarray(basis)
-        if (energies is None) == (matrix is None):
-            raise InvalidInputError("pass either `energies` or `matrix`")
-        if energies is not None:
-            values = np.asarray(energies, dtype=np.float64)
-            self._inverse: Floats = np.diag(1 / values)
+        self._basis = check_basis(basis, kind)
+        self.n, self.dimension = self._basis.shape
+        self._inverse: Floats | None = None
+        self._reciprocal: Floats = np.ones(self.dimension)
+        if energies is not None and matrix is None:
+            self._reciprocal = 1 / check_mass("energies", energies, self.dimension)
+        elif matrix is not None and energies is None:
+            self._inverse, self.dimension = inverse_energy(self._basis, check_matrix(matrix))
         else:
-            energy = Y.T @ (matrix @ Y)
-            values, vectors = np.linalg.eigh((energy + energy.T) / 2)
-            keep = values > 1e-12 * values[-1]
-            self._inverse = (vectors[:, keep] / values[keep]) @ vectors[:, keep].T
-        self._basis: NDArray[Any] = np.ascontiguousarray(Y, dtype=kind)
-        self.seconds = time.perf_counter() - start
+            raise InvalidInputError(
+                "`energies` or `matrix` must be given, got"
+                f" {'neither' if matrix is None else 'both'}; eigenvalues serve as energies where"
+                " the basis holds their eigenvectors"
+            )
+        self.seconds = time.perf_counter() - begin
 
-    @property
-    def dimension(self) -> int:
-        """Number of basis vectors."""
-        return self._basis.shape[1]
+    def __repr__(self) -> str:
+        return f"CoarseSpace(n={self.n}, dimension={self.dimension})"
 
     def solve(self, rhs: Floats) -> Floats:
-        """Return ``Y E^-1 Y^T rhs``."""
-        Y = self._basis
-        c = self._inverse @ (Y.T @ rhs.astype(Y.dtype))
-        return (Y @ c.astype(Y.dtype)).astype(np.float64)
+        """Return ``Y E^-1 Y^T rhs``, for `rhs` (n,) in float64."""
+        out = np.zeros(self.n)
+        self.add_to(out, side_by_side(self.restrictions(rhs)))
+        return out
+
+    def restrictions(self, rhs: Floats) -> list[Call]:
+        """Return the calls whose results, ranges of rows of ``Y^T rhs``, `add_to` sums up."""
+        return [(_restricted, (self._basis, rhs, *rows)) for rows in ranges(self.n)]
+
+    def add_to(self, out: Floats, shares: list[NDArray[Any]]) -> None:
+        """Add ``Y E^-1 c`` to `out` (n,), with c the sum of `shares`, in float64."""
+        from spectra_kit.linalg._krylov_kernels import prolong
+
+        c = np.sum(shares, axis=0, dtype=np.float64)
+        c = c * self._reciprocal if self._inverse is None else self._inverse @ c
+        weights = c.astype(self._basis.dtype)
+        side_by_side([(prolong, (self._basis, weights, out, *rows)) for rows in ranges(self.n)])
+
+
+def _restricted(basis: NDArray[Any], rhs: Floats, start: int, stop: int) -> NDArray[Any]:
+    from spectra_kit.linalg._krylov_kernels import restrict
+
+    out = np.empty(basis.shape[1], basis.dtype)
+    restrict(basis, rhs, out, start, stop)
+    return out
 
 
 class AdditiveTwoLevel:
-    """Base and coarse preconditioner added."""
+    """``M^-1 + Y E^-1 Y^T``: a base preconditioner and a coarse space, added.
+
+    Parameters
+    ----------
+    base : Preconditioner
+        M^-1, such as an `IncompleteCholesky`.
+    coarse : CoarseSpace
+        ``Q = Y E^-1 Y^T``.
+
+    Attributes
+    ----------
+    seconds : float
+        Time that the preparation of both took.
+
+    Raises
+    ------
+    InvalidInputError
+        If the sizes of the two disagree.
+
+    Notes
+    -----
+    Algorithm 2 of the NEO paper is `pcg` with this preconditioner, started from
+    ``coarse.solve(b)``. A low mode, of which M^-1 sees little, has an eigenvalue near one in this
+    operator. Base and coarse part run side by side.
+
+    Examples
+    --------
+    >>> from spectra_kit.linalg import IncompleteCholesky
+    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    >>> coarse = CoarseSpace(np.array([[1.0], [0.0], [-1.0]]), energies=[2.0])
+    >>> base = IncompleteCholesky(path, reorder=False)
+    >>> base.solve(np.array([1.0, 0.0, -1.0]))
+    array([2., 1., 0.])
+    >>> AdditiveTwoLevel(base, coarse).solve(np.array([1.0, 0.0, -1.0]))
+    array([ 3., 1., -1.])
+    """
 
     def __init__(self, base: Preconditioner, coarse: CoarseSpace) -> None:
+        _check_sizes(base, coarse, coarse.n)
         self.base, self.coarse = base, coarse
-        self.seconds = getattr(base, "seconds", 0.0) + coarse.seconds
+        self.seconds: float = getattr(base, "seconds", 0.0) + coarse.seconds
+
+    def __repr__(self) -> str:
+        return f"AdditiveTwoLevel({self.base!r}, {self.coarse!r})"
 
     def solve(self, rhs: Floats) -> Floats:
         """Return ``base.solve(rhs) + coarse.solve(rhs)``."""
-        return self.base.solve(rhs) + self.coarse.solve(rhs)
+        # The base is one task as long as several ranges of the basis: it goes first.
+        out: Floats
+        out, *shares = side_by_side([(self.base.solve, (rhs,)), *self.coarse.restrictions(rhs)])
+        self.coarse.add_to(out, shares)
+        return out
 
 
 class ProjectedTwoLevel:
-    """A-DEF2: ``P^T M^-1 + Q`` with ``Q = Y E^-1 Y^T`` and ``P = I - A Q``."""
+    """``(I - Q A) M^-1 + Q`` with ``Q = Y E^-1 Y^T``: deflation that corrects itself.
+
+    Parameters
+    ----------
+    base : Preconditioner
+        M^-1.
+    coarse : CoarseSpace
+        Q, with the energies in `matrix`, or made from it.
+    matrix : sparse array of shape (n, n)
+        A.
+
+    Attributes
+    ----------
+    seconds : float
+        Time that the preparation of both took.
+
+    Raises
+    ------
+    InvalidInputError
+        If the sizes disagree.
+
+    Notes
+    -----
+    A-DEF2 of Tang, Nabben, Vuik & Erlangga (*J. Sci. Comput.* 39, 2009). It acts as the symmetric
+    balancing preconditioner on residuals without a component in span(Y), which is what `correct`
+    makes of the first one, and CG keeps of the rest; ``+ Q`` removes what rounding brings back,
+    so that an inexact Q does no harm, other than in plain deflation. One product with A more
+    than `AdditiveTwoLevel`, and one part after the other.
+
+    Examples
+    --------
+    >>> from spectra_kit.linalg import IncompleteCholesky, pcg
+    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    >>> coarse = CoarseSpace(np.array([[1.0], [0.0], [-1.0]]), matrix=path)
+    >>> projected = ProjectedTwoLevel(IncompleteCholesky(path), coarse, path)
+    >>> pcg(path, np.array([1.0, 0.0, -1.0]), preconditioner=projected).x
+    array([ 1., 0., -1.])
+    """
 
     def __init__(self, base: Preconditioner, coarse: CoarseSpace, matrix: sparse.csr_array) -> None:
-        self.base, self.coarse, self.matrix = base, coarse, matrix
-        self.seconds = getattr(base, "seconds", 0.0) + coarse.seconds
+        self._matrix = check_matrix(matrix)
+        _check_sizes(base, coarse, self._matrix.shape[0])
+        self.base, self.coarse = base, coarse
+        self.seconds: float = getattr(base, "seconds", 0.0) + coarse.seconds
+
+    def __repr__(self) -> str:
+        return f"ProjectedTwoLevel({self.base!r}, {self.coarse!r})"
+
+    def correct(self, residual: Floats) -> Floats:
+        """Return ``Q residual``: added to x, it leaves no residual in span(Y)."""
+        return self.coarse.solve(residual)
 
     def solve(self, rhs: Floats) -> Floats:
-        """Return ``(I - Q A) M^-1 rhs + Q rhs``."""
+        """Return ``(I - Q A) base.solve(rhs) + coarse.solve(rhs)``."""
         z = self.base.solve(rhs)
-        return z + self.coarse.solve(rhs - self.matrix @ z)
+        self.coarse.add_to(z, side_by_side(self.coarse.restrictions(rhs - self._matrix @ z)))
+        return z
+
+
+def _check_sizes(base: Any, coarse: CoarseSpace, n: int) -> None:
+    if not coarse.n == getattr(base, "n", n) == n:
+        raise InvalidInputError(
+            f"`base` and `coarse` must be of one size, got {getattr(base, 'n', n)} and {coarse.n}"
+            f" points{'' if n == coarse.n else f', and a matrix of {n}'}"
+        )

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.linalg._checks import check_kernel, check_matrix, check_rhs
+from spectra_kit.linalg._team import ranges, side_by_side, team
 from spectra_kit.linalg.coarse_space import Preconditioner
 from spectra_kit.linalg.constant_kernel import ConstantKernel
 from spectra_kit.linalg.solution import LinearSolution
+from spectra_kit.linalg.threads import single_threaded_blas
 
 Floats = NDArray[np.float64]
+
+_MOST_ITERATIONS = 10_000
+_PROGRESS = 0.5  # factor by which a restart must have reduced the true residual
+_ROUNDING = 1e-13  # share of its largest possible value below which a quadratic form is zero
 
 
 def pcg(
@@ -31,52 +39,212 @@ def pcg(
     progress: Callable[[int, float], None] | None = None,
     throw: bool = True,
 ) -> LinearSolution:
-    """Solve ``A x = b`` by preconditioned conjugate gradients."""
+    """Solve ``A x = b`` by conjugate gradients, until ``||b - A x|| <= max(rtol ||b||, atol)``.
+
+    Parameters
+    ----------
+    matrix : sparse array of shape (n, n)
+        A, symmetric positive semi-definite. Symmetry is taken on trust; the residual at the end
+        is not.
+    rhs : array_like of shape (n,)
+        b, in the range of A.
+    preconditioner : Preconditioner, optional
+        Plain conjugate gradients without it.
+    start : array_like of shape (n,), optional
+        First guess; zero without it. The tolerance does not depend on it.
+    kernel : ConstantKernel, optional
+        The kernel of A, if it has one. The solution has mean zero on each of its components, and
+        no iterate grows in its direction.
+    rtol, atol : float
+        Relative and absolute tolerance on the 2-norm of the residual.
+    max_iterations : int, optional
+        10 n without it, at most 10,000.
+    progress : callable, optional
+        Called after each iteration with its number and ``||b - A x|| / ||b||``.
+    throw : bool, default True
+        Raise if the tolerance is not reached; without it, the solution is returned as it is, with
+        ``converged=False``.
+
+    Returns
+    -------
+    LinearSolution
+        The last of its residuals is computed from x; the tolerance holds for that one.
+
+    Raises
+    ------
+    InvalidInputError
+        If sizes disagree, a value is not finite, or a tolerance is negative; if b is not in the
+        range of A, or `kernel` not its kernel; if a direction of negative energy turns up, so
+        that A, or the preconditioner, is not positive semi-definite.
+    ConvergenceError
+        If the tolerance is not reached, within `max_iterations` or at all in this precision; its
+        `partial` is the solution so far.
+
+    Notes
+    -----
+    Algorithm 1 of the NEO paper is this with `IncompleteCholesky`; its Algorithm 2 with
+    `AdditiveTwoLevel` and ``start=coarse.solve(rhs)``. They differ from the paper in their
+    treatment of the kernel: no point is held at zero, which would raise the condition number.
+
+    Stored vectors are scaled by ``1 / ||b||``. The same bits whatever the number of threads.
+
+    Examples
+    --------
+    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    >>> solution = pcg(path, np.array([1.0, 0.0, -1.0]), kernel=ConstantKernel([0, 0, 0]))
+    >>> solution.x, solution.iterations
+    (array([ 1., 0., -1.]), 1)
+    """
     begin = time.perf_counter()
     A = check_matrix(matrix)
-    kernel = check_kernel(kernel, A)
     n = A.shape[0]
+    kernel = check_kernel(kernel, A)
     b = check_rhs(rhs, n, kernel)
-    limit = 10 * n if max_iterations is None else max_iterations
-
-    def project(v: Floats) -> Floats:
-        return v if kernel is None else kernel.remove(v)
-
-    x = np.zeros(n) if start is None else project(np.array(start, dtype=np.float64))
+    for name, value in (("rtol", rtol), ("atol", atol)):
+        if not 0 <= value < np.inf:
+            raise InvalidInputError(f"`{name}` must be a number from 0 upwards, got {value!r}")
+    if max_iterations is None:
+        max_iterations = min(10 * n, _MOST_ITERATIONS)
+    limit = check_count("max_iterations", max_iterations, low=0)
+    guess = _check_start(start, n, kernel)
+    size = getattr(preconditioner, "n", n)
+    if size != n:
+        raise InvalidInputError(f"`preconditioner` must be of size {n}, got {size}")
     norm = float(np.linalg.norm(b))
-    target = max(rtol * norm, atol)
-    r = b - A @ x if start is not None else b.copy()
-    norms, times = [float(np.linalg.norm(r))], [time.perf_counter() - begin]
-    p, rz = np.zeros(n), 1.0
-    while norms[-1] > target and len(norms) <= limit:
-        z = project(r.copy() if preconditioner is None else preconditioner.solve(r))
-        rz, before = float(r @ z), rz
-        p = z + (rz / before if len(norms) > 1 else 0.0) * p
-        q = A @ p
-        pq = float(p @ q)
-        if not pq > 0:
-            raise InvalidInputError("not positive semi-definite")
-        x += rz / pq * p
-        r -= rz / pq * q
-        norms.append(float(np.linalg.norm(r)))
-        times.append(time.perf_counter() - begin)
-        if norms[-1] <= target:
-            r = project(b - A @ x)
-            norms[-1] = float(np.linalg.norm(r))
-        if progress is not None:
-            progress(len(norms) - 1, norms[-1] / norm)
-    converged = norms[-1] <= target
-    x = project(x)
+    unit = norm or 1.0
+    with team(), single_threaded_blas():
+        system = _Iteration(A, b / unit, guess / unit, preconditioner, kernel, begin)
+        target = max(rtol, atol / unit) if norm else 0.0
+        reason = system.run(target, limit, progress)
+    converged = system.norms[-1] <= target
+    x = system.x * unit
     solution = LinearSolution(
-        x=x,
-        residual_norms=np.array(norms),
+        x=x if kernel is None else kernel.remove(x),
+        residual_norms=np.array(system.norms) * unit,
         rhs_norm=norm,
         converged=converged,
-        method="PCG",
-        setup_seconds=getattr(preconditioner, "seconds", 0.0),
+        method="CG" if preconditioner is None else f"PCG with {preconditioner!r}",
+        setup_seconds=float(getattr(preconditioner, "seconds", 0.0)),
         seconds=time.perf_counter() - begin,
-        times=np.array(times),
+        times=np.array(system.times),
     )
     if not converged and throw:
-        raise ConvergenceError(f"after {limit} iterations", partial=solution)
+        raise ConvergenceError(
+            f"conjugate gradients reached ||b - A x|| = {system.norms[-1]:.1e} ||b|| after"
+            f" {solution.iterations} iterations, more than the {target:.1e} asked for: {reason};"
+            " the last iterate is kept in `partial`",
+            partial=solution,
+        )
     return solution
+
+
+class _Iteration:
+    """The state of one solve, for ``||b|| = 1``."""
+
+    def __init__(
+        self,
+        A: sparse.csr_array,
+        b: Floats,
+        x: Floats,
+        preconditioner: Preconditioner | None,
+        kernel: ConstantKernel | None,
+        begin: float,
+    ) -> None:
+        from spectra_kit.linalg import _krylov_kernels
+
+        self._kernels = _krylov_kernels
+        # Unsigned columns: the compiled loop need not test for negative ones.
+        self._rows = (A.indptr.astype(np.int64), A.indices.astype(np.uint32), A.data)
+        self._ranges = ranges(len(b))
+        self._largest = float(A.diagonal().max(initial=0.0))
+        self._preconditioner, self._kernel, self._begin = preconditioner, kernel, begin
+        self._weight = 0.0  # r . z of the last step; 0: the next forgets the directions before it
+        self._b, self.x = b, x
+        self._p, self._q = np.zeros_like(b), np.empty_like(b)
+        self._r = self._residual() if x.any() else b.copy()
+        correct = getattr(preconditioner, "correct", None)
+        if correct is not None:
+            self.x += correct(self._r)
+            self._r = self._residual()
+        self.norms: list[float] = []
+        self.times: list[float] = []
+        self._record(float(np.linalg.norm(self._r)))
+
+    def run(self, target: float, limit: int, progress: Callable[[int, float], None] | None) -> str:
+        """Iterate until the true residual is at `target`; say why if it does not get there."""
+        checked = np.inf
+        while True:
+            if self.norms[-1] <= target:
+                self._refresh()
+                if self.norms[-1] <= target:
+                    return ""
+                if self.norms[-1] > _PROGRESS * checked:
+                    return "rounding does not allow for less"
+                checked = self.norms[-1]
+                self._weight = 0.0
+            if len(self.norms) > limit:
+                self._refresh()
+                return "raise `max_iterations` or use a better preconditioner"
+            if not self._step():
+                self._refresh()
+                return "rounding does not allow for less, or `rhs` is not in the range of `matrix`"
+            if progress is not None:
+                progress(len(self.norms) - 1, self.norms[-1])
+
+    def _step(self) -> bool:
+        """Do one iteration; False if nothing but rounding is left to go by."""
+        r, p, q, kernels = self._r, self._p, self._q, self._kernels
+        z = r.copy() if self._preconditioner is None else self._preconditioner.solve(r)
+        if self._kernel is not None and not self._kernel.whole:
+            z = self._kernel.remove(z)
+        sums = self._on_ranges(kernels.weigh, r, z)
+        before, self._weight = self._weight, sum(s[0] for s in sums)
+        if not self._weight > 0:
+            return _rounding_or_raise(
+                "preconditioner", self._weight, float(np.linalg.norm(r) * np.linalg.norm(z))
+            )
+        mean = sum(s[1] for s in sums) / len(z) if self._kernel and self._kernel.whole else 0.0
+        self._on_ranges(kernels.turn, p, z, mean, self._weight / before if before else 0.0)
+        energy = sum(self._on_ranges(kernels.multiply, *self._rows, p, q))
+        if not energy > 0:
+            return _rounding_or_raise("matrix", energy, self._largest * float(p @ p))
+        squares = self._on_ranges(kernels.advance, self.x, r, p, q, self._weight / energy)
+        self._record(float(np.sqrt(sum(squares))))
+        return True
+
+    def _on_ranges(self, task: Callable[..., Any], *arguments: Any) -> list[Any]:
+        return side_by_side([(task, (*arguments, *rows)) for rows in self._ranges])
+
+    def _residual(self) -> Floats:
+        image = np.empty_like(self._b)
+        self._on_ranges(self._kernels.multiply, *self._rows, self.x, image)
+        residual = self._b - image
+        return residual if self._kernel is None else self._kernel.remove(residual)
+
+    def _refresh(self) -> None:
+        """Replace the residual of the recurrence by the true one."""
+        self._r = self._residual()
+        self.norms[-1] = float(np.linalg.norm(self._r))
+
+    def _record(self, norm: float) -> None:
+        self.norms.append(norm)
+        self.times.append(time.perf_counter() - self._begin)
+
+
+def _check_start(start: ArrayLike | None, n: int, kernel: ConstantKernel | None) -> Floats:
+    if start is None:
+        return np.zeros(n)
+    if np.shape(start) != (n,):
+        raise InvalidInputError(f"`start` must have shape ({n},), got {np.shape(start)}")
+    guess = real_array("start", start)
+    return guess.copy() if kernel is None else kernel.remove(guess)
+
+
+def _rounding_or_raise(name: str, value: float, scale: float) -> bool:
+    """Return False for a quadratic form that is zero to rounding, raise for a negative one."""
+    if abs(value) <= _ROUNDING * scale:
+        return False
+    raise InvalidInputError(
+        f"`{name}` must be symmetric positive semi-definite, but conjugate gradients met a"
+        f" direction of energy {value:.3g}"
+    )

@@ -44,7 +44,8 @@ class ConstantKernel:
         self.labels: Ints = frozen(array.astype(np.int64))
         # Counted from -1, so that one `bincount` serves; the bin of -1 is never looked at.
         self._sizes = np.bincount(self.labels + 1)
-        self._single = len(self._sizes) == 2 and self._sizes[0] == 0
+        #: Whether one component holds all points.
+        self.whole: bool = len(self._sizes) == 2 and self._sizes[0] == 0
 
     @property
     def n(self) -> int:
@@ -58,7 +59,7 @@ class ConstantKernel:
 
     def means(self, values: Floats) -> Floats:
         """Return the mean of `values` (n,) on each component; 0 for a label without points."""
-        if self._single:
+        if self.whole:
             return np.array([values.mean()])
         sums = np.bincount(self.labels + 1, values)
         means: Floats = sums[1:] / np.maximum(self._sizes[1:], 1)
@@ -67,6 +68,5 @@ class ConstantKernel:
     def remove(self, values: Floats) -> Floats:
         """Return `values` (n,) less their mean on each component; others as they are."""
         means = self.means(values)
-        if self._single:
-            return values - means[0]
-        return values - np.concatenate([[0.0], means])[self.labels + 1]
+        shift: Floats = means if self.whole else np.append(0.0, means)[self.labels + 1]
+        return values - shift
