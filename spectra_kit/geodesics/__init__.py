@@ -1,1 +1,21 @@
 """Geodesic distances: by the heat method, exactly, or from the modes alone."""
+
+from spectra_kit.geodesics.heat import HeatGeodesics, geodesic_distance
+from spectra_kit.geodesics.result import DistanceField
+from spectra_kit.geodesics.solvers import Automatic, Direct, Iterative
+from spectra_kit.geodesics.sources import FacePoint, Sources, check_sources, nearest_source
+from spectra_kit.geodesics.spectral import spectral_distance
+
+__all__ = [
+    "Automatic",
+    "Direct",
+    "DistanceField",
+    "FacePoint",
+    "HeatGeodesics",
+    "Iterative",
+    "Sources",
+    "check_sources",
+    "geodesic_distance",
+    "nearest_source",
+    "spectral_distance",
+]

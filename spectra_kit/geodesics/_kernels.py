@@ -1,0 +1,113 @@
+"""Inner loops of the heat step and of its directions, compiled by numba on first use.
+
+Heat at distance d is about ``exp(-d / sqrt(t))``: a few hundred mean edges away it leaves the range
+of float64. So it is held as ``values * 2**exponents``, with an exponent at each point; between
+neighbours the exponents differ by little, and every operation here is between neighbours.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32] | NDArray[np.int64]
+
+
+@njit(nogil=True, cache=True)
+def scaled_entries(
+    starts: Ints, columns: Ints, entries: Floats, exponents: Ints, forward: Floats, backward: Floats
+) -> None:
+    """Write ``a_ij 2**(e_j - e_i)`` to `forward` and ``a_ij 2**(e_i - e_j)`` to `backward`."""
+    for i in range(len(starts) - 1):
+        for p in range(starts[i], starts[i + 1]):
+            shift = exponents[columns[p]] - exponents[i]
+            forward[p] = math.ldexp(entries[p], shift)
+            backward[p] = math.ldexp(entries[p], -shift)
+
+
+@njit(nogil=True, cache=True)
+def residual(
+    starts: Ints, columns: Ints, entries: Floats, rhs: Floats, x: Floats, out: Floats
+) -> float:
+    """Write ``rhs - A x`` to `out`; return its largest share of the sizes of what was summed.
+
+    Entries of A (CSR) and x are scaled alike, so the share is the componentwise backward error.
+    """
+    worst = 0.0
+    for i in range(len(starts) - 1):
+        total, size = rhs[i], abs(rhs[i])
+        for p in range(starts[i], starts[i + 1]):
+            term = entries[p] * x[columns[p]]
+            total -= term
+            size += abs(term)
+        out[i] = total
+        if size > 0.0 and not abs(total) <= worst * size:
+            worst = abs(total) / size
+    return worst
+
+
+@njit(nogil=True, cache=True)
+def solve_scaled(
+    starts: Ints,
+    columns: Ints,
+    forward: Floats,
+    backward: Floats,
+    inverse: Floats,
+    rhs: Floats,
+    out: Floats,
+) -> None:
+    """Write to `out` the solution with the factor ``(I + L) D (I + L)^T``, scaled on both sides.
+
+    L is stored by rows, strictly lower: `forward` scaled for the first sweep and `backward` for
+    the second, see `scaled_entries`; `inverse` holds 1 / D.
+    """
+    n = len(inverse)
+    for i in range(n):
+        total = rhs[i]
+        for p in range(starts[i], starts[i + 1]):
+            total -= forward[p] * out[columns[p]]
+        out[i] = total
+    for i in range(n):
+        out[i] *= inverse[i]
+    for i in range(n - 1, -1, -1):
+        value = out[i]
+        for p in range(starts[i], starts[i + 1]):
+            out[columns[p]] -= backward[p] * value
+
+
+@njit(nogil=True, cache=True)
+def divergence_of_directions(
+    corners: Ints, lengths: Floats, values: Floats, exponents: Ints, n: int
+) -> Floats:
+    """Return the integrated divergence of the unit vectors down the gradient of heat, shape (n,).
+
+    Triangles without heat, or on which it is constant, have no direction and add nothing. Signs
+    and frames are those of `IntrinsicTriangulation.divergence`.
+    """
+    found = np.zeros(n)
+    for t in range(len(corners)):
+        i, j, k = corners[t, 0], corners[t, 1], corners[t, 2]
+        top = max(exponents[i], exponents[j], exponents[k])
+        a = math.ldexp(values[i], exponents[i] - top)
+        b = math.ldexp(values[j], exponents[j] - top)
+        c = math.ldexp(values[k], exponents[k] - top)
+        ij, jk, ki = lengths[t, 0], lengths[t, 1], lengths[t, 2]
+        # Heron's formula in the form of Kahan would need sorting; sides are mollified instead.
+        square = (ij + jk + ki) * (jk + ki - ij) * (ki + ij - jk) * (ij + jk - ki)
+        y = math.sqrt(max(square, 0.0)) / (2 * ij)  # corner k is at (x, y), i at 0, j at (ij, 0)
+        x = (ij * ij + ki * ki - jk * jk) / (2 * ij)
+        along = (b - a) / ij
+        across = (c - a - x * along) / y
+        norm = math.hypot(along, across)
+        if norm > 0.0:
+            along, across = -along / norm, -across / norm
+            one = (y * along - x * across) / 2
+            two = ij * across / 2
+            found[i] -= one + two
+            found[j] += one
+            found[k] += two
+    return found

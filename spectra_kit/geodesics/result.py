@@ -1,0 +1,75 @@
+"""`DistanceField`: distances to a set of sources, and how they were found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from spectra_kit._validate import Rebuilt, frozen
+from spectra_kit.geodesics.heat_step import Heat
+from spectra_kit.geodesics.sources import Sources
+from spectra_kit.linalg.solution import LinearSolution
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class DistanceField(Rebuilt):
+    """The distance of each point to the nearest source, by the heat method.
+
+    ``np.asarray(field)`` is `distance`.
+
+    Attributes
+    ----------
+    distance : ndarray of shape (n,)
+        In length; infinite on components without a source.
+    sources : Sources
+        Where it is measured from.
+    time_step : float
+        t of the heat step, in length^2.
+    choice : str
+        Which solver was used, and why.
+    heat : Heat
+        The heat step.
+    poisson : LinearSolution
+        The Poisson step: its residuals, iterations and seconds.
+    seconds : mapping of str to float
+        Wall time of each stage: ``triangulation``, ``setup`` (factors, preconditioners), ``heat``,
+        ``directions``, ``poisson``. Triangulation and setup serve further sources too.
+    """
+
+    distance: Floats
+    sources: Sources
+    time_step: float
+    choice: str
+    heat: Heat
+    poisson: LinearSolution
+    seconds: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "distance", frozen(self.distance))
+        object.__setattr__(self, "seconds", MappingProxyType(dict(self.seconds)))
+
+    @property
+    def reached(self) -> NDArray[np.bool_]:
+        """Points on a component with a source, shape (n,)."""
+        return np.isfinite(self.distance)
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return `distance`."""
+        if copy:
+            return np.array(self.distance, dtype=dtype)
+        return np.asarray(self.distance, dtype=dtype)
+
+    def __repr__(self) -> str:
+        farthest = self.distance[self.reached].max()
+        return (
+            f"DistanceField(n={len(self.distance)}, farthest={farthest:.4g},"
+            f" unreached={int((~self.reached).sum())}, choice={self.choice!r},"
+            f" iterations={self.poisson.iterations})"
+        )

@@ -1,0 +1,223 @@
+"""How the two linear systems of the heat method are solved: three choices, one of them automatic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from spectra_kit._validate import check_count, check_positive
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg.coarse_space import (
+    AdditiveTwoLevel,
+    CoarseSpace,
+    Preconditioner,
+    ProjectedTwoLevel,
+)
+from spectra_kit.linalg.conjugate_gradients import pcg
+from spectra_kit.linalg.constant_kernel import ConstantKernel
+from spectra_kit.linalg.grounded import GroundedCholesky
+from spectra_kit.linalg.incomplete_cholesky import IncompleteCholesky
+from spectra_kit.linalg.solution import LinearSolution
+from spectra_kit.spectrum import Spectrum
+
+Floats = NDArray[np.float64]
+
+_SMALL = 10_000  # points, of which a complete factor takes less than a tenth of a second
+_FEW = 4  # sources: for more, complete factors pay; see `benchmark_geodesics.py`
+_MODES = 40  # beyond these, the bytes of a mode cost more than its iterations
+_RITZ = 0.1  # relative error of the energies up to which they serve a preconditioner
+
+
+@dataclass(frozen=True, kw_only=True)
+class Direct:
+    """Complete Cholesky factors of both systems: slow to set up, then milliseconds a source."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Iterative:
+    """Conjugate gradients with an incomplete factor, and with the modes of a spectrum beside it.
+
+    Parameters
+    ----------
+    coarse : {"additive", "projected", "none"}, default "additive"
+        What the modes do: add their part of the solution to the preconditioner (Algorithm 2 of
+        the NEO paper), are projected out of the residual, or nothing (Algorithm 1). Without a
+        spectrum all are "none".
+    modes : int, default 40
+        How many modes at most, zero modes aside. More save iterations, and make each slower.
+    drop : float or None, default 1e-2
+        Entries of the factor below this share are dropped; None is level 0, as in the paper.
+    rtol : float, default 1e-8
+        Relative residual at which the Poisson step ends.
+    max_iterations : int, optional
+        Of the Poisson step.
+    """
+
+    coarse: Literal["additive", "projected", "none"] = "additive"
+    modes: int = _MODES
+    drop: float | None = 1e-2
+    rtol: float = 1e-8
+    max_iterations: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.coarse not in ("additive", "projected", "none"):
+            raise InvalidInputError(
+                f"`coarse` must be 'additive', 'projected' or 'none', got {self.coarse!r}"
+            )
+        check_count("modes", self.modes, low=1)
+        check_positive("rtol", self.rtol)
+        if self.drop is not None:
+            check_positive("drop", self.drop)
+        if self.max_iterations is not None:
+            check_count("max_iterations", self.max_iterations, low=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Automatic:
+    """`Direct` for small geometries and many sources, `Iterative` for few, or little memory.
+
+    Parameters
+    ----------
+    n_sources : int, default 1
+        How often distances will be asked for in all.
+    memory : float, default 4.0
+        GiB that two complete factors may take.
+    rtol : float, default 1e-8
+        Of the iterative solver.
+    """
+
+    n_sources: int = 1
+    memory: float = 4.0
+    rtol: float = 1e-8
+
+    def __post_init__(self) -> None:
+        check_count("n_sources", self.n_sources, low=1)
+        check_positive("memory", self.memory)
+        check_positive("rtol", self.rtol)
+
+    def choose(self, n: int, n_sources: int) -> tuple[Direct | Iterative, str]:
+        """Return the solver for `n_sources` on n points, and why it is this one."""
+        needed = factor_gigabytes(n)
+        iterative = Iterative(rtol=self.rtol)
+        if needed > self.memory:
+            return iterative, f"factors would take {needed:.1f} GiB, more than {self.memory:g}"
+        if n <= _SMALL:
+            return Direct(), f"{n} points are few"
+        if n_sources > _FEW:
+            return Direct(), f"{n_sources} sources pay for factors of {n} points"
+        some = "one source does" if n_sources == 1 else f"{n_sources} sources do"
+        return iterative, f"{some} not pay for factors of {n} points"
+
+
+Solver = Direct | Iterative | Automatic
+
+
+class PoissonSolver(Protocol):
+    """A Laplacian ready to be solved with any right-hand side."""
+
+    seconds: float
+
+    def solution(self, rhs: Floats, start: Floats | None = None) -> LinearSolution:
+        """Solve ``L x = rhs`` up to constants."""
+
+
+def factor_gigabytes(n: int) -> float:
+    """Estimate what complete factors of both systems take on n points of a surface, in GiB.
+
+    Some ``3 n log2 n`` entries of 12 bytes each, by what factors of meshes of 90,000 and 134,000
+    vertices hold (4.9 and 7.2 million), and as much again while they are made.
+    """
+    return 2 * 2 * 12 * 3 * n * float(np.log2(max(n, 2))) / 2**30
+
+
+class DirectPoisson:
+    """`GroundedCholesky` under the interface of a `PoissonSolver`."""
+
+    def __init__(self, matrix: sparse.csr_array, kernel: ConstantKernel) -> None:
+        self._factor = GroundedCholesky(matrix, kernel)
+        self.seconds = self._factor.seconds
+
+    def solution(self, rhs: Floats, start: Floats | None = None) -> LinearSolution:  # noqa: ARG002
+        """Solve; a start is of no use."""
+        return self._factor.solution(rhs)
+
+
+class IterativePoisson:
+    """Conjugate gradients as `options` say; place i of the matrix is point ``order[i]``."""
+
+    def __init__(
+        self,
+        matrix: sparse.csr_array,
+        kernel: ConstantKernel,
+        options: Iterative,
+        spectrum: Spectrum | None,
+        order: NDArray[np.int64],
+    ) -> None:
+        self._matrix, self._kernel, self._options = matrix, kernel, options
+        base = IncompleteCholesky(matrix, drop=options.drop)
+        self._coarse = None
+        self._preconditioner: Preconditioner = base
+        self.seconds = base.seconds
+        if spectrum is None or options.coarse == "none":
+            return
+        exact = options.coarse == "projected"
+        self._coarse = coarse_space(matrix, spectrum, order, options.modes, exact=exact)
+        if self._coarse is None:
+            return
+        two = (
+            ProjectedTwoLevel(base, self._coarse, matrix)
+            if exact
+            else AdditiveTwoLevel(base, self._coarse)
+        )
+        self._preconditioner, self.seconds = two, two.seconds
+
+    def solution(self, rhs: Floats, start: Floats | None = None) -> LinearSolution:
+        """Solve from `start`, improved in the modes (the warm start of Algorithm 2)."""
+        if self._coarse is not None:
+            missing = rhs if start is None else rhs - self._matrix @ start
+            better = self._coarse.solve(missing)
+            start = better if start is None else start + better
+        return pcg(
+            self._matrix,
+            rhs,
+            preconditioner=self._preconditioner,
+            start=start,
+            kernel=self._kernel,
+            rtol=self._options.rtol,
+            max_iterations=self._options.max_iterations,
+        )
+
+
+def coarse_space(
+    matrix: sparse.csr_array,
+    spectrum: Spectrum,
+    order: NDArray[np.int64],
+    modes: int,
+    *,
+    exact: bool,
+) -> CoarseSpace | None:
+    """Return the span of the lowest modes outside the kernel; None if there are none.
+
+    ``E = Y^T A Y`` is the diagonal of the eigenvalues for Ritz vectors of this very matrix. For
+    those of another operator on the same points, or where it has to be exact, E is computed.
+    """
+    outside = spectrum.nonzero()
+    count = min(modes, outside.k)
+    if count == 0:
+        return None
+    Y, energies = outside.eigenvectors[order, :count], outside.eigenvalues[:count]
+    if exact or not _are_ritz(matrix, Y, energies):
+        return CoarseSpace(Y, matrix=matrix)
+    return CoarseSpace(Y, energies=energies)
+
+
+def _are_ritz(matrix: sparse.csr_array, Y: Floats, energies: Floats) -> bool:
+    """Whether ``Y^T A Y`` is the diagonal of `energies`, by one random combination of modes."""
+    c = np.random.default_rng(0).standard_normal(len(energies)) / np.sqrt(energies)
+    wanted = energies * c
+    error = (Y.T @ (matrix @ (Y @ c)) - wanted) / np.sqrt(energies)
+    return bool(np.linalg.norm(error) <= _RITZ * np.sqrt(len(energies)))

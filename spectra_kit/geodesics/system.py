@@ -1,0 +1,101 @@
+"""`System`: a triangulation with its points in an order that is good for solvers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from spectra_kit.geodesics.heat_step import Heat
+from spectra_kit.geodesics.sources import Sources
+from spectra_kit.operators.intrinsic import IntrinsicTriangulation
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+_SCATTERED = 16.0  # mean distance in memory between neighbours, over sqrt(n), that is too far
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class System:
+    """What both steps of the heat method work on; place i in memory holds point ``order[i]``.
+
+    Attributes
+    ----------
+    order : ndarray of shape (n,)
+        That of the input, unless neighbours are scattered over memory (as in a shuffled mesh or
+        most clouds), where incomplete factors are bad and everything waits for memory: then
+        reverse Cuthill-McKee.
+    stiffness : csr_array of shape (n, n)
+        L.
+    mass, points, labels : ndarray of shape (n,), (n, 3), (n,)
+        M, coordinates, and connected components.
+    corners, lengths : ndarray of shape (f, 3)
+        Triangles, see `IntrinsicTriangulation`.
+    share : float
+        How much each counts.
+    inside : ndarray of shape (n,), bool
+        Points that are not on the boundary.
+    """
+
+    order: NDArray[np.int64]
+    stiffness: sparse.csr_array
+    mass: Floats
+    points: Floats
+    labels: NDArray[np.int64]
+    corners: Ints
+    lengths: Floats
+    share: float
+    inside: NDArray[np.bool_]
+
+    @staticmethod
+    def of(triangulation: IntrinsicTriangulation) -> System:
+        """Lay out a triangulation."""
+        laplacian = triangulation.laplacian
+        n, stiffness, corners = laplacian.n, laplacian.stiffness, triangulation.corners
+        rows = np.repeat(np.arange(n), np.diff(stiffness.indptr))
+        apart = np.abs(rows - stiffness.indices).mean()
+        order = np.arange(n)
+        if apart > _SCATTERED * np.sqrt(n):
+            order = reverse_cuthill_mckee(stiffness, symmetric_mode=True).astype(np.int64)
+            stiffness = sparse.csr_array(stiffness[order][:, order])
+            stiffness.sort_indices()
+            place = np.empty(n, dtype=np.int32)
+            place[order] = np.arange(n)
+            corners = place[corners]
+        inside = np.ones(n, dtype=bool)
+        inside[triangulation.boundary] = False
+        return System(
+            order,
+            stiffness,
+            laplacian.mass[order],
+            laplacian.points[order],
+            laplacian.component_labels[order],
+            corners,
+            triangulation.lengths,
+            triangulation.share,
+            inside[order],
+        )
+
+    def flow(self, heat: Heat) -> Floats:
+        """Return the integrated divergence of the unit vectors in which heat flows, shape (n,)."""
+        from spectra_kit.geodesics._kernels import divergence_of_directions
+
+        n = len(self.order)
+        found = divergence_of_directions(self.corners, self.lengths, heat.values, heat.exponents, n)
+        return self.share * found
+
+    def distance(self, potential: Floats, sources: Sources) -> Floats:
+        """Shift a potential to zero at the sources of each component, in the input's order."""
+        values = np.empty_like(potential)
+        labels = np.empty_like(self.labels)
+        values[self.order], labels[self.order] = potential, self.labels
+        at = labels[sources.vertices]
+        heat = np.bincount(at, sources.heat, minlength=labels.max() + 1)
+        ahead = sources.heat * (values[sources.vertices] - sources.offsets)
+        level = np.full(len(heat), -np.inf)  # nothing reached is infinitely far
+        level[heat > 0] = np.bincount(at, ahead, minlength=len(heat))[heat > 0] / heat[heat > 0]
+        return np.maximum(values - level[labels], 0.0)
