@@ -20,7 +20,7 @@ EVERY = 5  # so many lines make a thicker one
 
 # From near to far, evenly in Oklab: lightness falls, hue (degrees) turns from yellow to violet.
 _LIGHTNESS, _HUE, _CHROMA = (0.95, 0.56), (100.0, -75.0), (0.10, 0.13)
-_LINES, _MOST = 20, 200  # about so many where no spacing is given, and never more
+_LINES, _MOST = 28, 200  # about so many where no spacing is given, and never more
 _THIN, _THICK = 0.9, 1.8  # of a line, in points (1/72 inch) on the page, seen face on
 _INK = 0.85  # how much a line covers
 _SHADE = 0.8  # of every other band, where there are no lines
@@ -94,6 +94,14 @@ def distance_scale(
     plain = np.repeat([UNKNOWN, MARK], _PLAIN, axis=0)
     table = np.round(np.vstack([plain, ramp])).astype(np.uint8)
     return Scale(limit=limit, spacing=spacing, lines=lines, table=table)
+
+
+def distance_colours(distance: Floats) -> Bytes:
+    """Return the colours (n, 3) of distances (n,) without lines; grey where infinite."""
+    limit = float(distance[np.isfinite(distance)].max(initial=0.0)) or 1.0
+    colours = np.round(_colours(np.clip(distance / limit, 0.0, 1.0))).astype(np.uint8)
+    colours[np.isinf(distance)] = UNKNOWN
+    return colours
 
 
 def round_number(value: float) -> float:

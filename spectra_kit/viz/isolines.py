@@ -58,7 +58,7 @@ def plot_distance(
     sources : array_like of shape (s, 3), optional
         Places to mark by black balls.
     spacing : float, optional
-        Between two lines, in the unit of length; by default a round number that makes about 20.
+        Between two lines, in the unit of length; by default a round number that makes 20 to 40.
     up : {"y", "z"}, optional
         The axis that points up in the picture; by default the one the geometry seems to stand on.
     label : str, default "distance"
