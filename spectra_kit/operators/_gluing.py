@@ -1,48 +1,116 @@
-"""From triangles in space to a glued, flipped surface of half-edges, and to its Laplacian.
-
-Half-edge ``3 t + c`` runs along side c of triangle t, from corner c to corner c + 1; ``twins`` has
-the one that it is glued to, which runs the other way. No surface here has a boundary.
-"""
+"""From triangles in space to a glued, flipped surface without boundary, and to its Laplacian."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.spatial import cKDTree
 
-from spectra_kit.errors import ConvergenceError
+from spectra_kit.errors import ConvergenceError, InvalidInputError
+from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 from spectra_kit.linalg.threads import in_threads
+from spectra_kit.operators._local_delaunay import local_triangles
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
 # Of a half-edge, before giving up. Clouds need 0.14 at most, but n slivers that fan out from one
 # point, as in flat parts of technical models, n / 32.
 _FLIPS = 1000
 _CORNERS, _SIDES = [0, 1, 2, 0, 2, 1], [0, 1, 2, 2, 1, 0]  # of a front and its back
+# Circles through the corners of a triangle are no larger, for the distance of the 30th neighbour,
+# between random points on a sphere; along a boundary they are.
+_WIDE = 1.5
 
 
-def front_and_back(
-    points: Floats, triangles: Ints, lengths: Floats, *, sharpest: float
+class Glued(NamedTuple):
+    """A surface on which each triangle is there `copies` times; the Laplacian is of one."""
+
+    corners: Ints
+    lengths: Floats
+    copies: int
+    boundary: Longs
+    stiffness: sparse.csr_array
+    mass: Floats
+
+
+def glued_mesh(mesh: TriangleMesh, mollify_factor: float) -> Glued:
+    from spectra_kit.operators._cover import pair_sides, side_lengths, sides_by_corner
+
+    unit = float(np.ptp(mesh.points, axis=0).max())
+    if not unit:
+        raise InvalidInputError(
+            f"`geometry` must have an extent, got {mesh.n} vertices at one point"
+        )
+    points = (mesh.points - mesh.points.mean(axis=0)) / unit
+    corners = mesh.faces.astype(np.int32)
+    lengths = side_lengths(points, corners, mollify_factor)
+    sides = sides_by_corner(corners, mesh.n)
+    twins = np.empty(3 * len(corners), dtype=np.int32)
+    copies, boundary = 1, np.empty(0, dtype=np.int64)
+    if not pair_sides(corners, *sides, twins):
+        corners, lengths, twins = _front_and_back(points, corners, lengths, sides, sharpest=2.0)
+        copies, boundary = 2, mesh.boundary_vertices
+    _make_delaunay(corners, lengths, twins)
+    stiffness, mass = _laplacian(corners, lengths, twins, mesh.n, copies)
+    return Glued(corners, lengths * unit, copies, boundary, stiffness, mass * unit**2)
+
+
+def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> Glued:
+    from spectra_kit.operators._cover import side_lengths, sides_by_corner
+
+    # Neighbours in space become neighbours in memory; any unit of length becomes about 1.
+    order = cKDTree(cloud.points).indices
+    unit = float(np.ptp(cloud.points, axis=0).max())
+    points = (cloud.points[order] - cloud.points.mean(axis=0)) / unit
+    triangles, closed, reach = local_triangles(points, n_neighbors)
+    lengths = side_lengths(points, triangles, mollify_factor)
+    boundary = order[_is_boundary(triangles, lengths, closed, reach)]
+    corners, lengths, twins = _front_and_back(
+        points, triangles, lengths, sides_by_corner(triangles, cloud.n), sharpest=0.0
+    )
+    _make_delaunay(corners, lengths, twins)
+    corners = order[corners].astype(np.int32)
+    copies = 6  # three stars, a front and a back
+    stiffness, mass = _laplacian(corners, lengths, twins, cloud.n, copies)
+    if not mass.all():
+        raise InvalidInputError(
+            f"`geometry` has {int((mass == 0).sum())} points in no triangle (such as"
+            f" {int(np.argmin(mass))}): their neighbours lie on one line;"
+            " remove such curves first"
+        )
+    return Glued(corners, lengths * unit, copies, boundary, stiffness, mass * unit**2)
+
+
+def _front_and_back(
+    points: Floats,
+    triangles: Ints,
+    lengths: Floats,
+    sides: tuple[Longs, Ints, Ints],
+    *,
+    sharpest: float,
 ) -> tuple[Ints, Floats, Ints]:
     """Return corners and lengths of both faces of each triangle, shape (2 t, 3), and the twins.
 
-    So the surface has no boundary and is oriented whatever the input. Triangles are glued to each
-    other only if the cosine of the angle between them is below `sharpest`.
+    Triangles continue each other only if the cosine of the angle between them is below `sharpest`.
     """
-    from spectra_kit.operators._cover import glue, sides_by_corner
+    from spectra_kit.operators._cover import glue
 
-    n = len(points)
     twins = np.empty(6 * len(triangles), dtype=np.int32)
-    glued = (points, triangles, *sides_by_corner(triangles, n), sharpest, twins)
-    in_threads(glue, ((*glued, first, min(first + _BLOCK, n)) for first in range(0, n, _BLOCK)))
+    shared, n = (points, triangles, *sides, sharpest, twins), len(points)
+    in_threads(glue, ((*shared, first, min(first + _BLOCK, n)) for first in range(0, n, _BLOCK)))
     return triangles[:, _CORNERS].reshape(-1, 3), lengths[:, _SIDES].reshape(-1, 3), twins
 
 
-def make_delaunay(corners: Ints, lengths: Floats, twins: Ints) -> None:
+def _make_delaunay(corners: Ints, lengths: Floats, twins: Ints) -> None:
     """Flip edges, in place, until the angles opposite each sum to at most pi."""
-    from spectra_kit.operators._cover import flip_to_delaunay
+    from spectra_kit.operators._flips import flip_to_delaunay
 
     most = _FLIPS * len(twins)
     if not flip_to_delaunay(corners.reshape(-1), lengths.reshape(-1), twins, most):
@@ -52,13 +120,32 @@ def make_delaunay(corners: Ints, lengths: Floats, twins: Ints) -> None:
         )
 
 
-def stiffness_and_mass(
+def _laplacian(
     corners: Ints, lengths: Floats, twins: Ints, n: int, copies: int
 ) -> tuple[sparse.csr_array, Floats]:
-    """Assemble the Laplacian of a surface on which each piece is there `copies` times."""
-    from spectra_kit.operators._cover import edge_weights
+    """Return stiffness and lumped mass of one copy of the surface."""
+    from spectra_kit.operators._flips import edge_weights
 
     rows, columns, weights, mass = edge_weights(corners.reshape(-1), lengths.reshape(-1), twins, n)
+    if not np.isfinite(weights).all():
+        raise InvalidInputError(
+            f"`mollify_factor` must lengthen the sides of degenerate triangles, got"
+            f" {int((~np.isfinite(weights)).sum())} edges of triangles without an area; raise it"
+        )
     upper = sparse.csr_array((weights / copies, (rows, columns)), shape=(n, n))
     adjacency = upper + upper.T
     return sparse.diags_array(adjacency.sum(axis=1)) - adjacency, mass / copies
+
+
+def _is_boundary(triangles: Ints, lengths: Floats, closed: Bools, reach: Floats) -> Bools:
+    """Mark points whose star is open, or has a triangle far too large for the points around it.
+
+    Such triangles fill the bays of a sampled boundary.
+    """
+    from spectra_kit.operators._triangle_calculus import areas
+
+    marked = ~closed
+    owners = triangles[:, 0]
+    radii = lengths.prod(axis=1) / (4 * areas(lengths))  # of the circles through the corners
+    marked[owners[radii > _WIDE * reach[owners]]] = True
+    return marked

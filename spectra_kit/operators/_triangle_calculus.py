@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def areas(lengths: Floats) -> Floats:
     """Area of each triangle, shape (f,)."""
     found = np.empty(len(lengths))
@@ -25,7 +25,7 @@ def areas(lengths: Floats) -> Floats:
     return found
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def gradients(corners: Ints, lengths: Floats, values: Floats) -> Floats:
     """Gradient of the function with `values` at the points, in each triangle's frame."""
     found = np.empty((len(corners), 2))
@@ -37,7 +37,7 @@ def gradients(corners: Ints, lengths: Floats, values: Floats) -> Floats:
     return found
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def divergences(corners: Ints, lengths: Floats, vectors: Floats, n: int) -> Floats:
     """Adjoint of `gradients` for the areas: ``sum_t area <grad hat_i, vector>`` at each point i.
 
@@ -54,9 +54,10 @@ def divergences(corners: Ints, lengths: Floats, vectors: Floats, n: int) -> Floa
     return found
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _apex(lengths: Floats, t: int) -> tuple[float, float]:
     """Return where corner 2 of triangle t is in its frame."""
-    a, b, c = lengths[t, 0], lengths[t, 1], lengths[t, 2]
-    square = (a + b + c) * (b + c - a) * (c + a - b) * (a + b - c)
-    return (a * a + c * c - b * b) / (2 * a), math.sqrt(max(square, 0.0)) / (2 * a)
+    a = lengths[t, 0]
+    b, c = lengths[t, 1] / a, lengths[t, 2] / a  # ratios: in any unit, nothing overflows
+    square = (1 + b + c) * (b + c - 1) * (c + 1 - b) * (1 + b - c)
+    return a * (1 + c * c - b * b) / 2, a * math.sqrt(max(square, 0.0)) / 2

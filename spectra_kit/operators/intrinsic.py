@@ -8,28 +8,21 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from spectra_kit._validate import Rebuilt, check_indices, check_positive, frozen, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators._checks import (
     check_cloud_usable,
     check_faces_usable,
     check_geometry,
 )
-from spectra_kit.operators._gluing import front_and_back, make_delaunay, stiffness_and_mass
-from spectra_kit.operators._local_delaunay import local_triangles
+from spectra_kit.operators._gluing import glued_cloud, glued_mesh
 from spectra_kit.operators.laplacian import Laplacian
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Corners = NDArray[np.int32]
-
-# Circles through the corners of a triangle are no larger, for the distance of the 30th neighbour,
-# between random points on a sphere; along a boundary they are.
-_WIDE = 1.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -239,89 +232,24 @@ def intrinsic_delaunay(
     start = time.perf_counter()
     check_geometry(geometry)
     check_positive("mollify_factor", mollify_factor)
-    if isinstance(geometry, PointCloud):
-        return _of_cloud(geometry, mollify_factor, check_cloud_usable(geometry, n_neighbors), start)
-    check_faces_usable(geometry)
-    return _of_mesh(geometry, mollify_factor, start)
-
-
-def _of_mesh(mesh: TriangleMesh, mollify_factor: float, start: float) -> IntrinsicTriangulation:
-    from spectra_kit.operators._cover import pair_sides, side_lengths, sides_by_corner
-
-    unit = float(np.ptp(mesh.points, axis=0).max())
-    if not unit:
-        raise InvalidInputError(
-            f"`geometry` must have an extent, got {mesh.n} vertices at one point"
-        )
-    points = (mesh.points - mesh.points.mean(axis=0)) / unit
-    corners = mesh.faces.astype(np.int32)
-    lengths = side_lengths(points, corners, mollify_factor)
-    starts, sides, uppers = sides_by_corner(corners, mesh.n)
-    twins = np.empty(3 * len(corners), dtype=np.int32)
-    copies, boundary = 1, np.empty(0, dtype=np.int64)
-    if not pair_sides(corners, starts, sides, uppers, twins):
-        corners, lengths, twins = front_and_back(points, corners, lengths, sharpest=2.0)
-        copies, boundary = 2, mesh.boundary_vertices
-    make_delaunay(corners, lengths, twins)
-    stiffness, mass = stiffness_and_mass(corners, lengths, twins, mesh.n, copies)
+    if isinstance(geometry, TriangleMesh):
+        check_faces_usable(geometry)
+        glued = glued_mesh(geometry, mollify_factor)
+        operator = f"intrinsic_delaunay(mesh, mollify_factor={mollify_factor:g})"
+    else:
+        neighbors = check_cloud_usable(geometry, n_neighbors)
+        glued = glued_cloud(geometry, mollify_factor, neighbors)
+        operator = f"delaunay_laplacian(mollify_factor={mollify_factor:g}, n_neighbors={neighbors})"
     laplacian = Laplacian(
-        stiffness,
-        mass * unit**2,
-        mesh.points,
-        operator=f"intrinsic_delaunay(mesh, mollify_factor={mollify_factor:g})",
-        seconds=time.perf_counter() - start,
-    )
-    return IntrinsicTriangulation(corners, lengths * unit, 1 / copies, boundary, laplacian)
-
-
-def _of_cloud(
-    cloud: PointCloud, mollify_factor: float, n_neighbors: int, start: float
-) -> IntrinsicTriangulation:
-    from spectra_kit.operators._cover import side_lengths
-
-    # Neighbours in space become neighbours in memory; any unit of length becomes about 1.
-    order = cKDTree(cloud.points).indices
-    unit = float(np.ptp(cloud.points, axis=0).max())
-    points = (cloud.points[order] - cloud.points.mean(axis=0)) / unit
-    triangles, closed, reach = local_triangles(points, n_neighbors)
-    lengths = side_lengths(points, triangles, mollify_factor)
-    is_boundary = _is_boundary(triangles, lengths, closed, reach)
-    corners, lengths, twins = front_and_back(points, triangles, lengths, sharpest=0.0)
-    make_delaunay(corners, lengths, twins)
-    corners = order[corners].astype(np.int32)
-    copies = 6  # three stars, a front and a back
-    stiffness, mass = stiffness_and_mass(corners, lengths, twins, cloud.n, copies)
-    if not mass.all():
-        raise InvalidInputError(
-            f"`geometry` has {int((mass == 0).sum())} points in no triangle (such as"
-            f" {int(np.argmin(mass))}): their neighbours lie on one line;"
-            " remove such curves first"
-        )
-    laplacian = Laplacian(
-        stiffness,
-        mass * unit**2,
-        cloud.points,
-        operator=f"delaunay_laplacian(mollify_factor={mollify_factor:g},"
-        f" n_neighbors={n_neighbors})",
+        glued.stiffness,
+        glued.mass,
+        geometry.points,
+        operator=operator,
         seconds=time.perf_counter() - start,
     )
     return IntrinsicTriangulation(
-        corners, lengths * unit, 1 / copies, order[is_boundary], laplacian
+        glued.corners, glued.lengths, 1 / glued.copies, glued.boundary, laplacian
     )
-
-
-def _is_boundary(triangles: Corners, lengths: Floats, closed: Bools, reach: Floats) -> Bools:
-    """Mark points whose star is open, or has a triangle far too large for the points around it.
-
-    Such triangles fill the bays of a sampled boundary.
-    """
-    from spectra_kit.operators._triangle_calculus import areas
-
-    marked = ~closed
-    owners = triangles[:, 0]
-    radii = lengths.prod(axis=1) / (4 * areas(lengths))  # of the circles through the corners
-    marked[owners[radii > _WIDE * reach[owners]]] = True
-    return marked
 
 
 def _of_shape(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:

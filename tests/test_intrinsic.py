@@ -1,0 +1,489 @@
+"""`intrinsic_delaunay`: triangulations, their gradient and divergence, and their boundary."""
+
+import copy
+from functools import cache
+
+import igl
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.spatial import Delaunay
+
+from spectra_kit import (
+    Dense,
+    InvalidInputError,
+    Laplacian,
+    PointCloud,
+    TriangleMesh,
+    cotan_laplacian,
+    delaunay_laplacian,
+    eigensolve,
+    robust_laplacian,
+)
+from spectra_kit.geometry import creature, sphere, torus
+from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
+
+RNG = np.random.default_rng
+
+
+def ball(seed: int = 0) -> TriangleMesh:
+    """An ellipsoid without symmetries, so that no two triangles share a circle."""
+    mesh = sphere(subdivisions=2).geometry
+    points = mesh.points * [1, 1.3, 1.7] + 0.02 * RNG(seed).standard_normal((mesh.n, 3))
+    return mesh.with_points(points)
+
+
+def plate(n: int = 400, stretch: float = 12.0) -> TriangleMesh:
+    """A flat mesh of slivers: a Delaunay triangulation, stretched."""
+    points = RNG(0).random((n, 2))
+    faces = Delaunay(points).simplices
+    return TriangleMesh(np.c_[points * [stretch, 1], np.zeros(n)], faces)
+
+
+def flat_free(mesh: TriangleMesh) -> TriangleMesh:
+    """The mesh without the slivers of its hull, which only mollification could save."""
+    return mesh.without_degenerate_faces(relative_area=1e-3).without_unreferenced()
+
+
+def moebius(n: int = 60, m: int = 6) -> TriangleMesh:
+    around, across = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
+    angle = 2 * np.pi * around.ravel() / n
+    offset = 0.8 * (across.ravel() / (m - 1) - 0.5) + 0.01 * RNG(0).random(n * m)
+    radius = 1 + offset * np.cos(angle / 2)
+    points = np.c_[radius * np.cos(angle), radius * np.sin(angle), offset * np.sin(angle / 2)]
+    i, j = np.arange(n)[:, None], np.arange(m - 1)
+    far = (i + 1) % n
+    turned = np.where(far == 0, m - 1 - np.arange(m), np.arange(m))  # upside down after a turn
+    a, b = i * m + j, i * m + j + 1
+    c, d = far * m + turned[:, 1:], far * m + turned[:, :-1]
+    faces = np.concatenate([np.stack([a, d, c], 2), np.stack([a, c, b], 2)])
+    return TriangleMesh(points, faces.reshape(-1, 3))
+
+
+def with_any_winding(mesh: TriangleMesh) -> TriangleMesh:
+    turned = RNG(1).random(len(mesh.faces)) < 0.5
+    return TriangleMesh(mesh.points, np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces))
+
+
+def three_sheets() -> TriangleMesh:
+    """Three half-planes that meet in a line."""
+    x, y = (c.ravel() for c in np.meshgrid(np.arange(8.0), np.arange(10.0), indexing="ij"))
+    x = x + 0.2 * RNG(0).random(80) * (x > 0)
+    faces = Delaunay(np.c_[x, y]).simplices
+    corners = [np.c_[x * np.cos(turn), y + 0.01 * x, x * np.sin(turn)] for turn in (0.0, 2.0, 4.5)]
+    points = np.concatenate(corners)
+    return flat_free(
+        TriangleMesh(points, np.concatenate([faces + 80 * k for k in range(3)]))
+    ).with_merged_vertices()
+
+
+def with_copies(mesh: TriangleMesh) -> TriangleMesh:
+    return TriangleMesh(mesh.points, np.vstack([mesh.faces, mesh.faces[:50, ::-1]]))
+
+
+def two_parts() -> TriangleMesh:
+    one, other = ball(), flat_free(plate(100, 2.0))
+    points = np.vstack([one.points, other.points + [9, 0, 0]])
+    return TriangleMesh(points, np.vstack([one.faces, other.faces + one.n]))
+
+
+MESHES = {
+    "ball": ball,
+    "ball of any winding": lambda: with_any_winding(ball()),
+    "plate of slivers": lambda: flat_free(plate()),
+    "moebius strip": moebius,
+    "three sheets": three_sheets,
+    "copies": lambda: with_copies(ball()),
+    "two parts": two_parts,
+    "torus": lambda: torus(n=400).geometry,
+    "creature": lambda: creature(600, seed=0),
+    "one triangle": lambda: TriangleMesh(np.eye(3), [[0, 1, 2]]),
+    "pillow": lambda: TriangleMesh([[0, 0, 0], [1, 0, 0], [0.5, 0.1, 0]], [[0, 1, 2], [0, 2, 1]]),
+}
+CLOUDS = {
+    "ball as a cloud": lambda: ball().as_cloud(),
+    "plate as a cloud": lambda: plate(300, 1.0).as_cloud(),
+}
+GEOMETRIES = MESHES | CLOUDS
+
+
+@cache
+def made(name: str) -> TriangleMesh | PointCloud:
+    return GEOMETRIES[name]()
+
+
+MANIFOLD = ["ball", "ball of any winding", "plate of slivers", "moebius strip", "two parts"]
+
+
+@pytest.fixture(params=GEOMETRIES)
+def triangulation(request: pytest.FixtureRequest) -> IntrinsicTriangulation:
+    return intrinsic_delaunay(made(request.param))
+
+
+@pytest.fixture(params=MESHES)
+def mesh(request: pytest.FixtureRequest) -> TriangleMesh:
+    return made(request.param)
+
+
+def energy(laplacian: Laplacian, u: np.ndarray) -> float:
+    return float(u @ (laplacian.stiffness @ u))
+
+
+# ----------------------------------------------------------------------------- calculus
+
+
+def test_divergence_of_the_gradient_is_the_laplacian(triangulation) -> None:
+    L = triangulation.laplacian.stiffness
+    for u in (RNG(0).standard_normal(triangulation.n), triangulation.points[:, 0]):
+        found = triangulation.divergence(triangulation.gradient(u))
+        assert np.abs(found - L @ u).max() <= 1e-12 * abs(L).max() * np.abs(u).max()
+
+
+def test_divergence_is_the_adjoint_of_the_gradient(triangulation) -> None:
+    v = RNG(0).standard_normal(triangulation.n)
+    X = RNG(1).standard_normal((len(triangulation.corners), 2))
+    rises = (triangulation.gradient(v) * X).sum(axis=1)
+    expected = triangulation.share * (triangulation.face_areas * rises).sum()
+    assert v @ triangulation.divergence(X) == pytest.approx(expected, rel=1e-9)
+
+
+def test_laplacian_is_that_of_the_triangles(triangulation) -> None:
+    # Cotangents by another path: squared lengths over areas, entry by entry.
+    a, b, c = (np.roll(triangulation.lengths, -k, axis=1) for k in range(3))
+    areas = triangulation.face_areas[:, None]
+    weights = triangulation.share * (b**2 + c**2 - a**2) / (8 * areas)
+    i, j = triangulation.corners, np.roll(triangulation.corners, -1, axis=1)
+    n = triangulation.n
+    half = sparse.csr_array((weights.ravel(), (i.ravel(), j.ravel())), shape=(n, n))
+    full = (half + half.T).tolil()
+    full.setdiag(0)
+    full = sparse.csr_array(full)
+    L, mass = triangulation.laplacian.stiffness, triangulation.laplacian.mass
+    expected = sparse.diags_array(full.sum(axis=1)) - full
+    assert abs(L - expected).max() <= 1e-9 * abs(L).max()
+    thirds = np.repeat(triangulation.share * triangulation.face_areas / 3, 3)
+    assert mass == pytest.approx(np.bincount(i.ravel(), thirds, n), rel=1e-8)
+
+
+def test_laplacian_is_an_m_matrix(triangulation) -> None:
+    dense = triangulation.laplacian.stiffness.toarray()
+    size = np.abs(dense).max()
+    assert np.array_equal(dense, dense.T)
+    assert (dense - np.diag(np.diag(dense))).max() <= 1e-9 * size
+    assert np.abs(dense.sum(axis=1)).max() <= 1e-12 * size
+    assert triangulation.laplacian.kernel_dimension == triangulation.laplacian.n_components
+
+
+def test_linear_functions_on_a_plate_of_slivers_have_their_gradient() -> None:
+    mesh = plate(2000)
+    triangulation = intrinsic_delaunay(mesh, mollify_factor=1e-12)
+    direction = np.array([0.3, -2.0, 0.0])
+    lengths = np.linalg.norm(triangulation.gradient(mesh.points @ direction), axis=1)
+    # A flip at the boundary folds a triangle over; inside, the plate stays flat.
+    inside = np.abs(mesh.points - [6, 0.5, 0])[triangulation.corners].max(axis=1)
+    inside = (inside < [5, 0.3, 1]).all(axis=1)
+    assert inside.sum() > 1000
+    assert lengths[inside] == pytest.approx(np.linalg.norm(direction), rel=1e-9)
+    before = {tuple(sorted(face)) for face in mesh.faces.tolist()}
+    after = {tuple(sorted(face)) for face in triangulation.corners[inside].tolist()}
+    assert len(after - before) > 0.3 * len(after)  # most of them have been flipped
+
+
+def test_energy_of_a_smooth_function_converges() -> None:
+    # On the unit sphere, the integral of |grad z|^2 is 8 pi / 3.
+    errors = []
+    for subdivisions in (2, 3, 4):
+        triangulation = intrinsic_delaunay(sphere(subdivisions=subdivisions).geometry)
+        squares = (triangulation.gradient(triangulation.points[:, 2]) ** 2).sum(axis=1)
+        found = triangulation.share * (squares * triangulation.face_areas).sum()
+        errors.append(8 * np.pi / 3 - found)
+    assert np.log2(np.divide(errors[:-1], errors[1:])) == pytest.approx(2.0, abs=0.1)
+
+
+# ----------------------------------------------------------------------------- measures
+
+
+def test_area_of_a_mesh(mesh) -> None:
+    triangulation = intrinsic_delaunay(mesh)
+    assert triangulation.area == pytest.approx(mesh.area, rel=1e-9)
+    assert triangulation.laplacian.area == pytest.approx(mesh.area, rel=1e-9)
+    assert triangulation.face_areas.shape == (len(triangulation.corners),)
+
+
+def test_boundary_of_a_mesh(mesh) -> None:
+    assert intrinsic_delaunay(mesh).boundary.tolist() == mesh.boundary_vertices.tolist()
+
+
+def test_each_triangle_once_where_the_mesh_is_closed_and_of_one_winding() -> None:
+    once, twice = (intrinsic_delaunay(made(name)) for name in list(MESHES)[:2])
+    assert (once.share, twice.share) == (1.0, 0.5)
+    assert len(twice.corners) == 2 * len(once.corners) == 2 * len(ball().faces)
+    assert abs(once.laplacian.stiffness - twice.laplacian.stiffness).max() < 1e-12
+    assert once.mean_edge_length == pytest.approx(twice.mean_edge_length, rel=1e-12)
+
+
+def test_mean_edge_length_of_equilateral_triangles() -> None:
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    tetrahedron = TriangleMesh(corners, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    assert intrinsic_delaunay(tetrahedron).mean_edge_length == pytest.approx(8**0.5)
+
+
+def test_boundary_of_clouds() -> None:
+    x, y = (c.ravel() for c in np.meshgrid(np.arange(12), np.arange(15), indexing="ij"))
+    border = np.flatnonzero((x == 0) | (x == 11) | (y == 0) | (y == 14))
+    grid = PointCloud(np.c_[x, y, np.zeros(len(x))])
+    assert intrinsic_delaunay(grid).boundary.tolist() == border.tolist()
+    for seed in range(3):
+        points = RNG(seed).standard_normal((3000, 3))
+        points /= np.linalg.norm(points, axis=1, keepdims=True)
+        assert len(intrinsic_delaunay(PointCloud(points)).boundary) == 0
+
+
+def test_boundary_of_a_random_disc() -> None:
+    n = 3000
+    r, angle = np.sqrt(RNG(0).random(n)), 2 * np.pi * RNG(1).random(n)
+    cloud = PointCloud(np.c_[r * np.cos(angle), r * np.sin(angle), 0.3 * r**2])
+    boundary = intrinsic_delaunay(cloud).boundary
+    spacing = (np.pi / n) ** 0.5
+    assert (1 - r[boundary]).max() < 2 * spacing
+    assert np.isin(np.flatnonzero(1 - r < 0.1 * spacing), boundary).mean() > 0.8
+    gaps = np.diff(np.sort(angle[boundary]))
+    assert gaps.max() < 10 * spacing
+
+
+# ----------------------------------------------------------------------------- other libraries
+
+
+@pytest.mark.parametrize("name", MANIFOLD)
+def test_equal_to_robust_laplacian_where_delaunay_is_unique(name: str) -> None:
+    mesh = made(name)
+    ours, library = delaunay_laplacian(mesh), robust_laplacian(mesh)
+    assert abs(ours.stiffness - library.stiffness).max() < 1e-8 * abs(library.stiffness).max()
+    assert ours.mass == pytest.approx(library.mass, rel=1e-8)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_spectrum_of_robust_laplacian(name: str) -> None:
+    mesh = made(name)
+    k = min(12, mesh.n - 1)
+    ours = eigensolve(delaunay_laplacian(mesh), k, Dense())
+    library = eigensolve(robust_laplacian(mesh), k, Dense())
+    # Triangles of one circle have two Delaunay triangulations; at non-manifold edges the library
+    # glues others.
+    loose = {"torus": 5e-3, "three sheets": 5e-3, "copies": 1e-3}
+    size = library.eigenvalues[-1]
+    assert ours.eigenvalues == pytest.approx(
+        library.eigenvalues, rel=loose.get(name, 1e-6), abs=1e-9 * size
+    )
+
+
+def test_equal_to_libigl_on_a_closed_mesh() -> None:
+    mesh = ball()
+    library = -igl.intrinsic_delaunay_cotmatrix(np.array(mesh.points), np.array(mesh.faces))[0]
+    ours = delaunay_laplacian(mesh).stiffness
+    assert abs(ours - sparse.csr_array(library)).max() < 1e-10 * abs(ours).max()
+
+
+def test_equal_to_the_cotangent_laplacian_of_a_delaunay_mesh() -> None:
+    mesh = sphere(subdivisions=3).geometry
+    ours, cotangents = delaunay_laplacian(mesh).stiffness, cotan_laplacian(mesh).stiffness
+    assert abs(ours - cotangents).max() < 1e-12 * abs(ours).max()
+
+
+# ----------------------------------------------------------------------------- invariances
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("scale", [1e-120, 1e6])
+def test_units(name: str, scale: float) -> None:
+    geometry = made(name)
+    base = intrinsic_delaunay(geometry)
+    other = intrinsic_delaunay(geometry.with_points(scale * geometry.points))
+    size = abs(base.laplacian.stiffness).max()
+    assert abs(other.laplacian.stiffness - base.laplacian.stiffness).max() < 1e-6 * size
+    assert other.laplacian.area == pytest.approx(scale**2 * base.laplacian.area, rel=1e-9)
+    assert other.area == pytest.approx(scale**2 * base.area, rel=1e-9)
+    assert other.mean_edge_length == pytest.approx(scale * base.mean_edge_length, rel=1e-6)
+    assert other.boundary.tolist() == base.boundary.tolist()
+    u = RNG(0).standard_normal(base.n)
+    slopes = [np.sort(np.linalg.norm(t.gradient(u), axis=1)) for t in (base, other)]
+    assert slopes[1] * scale == pytest.approx(slopes[0], rel=1e-3)
+
+
+@pytest.mark.parametrize("name", [*MANIFOLD, "three sheets", "creature"])
+def test_order_of_vertices_and_faces(name: str) -> None:
+    mesh = made(name)
+    base = intrinsic_delaunay(mesh)
+    order, rank = (p := RNG(0).permutation(mesh.n)), np.argsort(p)
+    faces = RNG(1).permutation(rank[mesh.faces])
+    faces[::3] = np.roll(faces[::3], 1, axis=1)
+    other = intrinsic_delaunay(TriangleMesh(mesh.points[order], faces))
+    expected = base.laplacian.stiffness[order][:, order]
+    assert abs(other.laplacian.stiffness - expected).max() < 1e-9 * abs(expected).max()
+    assert other.laplacian.mass == pytest.approx(base.laplacian.mass[order], rel=1e-9)
+    assert np.sort(order[other.boundary]).tolist() == base.boundary.tolist()
+
+
+def test_copies_of_all_triangles_double_the_surface() -> None:
+    mesh = ball()
+    doubled = TriangleMesh(mesh.points, np.vstack([mesh.faces, mesh.faces]))
+    one, two = delaunay_laplacian(mesh), delaunay_laplacian(doubled)
+    assert abs(two.stiffness - 2 * one.stiffness).max() < 1e-12 * abs(one.stiffness).max()
+    assert two.mass == pytest.approx(2 * one.mass)
+
+
+def test_copies_of_a_triangle_are_not_folded_away() -> None:
+    # Obtuse at its side on the boundary: glued to its copy there, that edge would be flipped.
+    points = [[0, 0, 0], [4, 0, 0], [2, 0.5, 0], [2, 4, 0]]
+    mesh = TriangleMesh(points, [[0, 1, 2], [0, 2, 3], [2, 1, 3]])
+    doubled = TriangleMesh(points, np.vstack([mesh.faces, mesh.faces]))
+    one, two = delaunay_laplacian(mesh), delaunay_laplacian(doubled)
+    assert abs(two.stiffness - 2 * one.stiffness).max() < 1e-12
+
+
+def test_flips_cross_a_sharp_fold() -> None:
+    # Three rows of points, a long edge along the middle one; then the right side folded over.
+    n = 20
+    y = 2.0 * np.arange(n)[:, None] + [0.9, 0.0, 0.8]
+    flat = np.stack([np.broadcast_to([-0.3, 0.0, 0.3], (n, 3)), y, 0 * y], 2).reshape(-1, 3)
+    rows = np.arange(3 * n).reshape(n, 3)
+    a, b, c, d = rows[:-1, :-1], rows[:-1, 1:], rows[1:, 1:], rows[1:, :-1]
+    faces = np.concatenate([np.stack([a, b, d], 2), np.stack([b, c, d], 2)]).reshape(-1, 3)
+    folded = flat.copy()
+    folded[2::3, 0], folded[2::3, 2] = -0.3 * np.cos(0.2), 0.3 * np.sin(0.2)
+    one, other = (delaunay_laplacian(TriangleMesh(p, faces)) for p in (flat, folded))
+    assert abs(one.stiffness - other.stiffness).max() < 1e-9
+    assert one.stiffness[rows[5, 0], rows[5, 2]] < -0.1  # an edge from left to right
+
+
+# ----------------------------------------------------------------------------- degenerate input
+
+
+def test_rows_of_slivers_take_many_flips() -> None:
+    n = 500
+    line = np.c_[np.linspace(0, 1, n), np.zeros((n, 2))]
+    fan = np.c_[np.arange(n - 1), np.arange(1, n), np.full(n - 1, n)]
+    laplacian = delaunay_laplacian(TriangleMesh(np.vstack([line, [0.5, 1e-3, 0]]), fan))
+    # As on a thin strip, the energy of x is the area.
+    assert energy(laplacian, laplacian.points[:, 0]) == pytest.approx(laplacian.area, rel=0.01)
+
+
+@pytest.mark.parametrize("collapsed", [1, 2])
+def test_coincident_vertices(collapsed: int) -> None:
+    mesh = sphere(subdivisions=2).geometry
+    points = np.array(mesh.points)
+    points[mesh.faces[0, 1 : 1 + collapsed]] = points[mesh.faces[0, 0]]
+    degenerate = mesh.with_points(points)
+    triangulation = intrinsic_delaunay(degenerate)
+    assert triangulation.area == pytest.approx(degenerate.area, rel=1e-5)
+    x = points[:, 0]
+    expected = energy(robust_laplacian(degenerate), x)
+    assert energy(triangulation.laplacian, x) == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_flat_triangle_is_lengthened() -> None:
+    mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0], [1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    found = delaunay_laplacian(mesh).stiffness.toarray()
+    # Flipped: two right angles at vertex 1, and no edge from 0 to 2.
+    expected = np.array([[0.5, -0.5, 0, 0], [-0.5, 2, -0.5, -1], [0, -0.5, 0.5, 0], [0, -1, 0, 1]])
+    assert found == pytest.approx(expected, abs=0.02)
+
+
+# ----------------------------------------------------------------------------- the object
+
+
+def test_fields_are_read_only_and_in_the_units_of_the_geometry() -> None:
+    mesh = ball()
+    triangulation = intrinsic_delaunay(mesh)
+    assert triangulation.n == mesh.n
+    assert triangulation.points.tolist() == mesh.points.tolist()
+    assert triangulation.corners.dtype == np.int32
+    for array in (triangulation.corners, triangulation.lengths, triangulation.boundary):
+        assert not array.flags.writeable
+    straight = np.linalg.norm(
+        mesh.points[triangulation.corners] - mesh.points[np.roll(triangulation.corners, -1, 1)],
+        axis=2,
+    )
+    assert (triangulation.lengths >= straight - 1e-12).all()  # intrinsic edges go along the surface
+    assert triangulation.operator == "intrinsic_delaunay(mesh, mollify_factor=1e-05)"
+    assert triangulation.seconds > 0
+    assert repr(triangulation) == "IntrinsicTriangulation(320 triangles on 162 points)"
+
+
+def test_a_copy_is_the_same() -> None:
+    triangulation = intrinsic_delaunay(ball())
+    other = copy.deepcopy(triangulation)
+    u = RNG(0).standard_normal(other.n)
+    assert np.array_equal(other.gradient(u), triangulation.gradient(u))
+    assert np.array_equal(other.laplacian.mass, triangulation.laplacian.mass)
+
+
+MESH = ball()
+TRIANGULATION = intrinsic_delaunay(MESH)
+
+
+def rebuilt(**changes) -> IntrinsicTriangulation:
+    fields = ("corners", "lengths", "share", "boundary", "laplacian")
+    return IntrinsicTriangulation(
+        **{name: getattr(TRIANGULATION, name) for name in fields} | changes
+    )
+
+
+BAD = {
+    "array": (lambda: intrinsic_delaunay(MESH.points), "`geometry` must be a TriangleMesh or P"),
+    "mollify": (
+        lambda: intrinsic_delaunay(MESH, mollify_factor=-1),
+        "`mollify_factor` must be positive",
+    ),
+    "too little": (
+        lambda: intrinsic_delaunay(
+            TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]]), mollify_factor=1e-20
+        ),
+        "`mollify_factor` must lengthen the sides of degenerate triangles, got 3 edges",
+    ),
+    "lone vertex": (
+        lambda: intrinsic_delaunay(TriangleMesh(np.eye(4, 3), [[0, 1, 2]])),
+        "1 vertices that no face uses",
+    ),
+    "vertex twice": (
+        lambda: intrinsic_delaunay(TriangleMesh(np.eye(3), [[0, 1, 2], [0, 1, 1]])),
+        "1 faces that name a vertex twice",
+    ),
+    "one point": (
+        lambda: intrinsic_delaunay(TriangleMesh(np.ones((3, 3)), [[0, 1, 2]])),
+        "`geometry` must have an extent, got 3 vertices at one point",
+    ),
+    "values": (
+        lambda: TRIANGULATION.gradient(np.zeros(5)),
+        r"`values` must have shape \(162,\), got \(5,\)",
+    ),
+    "vectors": (
+        lambda: TRIANGULATION.divergence(np.zeros((5, 3))),
+        r"`vectors` must have shape \(320, 2\), got \(5, 3\)",
+    ),
+    "not finite": (
+        lambda: TRIANGULATION.gradient(np.full(162, np.nan)),
+        "`values` must be finite",
+    ),
+    "corner": (
+        lambda: rebuilt(corners=TRIANGULATION.corners + 1),
+        r"`corners` must be in \[0, 162",
+    ),
+    "shapes": (
+        lambda: rebuilt(lengths=TRIANGULATION.lengths[1:]),
+        r"same shape \(f, 3\), got \(320, 3\) and \(319, 3\)",
+    ),
+    "length": (
+        lambda: rebuilt(lengths=TRIANGULATION.lengths * 0),
+        "`lengths` must be positive, got 960 entries",
+    ),
+    "share": (lambda: rebuilt(share=0), "`share` must be positive"),
+    "boundary": (lambda: rebuilt(boundary=[700]), r"`boundary` must be in \[0, 162\), got 700"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input(case: str) -> None:
+    build, message = BAD[case]
+    with pytest.raises(InvalidInputError, match=message):
+        build()
