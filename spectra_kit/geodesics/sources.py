@@ -129,7 +129,7 @@ def check_sources(
 
     Parameters
     ----------
-    sources : int, FacePoint, sequence of these, integer array, boolean mask, or Sources
+    sources : int, FacePoint, sequence of these, array of int or bool, or Sources
         Indices of vertices, a mask of shape (n,) of them, points of faces, or what this function
         returned before. Two sources at one place are one that emits the heat of both.
     geometry : TriangleMesh, PointCloud, IntrinsicTriangulation or Spectrum

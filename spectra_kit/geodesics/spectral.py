@@ -22,7 +22,7 @@ _SAMPLE = 4096  # points that stand for all of them in the search for a time
 
 
 def spectral_heat(
-    spectrum: Spectrum, sources: SourcesLike, time: float, *, exact: bool = False
+    spectrum: Spectrum, sources: SourcesLike, time: float, *, exact: bool = True
 ) -> Floats:
     """Heat at every point, a time after it was put on the sources, as far as the modes tell.
 
@@ -33,17 +33,17 @@ def spectral_heat(
     sources : int, sequence, mask, or Sources
         As `check_sources` takes them; for points of faces, what it returns.
     time : float
-        In length^2, positive; see `smallest_spectral_time`.
-    exact : bool, default False
-        Let the heat flow, by ``exp(-t lambda)``, in place of one backward Euler step of the heat
-        method, by ``1 / (1 + t lambda)``. The flow needs fewer modes: those left out of the step
-        decay slowly.
+        In length^2, positive; `smallest_spectral_time` suggests one.
+    exact : bool, default True
+        Let the heat flow. If False, take one backward Euler step, as the heat method does with
+        all modes; a few modes do not resolve that at any useful time.
 
     Returns
     -------
     ndarray of shape (n,)
-        ``sum_i g(lambda_i) u_i <u_i, heat>``, in units of the heat over length^2. For short times
-        the truncated sum oscillates around zero.
+        ``sum_i g(lambda_i) u_i <u_i, heat>``, in units of the heat over length^2, with
+        ``g = exp(-t lambda)``, or ``1 / (1 + t lambda)`` for the step. For short times the
+        truncated sum oscillates around zero.
 
     Raises
     ------
@@ -52,24 +52,25 @@ def spectral_heat(
 
     Notes
     -----
-    With all n modes, a backward Euler step is the solution of ``(M + t L) u = heat``, the first
-    step of Crane, Weischedel, Wardetzky (2013).
+    With all n modes, the step solves ``(M + t L) u = heat``: the first one of Crane, Weischedel
+    and Wardetzky, *Geodesics in heat*, ACM Trans. Graph. 2013. Unlike the flow's, what it leaves
+    in the modes above k falls only as ``1 / lambda``, and drowns the heat far away.
 
     Examples
     --------
     >>> spectrum = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
     >>> spectral_heat(spectrum, [0, 1], 1.0)
-    array([1. , 0.5])
+    array([1.   , 0.367...])
     """
     _check_spectrum(spectrum)
     check_positive("time", time)
     seen = _seen(spectrum, check_sources(sources, spectrum))
-    return np.asarray(spectrum.eigenvectors @ (_gain(spectrum.eigenvalues, time, exact) * seen))
+    t_lambda = time * spectrum.eigenvalues
+    gain = np.exp(-t_lambda) if exact else 1 / (1 + t_lambda)
+    return np.asarray(spectrum.eigenvectors @ (gain * seen))
 
 
-def smallest_spectral_time(
-    spectrum: Spectrum, sources: SourcesLike, *, exact: bool = False
-) -> float:
+def smallest_spectral_time(spectrum: Spectrum, sources: SourcesLike) -> float:
     """Shortest time at which the modes resolve the heat of some sources wherever it gets to.
 
     Parameters
@@ -77,41 +78,38 @@ def smallest_spectral_time(
     spectrum : Spectrum
         k modes, the zero modes among them.
     sources : int, sequence, mask, or Sources
-        As `check_sources` takes them. The more there are, the shorter the time.
-    exact : bool, default False
-        As in `spectral_heat`: of heat that flows, or of a backward Euler step.
+        As `check_sources` takes them. The denser they lie, the shorter the time.
 
     Returns
     -------
     float
-        In length^2: the time after which `spectral_heat` is positive on 99 per cent of the
-        components with a source, within 5 per cent.
+        In length^2: from when on `spectral_heat` is positive on 99 per cent of the components
+        with a source, within 5 per cent.
 
     Raises
     ------
     InvalidInputError
-        If `spectrum` has no zero mode, or all its modes are; if there is no source, or one is on
-        a part without a zero mode.
+        If all modes are zero modes, there is no source, or one is where there is no zero mode.
 
     Notes
     -----
-    True heat is positive everywhere. It falls by ``exp(-d^2 / (4 t))`` at a distance d, while
-    the modes left out carry about ``exp(-t lambda_k)``: their balance,
-    ``t = d / (2 sqrt(lambda_k))``, is the shortest time whose heat the modes still resolve at
-    the distance d. No diameter is needed to find it; beyond it the truncated sum changes sign.
+    True heat is positive everywhere. At a distance d it falls as ``exp(-d^2 / (4 t))``, while the
+    modes left out carry ``exp(-t lambda_k)``. Both are equal at ``t = d / (2 sqrt(lambda_k))``:
+    before, the truncated sum changes sign at that distance, which tells the time without knowing
+    the diameter. At most 4096 points are looked at.
 
     Examples
     --------
     >>> import spectra_kit as sk
     >>> ball = sk.geometry.sphere(subdivisions=3).geometry
     >>> spectrum = sk.eigensolve(sk.robust_laplacian(ball), 100)
-    >>> time = smallest_spectral_time(spectrum, 0, exact=True)
+    >>> time = smallest_spectral_time(spectrum, 0)
     >>> print(round(time, 2), round(3.14 / (2 * spectrum.eigenvalues[-1] ** 0.5), 2))
     0.13 0.18
     """
     _check_resolving(spectrum)
     checked = check_sources(sources, spectrum)
-    return _smallest_time(spectrum, checked, _reached(spectrum, checked), exact)
+    return _smallest_time(spectrum, checked, _reached(spectrum, checked))
 
 
 def spectral_distance(
@@ -121,23 +119,26 @@ def spectral_distance(
     *,
     time: float | None = None,
 ) -> Floats:
-    """Approximate the distance to the nearest source by the heat method in the modes alone.
+    """Distance to the nearest source by the heat method in the modes alone: an approximation.
 
     Parameters
     ----------
     spectrum : Spectrum
-        k modes, the zero modes among them, Neumann.
+        k modes, the zero modes among them, with Neumann conditions.
     triangulation : IntrinsicTriangulation
-        Of the same n points.
+        Of the same n points. Its operator need not be the one of `spectrum`.
     sources : int, sequence, mask, or Sources
-        As `check_sources` takes them; for points of faces, what it returns.
+        As `check_sources` takes them; for points of faces, what it returns. How much heat each
+        emits does not matter.
     time : float, optional
-        For which the heat flows, in length^2; `smallest_spectral_time` by default.
+        For which the heat flows, in length^2; for each source its `smallest_spectral_time` by
+        default.
 
     Returns
     -------
     ndarray of shape (n,)
-        In length; 0 at a single source, infinite on components without one.
+        In length: 0 at sources, never shorter than the straight line, infinite on components
+        without a source.
 
     Raises
     ------
@@ -149,9 +150,53 @@ def spectral_distance(
     -----
     UserWarning
         If `time` is too short for the modes.
+
+    Notes
+    -----
+    Crane, Weischedel and Wardetzky, *Geodesics in heat*, ACM Trans. Graph. 2013, with both linear
+    solves replaced by sums over modes, O(n k) for each source: heat that flows for some time gives
+    directions ``X = -grad u / |grad u|``, and the distance is
+    ``sum_i u_i <u_i, div X> / lambda_i``, shifted to 0 at the source. Each vertex of `sources` gets
+    a field of its own, and the nearest counts: together, sources closer than the modes resolve
+    would blur.
+
+    The modes blunt what is sharper than ``1 / sqrt(lambda_k)``: the tip at a source, which in a
+    wide place is lifted by that much, and ridges where fronts meet. Smaller details are not seen.
+    Mean relative error over all vertices and ten random sources, one at a time, in per cent,
+    between the straight line alone and the heat method with exact solves:
+
+    =======================  =============  ======  =======  =======  ===========
+    mesh, vertices           straight line  k = 30  k = 100  k = 200  heat method
+    =======================  =============  ======  =======  =======  ===========
+    sphere, 2,562                     11.6     6.7      4.4      3.3          1.1
+    `creature`, 5,000                  8.3     5.0      3.7      3.2          1.4
+    a man, 6,002                      13.6     6.8      5.2      4.5          2.1
+    head of a camel, 11,381           12.0     6.4      4.3      3.5          1.3
+    =======================  =============  ======  =======  =======  ===========
+
+    At k = 100 the largest errors are 6 to 10 per cent of the largest distance. Half the default
+    time makes the mean 1.6 to 2 times as large, twice the time up to 1.4 times; an exact solve in
+    the second step lowers it by an eighth at most, but on the sphere to a sixth. Modes must be good:
+    96 that the network of `Neo` predicts are worse than 30 exact ones (creature 6.4, camel 7.9),
+    polished ones nearly as good as exact.
+
+    Examples
+    --------
+    On the unit sphere, where distances are 1.6 on average:
+
+    >>> import spectra_kit as sk
+    >>> ball = sk.geometry.sphere(subdivisions=3).geometry
+    >>> triangulation = sk.operators.intrinsic_delaunay(ball)
+    >>> spectrum = sk.eigensolve(triangulation.laplacian, 100)
+    >>> distance = spectral_distance(spectrum, triangulation, 0)
+    >>> exact = np.arccos((ball.points @ ball.points[0]).clip(-1, 1))
+    >>> print(round(np.abs(distance - exact).mean(), 2))
+    0.08
     """
     _check_resolving(spectrum)
     _check_triangulation(triangulation, spectrum)
+    if time is not None:
+        check_positive("time", time)
     checked = check_sources(sources, triangulation)
     reached = _reached(spectrum, checked)
     label = triangulation.laplacian.component_labels
@@ -161,42 +206,37 @@ def spectral_distance(
             f" {triangulation.laplacian.n_components} components of `triangulation`, got"
             f" {spectrum.n_zero_modes}; compute it with Neumann conditions, of the same geometry"
         )
-    shortest = _smallest_time(spectrum, checked, reached, exact=True)
-    time = shortest if time is None else check_positive("time", time)
-    heat = np.where(reached, spectral_heat(spectrum, checked, time, exact=True), 0.0)
-    cold = _cold_share(heat[reached], spectrum.mass[reached])
-    if time < shortest and cold > _NEGATIVE:
+    distance = np.full(spectrum.n, np.inf)
+    coldest = 0.0
+    for vertex, offset in zip(checked.vertices.tolist(), checked.offsets, strict=True):
+        source, here = check_sources(vertex, spectrum), label == label[vertex]
+        t = _smallest_time(spectrum, source, here) if time is None else time
+        heat = np.where(here, spectral_heat(spectrum, source, t), 0.0)
+        coldest = max(coldest, _cold_share(heat[here], spectrum.mass[here]))
+        found = offset + _from_vertex(spectrum, triangulation, vertex, heat)
+        distance[here] = np.minimum(distance, found)[here]
+    if time is not None and coldest > _NEGATIVE:
         warnings.warn(
             f"`time` {time:.3g} is too short for {spectrum.k} modes: their heat is negative on"
-            f" {100 * cold:.0f} % of the surface, where distances are wrong; use at least"
-            f" {shortest:.3g}, the default, or more modes",
+            f" {100 * coldest:.0f} % of the surface, where distances are wrong; leave `time` out,"
+            " or use more modes",
             stacklevel=2,
         )
+    return distance
+
+
+def _from_vertex(
+    spectrum: Spectrum, triangulation: IntrinsicTriangulation, vertex: int, heat: Floats
+) -> Floats:
+    """Return the distance from a vertex, shape (n,), along the gradient of its `heat`."""
     gradient = triangulation.gradient(heat)
-    norm = np.linalg.norm(gradient, axis=1, keepdims=True)
-    away = np.divide(-gradient, norm, out=np.zeros_like(gradient), where=norm > 0)
+    slope = np.linalg.norm(gradient, axis=1, keepdims=True)
+    away = np.divide(-gradient, slope, out=np.zeros_like(gradient), where=slope > 0)
     modes = spectrum.nonzero()
     seen = modes.eigenvectors.T @ triangulation.divergence(away)
     potential = modes.eigenvectors @ (seen / modes.eigenvalues)
-    return _from_the_sources(potential, checked, label, modes.eigenvalues[-1])
-
-
-def _from_the_sources(potential: Floats, sources: Sources, label: Ints, highest: float) -> Floats:
-    """Turn a potential, known up to a constant on each component, into distances.
-
-    In the plane, a distance |x| has the Fourier transform ``-2 pi / |xi|^3``, so that frequencies
-    up to ``sqrt(lambda_k)`` blunt the cone: they lift its tip to ``r = 1 / sqrt(lambda_k)`` and
-    leave it where it is far away. We undo this as if the blunt cone were ``sqrt(d^2 + r^2)``.
-    """
-    blunt = highest**-0.5
-    lifted = np.hypot(sources.offsets, blunt)
-    distance = np.full(len(potential), np.inf)
-    for component in np.unique(label[sources.vertices]):
-        here = label[sources.vertices] == component
-        at_sources = potential[sources.vertices[here]] - lifted[here]
-        height = potential[label == component] - np.average(at_sources, weights=sources.heat[here])
-        distance[label == component] = np.sqrt(np.maximum(height, blunt) ** 2 - blunt**2)
-    return distance
+    straight = np.linalg.norm(triangulation.points - triangulation.points[vertex], axis=1)
+    return np.asarray(np.maximum(potential - potential[vertex], straight))
 
 
 def _seen(spectrum: Spectrum, sources: Sources) -> Floats:
@@ -204,12 +244,7 @@ def _seen(spectrum: Spectrum, sources: Sources) -> Floats:
     return np.asarray(sources.heat @ spectrum.eigenvectors[sources.vertices])
 
 
-def _gain(eigenvalues: Floats, time: float, exact: bool) -> Floats:
-    """Return what a time leaves of the heat in each mode."""
-    return np.exp(-time * eigenvalues) if exact else 1 / (1 + time * eigenvalues)
-
-
-def _smallest_time(spectrum: Spectrum, sources: Sources, reached: Mask, exact: bool) -> float:
+def _smallest_time(spectrum: Spectrum, sources: Sources, reached: Mask) -> float:
     """Search for the first time at which hardly any of the `reached` points are cold."""
     points = np.flatnonzero(reached)
     points = points[:: -(-len(points) // _SAMPLE)]
@@ -217,8 +252,7 @@ def _smallest_time(spectrum: Spectrum, sources: Sources, reached: Mask, exact: b
     U, mass = spectrum.eigenvectors[points], spectrum.mass[points]
 
     def resolved(time: float) -> bool:
-        heat = U @ (_gain(eigenvalues, time, exact) * seen)
-        return _cold_share(heat, mass) <= _NEGATIVE
+        return _cold_share(U @ (np.exp(-time * eigenvalues) * seen), mass) <= _NEGATIVE
 
     high = 1 / eigenvalues[-1]
     while not resolved(high):  # ends: what is left in the end, the zero modes, is positive
