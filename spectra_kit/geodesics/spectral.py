@@ -175,10 +175,10 @@ def spectral_distance(
     =======================  =============  ======  =======  =======  ===========
 
     At k = 100 the largest errors are 6 to 10 per cent of the largest distance. Half the default
-    time makes the mean 1.6 to 2 times as large, twice the time up to 1.4 times; an exact solve in
-    the second step lowers it by an eighth at most, but on the sphere to a sixth. Modes must be good:
-    96 that the network of `Neo` predicts are worse than 30 exact ones (creature 6.4, camel 7.9),
-    polished ones nearly as good as exact.
+    time makes the mean 1.6 to 2 times as large, twice the time up to 1.4 times. An exact solve in
+    the second step lowers it by an eighth at most, but on the sphere to a sixth. Modes must be
+    good: 96 that the network of `Neo` predicts are worse than 30 exact ones (creature 6.4, camel
+    7.9), polished ones nearly as good as exact.
 
     Examples
     --------
