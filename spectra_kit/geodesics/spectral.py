@@ -174,11 +174,12 @@ def spectral_distance(
     head of a camel, 11,381           12.0     6.4      4.3      3.5          1.3
     =======================  =============  ======  =======  =======  ===========
 
-    At k = 100 the largest errors are 6 to 10 per cent of the largest distance. Half the default
-    time makes the mean 1.6 to 2 times as large, twice the time up to 1.4 times. An exact solve in
-    the second step lowers it by an eighth at most, but on the sphere to a sixth. Modes must be
-    good: 96 that the network of `Neo` predicts are worse than 30 exact ones (creature 6.4, camel
-    7.9), polished ones nearly as good as exact.
+    At k = 100 the largest errors are 6 to 10 per cent of the largest distance, and distances to
+    the nearest of the ten sources are off by 2 to 8 per cent. Half the default time makes the mean
+    1.6 to 2 times as large, twice the time up to 1.4 times. An exact solve in the second step
+    lowers it by an eighth at most, but on the sphere to a sixth. Modes must be good: 96 that the
+    network of `Neo` predicts are slightly worse than 30 exact ones (creature 6.4 against 5.8,
+    camel 7.9 against 7.4, three sources), polished ones nearly as good as exact.
 
     Examples
     --------
