@@ -1,4 +1,4 @@
-"""The three commands: each takes parsed arguments and writes to stdout."""
+"""Three of the commands: each takes parsed arguments and writes to stdout."""
 
 from __future__ import annotations
 

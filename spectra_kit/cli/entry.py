@@ -9,6 +9,8 @@ from collections.abc import Callable, Sequence
 
 from spectra_kit._version import VERSION
 from spectra_kit.cli import commands, options
+from spectra_kit.cli.geodesic import geodesic_distances
+from spectra_kit.cli.geodesic_options import add_geodesic_arguments
 from spectra_kit.cli.match import match_shapes
 from spectra_kit.errors import (
     ConvergenceError,
@@ -59,6 +61,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             "find the point of one shape that each point of another is",
             options.add_match_arguments,
             match_shapes,
+        ),
+        (
+            "geodesic",
+            "measure distances along a surface",
+            add_geodesic_arguments,
+            geodesic_distances,
         ),
         ("info", "say what a file holds and needs", options.add_info_arguments, commands.info),
     ):

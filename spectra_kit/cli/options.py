@@ -33,7 +33,7 @@ def listed(names: Sequence[str]) -> str:
 
 def add_spectrum_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``spectrum``."""
-    _add_input(parser, file=None)
+    add_input(parser, file=None)
     _add_operator(parser)
     _add_solver(parser)
     parser.add_argument("--solver", choices=SOLVERS, default="arpack", help="default: %(default)s")
@@ -52,7 +52,7 @@ def add_compare_arguments(
     parser: argparse.ArgumentParser, *, file: str | None = None, picture: str | None = None
 ) -> None:
     """Add the arguments of ``compare``; `file` and `picture` are defaults."""
-    _add_input(parser, file=file)
+    add_input(parser, file=file)
     _add_operator(parser)
     _add_solver(parser)
     parser.add_argument(
@@ -123,11 +123,12 @@ def add_match_arguments(
 
 def add_info_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``info``."""
-    _add_input(parser, file=None)
+    add_input(parser, file=None)
     _add_operator(parser)
 
 
-def _add_input(parser: argparse.ArgumentParser, *, file: str | None) -> None:
+def add_input(parser: argparse.ArgumentParser, *, file: str | None) -> None:
+    """Add the file and how it is read."""
     group = parser.add_argument_group("input")
     _add_file(group, "file", file)
     _add_reading(group)

@@ -43,7 +43,7 @@ def modes_table(spectrum: Spectrum, modes: Sequence[int]) -> str:
         )
         for i in modes
     ]
-    return _align(rows)
+    return align(rows)
 
 
 def certificate_lines(spectrum: Spectrum) -> str:
@@ -87,7 +87,7 @@ def comparison_table(
             )
         )
     note = "\n* its cluster of near-equal eigenvalues reaches past the last mode"
-    return _align(rows) + (note if any(i >= comparison.open_from for i in modes) else "")
+    return align(rows) + (note if any(i >= comparison.open_from for i in modes) else "")
 
 
 def comparison_lines(
@@ -126,7 +126,7 @@ def comparison_lines(
         times = [s.provenance.seconds.get(stage) for s in (exact, predicted)]
         if max(t or 0.0 for t in times) >= 0.005:
             rows.append([f"  {stage}", *("" if t is None else f"{t:.2f}" for t in times)])
-    return means + "\n\n" + _align(rows, left=1)
+    return means + "\n\n" + align(rows, left=1)
 
 
 def comparison_line(comparison: Comparison) -> str:
@@ -198,8 +198,8 @@ def pairs(facts: Mapping[str, object]) -> str:
     )
 
 
-def _align(rows: Sequence[Sequence[str]], *, left: int = 0) -> str:
-    """Right-aligned columns, the first `left` of them left-aligned."""
+def align(rows: Sequence[Sequence[str]], *, left: int = 0) -> str:
+    """Return right-aligned columns, the first `left` of them left-aligned."""
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     return "\n".join(
         "  ".join(

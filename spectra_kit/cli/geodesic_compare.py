@@ -1,0 +1,205 @@
+"""Every solver of the Poisson step side by side, another package beside them."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit.cli import tables
+from spectra_kit.cli.geodesic_method import spectrum_named
+from spectra_kit.cli.geodesic_options import COMPARED_MODES
+from spectra_kit.cli.output import progress
+from spectra_kit.geodesics import Direct, HeatGeodesics, Iterative
+from spectra_kit.geodesics.sources import Sources, check_sources
+from spectra_kit.geometry import Geometry, TriangleMesh, sphere
+from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
+from spectra_kit.spectrum import Spectrum
+from spectra_kit.viz import SolverRun
+
+Floats = NDArray[np.float64]
+
+_REPEATS = 2  # of everything, one after the other; the faster run of each counts
+_SPECTRA = {"exact": "exact modes", "neo": "NEO modes", "neo-polished": "NEO modes, polished"}
+_PEER = "potpourri3d"
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """A run, and how far its distances are from those of the direct solver.
+
+    Attributes
+    ----------
+    run : SolverRun
+        Its seconds and residuals.
+    difference : float
+        Largest, relative to the largest distance.
+    """
+
+    run: SolverRun
+    difference: float
+
+    def record(self) -> tables.Record:
+        """Everything, as the report has it."""
+        run = self.run
+        residuals = np.asarray(run.residuals)
+        return {
+            "name": run.name,
+            "iterations": run.iterations,
+            "relative_residual": float(residuals[-1]) if len(residuals) else None,
+            "stages": {**run.stages, "poisson": run.solve_seconds},
+            "seconds": run.seconds,
+            "spectrum_seconds": run.spectrum_seconds,
+            "difference_from_direct": self.difference,
+            "residuals": residuals,
+            "times": np.asarray(run.times),
+        }
+
+
+def compare_solvers(
+    arguments: argparse.Namespace,
+    geometry: Geometry,
+    triangulation: IntrinsicTriangulation,
+    sources: Sources,
+) -> list[Compared]:
+    """Measure every solver on the same problem, from the arrays of the geometry on.
+
+    Compiled code is loaded and tried on a small sphere before any clock starts.
+    """
+    progress("comparing: warming up")
+    ball = sphere(subdivisions=4).geometry
+    small = argparse.Namespace(**vars(arguments) | {"modes": 20})
+    for _, measure in _measures(small, ball, intrinsic_delaunay(ball), check_sources(0, ball)):
+        measure()
+    measures = list(_measures(arguments, geometry, triangulation, sources))
+    fastest: dict[str, tuple[SolverRun, Floats]] = {}
+    for _ in range(_REPEATS):
+        for name, measure in measures:
+            progress(f"comparing: {name}")
+            run, distance = measure()
+            if name not in fastest or run.seconds < fastest[name][0].seconds:
+                fastest[name] = run, distance
+    reference = next(d for run, d in fastest.values() if run.iterations is None)
+    known = np.isfinite(reference)
+    limit = float(reference[known].max()) or 1.0
+    return [
+        Compared(run, float(np.abs(distance - reference)[known].max()) / limit)
+        for run, distance in fastest.values()
+    ]
+
+
+def comparison_table(compared: list[Compared]) -> str:
+    """One row for each solver."""
+    rows = [
+        ("", "", "relative", "seconds", "spectrum", "difference"),
+        ("solver", "iterations", "residual", "in all", "besides", "from direct"),
+    ]
+    for one in compared:
+        run, residuals = one.run, np.asarray(one.run.residuals)
+        rows.append(
+            (
+                run.name,
+                "" if run.iterations is None else str(run.iterations),
+                f"{residuals[-1]:.1e}" if len(residuals) else "",
+                f"{run.seconds:.2f}",
+                f"{run.spectrum_seconds:.2f}" if run.spectrum_seconds else "",
+                f"{one.difference:.1e}",
+            )
+        )
+    return tables.align(rows, left=1)
+
+
+def clock_note() -> str:
+    """What the seconds are."""
+    return (
+        f"Faster of {_REPEATS} runs each, by turns, after a warm-up. The clock starts with the"
+        " geometry alone; imports and compilation are not counted."
+        f" {os.cpu_count()} processor cores."
+    )
+
+
+_Entry = tuple[str, Callable[[], tuple[SolverRun, Floats]]]
+
+
+def _measures(
+    arguments: argparse.Namespace,
+    geometry: Geometry,
+    triangulation: IntrinsicTriangulation,
+    sources: Sources,
+) -> Iterator[_Entry]:
+    """Names of the solvers, and what measures each."""
+    modes = arguments.modes or COMPARED_MODES
+    spectra = {
+        name: spectrum_named(name, arguments, triangulation.laplacian, modes) for name in _SPECTRA
+    }
+
+    def ours(name: str, solver: Direct | Iterative, source: str = "none") -> _Entry:
+        spectrum = spectra.get(source)
+        return name, lambda: _run_ours(arguments, geometry, sources, name, solver, spectrum)
+
+    # One base for all that differ in the coarse space alone: level 0, as in the paper.
+    base = Iterative(coarse="none", drop=None, modes=modes, rtol=arguments.rtol)
+    additive, projected = replace(base, coarse="additive"), replace(base, coarse="projected")
+    shipped = Iterative(rtol=arguments.rtol)
+    yield ours("incomplete Cholesky, level 0", base)
+    for name, words in _SPECTRA.items():
+        yield ours(f"+ {modes} {words}", additive, name)
+    yield ours(f"+ {modes} exact modes, projected", projected, "exact")
+    yield ours("incomplete Cholesky, by threshold", replace(shipped, coarse="none"))
+    yield ours(f"+ {min(modes, shipped.modes)} exact modes", shipped, "exact")
+    yield ours("direct Cholesky", Direct())
+    yield _PEER, lambda: _run_peer(arguments, geometry, sources, _PEER)
+
+
+def _run_ours(
+    arguments: argparse.Namespace,
+    geometry: Geometry,
+    sources: Sources,
+    name: str,
+    solver: Direct | Iterative,
+    spectrum: Spectrum | None,
+) -> tuple[SolverRun, Floats]:
+    start = time.perf_counter()
+    geodesics = HeatGeodesics(
+        geometry, spectrum, solver=solver, time_coefficient=arguments.time_coefficient
+    )
+    field = geodesics.distance(sources)
+    whole = time.perf_counter() - start
+    poisson, stages = field.poisson, dict(field.seconds)
+    # The curve begins after a start of its own, and ends when the step does.
+    times = poisson.times + max(stages.pop("poisson") - float(poisson.times[-1]), 0.0)
+    # What no stage claims is counted too.
+    stages["other"] = max(whole - sum(stages.values()) - float(times[-1]), 0.0)
+    run = SolverRun(
+        name=name,
+        stages=stages,
+        spectrum_seconds=0.0 if spectrum is None else sum(spectrum.provenance.seconds.values()),
+        times=times,
+        residuals=poisson.residual_norms / poisson.rhs_norm,
+    )
+    return run, field.distance
+
+
+def _run_peer(
+    arguments: argparse.Namespace, geometry: Geometry, sources: Sources, name: str
+) -> tuple[SolverRun, Floats]:
+    """Build and solve once by potpourri3d; it tells no residual."""
+    import potpourri3d
+
+    start = time.perf_counter()
+    coefficient = arguments.time_coefficient
+    if isinstance(geometry, TriangleMesh):
+        solver = potpourri3d.MeshHeatMethodDistanceSolver(
+            geometry.points, geometry.faces, t_coef=coefficient
+        )
+    else:
+        solver = potpourri3d.PointCloudHeatSolver(geometry.points, t_coef=coefficient)
+    built = time.perf_counter()
+    distance = np.asarray(solver.compute_distance_multisource(sources.vertices.tolist()))
+    stages = {"build": built - start, "first solve": time.perf_counter() - built}
+    return SolverRun(name=name, stages=stages), distance
