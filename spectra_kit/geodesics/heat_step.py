@@ -238,8 +238,8 @@ class HeatStep:
                 x, exponents, aligned = size, (exponents + power).astype(np.int32), False
         if not share <= _ACCURACY:
             raise ConvergenceError(
-                f"the heat step must be right to {_ACCURACY:g} at every point, got {share:.1e} after"
-                f" {iterations} iterations; triangles differ too much in size, or"
+                f"the heat step must be right to {_ACCURACY:g} at every point, got {share:.1e}"
+                f" after {iterations} iterations; triangles differ too much in size, or"
                 " `time_coefficient` is large: use solver=Direct()"
             )
         seconds = time.perf_counter() - start

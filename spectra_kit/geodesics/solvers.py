@@ -1,4 +1,4 @@
-"""How the two linear systems of the heat method are solved: three choices, one of them automatic."""
+"""How the linear systems of the heat method are solved: `Direct`, `Iterative`, `Automatic`."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ class DirectPoisson:
         self._factor = GroundedCholesky(matrix, kernel)
         self.seconds = self._factor.seconds
 
-    def solution(self, rhs: Floats, start: Floats | None = None) -> LinearSolution:  # noqa: ARG002
+    def solution(self, rhs: Floats, start: Floats | None = None) -> LinearSolution:
         """Solve; a start is of no use."""
         return self._factor.solution(rhs)
 

@@ -86,7 +86,7 @@ class System:
 
         n = len(self.order)
         found = divergence_of_directions(self.corners, self.lengths, heat.values, heat.exponents, n)
-        return self.share * found
+        return np.asarray(self.share * found)
 
     def distance(self, potential: Floats, sources: Sources) -> Floats:
         """Shift a potential to zero at the sources of each component, in the input's order."""
