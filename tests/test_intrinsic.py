@@ -405,7 +405,7 @@ def test_fields_are_read_only_and_in_the_units_of_the_geometry() -> None:
         axis=2,
     )
     assert (triangulation.lengths >= straight - 1e-12).all()  # intrinsic edges go along the surface
-    assert triangulation.operator == "intrinsic_delaunay(mesh, mollify_factor=1e-05)"
+    assert triangulation.operator == "delaunay_laplacian(mesh, mollify_factor=1e-05)"
     assert triangulation.seconds > 0
     assert repr(triangulation) == "IntrinsicTriangulation(320 triangles on 162 points)"
 

@@ -203,18 +203,19 @@ def intrinsic_delaunay(
     Raises
     ------
     InvalidInputError
-        If a vertex of a mesh belongs to no face, or a face repeats a vertex; if points of a cloud
-        coincide, lie on one line, are fewer than four, or one is in no triangle.
+        If a vertex of a mesh belongs to no face, a face repeats a vertex, or all vertices are at
+        one point; if points of a cloud coincide, lie on one line, are fewer than four, or one is
+        in no triangle; if `mollify_factor` is so small that a triangle has no area.
     ConvergenceError
         If the edge flips do not end, which rounding could do to a degenerate geometry; none is
         known.
 
     Notes
     -----
-    Triangles that continue each other at an edge are glued, front to back where the surface is not
-    known to be closed and of one winding, and edges are flipped until the angles opposite each sum
-    to at most pi: Sharp and Crane, *A Laplacian for Nonmanifold Triangle Meshes*, SGP 2020.
-    A triangle alone at an edge has its front glued to its back.
+    Triangles that continue each other at an edge are glued, and edges are flipped until the two
+    angles opposite each sum to at most pi. Where a mesh is not closed and of one winding, each
+    triangle has a front and a back, and one that is alone at an edge has them glued to each other:
+    Sharp and Crane, *A Laplacian for Nonmanifold Triangle Meshes*, SGP 2020.
 
     Each point of a cloud contributes its star in the tangential Delaunay complex (Boissonnat and
     Ghosh, *Manifold reconstruction using tangential Delaunay complexes*, Discrete Comput. Geom.
@@ -235,7 +236,7 @@ def intrinsic_delaunay(
     if isinstance(geometry, TriangleMesh):
         check_faces_usable(geometry)
         glued = glued_mesh(geometry, mollify_factor)
-        operator = f"intrinsic_delaunay(mesh, mollify_factor={mollify_factor:g})"
+        operator = f"delaunay_laplacian(mesh, mollify_factor={mollify_factor:g})"
     else:
         neighbors = check_cloud_usable(geometry, n_neighbors)
         glued = glued_cloud(geometry, mollify_factor, neighbors)
