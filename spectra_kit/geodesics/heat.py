@@ -146,7 +146,8 @@ class HeatGeodesics:
         -------
         DistanceField
             Zero on average over the sources of a component (a source on a face counts by its
-            corners); smaller values are set to zero. Infinite where no source can be reached.
+            corners); smaller values are set to zero. Infinite where no source can be reached. The
+            minimum of the fields of single sources has less error than one field of several.
 
         Raises
         ------
@@ -274,8 +275,20 @@ def geodesic_distance(
 
     Parameters
     ----------
-    geometry, sources, spectrum, weights, solver, time_coefficient, boundary
-        See `HeatGeodesics` and its method `distance`.
+    geometry : TriangleMesh, PointCloud or IntrinsicTriangulation
+        Of n points.
+    sources : int, FacePoint, sequence of these, integer array, boolean mask, or Sources
+        See `check_sources`.
+    spectrum : Spectrum, optional
+        Modes of the geometry, to be quicker.
+    weights : array_like of shape (s,), optional
+        Heat that each source emits, 1 by default.
+    solver : Direct, Iterative or Automatic, default Automatic()
+        How linear systems are solved.
+    time_coefficient : float, default 1.0
+        Time of the heat step over the square of the mean edge.
+    boundary : {"neumann", "dirichlet", "average"}, default "neumann"
+        Of the heat step; all as in `HeatGeodesics`.
 
     Returns
     -------

@@ -85,8 +85,10 @@ class System:
         from spectra_kit.geodesics._kernels import divergence_of_directions
 
         n = len(self.order)
-        found = divergence_of_directions(self.corners, self.lengths, heat.values, heat.exponents, n)
-        return np.asarray(self.share * found)
+        found: Floats = divergence_of_directions(
+            self.corners, self.lengths, heat.values, heat.exponents, n
+        )
+        return self.share * found
 
     def distance(self, potential: Floats, sources: Sources) -> Floats:
         """Shift a potential to zero at the sources of each component, in the input's order."""
