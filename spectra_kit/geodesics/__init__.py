@@ -4,7 +4,11 @@ from spectra_kit.geodesics.heat import HeatGeodesics, geodesic_distance
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import Automatic, Direct, Iterative
 from spectra_kit.geodesics.sources import FacePoint, Sources, check_sources, nearest_source
-from spectra_kit.geodesics.spectral import spectral_distance
+from spectra_kit.geodesics.spectral import (
+    smallest_spectral_time,
+    spectral_distance,
+    spectral_heat,
+)
 
 __all__ = [
     "Automatic",
@@ -17,5 +21,7 @@ __all__ = [
     "check_sources",
     "geodesic_distance",
     "nearest_source",
+    "smallest_spectral_time",
     "spectral_distance",
+    "spectral_heat",
 ]

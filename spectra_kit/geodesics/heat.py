@@ -136,7 +136,7 @@ class HeatGeodesics:
 
         Parameters
         ----------
-        sources : int, FacePoint, sequence of these, integer array, boolean mask, or Sources
+        sources : int, FacePoint, sequence or array of these, mask, or Sources
             See `check_sources`.
         weights : array_like of shape (s,), optional
             Heat that each source emits, 1 by default: w lets its isolines run ahead by about
@@ -277,7 +277,7 @@ def geodesic_distance(
     ----------
     geometry : TriangleMesh, PointCloud or IntrinsicTriangulation
         Of n points.
-    sources : int, FacePoint, sequence of these, integer array, boolean mask, or Sources
+    sources : int, FacePoint, sequence or array of these, mask, or Sources
         See `check_sources`.
     spectrum : Spectrum, optional
         Modes of the geometry, to be quicker.
@@ -293,6 +293,7 @@ def geodesic_distance(
     Returns
     -------
     DistanceField
+        The distances, and how they were found.
 
     Raises
     ------

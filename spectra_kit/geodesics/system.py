@@ -85,10 +85,10 @@ class System:
         from spectra_kit.geodesics._kernels import divergence_of_directions
 
         n = len(self.order)
-        found: Floats = divergence_of_directions(
+        found = divergence_of_directions(
             self.corners, self.lengths, heat.values, heat.exponents, n
         )
-        return self.share * found
+        return np.multiply(self.share, found)
 
     def distance(self, potential: Floats, sources: Sources) -> Floats:
         """Shift a potential to zero at the sources of each component, in the input's order."""
@@ -100,4 +100,5 @@ class System:
         ahead = sources.heat * (values[sources.vertices] - sources.offsets)
         level = np.full(len(heat), -np.inf)  # nothing reached is infinitely far
         level[heat > 0] = np.bincount(at, ahead, minlength=len(heat))[heat > 0] / heat[heat > 0]
-        return np.maximum(values - level[labels], 0.0)
+        distance: Floats = np.maximum(values - level[labels], 0.0)
+        return distance
