@@ -47,7 +47,7 @@ class Compared:
     def record(self) -> tables.Record:
         """Everything, as the report has it."""
         run = self.run
-        residuals = np.asarray(run.residuals)
+        residuals = run.residuals
         return {
             "name": run.name,
             "iterations": run.iterations,
@@ -57,7 +57,7 @@ class Compared:
             "spectrum_seconds": run.spectrum_seconds,
             "difference_from_direct": self.difference,
             "residuals": residuals,
-            "times": np.asarray(run.times),
+            "times": run.times,
         }
 
 
@@ -100,7 +100,7 @@ def comparison_table(compared: list[Compared]) -> str:
         ("solver", "iterations", "residual", "in all", "besides", "from direct"),
     ]
     for one in compared:
-        run, residuals = one.run, np.asarray(one.run.residuals)
+        run, residuals = one.run, one.run.residuals
         rows.append(
             (
                 run.name,

@@ -4,7 +4,7 @@ No display is needed: PyVista draws the panels off-screen in a process of its ow
 the page around them. Neither is imported before a picture is drawn.
 """
 
-from spectra_kit.viz.convergence import SolverRun, plot_convergence
+from spectra_kit.viz.convergence import plot_convergence
 from spectra_kit.viz.correspondence import (
     MatchedPair,
     plot_correspondence,
@@ -14,6 +14,7 @@ from spectra_kit.viz.isolines import plot_distance
 from spectra_kit.viz.maps import plot_error_curves, plot_functional_map
 from spectra_kit.viz.modes import plot_comparison
 from spectra_kit.viz.page import Panel, plot_panels
+from spectra_kit.viz.solver_run import SolverRun
 
 __all__ = [
     "MatchedPair",

@@ -4,89 +4,35 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from spectra_kit._files import atomic_path
-from spectra_kit._validate import check_positive, real_array
+from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.viz.solver_run import SolverRun
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
+Dashes = str | tuple[int, tuple[float, float]]
 
-# Okabe and Ito's colours: told apart with every kind of colour blindness; dashes help in print.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-_DASHES = ("-", "--", "-.", ":")
+# Okabe and Ito's colours and two more: told apart with every kind of colour blindness. Dashes let
+# curves that run into one show through each other.
+_COLOURS = (
+    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"),
+    *("#7B4FA3", "#000000", "#777777"),
+)
+_DASHES = ("-", "-", "--", "-.", (0, (2, 1.5)))
 _STAGES = ("#D9D9D9", "#B4C7DE", "#8297B8", "#BAD0AE", "#8AAB80", "#A0A0A0", "#6E6E6E")
 _SPECTRUM = "#F4E3B2"
 _FLOOR = 1e-16  # of relative residuals in the picture: below it there is only rounding
 _ROW = 0.27  # inches of one bar
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SolverRun:
-    """One solver at work: what it did before its first iteration, and its residuals since.
-
-    Attributes
-    ----------
-    name : str
-        Of the solver.
-    stages : mapping of str to float
-        Seconds of what comes before the iterations, in this order.
-    spectrum_seconds : float, default 0
-        Seconds that the modes took which it uses; 0 if it uses none.
-    times : array_like of shape (i,)
-        Seconds from the start of the solve to when each residual was known, ascending.
-    residuals : array_like of shape (i,)
-        Relative residuals: at the start and after each iteration, or of a direct solver the one
-        that it ends with. Without any, only the seconds are drawn.
-    """
-
-    name: str
-    stages: Mapping[str, float]
-    spectrum_seconds: float = 0.0
-    times: ArrayLike = field(default_factory=lambda: np.zeros(0))
-    residuals: ArrayLike = field(default_factory=lambda: np.zeros(0))
-
-    def __post_init__(self) -> None:
-        times = real_array("times", self.times)
-        residuals = real_array("residuals", self.residuals)
-        if times.ndim != 1 or residuals.shape != times.shape or (np.diff(times) < 0).any():
-            raise InvalidInputError(
-                "`times` must be ascending seconds, one for each of `residuals`, got shapes"
-                f" {times.shape} and {residuals.shape}"
-            )
-        object.__setattr__(self, "times", times)
-        object.__setattr__(self, "residuals", residuals)
-
-    @property
-    def start(self) -> float:
-        """Seconds before the iterations, those of the spectrum left out."""
-        return float(sum(self.stages.values()))
-
-    @property
-    def seconds(self) -> float:
-        """Seconds in all, those of the spectrum left out."""
-        return self.start + self.solve_seconds
-
-    @property
-    def solve_seconds(self) -> float:
-        """Seconds of the iterations."""
-        times = np.asarray(self.times)
-        return float(times[-1]) if len(times) else 0.0
-
-    @property
-    def iterations(self) -> int | None:
-        """How many there were; None for a solver that has none."""
-        count = len(np.asarray(self.residuals))
-        return count - 1 if count > 1 else None
 
 
 def plot_convergence(
@@ -131,9 +77,8 @@ def plot_convergence(
     Examples
     --------
     >>> import tempfile
-    >>> run = SolverRun(
-    ...     name="CG", stages={"setup": 0.1}, times=[0.0, 0.1, 0.2], residuals=[1.0, 1e-4, 1e-9]
-    ... )
+    >>> times, residuals = np.array([0.0, 0.1, 0.2]), np.array([1.0, 1e-4, 1e-9])
+    >>> run = SolverRun(name="CG", stages={"setup": 0.1}, times=times, residuals=residuals)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "convergence.png"
     ...     plot_convergence(path, [run], dpi=40)
@@ -195,13 +140,13 @@ def _page(
     return figure
 
 
-def _style(i: int) -> tuple[str, str]:
+def _style(i: int) -> tuple[str, Dashes]:
     """Colour and dashes of the run number `i`."""
-    return _COLOURS[i % len(_COLOURS)], _DASHES[i // len(_COLOURS) % len(_DASHES)]
+    return _COLOURS[i % len(_COLOURS)], _DASHES[i % len(_DASHES)]
 
 
 def _shown(run: SolverRun) -> Floats:
-    return np.asarray(np.maximum(np.asarray(run.residuals), _FLOOR))
+    return np.asarray(np.maximum(run.residuals, _FLOOR))
 
 
 def _limits(runs: Sequence[SolverRun], rtol: float) -> tuple[float, float]:
@@ -235,7 +180,7 @@ def _draw_clock(panel: Axes, runs: Sequence[SolverRun], counted: bool) -> None:
     for i, run in enumerate(runs):
         colour, dashes = _style(i)
         begin = run.start + (run.spectrum_seconds if counted else 0.0)
-        residuals, times = _shown(run), begin + np.asarray(run.times)
+        residuals, times = _shown(run), begin + run.times
         if not len(residuals):
             panel.axvline(begin, color=colour, ls=":", lw=1.4)
         elif run.iterations is None:
@@ -278,7 +223,7 @@ def _draw_table(panel: Axes, runs: Sequence[SolverRun]) -> None:
     panel.text(0.97, -0.75, "iterations", fontsize=8, color="0.4", ha="right", va="bottom")
     for row, run in enumerate(runs):
         colour, dashes = _style(row)
-        residuals = np.asarray(run.residuals)
+        residuals = run.residuals
         if len(residuals) == 1:
             panel.plot(0.035, row, color=colour, marker="D", ms=6)
         else:
