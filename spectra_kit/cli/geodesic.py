@@ -26,6 +26,7 @@ from spectra_kit.cli.geodesic_sources import (
 from spectra_kit.cli.inputs import load
 from spectra_kit.cli.options import DEMO
 from spectra_kit.cli.output import plain, print_blocks, print_json, progress
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import DistanceField, HeatGeodesics, Iterative
 from spectra_kit.geodesics.sources import check_sources
 from spectra_kit.geometry import Geometry
@@ -45,8 +46,13 @@ def geodesic_distances(arguments: argparse.Namespace) -> None:
     folder: Path = arguments.output
     if arguments.modes is not None:
         check_count("--modes", arguments.modes, low=1)
-    for option in ("rtol", "time_coefficient", *(["spacing"] if arguments.spacing else [])):
-        check_positive("--" + option.replace("_", "-"), getattr(arguments, option))
+    for option in ("rtol", "time_coefficient", "spacing"):
+        if (value := getattr(arguments, option)) is not None:
+            check_positive("--" + option.replace("_", "-"), value)
+    if arguments.compare and arguments.boundary != "neumann":
+        raise InvalidInputError(
+            f"--compare is for --boundary neumann, got {arguments.boundary}; leave one out"
+        )
     check_spectrum(arguments)
     check_named(arguments)
     inputs = [Path(name) for name in (arguments.file, arguments.spectrum) if name != DEMO]
@@ -132,6 +138,11 @@ def _record(
         "time_step": field.time_step,
         "iterations": field.poisson.iterations,
         "relative_residual": field.poisson.relative_residual,
+        "heat": {
+            "method": field.heat.method,
+            "iterations": field.heat.iterations,
+            "backward_error": field.heat.backward_error,
+        },
         "seconds": dict(field.seconds),
         "spectrum": spectrum and _spectrum_record(arguments.spectrum, spectrum),
         "largest_distance": float(reached.max()),

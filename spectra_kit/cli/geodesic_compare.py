@@ -146,12 +146,12 @@ def _measures(
     base = Iterative(coarse="none", drop=None, modes=modes, rtol=arguments.rtol)
     additive, projected = replace(base, coarse="additive"), replace(base, coarse="projected")
     shipped = Iterative(rtol=arguments.rtol)
-    yield ours("incomplete Cholesky, level 0", base)
+    yield ours("IC(0)", base)
     for name, words in _SPECTRA.items():
-        yield ours(f"+ {modes} {words}", additive, name)
-    yield ours(f"+ {modes} exact modes, projected", projected, "exact")
-    yield ours("incomplete Cholesky, by threshold", replace(shipped, coarse="none"))
-    yield ours(f"+ {min(modes, shipped.modes)} exact modes", shipped, "exact")
+        yield ours(f"IC(0) + {modes} {words}", additive, name)
+    yield ours(f"IC(0) + {modes} exact modes, projected", projected, "exact")
+    yield ours("threshold IC", replace(shipped, coarse="none"))
+    yield ours(f"threshold IC + {min(modes, shipped.modes)} exact modes", shipped, "exact")
     yield ours("direct Cholesky", Direct())
     yield _PEER, lambda: _run_peer(arguments, geometry, sources, _PEER)
 

@@ -42,6 +42,7 @@ def check_named(arguments: argparse.Namespace) -> None:
 
 def named_sources(arguments: argparse.Namespace, geometry: Geometry) -> list[Source]:
     """Return the points that --source, --at and --face name."""
+    check_count("--farthest", arguments.farthest, low=0, high=geometry.n)
     indices = np.array(arguments.source, dtype=np.int64)
     found: list[Source] = check_indices("--source", indices, geometry.n).tolist()
     found += [nearest_source(geometry, place) for place in arguments.at]
