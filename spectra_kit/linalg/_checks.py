@@ -41,6 +41,16 @@ def check_matrix(matrix: Any) -> sparse.csr_array:
     return rows
 
 
+def check_vector(name: str, values: Any, n: int) -> Floats:
+    """Return `values` as n contiguous float64 numbers: compiled loops do not look where they read.
+
+    Finite or not: this is called in every iteration.
+    """
+    if np.shape(values) != (n,):
+        raise InvalidInputError(f"`{name}` must have shape ({n},), got {np.shape(values)}")
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
 def check_symmetric(matrix: sparse.csr_array) -> None:
     """Raise unless `matrix` equals its transpose to rounding."""
     largest = np.abs(matrix.data).max(initial=0.0)
@@ -59,10 +69,10 @@ def check_kernel(kernel: ConstantKernel | None, matrix: sparse.csr_array) -> Con
     n = matrix.shape[0]
     if kernel.n != n:
         raise InvalidInputError(f"`kernel` must have {n} labels, one for each row, got {kernel.n}")
-    image = np.abs(matrix @ (kernel.labels + 1.0))
-    scale = abs(matrix).sum(axis=1) * (kernel.labels.max() + 1.0)
-    inside = kernel.labels >= 0
-    bad = np.flatnonzero(inside & (image > _ROUNDING * scale))
+    marks = kernel.labels + 1.0  # one number for each component: a link between two shows
+    image = np.abs(matrix @ marks)
+    scale = matrix.diagonal() * marks.max()
+    bad = np.flatnonzero((kernel.labels >= 0) & (image > _ROUNDING * scale))
     if len(bad):
         raise InvalidInputError(
             "`kernel` must hold constants that `matrix` maps to zero, but it does not in"
@@ -74,9 +84,7 @@ def check_kernel(kernel: ConstantKernel | None, matrix: sparse.csr_array) -> Con
 
 def check_rhs(rhs: ArrayLike, n: int, kernel: ConstantKernel | None) -> Floats:
     """Return `rhs` less its rounding error in the kernel, if it is in the range otherwise."""
-    if np.shape(rhs) != (n,):
-        raise InvalidInputError(f"`rhs` must have shape ({n},), got {np.shape(rhs)}")
-    values = real_array("rhs", rhs)
+    values = real_array("rhs", check_vector("rhs", rhs, n))
     if kernel is None:
         return values
     means, sizes = kernel.means(values), kernel.means(np.abs(values))

@@ -167,19 +167,21 @@ def factor_threshold(
 def fill_quads(
     starts: Ints, columns: Ints, values: Floats, quads: Ints, out_columns: Ints, out_values: Reals
 ) -> None:
-    """Copy the rows of a sparse matrix to ones of whole groups of four entries, filled with zeros.
+    """Copy the rows of a sparse matrix to whole groups of four entries, filled up with zeros.
 
-    Row i goes to ``4 * quads[i]``. A zero stands in the first column of its row, which the row
-    refers to anyway. A loop over groups goes round once in most rows, so that it is predicted.
+    Row i takes the groups from ``quads[i]`` on; `out_columns` and `out_values` are (groups, 4). A
+    zero stands in the first column of its row, which the row refers to anyway.
     """
     for i in range(len(starts) - 1):
-        q = 4 * quads[i]
-        for p in range(starts[i], starts[i + 1]):
-            out_columns[q], out_values[q] = columns[p], values[p]
-            q += 1
-        while q < 4 * quads[i + 1]:
-            out_columns[q], out_values[q] = columns[starts[i]], 0.0
-            q += 1
+        begin, end = starts[i], starts[i + 1]
+        for t in range(4 * (quads[i + 1] - quads[i])):
+            group, place = quads[i] + t // 4, t % 4
+            if begin + t < end:
+                out_columns[group, place] = columns[begin + t]
+                out_values[group, place] = values[begin + t]
+            else:
+                out_columns[group, place] = columns[begin]
+                out_values[group, place] = 0.0
 
 
 @njit(nogil=True, cache=True)
@@ -198,30 +200,23 @@ def solve_factor(
 ) -> None:
     """Write to `out` the solution of ``P (I + L) D (I + L)^T P^T out = rhs``; all (n,).
 
-    L by rows in `lower`, its transpose in `upper`, both in the groups of four of `fill_quads`.
-    Unknown i of the factor is unknown ``order[i]`` of the system.
+    L by rows in `lower`, its transpose in `upper`, both in groups of four: most rows of a level
+    zero factor have one, so that the processor predicts the inner loop. Unknown i of the factor
+    is unknown ``order[i]`` of the system.
     """
     n = len(inverse)
     for i in range(n):
         total = rhs[order[i]]
         for g in range(lower_quads[i], lower_quads[i + 1]):
-            p = 4 * g
             total -= (
-                lower[p] * work[lower_columns[p]] + lower[p + 1] * work[lower_columns[p + 1]]
-            ) + (
-                lower[p + 2] * work[lower_columns[p + 2]]
-                + lower[p + 3] * work[lower_columns[p + 3]]
-            )
+                lower[g, 0] * work[lower_columns[g, 0]] + lower[g, 1] * work[lower_columns[g, 1]]
+            ) + (lower[g, 2] * work[lower_columns[g, 2]] + lower[g, 3] * work[lower_columns[g, 3]])
         work[i] = total
     for i in range(n - 1, -1, -1):
         total = work[i] * inverse[i]
         for g in range(upper_quads[i], upper_quads[i + 1]):
-            p = 4 * g
             total -= (
-                upper[p] * work[upper_columns[p]] + upper[p + 1] * work[upper_columns[p + 1]]
-            ) + (
-                upper[p + 2] * work[upper_columns[p + 2]]
-                + upper[p + 3] * work[upper_columns[p + 3]]
-            )
+                upper[g, 0] * work[upper_columns[g, 0]] + upper[g, 1] * work[upper_columns[g, 1]]
+            ) + (upper[g, 2] * work[upper_columns[g, 2]] + upper[g, 3] * work[upper_columns[g, 3]])
         work[i] = total
         out[order[i]] = total

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 Reals = NDArray[np.float64] | NDArray[np.float32]
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64] | NDArray[np.uint32]
+Ints = NDArray[np.uint32] | NDArray[np.uint64]
 
 FAST = {"reassoc", "contract", "nsz"}
 
 
-@njit(nogil=True, cache=True, fastmath=FAST)
+@njit(nogil=True, cache=True, fastmath={"contract"})  # rows are too short for SIMD
 def multiply(
     starts: Ints, columns: Ints, values: Floats, p: Floats, q: Floats, start: int, stop: int
 ) -> float:
@@ -35,15 +35,16 @@ def multiply(
 
 @njit(nogil=True, cache=True, fastmath=FAST)
 def advance(
-    x: Floats, r: Floats, p: Floats, q: Floats, step: float, start: int, stop: int
-) -> float:
-    """Add ``step * p`` to x, take ``step * q`` from r, and return ``r . r``."""
-    square = 0.0
+    x: Floats, r: Floats, p: Floats, q: Floats, step: float, mean: float, start: int, stop: int
+) -> tuple[float, float]:
+    """Add ``step * p`` to x, take ``step * q + mean`` from r; return ``r . r`` and the sum of r."""
+    square, total = 0.0, 0.0
     for i in range(start, stop):
         x[i] += step * p[i]
-        r[i] -= step * q[i]
+        r[i] -= step * q[i] + mean
         square += r[i] * r[i]
-    return square
+        total += r[i]
+    return square, total
 
 
 @njit(nogil=True, cache=True, fastmath=FAST)

@@ -11,7 +11,7 @@ from scipy import sparse
 
 from spectra_kit._validate import check_mass
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg._checks import check_matrix
+from spectra_kit.linalg._checks import check_matrix, check_vector
 from spectra_kit.linalg._coarse_energy import check_basis, inverse_energy
 from spectra_kit.linalg._team import Call, ranges, side_by_side
 from spectra_kit.linalg.products import real_dtype
@@ -97,17 +97,18 @@ class CoarseSpace:
         return f"CoarseSpace(n={self.n}, dimension={self.dimension})"
 
     def solve(self, rhs: Floats) -> Floats:
-        """Return ``Y E^-1 Y^T rhs``, for `rhs` (n,) in float64."""
+        """Return ``Y E^-1 Y^T rhs``, for `rhs` (n,)."""
         out = np.zeros(self.n)
         self.add_to(out, side_by_side(self.restrictions(rhs)))
         return out
 
     def restrictions(self, rhs: Floats) -> list[Call]:
         """Return the calls whose results, ranges of rows of ``Y^T rhs``, `add_to` sums up."""
-        return [(_restricted, (self._basis, rhs, *rows)) for rows in ranges(self.n)]
+        values = check_vector("rhs", rhs, self.n)
+        return [(_restricted, (self._basis, values, *rows)) for rows in ranges(self.n)]
 
     def add_to(self, out: Floats, shares: list[NDArray[Any]]) -> None:
-        """Add ``Y E^-1 c`` to `out` (n,), with c the sum of `shares`, in float64."""
+        """Add ``Y E^-1 c`` to `out` (n,), with c the sum of `shares`."""
         from spectra_kit.linalg._krylov_kernels import prolong
 
         c = np.sum(shares, axis=0, dtype=np.float64)

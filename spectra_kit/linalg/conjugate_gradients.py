@@ -12,7 +12,7 @@ from scipy import sparse
 
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-from spectra_kit.linalg._checks import check_kernel, check_matrix, check_rhs
+from spectra_kit.linalg._checks import check_kernel, check_matrix, check_rhs, check_vector
 from spectra_kit.linalg._team import ranges, side_by_side, team
 from spectra_kit.linalg.coarse_space import Preconditioner
 from spectra_kit.linalg.constant_kernel import ConstantKernel
@@ -106,7 +106,7 @@ def pcg(
     if max_iterations is None:
         max_iterations = min(10 * n, _MOST_ITERATIONS)
     limit = check_count("max_iterations", max_iterations, low=0)
-    guess = _check_start(start, n, kernel)
+    guess = _check_start(start if b.any() else None, n, kernel)
     size = getattr(preconditioner, "n", n)
     if size != n:
         raise InvalidInputError(f"`preconditioner` must be of size {n}, got {size}")
@@ -153,11 +153,13 @@ class _Iteration:
         from spectra_kit.linalg import _krylov_kernels
 
         self._kernels = _krylov_kernels
-        # Unsigned columns: the compiled loop need not test for negative ones.
-        self._rows = (A.indptr.astype(np.int64), A.indices.astype(np.uint32), A.data)
+        # Unsigned: the compiled loop need not test for negative indices.
+        index = np.uint32 if A.nnz < 2**32 else np.uint64
+        self._rows = (A.indptr.astype(index), A.indices.astype(index), A.data)
         self._ranges = ranges(len(b))
         self._largest = float(A.diagonal().max(initial=0.0))
         self._preconditioner, self._kernel, self._begin = preconditioner, kernel, begin
+        self._drift = 0.0  # mean of r, to be taken from it
         self._weight = 0.0  # r . z of the last step; 0: the next forgets the directions before it
         self._b, self.x = b, x
         self._p, self._q = np.zeros_like(b), np.empty_like(b)
@@ -193,24 +195,41 @@ class _Iteration:
 
     def _step(self) -> bool:
         """Do one iteration; False if nothing but rounding is left to go by."""
-        r, p, q, kernels = self._r, self._p, self._q, self._kernels
-        z = r.copy() if self._preconditioner is None else self._preconditioner.solve(r)
-        if self._kernel is not None and not self._kernel.whole:
-            z = self._kernel.remove(z)
+        p, q, kernels = self._p, self._q, self._kernels
+        r = self._r = self._without_parts(self._r)
+        z = r
+        if self._preconditioner is not None:
+            z = check_vector("preconditioner.solve(...)", self._preconditioner.solve(r), len(r))
+        z = self._without_parts(z)
         sums = self._on_ranges(kernels.weigh, r, z)
         before, self._weight = self._weight, sum(s[0] for s in sums)
         if not self._weight > 0:
-            return _rounding_or_raise(
-                "preconditioner", self._weight, float(np.linalg.norm(r) * np.linalg.norm(z))
-            )
-        mean = sum(s[1] for s in sums) / len(z) if self._kernel and self._kernel.whole else 0.0
-        self._on_ranges(kernels.turn, p, z, mean, self._weight / before if before else 0.0)
+            scale = float(np.linalg.norm(r) * np.linalg.norm(z))
+            return _rounding_or_raise("preconditioner", self._weight, scale)
+        ratio = self._weight / before if before else 0.0
+        self._on_ranges(kernels.turn, p, z, self._mean(sums), ratio)
         energy = sum(self._on_ranges(kernels.multiply, *self._rows, p, q))
         if not energy > 0:
             return _rounding_or_raise("matrix", energy, self._largest * float(p @ p))
-        squares = self._on_ranges(kernels.advance, self.x, r, p, q, self._weight / energy)
-        self._record(float(np.sqrt(sum(squares))))
+        # The mean of r is rounding, which would outlast everything else in r: the factor, nearly
+        # singular, blows it up.
+        step = self._weight / energy
+        sums = self._on_ranges(kernels.advance, self.x, r, p, q, step, self._drift)
+        self._drift = self._mean(sums)
+        self._record(float(np.sqrt(sum(s[0] for s in sums))))
         return True
+
+    def _without_parts(self, values: Floats) -> Floats:
+        """Return `values` without the kernel, unless `_mean` takes care of that."""
+        if self._kernel is None or self._kernel.whole:
+            return values
+        return self._kernel.remove(values)
+
+    def _mean(self, sums: list[tuple[float, float]]) -> float:
+        """Return the mean to take from values whose sums on the ranges come second in `sums`."""
+        if self._kernel is None or not self._kernel.whole:
+            return 0.0
+        return sum(s[1] for s in sums) / len(self._b)
 
     def _on_ranges(self, task: Callable[..., Any], *arguments: Any) -> list[Any]:
         return side_by_side([(task, (*arguments, *rows)) for rows in self._ranges])
@@ -223,7 +242,7 @@ class _Iteration:
 
     def _refresh(self) -> None:
         """Replace the residual of the recurrence by the true one."""
-        self._r = self._residual()
+        self._r, self._drift = self._residual(), 0.0
         self.norms[-1] = float(np.linalg.norm(self._r))
 
     def _record(self, norm: float) -> None:
@@ -234,9 +253,7 @@ class _Iteration:
 def _check_start(start: ArrayLike | None, n: int, kernel: ConstantKernel | None) -> Floats:
     if start is None:
         return np.zeros(n)
-    if np.shape(start) != (n,):
-        raise InvalidInputError(f"`start` must have shape ({n},), got {np.shape(start)}")
-    guess = real_array("start", start)
+    guess = real_array("start", check_vector("start", start, n))
     return guess.copy() if kernel is None else kernel.remove(guess)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg._checks import check_kernel, check_matrix, check_rhs, check_symmetric
 from spectra_kit.linalg.cholesky import SparseCholesky
 from spectra_kit.linalg.constant_kernel import ConstantKernel
@@ -15,7 +16,7 @@ from spectra_kit.linalg.solution import LinearSolution
 
 Floats = NDArray[np.float64]
 
-_ACCURATE = 1e-7  # relative residual up to which a direct solution counts as one
+_ACCURATE = 1e-7  # relative residual up to which a direct solution is one
 
 
 class GroundedCholesky:
@@ -38,7 +39,8 @@ class GroundedCholesky:
     InvalidInputError
         If `matrix` is not square, finite and symmetric, or not positive definite apart from
         `kernel`; if
-        `kernel` is of another size or not in the kernel of `matrix`.
+        `kernel` is of another size or not in the kernel of `matrix`. From `solve`: if the residual
+        is not that of a solution, because the kernel is larger.
 
     Notes
     -----
@@ -72,25 +74,31 @@ class GroundedCholesky:
 
     def solve(self, rhs: ArrayLike) -> Floats:
         """Solve ``matrix @ x = rhs`` for `rhs` (n,), with mean zero on each kernel component."""
-        rhs = check_rhs(rhs, self.n, self._kernel)
-        x = np.zeros(self.n)
-        if self._factor is not None:
-            x[self._free] = self._factor.solve(rhs[self._free])
-        return x if self._kernel is None else self._kernel.remove(x)
+        return self.solution(rhs).x
 
     def solution(self, rhs: ArrayLike) -> LinearSolution:
         """Solve, and say how well and how fast."""
-        start = time.perf_counter()
-        rhs = check_rhs(rhs, self.n, self._kernel)
-        x = self.solve(rhs)
-        seconds = time.perf_counter() - start
-        residual = float(np.linalg.norm(rhs - self._matrix @ x))
-        norm = float(np.linalg.norm(rhs))
+        begin = time.perf_counter()
+        b = check_rhs(rhs, self.n, self._kernel)
+        x = np.zeros(self.n)
+        if self._factor is not None:
+            x[self._free] = self._factor.solve(b[self._free])
+        if self._kernel is not None:
+            x = self._kernel.remove(x)
+        residual = float(np.linalg.norm(b - self._matrix @ x))
+        norm = float(np.linalg.norm(b))
+        if not residual <= _ACCURATE * norm:
+            raise InvalidInputError(
+                "`matrix` must be nonsingular apart from `kernel`, but its direct solution leaves"
+                f" a residual of {residual:.1e} (||rhs|| = {norm:.1e}); pass the kernel of a"
+                " Neumann Laplacian as ConstantKernel(laplacian.component_labels)"
+            )
+        seconds = time.perf_counter() - begin
         return LinearSolution(
             x=x,
             residual_norms=np.array([residual]),
             rhs_norm=norm,
-            converged=residual <= _ACCURATE * norm,
+            converged=True,
             method="Cholesky",
             setup_seconds=self.seconds,
             seconds=seconds,

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg._checks import check_matrix
+from spectra_kit.linalg._checks import check_matrix, check_vector
 from spectra_kit.linalg.products import real_dtype
 
 Floats = NDArray[np.float64]
@@ -139,11 +139,12 @@ class IncompleteCholesky:
         return self._entries
 
     def solve(self, rhs: Floats) -> Floats:
-        """Return the x of ``P (I + L) D (I + L)^T P^T x = rhs``, for `rhs` (n,) in float64."""
+        """Return the x of ``P (I + L) D (I + L)^T P^T x = rhs``, for `rhs` (n,)."""
         from spectra_kit.linalg._incomplete_kernels import solve_factor
 
         out, work = np.empty(self.n), np.empty(self.n)
-        solve_factor(*self._lower, *self._upper, self._inverse, self._order, rhs, work, out)
+        values = check_vector("rhs", rhs, self.n)
+        solve_factor(*self._lower, *self._upper, self._inverse, self._order, values, work, out)
         return out
 
 
@@ -215,12 +216,13 @@ def _factor(
 
 def _in_quads(
     matrix: sparse.csr_array, kind: np.dtype[np.floating]
-) -> tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.floating]]:
-    """Return where the rows start, columns and values, all in groups of four entries."""
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.floating]]:
+    """Return the rows of a matrix in groups of four entries, for `solve_factor`."""
     from spectra_kit.linalg._incomplete_kernels import fill_quads
 
     quads = np.zeros(matrix.shape[0] + 1, dtype=np.int64)
     np.cumsum(-(-np.diff(matrix.indptr) // 4), out=quads[1:])
-    columns, values = np.empty(4 * quads[-1], np.uint32), np.empty(4 * quads[-1], kind)
+    columns, values = np.empty((quads[-1], 4), np.uint32), np.empty((quads[-1], 4), kind)
     fill_quads(matrix.indptr, matrix.indices, matrix.data, quads, columns, values)
-    return quads, columns, values
+    # Unsigned: the compiled loops need not test for negative indices.
+    return quads.astype(np.uint32), columns, values

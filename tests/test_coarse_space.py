@@ -1,0 +1,163 @@
+"""Coarse spaces: exact on their span, the same for every basis of it."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from spectra_kit import InvalidInputError, delaunay_laplacian, eigensolve
+from spectra_kit.geometry import creature
+from spectra_kit.linalg import (
+    AdditiveTwoLevel,
+    CoarseSpace,
+    ConstantKernel,
+    IncompleteCholesky,
+    ProjectedTwoLevel,
+    pcg,
+)
+
+RNG = np.random.default_rng(0)
+
+
+class Body:
+    """A Laplacian with modes of it, and a system to solve."""
+
+    def __init__(self):
+        self.laplacian = delaunay_laplacian(creature(1200, seed=1).as_cloud())
+        self.A, self.n = self.laplacian.stiffness, self.laplacian.n
+        spectrum = eigensolve(self.laplacian, 17)
+        self.all_modes = spectrum.eigenvectors
+        self.Y, self.energies = spectrum.nonzero().eigenvectors, spectrum.nonzero().eigenvalues
+        self.kernel = ConstantKernel(np.zeros(self.n, int))
+        self.b = self.kernel.remove(self.A @ np.linalg.norm(self.laplacian.points, axis=1))
+        self.factor = IncompleteCholesky(self.A)
+
+
+@pytest.fixture(scope="module")
+def body():
+    return Body()
+
+
+def test_it_solves_exactly_within_its_span(body):
+    coefficients = RNG.standard_normal(16)
+    x = body.Y @ coefficients
+    for options in ({"energies": body.energies}, {"matrix": body.A}):
+        coarse = CoarseSpace(body.Y, dtype=np.float64, **options)
+        np.testing.assert_allclose(coarse.solve(body.A @ x), x, atol=1e-8)
+        assert coarse.dimension == 16
+    single = CoarseSpace(body.Y, energies=body.energies)
+    np.testing.assert_allclose(single.solve(body.A @ x), x, atol=1e-5 * np.abs(x).max())
+
+
+def test_a_general_basis_of_the_same_span_gives_the_same_iterates(body):
+    mixed = body.Y @ RNG.standard_normal((16, 16)) * np.geomspace(1e-6, 1e6, 16)
+    runs = []
+    for coarse in (
+        CoarseSpace(body.Y, energies=body.energies, dtype=np.float64),
+        CoarseSpace(mixed, matrix=body.A, dtype=np.float64),
+    ):
+        both = AdditiveTwoLevel(body.factor, coarse)
+        start = coarse.solve(body.b)
+        runs.append(pcg(body.A, body.b, preconditioner=both, start=start, kernel=body.kernel))
+    diagonal, general = runs
+    assert diagonal.iterations == general.iterations
+    np.testing.assert_allclose(general.residual_norms, diagonal.residual_norms, rtol=1e-5)
+    np.testing.assert_allclose(general.x, diagonal.x, atol=1e-7)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_dependent_columns_and_the_kernel_are_dropped(body, dtype):
+    doubled = np.hstack([body.Y, 3 * body.Y[:, :5], np.ones((body.n, 1)), np.zeros((body.n, 1))])
+    mixed = body.all_modes @ RNG.standard_normal((17, 17))  # the constant is in all of them
+    plain = CoarseSpace(body.Y, energies=body.energies, dtype=np.float64)
+    for basis in (doubled, mixed):
+        coarse = CoarseSpace(basis, matrix=body.A, dtype=dtype)
+        assert coarse.dimension == 16
+        found = body.kernel.remove(coarse.solve(body.b))
+        size = np.abs(found).max()
+        tolerance = 1e-7 if dtype == np.float64 else 1e-4
+        np.testing.assert_allclose(
+            found, body.kernel.remove(plain.solve(body.b)), atol=tolerance * size
+        )
+
+
+def test_galerkin_energies_of_a_space_that_is_not_invariant(body):
+    basis = RNG.standard_normal((body.n, 6))
+    coarse = CoarseSpace(basis, matrix=body.A, dtype=np.float64)
+    x = coarse.solve(body.b)
+    np.testing.assert_allclose(basis.T @ (body.b - body.A @ x), 0, atol=1e-10)
+
+
+def test_additive_is_the_sum(body):
+    coarse = CoarseSpace(body.Y, energies=body.energies)
+    both = AdditiveTwoLevel(body.factor, coarse)
+    np.testing.assert_allclose(
+        both.solve(body.b), body.factor.solve(body.b) + coarse.solve(body.b), rtol=1e-12
+    )
+    assert both.seconds == body.factor.seconds + coarse.seconds
+
+
+def test_projection_never_sees_an_invariant_subspace(body):
+    # Residuals have no component in it, and its eigenvalues may be anything.
+    coarse = CoarseSpace(body.Y, energies=body.energies, dtype=np.float64)
+    seen = []
+
+    class Watched(ProjectedTwoLevel):
+        def solve(self, rhs):
+            seen.append(np.abs(body.Y.T @ rhs).max() / np.linalg.norm(rhs))
+            return super().solve(rhs)
+
+    projected = Watched(body.factor, coarse, body.A)
+    first = pcg(body.A, body.b, preconditioner=projected, kernel=body.kernel, rtol=1e-6)
+    assert max(seen) < 1e-9
+
+    stiffer = np.linspace(2, 3, 16) * body.energies  # added to A on the modes alone
+    weighted = body.laplacian.mass[:, None] * body.Y
+    A = sparse.csr_array(body.A.toarray() + (weighted * stiffer) @ weighted.T)
+    coarse = CoarseSpace(body.Y, energies=body.energies + stiffer, dtype=np.float64)
+    projected = ProjectedTwoLevel(body.factor, coarse, A)
+    second = pcg(A, body.b, preconditioner=projected, kernel=body.kernel, rtol=1e-6)
+    assert second.iterations == first.iterations
+
+
+def test_projection_forgives_an_inexact_inverse(body):
+    # Energies wrong by 5 % would ruin plain deflation.
+    wrong = body.energies * RNG.uniform(0.95, 1.05, 16)
+    right = CoarseSpace(body.Y, energies=body.energies)
+    its = [
+        pcg(
+            body.A,
+            body.b,
+            preconditioner=ProjectedTwoLevel(body.factor, coarse, body.A),
+            kernel=body.kernel,
+        ).iterations
+        for coarse in (right, CoarseSpace(body.Y, energies=wrong))
+    ]
+    assert its[1] <= its[0] + 8
+
+
+def test_what_is_refused(body):
+    Y, energies, A = body.Y, body.energies, body.A
+    with pytest.raises(InvalidInputError, match="must be given, got neither"):
+        CoarseSpace(Y)
+    with pytest.raises(InvalidInputError, match="must be given, got both"):
+        CoarseSpace(Y, energies=energies, matrix=A)
+    with pytest.raises(InvalidInputError, match="`energies` must be positive"):
+        CoarseSpace(Y, energies=0 * energies)
+    with pytest.raises(InvalidInputError, match=r"`energies` must have shape \(16,\), got \(3,\)"):
+        CoarseSpace(Y, energies=energies[:3])
+    with pytest.raises(InvalidInputError, match=r"`basis` must have shape \(n, k\).*columns"):
+        CoarseSpace(Y.T, energies=energies)
+    with pytest.raises(InvalidInputError, match="`basis` must be finite"):
+        CoarseSpace(np.where(Y > 0, np.inf, Y), energies=energies)
+    with pytest.raises(InvalidInputError, match=r"`matrix` must have shape \(1200, 1200\)"):
+        CoarseSpace(Y, matrix=sparse.eye_array(3, format="csr"))
+    with pytest.raises(InvalidInputError, match="`basis` must not lie in the kernel"):
+        CoarseSpace(np.ones((body.n, 2)), matrix=A)
+    coarse = CoarseSpace(Y, energies=energies)
+    with pytest.raises(InvalidInputError, match=r"`rhs` must have shape \(1200,\)"):
+        coarse.solve(body.b[:5])
+    small = IncompleteCholesky(sparse.eye_array(3, format="csr"))
+    with pytest.raises(InvalidInputError, match="of one size, got 3 and 1200 points"):
+        AdditiveTwoLevel(small, coarse)
+    with pytest.raises(InvalidInputError, match="and a matrix of 3"):
+        ProjectedTwoLevel(small, coarse, sparse.eye_array(3, format="csr"))

@@ -1,0 +1,79 @@
+"""The direct solver of singular Laplacians."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from spectra_kit import InvalidInputError, delaunay_laplacian
+from spectra_kit.geometry import sphere, torus
+from spectra_kit.linalg import ConstantKernel, GroundedCholesky
+
+RNG = np.random.default_rng(0)
+
+
+@pytest.fixture(scope="module")
+def laplacian():
+    return delaunay_laplacian(torus().geometry.as_cloud())
+
+
+def test_eigenvectors_are_solutions():
+    # x, y, z are eigenfunctions of the sphere: L x = 2 M x, up to the error of the mesh.
+    ball = sphere(subdivisions=4).geometry
+    laplacian = delaunay_laplacian(ball.as_cloud())
+    rhs = 2 * laplacian.mass * ball.points[:, 0]
+    kernel = ConstantKernel(laplacian.component_labels)
+    x = GroundedCholesky(laplacian.stiffness, kernel).solve(kernel.remove(rhs))
+    np.testing.assert_allclose(x, ball.points[:, 0], atol=0.01)
+
+
+def test_against_scipy_and_whichever_point_is_held(laplacian):
+    A, n = laplacian.stiffness, laplacian.n
+    kernel = ConstantKernel(np.zeros(n, int))
+    rhs = kernel.remove(RNG.standard_normal(n))
+    truth = np.zeros(n)
+    truth[:-1] = spsolve(sparse.csc_array(A[:-1][:, :-1]), rhs[:-1])  # the last one here
+    solution = GroundedCholesky(A, kernel).solution(rhs)
+    np.testing.assert_allclose(solution.x, truth - truth.mean(), atol=1e-10)
+    assert solution.converged
+    assert (solution.iterations, solution.method) == (0, "Cholesky")
+    assert solution.relative_residual < 1e-12
+    assert solution.setup_seconds > 0
+    assert solution.times == [solution.seconds]
+
+
+def test_components_with_and_without_a_kernel(laplacian):
+    held = sparse.csr_array(laplacian.stiffness + sparse.eye_array(laplacian.n))
+    A = sparse.csr_array(sparse.block_diag([held, laplacian.stiffness, sparse.csr_array((1, 1))]))
+    kernel = ConstantKernel([-1] * laplacian.n + [4] * laplacian.n + [2])  # labels with gaps
+    assert kernel.dimension == 2
+    x = kernel.remove(RNG.standard_normal(A.shape[0]))
+    np.testing.assert_allclose(GroundedCholesky(A, kernel).solve(A @ x), x, atol=1e-10)
+
+
+def test_without_a_kernel():
+    A = sparse.csr_array(np.array([[2.0, -1.0], [-1.0, 2.0]]))
+    np.testing.assert_allclose(GroundedCholesky(A).solve([1.0, 1.0]), [1.0, 1.0])
+
+
+def test_nothing_but_kernel():
+    lone = GroundedCholesky(sparse.csr_array((2, 2)), ConstantKernel([0, 1]))
+    np.testing.assert_array_equal(lone.solve([0.0, 0.0]), [0.0, 0.0])
+    assert lone.solution([0.0, 0.0]).relative_residual == 0
+
+
+def test_what_is_refused(laplacian):
+    A, n = laplacian.stiffness, laplacian.n
+    kernel = ConstantKernel(np.zeros(n, int))
+    with pytest.raises(InvalidInputError, match="`rhs` must sum to zero on each component"):
+        GroundedCholesky(A, kernel).solve(np.ones(n))
+    with pytest.raises(InvalidInputError, match="`rhs` must be finite"):
+        GroundedCholesky(A, kernel).solve(np.full(n, np.nan))
+    with pytest.raises(InvalidInputError, match="`matrix` must be symmetric"):
+        GroundedCholesky(sparse.csr_array(np.array([[1.0, 0.5], [0.0, 1.0]])))
+    with pytest.raises(InvalidInputError, match="must be symmetric positive definite"):
+        GroundedCholesky(sparse.csr_array(np.array([[1.0, 2.0], [2.0, 1.0]])))
+    # Definite, but a solution has no correct digit: the residual is that of its rounding.
+    hilbert = sparse.csr_array(1 / (1.0 + np.add.outer(np.arange(12), np.arange(12))))
+    with pytest.raises(InvalidInputError, match="`matrix` must be nonsingular apart from `kernel`"):
+        GroundedCholesky(hilbert).solve((-1.0) ** np.arange(12))

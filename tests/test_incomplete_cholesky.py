@@ -1,0 +1,206 @@
+"""Incomplete factors: exact where nothing is dropped, positive definite where something is."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from spectra_kit import InvalidInputError, TriangleMesh, cotan_laplacian, delaunay_laplacian
+from spectra_kit.geometry import creature, sphere
+from spectra_kit.linalg import ConstantKernel, IncompleteCholesky, pcg
+
+RNG = np.random.default_rng(0)
+
+
+def path(n, ends=1.0):
+    """The 1-D Laplacian; singular for ends=1, with zeros beyond both ends for 2."""
+    diagonal = np.full(n, 2.0)
+    diagonal[[0, -1]] = ends
+    off = -np.ones(n - 1)
+    return sparse.csr_array(sparse.diags_array([off, diagonal, off], offsets=[-1, 0, 1]))
+
+
+def dense(factor):
+    """The matrix that `solve` applies."""
+    return np.array([factor.solve(unit) for unit in np.eye(factor.n)]).T
+
+
+def obtuse():
+    """Cotangents of needles: entries of either sign above the diagonal, but semi-definite."""
+    ball = sphere(subdivisions=2).geometry
+    return cotan_laplacian(TriangleMesh(ball.points * [1, 1, 6], ball.faces)).stiffness
+
+
+@pytest.fixture(scope="module")
+def stiffness():
+    return delaunay_laplacian(sphere(subdivisions=2).geometry.as_cloud()).stiffness
+
+
+@pytest.mark.parametrize("reorder", [True, False])
+@pytest.mark.parametrize("relaxation", [0.0, 0.9])
+def test_a_path_is_factorised_exactly(reorder, relaxation):
+    matrix = path(200, ends=2.0)
+    factor = IncompleteCholesky(matrix, reorder=reorder, relaxation=relaxation)
+    rhs = RNG.standard_normal(200)
+    assert factor.fill == 199
+    np.testing.assert_allclose(factor.solve(rhs), spsolve(matrix.tocsc(), rhs), rtol=1e-9)
+
+
+def test_level_zero_matches_its_definition(stiffness):
+    # The product of the factors equals A wherever A has an entry (Meijerink & van der Vorst).
+    matrix = stiffness + sparse.eye_array(stiffness.shape[0])
+    product = np.linalg.inv(dense(IncompleteCholesky(matrix)))
+    pattern = matrix.toarray() != 0
+    np.testing.assert_allclose(product[pattern], matrix.toarray()[pattern], atol=1e-10)
+    assert np.abs(product[~pattern]).max() > 1e-3
+
+
+@pytest.mark.parametrize("drop", [None, 0.02])
+def test_full_relaxation_is_exact_on_constants(stiffness, drop):
+    matrix = sparse.csr_array(stiffness + 0.1 * sparse.eye_array(stiffness.shape[0]))
+    ones = np.ones(matrix.shape[0])
+    factor = IncompleteCholesky(matrix, relaxation=1.0, drop=drop)
+    np.testing.assert_allclose(factor.solve(matrix @ ones), ones, rtol=1e-10)
+
+
+@pytest.mark.parametrize("reorder", [True, False])
+def test_without_dropping_the_factor_is_complete(stiffness, reorder):
+    matrix = sparse.csr_array(stiffness + 1e-3 * sparse.eye_array(stiffness.shape[0]))
+    rhs = RNG.standard_normal(matrix.shape[0])
+    x = IncompleteCholesky(matrix, drop=0.0, reorder=reorder).solve(rhs)
+    np.testing.assert_allclose(x, spsolve(matrix.tocsc(), rhs), rtol=1e-9)
+
+
+def test_a_singular_matrix_is_inverted_on_its_range(stiffness):
+    n = stiffness.shape[0]
+    both = sparse.csr_array(sparse.block_diag([stiffness, path(50), sparse.csr_array((1, 1))]))
+    x = RNG.standard_normal(n + 51)
+    factor = IncompleteCholesky(both, drop=0.0)
+    assert factor.shift == 0
+    kernel = ConstantKernel([0] * n + [1] * 50 + [2])
+    found = kernel.remove(factor.solve(both @ x))
+    np.testing.assert_allclose(found, kernel.remove(x), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"relaxation": 0.97}, {"drop": 0.03}, {"drop": 0.01, "max_fill": 4, "relaxation": 0.9}],
+    ids=str,
+)
+@pytest.mark.parametrize("matrix", ["delaunay", "obtuse"])
+def test_the_preconditioner_is_symmetric_and_definite(stiffness, matrix, options):
+    factor = IncompleteCholesky(stiffness if matrix == "delaunay" else obtuse(), **options)
+    applied = dense(factor)
+    np.testing.assert_allclose(applied, applied.T, atol=1e-10 * np.abs(applied).max())
+    assert np.linalg.eigvalsh(applied).min() > 0
+
+
+def test_more_fill_is_a_better_factor(stiffness):
+    rhs = RNG.standard_normal(stiffness.shape[0])
+    rhs -= rhs.mean()
+    factors = [IncompleteCholesky(stiffness, drop=drop) for drop in (None, 0.02, 0.005, 0.0)]
+    its = [pcg(stiffness, rhs, preconditioner=factor).iterations for factor in factors]
+    assert [f.fill for f in factors] == sorted(f.fill for f in factors)
+    assert its == sorted(its, reverse=True)
+    assert its[-1] == 1
+
+
+def test_max_fill_keeps_the_largest(stiffness):
+    free = IncompleteCholesky(stiffness, drop=0.0, reorder=False)
+    capped = IncompleteCholesky(stiffness, drop=0.0, max_fill=5, reorder=False)
+    assert capped.fill <= 5 * capped.n < free.fill
+    none = IncompleteCholesky(stiffness, drop=0.0, max_fill=0)
+    np.testing.assert_allclose(none.solve(stiffness.diagonal()), 1.0)  # Jacobi
+
+
+def test_a_shuffled_mesh_takes_no_more_iterations():
+    matrix = cotan_laplacian(sphere(subdivisions=4).geometry).stiffness
+    n = matrix.shape[0]
+    order = RNG.permutation(n)
+    shuffled = sparse.csr_array(matrix[order][:, order])
+    rhs = RNG.standard_normal(n)
+    rhs -= rhs.mean()
+
+    def iterations(reorder):
+        factor = IncompleteCholesky(shuffled, reorder=reorder)
+        return pcg(shuffled, rhs[order], preconditioner=factor).iterations
+
+    tidy = pcg(matrix, rhs, preconditioner=IncompleteCholesky(matrix, reorder=True)).iterations
+    assert iterations(None) == iterations(True) <= 1.1 * tidy < iterations(False)
+
+
+def test_breakdown_raises_the_diagonal_and_says_so():
+    # Positive definite, but its level-zero factor meets a negative pivot (Kershaw, 1978).
+    kershaw = sparse.csr_array(
+        np.array([[3.0, -2, 0, 2], [-2, 3, -2, 0], [0, -2, 3, -2], [2, 0, -2, 3]])
+    )
+    factor = IncompleteCholesky(kershaw, reorder=False)
+    assert factor.shift > 0
+    assert "shift" in repr(factor)
+    assert np.linalg.eigvalsh(dense(factor)).min() > 0
+    x = RNG.standard_normal(4)
+    found = pcg(kershaw, kershaw @ x, preconditioner=factor, rtol=1e-12)
+    np.testing.assert_allclose(found.x, x, rtol=1e-10)
+
+
+@pytest.mark.parametrize(("drop", "relaxation"), [(None, 0.0), (0.01, 0.97)])
+def test_storage_in_float32_changes_little(stiffness, drop, relaxation):
+    rhs = RNG.standard_normal(stiffness.shape[0])
+    rhs -= rhs.mean()
+    options = {"drop": drop, "relaxation": relaxation}
+    single, double = (
+        pcg(stiffness, rhs, preconditioner=IncompleteCholesky(stiffness, dtype=dtype, **options))
+        for dtype in (np.float32, np.float64)
+    )
+    assert abs(single.iterations - double.iterations) <= 1
+
+
+def test_hub_and_isolated_points():
+    # A fan of 500 triangles about one vertex, and a point in none.
+    n = 500
+    angle = 2 * np.pi * np.arange(n) / n
+    rim = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    around = np.arange(n)
+    mesh = TriangleMesh(
+        np.vstack([rim, [[0, 0, 0.3]]]), np.column_stack([around, (around + 1) % n, n + 0 * around])
+    )
+    matrix = sparse.csr_array(
+        sparse.block_diag([cotan_laplacian(mesh).stiffness, sparse.csr_array((1, 1))])
+    )
+    rhs = matrix @ RNG.standard_normal(n + 2)
+    kernel = ConstantKernel([0] * (n + 1) + [1])
+    for options in ({}, {"drop": 0.01, "relaxation": 0.97}):
+        factor = IncompleteCholesky(matrix, **options)
+        assert pcg(matrix, rhs, preconditioner=factor, kernel=kernel).converged
+
+
+def test_same_bits_again():
+    matrix = delaunay_laplacian(creature(600, seed=0).as_cloud()).stiffness
+    rhs = RNG.standard_normal(matrix.shape[0])
+    first, second = (
+        IncompleteCholesky(matrix, drop=0.01, max_fill=7, relaxation=0.9).solve(rhs)
+        for _ in range(2)
+    )
+    np.testing.assert_array_equal(first, second)
+
+
+def test_what_is_refused():
+    eye = sparse.eye_array(3, format="csr")
+    with pytest.raises(InvalidInputError, match=r"relaxation.*\[0, 1\], got 1.5"):
+        IncompleteCholesky(eye, relaxation=1.5)
+    with pytest.raises(InvalidInputError, match="`max_fill` must come with `drop`"):
+        IncompleteCholesky(eye, max_fill=3)
+    with pytest.raises(InvalidInputError, match="`drop` must be a finite number"):
+        IncompleteCholesky(eye, drop=-1.0)
+    with pytest.raises(InvalidInputError, match="`dtype` must be float32 or float64"):
+        IncompleteCholesky(eye, dtype=np.int32)
+    with pytest.raises(InvalidInputError, match=r"square scipy sparse array.*\(3, 2\)"):
+        IncompleteCholesky(sparse.csr_array(np.ones((3, 2))))
+    with pytest.raises(InvalidInputError, match="`matrix` must be finite, got 1 NaN"):
+        IncompleteCholesky(sparse.csr_array(np.diag([1.0, np.nan, 1.0])))
+    with pytest.raises(InvalidInputError, match="diagonal goes down to -1"):
+        IncompleteCholesky(-1 * eye)
+    with pytest.raises(InvalidInputError, match="breaks down in row 1, even with the diagonal"):
+        IncompleteCholesky(sparse.csr_array(np.array([[1.0, 9.0], [9.0, 1.0]])), reorder=False)
+    with pytest.raises(InvalidInputError, match=r"`rhs` must have shape \(3,\), got \(2,\)"):
+        IncompleteCholesky(eye).solve(np.ones(2))
