@@ -16,6 +16,43 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32] | NDArray[np.int64]
 
+_MOST = 1023
+_POWERS = 2.0 ** np.arange(-1074.0, _MOST + 1)  # a look-up is quicker than `ldexp`
+
+
+@njit(nogil=True, cache=True)
+def _power(exponent: int) -> float:
+    """Two to the power of `exponent`, the nearest there is."""
+    return float(_POWERS[min(max(exponent, -1074), _MOST) + 1074])
+
+
+@njit(nogil=True, cache=True)
+def edge_costs(
+    starts: Ints, columns: Ints, entries: Floats, diagonal: Floats, points: Floats, decay: float
+) -> Floats:
+    """Return how much ``-log u`` may grow along each entry of ``M + t L`` (CSR), at most.
+
+    By `decay` times the length of the edge; or less, as a value is at least its neighbour's times
+    their entry over the diagonal one: along edges far longer than ``1 / decay`` heat decays less
+    than exponentially. Infinite where an entry is zero.
+    """
+    found = np.empty(len(entries))
+    for i in range(len(starts) - 1):
+        for p in range(starts[i], starts[i + 1]):
+            j = columns[p]
+            square = 0.0
+            for c in range(3):
+                square += (points[i, c] - points[j, c]) ** 2
+            cost = decay * math.sqrt(square)
+            if i != j:
+                weight = -entries[p]
+                if weight <= 0.0:
+                    cost = np.inf
+                elif cost > 1.0:
+                    cost = min(cost, math.log(max(diagonal[i], diagonal[j]) / weight))
+            found[p] = cost
+    return found
+
 
 @njit(nogil=True, cache=True)
 def scaled_entries(
@@ -25,8 +62,8 @@ def scaled_entries(
     for i in range(len(starts) - 1):
         for p in range(starts[i], starts[i + 1]):
             shift = exponents[columns[p]] - exponents[i]
-            forward[p] = math.ldexp(entries[p], shift)
-            backward[p] = math.ldexp(entries[p], -shift)
+            forward[p] = entries[p] * _power(shift)
+            backward[p] = entries[p] * _power(-shift)
 
 
 @njit(nogil=True, cache=True)
@@ -92,9 +129,9 @@ def divergence_of_directions(
     for t in range(len(corners)):
         i, j, k = corners[t, 0], corners[t, 1], corners[t, 2]
         top = max(exponents[i], exponents[j], exponents[k])
-        a = math.ldexp(values[i], exponents[i] - top)
-        b = math.ldexp(values[j], exponents[j] - top)
-        c = math.ldexp(values[k], exponents[k] - top)
+        a = values[i] * _power(exponents[i] - top)
+        b = values[j] * _power(exponents[j] - top)
+        c = values[k] * _power(exponents[k] - top)
         ij, jk, ki = lengths[t, 0], lengths[t, 1], lengths[t, 2]
         # Heron's formula in the form of Kahan would need sorting; sides are mollified instead.
         square = (ij + jk + ki) * (jk + ki - ij) * (ki + ij - jk) * (ij + jk - ki)

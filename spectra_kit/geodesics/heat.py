@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from typing import Literal
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._validate import check_positive
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics.heat_step import Heat, HeatStep
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import (
@@ -27,11 +28,22 @@ from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.geodesics.system import System
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.linalg.constant_kernel import ConstantKernel
+from spectra_kit.linalg.solution import LinearSolution
+from spectra_kit.linalg.threads import in_threads
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
 Boundary = Literal["neumann", "dirichlet", "average"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Ready:
+    """What one choice of solvers needs before any source is known, and the time it took."""
+
+    steps: Mapping[Boundary, HeatStep]
+    poisson: PoissonSolver
+    seconds: float
 
 
 class HeatGeodesics:
@@ -128,8 +140,7 @@ class HeatGeodesics:
         self._geometry, self._spectrum, self._solver = geometry, spectrum, solver
         self._boundary: Boundary = boundary
         self.time_step = time_coefficient * self.triangulation.mean_edge_length**2
-        self._steps: dict[tuple[str, bool], HeatStep] = {}
-        self._solvers: dict[Direct | Iterative, PoissonSolver] = {}
+        self._ready: dict[Direct | Iterative, _Ready] = {}
 
     def distance(self, sources: SourcesLike, *, weights: ArrayLike | None = None) -> DistanceField:
         """Measure the distance of every point to the nearest of several sources.
@@ -155,7 +166,8 @@ class HeatGeodesics:
             If there is no source, one is out of range or in a vertex without faces, or all those
             of a component are on its boundary, which ``boundary="dirichlet"`` keeps cold.
         ConvergenceError
-            If an iterative solver stops short; `partial` then holds what it had.
+            If an iterative solver stops short: `partial` is the `DistanceField` of what it had
+            (None if that was the heat step).
         """
         return self._distance(check_sources(sources, self._geometry, weights), 1)
 
@@ -176,60 +188,81 @@ class HeatGeodesics:
 
     def _distance(self, sources: Sources, count: int) -> DistanceField:
         options, choice = self._options(count)
-        system = self._system
-        steps, poisson = self._heat_steps(options), self._poisson(options)
-        heat = self._heat(steps, sources.right_hand_side()[system.order])
+        system, ready = self._system, self._prepare(options)
+        heat = self._heat(ready.steps, system.inwards(sources.right_hand_side()))
         start = time.perf_counter()
         flow = system.flow(heat)
         directions = time.perf_counter() - start
-        solution = poisson.solution(flow)
-        return DistanceField(
-            distance=system.distance(solution.x, sources),
-            sources=sources,
-            time_step=self.time_step,
-            choice=choice,
-            heat=heat,
-            poisson=solution,
-            seconds={
-                "triangulation": self.triangulation.seconds,
-                "setup": sum(step.seconds for step in steps.values()) + poisson.seconds,
-                "heat": heat.seconds,
-                "directions": directions,
-                "poisson": solution.seconds,
-            },
-        )
+
+        def field(solution: LinearSolution) -> DistanceField:
+            potential = system.outwards(solution.x)
+            return DistanceField(
+                distance=system.distance(potential, sources),
+                sources=sources,
+                time_step=self.time_step,
+                choice=choice,
+                heat=heat.moved(system.outwards),
+                poisson=replace(solution, x=potential),
+                seconds={
+                    "triangulation": self.triangulation.seconds,
+                    "setup": ready.seconds,
+                    "heat": heat.seconds,
+                    "directions": directions,
+                    "poisson": solution.seconds,
+                },
+            )
+
+        try:
+            return field(ready.poisson.solution(flow))
+        except ConvergenceError as error:
+            if not isinstance(error.partial, LinearSolution):
+                raise
+            raise ConvergenceError(str(error), partial=field(error.partial)) from error
 
     @cached_property
     def _system(self) -> System:
         return System.of(self.triangulation)
 
-    def _heat_steps(self, options: Direct | Iterative) -> dict[str, HeatStep]:
-        """Return the heat steps of the boundary conditions that take part, factorised once."""
-        direct = isinstance(options, Direct)
-        wanted = ("neumann", "dirichlet") if self._boundary == "average" else (self._boundary,)
+    def _prepare(self, options: Direct | Iterative) -> _Ready:
+        """Factorise what both steps need, side by side, or return it if that is done."""
+        if options not in self._ready:
+            start = time.perf_counter()
+            steps: dict[Boundary, HeatStep] = {}
+            poisson: list[PoissonSolver] = []
+            in_threads(
+                lambda task: task(),
+                [
+                    (lambda: steps.update(self._heat_steps(options)),),
+                    (lambda: poisson.append(self._poisson(options)),),
+                ],
+            )
+            self._ready[options] = _Ready(steps, poisson[0], time.perf_counter() - start)
+        return self._ready[options]
+
+    def _heat_steps(self, options: Direct | Iterative) -> dict[Boundary, HeatStep]:
+        """Return the heat step of each boundary condition that takes part."""
+        wanted: tuple[Boundary, ...] = (self._boundary,)
+        if self._boundary == "average":
+            wanted = ("neumann", "dirichlet")
         if self._system.inside.all():
             wanted = ("neumann",)
-        for condition in wanted:
-            if (condition, direct) not in self._steps:
-                inside = self._system.inside if condition == "dirichlet" else None
-                self._steps[condition, direct] = HeatStep(
-                    self._system, duration=self.time_step, inside=inside, direct=direct
-                )
-        return {condition: self._steps[condition, direct] for condition in wanted}
+        return {
+            condition: HeatStep(
+                self._system,
+                duration=self.time_step,
+                inside=self._system.inside if condition == "dirichlet" else None,
+                direct=isinstance(options, Direct),
+            )
+            for condition in wanted
+        }
 
     def _poisson(self, options: Direct | Iterative) -> PoissonSolver:
-        if options not in self._solvers:
-            system = self._system
-            kernel = ConstantKernel(system.labels)
-            if isinstance(options, Direct):
-                self._solvers[options] = DirectPoisson(system.stiffness, kernel)
-            else:
-                self._solvers[options] = IterativePoisson(
-                    system.stiffness, kernel, options, self._spectrum, system.order
-                )
-        return self._solvers[options]
+        stiffness, kernel = self._system.stiffness, ConstantKernel(self._system.labels)
+        if isinstance(options, Direct):
+            return DirectPoisson(stiffness, kernel)
+        return IterativePoisson(stiffness, kernel, options, self._spectrum, self._system.order)
 
-    def _heat(self, steps: dict[str, HeatStep], heated: Floats) -> Heat:
+    def _heat(self, steps: Mapping[Boundary, HeatStep], heated: Floats) -> Heat:
         """Return the heat of all steps together; a cold boundary takes what is put on it."""
         system = self._system
         sourced = np.unique(system.labels[heated > 0])
@@ -249,7 +282,9 @@ class HeatGeodesics:
     def _options(self, count: int) -> tuple[Direct | Iterative, str]:
         if isinstance(self._solver, Automatic):
             count = max(count, self._solver.n_sources)
-            options, why = self._solver.choose(self.triangulation.n, count)
+            options, why = self._solver.choose(
+                self.triangulation.n, count, modes=self._spectrum is not None
+            )
             return options, f"{self._name(options)}: {why}"
         return self._solver, f"{self._name(self._solver)}: as asked"
 

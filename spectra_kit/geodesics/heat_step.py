@@ -1,16 +1,17 @@
-"""`HeatStep`: one implicit step of heat flow, right to the last digit of the least warm point."""
+"""`HeatStep`: one implicit step of heat flow, right to the last digit of the coldest point."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from spectra_kit.errors import ConvergenceError
 from spectra_kit.linalg.cholesky import SparseCholesky
@@ -65,11 +66,19 @@ class Heat:
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(self.values) + np.log(2.0) * self.exponents)
 
+    def moved(self, move: Callable[[NDArray[Any]], NDArray[Any]]) -> Heat:
+        """Return the same on points in another order or number."""
+        return replace(self, values=move(self.values), exponents=move(self.exponents))
+
     def spread(self, inside: NDArray[np.bool_]) -> Heat:
         """Return the same on all points, of which these are those `inside`; the others are cold."""
-        values, exponents = np.zeros(len(inside)), np.zeros(len(inside), dtype=np.int32)
-        values[inside], exponents[inside] = self.values, self.exponents
-        return replace(self, values=values, exponents=exponents)
+
+        def move(values: NDArray[Any]) -> NDArray[Any]:
+            every = np.zeros(len(inside), values.dtype)
+            every[inside] = values
+            return every
+
+        return self.moved(move)
 
     def plus(self, other: Heat) -> Heat:
         """Return the sum of two heats."""
@@ -154,21 +163,20 @@ class HeatStep:
         return sparse.csr_array(upper.T.tocsr()), inverse
 
     @cached_property
-    def _costs(self) -> sparse.csr_array:
-        """How much ``-log u`` may grow along each edge, at most.
+    def _labels(self) -> NDArray[np.int32]:
+        """Connected components of the points that are not kept at zero."""
+        return np.asarray(connected_components(self._matrix, directed=False)[1])
 
-        A value is at least its neighbour's times their entry over the diagonal one: that holds
-        along edges far longer than sqrt(t), where the heat decays less than exponentially.
-        """
-        edges = sparse.coo_array(self._matrix)
-        apart = (edges.row != edges.col) & (edges.data < 0)
-        i, j, entry = edges.row[apart], edges.col[apart], -edges.data[apart]
-        diagonal = self._matrix.diagonal()
-        drop = np.log(np.maximum(diagonal[i], diagonal[j]) / entry)
-        length = np.linalg.norm(self._points[i] - self._points[j], axis=1)
-        # Zero would be no edge.
-        cost = np.maximum(np.minimum(_DECAY * length / self._root, drop), 1e-12)
-        return sparse.csr_array((cost, (i, j)), shape=self._matrix.shape)
+    @cached_property
+    def _costs(self) -> sparse.csr_array:
+        """How much ``-log u`` may grow along each edge, at most."""
+        from spectra_kit.geodesics._kernels import edge_costs
+
+        A = self._matrix
+        costs = edge_costs(
+            A.indptr, A.indices, A.data, A.diagonal(), self._points, _DECAY / self._root
+        )
+        return sparse.csr_array((costs, A.indices, A.indptr), shape=A.shape)
 
     def solve(self, rhs: Floats) -> Heat:
         """Return u for b = `rhs` (n,), not negative and not zero.
@@ -187,27 +195,25 @@ class HeatStep:
         start = time.perf_counter()
         sources = np.flatnonzero(rhs)
         rhs = rhs / rhs.max()
+        if self._complete is not None:
+            reached = np.isin(self._labels, np.unique(self._labels[sources]))
+            lifted = np.ldexp(rhs, _LIFT)
+            u = self._complete.solve(lifted)
+            if (u[reached] > _FLOOR).all() and np.isfinite(u).all():
+                return self._direct(lifted, np.where(reached, u, 0.0), start)
         cost = dijkstra(self._costs, indices=sources, min_only=True)
         reached = np.isfinite(cost)
-        if self._complete is not None:
-            u = self._complete.solve(np.ldexp(rhs, _LIFT))
-            if (u[reached] > _FLOOR).all() and np.isfinite(u).all():
-                values, exponents = np.frexp(np.where(reached, u, 0.0))
-                return self._checked(rhs, values, exponents - _LIFT, start)
         guess = np.where(reached, np.rint(np.where(reached, cost, 0.0) / -np.log(2)), 0.0)
         return self._iterate(rhs, guess.astype(np.int32), start)
 
-    def _checked(self, rhs: Floats, values: Floats, exponents: Ints, start: float) -> Heat:
-        from spectra_kit.geodesics._kernels import residual, scaled_entries
+    def _direct(self, lifted: Floats, u: Floats, start: float) -> Heat:
+        from spectra_kit.geodesics._kernels import residual
 
         A = self._matrix
-        entries = np.empty_like(A.data)
-        scaled_entries(A.indptr, A.indices, A.data, exponents, entries, np.empty_like(A.data))
-        share = residual(
-            A.indptr, A.indices, entries, np.ldexp(rhs, -exponents), values, np.empty_like(rhs)
-        )
+        share = residual(A.indptr, A.indices, A.data, lifted, u, np.empty_like(u))
+        values, exponents = np.frexp(u)
         seconds = time.perf_counter() - start
-        return Heat(values, exponents, "Cholesky", 0, share, seconds)
+        return Heat(values, exponents - _LIFT, "Cholesky", 0, share, seconds)
 
     def _iterate(self, rhs: Floats, exponents: Ints, start: float) -> Heat:
         from spectra_kit.geodesics._kernels import residual, scaled_entries, solve_scaled

@@ -99,10 +99,15 @@ class Automatic:
         check_positive("memory", self.memory)
         check_positive("rtol", self.rtol)
 
-    def choose(self, n: int, n_sources: int) -> tuple[Direct | Iterative, str]:
-        """Return the solver for `n_sources` on n points, and why it is this one."""
+    def choose(
+        self, n: int, n_sources: int, *, modes: bool = True
+    ) -> tuple[Direct | Iterative, str]:
+        """Return the solver for `n_sources` on n points, and why it is this one.
+
+        Without modes the incomplete factor has to do all the work, and a denser one pays.
+        """
         needed = factor_gigabytes(n)
-        iterative = Iterative(rtol=self.rtol)
+        iterative = Iterative(drop=1e-2 if modes else 1e-3, rtol=self.rtol)
         if needed > self.memory:
             return iterative, f"factors would take {needed:.1f} GiB, more than {self.memory:g}"
         if n <= _SMALL:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,25 +81,31 @@ class System:
             inside[order],
         )
 
+    def inwards(self, values: Floats) -> Floats:
+        """Return `values` (n,) in the order of the input in that of memory."""
+        return values[self.order]
+
+    def outwards(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return `values` (n,) in the order of memory in that of the input."""
+        found = np.empty_like(values)
+        found[self.order] = values
+        return found
+
     def flow(self, heat: Heat) -> Floats:
         """Return the integrated divergence of the unit vectors in which heat flows, shape (n,)."""
         from spectra_kit.geodesics._kernels import divergence_of_directions
 
         n = len(self.order)
-        found = divergence_of_directions(
-            self.corners, self.lengths, heat.values, heat.exponents, n
-        )
+        found = divergence_of_directions(self.corners, self.lengths, heat.values, heat.exponents, n)
         return np.multiply(self.share, found)
 
     def distance(self, potential: Floats, sources: Sources) -> Floats:
-        """Shift a potential to zero at the sources of each component, in the input's order."""
-        values = np.empty_like(potential)
-        labels = np.empty_like(self.labels)
-        values[self.order], labels[self.order] = potential, self.labels
+        """Shift a potential to zero at the sources of each component; both in the input's order."""
+        labels = self.outwards(self.labels)
         at = labels[sources.vertices]
         heat = np.bincount(at, sources.heat, minlength=labels.max() + 1)
-        ahead = sources.heat * (values[sources.vertices] - sources.offsets)
+        ahead = sources.heat * (potential[sources.vertices] - sources.offsets)
         level = np.full(len(heat), -np.inf)  # nothing reached is infinitely far
         level[heat > 0] = np.bincount(at, ahead, minlength=len(heat))[heat > 0] / heat[heat > 0]
-        distance: Floats = np.maximum(values - level[labels], 0.0)
+        distance: Floats = np.maximum(potential - level[labels], 0.0)
         return distance
