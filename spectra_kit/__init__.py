@@ -8,7 +8,8 @@ array([0., 2., 2., 2., 6., 6., 6., 6., 6.])
 
 A file becomes a geometry (`read`), a geometry a `Laplacian` (`robust_laplacian` and others), that
 a `Spectrum` (`eigensolve`, with the backend of your choice), and a spectrum everything else: two of
-them a map from one surface to the other (`match`).
+them a map from one surface to the other (`match`), one of them quicker distances along its surface
+(`HeatGeodesics`).
 
 Conventions, everywhere the same:
 
@@ -21,7 +22,14 @@ Conventions, everywhere the same:
   source point of each target point; ``functional_map (k2, k1)`` takes functions the other way.
 """
 
-from spectra_kit import correspondence, descriptors, functional_maps, geometry, matching
+from spectra_kit import (
+    correspondence,
+    descriptors,
+    functional_maps,
+    geodesics,
+    geometry,
+    matching,
+)
 from spectra_kit.eigensolvers import (
     Arpack,
     Capped,
@@ -44,12 +52,14 @@ from spectra_kit.errors import (
     SpectraKitError,
     WeightsError,
 )
+from spectra_kit.geodesics import HeatGeodesics, geodesic_distance
 from spectra_kit.geometry import PointCloud, TriangleMesh, read, write
 from spectra_kit.matching import Match, Prepared, match, prepare
 from spectra_kit.operators import (
     Laplacian,
     cotan_laplacian,
     delaunay_laplacian,
+    intrinsic_delaunay,
     knn_laplacian,
     robust_laplacian,
 )
@@ -64,6 +74,7 @@ __all__ = [
     "ConvergenceError",
     "Dense",
     "GivenBasis",
+    "HeatGeodesics",
     "InvalidInputError",
     "InvalidSpectrumError",
     "Laplacian",
@@ -92,7 +103,10 @@ __all__ = [
     "descriptors",
     "eigensolve",
     "functional_maps",
+    "geodesic_distance",
+    "geodesics",
     "geometry",
+    "intrinsic_delaunay",
     "knn_laplacian",
     "match",
     "matching",
