@@ -219,7 +219,33 @@ def test_several_sources_give_the_distance_to_the_nearest(animal) -> None:
     theirs = pp3d.MeshHeatMethodDistanceSolver(np.array(animal.points), np.array(animal.faces))
     peer = theirs.compute_distance_multisource([7, 2000])
     assert relative_error(both, nearest) <= 1.05 * relative_error(peer, nearest)
-    assert both[[7, 2000]].max() < geodesics.triangulation.mean_edge_length
+    assert not both[[7, 2000]].any()
+
+
+@pytest.mark.parametrize("solver", [Direct(), Iterative()], ids=["direct", "iterative"])
+def test_a_region_of_sources_is_at_zero_and_shines_outwards(solver) -> None:
+    mesh = sphere(subdivisions=5).geometry
+    height = mesh.points[:, 2]
+    cap = height > 0.8
+    distance = HeatGeodesics(mesh, solver=solver).distance(cap).distance
+    assert not distance[cap].any()
+    edge = np.arccos(height[cap].min())  # of the cap, up to one edge
+    truth = np.arccos(np.clip(height[~cap], -1, 1)) - edge
+    away = truth > 0.2
+    assert relative_error(distance[~cap][away], truth[away]) < 0.05
+    everywhere = HeatGeodesics(mesh, solver=solver).distance(np.ones(mesh.n, dtype=bool))
+    assert not everywhere.distance.any()
+
+
+@pytest.mark.parametrize("solver", [Direct(), Iterative()], ids=["direct", "iterative"])
+def test_the_smallest_geometries(solver) -> None:
+    triangle = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    tetrahedron = TriangleMesh(corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    for mesh in (triangle, tetrahedron):
+        # Down the middle of each face: its height, as heat is the same at both ends of the side.
+        distance = HeatGeodesics(mesh, solver=solver).distance(0).distance
+        assert distance[1:] == pytest.approx(np.sqrt(0.5))
 
 
 def test_a_source_inside_a_face_lies_between_its_corners() -> None:

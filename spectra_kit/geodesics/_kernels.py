@@ -118,20 +118,30 @@ def solve_scaled(
 
 @njit(nogil=True, cache=True)
 def divergence_of_directions(
-    corners: Ints, lengths: Floats, values: Floats, exponents: Ints, n: int
+    corners: Ints,
+    lengths: Floats,
+    values: Floats,
+    exponents: Ints,
+    noise: float,
+    sources: NDArray[np.bool_],
 ) -> Floats:
     """Return the integrated divergence of the unit vectors down the gradient of heat, shape (n,).
 
-    Triangles without heat, or on which it is constant, have no direction and add nothing. Signs
-    and frames are those of `IntrinsicTriangulation.divergence`.
+    Triangles on which heat is constant up to its relative error `noise`, or whose corners are all
+    `sources`, have no direction and add nothing. Signs and frames are those of
+    `IntrinsicTriangulation.divergence`.
     """
-    found = np.zeros(n)
+    found = np.zeros(len(values))
     for t in range(len(corners)):
         i, j, k = corners[t, 0], corners[t, 1], corners[t, 2]
+        if sources[i] and sources[j] and sources[k]:
+            continue
         top = max(exponents[i], exponents[j], exponents[k])
         a = values[i] * _power(exponents[i] - top)
         b = values[j] * _power(exponents[j] - top)
         c = values[k] * _power(exponents[k] - top)
+        if max(a, b, c) - min(a, b, c) <= noise * max(a, b, c):
+            continue
         ij, jk, ki = lengths[t, 0], lengths[t, 1], lengths[t, 2]
         # Heron's formula in the form of Kahan would need sorting; sides are mollified instead.
         square = (ij + jk + ki) * (jk + ki - ij) * (ki + ij - jk) * (ij + jk - ki)
@@ -140,11 +150,10 @@ def divergence_of_directions(
         along = (b - a) / ij
         across = (c - a - x * along) / y
         norm = math.hypot(along, across)
-        if norm > 0.0:
-            along, across = -along / norm, -across / norm
-            one = (y * along - x * across) / 2
-            two = ij * across / 2
-            found[i] -= one + two
-            found[j] += one
-            found[k] += two
+        along, across = -along / norm, -across / norm
+        one = (y * along - x * across) / 2
+        two = ij * across / 2
+        found[i] -= one + two
+        found[j] += one
+        found[k] += two
     return found

@@ -156,9 +156,10 @@ class HeatGeodesics:
         Returns
         -------
         DistanceField
-            Zero on average over the sources of a component (a source on a face counts by its
-            corners); smaller values are set to zero. Infinite where no source can be reached. The
-            minimum of the fields of single sources has less error than one field of several.
+            Zero on average over the sources of a component, by what the heat method says there (a
+            source on a face counts by its corners); then set to zero at sources that are vertices,
+            and where it is below. Infinite where no source can be reached. The minimum of the
+            fields of single sources has less error than one field of several.
 
         Raises
         ------
@@ -191,7 +192,7 @@ class HeatGeodesics:
         system, ready = self._system, self._prepare(options)
         heat = self._heat(ready.steps, system.inwards(sources.right_hand_side()))
         start = time.perf_counter()
-        flow = system.flow(heat)
+        flow = system.flow(heat, sources)
         directions = time.perf_counter() - start
 
         def field(solution: LinearSolution) -> DistanceField:

@@ -17,6 +17,8 @@ from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+_NOISE = 10.0  # backward errors that heat may be off by, between neighbours
+_ROUNDING = 1e-14
 _SCATTERED = 16.0  # mean distance in memory between neighbours, over sqrt(n), that is too far
 
 
@@ -91,12 +93,20 @@ class System:
         found[self.order] = values
         return found
 
-    def flow(self, heat: Heat) -> Floats:
+    def flow(self, heat: Heat, sources: Sources) -> Floats:
         """Return the integrated divergence of the unit vectors in which heat flows, shape (n,)."""
         from spectra_kit.geodesics._kernels import divergence_of_directions
 
-        n = len(self.order)
-        found = divergence_of_directions(self.corners, self.lengths, heat.values, heat.exponents, n)
+        at_zero = np.zeros(len(self.order), dtype=bool)
+        at_zero[sources.vertices[sources.offsets == 0]] = True
+        found = divergence_of_directions(
+            self.corners,
+            self.lengths,
+            heat.values,
+            heat.exponents,
+            _NOISE * heat.backward_error + _ROUNDING,
+            at_zero[self.order],
+        )
         return np.multiply(self.share, found)
 
     def distance(self, potential: Floats, sources: Sources) -> Floats:
@@ -108,4 +118,5 @@ class System:
         level = np.full(len(heat), -np.inf)  # nothing reached is infinitely far
         level[heat > 0] = np.bincount(at, ahead, minlength=len(heat))[heat > 0] / heat[heat > 0]
         distance: Floats = np.maximum(potential - level[labels], 0.0)
+        distance[sources.vertices[sources.offsets == 0]] = 0.0
         return distance
