@@ -10,6 +10,7 @@ from scipy import sparse
 
 from spectra_kit._validate import check_indices
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geodesics import exact_distances
 from spectra_kit.geometry import TriangleMesh
 
 Floats = NDArray[np.float64]
@@ -34,7 +35,7 @@ def geodesic_distances(
     method : {"edges", "exact"}, default "edges"
         Shortest paths along edges (Dijkstra), as evaluations of point maps use it: never shorter
         than the exact distance, some 5 per cent longer on good triangles. Or exact geodesics of
-        the polyhedron (libigl), about a hundred times slower.
+        the polyhedron, much slower (`geodesics.exact_distances`).
 
     Returns
     -------
@@ -50,7 +51,7 @@ def geodesic_distances(
     -----
     One search serves all pairs with the same start (or the same end, where those are fewer), and
     ends with the farthest of them: near pairs cost little, and no row of n distances is held for
-    long. Exact: Mitchell, Mount and Papadimitriou, *The Discrete Geodesic Problem*, 1987.
+    long.
 
     Examples
     --------
@@ -128,14 +129,8 @@ def _along_edges(mesh: TriangleMesh, a: Ints, b: Ints) -> Floats:
 
 def _exact(mesh: TriangleMesh, a: Ints, b: Ints) -> Floats:
     """Exact geodesics; one wavefront for each start."""
-    import igl
-
-    found = np.full(len(a), np.inf)
-    points, faces = np.array(mesh.points), np.array(mesh.faces)
-    none = np.empty(0, dtype=np.int64)
-    label = mesh.component_labels
-    reachable = label[a] == label[b]  # libigl knows no infinity
-    for start in np.unique(a[reachable]):
-        pairs = np.flatnonzero((a == start) & reachable)
-        found[pairs] = igl.exact_geodesic(points, faces, np.array([start]), none, b[pairs], none)
+    found = np.empty(len(a))
+    for start in np.unique(a):
+        pairs = np.flatnonzero(a == start)
+        found[pairs] = exact_distances(mesh, int(start), targets=b[pairs])
     return found

@@ -1,5 +1,6 @@
 """Geodesic distances: by the heat method, exactly, or from the modes alone."""
 
+from spectra_kit.geodesics.exact import exact_distances
 from spectra_kit.geodesics.heat import HeatGeodesics, geodesic_distance
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import Automatic, Direct, Iterative
@@ -19,6 +20,7 @@ __all__ = [
     "Iterative",
     "Sources",
     "check_sources",
+    "exact_distances",
     "geodesic_distance",
     "nearest_source",
     "smallest_spectral_time",

@@ -1,0 +1,326 @@
+"""Windows of straight paths that cross a surface of triangles; compiled by numba on first use.
+
+A *side* is number ``3 f + c``: that of face f from its corner c to corner c + 1. In the frame of a
+side its tail is the origin, its head lies at (length, 0), and its face above. A *window* is a part
+of a side through which straight paths leave its face, all of them from one vertex, which lies at
+(x, y) once the faces between are unfolded into the plane; y is how far it is *behind* the side.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_TIE = 1e-10  # relative; two paths as long as each other must both go on
+_TOUCH = 1e-11  # of a side; a ray this near to a vertex meets it
+_THIN = 1e-14  # of a side; a window this narrow is none
+_IMPROVED = 1e-12  # relative; what is less does not send the paths from a vertex anew
+
+
+class Soup(NamedTuple):
+    """Triangles without coordinates; one entry for a side where nothing else is said."""
+
+    tails: Ints
+    """Vertex where the side begins."""
+    lengths: Floats
+    apex_x: Floats
+    apex_y: Floats
+    """Third corner, in the frame of the side."""
+    around: Ints
+    """The next side on the same edge, in a ring."""
+    first: Ints
+    corners: Ints
+    """Vertex v begins the sides ``corners[first[v]:first[v + 1]]``."""
+    bends: NDArray[np.bool_]
+    """Of each vertex: shortest paths may bend there."""
+
+
+class Front(NamedTuple):
+    """What is known, and what is still to do."""
+
+    d: Floats
+    """Distance of each vertex, as far as it is known."""
+    births: Ints
+    """How often it has become shorter, where paths bend: windows from before are stale."""
+    reals: Floats
+    whole: Ints
+    """Windows, in any order."""
+    free: Ints
+    """Windows that are done with, a stack."""
+    keys: Floats
+    items: Ints
+    """Heap of windows and, as -1 - v, of vertices v to start from, by their distances."""
+    size: Ints
+    """Of the heap, of the windows, of the stack."""
+
+
+@njit(nogil=True, cache=True)
+def propagate(soup: Soup, sources: Ints, targets: Ints, d: Floats) -> int:
+    """Write to `d` (n,), infinite at first, the distances from `sources`; count the windows.
+
+    It stops once all `targets` are known; what is farther may then be too long, or infinite.
+    """
+    n, m = len(d), len(soup.tails)
+    margin = 64  # entries that one step may add: by an edge of many faces, or around a vertex
+    for v in range(n):
+        margin = max(margin, 64 + 4 * (soup.first[v + 1] - soup.first[v]))
+    heap, room = 1024 + len(sources) + margin, 1024 + margin
+    front = Front(
+        d,
+        np.zeros(n, np.int64),
+        np.empty((room, 5)),
+        np.empty((room, 3), np.int64),
+        np.empty(room, np.int64),
+        np.empty(heap),
+        np.empty(heap, np.int64),
+        np.zeros(3, np.int64),
+    )
+    split, split_at = np.full(m, np.inf), np.zeros(m)
+    for v in sources:
+        d[v] = 0.0
+        _push(front, 0.0, -1 - v)
+    settled, total = 0, 0
+    while front.size[0]:
+        key = front.keys[0]
+        while settled < len(targets) and d[targets[settled]] <= key:
+            settled += 1
+        if settled == len(targets):
+            break
+        item = _pop(front)
+        if front.size[0] + margin > len(front.keys) or front.size[1] + margin > len(front.free):
+            front = _doubled(front)
+        if item < 0:
+            if key <= d[-1 - item]:  # else a shorter way was found meanwhile
+                total += _start(soup, front, -1 - item)
+        else:
+            total += _go_on(soup, front, item, split, split_at)
+    return total
+
+
+@njit(nogil=True, cache=True)
+def _doubled(front: Front) -> Front:
+    """Return `front` with twice the room."""
+    reals, whole = front.reals, front.whole
+    return Front(
+        front.d,
+        front.births,
+        np.concatenate((reals, np.empty_like(reals))),
+        np.concatenate((whole, np.empty_like(whole))),
+        np.append(front.free, np.empty_like(front.free)),
+        np.append(front.keys, np.empty_like(front.keys)),
+        np.append(front.items, np.empty_like(front.items)),
+        front.size,
+    )
+
+
+@njit(nogil=True, cache=True)
+def _start(soup: Soup, front: Front, v: int) -> int:
+    """Send paths from vertex v along all its sides and through all its faces."""
+    d, lengths = front.d[v], soup.lengths
+    for i in range(soup.first[v], soup.first[v + 1]):
+        s = soup.corners[i]
+        _reach(soup, front, soup.tails[_next(s)], d + lengths[s])
+        _reach(soup, front, soup.tails[_next(_next(s))], d + lengths[_next(_next(s))])
+    count = 0
+    for i in range(soup.first[v], soup.first[v + 1]):
+        t = _next(soup.corners[i])
+        x, y = soup.apex_x[t], soup.apex_y[t]
+        count += _add(soup, front, t, 0.0, lengths[t], x, y, d, v, front.births[v], 0)
+    return count
+
+
+@njit(nogil=True, cache=True)
+def _go_on(soup: Soup, front: Front, item: int, split: Floats, split_at: Floats) -> int:
+    """Let a window shine through the other faces on its edge."""
+    s, v, birth = front.whole[item, 0], front.whole[item, 1], front.whole[item, 2]
+    b0, b1 = front.reals[item, 0], front.reals[item, 1]
+    x, y, before = front.reals[item, 2], front.reals[item, 3], front.reals[item, 4]
+    front.free[front.size[2]] = item
+    front.size[2] += 1
+    if birth != front.births[v]:
+        return 0
+    count, length = 0, soup.lengths[s]
+    t = soup.around[s]
+    two_faces = soup.around[t] == s
+    while t != s:
+        if soup.tails[t] == soup.tails[s]:  # wound the other way: the same direction on the edge
+            count += _cross(
+                soup, front, t, b0, b1, x, y, before, v, birth, two_faces, split, split_at
+            )
+        else:
+            e0, e1, z = length - b1, length - b0, length - x
+            count += _cross(
+                soup, front, t, e0, e1, z, y, before, v, birth, two_faces, split, split_at
+            )
+        t = soup.around[t]
+    return count
+
+
+@njit(nogil=True, cache=True)
+def _cross(
+    soup: Soup,
+    front: Front,
+    t: int,
+    b0: float,
+    b1: float,
+    x: float,
+    y: float,
+    before: float,
+    v: int,
+    birth: int,
+    two_faces: bool,
+    split: Floats,
+    split_at: Floats,
+) -> int:
+    """Let the paths through part of side t cross its face to the other two sides."""
+    right = _next(t)
+    left = _next(right)
+    length, ax, ay = soup.lengths[t], soup.apex_x[t], soup.apex_y[t]
+    at = x + (ax - x) * y / (y + ay)  # where the ray to the apex crosses the side
+    goes_left, goes_right = at > b0, at < b1
+    touch = _TOUCH * length
+    if b0 - touch <= at <= b1 + touch:
+        far = before + np.hypot(ax - x, ay + y)
+        _reach(soup, front, soup.tails[left], far)
+        # Of the windows that see an apex, only the nearest sheds shortest paths on both sides of it
+        # (Chen and Han); another does so on that side where it lies from the nearest. That holds
+        # for paths that cross, hence not for those that come from different faces of one edge.
+        if not two_faces or far <= split[t] * (1 + _TIE):
+            if far < split[t]:
+                split[t], split_at[t] = far, at
+        elif at > split_at[t]:
+            goes_left = False
+        else:
+            goes_right = False
+    count = 0
+    if goes_left:
+        # Coordinates along the side from the tail of t to the apex, which `left` runs against.
+        L = soup.lengths[left]
+        ex, ey = ax / L, ay / L
+        u0 = _meet(b0, x, y, ex, ey)
+        u1 = L if at <= b1 else min(_meet(b1, x, y, ex, ey), L)
+        z, h = L - (x * ex - y * ey), y * ex + x * ey
+        count += _add(soup, front, left, L - u1, L - u0, z, h, before, v, birth, 1)
+    if goes_right:  # the same in the mirror, where `right` runs from its tail
+        L, x = soup.lengths[right], length - x
+        ex, ey = (length - ax) / L, ay / L
+        u0 = _meet(length - b1, x, y, ex, ey)
+        u1 = L if at >= b0 else min(_meet(length - b0, x, y, ex, ey), L)
+        z, h = x * ex - y * ey, y * ex + x * ey
+        count += _add(soup, front, right, u0, u1, z, h, before, v, birth, -1)
+    return count
+
+
+@njit(nogil=True, inline="always")
+def _meet(b: float, x: float, y: float, ex: float, ey: float) -> float:
+    """Return how far along (ex, ey), from the origin, the ray from (x, -y) by (b, 0) meets it."""
+    below = ex * y + ey * (x - b)
+    return max(y * b / below, 0.0) if below > 0 else np.inf
+
+
+@njit(nogil=True, cache=True)
+def _add(
+    soup: Soup,
+    front: Front,
+    t: int,
+    b0: float,
+    b1: float,
+    x: float,
+    y: float,
+    before: float,
+    v: int,
+    birth: int,
+    entered: int,
+) -> int:
+    """Keep a window on side t, unless a corner of its face has shorter ways to all of it.
+
+    The paths entered the face by the side at the head of t (1), by that at its tail (-1), or at
+    its apex (0). The tests are those of Xin and Wang.
+    """
+    length, d = soup.lengths[t], front.d
+    b0, b1 = max(b0, 0.0), min(b1, length)
+    if b1 - b0 <= _THIN * length or y <= 0:
+        return 0
+    r0, r1 = np.hypot(b0 - x, y), np.hypot(b1 - x, y)
+    slack = 1 + _TIE
+    if (d[soup.tails[t]] + b1) * slack < before + r1:
+        return 0
+    if (d[soup.tails[_next(t)]] + length - b0) * slack < before + r0:
+        return 0
+    if entered:
+        # All paths cross the straight way from the apex to the end away from where they entered.
+        far, r = (b1, r1) if entered > 0 else (b0, r0)
+        apex = d[soup.tails[_next(_next(t))]]
+        if (apex + np.hypot(far - soup.apex_x[t], soup.apex_y[t])) * slack < before + r:
+            return 0
+    if front.size[2]:
+        front.size[2] -= 1
+        w = front.free[front.size[2]]
+    else:
+        w = front.size[1]
+        front.size[1] += 1
+    reals, whole = front.reals[w], front.whole[w]
+    reals[0], reals[1], reals[2], reals[3], reals[4] = b0, b1, x, y, before
+    whole[0], whole[1], whole[2] = t, v, birth
+    _push(front, before + (y if b0 <= x <= b1 else min(r0, r1)), w)
+    return 1
+
+
+@njit(nogil=True, inline="always")
+def _next(side: int) -> int:
+    """Return the next side of the same face."""
+    return side + 1 if side % 3 < 2 else side - 2
+
+
+@njit(nogil=True, inline="always")
+def _reach(soup: Soup, front: Front, v: int, far: float) -> None:
+    """Note a way of length `far` to vertex v; where paths bend they start from it anew."""
+    if far >= front.d[v]:
+        return
+    if not soup.bends[v]:
+        front.d[v] = far
+    elif far < front.d[v] * (1 - _IMPROVED):
+        front.d[v] = far
+        front.births[v] += 1
+        _push(front, far, -1 - v)
+
+
+@njit(nogil=True, inline="always")
+def _push(front: Front, key: float, item: int) -> None:
+    keys, items = front.keys, front.items
+    i = front.size[0]
+    front.size[0] += 1
+    while i > 0:
+        up = (i - 1) // 2
+        if keys[up] <= key:
+            break
+        keys[i], items[i] = keys[up], items[up]
+        i = up
+    keys[i], items[i] = key, item
+
+
+@njit(nogil=True, inline="always")
+def _pop(front: Front) -> int:
+    keys, items = front.keys, front.items
+    front.size[0] -= 1
+    last = front.size[0]
+    result, key, item = items[0], keys[last], items[last]
+    i = 0
+    while True:
+        down = 2 * i + 1
+        if down >= last:
+            break
+        if down + 1 < last and keys[down + 1] < keys[down]:
+            down += 1
+        if keys[down] >= key:
+            break
+        keys[i], items[i] = keys[down], items[down]
+        i = down
+    keys[i], items[i] = key, item
+    return int(result)

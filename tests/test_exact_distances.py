@@ -1,0 +1,264 @@
+"""Exact distances: planes, cubes, cones and spheres by hand, libigl, and what meshes may be."""
+
+import igl
+import numpy as np
+import pytest
+from conftest import bumpy
+from scipy.spatial import Delaunay
+
+from spectra_kit.correspondence import geodesic_distances
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geodesics import FacePoint, exact_distances
+from spectra_kit.geometry import TriangleMesh, creature, sphere
+
+CORNERS = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+
+
+def euclid(mesh, source):
+    return np.linalg.norm(mesh.points - mesh.points[source], axis=1)
+
+
+def square(n=60, seed=0, *, caps=0):
+    """A square of random triangles in space; `caps` of them have no area."""
+    rng = np.random.default_rng(seed)
+    points = np.concatenate([rng.uniform(size=(n, 2)), [[0, 0], [1, 0], [0, 1], [1, 1]]])
+    faces, points = Delaunay(points).simplices.tolist(), points.tolist()
+    for _ in range(caps):
+        a, b = shared_edges(faces)[rng.integers(len(shared_edges(faces)))]
+        i = next(i for i, face in enumerate(faces) if a in face and b in face)
+        (c,) = set(faces[i]) - {a, b}
+        share = rng.choice([0.5, rng.uniform(), 0.0])  # 0: at the same place as a
+        points.append((share * np.array(points[b]) + (1 - share) * np.array(points[a])).tolist())
+        new = len(points) - 1
+        faces[i] = [a, new, c]
+        faces += [[new, b, c], [a, b, new]]
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    return TriangleMesh(np.column_stack([points, np.zeros(len(points))]) @ turn, faces)
+
+
+def shared_edges(faces):
+    sides = np.sort(np.array(faces)[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, counts = np.unique(sides, axis=0, return_counts=True)
+    return edges[counts == 2].tolist()
+
+
+def joined(*meshes):
+    shifts = np.cumsum([0, *(mesh.n for mesh in meshes)])
+    faces = [mesh.faces + shift for mesh, shift in zip(meshes, shifts, strict=False)]
+    return TriangleMesh(np.concatenate([m.points for m in meshes]), np.concatenate(faces))
+
+
+# --- truths ---
+
+
+@pytest.mark.parametrize("source", [0, 17, 63])
+def test_on_a_plane_they_are_euclidean(source):
+    mesh = square()
+    np.testing.assert_allclose(exact_distances(mesh, source), euclid(mesh, source), atol=1e-13)
+
+
+def test_on_a_grid_paths_run_through_vertices():
+    i, j = (index.ravel() for index in np.indices((12, 12)))
+    corner = np.flatnonzero((i < 11) & (j < 11))
+    faces = np.concatenate(
+        [corner[:, None] + [0, 1, 13], corner[:, None] + [0, 13, 12]],
+    )
+    mesh = TriangleMesh(np.column_stack([i, j, 0 * i]), faces)
+    for source in (0, 66, 143):
+        np.testing.assert_allclose(exact_distances(mesh, source), euclid(mesh, source), atol=1e-12)
+
+
+def test_over_a_cube_they_unfold():
+    faces = [face for a, b, c, d in QUADS for face in ([a, b, c], [a, c, d])]
+    cube = TriangleMesh(CORNERS, faces)
+    far = np.array(CORNERS).sum(axis=1)  # steps to the other corner
+    truth = np.array([0, 1, np.sqrt(2), np.sqrt(5)])[far]
+    np.testing.assert_allclose(exact_distances(cube, 0), truth, atol=1e-14)
+    # To the middle of an opposite face: over one face beside, or over two.
+    middles = np.array([np.mean([CORNERS[i] for i in quad], axis=0) for quad in QUADS])
+    fans = [[q[i], q[(i + 1) % 4], 8 + k] for k, q in enumerate(QUADS) for i in range(4)]
+    fine = TriangleMesh(np.concatenate([CORNERS, middles]), fans)
+    found = exact_distances(fine, 8)  # the middle of x = 0
+    np.testing.assert_allclose(found[9], 2.0)  # that of x = 1
+    np.testing.assert_allclose(found[10:], 1.0)
+    # From a corner to the middle of a face it does not touch, 1 + 1/2 along and 1/2 across.
+    np.testing.assert_allclose(exact_distances(fine, 0)[9], np.hypot(1.5, 0.5))
+
+
+def test_on_a_cone_paths_pass_beside_the_tip():
+    # Sectors of 40 degrees: six make a cone, twelve more than a plane.
+    for count in (6, 12):
+        lean = np.sin(np.radians(40)) / 2 / np.sin(np.pi / count)
+        if count == 6:
+            around = 2 * np.pi * np.arange(6) / 6
+            radius = 2 * np.sin(np.radians(20)) / (2 * np.sin(np.pi / 6))
+            ring = np.column_stack(
+                [radius * np.cos(around), radius * np.sin(around), np.full(6, -lean)]
+            )
+            ring[:, 2] = -np.sqrt(1 - radius**2)
+        else:  # up and down by turns, so that neighbours are 40 degrees apart
+            around = 2 * np.pi * np.arange(12) / 12
+            tilt = brentq_tilt(around[1])
+            ring = np.column_stack(
+                [
+                    np.cos(tilt) * np.cos(around),
+                    np.cos(tilt) * np.sin(around),
+                    np.sin(tilt) * (-1.0) ** np.arange(12),
+                ]
+            )
+        faces = [[0, 1 + i, 1 + (i + 1) % count] for i in range(count)]
+        mesh = TriangleMesh(np.concatenate([[[0, 0, 0]], ring]), faces)
+        steps = np.minimum(np.arange(count), count - np.arange(count))
+        angle = np.minimum(np.radians(40) * steps, np.pi)  # past a half turn: by the tip
+        np.testing.assert_allclose(exact_distances(mesh, 1)[1:], 2 * np.sin(angle / 2), atol=1e-12)
+
+
+def brentq_tilt(step):
+    from scipy.optimize import brentq
+
+    def excess(tilt):
+        return np.cos(tilt) ** 2 * np.cos(step) - np.sin(tilt) ** 2 - np.cos(np.radians(40))
+
+    return brentq(excess, 0, 1)
+
+
+def test_on_the_sphere_they_tend_to_arcs():
+    errors, sizes = [], (2, 3, 4)
+    for subdivisions in sizes:
+        mesh = sphere(subdivisions=subdivisions).geometry
+        arcs = np.arccos(np.clip(mesh.points @ mesh.points[0], -1, 1))
+        errors.append(np.abs(exact_distances(mesh, 0) - arcs).max())
+    rates = -np.diff(np.log2(errors))
+    np.testing.assert_allclose(rates, 2, atol=0.15)
+
+
+@pytest.mark.parametrize("mesh", [bumpy(), creature(1500, seed=0)], ids=["bumpy", "creature"])
+def test_they_are_those_of_libigl(mesh):
+    every, none = np.arange(mesh.n), np.empty(0, dtype=np.int64)
+    for sources in ([0], [5, 100, 333]):
+        truth = igl.exact_geodesic(
+            np.array(mesh.points), np.array(mesh.faces), np.array(sources), none, every, none
+        )
+        np.testing.assert_allclose(exact_distances(mesh, sources), truth, rtol=1e-10, atol=1e-12)
+
+
+def test_they_do_not_depend_on_direction_order_or_unit():
+    mesh = creature(900, seed=1)
+    rng = np.random.default_rng(0)
+    pairs = rng.choice(mesh.n, 6, replace=False)
+    matrix = np.array([exact_distances(mesh, int(i), targets=pairs) for i in pairs])
+    np.testing.assert_allclose(matrix, matrix.T, rtol=1e-9, atol=1e-12)
+    order = rng.permutation(mesh.n)
+    faces = np.argsort(order)[rng.permutation(mesh.faces)]
+    faces[::2] = faces[::2, ::-1]  # wound by chance
+    other = TriangleMesh(1e120 * mesh.points[order], faces)
+    found = exact_distances(other, int(np.argsort(order)[7]))
+    np.testing.assert_allclose(found, 1e120 * exact_distances(mesh, 7)[order], rtol=1e-9)
+
+
+# --- sources and targets ---
+
+
+def test_several_sources_give_the_nearest():
+    mesh = square(seed=3)
+    sources = [4, 40, 41]
+    truth = np.min([euclid(mesh, source) for source in sources], axis=0)
+    np.testing.assert_allclose(exact_distances(mesh, sources), truth, atol=1e-13)
+    mask = np.isin(np.arange(mesh.n), sources)
+    np.testing.assert_array_equal(exact_distances(mesh, mask), exact_distances(mesh, sources))
+
+
+def test_targets_are_part_of_the_whole():
+    mesh = joined(bumpy(), square())
+    whole = exact_distances(mesh, 3)
+    targets = [600, 3, mesh.n - 1, 600]
+    np.testing.assert_array_equal(exact_distances(mesh, 3, targets=targets), whole[targets])
+    assert exact_distances(mesh, 3, targets=np.empty(0, dtype=int)).shape == (0,)
+
+
+def test_where_no_path_leads_they_are_infinite():
+    mesh = joined(square(), square(seed=1))
+    mesh = TriangleMesh(np.concatenate([mesh.points, [[0.5, 0.5, 0.5]]]), mesh.faces)
+    found = exact_distances(mesh, 0)
+    np.testing.assert_allclose(found[:64], euclid(mesh, 0)[:64], atol=1e-13)
+    assert np.isinf(found[64:]).all()
+
+
+def test_pairs_are_the_same_distances():
+    mesh = joined(bumpy(), square())
+    starts, ends = [0, 0, 5, 9], [7, 700, 5, 300]
+    whole = [exact_distances(mesh, start)[end] for start, end in zip(starts, ends, strict=True)]
+    np.testing.assert_array_equal(geodesic_distances(mesh, starts, ends, method="exact"), whole)
+
+
+# --- any triangles ---
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_faces_without_area_change_nothing(seed):
+    mesh = square(seed=seed, caps=10)
+    assert mesh.degenerate_faces().sum() >= 10
+    for source in (0, 40, mesh.n - 1):
+        found = exact_distances(mesh, source)
+        np.testing.assert_allclose(found, euclid(mesh, source), atol=1e-9)
+
+
+def test_slivers_change_nothing():
+    mesh = square(seed=2)
+    flat = TriangleMesh(mesh.points @ np.diag([1, 1e-7, 1]), mesh.faces)
+    span = np.linalg.svd(mesh.points - mesh.points[0])[2][:2]
+    thin = TriangleMesh((mesh.points @ span.T * [1, 1e-7]) @ span, mesh.faces)
+    np.testing.assert_allclose(exact_distances(thin, 5), euclid(thin, 5), atol=1e-12)
+    assert np.isfinite(exact_distances(flat, 5)).all()
+
+
+def test_paths_cross_an_edge_of_three_faces_into_each():
+    book = TriangleMesh(
+        [[0, 0, 0], [0, 0, 1], [1, 0, 0.5], [-1, 0, 0.5], [0, 1, 0.5]],
+        [[0, 1, 2], [0, 1, 3], [0, 1, 4]],
+    )
+    for page in (2, 3, 4):
+        truth = [np.sqrt(1.25), np.sqrt(1.25), 2, 2, 2]
+        truth[page] = 0
+        np.testing.assert_allclose(exact_distances(book, page), truth, atol=1e-14)
+
+
+def test_paths_pass_a_vertex_where_surfaces_touch():
+    tetrahedron = np.array([[0, 0, 0], [3, 0.2, 0], [3, -0.2, 0.2], [3, -0.2, -0.2]])
+    faces = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 2, 3]]
+    twin = np.where(np.array(faces) > 0, np.array(faces) + 3, 0)
+    mesh = TriangleMesh(np.concatenate([tetrahedron, -tetrahedron[1:]]), [*faces, *twin])
+    tip = np.linalg.norm(tetrahedron, axis=1)
+    np.testing.assert_allclose(exact_distances(mesh, 1)[[0, 4, 5, 6]], tip[1] + tip, rtol=1e-14)
+
+
+def test_a_face_twice_changes_nothing():
+    mesh = square(seed=4)
+    twice = TriangleMesh(mesh.points, np.concatenate([mesh.faces, mesh.faces[:20, ::-1]]))
+    np.testing.assert_allclose(exact_distances(twice, 8), euclid(mesh, 8), atol=1e-13)
+
+
+# --- refusals ---
+
+
+def test_they_refuse():
+    mesh = square()
+    with pytest.raises(InvalidInputError, match="`mesh` must be a TriangleMesh, got a PointCloud"):
+        exact_distances(mesh.as_cloud(), 0)
+    with pytest.raises(InvalidInputError, match="at least one source, got none"):
+        exact_distances(mesh, [])
+    with pytest.raises(InvalidInputError, match=r"`sources` must be in \[0, 64\), got 64"):
+        exact_distances(mesh, 64)
+    with pytest.raises(InvalidInputError, match=r"`targets` must be in \[0, 64\), got -1"):
+        exact_distances(mesh, 0, targets=[-1])
+    with pytest.raises(InvalidInputError, match="must be vertices, got a point inside a face"):
+        exact_distances(mesh, FacePoint(0, [0.2, 0.3, 0.5]))
+    lone = TriangleMesh(np.concatenate([mesh.points, [[9, 9, 9]]]), mesh.faces)
+    with pytest.raises(InvalidInputError, match="got vertex 64, which no face uses"):
+        exact_distances(lone, 64)
+    line = TriangleMesh(mesh.points, np.concatenate([mesh.faces, [[0, 1, 1]]]))
+    with pytest.raises(
+        InvalidInputError, match=f"1 faces that name a vertex.*is {len(mesh.faces)}"
+    ):
+        exact_distances(line, 0)
