@@ -9,6 +9,7 @@ import trimesh
 from test_apps import load
 
 from spectra_kit.cli import main
+from spectra_kit.cli.geodesic_compare import largest_difference
 from spectra_kit.cli.geodesic_sources import with_farthest
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.geodesics import FacePoint, HeatGeodesics, Iterative, nearest_source
@@ -270,6 +271,13 @@ def test_solvers_are_compared(app, files, tmp_path, capsys):
             assert len(run["residuals"]) == len(run["times"]) == run["iterations"] + 1
     assert runs["direct Cholesky"]["difference_from_direct"] == 0
     assert 0 < runs["potpourri3d"]["difference_from_direct"] < 0.05
+
+
+def test_differences_are_relative_to_what_was_reached():
+    reference = np.array([0.0, 2.0, 4.0, np.inf])
+    assert largest_difference(np.array([0.0, 2.2, 3.6, 9.0]), reference) == pytest.approx(0.1)
+    assert largest_difference(reference, reference) == 0
+    assert largest_difference(np.zeros(2), np.array([0.0, np.inf])) == 0
 
 
 def test_files_of_another_run_are_not_mixed_with_its_own(app, files, tmp_path, capsys):

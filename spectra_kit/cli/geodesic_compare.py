@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 _REPEATS = 2  # of everything, one after the other; the faster run of each counts
 _SPECTRA = {"exact": "exact modes", "neo": "NEO modes", "neo-polished": "NEO modes, polished"}
-_PEER = "potpourri3d"
+_DIRECT, _PEER = "direct Cholesky", "potpourri3d"
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +84,17 @@ def compare_solvers(
             run, distance = measure()
             if name not in fastest or run.seconds < fastest[name][0].seconds:
                 fastest[name] = run, distance
-    reference = next(d for run, d in fastest.values() if run.iterations is None)
-    known = np.isfinite(reference)
-    limit = float(reference[known].max()) or 1.0
+    _, reference = fastest[_DIRECT]
     return [
-        Compared(run, float(np.abs(distance - reference)[known].max()) / limit)
-        for run, distance in fastest.values()
+        Compared(run, largest_difference(distance, reference)) for run, distance in fastest.values()
     ]
+
+
+def largest_difference(distance: Floats, reference: Floats) -> float:
+    """Return the largest difference where `reference` is finite, relative to its largest value."""
+    known = np.isfinite(reference)
+    largest = float(reference[known].max()) or 1.0
+    return float(np.abs(distance[known] - reference[known]).max()) / largest
 
 
 def comparison_table(compared: list[Compared]) -> str:
@@ -152,7 +156,7 @@ def _measures(
     yield ours(f"IC(0) + {modes} exact modes, projected", projected, "exact")
     yield ours("threshold IC", replace(shipped, coarse="none"))
     yield ours(f"threshold IC + {min(modes, shipped.modes)} exact modes", shipped, "exact")
-    yield ours("direct Cholesky", Direct())
+    yield ours(_DIRECT, Direct())
     yield _PEER, lambda: _run_peer(arguments, geometry, sources, _PEER)
 
 
@@ -180,7 +184,7 @@ def _run_ours(
         stages=stages,
         spectrum_seconds=0.0 if spectrum is None else sum(spectrum.provenance.seconds.values()),
         times=times,
-        residuals=poisson.residual_norms / poisson.rhs_norm,
+        residuals=poisson.residual_norms / (poisson.rhs_norm or 1.0),
     )
     return run, field.distance
 
