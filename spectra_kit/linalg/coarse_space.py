@@ -18,6 +18,8 @@ from spectra_kit.linalg.products import real_dtype
 
 Floats = NDArray[np.float64]
 
+_WIDE = 32  # modes from which a range of rows is worth a thread
+
 
 class Preconditioner(Protocol):
     """Anything that applies a fixed symmetric positive (semi-)definite matrix near ``A^-1``."""
@@ -79,6 +81,9 @@ class CoarseSpace:
         kind = real_dtype("dtype", dtype)
         self._basis = check_basis(basis, kind)
         self.n, self.dimension = self._basis.shape
+        # Wide, each range of rows is worth a thread; narrow, all together are, beside a factor.
+        cuts = ranges(self.n)
+        self._shares = [cuts] if self._basis.shape[1] < _WIDE else [[cut] for cut in cuts]
         self._inverse: Floats | None = None
         self._reciprocal: Floats = np.ones(self.dimension)
         if energies is not None and matrix is None:
@@ -103,26 +108,36 @@ class CoarseSpace:
         return out
 
     def restrictions(self, rhs: Floats) -> list[Call]:
-        """Return the calls whose results, ranges of rows of ``Y^T rhs``, `add_to` sums up."""
+        """Return the calls whose results add up to ``Y^T rhs``."""
         values = check_vector("rhs", rhs, self.n)
-        return [(_restricted, (self._basis, values, *rows)) for rows in ranges(self.n)]
+        return [(_restricted, (self._basis, values, rows)) for rows in self._shares]
 
-    def add_to(self, out: Floats, shares: list[NDArray[Any]]) -> None:
-        """Add ``Y E^-1 c`` to `out` (n,), with c the sum of `shares`."""
-        from spectra_kit.linalg._krylov_kernels import prolong
-
-        c = np.sum(shares, axis=0, dtype=np.float64)
+    def add_to(self, out: Floats, restricted: list[Floats]) -> None:
+        """Add ``Y E^-1 c`` to `out` (n,), with c (k,) the sum of `restricted`."""
+        c = np.sum(restricted, axis=0)
         c = c * self._reciprocal if self._inverse is None else self._inverse @ c
         weights = c.astype(self._basis.dtype)
-        side_by_side([(prolong, (self._basis, weights, out, *rows)) for rows in ranges(self.n)])
+        side_by_side([(_prolong, (self._basis, weights, out, rows)) for rows in self._shares])
 
 
-def _restricted(basis: NDArray[Any], rhs: Floats, start: int, stop: int) -> NDArray[Any]:
+def _restricted(basis: NDArray[Any], rhs: Floats, rows: list[tuple[int, int]]) -> Floats:
+    """Return the share of some ranges of rows in ``Y^T rhs``, summed in float64."""
     from spectra_kit.linalg._krylov_kernels import restrict
 
-    out = np.empty(basis.shape[1], basis.dtype)
-    restrict(basis, rhs, out, start, stop)
-    return out
+    shares = np.empty((len(rows), basis.shape[1]), basis.dtype)
+    for share, (start, stop) in zip(shares, rows, strict=True):
+        restrict(basis, rhs, share, start, stop)
+    total: Floats = shares.sum(axis=0, dtype=np.float64)
+    return total
+
+
+def _prolong(
+    basis: NDArray[Any], weights: NDArray[Any], out: Floats, rows: list[tuple[int, int]]
+) -> None:
+    """Add the rows of ``Y @ weights`` to those of `out`."""
+    from spectra_kit.linalg._krylov_kernels import prolong
+
+    prolong(basis, weights, out, rows[0][0], rows[-1][1])
 
 
 class AdditiveTwoLevel:
@@ -173,10 +188,10 @@ class AdditiveTwoLevel:
 
     def solve(self, rhs: Floats) -> Floats:
         """Return ``base.solve(rhs) + coarse.solve(rhs)``."""
-        # The base is one task as long as several ranges of the basis: it goes first.
+        # The base is one task, as long as several ranges of a wide basis: it goes first.
         out: Floats
-        out, *shares = side_by_side([(self.base.solve, (rhs,)), *self.coarse.restrictions(rhs)])
-        self.coarse.add_to(out, shares)
+        out, *restricted = side_by_side([(self.base.solve, (rhs,)), *self.coarse.restrictions(rhs)])
+        self.coarse.add_to(out, restricted)
         return out
 
 

@@ -157,7 +157,7 @@ class _Iteration:
         index = np.uint32 if A.nnz < 2**32 else np.uint64
         self._rows = (A.indptr.astype(index), A.indices.astype(index), A.data)
         self._ranges = ranges(len(b))
-        self._largest = float(A.diagonal().max(initial=0.0))
+        self._A = A
         self._preconditioner, self._kernel, self._begin = preconditioner, kernel, begin
         self._drift = 0.0  # mean of r, to be taken from it
         self._weight = 0.0  # r . z of the last step; 0: the next forgets the directions before it
@@ -208,9 +208,10 @@ class _Iteration:
             return _rounding_or_raise("preconditioner", self._weight, scale)
         ratio = self._weight / before if before else 0.0
         self._on_ranges(kernels.turn, p, z, self._mean(sums), ratio)
-        energy = sum(self._on_ranges(kernels.multiply, *self._rows, p, q))
+        energy = self._multiply(p, q)
         if not energy > 0:
-            return _rounding_or_raise("matrix", energy, self._largest * float(p @ p))
+            largest = float(self._A.diagonal().max())
+            return _rounding_or_raise("matrix", energy, largest * float(p @ p))
         # The mean of r is rounding, which would outlast everything else in r: the factor, nearly
         # singular, blows it up.
         step = self._weight / energy
@@ -232,11 +233,18 @@ class _Iteration:
         return sum(s[1] for s in sums) / len(self._b)
 
     def _on_ranges(self, task: Callable[..., Any], *arguments: Any) -> list[Any]:
-        return side_by_side([(task, (*arguments, *rows)) for rows in self._ranges])
+        """Call `task` on one range after the other: a pass over a vector is not worth a thread."""
+        return [task(*arguments, *rows) for rows in self._ranges]
+
+    def _multiply(self, values: Floats, out: Floats) -> float:
+        """Write ``A @ values`` to `out`, and return its product with `values`."""
+        task = self._kernels.multiply
+        calls = [(task, (*self._rows, values, out, *rows)) for rows in self._ranges]
+        return float(sum(side_by_side(calls)))
 
     def _residual(self) -> Floats:
         image = np.empty_like(self._b)
-        self._on_ranges(self._kernels.multiply, *self._rows, self.x, image)
+        self._multiply(self.x, image)
         residual = self._b - image
         return residual if self._kernel is None else self._kernel.remove(residual)
 
