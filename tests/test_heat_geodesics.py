@@ -154,6 +154,13 @@ def test_all_solvers_agree(animal, modes, source) -> None:
         assert np.abs(field - fields[0]).max() < 1e-7 * fields[0].max()
 
 
+def test_solvers_agree_where_heat_has_no_direction() -> None:
+    mesh = sphere(subdivisions=4).geometry
+    middle = FacePoint(0, (1 / 3, 1 / 3, 1 / 3))  # as warm at all three corners
+    fields = [HeatGeodesics(mesh, solver=s).distance(middle) for s in (Direct(), Iterative())]
+    assert np.abs(fields[1].distance - fields[0].distance).max() < 1e-7 * np.pi
+
+
 def test_modes_save_iterations_and_projection_no_less(animal, modes) -> None:
     def iterations(**options) -> int:
         solver = Iterative(drop=None, modes=59, **options)

@@ -122,12 +122,12 @@ def divergence_of_directions(
     lengths: Floats,
     values: Floats,
     exponents: Ints,
-    noise: float,
+    flat: float,
     sources: NDArray[np.bool_],
 ) -> Floats:
     """Return the integrated divergence of the unit vectors down the gradient of heat, shape (n,).
 
-    Triangles on which heat is constant up to its relative error `noise`, or whose corners are all
+    Triangles on which heat differs by less than the share `flat`, or whose corners are all
     `sources`, have no direction and add nothing. Signs and frames are those of
     `IntrinsicTriangulation.divergence`.
     """
@@ -140,7 +140,7 @@ def divergence_of_directions(
         a = values[i] * _power(exponents[i] - top)
         b = values[j] * _power(exponents[j] - top)
         c = values[k] * _power(exponents[k] - top)
-        if max(a, b, c) - min(a, b, c) <= noise * max(a, b, c):
+        if max(a, b, c) - min(a, b, c) <= flat * max(a, b, c):
             continue
         ij, jk, ki = lengths[t, 0], lengths[t, 1], lengths[t, 2]
         # Heron's formula in the form of Kahan would need sorting; sides are mollified instead.

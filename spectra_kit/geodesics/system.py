@@ -17,8 +17,7 @@ from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-_NOISE = 10.0  # backward errors that heat may be off by, between neighbours
-_ROUNDING = 1e-14
+_FLAT = 1e-9  # relative differences of heat in a triangle that are no direction, but rounding
 _SCATTERED = 16.0  # mean distance in memory between neighbours, over sqrt(n), that is too far
 
 
@@ -104,7 +103,7 @@ class System:
             self.lengths,
             heat.values,
             heat.exponents,
-            _NOISE * heat.backward_error + _ROUNDING,
+            _FLAT,
             at_zero[self.order],
         )
         return np.multiply(self.share, found)
