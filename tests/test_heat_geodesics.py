@@ -28,7 +28,7 @@ SOLVERS = [
     Iterative(),
     Iterative(coarse="projected"),
     Iterative(coarse="none"),
-    Iterative(drop=None, modes=96),
+    Iterative(drop=None, relaxation=0.0, modes=96),
     Automatic(),
 ]
 
@@ -163,7 +163,7 @@ def test_solvers_agree_where_heat_has_no_direction() -> None:
 
 def test_modes_save_iterations_and_projection_no_less(animal, modes) -> None:
     def iterations(**options) -> int:
-        solver = Iterative(drop=None, modes=59, **options)
+        solver = Iterative(drop=None, relaxation=0.0, modes=59, **options)
         return HeatGeodesics(animal, modes, solver=solver).distance(7).poisson.iterations
 
     plain = iterations(coarse="none")
@@ -396,6 +396,7 @@ def test_a_spectrum_of_other_points(animal) -> None:
         (lambda: Iterative(coarse="both"), "`coarse` must be"),
         (lambda: Iterative(modes=0), "`modes`"),
         (lambda: Iterative(drop=-1.0), "`drop`"),
+        (lambda: Iterative(relaxation=1.5), "`relaxation`"),
         (lambda: Iterative(rtol=0.0), "`rtol`"),
         (lambda: Iterative(max_iterations=0), "`max_iterations`"),
         (lambda: Automatic(n_sources=0), "`n_sources`"),

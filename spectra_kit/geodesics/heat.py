@@ -283,9 +283,7 @@ class HeatGeodesics:
     def _options(self, count: int) -> tuple[Direct | Iterative, str]:
         if isinstance(self._solver, Automatic):
             count = max(count, self._solver.n_sources)
-            options, why = self._solver.choose(
-                self.triangulation.n, count, modes=self._spectrum is not None
-            )
+            options, why = self._solver.choose(self.triangulation.n, count)
             return options, f"{self._name(options)}: {why}"
         return self._solver, f"{self._name(self._solver)}: as asked"
 

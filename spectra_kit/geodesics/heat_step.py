@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from spectra_kit.errors import ConvergenceError
 from spectra_kit.linalg.cholesky import SparseCholesky
-from spectra_kit.linalg.incomplete_cholesky import _factor
+from spectra_kit.linalg.incomplete_cholesky import incomplete_factor
 
 if TYPE_CHECKING:
     from spectra_kit.geodesics.system import System
@@ -159,7 +159,8 @@ class HeatStep:
         """L by rows and 1 / D of ``(I + L) D (I + L)^T``."""
         above = sparse.triu(self._matrix, 1, format="csr")
         above.sort_indices()
-        _, upper, inverse = _factor(above, self._matrix.diagonal(), _DROP, None, 0.0)
+        broken, upper, inverse = incomplete_factor(above, self._matrix.diagonal(), _DROP, None, 0.0)
+        assert broken < 0, "an M-matrix has an incomplete factor"
         return sparse.csr_array(upper.T.tocsr()), inverse
 
     @cached_property

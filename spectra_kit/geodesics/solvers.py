@@ -28,7 +28,8 @@ Floats = NDArray[np.float64]
 
 _SMALL = 10_000  # points, of which a complete factor takes less than a tenth of a second
 _FEW = 4  # sources: for more, complete factors pay; see `benchmark_geodesics.py`
-_MODES = 40  # beyond these, the bytes of a mode cost more than its iterations
+_MODES = 24  # beyond these, the bytes of a mode cost more than its iterations
+_DROP, _RELAXATION = 5e-3, 0.95
 _RITZ = 0.1  # relative error of the energies up to which they serve a preconditioner
 
 
@@ -47,10 +48,12 @@ class Iterative:
         What the modes do: add their part of the solution to the preconditioner (Algorithm 2 of
         the NEO paper), are projected out of the residual, or nothing (Algorithm 1). Without a
         spectrum all are "none".
-    modes : int, default 40
+    modes : int, default 24
         How many modes at most, zero modes aside. More save iterations, and make each slower.
-    drop : float or None, default 1e-2
+    drop : float or None, default 5e-3
         Entries of the factor below this share are dropped; None is level 0, as in the paper.
+    relaxation : float, default 0.95
+        Share of what is dropped that goes to the diagonal; 0 in the paper.
     rtol : float, default 1e-8
         Relative residual at which the Poisson step ends.
     max_iterations : int, optional
@@ -59,7 +62,8 @@ class Iterative:
 
     coarse: Literal["additive", "projected", "none"] = "additive"
     modes: int = _MODES
-    drop: float | None = 1e-2
+    drop: float | None = _DROP
+    relaxation: float = _RELAXATION
     rtol: float = 1e-8
     max_iterations: int | None = None
 
@@ -72,6 +76,8 @@ class Iterative:
         check_positive("rtol", self.rtol)
         if self.drop is not None:
             check_positive("drop", self.drop)
+        if not 0 <= self.relaxation <= 1:
+            raise InvalidInputError(f"`relaxation` must be in [0, 1], got {self.relaxation!r}")
         if self.max_iterations is not None:
             check_count("max_iterations", self.max_iterations, low=1)
 
@@ -99,15 +105,10 @@ class Automatic:
         check_positive("memory", self.memory)
         check_positive("rtol", self.rtol)
 
-    def choose(
-        self, n: int, n_sources: int, *, modes: bool = True
-    ) -> tuple[Direct | Iterative, str]:
-        """Return the solver for `n_sources` on n points, and why it is this one.
-
-        Without modes the incomplete factor has to do all the work, and a denser one pays.
-        """
+    def choose(self, n: int, n_sources: int) -> tuple[Direct | Iterative, str]:
+        """Return the solver for `n_sources` on n points, and why it is this one."""
         needed = factor_gigabytes(n)
-        iterative = Iterative(drop=1e-2 if modes else 1e-3, rtol=self.rtol)
+        iterative = Iterative(rtol=self.rtol)
         if needed > self.memory:
             return iterative, f"factors would take {needed:.1f} GiB, more than {self.memory:g}"
         if n <= _SMALL:
@@ -163,7 +164,9 @@ class IterativePoisson:
         order: NDArray[np.int64],
     ) -> None:
         self._matrix, self._kernel, self._options = matrix, kernel, options
-        base = IncompleteCholesky(matrix, drop=options.drop)
+        base = IncompleteCholesky(
+            matrix, drop=options.drop, relaxation=options.relaxation, dtype=np.float32
+        )
         self._coarse = None
         self._preconditioner: Preconditioner = base
         self.seconds = base.seconds

@@ -114,7 +114,7 @@ class IncompleteCholesky:
         self.shift = 0.0
         while True:
             raised = diagonal * (1 + self.shift)
-            broken, upper, inverse = _factor(above, raised, drop, max_fill, relaxation)
+            broken, upper, inverse = incomplete_factor(above, raised, drop, max_fill, relaxation)
             if broken < 0:
                 break
             if self.shift * _GROWTH > _LARGEST_SHIFT:
@@ -187,14 +187,33 @@ def _permuted(rows: sparse.csr_array, order: NDArray[np.uint32]) -> sparse.csr_a
     return sparse.csr_array((taken.data, place[taken.indices], taken.indptr), rows.shape)
 
 
-def _factor(
+def incomplete_factor(
     above: sparse.csr_array,
     diagonal: Floats,
     drop: float | None,
     max_fill: int | None,
     relaxation: float,
 ) -> tuple[int, sparse.csr_array, Floats]:
-    """Return the row of a breakdown or -1, L^T without its diagonal, and 1 / D."""
+    """Factorise, in the order given; for those who need the entries themselves.
+
+    Parameters
+    ----------
+    above : csr_array of shape (n, n)
+        A above its diagonal, columns ascending.
+    diagonal : ndarray of shape (n,)
+        That of A; overwritten.
+    drop, max_fill, relaxation
+        As in `IncompleteCholesky`.
+
+    Returns
+    -------
+    broken : int
+        Row of a breakdown, or -1.
+    upper : csr_array of shape (n, n)
+        L^T above its diagonal of ones.
+    inverse : ndarray of shape (n,)
+        1 / D.
+    """
     from spectra_kit.linalg import _incomplete_kernels as kernels
 
     n, inverse = len(diagonal), np.empty(len(diagonal))
