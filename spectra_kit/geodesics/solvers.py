@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 _SMALL = 10_000  # points, of which a complete factor takes less than a tenth of a second
 _FEW = 4  # sources: for more, complete factors pay; see `benchmark_geodesics.py`
 _MODES = 24  # beyond these, the bytes of a mode cost more than its iterations
-_DROP, _RELAXATION = 5e-3, 0.95
+_DROP, _RELAXATION = 5e-3, 0.9
 _RITZ = 0.1  # relative error of the energies up to which they serve a preconditioner
 
 
@@ -52,7 +52,7 @@ class Iterative:
         How many modes at most, zero modes aside. More save iterations, and make each slower.
     drop : float or None, default 5e-3
         Entries of the factor below this share are dropped; None is level 0, as in the paper.
-    relaxation : float, default 0.95
+    relaxation : float, default 0.9
         Share of what is dropped that goes to the diagonal; 0 in the paper.
     rtol : float, default 1e-8
         Relative residual at which the Poisson step ends.
