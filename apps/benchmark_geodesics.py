@@ -1,0 +1,101 @@
+"""Measure distance solvers side by side: iterations, seconds, errors against exact distances.
+
+    python apps/benchmark_geodesics.py OUT                        # needs SPECTRA_KIT_DATA
+    python apps/benchmark_geodesics.py OUT --meshes igea amo      # of SPECTRA_KIT_DATA/ood_public
+    python apps/benchmark_geodesics.py OUT --meshes my.obj --sources 50
+
+OUT gets NAME.json for each mesh, sphere.json and report.md. A mesh is not measured again with the
+same settings: delete its file for that. Exact distances and spectra are kept apart, in OUT/exact
+and OUT/work, and serve again. Files are remembered by the meshes, not by the code: after a change
+of the code, take another folder. Nothing else should run on the machine meanwhile.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from spectra_kit.errors import SpectraKitError
+from spectra_kit.evaluation.geodesics import (
+    Settings,
+    measure_ball,
+    measure_mesh,
+    problems_named,
+    write_geodesic_report,
+)
+
+DEFAULTS = Settings()
+MESHES = ("hammer", "bunny", "horse", "koala", "amo", "igea")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="benchmark_geodesics.py",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("out", type=Path, help="folder for everything")
+    add("--meshes", nargs="+", default=list(MESHES), metavar="FILE|NAME",
+        help=f"default: {' '.join(MESHES)}")  # fmt: skip
+    add("--sources", type=int, default=DEFAULTS.sources,
+        help="for the time of many (%(default)s)")  # fmt: skip
+    add("--exact-sources", type=int, default=DEFAULTS.exact_sources,
+        help=f"where errors are measured; two on more than {DEFAULTS.large:,} vertices"
+        " (%(default)s)")  # fmt: skip
+    add("--repeats", type=int, default=DEFAULTS.repeats, help="of each clocked run (%(default)s)")
+    add("--threads", type=int, default=os.cpu_count() or 1,
+        help="for all alike (default: all cores)")  # fmt: skip
+    add("--seed", type=int, default=DEFAULTS.seed, help="of the sources (%(default)s)")
+    add("--sphere", type=int, nargs="+", default=[3, 4, 5, 6], metavar="N",
+        help="subdivisions of the spheres (default: 3 4 5 6)")  # fmt: skip
+    add("--warm", type=int, default=DEFAULTS.warm, metavar="N",
+        help="subdivisions of the sphere that each process warms up on (%(default)s)")  # fmt: skip
+    add("--quick", action="store_true",
+        help="everything in one process, for a look: seconds are not comparable")  # fmt: skip
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure, write the report, print it; return the exit code."""
+    args = _parser().parse_args(argv)
+    names = {field.name for field in dataclasses.fields(Settings)}
+    try:
+        settings = Settings(**{k: v for k, v in vars(args).items() if k in names})
+        models = problems_named(args.meshes)
+        args.out.mkdir(parents=True, exist_ok=True)
+        records = [measure_mesh(model, settings, args.out, say=_say) for model in models]
+        ball = _ball(args.sphere, args.out / "sphere.json")
+        print(write_geodesic_report(records, ball, args.out / "report.md"))
+    except SpectraKitError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"\nstopped; run the same command to continue {args.out}", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _ball(subdivisions: list[int], path: Path) -> dict[str, object]:
+    """Measure errors on spheres, or read them."""
+    if path.exists():
+        known: dict[str, object] = json.loads(path.read_text())
+        if known["subdivisions"] == subdivisions:
+            return known
+    _say("spheres")
+    record = {"subdivisions": subdivisions, **measure_ball(subdivisions)}
+    path.write_text(json.dumps(record, indent=1))
+    return record
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

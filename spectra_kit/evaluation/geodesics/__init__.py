@@ -1,0 +1,23 @@
+"""Distance solvers side by side: iterations, seconds from the arrays on, errors, agreement.
+
+Data flows `contenders` (ours and other packages, under one interface) -> `process` (each in a
+process of its own, warm) -> `measure` (everything on one mesh; `truth` has the exact distances,
+kept on disk) and `ball` (rates on the sphere) -> `report`.
+"""
+
+from spectra_kit.evaluation.geodesics.ball import measure_ball
+from spectra_kit.evaluation.geodesics.contenders import CONTENDERS
+from spectra_kit.evaluation.geodesics.measure import Settings, measure_mesh
+from spectra_kit.evaluation.geodesics.problems import problems_named
+from spectra_kit.evaluation.geodesics.report import write_geodesic_report
+from spectra_kit.evaluation.geodesics.truth import ExactCache
+
+__all__ = [
+    "CONTENDERS",
+    "ExactCache",
+    "Settings",
+    "measure_ball",
+    "measure_mesh",
+    "problems_named",
+    "write_geodesic_report",
+]
