@@ -56,8 +56,15 @@ class Front(NamedTuple):
     keys: Floats
     items: Ints
     """Heap of windows and, as -1 - v, of vertices v to start from, by their distances."""
+    passed: Floats
+    """Windows that have passed an edge of more than two faces, in the direction of that side of
+    it which has the least number."""
+    following: Ints
+    """One that passed the same edge before, or -1."""
+    latest: Ints
+    """The latest to pass, for that side."""
     size: Ints
-    """Of the heap, of the windows, of the stack."""
+    """Of the heap, of the windows, of the stack, of those that have passed."""
 
 
 @njit(nogil=True, cache=True)
@@ -79,7 +86,10 @@ def propagate(soup: Soup, sources: Ints, targets: Ints, d: Floats) -> int:
         np.empty(room, np.int64),
         np.empty(heap),
         np.empty(heap, np.int64),
-        np.zeros(3, np.int64),
+        np.empty((room, 5)),
+        np.empty(room, np.int64),
+        np.full(m, -1),
+        np.zeros(4, np.int64),
     )
     split, split_at = np.full(m, np.inf), np.zeros(m)
     for v in sources:
@@ -93,7 +103,8 @@ def propagate(soup: Soup, sources: Ints, targets: Ints, d: Floats) -> int:
         if settled == len(targets):
             break
         item = _pop(front)
-        if front.size[0] + margin > len(front.keys) or front.size[1] + margin > len(front.free):
+        full = front.size[0] + margin > len(front.keys)
+        if full or max(front.size[1], front.size[3]) + margin > len(front.free):
             front = _doubled(front)
         if item < 0:
             if key <= d[-1 - item]:  # else a shorter way was found meanwhile
@@ -106,7 +117,7 @@ def propagate(soup: Soup, sources: Ints, targets: Ints, d: Floats) -> int:
 @njit(nogil=True, cache=True)
 def _doubled(front: Front) -> Front:
     """Return `front` with twice the room."""
-    reals, whole = front.reals, front.whole
+    reals, whole, passed = front.reals, front.whole, front.passed
     return Front(
         front.d,
         front.births,
@@ -115,6 +126,9 @@ def _doubled(front: Front) -> Front:
         np.append(front.free, np.empty_like(front.free)),
         np.append(front.keys, np.empty_like(front.keys)),
         np.append(front.items, np.empty_like(front.items)),
+        np.concatenate((passed, np.empty_like(passed))),
+        np.append(front.following, np.empty_like(front.following)),
+        front.latest,
         front.size,
     )
 
@@ -148,6 +162,10 @@ def _go_on(soup: Soup, front: Front, item: int, split: Floats, split_at: Floats)
     count, length = 0, soup.lengths[s]
     t = soup.around[s]
     two_faces = soup.around[t] == s
+    if not (two_faces or t == s):
+        b0, b1 = _unmatched(soup, front, s, b0, b1, x, y, before)
+        if b1 - b0 <= _THIN * length:
+            return 0
     while t != s:
         if soup.tails[t] == soup.tails[s]:  # wound the other way: the same direction on the edge
             count += _cross(
@@ -160,6 +178,53 @@ def _go_on(soup: Soup, front: Front, item: int, split: Floats, split_at: Floats)
             )
         t = soup.around[t]
     return count
+
+
+@njit(nogil=True, cache=True)
+def _unmatched(
+    soup: Soup, front: Front, s: int, b0: float, b1: float, x: float, y: float, before: float
+) -> tuple[float, float]:
+    """Return the part of a window to which no other through the edge has ways as short.
+
+    Where sheets part at an edge and join again at another, windows would multiply without end.
+    """
+    edge, t = s, soup.around[s]
+    while t != s:
+        edge, t = min(edge, t), soup.around[t]
+    length, turned = soup.lengths[s], soup.tails[edge] != soup.tails[s]
+    if turned:
+        b0, b1, x = length - b1, length - b0, length - x
+    i = front.latest[edge]
+    while i >= 0 and b1 > b0:
+        other = front.passed[i]
+        low, high = max(b0, other[0]), min(b1, other[1])
+        if low < high and (low == b0 or high == b1):
+            least = min(_behind(low, x, y, before, other), _behind(high, x, y, before, other))
+            if other[3] != y:
+                # Their difference is least at an end, or where both come from one direction.
+                p = (x * other[3] - other[2] * y) / (other[3] - y)
+                if low < p < high:
+                    least = min(least, _behind(p, x, y, before, other))
+            if least >= -_TIE * (before + y):
+                if low == b0:
+                    b0 = high
+                else:
+                    b1 = low
+        i = front.following[i]
+    if b1 > b0:
+        new = front.size[3]
+        front.size[3] += 1
+        front.passed[new, 0], front.passed[new, 1] = b0, b1
+        front.passed[new, 2], front.passed[new, 3], front.passed[new, 4] = x, y, before
+        front.following[new] = front.latest[edge]
+        front.latest[edge] = new
+    return (length - b1, length - b0) if turned else (b0, b1)
+
+
+@njit(nogil=True, cache=True)
+def _behind(p: float, x: float, y: float, before: float, other: Floats) -> float:
+    """Return how much longer the way of one window to the point at p is than that of another."""
+    return float(before + np.hypot(p - x, y) - other[4] - np.hypot(p - other[2], other[3]))
 
 
 @njit(nogil=True, cache=True)

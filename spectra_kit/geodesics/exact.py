@@ -109,8 +109,7 @@ def _soup(mesh: TriangleMesh) -> tuple[Soup, float]:
             f"`mesh` has {int(repeated.sum())} faces that name a vertex twice (the first is"
             f" {int(np.argmax(repeated))}); drop them with `mesh.without_degenerate_faces()`"
         )
-    # The same face again is no other way, but paths would multiply on it.
-    faces = mesh.without_duplicate_faces().faces
+    faces = mesh.faces
     tails, heads = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     unit = float(np.ptp(mesh.points, axis=0).max()) or 1.0  # no power of a length overflows
     points = mesh.points / unit
