@@ -59,7 +59,8 @@ def exact_distances(
     -----
     Windows of straight paths are continued from face to face, nearest first, and dropped where a
     vertex is known to offer shorter ways (improved Chen-Han algorithm). Paths bend only at
-    vertices with more than a full turn of faces around, or on the boundary.
+    vertices with more than a full turn of faces around, or on the boundary. At an edge of more
+    than two faces a window keeps the part that no other reaches as soon.
 
     A face without area has paths across it like any other: it counts as one whose heights are
     1e-12 of its sides.
