@@ -37,7 +37,7 @@ def exact_distances(
     mesh : TriangleMesh
         With n vertices. Any topology: where more than two faces meet in an edge, or fans of faces
         in a vertex, paths lead across to each of them. The winding does not matter.
-    sources : int, integer array of shape (s,), or boolean mask of shape (n,)
+    sources : int, array of int of shape (s,), or mask of shape (n,)
         Vertices; see `check_sources`.
     targets : array_like of shape (t,), integers, optional
         Only the distances of these vertices (default: all). It stops as soon as they are known:
