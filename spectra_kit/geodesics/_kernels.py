@@ -117,9 +117,22 @@ def solve_scaled(
 
 
 @njit(nogil=True, cache=True)
+def apexes(lengths: Floats) -> Floats:
+    """Return where corner 2 of each triangle is, with corner 0 at the origin and 1 along x."""
+    found = np.empty((len(lengths), 2))
+    for t in range(len(lengths)):
+        ij, jk, ki = lengths[t, 0], lengths[t, 1], lengths[t, 2]
+        square = (ij + jk + ki) * (jk + ki - ij) * (ki + ij - jk) * (ij + jk - ki)
+        found[t, 0] = (ij * ij + ki * ki - jk * jk) / (2 * ij)
+        found[t, 1] = math.sqrt(max(square, 0.0)) / (2 * ij)
+    return found
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def divergence_of_directions(
     corners: Ints,
     lengths: Floats,
+    apex: Floats,
     values: Floats,
     exponents: Ints,
     flat: float,
@@ -136,23 +149,21 @@ def divergence_of_directions(
         i, j, k = corners[t, 0], corners[t, 1], corners[t, 2]
         if sources[i] and sources[j] and sources[k]:
             continue
-        top = max(exponents[i], exponents[j], exponents[k])
-        a = values[i] * _power(exponents[i] - top)
-        b = values[j] * _power(exponents[j] - top)
-        c = values[k] * _power(exponents[k] - top)
-        if max(a, b, c) - min(a, b, c) <= flat * max(a, b, c):
+        a, b, c = values[i], values[j], values[k]
+        if exponents[i] != exponents[j] or exponents[i] != exponents[k]:
+            top = max(exponents[i], exponents[j], exponents[k])
+            a *= _power(exponents[i] - top)
+            b *= _power(exponents[j] - top)
+            c *= _power(exponents[k] - top)
+        largest = max(a, b, c)
+        if largest - min(a, b, c) <= flat * largest:
             continue
-        ij, jk, ki = lengths[t, 0], lengths[t, 1], lengths[t, 2]
-        # Heron's formula in the form of Kahan would need sorting; sides are mollified instead.
-        square = (ij + jk + ki) * (jk + ki - ij) * (ki + ij - jk) * (ij + jk - ki)
-        y = math.sqrt(max(square, 0.0)) / (2 * ij)  # corner k is at (x, y), i at 0, j at (ij, 0)
-        x = (ij * ij + ki * ki - jk * jk) / (2 * ij)
-        along = (b - a) / ij
-        across = (c - a - x * along) / y
-        norm = math.hypot(along, across)
-        along, across = -along / norm, -across / norm
-        one = (y * along - x * across) / 2
-        two = ij * across / 2
+        ij, x, y = lengths[t, 0], apex[t, 0], apex[t, 1]
+        along = (a - b) / ij
+        across = (a - c - x * along) / y
+        scale = 0.5 / math.sqrt(along * along + across * across)
+        one = (y * along - x * across) * scale
+        two = ij * across * scale
         found[i] -= one + two
         found[j] += one
         found[k] += two

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,12 @@ class System:
             inside[order],
         )
 
+    @cached_property
+    def _apexes(self) -> Floats:
+        from spectra_kit.geodesics._kernels import apexes
+
+        return np.asarray(apexes(self.lengths))
+
     def inwards(self, values: Floats) -> Floats:
         """Return `values` (n,) in the order of the input in that of memory."""
         return values[self.order]
@@ -101,6 +108,7 @@ class System:
         found = divergence_of_directions(
             self.corners,
             self.lengths,
+            self._apexes,
             heat.values,
             heat.exponents,
             _FLAT,
