@@ -8,6 +8,7 @@ from scipy.sparse.linalg import spsolve
 from spectra_kit import InvalidInputError, TriangleMesh, cotan_laplacian, delaunay_laplacian
 from spectra_kit.geometry import creature, sphere
 from spectra_kit.linalg import ConstantKernel, IncompleteCholesky, pcg
+from spectra_kit.linalg.incomplete_cholesky import untidy
 
 RNG = np.random.default_rng(0)
 
@@ -127,6 +128,9 @@ def test_a_shuffled_mesh_takes_no_more_iterations():
 
     tidy = pcg(matrix, rhs, preconditioner=IncompleteCholesky(matrix, reorder=True)).iterations
     assert iterations(None) == iterations(True) <= 1.1 * tidy < iterations(False)
+    assert untidy(shuffled)
+    assert not untidy(matrix)
+    assert not untidy(sparse.csr_array((3, 3)))
 
 
 def test_breakdown_raises_the_diagonal_and_says_so():

@@ -103,7 +103,7 @@ class IncompleteCholesky:
         self.n: int = rows.shape[0]
         self._kind = _check_options(drop, max_fill, relaxation, self.n)
         self._order = np.arange(self.n, dtype=np.uint32)
-        if _untidy(rows) if reorder is None else reorder:
+        if untidy(rows) if reorder is None else reorder:
             self._order = reverse_cuthill_mckee(rows, symmetric_mode=True).astype(np.uint32)
             rows = _permuted(rows, self._order)
         diagonal = rows.diagonal()
@@ -172,11 +172,30 @@ def _indefinite(reason: str) -> InvalidInputError:
     )
 
 
-def _untidy(rows: sparse.csr_array) -> bool:
-    """Return whether neighbours are far apart in the order of the unknowns."""
-    n = rows.shape[0]
-    own = np.repeat(np.arange(n, dtype=rows.indices.dtype), np.diff(rows.indptr))
-    return bool(np.abs(rows.indices - own).mean() > _FAR * n) if rows.nnz else False
+def untidy(matrix: sparse.csr_array) -> bool:
+    """Return whether neighbours are far apart in the order of the unknowns, as in a shuffled mesh.
+
+    Parameters
+    ----------
+    matrix : csr_array of shape (n, n)
+        Whose entries say who are neighbours.
+
+    Returns
+    -------
+    bool
+        Whether they are more than n / 20 places apart on average, so that incomplete factors gain
+        by another order.
+
+    Examples
+    --------
+    >>> path = sparse.eye_array(100, k=1, format="csr") + sparse.eye_array(100, k=-1, format="csr")
+    >>> shuffle = np.random.default_rng(0).permutation(100)
+    >>> untidy(path), untidy(path[shuffle][:, shuffle])
+    (False, True)
+    """
+    n = matrix.shape[0]
+    own = np.repeat(np.arange(n, dtype=matrix.indices.dtype), np.diff(matrix.indptr))
+    return bool(np.abs(matrix.indices - own).mean() > _FAR * n) if matrix.nnz else False
 
 
 def _permuted(rows: sparse.csr_array, order: NDArray[np.uint32]) -> sparse.csr_array:
