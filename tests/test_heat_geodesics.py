@@ -5,6 +5,7 @@ import numpy as np
 import potpourri3d as pp3d
 import pytest
 from scipy import sparse
+from scipy.spatial import Delaunay
 
 import spectra_kit as sk
 from spectra_kit.errors import ConvergenceError, InvalidInputError
@@ -12,6 +13,7 @@ from spectra_kit.geodesics import (
     Automatic,
     Direct,
     FacePoint,
+    Heat,
     HeatGeodesics,
     Iterative,
     check_sources,
@@ -191,8 +193,9 @@ def test_distances_have_the_unit_of_the_input(animal, modes) -> None:
         scaled = animal.with_points(factor * animal.points)
         for solver in (Direct(), Iterative()):
             one = HeatGeodesics(animal, modes, solver=solver).distance(7).distance
-            other = HeatGeodesics(scaled, modes.rescale(factor), solver=solver).distance(7).distance
-            assert np.abs(other / factor - one).max() < 1e-7 * one.max()
+            other = HeatGeodesics(scaled, modes.rescale(factor), solver=solver).distance(7)
+            assert np.abs(other.distance / factor - one).max() < 1e-7 * one.max()
+            assert other.heat.iterations == 0 or not isinstance(solver, Direct)
 
 
 def test_the_order_of_vertices_does_not_matter(animal, modes) -> None:
@@ -244,14 +247,15 @@ def test_a_region_of_sources_is_at_zero_and_shines_outwards(solver) -> None:
     assert not everywhere.distance.any()
 
 
+@pytest.mark.parametrize("boundary", ["neumann", "average"])
 @pytest.mark.parametrize("solver", [Direct(), Iterative()], ids=["direct", "iterative"])
-def test_the_smallest_geometries(solver) -> None:
+def test_the_smallest_geometries(solver, boundary) -> None:
     triangle = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
     tetrahedron = TriangleMesh(corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
     for mesh in (triangle, tetrahedron):
         # Down the middle of each face: its height, as heat is the same at both ends of the side.
-        distance = HeatGeodesics(mesh, solver=solver).distance(0).distance
+        distance = HeatGeodesics(mesh, solver=solver, boundary=boundary).distance(0).distance
         assert distance[1:] == pytest.approx(np.sqrt(0.5))
 
 
@@ -317,6 +321,28 @@ def test_the_average_of_boundary_conditions_lies_between_them() -> None:
     assert np.abs(on_edge[0].distance - on_edge[1].distance).max() < 1e-12
 
 
+def test_a_cold_boundary_that_cuts_the_surface_apart_is_refused() -> None:
+    sheet = rectangle(n=100).geometry
+    right = sheet.points[:, 0].max()
+    bridge = np.flatnonzero(sheet.points[:, 0] == right)[4:6]  # the ends of one side
+    other = TriangleMesh(sheet.points + [right, 0, 0], sheet.faces)
+    twin = np.flatnonzero(other.points[:, 0] == right)[4:6]
+    moved = other.points + [0.1, 0, 0]
+    a, b = bridge
+    c, d = twin + sheet.n
+    faces = [sheet.faces, sheet.faces + sheet.n, [[a, c, b], [b, c, d]]]
+    strip = TriangleMesh(np.vstack([sheet.points, moved]), np.vstack(faces))
+    middle = int(np.argmin(np.linalg.norm(sheet.points - sheet.points.mean(axis=0), axis=1)))
+    for solver in (Direct(), Iterative()):
+        with pytest.raises(InvalidInputError, match=r"cuts \d+ points off"):
+            HeatGeodesics(strip, solver=solver, boundary="dirichlet").distance(middle)
+        field = HeatGeodesics(strip, solver=solver, boundary="average").distance(middle)
+        assert field.distance.max() > 1.5 * right
+    triangle = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    with pytest.raises(InvalidInputError, match="must not all lie on the boundary"):
+        HeatGeodesics(triangle, boundary="dirichlet").distance(0)
+
+
 def test_a_closed_surface_has_no_boundary_condition(animal) -> None:
     one, other = (HeatGeodesics(animal, boundary=b).distance(7) for b in ("neumann", "dirichlet"))
     assert np.array_equal(one.distance, other.distance)
@@ -335,6 +361,35 @@ def test_the_choice_is_explained(animal, modes) -> None:
     assert isinstance(choose(100_000, 20)[0], Direct)
     assert "more than" in choose(50_000_000, 20)[1]
     assert isinstance(Automatic(memory=0.001).choose(100_000, 20)[0], Iterative)
+
+
+def test_triangles_of_very_different_size() -> None:
+    rng = np.random.default_rng(0)
+    coarse, fine = rng.random((3000, 2)), 0.5 + 0.001 * rng.random((9000, 2))
+    flat = np.vstack([coarse, fine, [[0, 0], [1, 0], [0, 1], [1, 1]]])
+    mesh = TriangleMesh(np.column_stack([flat, np.zeros(len(flat))]), Delaunay(flat).simplices)
+    fields = [HeatGeodesics(mesh, solver=s).distance(0) for s in (Direct(), Iterative())]
+    assert np.abs(fields[1].distance - fields[0].distance).max() < 1e-7
+    assert fields[1].heat.iterations < 60
+    assert relative_error(fields[0], np.linalg.norm(mesh.points - mesh.points[0], axis=1)) < 0.1
+
+
+def test_factors_serve_once_they_are_there() -> None:
+    mesh = sphere(subdivisions=5).geometry
+    geodesics = HeatGeodesics(mesh)
+    one_by_one = [geodesics.distance(i).choice for i in range(6)]
+    assert ["iterative" in choice for choice in one_by_one] == 4 * [True] + 2 * [False]
+    assert one_by_one[-1] == "direct: the factors are there"
+
+
+def test_a_spectrum_without_modes_is_none(animal, modes) -> None:
+    field = HeatGeodesics(animal, modes.truncate(1), solver=Iterative()).distance(0)
+    assert field.choice == "iterative: as asked"
+
+
+def test_a_time_so_long_that_heat_is_level_is_warned_of(animal) -> None:
+    with pytest.warns(UserWarning, match="lower `time_coefficient`"):
+        geodesic_distance(animal, 7, time_coefficient=1e12)
 
 
 def test_many_sources_or_the_promise_of_them_decide_alike() -> None:
@@ -370,6 +425,25 @@ def test_an_iteration_limit_keeps_what_there_is(animal) -> None:
     assert np.isfinite(partial.distance).all()
 
 
+def test_heat_that_does_not_get_there_is_kept(animal, monkeypatch) -> None:
+    monkeypatch.setattr("spectra_kit.geodesics.heat_step._ACCURACY", 1e-30)
+    with pytest.raises(ConvergenceError, match="heat step must be right") as caught:
+        geodesic_distance(animal, 7, solver=Iterative())
+    assert isinstance(caught.value.partial, Heat)
+    assert caught.value.partial.backward_error < 1e-10
+
+
+def test_a_matrix_that_is_no_laplacian_has_no_heat_step() -> None:
+    indefinite = sparse.csr_array([[1.0, 2.0], [2.0, 1.0]])
+    nothing = np.empty((0, 3))
+    system = System(
+        np.arange(2), indefinite, np.ones(2) / 100, np.eye(2, 3), np.zeros(2, dtype=int),
+        nothing.astype(np.int32), nothing, 1.0, np.ones(2, dtype=bool),
+    )  # fmt: skip
+    with pytest.raises(InvalidInputError, match="has no incomplete factor"):
+        HeatStep(system, duration=1.0, direct=False)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -398,6 +472,8 @@ def test_a_spectrum_of_other_points(animal) -> None:
         (lambda: Iterative(drop=-1.0), "`drop`"),
         (lambda: Iterative(relaxation=1.5), "`relaxation`"),
         (lambda: Iterative(rtol=0.0), "`rtol`"),
+        (lambda: Iterative(rtol=10.0), "`rtol` must be less than 1"),
+        (lambda: Automatic(modes=0), "`modes`"),
         (lambda: Iterative(max_iterations=0), "`max_iterations`"),
         (lambda: Automatic(n_sources=0), "`n_sources`"),
         (lambda: Automatic(memory=0.0), "`memory`"),

@@ -2,6 +2,7 @@
 
 from spectra_kit.geodesics.exact import exact_distances
 from spectra_kit.geodesics.heat import HeatGeodesics, geodesic_distance
+from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import Automatic, Direct, Iterative
 from spectra_kit.geodesics.sources import FacePoint, Sources, check_sources, nearest_source
@@ -16,6 +17,7 @@ __all__ = [
     "Direct",
     "DistanceField",
     "FacePoint",
+    "Heat",
     "HeatGeodesics",
     "Iterative",
     "Sources",

@@ -116,18 +116,6 @@ def solve_scaled(
             out[columns[p]] -= backward[p] * value
 
 
-@njit(nogil=True, cache=True)
-def apexes(lengths: Floats) -> Floats:
-    """Return where corner 2 of each triangle is, with corner 0 at the origin and 1 along x."""
-    found = np.empty((len(lengths), 2))
-    for t in range(len(lengths)):
-        ij, jk, ki = lengths[t, 0], lengths[t, 1], lengths[t, 2]
-        square = (ij + jk + ki) * (jk + ki - ij) * (ki + ij - jk) * (ij + jk - ki)
-        found[t, 0] = (ij * ij + ki * ki - jk * jk) / (2 * ij)
-        found[t, 1] = math.sqrt(max(square, 0.0)) / (2 * ij)
-    return found
-
-
 @njit(nogil=True, cache=True, error_model="numpy")
 def divergence_of_directions(
     corners: Ints,
@@ -137,14 +125,15 @@ def divergence_of_directions(
     exponents: Ints,
     flat: float,
     sources: NDArray[np.bool_],
-) -> Floats:
+) -> tuple[Floats, int]:
     """Return the integrated divergence of the unit vectors down the gradient of heat, shape (n,).
 
     Triangles on which heat differs by less than the share `flat`, or whose corners are all
-    `sources`, have no direction and add nothing. Signs and frames are those of
-    `IntrinsicTriangulation.divergence`.
+    `sources`, have no direction and add nothing; returns the number of the former too. Signs and
+    frames are those of `IntrinsicTriangulation.divergence`.
     """
     found = np.zeros(len(values))
+    level = 0
     for t in range(len(corners)):
         i, j, k = corners[t, 0], corners[t, 1], corners[t, 2]
         if sources[i] and sources[j] and sources[k]:
@@ -157,6 +146,7 @@ def divergence_of_directions(
             c *= _power(exponents[k] - top)
         largest = max(a, b, c)
         if largest - min(a, b, c) <= flat * largest:
+            level += largest > 0.0
             continue
         ij, x, y = lengths[t, 0], apex[t, 0], apex[t, 1]
         along = (a - b) / ij
@@ -167,4 +157,4 @@ def divergence_of_directions(
         found[i] -= one + two
         found[j] += one
         found[k] += two
-    return found
+    return found, level

@@ -57,7 +57,8 @@ class HeatGeodesics:
         Modes of the geometry, by whatever solver: they make an iterative solver quicker, and do
         not change the distances.
     solver : Direct, Iterative or Automatic, default Automatic()
-        How linear systems are solved.
+        How linear systems are solved. For more than a few sources say so beforehand
+        (``Automatic(n_sources=100)``) or use `distances`: complete factors then pay.
     time_coefficient : float, default 1.0
         The time of the heat step is this times the square of the mean edge. Larger ones give
         smoother, less exact distances.
@@ -140,6 +141,7 @@ class HeatGeodesics:
         self._geometry, self._spectrum, self._solver = geometry, spectrum, solver
         self._boundary: Boundary = boundary
         self.time_step = time_coefficient * self.triangulation.mean_edge_length**2
+        self._asked = 0
         self._ready: dict[Direct | Iterative, _Ready] = {}
 
     def distance(self, sources: SourcesLike, *, weights: ArrayLike | None = None) -> DistanceField:
@@ -164,13 +166,14 @@ class HeatGeodesics:
         Raises
         ------
         InvalidInputError
-            If there is no source, one is out of range or in a vertex without faces, or all those
-            of a component are on its boundary, which ``boundary="dirichlet"`` keeps cold.
+            If there is no source, one is out of range or in a vertex without faces; if
+            ``boundary="dirichlet"`` and all those of a component are on its boundary, or it cuts
+            points off from them.
         ConvergenceError
-            If an iterative solver stops short: `partial` is the `DistanceField` of what it had
-            (None if that was the heat step).
+            If an iterative solver stops short: `partial` is the `DistanceField` of what it had,
+            or the `Heat` if that was the heat step.
         """
-        return self._distance(check_sources(sources, self._geometry, weights), 1)
+        return self._distance(check_sources(sources, self._geometry, weights), *self._options(1))
 
     def distances(self, sources: Sequence[SourcesLike]) -> list[DistanceField]:
         """Measure a distance field for each of many sources, or sets of sources.
@@ -185,11 +188,13 @@ class HeatGeodesics:
         list of DistanceField
         """
         checked = [check_sources(one, self._geometry) for one in sources]
-        return [self._distance(one, len(checked)) for one in checked]
+        options, why = self._options(len(checked))
+        return [self._distance(one, options, why) for one in checked]
 
-    def _distance(self, sources: Sources, count: int) -> DistanceField:
-        options, choice = self._options(count)
-        system, ready = self._system, self._prepare(options)
+    def _distance(self, sources: Sources, options: Direct | Iterative, why: str) -> DistanceField:
+        ready = self._prepare(options)
+        system, choice = self._system, f"{ready.poisson.name}: {why}"
+        self._asked += 1
         heat = self._heat(ready.steps, system.inwards(sources.right_hand_side()))
         start = time.perf_counter()
         flow = system.flow(heat, sources)
@@ -228,6 +233,7 @@ class HeatGeodesics:
         """Factorise what both steps need, side by side, or return it if that is done."""
         if options not in self._ready:
             start = time.perf_counter()
+            _ = self._system
             steps: dict[Boundary, HeatStep] = {}
             poisson: list[PoissonSolver] = []
             in_threads(
@@ -245,13 +251,16 @@ class HeatGeodesics:
         wanted: tuple[Boundary, ...] = (self._boundary,)
         if self._boundary == "average":
             wanted = ("neumann", "dirichlet")
-        if self._system.inside.all():
+        inside = self._system.inside
+        if inside.all():
             wanted = ("neumann",)
+        elif not inside.any():
+            wanted = tuple(condition for condition in wanted if condition == "neumann")
         return {
             condition: HeatStep(
                 self._system,
                 duration=self.time_step,
-                inside=self._system.inside if condition == "dirichlet" else None,
+                inside=inside if condition == "dirichlet" else None,
                 direct=isinstance(options, Direct),
             )
             for condition in wanted
@@ -272,27 +281,34 @@ class HeatGeodesics:
             warm = heated if condition == "neumann" else np.where(system.inside, heated, 0.0)
             cold = np.setdiff1d(sourced, system.labels[warm > 0])
             if len(cold) and self._boundary == "dirichlet":
-                raise InvalidInputError(
-                    "`sources` must not all lie on the boundary of their component, which"
-                    " boundary='dirichlet' keeps cold; use 'neumann' or 'average'"
-                )
+                raise _cold()
             if warm.any():
                 found.append(step.solve(warm))
-        return reduce(Heat.plus, found)
+        if not found:
+            raise _cold()
+        heat = reduce(Heat.plus, found)
+        sourced_points = np.isin(system.labels, sourced) & system.inside
+        if (cut := int((heat.values[sourced_points] == 0).sum())) > 0:
+            raise InvalidInputError(
+                f"`boundary` must not be 'dirichlet' here: the cold boundary cuts {cut} points off"
+                " from the sources, as at a strip one triangle wide; use 'neumann' or 'average'"
+            )
+        return heat
 
     def _options(self, count: int) -> tuple[Direct | Iterative, str]:
-        if isinstance(self._solver, Automatic):
-            count = max(count, self._solver.n_sources)
-            options, why = self._solver.choose(self.triangulation.n, count)
-            return options, f"{self._name(options)}: {why}"
-        return self._solver, f"{self._name(self._solver)}: as asked"
+        if not isinstance(self._solver, Automatic):
+            return self._solver, "as asked"
+        if Direct() in self._ready:
+            return Direct(), "the factors are there"
+        count = max(self._asked + count, self._solver.n_sources)
+        return self._solver.choose(self.triangulation.n, count)
 
-    def _name(self, options: Direct | Iterative) -> str:
-        if isinstance(options, Direct):
-            return "direct"
-        if self._spectrum is None or options.coarse == "none":
-            return "iterative"
-        return f"two-level iterative ({options.coarse})"
+
+def _cold() -> InvalidInputError:
+    return InvalidInputError(
+        "`sources` must not all lie on the boundary of their component, which"
+        " boundary='dirichlet' keeps cold; use 'neumann' or 'average'"
+    )
 
 
 def geodesic_distance(

@@ -1,4 +1,4 @@
-"""`HeatStep`: one implicit step of heat flow, right to the last digit of the coldest point."""
+"""`HeatStep`: one implicit step of heat flow, as accurate where it is coldest."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from spectra_kit.errors import ConvergenceError
+from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.linalg.cholesky import SparseCholesky
 from spectra_kit.linalg.incomplete_cholesky import incomplete_factor
 
@@ -25,11 +25,9 @@ Ints = NDArray[np.int32]
 
 _DROP = 1e-4  # of the incomplete factor: some 13 iterations, and three times the entries of L
 _ACCURACY = 1e-10  # componentwise backward error
-_MOST = 300  # iterations
 _DECAY = 0.8  # of log u per sqrt(t), a little less than it is: to choose exponents
-_LIFT = 1000  # a direct solution starts at 2**1000, and may fall to
+_LIFT = 1000  # a direct solution is at most 2**1000, and may fall to
 _FLOOR = 1e-290  # before digits are lost
-_NARROW = 200  # binary orders of magnitude around 1 that need no new exponents
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -128,7 +126,8 @@ class HeatStep:
     does so too: ``A = F - R`` with R >= 0 is a regular splitting, and the iteration
     ``F u' = b + R u`` rises to u from below, point by point (Meijerink and van der Vorst, *An
     Iterative Solution Method for Linear Systems of Which the Coefficient Matrix is a Symmetric
-    M-Matrix*, 1977). With exponents beside the values, found by a search along the edges, nothing
+    M-Matrix*, 1977). Where triangles are much smaller than sqrt(t) it is slow, and BiCGStab goes
+    on from there. With exponents beside the values, found by a search along the edges, nothing
     underflows however far away a point is.
     """
 
@@ -141,12 +140,17 @@ class HeatStep:
         direct: bool,
     ) -> None:
         start = time.perf_counter()
-        stiffness, mass, self._points = system.stiffness, system.mass, system.points
+        stiffness, self._mass, self._points = system.stiffness, system.mass, system.points
         self._inside = inside
         if inside is not None:
             stiffness = sparse.csr_array(stiffness[inside][:, inside])
-            mass, self._points = mass[inside], self._points[inside]
-        self._matrix = sparse.csr_array(duration * stiffness + sparse.diags_array(mass))
+            self._mass, self._points = self._mass[inside], self._points[inside]
+        # In units of the mean mass: the same numbers whatever the unit of length.
+        unit = self._mass.mean()
+        self._mass = self._mass / unit
+        self._matrix = sparse.csr_array(
+            duration / unit * stiffness + sparse.diags_array(self._mass)
+        )
         self._matrix.sort_indices()
         self._root = float(np.sqrt(duration))
         self._complete = SparseCholesky(self._matrix) if direct else None
@@ -160,7 +164,12 @@ class HeatStep:
         above = sparse.triu(self._matrix, 1, format="csr")
         above.sort_indices()
         broken, upper, inverse = incomplete_factor(above, self._matrix.diagonal(), _DROP, None, 0.0)
-        assert broken < 0, "an M-matrix has an incomplete factor"
+        if broken >= 0:
+            raise InvalidInputError(
+                "`geometry` must have a Laplacian without positive entries off its diagonal, got"
+                f" one whose heat step has no incomplete factor (row {broken}); use"
+                " `intrinsic_delaunay`, or solver=Direct()"
+            )
         return sparse.csr_array(upper.T.tocsr()), inverse
 
     @cached_property
@@ -195,7 +204,7 @@ class HeatStep:
     def _solve(self, rhs: Floats) -> Heat:
         start = time.perf_counter()
         sources = np.flatnonzero(rhs)
-        rhs = rhs / rhs.max()
+        rhs = rhs / (rhs / self._mass).max()  # then u is at most 1, by the maximum principle
         if self._complete is not None:
             reached = np.isin(self._labels, np.unique(self._labels[sources]))
             lifted = np.ldexp(rhs, _LIFT)
@@ -217,37 +226,23 @@ class HeatStep:
         return Heat(values, exponents - _LIFT, "Cholesky", 0, share, seconds)
 
     def _iterate(self, rhs: Floats, exponents: Ints, start: float) -> Heat:
-        from spectra_kit.geodesics._kernels import residual, scaled_entries, solve_scaled
+        from spectra_kit.geodesics._heat_iteration import iterate
 
-        A = self._matrix
         lower, inverse = self._incomplete
-        entries, spare = np.empty_like(A.data), np.empty_like(A.data)
-        forward, backward = np.empty_like(lower.data), np.empty_like(lower.data)
-        out, change = np.empty_like(rhs), np.empty_like(rhs)
-        x = np.zeros_like(rhs)
-        share, iterations, aligned = 1.0, 0, False
-        while iterations < _MOST:
-            if not aligned:
-                scaled_entries(A.indptr, A.indices, A.data, exponents, entries, spare)
-                scaled_entries(
-                    lower.indptr, lower.indices, lower.data, exponents, forward, backward
-                )
-                scaled_rhs = np.ldexp(rhs, -exponents)
-                aligned = True
-            share = residual(A.indptr, A.indices, entries, scaled_rhs, x, out)
-            if share <= _ACCURACY:
-                break
-            solve_scaled(lower.indptr, lower.indices, forward, backward, inverse, out, change)
-            x += change
-            iterations += 1
-            size, power = np.frexp(x)
-            if np.abs(power).max() > _NARROW:
-                x, exponents, aligned = size, (exponents + power).astype(np.int32), False
-        if not share <= _ACCURACY:
-            raise ConvergenceError(
-                f"the heat step must be right to {_ACCURACY:g} at every point, got {share:.1e}"
-                f" after {iterations} iterations; triangles differ too much in size, or"
-                " `time_coefficient` is large: use solver=Direct()"
-            )
-        seconds = time.perf_counter() - start
-        return Heat(x, exponents, "incomplete Cholesky", iterations, share, seconds)
+        end = iterate(self._matrix, lower, inverse, rhs, exponents, accuracy=_ACCURACY)
+        heat = Heat(
+            end.x,
+            end.exponents,
+            "incomplete Cholesky",
+            end.iterations,
+            end.share,
+            time.perf_counter() - start,
+        )
+        if end.share <= _ACCURACY and (end.x >= 0).all():
+            return heat
+        raise ConvergenceError(
+            f"the heat step must be right to {_ACCURACY:g} at every point, got {end.share:.1e}"
+            f" after {end.iterations} iterations; triangles differ too much in size, or"
+            " `time_coefficient` is large: use solver=Direct()",
+            partial=heat,
+        )

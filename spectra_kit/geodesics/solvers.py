@@ -73,8 +73,8 @@ class Iterative:
                 f"`coarse` must be 'additive', 'projected' or 'none', got {self.coarse!r}"
             )
         check_count("modes", self.modes, low=1)
-        check_positive("rtol", self.rtol)
-        if self.drop is not None:
+        _check_rtol(self.rtol)
+        if self.drop is not None and self.drop != 0:
             check_positive("drop", self.drop)
         if not 0 <= self.relaxation <= 1:
             raise InvalidInputError(f"`relaxation` must be in [0, 1], got {self.relaxation!r}")
@@ -89,26 +89,36 @@ class Automatic:
     Parameters
     ----------
     n_sources : int, default 1
-        How often distances will be asked for in all.
+        How often distances will be asked for in all, where that is known. `HeatGeodesics` counts
+        what it is asked, too.
     memory : float, default 4.0
         GiB that two complete factors may take.
+    modes : int, default 24
+        Of the iterative solver, as is
     rtol : float, default 1e-8
-        Of the iterative solver.
+        the relative residual at which it ends.
+
+    Examples
+    --------
+    >>> Automatic().choose(100_000, 20)[1]
+    '20 sources pay for factors of 100000 points'
     """
 
     n_sources: int = 1
     memory: float = 4.0
+    modes: int = _MODES
     rtol: float = 1e-8
 
     def __post_init__(self) -> None:
         check_count("n_sources", self.n_sources, low=1)
         check_positive("memory", self.memory)
-        check_positive("rtol", self.rtol)
+        check_count("modes", self.modes, low=1)
+        _check_rtol(self.rtol)
 
     def choose(self, n: int, n_sources: int) -> tuple[Direct | Iterative, str]:
         """Return the solver for `n_sources` on n points, and why it is this one."""
         needed = factor_gigabytes(n)
-        iterative = Iterative(rtol=self.rtol)
+        iterative = Iterative(modes=self.modes, rtol=self.rtol)
         if needed > self.memory:
             return iterative, f"factors would take {needed:.1f} GiB, more than {self.memory:g}"
         if n <= _SMALL:
@@ -122,12 +132,18 @@ class Automatic:
 Solver = Direct | Iterative | Automatic
 
 
+def _check_rtol(rtol: float) -> None:
+    if check_positive("rtol", rtol) >= 1:
+        raise InvalidInputError(f"`rtol` must be less than 1, got {rtol}; 1e-8 is the default")
+
+
 class PoissonSolver(Protocol):
     """A Laplacian ready to be solved with any right-hand side."""
 
+    name: str
     seconds: float
 
-    def solution(self, rhs: Floats, start: Floats | None = None) -> LinearSolution:
+    def solution(self, rhs: Floats) -> LinearSolution:
         """Solve ``L x = rhs`` up to constants."""
 
 
@@ -143,12 +159,14 @@ def factor_gigabytes(n: int) -> float:
 class DirectPoisson:
     """`GroundedCholesky` under the interface of a `PoissonSolver`."""
 
+    name = "direct"
+
     def __init__(self, matrix: sparse.csr_array, kernel: ConstantKernel) -> None:
         self._factor = GroundedCholesky(matrix, kernel)
         self.seconds = self._factor.seconds
 
-    def solution(self, rhs: Floats, start: Floats | None = None) -> LinearSolution:
-        """Solve; a start is of no use."""
+    def solution(self, rhs: Floats) -> LinearSolution:
+        """Solve ``L x = rhs`` up to constants."""
         return self._factor.solution(rhs)
 
 
@@ -165,11 +183,15 @@ class IterativePoisson:
     ) -> None:
         self._matrix, self._kernel, self._options = matrix, kernel, options
         base = IncompleteCholesky(
-            matrix, drop=options.drop, relaxation=options.relaxation, dtype=np.float32
+            matrix,
+            drop=options.drop,
+            relaxation=options.relaxation,
+            reorder=False,
+            dtype=np.float32,
         )
         self._coarse = None
         self._preconditioner: Preconditioner = base
-        self.seconds = base.seconds
+        self.name, self.seconds = "iterative", base.seconds
         if spectrum is None or options.coarse == "none":
             return
         exact = options.coarse == "projected"
@@ -182,13 +204,11 @@ class IterativePoisson:
             else AdditiveTwoLevel(base, self._coarse)
         )
         self._preconditioner, self.seconds = two, two.seconds
+        self.name = f"two-level iterative ({options.coarse})"
 
-    def solution(self, rhs: Floats, start: Floats | None = None) -> LinearSolution:
-        """Solve from `start`, improved in the modes (the warm start of Algorithm 2)."""
-        if self._coarse is not None:
-            missing = rhs if start is None else rhs - self._matrix @ start
-            better = self._coarse.solve(missing)
-            start = better if start is None else start + better
+    def solution(self, rhs: Floats) -> LinearSolution:
+        """Solve, from the solution in the modes (the warm start of Algorithm 2)."""
+        start = None if self._coarse is None else self._coarse.solve(rhs)
         return pcg(
             self._matrix,
             rhs,

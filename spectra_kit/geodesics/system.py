@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,13 +14,14 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.sources import Sources
+from spectra_kit.linalg.incomplete_cholesky import untidy
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 _FLAT = 1e-9  # relative differences of heat in a triangle that are no direction, but rounding
-_SCATTERED = 16.0  # mean distance in memory between neighbours, over sqrt(n), that is too far
+_LEVEL = 0.05  # share of such triangles that deserves a warning; a few lie at any source's antipode
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,10 +61,8 @@ class System:
         """Lay out a triangulation."""
         laplacian = triangulation.laplacian
         n, stiffness, corners = laplacian.n, laplacian.stiffness, triangulation.corners
-        rows = np.repeat(np.arange(n), np.diff(stiffness.indptr))
-        apart = np.abs(rows - stiffness.indices).mean()
         order = np.arange(n)
-        if apart > _SCATTERED * np.sqrt(n):
+        if untidy(stiffness):
             order = reverse_cuthill_mckee(stiffness, symmetric_mode=True).astype(np.int64)
             stiffness = sparse.csr_array(stiffness[order][:, order])
             stiffness.sort_indices()
@@ -85,7 +85,7 @@ class System:
 
     @cached_property
     def _apexes(self) -> Floats:
-        from spectra_kit.geodesics._kernels import apexes
+        from spectra_kit.operators._triangle_calculus import apexes
 
         return np.asarray(apexes(self.lengths))
 
@@ -105,7 +105,7 @@ class System:
 
         at_zero = np.zeros(len(self.order), dtype=bool)
         at_zero[sources.vertices[sources.offsets == 0]] = True
-        found = divergence_of_directions(
+        found, level = divergence_of_directions(
             self.corners,
             self.lengths,
             self._apexes,
@@ -114,6 +114,12 @@ class System:
             _FLAT,
             at_zero[self.order],
         )
+        if level > _LEVEL * len(self.corners) + 4:
+            warnings.warn(
+                f"heat is the same all over {level} of {len(self.corners)} triangles, where no"
+                " distance can be told from it: lower `time_coefficient`",
+                stacklevel=4,
+            )
         return np.multiply(self.share, found)
 
     def distance(self, potential: Floats, sources: Sources) -> Floats:

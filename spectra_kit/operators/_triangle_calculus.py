@@ -26,6 +26,15 @@ def areas(lengths: Floats) -> Floats:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def apexes(lengths: Floats) -> Floats:
+    """Where corner 2 of each triangle is in its frame, shape (f, 2)."""
+    found = np.empty((len(lengths), 2))
+    for t in range(len(lengths)):
+        found[t, 0], found[t, 1] = _apex(lengths, t)
+    return found
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def gradients(corners: Ints, lengths: Floats, values: Floats) -> Floats:
     """Gradient of the function with `values` at the points, in each triangle's frame."""
     found = np.empty((len(corners), 2))
