@@ -144,6 +144,12 @@ class HeatGeodesics:
         self._asked = 0
         self._ready: dict[Direct | Iterative, _Ready] = {}
 
+    def __repr__(self) -> str:
+        return (
+            f"HeatGeodesics(n={self.triangulation.n}, time_step={self.time_step:.3g},"
+            f" boundary={self._boundary!r}, solver={self._solver!r})"
+        )
+
     def distance(self, sources: SourcesLike, *, weights: ArrayLike | None = None) -> DistanceField:
         """Measure the distance of every point to the nearest of several sources.
 

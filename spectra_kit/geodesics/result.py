@@ -41,6 +41,14 @@ class DistanceField(Rebuilt):
     seconds : mapping of str to float
         Wall time of each stage: ``triangulation``, ``setup`` (factors, preconditioners), ``heat``,
         ``directions``, ``poisson``. Triangulation and setup serve further sources too.
+
+    Examples
+    --------
+    >>> from spectra_kit.geodesics import geodesic_distance
+    >>> from spectra_kit.geometry import sphere
+    >>> field = geodesic_distance(sphere(subdivisions=3).geometry, 0)
+    >>> np.asarray(field).shape, bool(field.reached.all())
+    ((642,), True)
     """
 
     distance: Floats
