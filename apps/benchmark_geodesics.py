@@ -5,9 +5,9 @@
     python apps/benchmark_geodesics.py OUT --meshes my.obj --sources 50
 
 OUT gets NAME.json for each mesh, sphere.json and report.md. A mesh is not measured again with the
-same settings: delete its file for that. Exact distances and spectra are kept apart, in OUT/exact
-and OUT/work, and serve again. Files are remembered by the meshes, not by the code: after a change
-of the code, take another folder. Nothing else should run on the machine meanwhile.
+same settings and code: delete its file for that. Exact distances and spectra are kept apart, in
+OUT/exact and OUT/work, and serve again, whatever the code. Nothing else should run on the machine
+meanwhile.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from spectra_kit.errors import SpectraKitError
-from spectra_kit.evaluation.geodesics import (
+from spectra_kit.benchmarks.geodesics import (
     Settings,
+    code_digest,
     measure_ball,
     measure_mesh,
     problems_named,
     write_geodesic_report,
 )
+from spectra_kit.errors import SpectraKitError
 
 DEFAULTS = Settings()
 MESHES = ("hammer", "bunny", "horse", "koala", "amo", "igea")
@@ -82,13 +83,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _ball(subdivisions: list[int], path: Path) -> dict[str, object]:
-    """Measure errors on spheres, or read them."""
+    """Measure errors on spheres, or read what the same code measured."""
+    code = code_digest()
     if path.exists():
         known: dict[str, object] = json.loads(path.read_text())
-        if known["subdivisions"] == subdivisions:
+        if known.get("code") == code and known["subdivisions"] == subdivisions:
             return known
     _say("spheres")
-    record = {"subdivisions": subdivisions, **measure_ball(subdivisions)}
+    record = {"code": code, "subdivisions": subdivisions, **measure_ball(subdivisions)}
     path.write_text(json.dumps(record, indent=1))
     return record
 

@@ -3,28 +3,37 @@
 import importlib.util
 import json
 import re
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from spectra_kit import PointCloud
-from spectra_kit.errors import InvalidInputError
-from spectra_kit.evaluation.geodesics import (
+from spectra_kit.benchmarks.geodesics import (
     CONTENDERS,
     ExactCache,
+    NamedMesh,
     Settings,
+    code_digest,
     measure_ball,
     measure_mesh,
     problems_named,
 )
-from spectra_kit.evaluation.geodesics.contenders import DIRECT, ICPCG, ROBUST
-from spectra_kit.evaluation.geodesics.measure import compare_with_exact
-from spectra_kit.evaluation.geodesics.problems import choose_sources
-from spectra_kit.evaluation.geodesics.process import measured
-from spectra_kit.evaluation.geodesics.report import iterations, mean_error, ratio, table
-from spectra_kit.evaluation.geodesics.truth import relative_errors
-from spectra_kit.evaluation.models import Model
+from spectra_kit.benchmarks.geodesics.contenders import AUTOMATIC, DIRECT, ICPCG, ROBUST, UNAIDED
+from spectra_kit.benchmarks.geodesics.markdown import table
+from spectra_kit.benchmarks.geodesics.measure import compare_with_exact
+from spectra_kit.benchmarks.geodesics.problems import choose_sources
+from spectra_kit.benchmarks.geodesics.process import measured
+from spectra_kit.benchmarks.geodesics.records import (
+    iterations,
+    mean_error,
+    ratio,
+    seconds,
+    seconds_in_all,
+)
+from spectra_kit.benchmarks.geodesics.truth import relative_errors
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import exact_distances, geodesic_distance
 from spectra_kit.geometry import creature, sphere, write
 
@@ -121,6 +130,13 @@ def test_tables_are_computed_from_the_record(measurement):
     assert float(worst) == pytest.approx(
         mean_error(record, DIRECT) / mean_error(record, ROBUST), abs=6e-4
     )
+    for words, own in (
+        (r"automatic, no modes\*", seconds(record, UNAIDED)),
+        (r"automatic, exact modes\*, spectrum at hand", seconds(record, AUTOMATIC)),
+        (r"automatic, exact modes\*, its spectrum counted", seconds_in_all(record, AUTOMATIC)),
+    ):
+        found = re.search(rf"potpourri3d over \*{words}: first field +\| +([\d.]+) \|", report)[1]
+        assert float(found) == pytest.approx(seconds(record, ROBUST) / own, abs=0.006)
     # No mesh is large.
     assert re.search(r"first field, 100,000 vertices or more +\| +- \|", report)
 
@@ -136,16 +152,36 @@ def test_a_finished_mesh_is_not_measured_again(app, measurement, animal, capsys)
     assert json.loads((out / "animal.json").read_text()) == record
 
 
-def test_another_mesh_of_that_name_is_measured(measurement, tmp_path):
+@pytest.mark.parametrize("changed", ["mesh", "code"])
+def test_another_mesh_of_that_name_or_another_code_is_measured(
+    measurement, animal, tmp_path, changed
+):
     _, record = measurement
-    mesh = creature(700, seed=1)
-    model, said = Model("animal", mesh), []
-    settings = Settings(**{**record["settings"], "threads": record["settings"]["threads"]})
+    (model,) = problems_named([str(animal)])
+    if changed == "mesh":
+        model = NamedMesh("animal", model.mesh.with_points(2 * model.mesh.points))
+    else:
+        record = {**record, "code": "0.0.0+0"}
     (tmp_path / "animal.json").write_text(json.dumps(record))
+    said = []
     # It ends at the first step, once it is clear that it goes on.
     with pytest.raises(KeyboardInterrupt):
-        measure_mesh(model, settings, tmp_path, say=_interrupting(said))
+        measure_mesh(model, Settings(**record["settings"]), tmp_path, say=_interrupting(said))
     assert said == ["animal: exact modes"]
+
+
+def test_the_code_is_that_of_the_sources(tmp_path):
+    for package in ("geodesics", "linalg", "operators", "viz"):
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "a.py").write_text("1")
+    first = code_digest(tmp_path)
+    (tmp_path / "viz" / "a.py").write_text("2")
+    assert code_digest(tmp_path) == first
+    (tmp_path / "linalg" / "a.py").write_text("2")
+    second = code_digest(tmp_path)
+    (tmp_path / "linalg" / "a.py").rename(tmp_path / "linalg" / "b.py")
+    assert len({first, second, code_digest(tmp_path), code_digest()}) == 4
+    assert code_digest().startswith(version("spectra_kit") + "+")
 
 
 def _interrupting(said):
@@ -192,7 +228,7 @@ def test_the_direct_solver_must_not_fail(tmp_path):
     def run(name, sources, *, fields):
         return {"failure": "the process ended with code -9"}
 
-    model = Model("bad", sphere(subdivisions=1).geometry)
+    model = NamedMesh("bad", sphere(subdivisions=1).geometry)
     with pytest.raises(InvalidInputError, match=r"`model` bad must be one that the direct .* -9"):
         compare_with_exact(model, [0], ExactCache(tmp_path), run, tmp_path / "fields.npy")
 
@@ -210,7 +246,7 @@ def test_exact_distances_are_kept(tmp_path):
 
 
 def test_sources_are_random_and_far(tmp_path):
-    model = Model("ball", sphere(subdivisions=3).geometry)
+    model = NamedMesh("ball", sphere(subdivisions=3).geometry)
     cache = ExactCache(tmp_path)
     sources = choose_sources(model, 4, cache, seed=1)
     assert len(set(sources)) == 4
@@ -233,6 +269,20 @@ def test_on_the_sphere_errors_fall_alike():
         assert (np.diff(mean[DIRECT]) < 0).all()
         np.testing.assert_allclose(mean[DIRECT], mean[ROBUST], rtol=0.25)
     assert found["points"] == [162, 642, 2562]
+
+
+def test_the_spectrum_is_paid_by_those_who_use_it(measurement):
+    _, record = measurement
+    name = "additive, 96 NEO modes"
+    assert seconds_in_all(record, name) == seconds(record, name) + record["spectra"]["neo"]
+    # Few points: what is automatic solves directly, and leaves the modes alone.
+    assert record["first"][AUTOMATIC]["choice"].startswith("direct")
+    for name in (AUTOMATIC, DIRECT, ICPCG, ROBUST):
+        assert seconds_in_all(record, name) == seconds(record, name)
+    used = {**record["first"][AUTOMATIC], "choice": "iterative: one source does not pay"}
+    iterative = {**record, "first": {AUTOMATIC: used}}
+    assert seconds_in_all(iterative, AUTOMATIC) == used["seconds"] + record["spectra"]["exact"]
+    assert seconds_in_all({"first": {DIRECT: {"failure": "no"}}}, DIRECT) is None
 
 
 def test_tables_are_aligned():

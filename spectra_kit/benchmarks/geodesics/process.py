@@ -13,7 +13,7 @@ from typing import Any
 Answer = dict[str, Any]
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-_WORKER = "spectra_kit.evaluation.geodesics.worker"
+_WORKER = "spectra_kit.benchmarks.geodesics.worker"
 
 
 def measured(
@@ -68,7 +68,7 @@ def measured(
     }
     if not fresh:
         # Not above: a module that is to be run must not be there already.
-        from spectra_kit.evaluation.geodesics.worker import answer
+        from spectra_kit.benchmarks.geodesics.worker import answer
 
         return answer(request)
     done = subprocess.run(

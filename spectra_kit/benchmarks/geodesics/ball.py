@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit.evaluation.geodesics.contenders import CONTENDERS, DIRECT, PLAIN, ROBUST
-from spectra_kit.evaluation.geodesics.truth import relative_errors
+from spectra_kit.benchmarks.geodesics.contenders import CONTENDERS, DIRECT, PLAIN, ROBUST
+from spectra_kit.benchmarks.geodesics.truth import relative_errors
 from spectra_kit.geometry import sphere
 
 Floats = NDArray[np.float64]

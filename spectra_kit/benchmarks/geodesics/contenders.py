@@ -127,7 +127,8 @@ _ICPCG = Iterative(coarse="none", drop=None, relaxation=0.0)
 _ADDITIVE = Iterative(coarse="additive", drop=None, relaxation=0.0, modes=MODES)
 _PROJECTED = Iterative(coarse="projected", drop=None, relaxation=0.0, modes=MODES)
 
-ICPCG, AUTOMATIC, DIRECT = "ICPCG", "automatic, exact modes", "direct"
+ICPCG, DIRECT = "ICPCG", "direct"
+AUTOMATIC, UNAIDED = "automatic, exact modes", "automatic, no modes"
 ROBUST, PLAIN, LIBIGL = "potpourri3d, robust", "potpourri3d, not robust", "libigl"
 
 #: By name, in the order of the tables.
@@ -144,7 +145,7 @@ CONTENDERS: Mapping[str, Contender] = MappingProxyType(
         AUTOMATIC: _contender(Automatic(), "exact"),
         "automatic, NEO modes": _contender(Automatic(), "neo"),
         "automatic, NEO modes, polished": _contender(Automatic(), "neo-polished"),
-        "automatic, no modes": _contender(Automatic(), clouds=True),
+        UNAIDED: _contender(Automatic(), clouds=True),
         DIRECT: _contender(Direct(), clouds=True),
         ROBUST: Contender(build=partial(_potpourri3d, robust=True), clouds=True),
         PLAIN: Contender(build=partial(_potpourri3d, robust=False)),

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from spectra_kit._files import atomic_path
+from spectra_kit.benchmarks.geodesics.contenders import MODES
+from spectra_kit.benchmarks.geodesics.truth import ExactCache
 from spectra_kit.eigensolvers import Arpack, Eigensolver, Polished, eigensolve
 from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.evaluation.geodesics.contenders import MODES
-from spectra_kit.evaluation.geodesics.truth import ExactCache
-from spectra_kit.evaluation.models import Model
 from spectra_kit.geometry import TriangleMesh, read
 from spectra_kit.operators import intrinsic_delaunay
 from spectra_kit.spectrum import Spectrum
@@ -27,7 +29,31 @@ EIGENSOLVERS: Mapping[str, Callable[[], Eigensolver]] = {
 }
 
 
-def problems_named(names: Iterable[str]) -> list[Model]:
+@dataclass(frozen=True, eq=False)
+class NamedMesh:
+    """A mesh and what to call it.
+
+    Attributes
+    ----------
+    name : str
+        For tables and files.
+    mesh : TriangleMesh
+        Every vertex in a face.
+    """
+
+    name: str
+    mesh: TriangleMesh
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the mesh: what it is, wherever its file lies."""
+        digest = hashlib.blake2b(digest_size=16)
+        for array in (self.mesh.points, self.mesh.faces):
+            digest.update(np.ascontiguousarray(array).data)
+        return digest.hexdigest()
+
+
+def problems_named(names: Iterable[str]) -> list[NamedMesh]:
     """Find meshes by the names of their files.
 
     Parameters
@@ -37,7 +63,7 @@ def problems_named(names: Iterable[str]) -> list[Model]:
 
     Returns
     -------
-    list of Model
+    list of NamedMesh
         Without vertices that no face uses.
 
     Raises
@@ -46,7 +72,7 @@ def problems_named(names: Iterable[str]) -> list[Model]:
         If there is no such file, two have one name, or one is no mesh.
     """
     root = os.environ.get("SPECTRA_KIT_DATA")
-    found: dict[str, Model] = {}
+    found: dict[str, NamedMesh] = {}
     for name in names:
         path = Path(name)
         if not path.is_file() and root:
@@ -60,16 +86,16 @@ def problems_named(names: Iterable[str]) -> list[Model]:
         assert isinstance(mesh, TriangleMesh)
         if path.stem in found:
             raise InvalidInputError(f"`meshes` must have names of their own, got {path.stem} twice")
-        found[path.stem] = Model(path.stem, mesh.without_unreferenced())
+        found[path.stem] = NamedMesh(path.stem, mesh.without_unreferenced())
     return list(found.values())
 
 
-def choose_sources(model: Model, count: int, truth: ExactCache, *, seed: int) -> list[int]:
+def choose_sources(model: NamedMesh, count: int, truth: ExactCache, *, seed: int) -> list[int]:
     """Draw half of the sources at random, the rest as far as possible from those before.
 
     Parameters
     ----------
-    model : Model
+    model : NamedMesh
         With n vertices.
     count : int
         How many.
@@ -93,12 +119,12 @@ def choose_sources(model: Model, count: int, truth: ExactCache, *, seed: int) ->
     return sources
 
 
-def spectrum_path(model: Model, kind: str, folder: Path) -> Path:
+def spectrum_path(model: NamedMesh, kind: str, folder: Path) -> Path:
     """Solve for the modes of a mesh into a file, if they are not there.
 
     Parameters
     ----------
-    model : Model
+    model : NamedMesh
         The mesh.
     kind : str
         One of `EIGENSOLVERS`.

@@ -13,24 +13,25 @@ import numpy as np
 
 from spectra_kit._files import atomic_path
 from spectra_kit._validate import check_count
-from spectra_kit.errors import InvalidInputError
-from spectra_kit.evaluation.geodesics.contenders import (
-    AUTOMATIC,
+from spectra_kit.benchmarks.geodesics.code import code_digest
+from spectra_kit.benchmarks.geodesics.contenders import (
     CONTENDERS,
     DIRECT,
     LIBIGL,
     PLAIN,
     ROBUST,
+    UNAIDED,
 )
-from spectra_kit.evaluation.geodesics.problems import (
+from spectra_kit.benchmarks.geodesics.problems import (
     EIGENSOLVERS,
+    NamedMesh,
     choose_sources,
     spectrum_path,
     spectrum_seconds,
 )
-from spectra_kit.evaluation.geodesics.process import measured
-from spectra_kit.evaluation.geodesics.truth import ExactCache, relative_errors
-from spectra_kit.evaluation.models import Model
+from spectra_kit.benchmarks.geodesics.process import measured
+from spectra_kit.benchmarks.geodesics.truth import ExactCache, relative_errors
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import write
 from spectra_kit.operators import intrinsic_delaunay
 
@@ -38,8 +39,8 @@ Record = dict[str, Any]
 Say = Callable[[str], None]
 
 _OTHERS = (ROBUST, PLAIN, LIBIGL)
-#: Contenders for many sources.
-MANY = (AUTOMATIC, DIRECT, *_OTHERS)
+#: Contenders for many sources: none is given modes, so that none has time on the house.
+MANY = (UNAIDED, DIRECT, *_OTHERS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,12 +91,12 @@ class Settings:
         return replace(self, sources=min(self.sources, n), exact_sources=few)
 
 
-def measure_mesh(model: Model, settings: Settings, folder: Path, *, say: Say) -> Record:
-    """Measure one mesh, or read what was measured with the same settings.
+def measure_mesh(model: NamedMesh, settings: Settings, folder: Path, *, say: Say) -> Record:
+    """Measure one mesh, or read what the same code measured with the same settings.
 
     Parameters
     ----------
-    model : Model
+    model : NamedMesh
         The mesh.
     settings : Settings
         How.
@@ -115,7 +116,12 @@ def measure_mesh(model: Model, settings: Settings, folder: Path, *, say: Say) ->
         If the direct solver, with which the others are compared, fails.
     """
     settings = settings.on(model.mesh.n)
-    record: Record = {"name": model.name, "digest": model.digest, "settings": asdict(settings)}
+    record: Record = {
+        "name": model.name,
+        "digest": model.digest,
+        "code": code_digest(),
+        "settings": asdict(settings),
+    }
     path = folder / f"{model.name}.json"
     if path.exists():
         known: Record = json.loads(path.read_text())
@@ -168,7 +174,7 @@ def measure_mesh(model: Model, settings: Settings, folder: Path, *, say: Say) ->
 
 
 def compare_with_exact(
-    model: Model,
+    model: NamedMesh,
     sources: list[int],
     truth: ExactCache,
     run: Callable[..., Record],
@@ -178,7 +184,7 @@ def compare_with_exact(
 
     Parameters
     ----------
-    model : Model
+    model : NamedMesh
         The mesh.
     sources : list of int
         Vertices.

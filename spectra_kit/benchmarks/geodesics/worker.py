@@ -1,6 +1,6 @@
 """The process that measures one contender, and may fail alone.
 
-Started as ``python -m spectra_kit.evaluation.geodesics.worker``: a JSON request on stdin, a JSON
+Started as ``python -m spectra_kit.benchmarks.geodesics.worker``: a JSON request on stdin, a JSON
 answer as the last line on stdout. Libraries are loaded and compiled code is fetched from disk by
 solving on a small sphere first, with the same contender.
 """
@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from spectra_kit.benchmarks.geodesics.contenders import CONTENDERS
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.errors import SpectraKitError
-from spectra_kit.evaluation.geodesics.contenders import CONTENDERS
 from spectra_kit.geometry import TriangleMesh, read, sphere
 from spectra_kit.operators import robust_laplacian
 from spectra_kit.spectrum import Spectrum
@@ -29,8 +29,8 @@ _WARM_MODES = 8
 _FAILURES = (SpectraKitError, RuntimeError, ValueError, MemoryError)
 
 
-def answer(request: Answer) -> Answer:
-    """Measure what `process.measured` asks for."""
+def answer(request: Answer, *, tidy: bool = False) -> Answer:
+    """Measure what `process.measured` asks for; `tidy`, with no garbage to collect meanwhile."""
     contender = CONTENDERS[request["contender"]]
     mesh = read(request["mesh"], kind="mesh")
     assert isinstance(mesh, TriangleMesh)
@@ -41,7 +41,8 @@ def answer(request: Answer) -> Answer:
     ball = sphere(subdivisions=request["subdivisions"]).geometry
     modes = eigensolve(robust_laplacian(ball), _WARM_MODES) if spectrum is not None else None
     contender.build(np.array(ball.points), np.array(ball.faces), modes, many)([0] * len(sources))
-    gc.collect()
+    if tidy:
+        gc.collect()
 
     start = time.perf_counter()
     try:
@@ -60,5 +61,5 @@ def answer(request: Answer) -> Answer:
 
 
 if __name__ == "__main__":
-    line = json.dumps(answer(json.loads(sys.stdin.read())))
+    line = json.dumps(answer(json.loads(sys.stdin.read()), tidy=True))
     sys.stdout.write("\n" + line + "\n")
