@@ -112,6 +112,19 @@ def test_dirty_meshes_have_right_distances(make, body, seed) -> None:
     assert relative_error(distances(mesh), exact_distances(mesh, SOURCE)) < 0.06
 
 
+@pytest.mark.parametrize("seed", [0, 18, 19, 20, 24, 34])  # in which no face turns over
+def test_exact_distances_across_faces_without_area_are_straight(seed) -> None:
+    """Edges inside a flat sheet shrink to points: it stays a flat sheet."""
+    rng = np.random.default_rng(seed)
+    inside = ~np.isin(SHEET.unique_edges[0], SHEET.boundary_vertices).any(axis=1)
+    points = SHEET.points.copy()
+    for a, b in rng.choice(SHEET.unique_edges[0][inside], 20, replace=False):
+        points[b] = points[a]
+    mesh, source = SHEET.with_points(points), int(rng.integers(SHEET.n))
+    straight = np.linalg.norm(points - points[source], axis=1)
+    np.testing.assert_allclose(exact_distances(mesh, source), straight, atol=1e-9)
+
+
 def test_winding_is_of_no_importance() -> None:
     turned = with_mixed_winding(BALL, np.random.default_rng(0))
     assert np.abs(distances(turned) - distances(BALL)).max() < 1e-9

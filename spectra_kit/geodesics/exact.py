@@ -25,6 +25,9 @@ Ints = NDArray[np.int64]
 _SADDLE = 1e-9
 # Least side, as a share of the mean one of the mesh, and least height over a side.
 _FLAT = 1e-12
+# Rays part at a vertex; beside a face whose height is a smaller share of its sides than this, they
+# leave a gap at the next vertex in line, which paths that bend here then fill.
+_NEEDLE = 1e-8
 
 
 def exact_distances(
@@ -133,6 +136,7 @@ def _soup(mesh: TriangleMesh) -> tuple[Soup, float]:
     odd = np.isin(edge, edge[order][starts[counts != 2]])
     bends[tails[odd]] = bends[heads[odd]] = True
     bends |= _fans(tails, around, mesh.n) > 1
+    bends[faces[y.min(axis=1) <= _NEEDLE * lengths.max(axis=1)]] = True
 
     corners = np.argsort(tails, kind="stable")
     first = np.searchsorted(tails[corners], np.arange(mesh.n + 1))
