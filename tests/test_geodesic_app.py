@@ -1,5 +1,6 @@
 """The app and the command that measure geodesic distances."""
 
+import argparse
 import json
 import os
 
@@ -10,6 +11,7 @@ from test_apps import load
 
 from spectra_kit.cli import main
 from spectra_kit.cli.geodesic_compare import largest_difference
+from spectra_kit.cli.geodesic_method import linear_solver, why_without_modes
 from spectra_kit.cli.geodesic_sources import with_farthest
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.geodesics import FacePoint, HeatGeodesics, Iterative, nearest_source
@@ -191,6 +193,29 @@ def test_solvers_agree_and_modes_save_iterations(app, files, tmp_path, capsys):
     assert runs["file"]["spectrum"]["from"] == str(spectrum)
     assert runs["computed"]["spectrum"]["modes"] == 11  # and the constant
     assert runs["neo"]["spectrum"]["modes"] == Iterative().modes + 1
+
+
+def test_modes_that_auto_does_not_need_are_not_computed(app, files, tmp_path, capsys):
+    arguments = (files / "animal.ply", "--source", 3, "--spectrum", "exact", "-o", tmp_path / "few")
+    found = report(app, capsys, *arguments)
+    assert found["choice"].startswith("direct")
+    assert found["spectrum"] is None
+    assert found["spectrum_unused"] == "not needed by the direct solver: 1500 points are few"
+    assert app([*map(str, arguments), "--no-pictures"]) == 0
+    assert "not needed by the direct solver: 1500 points" in capsys.readouterr().out
+
+
+def test_modes_reach_the_solver_that_auto_chooses():
+    asked = argparse.Namespace(solver="auto", spectrum="exact", modes=96, farthest=0, rtol=1e-6)
+    solver = linear_solver(asked)
+    assert solver.choose(100_000, 1)[0] == Iterative(modes=96, rtol=1e-6)
+    assert why_without_modes(asked, solver, 100_000) == ""
+    many = argparse.Namespace(**vars(asked) | {"farthest": 19, "modes": None})
+    assert linear_solver(many).modes == Iterative().modes
+    reason = why_without_modes(many, linear_solver(many), 100_000)
+    assert reason.endswith("20 sources pay for factors of 100000 points")
+    plain = argparse.Namespace(**vars(asked) | {"spectrum": "none"})
+    assert why_without_modes(plain, solver, 100) == ""
 
 
 def test_options_reach_the_method(app, files, tmp_path, capsys):

@@ -14,7 +14,13 @@ from spectra_kit._validate import check_count, check_positive
 from spectra_kit.cli import tables
 from spectra_kit.cli.folder import check_folder
 from spectra_kit.cli.geodesic_compare import Compared, clock_note, compare_solvers, comparison_table
-from spectra_kit.cli.geodesic_method import check_spectrum, linear_solver, spectrum_named
+from spectra_kit.cli.geodesic_method import (
+    check_spectrum,
+    linear_solver,
+    spectrum_named,
+    why_without_modes,
+)
+from spectra_kit.cli.geodesic_options import SPECTRA
 from spectra_kit.cli.geodesic_sources import (
     Source,
     check_named,
@@ -63,8 +69,11 @@ def geodesic_distances(arguments: argparse.Namespace) -> None:
     check_sources(sources or [0], geometry)
     progress(f"triangulating {geometry.n:,} points")
     triangulation = intrinsic_delaunay(geometry)
+    solver = linear_solver(arguments)
+    unused = why_without_modes(arguments, solver, geometry.n)
+    # Modes of a file cost nothing, and are checked.
     spectrum = spectrum_named(
-        arguments.spectrum,
+        "none" if unused and arguments.spectrum in SPECTRA else arguments.spectrum,
         arguments,
         triangulation.laplacian,
         arguments.modes or Iterative().modes,
@@ -73,7 +82,7 @@ def geodesic_distances(arguments: argparse.Namespace) -> None:
     geodesics = HeatGeodesics(
         triangulation,
         spectrum,
-        solver=linear_solver(arguments),
+        solver=solver,
         time_coefficient=arguments.time_coefficient,
         boundary=arguments.boundary,
     )
@@ -87,6 +96,7 @@ def geodesic_distances(arguments: argparse.Namespace) -> None:
     progress(f"measuring the distance to {len(sources)} sources")
     field = geodesics.distance(check_sources(sources, geometry))
     record = _record(arguments, geometry, triangulation, sources, spectrum, field)
+    record["spectrum_unused"] = unused or None
     compared = None
     if arguments.compare:
         compared = compare_solvers(
@@ -174,6 +184,7 @@ def _facts(record: tables.Record) -> dict[str, object]:
         "relative residual": f"{record['relative_residual']:.1e}",
         "seconds": f"{sum(seconds.values()):.2f}" + (f"  ({stages})" if stages else ""),
         **({"seconds of the spectrum": f"{modes['seconds']:.2f}"} if modes else {}),
+        **({"spectrum": record["spectrum_unused"]} if record["spectrum_unused"] else {}),
         "largest distance": record["largest_distance"],
         "mean distance": record["mean_distance"],
         "points not reached": f"{record['points_not_reached']:,}",

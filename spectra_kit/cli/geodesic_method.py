@@ -31,15 +31,22 @@ _EIGENSOLVERS: dict[str, Callable[[argparse.Namespace], Eigensolver]] = {
 
 def linear_solver(arguments: argparse.Namespace) -> Automatic | Direct | Iterative:
     """Return the solver that ``--solver`` names."""
-    rtol = arguments.rtol
+    rtol, modes = arguments.rtol, arguments.modes or Iterative().modes
     if arguments.solver == "auto":
-        return Automatic(n_sources=arguments.farthest + 1, rtol=rtol)
+        return Automatic(n_sources=arguments.farthest + 1, modes=modes, rtol=rtol)
     if arguments.solver == "direct":
         return Direct()
-    coarse = _COARSE[arguments.solver]
-    if arguments.modes is None:
-        return Iterative(coarse=coarse, rtol=rtol)
-    return Iterative(coarse=coarse, modes=arguments.modes, rtol=rtol)
+    return Iterative(coarse=_COARSE[arguments.solver], modes=modes, rtol=rtol)
+
+
+def why_without_modes(
+    arguments: argparse.Namespace, solver: Automatic | Direct | Iterative, n: int
+) -> str:
+    """Return why a solver that may choose on n points leaves the modes alone; "" if it does not."""
+    if arguments.spectrum == "none" or not isinstance(solver, Automatic):
+        return ""
+    chosen, reason = solver.choose(n, solver.n_sources)
+    return f"not needed by the direct solver: {reason}" if isinstance(chosen, Direct) else ""
 
 
 def check_spectrum(arguments: argparse.Namespace) -> None:

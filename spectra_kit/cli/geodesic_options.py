@@ -100,7 +100,7 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
         default="none",
         metavar="|".join((*SPECTRA, "NPZ")),
         help="modes for the coarse space: computed, predicted, or those of a file that spectra-kit"
-        " spectrum wrote (default: %(default)s)",
+        " spectrum wrote; left alone where auto solves directly (default: %(default)s)",
     )
     group.add_argument(
         "--modes",
