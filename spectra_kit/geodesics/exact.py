@@ -41,7 +41,7 @@ def exact_distances(
         With n vertices. Any topology: where more than two faces meet in an edge, or fans of faces
         in a vertex, paths lead across to each of them. The winding does not matter.
     sources : int, array of int of shape (s,), or mask of shape (n,)
-        Vertices; see `check_sources`.
+        Vertices; see `check_sources`. A point of a face must be made one: see `FacePoint`.
     targets : array_like of shape (t,), integers, optional
         Only the distances of these vertices (default: all). It stops as soon as they are known:
         near ones cost less.
@@ -57,6 +57,12 @@ def exact_distances(
     InvalidInputError
         If `mesh` is a cloud or has faces that name a vertex twice, there is no source, one is out
         of range, at a vertex that no face uses or inside a face, or a target is out of range.
+
+    See Also
+    --------
+    geodesic_distance : By the heat method: quick, smooth, a per cent or two off.
+    spectral_distance : By modes alone.
+    spectra_kit.correspondence.geodesic_distances : Between pairs, along edges or exact.
 
     Notes
     -----
@@ -89,7 +95,8 @@ def exact_distances(
     checked = check_sources(sources, mesh)
     if checked.offsets.any():
         raise InvalidInputError(
-            "`sources` must be vertices, got a point inside a face; name a corner of it"
+            "`sources` must be vertices, got a point inside a face; split the face there, as"
+            " `FacePoint` shows, or take geodesic_distance(mesh, sources)"
         )
     ends = np.arange(mesh.n) if targets is None else check_indices("targets", targets, mesh.n)
     from spectra_kit.geodesics._exact_kernels import propagate  # numba is slow to import

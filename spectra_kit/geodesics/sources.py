@@ -37,10 +37,32 @@ class FacePoint:
     InvalidInputError
         If `face` is negative, or the coordinates are not barycentric.
 
+    See Also
+    --------
+    nearest_source : The point of a mesh that is nearest to a coordinate.
+
+    Notes
+    -----
+    The heat method takes it with a mesh. What knows no faces, as a triangulation or a spectrum,
+    takes ``check_sources(point, mesh)``; a cloud, its nearest point. `exact_distances` takes
+    vertices only, so the face has to be split at the point, as below.
+
     Examples
     --------
-    >>> FacePoint(7, [0.5, 0.25, 0.25])
+    >>> from spectra_kit.geometry import TriangleMesh, sphere
+    >>> mesh, point = sphere(subdivisions=2).geometry, FacePoint(7, [0.5, 0.25, 0.25])
+    >>> point
     FacePoint(face=7, barycentric=(0.5, 0.25, 0.25))
+
+    Three faces around a vertex of its own in place of one:
+
+    >>> a, b, c = mesh.faces[point.face]
+    >>> fan = [[a, b, mesh.n], [b, c, mesh.n], [c, a, mesh.n]]
+    >>> faces = np.vstack([np.delete(mesh.faces, point.face, axis=0), fan])
+    >>> split = TriangleMesh(np.vstack([mesh.points, point.position(mesh)]), faces)
+    >>> from spectra_kit.geodesics import exact_distances
+    >>> exact_distances(split, mesh.n)[[a, b, c]]
+    array([0.1..., 0.2..., 0.2...])
     """
 
     face: int
@@ -64,7 +86,17 @@ class FacePoint:
         object.__setattr__(self, "barycentric", tuple((weights / weights.sum()).tolist()))
 
     def position(self, mesh: TriangleMesh) -> Floats:
-        """Return the coordinates of the point on `mesh`, shape (3,).
+        """Return the coordinates of the point.
+
+        Parameters
+        ----------
+        mesh : TriangleMesh
+            Whose faces it counts.
+
+        Returns
+        -------
+        ndarray of shape (3,)
+            In the unit of `mesh`.
 
         Raises
         ------
@@ -88,6 +120,13 @@ class Sources:
         Heat that each receives, positive.
     offsets : ndarray of shape (m,)
         Distance of each to the nearest source around it, in length: 0 at a source.
+
+    Examples
+    --------
+    >>> from spectra_kit.geometry import PointCloud
+    >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    >>> check_sources([2, 0], cloud).vertices
+    array([0, 2])
     """
 
     n: int
@@ -96,7 +135,12 @@ class Sources:
     offsets: Floats
 
     def right_hand_side(self) -> Floats:
-        """Return the heat at all points, shape (n,), integrated: the right side of the heat step.
+        """Return the heat at all points: the right side of the heat step.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Integrated, as a mass is.
 
         Examples
         --------

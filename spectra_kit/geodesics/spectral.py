@@ -22,7 +22,7 @@ _SAMPLE = 4096  # points that stand for all of them in the search for a time
 
 
 def spectral_heat(
-    spectrum: Spectrum, sources: SourcesLike, time: float, *, exact: bool = True
+    spectrum: Spectrum, sources: SourcesLike, time: float, *, flow: bool = True
 ) -> Floats:
     """Heat at every point, a time after it was put on the sources, as far as the modes tell.
 
@@ -34,9 +34,9 @@ def spectral_heat(
         As `check_sources` takes them; for points of faces, what it returns.
     time : float
         In length^2, positive; `smallest_spectral_time` suggests one.
-    exact : bool, default True
-        Let the heat flow. If False, take one backward Euler step, as the heat method does with
-        all modes; a few modes do not resolve that at any useful time.
+    flow : bool, default True
+        Let the heat flow all the time. If False, take one backward Euler step, as the heat method
+        does with all modes; a few modes do not resolve that at any useful time.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def spectral_heat(
     check_positive("time", time)
     seen = _seen(spectrum, check_sources(sources, spectrum))
     t_lambda = time * spectrum.eigenvalues
-    gain = np.exp(-t_lambda) if exact else 1 / (1 + t_lambda)
+    gain = np.exp(-t_lambda) if flow else 1 / (1 + t_lambda)
     return np.asarray(spectrum.eigenvectors @ (gain * seen))
 
 
@@ -150,6 +150,11 @@ def spectral_distance(
     -----
     UserWarning
         If `time` is too short for the modes.
+
+    See Also
+    --------
+    geodesic_distance : The heat method with both systems solved.
+    exact_distances : Shortest paths over the triangles.
 
     Notes
     -----

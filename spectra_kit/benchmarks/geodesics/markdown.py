@@ -10,6 +10,18 @@ NONE = "-"
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a Markdown table, its columns aligned; the first to the left.
 
+    Parameters
+    ----------
+    header : sequence of str
+        Titles of c columns.
+    rows : iterable of sequence of str
+        With c cells each.
+
+    Returns
+    -------
+    str
+        Without a newline at its end.
+
     Examples
     --------
     >>> print(table(["mesh", "n"], [["bunny", "7"]]))
