@@ -286,6 +286,8 @@ def test_a_dense_cluster(scale) -> None:
         (lambda: plus(BALL, [9, 9, 9], BALL.faces[:1]), "without_unreferenced"),
         (lambda: plus(BALL, [], [[0, 0, 1]]), "without_degenerate_faces"),
         (lambda: BALL.with_points(np.zeros((BALL.n, 3))), "must have an extent"),
+        (lambda: BALL.with_points(1e-160 * BALL.points), "must have an extent between"),
+        (lambda: BALL.with_points(1e160 * BALL.points), "must have an extent between"),
         (lambda: BALL.with_points(np.where(BALL.points > 0.99, np.nan, 0)), "must be finite"),
         (lambda: BALL.with_points(np.where(BALL.points > 0.99, np.inf, 0)), "must be finite"),
         (lambda: PointCloud(np.vstack([BALL.points, BALL.points[:1]])), "without_duplicates"),

@@ -451,7 +451,7 @@ BAD = {
     ),
     "one point": (
         lambda: intrinsic_delaunay(TriangleMesh(np.ones((3, 3)), [[0, 1, 2]])),
-        "`geometry` must have an extent, got 3 vertices at one point",
+        "`geometry` must have an extent between 1e-130 and 1e.130, got 3 points within 0",
     ),
     "values": (
         lambda: TRIANGULATION.gradient(np.zeros(5)),

@@ -86,7 +86,8 @@ class HeatGeodesics:
     down its gradient; the distance is the function whose gradient is nearest to X,
     ``L phi = div X``, and zero at the sources. Where both systems are solved iteratively, the
     modes serve the second one; the first has no slow modes. Not an upper bound of the true
-    distance, nor a lower one.
+    distance, nor a lower one. The mean edge sets the time: where edges of very different length
+    meet, lower `time_coefficient` for details, or remesh.
 
     References
     ----------

@@ -47,16 +47,16 @@ def geodesic_distance(
     DistanceField
         The distances, and how they were found.
 
+    Raises
+    ------
+    InvalidInputError, ConvergenceError
+        As those do.
+
     See Also
     --------
     exact_distances : Of the polyhedron, exactly.
     spectral_distance : Roughly, from modes alone.
     spectra_kit.correspondence.geodesic_distances : Between pairs of vertices, along edges.
-
-    Raises
-    ------
-    InvalidInputError, ConvergenceError
-        As those do.
 
     Examples
     --------

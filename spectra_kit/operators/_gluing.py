@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 from spectra_kit.linalg.threads import in_threads
 from spectra_kit.operators._local_delaunay import local_triangles
 
@@ -27,6 +27,7 @@ _CORNERS, _SIDES = [0, 1, 2, 0, 2, 1], [0, 1, 2, 2, 1, 0]  # of a front and its 
 # Circles through the corners of a triangle are no larger, for the distance of the 30th neighbour,
 # between random points on a sphere; along a boundary they are.
 _WIDE = 1.5
+_SMALLEST, _LARGEST = 1e-130, 1e130  # extents, of which squares and products are numbers
 
 
 class Glued(NamedTuple):
@@ -43,11 +44,7 @@ class Glued(NamedTuple):
 def glued_mesh(mesh: TriangleMesh, mollify_factor: float) -> Glued:
     from spectra_kit.operators._cover import pair_sides, side_lengths, sides_by_corner
 
-    unit = float(np.ptp(mesh.points, axis=0).max())
-    if not unit:
-        raise InvalidInputError(
-            f"`geometry` must have an extent, got {mesh.n} vertices at one point"
-        )
+    unit = _extent(mesh)
     points = (mesh.points - mesh.points.mean(axis=0)) / unit
     corners = mesh.faces.astype(np.int32)
     lengths = side_lengths(points, corners, mollify_factor)
@@ -67,7 +64,7 @@ def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> G
 
     # Neighbours in space become neighbours in memory; any unit of length becomes about 1.
     order = cKDTree(cloud.points).indices
-    unit = float(np.ptp(cloud.points, axis=0).max())
+    unit = _extent(cloud)
     points = (cloud.points[order] - cloud.points.mean(axis=0)) / unit
     triangles, closed, reach = local_triangles(points, n_neighbors)
     lengths = side_lengths(points, triangles, mollify_factor)
@@ -149,3 +146,14 @@ def _is_boundary(triangles: Ints, lengths: Floats, closed: Bools, reach: Floats)
     radii = lengths.prod(axis=1) / (4 * areas(lengths))  # of the circles through the corners
     marked[owners[radii > _WIDE * reach[owners]]] = True
     return marked
+
+
+def _extent(geometry: Geometry) -> float:
+    """Return the longest side of the box around the points, if its square is a number, too."""
+    extent = float(np.ptp(geometry.points, axis=0).max())
+    if not _SMALLEST < extent < _LARGEST:
+        raise InvalidInputError(
+            f"`geometry` must have an extent between {_SMALLEST:g} and {_LARGEST:g}, got"
+            f" {geometry.n} points within {extent:g}; choose another unit of length"
+        )
+    return extent
