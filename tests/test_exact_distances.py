@@ -7,7 +7,7 @@ from conftest import bumpy
 from scipy.spatial import Delaunay
 
 from spectra_kit.correspondence import geodesic_distances
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics import FacePoint, exact_distances
 from spectra_kit.geometry import TriangleMesh, creature, sphere
 
@@ -256,7 +256,9 @@ def test_they_refuse():
         exact_distances(mesh, 64)
     with pytest.raises(InvalidInputError, match=r"`targets` must be in \[0, 64\), got -1"):
         exact_distances(mesh, 0, targets=[-1])
-    with pytest.raises(InvalidInputError, match="must be vertices, got a point inside a face; split the face"):
+    with pytest.raises(
+        InvalidInputError, match="must be vertices, got a point inside a face; split the face"
+    ):
         exact_distances(mesh, FacePoint(0, [0.2, 0.3, 0.5]))
     lone = TriangleMesh(np.concatenate([mesh.points, [[9, 9, 9]]]), mesh.faces)
     with pytest.raises(InvalidInputError, match="got vertex 64, which no face uses"):
@@ -266,3 +268,11 @@ def test_they_refuse():
         InvalidInputError, match=f"1 faces that name a vertex.*is {len(mesh.faces)}"
     ):
         exact_distances(line, 0)
+
+
+def test_triangles_so_thin_that_paths_go_round_and_round_are_given_up() -> None:
+    ball = sphere(subdivisions=2).geometry
+    needle = ball.with_points(ball.points * [1e7, 1, 1])
+    with pytest.raises(ConvergenceError, match="remesh") as caught:
+        exact_distances(needle, 5)
+    assert caught.value.partial.shape == (ball.n,)

@@ -68,10 +68,11 @@ class Front(NamedTuple):
 
 
 @njit(nogil=True, cache=True)
-def propagate(soup: Soup, sources: Ints, targets: Ints, d: Floats) -> int:
+def propagate(soup: Soup, sources: Ints, targets: Ints, d: Floats, most: int) -> int:
     """Write to `d` (n,), infinite at first, the distances from `sources`; count the windows.
 
-    It stops once all `targets` are known; what is farther may then be too long, or infinite.
+    It stops once all `targets` are known, or at more than `most` windows; what is farther may
+    then be too long, or infinite.
     """
     n, m = len(d), len(soup.tails)
     margin = 64  # entries that one step may add: by an edge of many faces, or around a vertex
@@ -96,7 +97,7 @@ def propagate(soup: Soup, sources: Ints, targets: Ints, d: Floats) -> int:
         d[v] = 0.0
         _push(front, 0.0, -1 - v)
     settled, total = 0, 0
-    while front.size[0]:
+    while front.size[0] and total <= most:
         key = front.keys[0]
         while settled < len(targets) and d[targets[settled]] <= key:
             settled += 1

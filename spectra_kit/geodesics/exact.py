@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._validate import check_indices
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.geometry.shapes import check_mesh
@@ -25,6 +25,8 @@ Ints = NDArray[np.int64]
 _SADDLE = 1e-9
 # Least side, as a share of the mean one of the mesh, and least height over a side.
 _FLAT = 1e-12
+# Windows for each face and vertex before giving up; the bunny needs 38.
+_WINDOWS = 3000
 # Rays part at a vertex; beside a face whose height is a smaller share of its sides than this, they
 # leave a gap at the next vertex in line, which paths that bend here then fill.
 _NEEDLE = 1e-8
@@ -63,6 +65,9 @@ def exact_distances(
     geodesic_distance : By the heat method: quick, smooth, a per cent or two off.
     spectral_distance : By modes alone.
     spectra_kit.correspondence.geodesic_distances : Between pairs, along edges or exact.
+    ConvergenceError
+        If paths would go round and round triangles that are extremely thin; `partial` then holds
+        distances that may be too long.
 
     Notes
     -----
@@ -106,7 +111,13 @@ def exact_distances(
     label = mesh.component_labels
     reachable = ends[np.isin(label[ends], label[checked.vertices])]
     soup, unit = _soup(mesh)
-    propagate(soup, np.array(checked.vertices), np.unique(reachable), distances)
+    most = _WINDOWS * (len(mesh.faces) + mesh.n)
+    if propagate(soup, np.array(checked.vertices), np.unique(reachable), distances, most) > most:
+        raise ConvergenceError(
+            f"exact paths need more than {most} windows; `mesh` has triangles so thin that they"
+            " go round and round: remesh, or take geodesic_distance(mesh, sources)",
+            partial=distances[ends] * unit,
+        )
     return distances[ends] * unit
 
 
