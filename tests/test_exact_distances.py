@@ -256,9 +256,7 @@ def test_they_refuse():
         exact_distances(mesh, 64)
     with pytest.raises(InvalidInputError, match=r"`targets` must be in \[0, 64\), got -1"):
         exact_distances(mesh, 0, targets=[-1])
-    with pytest.raises(
-        InvalidInputError, match="must be vertices, got a point inside a face; split the face"
-    ):
+    with pytest.raises(InvalidInputError, match="got a point inside a face; split the face"):
         exact_distances(mesh, FacePoint(0, [0.2, 0.3, 0.5]))
     lone = TriangleMesh(np.concatenate([mesh.points, [[9, 9, 9]]]), mesh.faces)
     with pytest.raises(InvalidInputError, match="got vertex 64, which no face uses"):

@@ -59,15 +59,15 @@ def exact_distances(
     InvalidInputError
         If `mesh` is a cloud or has faces that name a vertex twice, there is no source, one is out
         of range, at a vertex that no face uses or inside a face, or a target is out of range.
+    ConvergenceError
+        If paths would go round and round triangles that are extremely thin; `partial` then holds
+        distances that may be too long.
 
     See Also
     --------
     geodesic_distance : By the heat method: quick, smooth, a per cent or two off.
     spectral_distance : By modes alone.
     spectra_kit.correspondence.geodesic_distances : Between pairs, along edges or exact.
-    ConvergenceError
-        If paths would go round and round triangles that are extremely thin; `partial` then holds
-        distances that may be too long.
 
     Notes
     -----
