@@ -24,7 +24,7 @@ class Body:
     """A Neumann Laplacian, a right-hand side, its solution, and modes."""
 
     def __init__(self):
-        self.laplacian = delaunay_laplacian(creature(1500, seed=0).as_cloud())
+        self.laplacian = delaunay_laplacian(creature(1000, seed=0).as_cloud())
         self.A = self.laplacian.stiffness
         self.n = self.laplacian.n
         self.kernel = ConstantKernel(self.laplacian.component_labels)
@@ -33,6 +33,9 @@ class Body:
         self.b = self.kernel.remove(self.A @ self.x)
         self.factor = IncompleteCholesky(self.A)
         self.coarse = CoarseSpace(self.spectrum.eigenvectors, energies=self.spectrum.eigenvalues)
+        dense = self.A.toarray()
+        self.eigenvalues = np.linalg.eigvalsh(dense)
+        self.root = np.linalg.cholesky(dense + np.ones(dense.shape) / self.n)
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +84,7 @@ def relative_condition(body, preconditioner):
     """Condition number of the preconditioned matrix on the complement of its kernel."""
     columns = [preconditioner.solve(body.kernel.remove(unit)) for unit in np.eye(body.n)]
     applied = np.array([body.kernel.remove(column) for column in columns])
-    root = np.linalg.cholesky(body.A.toarray() + np.ones((body.n, body.n)) / body.n)
-    eigenvalues = np.linalg.eigvalsh(root.T @ ((applied + applied.T) / 2) @ root)
+    eigenvalues = np.linalg.eigvalsh(body.root.T @ ((applied + applied.T) / 2) @ body.root)
     assert abs(eigenvalues[0]) < 1e-6 * eigenvalues[-1]  # the constants, removed
     return eigenvalues[-1] / eigenvalues[1]
 
@@ -99,8 +101,7 @@ def test_iterations_obey_the_bound_and_fall_with_the_modes(body):
         found = pcg(body.A, body.b, preconditioner=preconditioner, kernel=body.kernel, rtol=1e-8)
         # ||e_k||_A <= 2 exp(-2 k / sqrt(kappa)) ||e_0||_A; residuals differ from errors in the
         # A-norm by at most sqrt(cond A) at either end.
-        values = np.linalg.eigvalsh(body.A.toarray())
-        tolerance = 1e-8 / np.sqrt(values[-1] / values[1])
+        tolerance = 1e-8 / np.sqrt(body.eigenvalues[-1] / body.eigenvalues[1])
         assert found.iterations <= np.sqrt(kappa) / 2 * np.log(2 / tolerance) + 1
         iterations.append(found.iterations)
         conditions.append(kappa)
@@ -260,6 +261,11 @@ def test_iteration_limit_keeps_what_there_is(body):
     assert partial.residual_norms[-1] == pytest.approx(np.linalg.norm(body.b - body.A @ partial.x))
 
 
+def test_a_matrix_that_is_not_symmetric_is_recognised_in_the_end():
+    with pytest.raises(ConvergenceError, match=r"not symmetric, \|A - A.T\| is up to 1.00e\+00"):
+        pcg(sparse.csr_array([[2.0, 1], [0, 2]]), [1.0, 3])
+
+
 def test_more_than_rounding_allows_is_not_claimed(body):
     with pytest.raises(ConvergenceError, match="rounding does not allow for less") as info:
         pcg(body.A, body.b, preconditioner=body.factor, kernel=body.kernel, rtol=1e-17)
@@ -274,9 +280,26 @@ def test_indefinite_matrices_are_recognised(body):
     ):
         pcg(indefinite, np.ones(body.n))
 
+    # Energies that cancel: the direction has none, but is not in the kernel either.
+    for matrix, rhs in (([[1.0, 0], [0, -1]], [1.0, 1]), ([[0, 1.0], [1, 0]], [1.0, 0])):
+        with pytest.raises(
+            InvalidInputError, match=r"direction of energy \S+ that it does not map"
+        ):
+            pcg(sparse.csr_array(matrix), rhs)
+    # In the kernel there is none to be had of a semi-definite matrix.
+    with pytest.raises(ConvergenceError, match="`rhs` is not in the range"):
+        pcg(sparse.csr_array([[1.0, 0], [0, 0]]), [1.0, 1])
+
     class Negative:
         def solve(self, rhs):
             return -rhs
+
+    class Turning:
+        def solve(self, rhs):
+            return np.array([-rhs[1], rhs[0]])
+
+    with pytest.raises(InvalidInputError, match=r"`preconditioner` must be.*of energy 0 "):
+        pcg(sparse.eye_array(2, format="csr"), [1.0, 0], preconditioner=Turning())
 
     with pytest.raises(InvalidInputError, match="`preconditioner` must be symmetric positive semi"):
         pcg(body.A, body.b, preconditioner=Negative())

@@ -6,8 +6,10 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from spectra_kit import InvalidInputError, delaunay_laplacian
-from spectra_kit.geometry import sphere, torus
+from spectra_kit.geodesics import Direct, geodesic_distance
+from spectra_kit.geometry import rectangle, sphere, torus
 from spectra_kit.linalg import ConstantKernel, GroundedCholesky
+from spectra_kit.operators import intrinsic_delaunay
 
 RNG = np.random.default_rng(0)
 
@@ -77,3 +79,13 @@ def test_what_is_refused(laplacian):
     hilbert = sparse.csr_array(1 / (1.0 + np.add.outer(np.arange(12), np.arange(12))))
     with pytest.raises(InvalidInputError, match="`matrix` must be nonsingular apart from `kernel`"):
         GroundedCholesky(hilbert).solve((-1.0) ** np.arange(12))
+
+
+def test_what_it_advises_for_flat_triangles_helps():
+    sheet = rectangle(n=400).geometry
+    flat = sheet.with_points(sheet.points * [1, 1e-7, 1])
+    with pytest.raises(InvalidInputError, match=r"all but flat.*mollify_factor=1e-3"):
+        geodesic_distance(flat, 0, solver=Direct())
+    mended = geodesic_distance(intrinsic_delaunay(flat, mollify_factor=1e-3), 0, solver=Direct())
+    along = np.abs(flat.points[:, 0] - flat.points[0, 0])
+    np.testing.assert_allclose(mended.distance, along, atol=0.02)

@@ -51,13 +51,17 @@ def check_vector(name: str, values: Any, n: int) -> Floats:
     return np.ascontiguousarray(values, dtype=np.float64)
 
 
+def asymmetry(matrix: sparse.csr_array) -> float:
+    """Return the largest entry of ``|A - A.T|``, 0 if it is rounding."""
+    found = float(abs(matrix - matrix.T).max()) if matrix.nnz else 0.0
+    return found if found > 1e-8 * np.abs(matrix.data).max(initial=0.0) else 0.0
+
+
 def check_symmetric(matrix: sparse.csr_array) -> None:
     """Raise unless `matrix` equals its transpose to rounding."""
-    largest = np.abs(matrix.data).max(initial=0.0)
-    asymmetry = abs(matrix - matrix.T).max() if matrix.nnz else 0.0
-    if asymmetry > 1e-8 * largest:
+    if (found := asymmetry(matrix)) > 0:
         raise InvalidInputError(
-            f"`matrix` must be symmetric, got |A - A.T| up to {asymmetry:.2e};"
+            f"`matrix` must be symmetric, got |A - A.T| up to {found:.2e};"
             " pass (A + A.T) / 2 if that is meant"
         )
 

@@ -22,10 +22,37 @@ _WIDE = 32  # modes from which a range of rows is worth a thread
 
 
 class Preconditioner(Protocol):
-    """Anything that applies a fixed symmetric positive (semi-)definite matrix near ``A^-1``."""
+    """Anything that applies a fixed symmetric positive (semi-)definite matrix near ``A^-1``.
+
+    Examples
+    --------
+    One's own, the inverse of the diagonal:
+
+    >>> from spectra_kit.linalg import pcg
+    >>> class Jacobi:
+    ...     def __init__(self, matrix):
+    ...         self.diagonal = matrix.diagonal()
+    ...
+    ...     def solve(self, rhs):
+    ...         return rhs / self.diagonal
+    >>> matrix = sparse.csr_array([[1.0, 0.0], [0.0, 100.0]])
+    >>> pcg(matrix, [1.0, 1.0], preconditioner=Jacobi(matrix)).iterations
+    1
+    """
 
     def solve(self, rhs: Floats) -> Floats:
-        """Return the preconditioner applied to `rhs` (n,), as a new array."""
+        """Apply it.
+
+        Parameters
+        ----------
+        rhs : ndarray of shape (n,)
+            Not to be written to.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            A new array.
+        """
 
 
 class CoarseSpace:
@@ -102,7 +129,23 @@ class CoarseSpace:
         return f"CoarseSpace(n={self.n}, dimension={self.dimension})"
 
     def solve(self, rhs: Floats) -> Floats:
-        """Return ``Y E^-1 Y^T rhs``, for `rhs` (n,)."""
+        """Solve within the span.
+
+        Parameters
+        ----------
+        rhs : ndarray of shape (n,)
+            Any.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            ``Y E^-1 Y^T rhs``.
+
+        Raises
+        ------
+        InvalidInputError
+            If `rhs` is of another shape.
+        """
         out = np.zeros(self.n)
         self.add_to(out, side_by_side(self.restrictions(rhs)))
         return out

@@ -12,7 +12,13 @@ from scipy import sparse
 
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-from spectra_kit.linalg._checks import check_kernel, check_matrix, check_rhs, check_vector
+from spectra_kit.linalg._checks import (
+    asymmetry,
+    check_kernel,
+    check_matrix,
+    check_rhs,
+    check_vector,
+)
 from spectra_kit.linalg._team import ranges, side_by_side, team
 from spectra_kit.linalg.coarse_space import Preconditioner
 from spectra_kit.linalg.constant_kernel import ConstantKernel
@@ -44,8 +50,8 @@ def pcg(
     Parameters
     ----------
     matrix : sparse array of shape (n, n)
-        A, symmetric positive semi-definite. Symmetry is taken on trust; the residual at the end
-        is not.
+        A, symmetric positive semi-definite. Symmetry is taken on trust, and looked at where the
+        tolerance is not reached; the residual at the end is not.
     rhs : array_like of shape (n,)
         b, in the range of A.
     preconditioner : Preconditioner, optional
@@ -74,8 +80,9 @@ def pcg(
     ------
     InvalidInputError
         If sizes disagree, a value is not finite, or a tolerance is negative; if b is not in the
-        range of A, or `kernel` not its kernel; if a direction of negative energy turns up, so
-        that A, or the preconditioner, is not positive semi-definite.
+        range of A, or `kernel` not its kernel; if a direction of negative energy turns up, or one
+        of none that A does not map to zero: A, or the preconditioner, is then not positive
+        semi-definite.
     ConvergenceError
         If the tolerance is not reached, within `max_iterations` or at all in this precision; its
         `partial` is the solution so far.
@@ -129,6 +136,8 @@ def pcg(
         times=np.array(system.times),
     )
     if not converged and throw:
+        if (skew := asymmetry(A)) > 0:
+            reason = f"`matrix` is not symmetric, |A - A.T| is up to {skew:.2e}"
         raise ConvergenceError(
             f"conjugate gradients reached ||b - A x|| = {system.norms[-1]:.1e} ||b|| after"
             f" {solution.iterations} iterations, more than the {target:.1e} asked for: {reason};"
@@ -205,13 +214,19 @@ class _Iteration:
         before, self._weight = self._weight, sum(s[0] for s in sums)
         if not self._weight > 0:
             scale = float(np.linalg.norm(r) * np.linalg.norm(z))
-            return _rounding_or_raise("preconditioner", self._weight, scale)
+            if abs(self._weight) > _ROUNDING * scale or (self._weight == 0 < scale):
+                raise _indefinite("preconditioner", self._weight)
+            return False
         ratio = self._weight / before if before else 0.0
         self._on_ranges(kernels.turn, p, z, self._mean(sums), ratio)
         energy = self._multiply(p, q)
         if not energy > 0:
-            largest = float(self._A.diagonal().max())
-            return _rounding_or_raise("matrix", energy, largest * float(p @ p))
+            # A of no negative energy maps a direction of none to zero: |A p|^2 <= |A| p.A p.
+            most = float(abs(self._A).sum(axis=1).max())
+            rounding = _ROUNDING * most * float(p @ p)
+            if energy < -rounding or float(q @ q) > 2 * most * rounding > 0:
+                raise _indefinite("matrix", energy)
+            return False
         # The mean of r is rounding, which would outlast everything else in r: the factor, nearly
         # singular, blows it up.
         step = self._weight / energy
@@ -265,11 +280,8 @@ def _check_start(start: ArrayLike | None, n: int, kernel: ConstantKernel | None)
     return guess.copy() if kernel is None else kernel.remove(guess)
 
 
-def _rounding_or_raise(name: str, value: float, scale: float) -> bool:
-    """Return False for a quadratic form that is zero to rounding, raise for a negative one."""
-    if abs(value) <= _ROUNDING * scale:
-        return False
-    raise InvalidInputError(
+def _indefinite(name: str, energy: float) -> InvalidInputError:
+    return InvalidInputError(
         f"`{name}` must be symmetric positive semi-definite, but conjugate gradients met a"
-        f" direction of energy {value:.3g}"
+        f" direction of energy {energy:.3g} that it does not map to zero"
     )

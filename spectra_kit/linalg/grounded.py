@@ -38,9 +38,8 @@ class GroundedCholesky:
     ------
     InvalidInputError
         If `matrix` is not square, finite and symmetric, or not positive definite apart from
-        `kernel`; if
-        `kernel` is of another size or not in the kernel of `matrix`. From `solve`: if the residual
-        is not that of a solution, because the kernel is larger.
+        `kernel`; if `kernel` is of another size or not in the kernel of `matrix`. From `solve`: if
+        the residual is not that of a solution, because the kernel is larger, or nearly so.
 
     Notes
     -----
@@ -73,11 +72,38 @@ class GroundedCholesky:
         self.seconds = time.perf_counter() - start
 
     def solve(self, rhs: ArrayLike) -> Floats:
-        """Solve ``matrix @ x = rhs`` for `rhs` (n,), with mean zero on each kernel component."""
+        """Solve ``matrix @ x = rhs``.
+
+        Parameters
+        ----------
+        rhs : array_like of shape (n,)
+            In the range of `matrix`.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            x, with mean zero on each component of the kernel.
+
+        Raises
+        ------
+        InvalidInputError
+            If `rhs` is of another shape, not finite or not in the range, or x is no solution.
+        """
         return self.solution(rhs).x
 
     def solution(self, rhs: ArrayLike) -> LinearSolution:
-        """Solve, and say how well and how fast."""
+        """Solve, and say how well and how fast.
+
+        Parameters
+        ----------
+        rhs : array_like of shape (n,)
+            As for `solve`, which says what is refused.
+
+        Returns
+        -------
+        LinearSolution
+            Of no iterations and one residual.
+        """
         begin = time.perf_counter()
         b = check_rhs(rhs, self.n, self._kernel)
         x = np.zeros(self.n)
@@ -89,8 +115,11 @@ class GroundedCholesky:
         if not residual <= _ACCURATE * norm:
             raise InvalidInputError(
                 "`matrix` must be nonsingular apart from `kernel`, but its direct solution leaves"
-                f" a residual of {residual:.1e} (||rhs|| = {norm:.1e}); pass the kernel of a"
-                " Neumann Laplacian as ConstantKernel(laplacian.component_labels)"
+                f" a residual of {residual / norm:.1e} ||rhs||. The Laplacian of triangles that are"
+                " all but flat is that near to singular: for distances, pass"
+                " intrinsic_delaunay(mesh, mollify_factor=1e-3) in place of the mesh. For a matrix"
+                " of your own, pass the kernel of a Neumann Laplacian as"
+                " ConstantKernel(laplacian.component_labels)"
             )
         seconds = time.perf_counter() - begin
         return LinearSolution(

@@ -31,8 +31,9 @@ class IncompleteCholesky:
         A, symmetric positive semi-definite; only one triangle is read.
     drop : float, optional
         Without it L has the pattern of A, which is level 0, the incomplete Cholesky factor of
-        textbooks. With it, the fill of a column is kept where its entry (of ``L D``) exceeds
-        `drop` times the norm of that column of A; with 0, everything is: a complete factor.
+        textbooks. With it, an entry (of ``L D``) is kept where it exceeds `drop` times the norm of
+        its column of A, be it fill or, as weak ones may drop out too, where A has an entry; with
+        0, everything is kept: a complete factor.
     max_fill : int, optional
         Keep at most so many entries of a column of L, the largest; only with `drop`.
     relaxation : float, default 0.0
@@ -139,7 +140,23 @@ class IncompleteCholesky:
         return self._entries
 
     def solve(self, rhs: Floats) -> Floats:
-        """Return the x of ``P (I + L) D (I + L)^T P^T x = rhs``, for `rhs` (n,)."""
+        """Apply the inverse of the factor.
+
+        Parameters
+        ----------
+        rhs : ndarray of shape (n,)
+            Any.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            The x of ``P (I + L) D (I + L)^T P^T x = rhs``.
+
+        Raises
+        ------
+        InvalidInputError
+            If `rhs` is of another shape.
+        """
         from spectra_kit.linalg._incomplete_kernels import solve_factor
 
         out, work = np.empty(self.n), np.empty(self.n)
@@ -221,8 +238,12 @@ def incomplete_factor(
         A above its diagonal, columns ascending.
     diagonal : ndarray of shape (n,)
         That of A; overwritten.
-    drop, max_fill, relaxation
-        As in `IncompleteCholesky`.
+    drop : float or None
+        As in `IncompleteCholesky`, like the next two.
+    max_fill : int or None
+        Entries of a column at most.
+    relaxation : float
+        Share of what is dropped that goes to the diagonal.
 
     Returns
     -------
