@@ -8,6 +8,8 @@ zero.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -86,81 +88,79 @@ def factor_threshold(
     out_starts = np.zeros(n + 1, np.int64)
     capacity = 4 * len(upper) + n
     out_columns, out_values = np.empty(capacity, np.int32), np.empty(capacity, np.float64)
-    work, touched = np.zeros(n), np.zeros(n, np.bool_)
-    rows = np.empty(n, np.int32)
+    work, touched, rows = np.zeros(n), np.zeros(n, np.bool_), np.empty(n, np.int32)
     position = np.empty(n, np.int64)  # in each finished column: its first entry at k or below
     head, following = np.full(n, -1, np.int32), np.full(n, -1, np.int32)  # columns, by that entry
     for k in range(n):
         count = 0
         for p in range(starts[k], starts[k + 1]):
             i = columns[p]
-            work[i] = upper[p]
-            touched[i] = True
-            rows[count] = i
+            work[i], touched[i], rows[count] = upper[p], True, i
             count += 1
         column = head[k]
         while column >= 0:
-            after = following[column]
-            p, end = position[column], out_starts[column + 1]
+            after, p, end = following[column], position[column], out_starts[column + 1]
             weight = out_values[p] / inverse[column]
             for q in range(p + 1, end):
                 i = out_columns[q]
                 if not touched[i]:
-                    touched[i] = True
-                    rows[count] = i
+                    touched[i], rows[count] = True, i
                     count += 1
                 work[i] -= weight * out_values[q]
             if p + 1 < end:
                 position[column] = p + 1
-                row = out_columns[p + 1]
-                following[column] = head[row]
-                head[row] = column
+                following[column], head[out_columns[p + 1]] = head[out_columns[p + 1]], column
             column = after
-        kept = 0
-        for t in range(count):
-            i = rows[t]
-            if abs(work[i]) > smallest[k]:
-                rows[kept], rows[t] = i, rows[kept]
-                kept += 1
-        pattern = np.sort(rows[:kept])
-        if kept > max_fill:
-            sizes = np.empty(kept)
-            for t in range(kept):
-                sizes[t] = -abs(work[pattern[t]])
-            order = np.argsort(sizes, kind="mergesort")
-            for t in range(max_fill):
-                rows[t] = pattern[order[t]]
-            for t in range(max_fill, kept):
-                rows[t] = pattern[order[t]]
-            pattern = np.sort(rows[:max_fill])
-            kept = max_fill
-        for t in range(kept, count):
+        pattern = _kept(work, rows[:count], smallest[k], max_fill)
+        for t in range(len(pattern), count):
             lost = relaxation * work[rows[t]]
             diagonal[k] += lost
             diagonal[rows[t]] += lost
-        inverse[k] = _inverted(diagonal[k], scale[k], kept == 0)
+        inverse[k] = _inverted(diagonal[k], scale[k], len(pattern) == 0)
         if np.isnan(inverse[k]):
             return k, out_starts, out_columns, out_values
-        begin = out_starts[k]
-        out_starts[k + 1] = begin + kept
-        if begin + kept > capacity:
-            capacity = 2 * capacity + kept
-            wider_columns, wider_values = np.empty(capacity, np.int32), np.empty(capacity)
-            wider_columns[:begin], wider_values[:begin] = out_columns[:begin], out_values[:begin]
-            out_columns, out_values = wider_columns, wider_values
-        for t in range(kept):
+        begin, end = out_starts[k], out_starts[k] + len(pattern)
+        out_starts[k + 1] = end
+        if end > len(out_values):
+            out_columns, out_values = _wider(out_columns, end), _wider(out_values, end)
+        for t in range(len(pattern)):
             i = pattern[t]
-            out_columns[begin + t] = i
-            out_values[begin + t] = work[i] * inverse[k]
+            out_columns[begin + t], out_values[begin + t] = i, work[i] * inverse[k]
             diagonal[i] -= work[i] * work[i] * inverse[k]
-        for t in range(count):
-            work[rows[t]] = 0.0
-            touched[rows[t]] = False
-        if kept:
+        for i in rows[:count]:
+            work[i], touched[i] = 0.0, False
+        if len(pattern):
             position[k] = begin
-            following[k] = head[pattern[0]]
-            head[pattern[0]] = k
+            following[k], head[pattern[0]] = head[pattern[0]], k
     return -1, out_starts, out_columns, out_values
+
+
+@njit(nogil=True, cache=True)
+def _kept(
+    work: Floats, rows: NDArray[np.int32], smallest: float, max_fill: int
+) -> NDArray[np.int32]:
+    """Return those of `rows` where `work` is largest, ascending; swap them to the front of it."""
+    kept = 0
+    for t in range(len(rows)):
+        i = rows[t]
+        if abs(work[i]) > smallest:
+            rows[kept], rows[t] = i, rows[kept]
+            kept += 1
+    pattern = np.sort(rows[:kept])
+    if kept <= max_fill:
+        return pattern
+    # Of equal ones, the first.
+    order = np.argsort(-np.abs(work[pattern]), kind="mergesort")
+    rows[:kept] = pattern[order]
+    return np.sort(rows[:max_fill])
+
+
+@njit(nogil=True, cache=True)
+def _wider(values: NDArray[Any], size: int) -> NDArray[Any]:
+    """Return a copy with room for twice `size` entries."""
+    wider = np.empty(2 * size, values.dtype)
+    wider[: len(values)] = values
+    return wider
 
 
 @njit(nogil=True, cache=True)
