@@ -321,6 +321,24 @@ def test_the_average_of_boundary_conditions_lies_between_them() -> None:
     assert np.abs(on_edge[0].distance - on_edge[1].distance).max() < 1e-12
 
 
+@pytest.mark.parametrize("solver", [Direct(), Iterative()], ids=["direct", "iterative"])
+def test_the_average_is_that_of_both_heats(solver) -> None:
+    triangulation = intrinsic_delaunay(rectangle(n=400).geometry)
+    middle = np.linalg.norm(triangulation.points - triangulation.points.mean(axis=0), axis=1)
+    sources = [int(triangulation.boundary[0]), int(middle.argmin())]  # one on the cold boundary
+    geodesics = HeatGeodesics(triangulation, solver=solver, boundary="average")
+    field = geodesics.distance(sources)
+    L, mass = triangulation.laplacian.stiffness, triangulation.laplacian.mass
+    A = (sparse.diags_array(mass) + field.time_step * L).toarray()
+    free = np.setdiff1d(np.arange(triangulation.n), triangulation.boundary)
+    rhs = np.zeros(triangulation.n)
+    rhs[sources] = 1.0
+    both = np.linalg.solve(A, rhs)
+    both[free] += np.linalg.solve(A[np.ix_(free, free)], rhs[free])
+    ratio = field.heat.log - np.log(both)
+    assert np.ptp(ratio) < 1e-8
+
+
 def test_a_cold_boundary_that_cuts_the_surface_apart_is_refused() -> None:
     sheet = rectangle(n=100).geometry
     right = sheet.points[:, 0].max()

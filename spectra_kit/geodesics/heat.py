@@ -283,6 +283,7 @@ class HeatGeodesics:
         """Return the heat of all steps together; a cold boundary takes what is put on it."""
         system = self._system
         sourced = np.unique(system.labels[heated > 0])
+        heated = heated / (heated / system.mass).max()  # heat of about 1, whatever the unit
         found = []
         for condition, step in steps.items():
             warm = heated if condition == "neumann" else np.where(system.inside, heated, 0.0)

@@ -146,10 +146,10 @@ class HeatStep:
             stiffness = sparse.csr_array(stiffness[inside][:, inside])
             self._mass, self._points = self._mass[inside], self._points[inside]
         # In units of the mean mass: the same numbers whatever the unit of length.
-        unit = self._mass.mean()
-        self._mass = self._mass / unit
+        self._unit = float(self._mass.mean())
+        self._mass = self._mass / self._unit
         self._matrix = sparse.csr_array(
-            duration / unit * stiffness + sparse.diags_array(self._mass)
+            duration / self._unit * stiffness + sparse.diags_array(self._mass)
         )
         self._matrix.sort_indices()
         self._root = float(np.sqrt(duration))
@@ -203,8 +203,14 @@ class HeatStep:
 
     def _solve(self, rhs: Floats) -> Heat:
         start = time.perf_counter()
+        rhs = rhs / self._unit
+        largest = (rhs / self._mass).max()  # no u is larger, by the maximum principle
+        found = self._of_size_one(rhs / largest, start)
+        return replace(found, values=largest * found.values)
+
+    def _of_size_one(self, rhs: Floats, start: float) -> Heat:
+        """Return u for a `rhs` with which it is at most 1."""
         sources = np.flatnonzero(rhs)
-        rhs = rhs / (rhs / self._mass).max()  # then u is at most 1, by the maximum principle
         if self._complete is not None:
             reached = np.isin(self._labels, np.unique(self._labels[sources]))
             lifted = np.ldexp(rhs, _LIFT)
