@@ -18,6 +18,7 @@ LAYERS = [
     "correspondence",
     "matching",
     "training viz",
+    "explorer",
     "cli benchmarks evaluation",
     "__main__",
 ]
