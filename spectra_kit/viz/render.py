@@ -47,6 +47,11 @@ class Scene:
         Of a mesh, to light it by; by default those of its faces, averaged where it is not sharp.
     behind : bool, default False
         Draw all functions again from the other side.
+    shifts : sequence of ndarray of shape (n, 3), optional
+        For each function, how far it moves the points.
+    swings : sequence of float, default (1,)
+        Each function is drawn once for each of these, multiplied by it like its shift. All
+        pictures have the same camera, with room for the largest shift.
     """
 
     geometry: Geometry
@@ -56,6 +61,8 @@ class Scene:
     colours: Bytes | None = None
     normals: Floats | None = None
     behind: bool = False
+    shifts: Sequence[Floats] | None = None
+    swings: Sequence[float] = (1.0,)
 
 
 def render(scenes: Sequence[Scene]) -> list[Bytes]:
@@ -104,7 +111,11 @@ def _request(scene: Scene) -> dict[str, Any]:
     geometry, colours, normals = scene.geometry, scene.colours, scene.normals
     diameter = _ball_diameter(geometry)
     seen = geometry.points @ scene.rotation.T
-    extent = np.ptp(seen, axis=0)[:2] + diameter
+    shifts = np.stack(scene.shifts or [np.zeros((1, 3))]) @ scene.rotation.T
+    # Points move on straight lines: the two farthest swings hold all between.
+    reached = np.vstack([seen + end * s for s in shifts for end in _ends(scene.swings)])
+    box = np.stack([reached.min(axis=0), reached.max(axis=0)])
+    extent = np.ptp(box, axis=0)[:2] + diameter
     unit = max(float(extent[0]), float(extent[1]) / 8, 1e-300) / max(scene.width - 2 * _MARGIN, 1)
     height = int(np.ceil(extent[1] / unit)) + 2 * _MARGIN
     return {
@@ -117,7 +128,14 @@ def _request(scene: Scene) -> dict[str, Any]:
         "colours": np.empty((0, 3), np.uint8) if colours is None else colours,
         "normals": np.empty((0, 3)) if normals is None else normals @ scene.rotation.T,
         "sides": [1, -1] if scene.behind else [1],
+        "box": box / unit,
+        "shifts": (shifts / unit if scene.shifts else shifts[:0]).astype(np.float32),
+        "swings": np.asarray(scene.swings, dtype=np.float32),
     }
+
+
+def _ends(swings: Sequence[float]) -> tuple[float, float]:
+    return min(swings), max(swings)
 
 
 def _environments() -> list[Mapping[str, str]]:

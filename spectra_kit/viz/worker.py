@@ -71,13 +71,16 @@ def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
     )
     pictures = []
     for side in request["sides"]:
-        _place_camera(plotter, request["points"], float(request["half_height"]), int(side))
-        for values in request["values"]:
-            surface["values"] = values[owner]
-            plotter.render()
-            picture = plotter.screenshot(return_img=True)
-            assert picture is not None  # it was asked for
-            pictures.append(_shrink(np.asarray(picture)))
+        _place_camera(plotter, request["box"], float(request["half_height"]), int(side))
+        for i, values in enumerate(request["values"]):
+            for swing in request["swings"]:
+                surface["values"] = values[owner] if swing == 1 else (swing * values)[owner]
+                if len(request["shifts"]):
+                    _move(surface, (request["points"] + swing * request["shifts"][i])[owner])
+                plotter.render()
+                picture = plotter.screenshot(return_img=True)
+                assert picture is not None  # it was asked for
+                pictures.append(_shrink(np.asarray(picture)))
     plotter.close()
     return np.stack(pictures)
 
@@ -102,12 +105,22 @@ def _surface(
     return mesh, np.asarray(mesh["owner"]).astype(np.int64)
 
 
+def _move(surface: pv.PolyData, points: NDArray[np.float64]) -> None:
+    """Put the vertices elsewhere, and light them by where their faces look to now."""
+    surface.points = points
+    if surface.n_faces_strict:
+        moved = surface.compute_normals(
+            cell_normals=False, split_vertices=False, consistent_normals=False
+        )
+        surface.point_data.active_normals = moved.point_data.active_normals
+
+
 def _place_camera(
-    plotter: pv.Plotter, points: NDArray[np.float64], half_height: float, side: int
+    plotter: pv.Plotter, box: NDArray[np.float64], half_height: float, side: int
 ) -> None:
     """Look along the z axis, down it for side 1; the picture is 2 * half_height high."""
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    reach = float(np.ptp(points, axis=0).max()) or 1.0
+    centre = (box[0] + box[1]) / 2
+    reach = float(np.ptp(box, axis=0).max()) or 1.0
     camera = plotter.camera
     camera.focal_point = centre
     camera.position = centre + [0.0, 0.0, side * 4 * reach]
