@@ -34,13 +34,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     InvalidInputError
         If the folder of `path` does not exist, or `path` is a folder.
     """
-    target = Path(os.path.realpath(path))
-    if target.is_dir():
-        raise InvalidInputError(f"`path` must name a file, got the folder {str(path)!r}")
-    if not target.parent.is_dir():
-        raise InvalidInputError(
-            f"cannot write {str(path)!r}: the folder {str(target.parent)!r} does not exist"
-        )
+    target = check_target(path)
     part = target.with_name(f".{target.stem}-{secrets.token_hex(4)}{target.suffix}")
     try:
         yield part
@@ -49,3 +43,21 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.replace(part, target)
     finally:
         part.unlink(missing_ok=True)
+
+
+def check_target(path: str | os.PathLike[str]) -> Path:
+    """Return the file that writing to `path` would write, links followed, if it can be written.
+
+    Raises
+    ------
+    InvalidInputError
+        As in `atomic_path`.
+    """
+    target = Path(os.path.realpath(path))
+    if target.is_dir():
+        raise InvalidInputError(f"`path` must name a file, got the folder {str(path)!r}")
+    if not target.parent.is_dir():
+        raise InvalidInputError(
+            f"cannot write {str(path)!r}: the folder {str(target.parent)!r} does not exist"
+        )
+    return target

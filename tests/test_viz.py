@@ -165,7 +165,9 @@ def one_panel(path, geometry, values, **options):
 
 def test_bad_input_is_refused(tmp_path, ball):
     good = np.zeros(ball.n)
-    with pytest.raises(InvalidInputError, match=r"`path` must end in .png, got 'modes.jpg'"):
+    with pytest.raises(
+        InvalidInputError, match=r"`path` must end in .png, .pdf or .svg, got 'modes.jpg'"
+    ):
         one_panel("modes.jpg", ball, good)
     with pytest.raises(InvalidInputError, match=r"`values` must have shape \(642,\), got \(3,\)"):
         one_panel(tmp_path / "x.png", ball, good[:3])

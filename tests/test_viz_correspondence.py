@@ -183,9 +183,12 @@ def test_bad_input_is_refused(tmp_path, ball):
         ({"point_map": good + 1}, r"`point_map` must be in \[0, 162\)"),
         ({"point_map": good, "errors": -np.ones(ball.n)}, r"`errors` must .* 162 negative"),
         ({"point_map": good, "errors": [1.0]}, r"`errors` must have shape \(162,\)"),
-        ({"point_map": good, "up": "x"}, r"`up` must be 'y', 'z' or None, got 'x'"),
+        ({"point_map": good, "up": "w"}, r"`up` must be 'x', 'y', 'z' or None, got 'w'"),
         ({"point_map": good, "limit": 0.0}, r"`limit` must be positive"),
-        ({"point_map": good, "path": "x.jpg"}, r"`path` must end in .png, got 'x.jpg'"),
+        (
+            {"point_map": good, "path": "x.jpg"},
+            r"`path` must end in .png, .pdf or .svg, got 'x.jpg'",
+        ),
         ({"point_map": good, "path": tmp_path / "no" / "x.png"}, r"the folder .* does not exist"),
     ):
         with pytest.raises(InvalidInputError, match=message):
@@ -194,7 +197,7 @@ def test_bad_input_is_refused(tmp_path, ball):
         plot_correspondences(path, [])
     with pytest.raises(InvalidInputError, match=r"`functional_map` must have shape \(k2, k1\)"):
         plot_functional_map(path, np.zeros(4))
-    with pytest.raises(InvalidInputError, match=r"`path` must end in .png, got 'c.pdf'"):
-        plot_functional_map("c.pdf", np.eye(4))
+    with pytest.raises(InvalidInputError, match=r"`path` must end in .* got 'c.tif'"):
+        plot_functional_map("c.tif", np.eye(4))
     with pytest.raises(InvalidInputError, match="`errors` must hold at least one method"):
         plot_error_curves(path, {})

@@ -14,11 +14,13 @@ from spectra_kit.viz.isolines import plot_distance
 from spectra_kit.viz.maps import plot_error_curves, plot_functional_map
 from spectra_kit.viz.modes import plot_comparison
 from spectra_kit.viz.page import Panel, plot_panels
+from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.solver_run import SolverRun
 
 __all__ = [
     "MatchedPair",
     "Panel",
+    "Picture",
     "SolverRun",
     "plot_comparison",
     "plot_convergence",

@@ -7,10 +7,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.sampling import sample
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 
 Floats = NDArray[np.float64]
+Up = Literal["x", "y", "z"]
 
 _AZIMUTHS = np.deg2rad([30, -30, 60, -60, 150, -150, 120, -120])
 _ELEVATION = np.deg2rad(22.0)
@@ -19,13 +21,15 @@ _GRID = 40
 _CLEARLY = 1.06  # a later view must show this much more than an earlier one
 
 
-def choose_view(geometry: Geometry, *, up: Literal["y", "z"] | None = None) -> Floats:
+def choose_view(geometry: Geometry, *, up: Up | None = None) -> Floats:
     """Return the rotation (3, 3) whose rows point right, up, and towards the viewer.
 
     Up is y, or z where the geometry stands more broadly on that side, or what is said. Of eight
     oblique views
     the one that covers most of the picture plane wins, earlier ones when in doubt.
     """
+    if up not in (None, "x", "y", "z"):
+        raise InvalidInputError(f"`up` must be 'x', 'y', 'z' or None, got {up!r}")
     if isinstance(geometry, TriangleMesh) and geometry.area > 0:
         points = sample(geometry, 4000, seed=0).points
     else:
@@ -56,7 +60,7 @@ def _stands_on(points: Floats, axis: int) -> float:
 def _rotation(up: int, azimuth: float, elevation: float) -> Floats:
     """Look down by `elevation` at a geometry turned by `azimuth` around the axis `up`."""
     # Facing the viewer at azimuth 0: +z for y-up (the habit of scans and games), -y for z-up (CAD).
-    front, side = ((0, 0, 1), (1, 0, 0)) if up == 1 else ((0, -1, 0), (1, 0, 0))
+    front, side = (((0, 0, 1), (0, 1, 0)), ((0, 0, 1), (1, 0, 0)), ((0, -1, 0), (1, 0, 0)))[up]
     level = np.cos(azimuth) * np.array(front) + np.sin(azimuth) * np.array(side)
     vertical = np.eye(3)[up]
     towards = np.cos(elevation) * level + np.sin(elevation) * vertical
@@ -70,3 +74,12 @@ def _coverage(seen: Floats) -> float:
     cell = max(float(np.ptp(seen, axis=0).max()) / _GRID, 1e-300)
     cells = np.unique((flat / cell).astype(np.int64), axis=0)
     return len(cells) * cell**2
+
+
+def fitting_size(
+    geometry: Geometry, rotation: Floats, widest: float, tallest: float
+) -> tuple[float, float]:
+    """Width and height at which a picture of a geometry just fits into that room."""
+    across, up = np.maximum(np.ptp(geometry.points @ rotation.T, axis=0)[:2], 1e-300)
+    width = float(max(min(widest, tallest * across / up), 0.3))
+    return width, min(width * float(up / across), tallest)

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._files import atomic_path
 from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.viz.picture import Picture
+from spectra_kit.viz.sheet import (
+    LINE_COLOURS,
+    check_picture_path,
+    head,
+    line_style,
+    new_figure,
+    save,
+    tidy,
+)
 from spectra_kit.viz.solver_run import SolverRun
 
 if TYPE_CHECKING:
@@ -20,15 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
-Dashes = str | tuple[int, tuple[float, float]]
 
-# Okabe and Ito's colours and two more: told apart with every kind of colour blindness. Dashes let
-# curves that run into one show through each other.
-_COLOURS = (
-    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"),
-    *("#7B4FA3", "#000000", "#777777"),
-)
-_DASHES = ("-", "-", "--", "-.", (0, (2, 1.5)))
 _STAGES = ("#D9D9D9", "#B4C7DE", "#8297B8", "#BAD0AE", "#8AAB80", "#A0A0A0", "#6E6E6E")
 _SPECTRUM = "#F4E3B2"
 _FLOOR = 1e-16  # of relative residuals in the picture: below it there is only rounding
@@ -44,13 +44,13 @@ def plot_convergence(
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
-) -> None:
+) -> Picture:
     """Draw the residuals of solvers against iterations and against the clock, and their stages.
 
     Parameters
     ----------
     path : path-like
-        The ``.png`` file to write, whole or not at all.
+        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
     runs : sequence of SolverRun
         At least one.
     rtol : float, default 1e-8
@@ -62,11 +62,15 @@ def plot_convergence(
     dpi : int, default 200
         Pixels per inch; the page is 12 inches wide.
 
+    Returns
+    -------
+    Picture
+        Of the file written.
+
     Raises
     ------
     InvalidInputError
-        If there is no run, `rtol` is not positive, or `path` is not a ``.png`` in an existing
-        folder.
+        If there is no run, `rtol` is not positive, or `path` cannot be written.
 
     Notes
     -----
@@ -85,35 +89,28 @@ def plot_convergence(
     ...     path.exists()
     True
     """
-    if Path(path).suffix.lower() != ".png":
-        raise InvalidInputError(f"`path` must end in .png, got {str(path)!r}")
+    check_picture_path(path)
     if not runs:
         raise InvalidInputError("`runs` must hold at least one SolverRun, got none")
     check_positive("rtol", rtol)
-    with atomic_path(path) as part:
-        _page(runs, rtol, solve_name, title, subtitle).savefig(part, dpi=dpi)
+    return save(_page(runs, rtol, solve_name, title, subtitle, dpi), path, dpi)
 
 
 def _page(
-    runs: Sequence[SolverRun], rtol: float, solve_name: str, title: str, subtitle: str
+    runs: Sequence[SolverRun], rtol: float, solve_name: str, title: str, subtitle: str, dpi: int
 ) -> Figure:
     """Three diagrams; below the first a table, below the two clocks the bars of its rows."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     rows = _ROW * (len(runs) + 1.2)
-    height = 4.3 + rows + 1.1
-    figure = Figure(figsize=(12, height), facecolor="white")
-    FigureCanvasAgg(figure)
-    figure.text(0.02, 1 - 0.3 / height, title, fontsize=14, fontweight="bold", parse_math=False)
-    figure.text(0.02, 1 - 0.55 / height, subtitle, fontsize=9, color="0.35", parse_math=False)
+    begin = head(title, subtitle) + 0.25
+    height = begin + 3.4 + rows + 1.1
+    figure = new_figure(12, height, title=title, subtitle=subtitle, dpi=dpi)
     grid = figure.add_gridspec(
         2,
         3,
         height_ratios=(3.4, rows),
         left=0.06,
         right=0.985,
-        top=1 - 0.95 / height,
+        top=1 - begin / height,
         bottom=0.75 / height,
         wspace=0.06,
         hspace=0.32 * 6 / height,
@@ -140,11 +137,6 @@ def _page(
     return figure
 
 
-def _style(i: int) -> tuple[str, Dashes]:
-    """Colour and dashes of the run number `i`."""
-    return _COLOURS[i % len(_COLOURS)], _DASHES[i % len(_DASHES)]
-
-
 def _shown(run: SolverRun) -> Floats:
     return np.asarray(np.maximum(run.residuals, _FLOOR))
 
@@ -156,7 +148,7 @@ def _limits(runs: Sequence[SolverRun], rtol: float) -> tuple[float, float]:
 
 def _draw_iterations(panel: Axes, runs: Sequence[SolverRun]) -> None:
     for i, run in enumerate(runs):
-        colour, dashes = _style(i)
+        colour, dashes = line_style(i)
         residuals = _shown(run)
         if run.iterations is None:
             panel.plot(
@@ -172,13 +164,14 @@ def _draw_iterations(panel: Axes, runs: Sequence[SolverRun]) -> None:
             panel.plot(residuals, color=colour, ls=dashes, lw=1.7)
     panel.set(yscale="log", xlabel="iteration", ylabel="relative residual")
     panel.set_title("by iterations", fontsize=11, loc="left")
-    _tidy(panel)
+    tidy(panel)
+    panel.set_xlim(left=0)
 
 
 def _draw_clock(panel: Axes, runs: Sequence[SolverRun], counted: bool) -> None:
     """Curves that begin when their stages are over; a direct solver is a point."""
     for i, run in enumerate(runs):
-        colour, dashes = _style(i)
+        colour, dashes = line_style(i)
         begin = run.start + (run.spectrum_seconds if counted else 0.0)
         residuals, times = _shown(run), begin + run.times
         if not len(residuals):
@@ -190,7 +183,8 @@ def _draw_clock(panel: Axes, runs: Sequence[SolverRun], counted: bool) -> None:
             panel.plot(times, residuals, color=colour, ls=dashes, lw=1.7)
     head = "by the clock, the spectrum counted" if counted else "by the clock, the spectrum at hand"
     panel.set_title(head, fontsize=11, loc="left")
-    _tidy(panel)
+    tidy(panel)
+    panel.set_xlim(left=0)
 
 
 def _draw_bars(
@@ -200,7 +194,7 @@ def _draw_bars(
     for row, run in enumerate(runs):
         left = 0.0
         pieces = [(seconds, colours[name]) for name, seconds in run.stages.items()]
-        pieces.append((run.solve_seconds, _style(row)[0]))
+        pieces.append((run.solve_seconds, line_style(row)[0]))
         if counted:
             pieces.insert(0, (run.spectrum_seconds, _SPECTRUM))
         for seconds, colour in pieces:
@@ -222,7 +216,7 @@ def _draw_table(panel: Axes, runs: Sequence[SolverRun]) -> None:
     panel.axis("off")
     panel.text(0.97, -0.75, "iterations", fontsize=8, color="0.4", ha="right", va="bottom")
     for row, run in enumerate(runs):
-        colour, dashes = _style(row)
+        colour, dashes = line_style(row)
         residuals = run.residuals
         if len(residuals) == 1:
             panel.plot(0.035, row, color=colour, marker="D", ms=6)
@@ -240,15 +234,7 @@ def _set_key(figure: Figure, colours: Mapping[str, str], spectrum: bool, solve_n
 
     key = [Patch(color=_SPECTRUM, label="spectrum")] if spectrum else []
     key += [Patch(color=colour, label=name) for name, colour in colours.items()]
-    key.append(Patch(color=_COLOURS[0], label=f"{solve_name} (colour of the line)"))
+    key.append(Patch(color=LINE_COLOURS[0], label=f"{solve_name} (colour of the line)"))
     figure.legend(
         handles=key, loc="lower right", ncols=len(key), frameon=False, fontsize=9, handlelength=1.2
     )
-
-
-def _tidy(panel: Axes) -> None:
-    panel.grid(color="0.92", lw=0.7)
-    panel.set_axisbelow(True)
-    panel.spines[["top", "right"]].set_visible(False)
-    panel.tick_params(labelsize=9)
-    panel.set_xlim(left=0)

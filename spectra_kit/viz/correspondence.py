@@ -5,20 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._files import atomic_path
 from spectra_kit._validate import check_indices, check_positive
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
-from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.camera import Up, choose_view, fitting_size
 from spectra_kit.viz.colours import error_colours, position_colours, refined
+from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.render import Scene, render
 from spectra_kit.viz.rows import Row, set_rows
+from spectra_kit.viz.sheet import check_picture_path, save
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -63,14 +62,14 @@ def plot_correspondence(
     point_map: ArrayLike,
     *,
     errors: ArrayLike | None = None,
-    up: Literal["y", "z"] | None = None,
+    up: Up | None = None,
     limit: float | None = None,
     error_label: str = "geodesic error, 100 / √area",
     names: tuple[str, str] = ("source", "target"),
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
-) -> None:
+) -> Picture:
     """Draw the source in colours, and the target in those that a point map gives it.
 
     Both are seen from the same side, and below from the other side.
@@ -78,14 +77,14 @@ def plot_correspondence(
     Parameters
     ----------
     path : path-like
-        The ``.png`` file to write, whole or not at all.
+        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
     source, target : TriangleMesh or PointCloud
         With n1 and n2 points. A cloud is drawn as balls that overlap a little.
     point_map : array_like of shape (n2,), integers
         The source point of each target point.
     errors : array_like of shape (n2,), optional
         Of the map at each target point, >= 0, drawn in a third column; NaN where not known.
-    up : {"y", "z"}, optional
+    up : {"x", "y", "z"}, optional
         The axis of the source that points up in the picture; by default the one it seems to stand
         on.
     limit : float, optional
@@ -99,11 +98,15 @@ def plot_correspondence(
     dpi : int, default 200
         Pixels per inch; the page is at most 11 inches wide.
 
+    Returns
+    -------
+    Picture
+        Of the file written.
+
     Raises
     ------
     InvalidInputError
-        If `point_map` or `errors` does not fit the geometries, or `path` is not a ``.png`` in an
-        existing folder.
+        If `point_map` or `errors` does not fit the geometries, or `path` cannot be written.
     MissingDependencyError
         If there is no PyVista, or no OpenGL library that it can draw with.
 
@@ -127,29 +130,29 @@ def plot_correspondence(
     pair = MatchedPair(
         source=source, target=target, point_map=point_map, errors=errors, names=names
     )
-    _draw(path, [pair], True, up, limit, error_label, title, subtitle, dpi)
+    return _draw(path, [pair], True, up, limit, error_label, title, subtitle, dpi)
 
 
 def plot_correspondences(
     path: str | os.PathLike[str],
     pairs: Sequence[MatchedPair],
     *,
-    up: Literal["y", "z"] | None = None,
+    up: Up | None = None,
     limit: float | None = None,
     error_label: str = "geodesic error, 100 / √area",
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
-) -> None:
+) -> Picture:
     """Draw several matched pairs, one row each, from one side.
 
     Parameters
     ----------
     path : path-like
-        The ``.png`` file to write, whole or not at all.
+        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
     pairs : sequence of MatchedPair
         At least one. If one has errors, all share their colour scale.
-    up : {"y", "z"}, optional
+    up : {"x", "y", "z"}, optional
         As in `plot_correspondence`.
     limit : float, optional
         The error at the dark end of the colours, for all.
@@ -159,6 +162,11 @@ def plot_correspondences(
         Two lines at the head of the page.
     dpi : int, default 200
         Pixels per inch; the page is at most 11 inches wide.
+
+    Returns
+    -------
+    Picture
+        Of the file written.
 
     Raises
     ------
@@ -179,50 +187,45 @@ def plot_correspondences(
     """
     if not pairs:
         raise InvalidInputError("`pairs` must hold at least one MatchedPair, got none")
-    _draw(path, pairs, False, up, limit, error_label, title, subtitle, dpi)
+    return _draw(path, pairs, False, up, limit, error_label, title, subtitle, dpi)
 
 
 def _draw(
     path: str | os.PathLike[str],
     pairs: Sequence[MatchedPair],
     behind: bool,
-    up: Literal["y", "z"] | None,
+    up: Up | None,
     limit: float | None,
     error_label: str,
     title: str,
     subtitle: str,
     dpi: int,
-) -> None:
+) -> Picture:
     """Check everything, draw the pictures of each row, set the page."""
-    if Path(path).suffix.lower() != ".png":
-        raise InvalidInputError(f"`path` must end in .png, got {str(path)!r}")
-    if up not in (None, "y", "z"):
-        raise InvalidInputError(f"`up` must be 'y', 'z' or None, got {up!r}")
+    check_picture_path(path)
     maps = [_check_map(pair) for pair in pairs]
     errors = [_check_errors(pair) for pair in pairs]
     known = np.concatenate([e[np.isfinite(e)] for e in errors if e is not None] or [np.zeros(0)])
     if limit is None:
         limit = (float(np.percentile(known, _PERCENTILE)) if len(known) else 0.0) or 1.0
     check_positive("limit", limit)
-    with atomic_path(path) as part:  # around all: a bad path is told before the work
-        scenes = [
-            scene
-            for pair, p, e in zip(pairs, maps, errors, strict=True)
-            for scene in _scenes(pair, p, e, limit, dpi, choose_view(pair.source, up=up), behind)
+    scenes = [
+        scene
+        for pair, p, e in zip(pairs, maps, errors, strict=True)
+        for scene in _scenes(pair, p, e, limit, dpi, choose_view(pair.source, up=up), behind)
+    ]
+    drawn, rows = render(scenes), []
+    for pair, source, target in zip(pairs, drawn[::2], drawn[1::2], strict=True):
+        sides = ("one side", "other side") if behind else (pair.name,)
+        names = None if behind or pair.names == _HEADS else pair.names
+        each = np.split(target, len(source))  # the pictures of one side follow each other
+        rows += [
+            Row(side, names, [first, *rest])
+            for side, first, rest in zip(sides, source, each, strict=True)
         ]
-        drawn, rows = render(scenes), []
-        for pair, source, target in zip(pairs, drawn[::2], drawn[1::2], strict=True):
-            sides = ("one side", "other side") if behind else (pair.name,)
-            names = None if behind or pair.names == _HEADS else pair.names
-            each = np.split(target, len(source))  # the pictures of one side follow each other
-            rows += [
-                Row(side, names, [first, *rest])
-                for side, first, rest in zip(sides, source, each, strict=True)
-            ]
-        heads = [*(pairs[0].names if behind else _HEADS), "error"]
-        bar = None if all(e is None for e in errors) else (limit, error_label)
-        figure = set_rows(rows, heads, bar, title, subtitle, dpi)
-        figure.savefig(part, dpi=dpi)
+    heads = [*(pairs[0].names if behind else _HEADS), "error"]
+    bar = None if all(e is None for e in errors) else (limit, error_label)
+    return save(set_rows(rows, heads, bar, title, subtitle, dpi), path, dpi)
 
 
 def _check_map(pair: MatchedPair) -> Ints:
@@ -262,7 +265,8 @@ def _scenes(
     low, high = places.min(axis=0), places.max(axis=0)
 
     def scene(geometry: Geometry, values: Floats) -> Scene:
-        width, height = (round(side * dpi) for side in _fitting_size(geometry, rotation))
+        inches = fitting_size(geometry, rotation, _WIDEST, _TALLEST)
+        width, height = (round(side * dpi) for side in inches)
         fine, values, normals = refined(geometry, values, width * height // _PIXELS)
         colours = [position_colours(values[:, :3], low, high, squares=normals is not None)]
         if values.shape[1] > 3:
@@ -279,10 +283,3 @@ def _scenes(
     carried = places[point_map]
     on_target = carried if errors is None else np.column_stack([carried, errors])
     return scene(pair.source, places), scene(pair.target, on_target)
-
-
-def _fitting_size(geometry: Geometry, rotation: Floats) -> tuple[float, float]:
-    """Width and height in inches at which a picture fits its place."""
-    across, up = np.maximum(np.ptp(geometry.points @ rotation.T, axis=0)[:2], 1e-300)
-    width = float(max(min(_WIDEST, _TALLEST * across / up), 0.3))
-    return width, min(width * float(up / across), _TALLEST)

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._files import atomic_path
 from spectra_kit._validate import check_points
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.reference import sphere
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
-from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.camera import Up, choose_view, fitting_size
 from spectra_kit.viz.distance_scale import EVERY, Scale, distance_scale
 from spectra_kit.viz.pen import Pen
+from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.render import Scene, render
+from spectra_kit.viz.sheet import MARGIN, check_picture_path, head, new_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,7 +29,7 @@ _BALL = 0.07  # radius of the mark of a source, inches
 
 # Inches.
 _WIDEST, _TALLEST = 4.6, 4.6
-_MARGIN, _GAP, _TITLE, _BAR, _THICKNESS = 0.2, 0.3, 0.62, 0.75, 0.13
+_GAP, _BAR, _THICKNESS = 0.3, 0.75, 0.13
 
 
 def plot_distance(
@@ -39,18 +39,18 @@ def plot_distance(
     *,
     sources: ArrayLike | None = None,
     spacing: float | None = None,
-    up: Literal["y", "z"] | None = None,
+    up: Up | None = None,
     label: str = "distance",
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
-) -> None:
+) -> Picture:
     """Draw distances on a geometry in colours with evenly spaced lines, from two sides.
 
     Parameters
     ----------
     path : path-like
-        The ``.png`` file to write, whole or not at all.
+        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
     geometry : TriangleMesh or PointCloud
         A cloud is drawn as balls that overlap a little, in bands instead of lines.
     distance : array_like of shape (n,)
@@ -59,7 +59,7 @@ def plot_distance(
         Places to mark by black balls.
     spacing : float, optional
         Between two lines, in the unit of length; by default a round number that makes 20 to 40.
-    up : {"y", "z"}, optional
+    up : {"x", "y", "z"}, optional
         The axis that points up in the picture; by default the one the geometry seems to stand on.
     label : str, default "distance"
         Set below the scale.
@@ -68,11 +68,16 @@ def plot_distance(
     dpi : int, default 200
         Pixels per inch; the page is at most 10 inches wide.
 
+    Returns
+    -------
+    Picture
+        Of the file written.
+
     Raises
     ------
     InvalidInputError
         If `distance` does not fit the geometry, is negative or NaN, `spacing` would make more than
-        200 lines, or `path` is not a ``.png`` in an existing folder.
+        200 lines, or `path` cannot be written.
     MissingDependencyError
         If there is no PyVista, or no OpenGL library that it can draw with.
 
@@ -94,38 +99,33 @@ def plot_distance(
     ...     path.exists()
     True
     """
-    if Path(path).suffix.lower() != ".png":
-        raise InvalidInputError(f"`path` must end in .png, got {str(path)!r}")
-    if up not in (None, "y", "z"):
-        raise InvalidInputError(f"`up` must be 'y', 'z' or None, got {up!r}")
+    check_picture_path(path)
     values = _check_distance(distance, geometry.n)
     marks = np.empty((0, 3)) if sources is None else check_points("sources", sources)
-    with atomic_path(path) as part:  # around all: a bad path is told before the work
-        rotation = choose_view(geometry, up=up)
-        across, tall = _fitting_size(geometry, rotation)
-        unit = float(np.ptp(geometry.points @ rotation.T, axis=0)[:2].max()) / max(across, tall)
-        scale = distance_scale(
-            values, spacing=spacing, inch=unit, dpi=dpi, lines=isinstance(geometry, TriangleMesh)
-        )
-        drawn, where = _torn(geometry, np.isfinite(values))
-        drawn, coded = _marked(drawn, scale.values(values[where]), marks, _BALL * unit, scale.mark)
-        (pictures,) = render(
-            [
-                Scene(
-                    geometry=drawn,
-                    functions=[coded],
-                    rotation=rotation,
-                    width=round(across * dpi),
-                    colours=scale.table,
-                    behind=True,
-                )
-            ]
-        )
-        caption = f"{label}, {'a line every' if scale.lines else 'bands of'} {scale.spacing:.4g}"
-        caption += " · grey: not reached" * bool(np.isinf(values).any())
-        caption += " · black balls: the sources" * bool(len(marks))
-        figure = _set_page(list(pictures), scale, caption, title, subtitle, dpi)
-        figure.savefig(part, dpi=dpi)
+    rotation = choose_view(geometry, up=up)
+    across, tall = fitting_size(geometry, rotation, _WIDEST, _TALLEST)
+    unit = float(np.ptp(geometry.points @ rotation.T, axis=0)[:2].max()) / max(across, tall)
+    scale = distance_scale(
+        values, spacing=spacing, inch=unit, dpi=dpi, lines=isinstance(geometry, TriangleMesh)
+    )
+    drawn, where = _torn(geometry, np.isfinite(values))
+    drawn, coded = _marked(drawn, scale.values(values[where]), marks, _BALL * unit, scale.mark)
+    (pictures,) = render(
+        [
+            Scene(
+                geometry=drawn,
+                functions=[coded],
+                rotation=rotation,
+                width=round(across * dpi),
+                colours=scale.table,
+                behind=True,
+            )
+        ]
+    )
+    caption = f"{label}, {'a line every' if scale.lines else 'bands of'} {scale.spacing:.4g}"
+    caption += " · grey: not reached" * bool(np.isinf(values).any())
+    caption += " · black balls: the sources" * bool(len(marks))
+    return save(_set_page(list(pictures), scale, caption, title, subtitle, dpi), path, dpi)
 
 
 def _check_distance(distance: ArrayLike, n: int) -> Floats:
@@ -176,46 +176,30 @@ def _marked(
     return TriangleMesh(points, np.vstack([geometry.faces, *faces])), coded
 
 
-def _fitting_size(geometry: Geometry, rotation: Floats) -> tuple[float, float]:
-    """Width and height in inches at which a picture fits its place."""
-    across, up = np.maximum(np.ptp(geometry.points @ rotation.T, axis=0)[:2], 1e-300)
-    width = float(max(min(_WIDEST, _TALLEST * across / up), 0.3))
-    return width, min(width * float(up / across), _TALLEST)
-
-
 def _set_page(
     pictures: list[Bytes], scale: Scale, caption: str, title: str, subtitle: str, dpi: int
 ) -> Figure:
     """Place two pictures and the scale; everything is measured in inches from the top."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     tall, wide = (side / dpi for side in pictures[0].shape[:2])
     stacked = wide > 2 * tall
-    head = _MARGIN + (_TITLE if title or subtitle else 0.0)
+    begin = head(title, subtitle)
     room = max(wide if stacked else 2 * wide + _GAP, 4.0)
-    width = room + 2 * _MARGIN
-    height = head + (2 * tall + _GAP if stacked else tall) + _BAR + _MARGIN
-    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
-    FigureCanvasAgg(figure)
-    pen = Pen(figure, width, height, dpi)
-    if title or subtitle:
-        pen.text(title, _MARGIN, _MARGIN + 0.2, room, 14, bold=True)
-        pen.text(subtitle, _MARGIN, _MARGIN + 0.46, room, 9, colour="0.35")
+    width = room + 2 * MARGIN
+    height = begin + (2 * tall + _GAP if stacked else tall) + _BAR + MARGIN
+    figure = new_figure(width, height, title=title, subtitle=subtitle, dpi=dpi)
+    pen = Pen(figure)
     for i, picture in enumerate(pictures):
         left = (
-            _MARGIN + (room - wide) / 2
-            if stacked
-            else width / 2 + (i - 1) * wide + (i - 0.5) * _GAP
+            MARGIN + (room - wide) / 2 if stacked else width / 2 + (i - 1) * wide + (i - 0.5) * _GAP
         )
-        pen.picture(picture, left, head + (i * (tall + _GAP) if stacked else 0.0))
-    _set_scale(pen, scale, caption, height - _MARGIN - _BAR + 0.25)
+        pen.picture(picture, left, begin + (i * (tall + _GAP) if stacked else 0.0))
+    _set_scale(pen, scale, caption, height - MARGIN - _BAR + 0.25)
     return figure
 
 
 def _set_scale(pen: Pen, scale: Scale, caption: str, top: float) -> None:
     """Draw the colours from zero to the limit, numbers at the thick lines, and what they are."""
-    length = 0.55 * (pen.width - 2 * _MARGIN)
+    length = 0.55 * (pen.width - 2 * MARGIN)
     left = (pen.width - length) / 2
     strip = scale.ramp
     columns = round(length * pen.dpi)

@@ -15,6 +15,7 @@ from spectra_kit.metrics import Comparison, align_modes
 from spectra_kit.spectrum import Spectrum
 from spectra_kit.viz.page import Panel, plot_panels
 from spectra_kit.viz.pen import short
+from spectra_kit.viz.picture import Picture
 
 Floats = NDArray[np.float64]
 
@@ -34,13 +35,13 @@ def plot_comparison(
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
-) -> None:
+) -> Picture:
     """Draw chosen modes of two spectra and their difference, one row or column per mode.
 
     Parameters
     ----------
     path : path-like
-        The ``.png`` file to write, whole or not at all.
+        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
     geometry : TriangleMesh or PointCloud
         The points that both spectra live on.
     exact, predicted : Spectrum
@@ -56,11 +57,15 @@ def plot_comparison(
     dpi : int, default 200
         Pixels per inch; the page is at most 11 inches wide.
 
+    Returns
+    -------
+    Picture
+        Of the file written.
+
     Raises
     ------
     InvalidInputError
-        If a mode is out of range, sizes disagree, or `path` is not a ``.png`` in an existing
-        folder.
+        If a mode is out of range, sizes disagree, or `path` cannot be written.
 
     Notes
     -----
@@ -75,7 +80,7 @@ def plot_comparison(
         )
     chosen = [check_count("modes", mode, low=0, high=comparison.k - 1) for mode in modes]
     aligned = align_modes(exact, predicted, comparison)
-    plot_panels(
+    return plot_panels(
         path,
         geometry,
         [_panels(exact, predicted, aligned[:, i], comparison, i) for i in chosen],

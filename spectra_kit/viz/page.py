@@ -8,19 +8,19 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._files import atomic_path
 from spectra_kit._validate import real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.pen import Pen, short
+from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.render import Scene, render
+from spectra_kit.viz.sheet import MARGIN, check_picture_path, head, new_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,9 +31,8 @@ Bytes = NDArray[np.uint8]
 _COLOURS = "RdBu_r"  # diverging, told apart with every kind of colour blindness
 
 # Inches.
-_WIDTH, _WIDEST_CELL, _MARGIN, _GAP = 11.0, 4.5, 0.15, 0.18
+_WIDTH, _WIDEST_CELL, _GAP = 11.0, 4.5, 0.18
 _HEAD, _SIDE, _CAPTION, _BAR = 0.34, 0.34, 0.40, 0.26
-_TITLE = 0.62
 _TALLEST = 2.2  # pictures, height over cell width
 _ASPECT = 1.0  # of the page, width over height: decides whether modes are rows or columns
 
@@ -67,13 +66,13 @@ def plot_panels(
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
-) -> None:
+) -> Picture:
     """Draw a table of functions on one geometry, all seen from the same side.
 
     Parameters
     ----------
     path : path-like
-        The ``.png`` file to write, whole or not at all.
+        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
     geometry : TriangleMesh or PointCloud
         A cloud is drawn as balls that overlap a little.
     rows : sequence of sequences of Panel
@@ -85,11 +84,16 @@ def plot_panels(
     dpi : int, default 200
         Pixels per inch; the page is at most 11 inches wide.
 
+    Returns
+    -------
+    Picture
+        Of the file written.
+
     Raises
     ------
     InvalidInputError
-        If the table is empty or ragged, a panel has not one finite value per point, or `path` is
-        not a ``.png`` in an existing folder.
+        If the table is empty or ragged, a panel has not one finite value per point, or `path`
+        cannot be written.
 
     Examples
     --------
@@ -103,8 +107,7 @@ def plot_panels(
     ...     path.exists()
     True
     """
-    if Path(path).suffix.lower() != ".png":
-        raise InvalidInputError(f"`path` must end in .png, got {str(path)!r}")
+    check_picture_path(path)
     if not rows or {len(row) for row in rows} != {len(columns_named)} or not columns_named:
         raise InvalidInputError(
             f"`rows` must be a table of {len(columns_named)} columns,"
@@ -125,17 +128,15 @@ def plot_panels(
     cell = _cell_width(len(across))
     width = cell if aspect < _TALLEST else cell * _TALLEST / aspect
     functions = [panel.values / panel.limit for row in table for panel in row]
-    with atomic_path(path) as part:  # around all: a bad path is told before the work
-        scene = Scene(
-            geometry=geometry,
-            functions=functions,
-            rotation=rotation,
-            width=round(width * dpi),
-            colours=_colours(np.linspace(-1.0, 1.0, 256)),
-        )
-        (pictures,) = render([scene])
-        figure = _set_page(table, across, down, pictures, cell, title, subtitle, dpi)
-        figure.savefig(part, dpi=dpi)
+    scene = Scene(
+        geometry=geometry,
+        functions=functions,
+        rotation=rotation,
+        width=round(width * dpi),
+        colours=_colours(np.linspace(-1.0, 1.0, 256)),
+    )
+    (pictures,) = render([scene])
+    return save(_set_page(table, across, down, pictures, cell, title, subtitle, dpi), path, dpi)
 
 
 def _set_page(
@@ -149,29 +150,21 @@ def _set_page(
     dpi: int,
 ) -> Figure:
     """Place pictures, captions and colour bars; everything is measured in inches from the top."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     picture_height, picture_width = (side / dpi for side in pictures.shape[1:3])
     row_height = _CAPTION + picture_height + _BAR
-    head = _MARGIN + (_TITLE if title or subtitle else 0.0)
-    height = head + _HEAD + len(down) * (row_height + _GAP) + _MARGIN
-    width = 2 * _MARGIN + _SIDE + len(across) * (cell + _GAP) - _GAP
-    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
-    FigureCanvasAgg(figure)
-    pen = Pen(figure, width, height, dpi)
+    begin = head(title, subtitle)
+    height = begin + _HEAD + len(down) * (row_height + _GAP) + MARGIN
+    width = 2 * MARGIN + _SIDE + len(across) * (cell + _GAP) - _GAP
+    figure = new_figure(width, height, title=title, subtitle=subtitle, dpi=dpi)
+    pen = Pen(figure)
     strip = _colours(np.linspace(-1.0, 1.0, 512))
-
-    if title or subtitle:
-        pen.text(title, _MARGIN, _MARGIN + 0.2, width - 2 * _MARGIN, 14, bold=True)
-        pen.text(subtitle, _MARGIN, _MARGIN + 0.46, width - 2 * _MARGIN, 9, colour="0.35")
-    lefts = [_MARGIN + _SIDE + i * (cell + _GAP) for i in range(len(across))]
+    lefts = [MARGIN + _SIDE + i * (cell + _GAP) for i in range(len(across))]
     for left, name in zip(lefts, across, strict=True):
-        pen.text(name, left, head + 0.22, cell, 12, bold=True, centred=True)
+        pen.text(name, left, begin + 0.22, cell, 12, bold=True, centred=True)
     remaining = iter(pictures)
     for r, name in enumerate(down):
-        top = head + _HEAD + r * (row_height + _GAP)
-        pen.sideways(name, _MARGIN + 0.12, top + _CAPTION + picture_height / 2, row_height)
+        top = begin + _HEAD + r * (row_height + _GAP)
+        pen.sideways(name, MARGIN + 0.12, top + _CAPTION + picture_height / 2, row_height)
         for left, panel in zip(lefts, table[r], strict=True):
             for line, text in enumerate(panel.lines):
                 colour = "0.1" if line == 0 else "0.4"
@@ -184,14 +177,14 @@ def _set_page(
 
 def _cell_width(columns: int) -> float:
     """Width of a cell when `columns` of them share the page."""
-    room = _WIDTH - 2 * _MARGIN - _SIDE - (columns - 1) * _GAP
+    room = _WIDTH - 2 * MARGIN - _SIDE - (columns - 1) * _GAP
     return min(room / columns, _WIDEST_CELL)
 
 
 def _misfit(columns: int, rows: int, aspect: float) -> float:
     """How far a page of that many pictures of that aspect is from the wanted one."""
     height = (
-        _TITLE
+        head("any", "")
         + _HEAD
         + rows * (_cell_width(columns) * min(aspect, _TALLEST) + _CAPTION + _BAR + _GAP)
     )

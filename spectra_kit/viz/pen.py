@@ -16,8 +16,9 @@ Bytes = NDArray[np.uint8]
 class Pen:
     """Draws on a figure at inches from its top left corner."""
 
-    def __init__(self, figure: Figure, width: float, height: float, dpi: int) -> None:
-        self.figure, self.width, self.height, self.dpi = figure, width, height, dpi
+    def __init__(self, figure: Figure) -> None:
+        self.figure, self.dpi = figure, figure.dpi
+        self.width, self.height = (float(side) for side in figure.get_size_inches())
 
     def text(
         self,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from spectra_kit.viz.colours import error_colours
 from spectra_kit.viz.pen import Pen, short
+from spectra_kit.viz.sheet import MARGIN, head, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 Bytes = NDArray[np.uint8]
 
 # Inches.
-_MARGIN, _GAP, _SIDE, _HEAD, _TITLE, _LINE, _BAR = 0.15, 0.25, 0.3, 0.34, 0.62, 0.19, 0.3
+_GAP, _SIDE, _HEAD, _LINE, _BAR = 0.25, 0.3, 0.34, 0.19, 0.3
 _NARROWEST = 2.2  # of a cell
 
 
@@ -39,32 +40,25 @@ def set_rows(
     dpi: int,
 ) -> Figure:
     """Place the pictures, names and the colour bar; everything in inches from the top."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     columns = 2 if bar is None else 3
     cell = max(_NARROWEST, *(p.shape[1] / dpi for row in rows for p in row.pictures))
     tall = [max(p.shape[0] for p in row.pictures) / dpi for row in rows]
-    head = _MARGIN + (_TITLE if title or subtitle else 0.0)
+    begin = head(title, subtitle)
     lines = [0.0 if row.names is None else _LINE for row in rows]
-    height = head + _HEAD + sum(tall) + sum(lines) + len(rows) * _GAP + _MARGIN
+    height = begin + _HEAD + sum(tall) + sum(lines) + len(rows) * _GAP + MARGIN
     height += 0.0 if bar is None else _BAR
-    width = 2 * _MARGIN + _SIDE + columns * (cell + _GAP) - _GAP
-    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
-    FigureCanvasAgg(figure)
-    pen = Pen(figure, width, height, dpi)
-    if title or subtitle:
-        pen.text(title, _MARGIN, _MARGIN + 0.2, width - 2 * _MARGIN, 14, bold=True)
-        pen.text(subtitle, _MARGIN, _MARGIN + 0.46, width - 2 * _MARGIN, 9, colour="0.35")
-    lefts = [_MARGIN + _SIDE + i * (cell + _GAP) for i in range(columns)]
+    width = 2 * MARGIN + _SIDE + columns * (cell + _GAP) - _GAP
+    figure = new_figure(width, height, title=title, subtitle=subtitle, dpi=dpi)
+    pen = Pen(figure)
+    lefts = [MARGIN + _SIDE + i * (cell + _GAP) for i in range(columns)]
     for left, name in zip(lefts, heads, strict=False):
-        pen.text(name, left, head + 0.22, cell, 12, bold=True, centred=True)
-    top = head + _HEAD
+        pen.text(name, left, begin + 0.22, cell, 12, bold=True, centred=True)
+    top = begin + _HEAD
     for row, line, room in zip(rows, lines, tall, strict=True):
         for left, text in zip(lefts, row.names or (), strict=False):
             pen.text(text, left, top + 0.12, cell, 9, colour="0.35", centred=True)
         top += line
-        pen.sideways(row.name, _MARGIN + 0.1, top + room / 2, room + _GAP)
+        pen.sideways(row.name, MARGIN + 0.1, top + room / 2, room + _GAP)
         for left, picture in zip(lefts, row.pictures, strict=False):
             high, wide = (side / dpi for side in picture.shape[:2])
             pen.picture(picture, left + (cell - wide) / 2, top + (room - high) / 2)
