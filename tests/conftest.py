@@ -141,3 +141,20 @@ def ellipsoids(n, seed):
     modes = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x], axis=2)
     root = np.sqrt(mass)[..., None]
     return points, mass, np.linalg.qr(root * modes)[0] / root
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that hold slow tests: processes that share the files end together."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
+@pytest.hookimpl(optionalhook=True)  # pytest-xdist may be away
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Give a file to one process: what its tests share is made, and its kernels compiled, once."""
+    from xdist.scheduler import LoadFileScheduling
+
+    if config.getoption("dist") != "load":  # another one was asked for
+        return None
+    config.option.loadscopereorder = False  # keep the order above
+    return LoadFileScheduling(config, log)

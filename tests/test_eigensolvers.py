@@ -488,19 +488,26 @@ def test_tiny_inputs() -> None:
     assert eigensolve(robust_laplacian(square), 4).n_zero_modes == 1
 
 
+# Extents from 0.8 to 502; open, closed and of three components; edges 4,000 times as long as others
+# (hippo). Larger meshes, the bunny and the horse, are in test_geodesics_data.py.
+REAL = [
+    "3holes", "camelhead", "casting", "cheburashka", "cow", "fandisk", "hippo", "homer", "laurana",
+    "plane", "spot", "teapot", "trim_star",
+]  # fmt: skip
+
+
 @pytest.mark.data
 @pytest.mark.slow
-def test_arpack_on_every_real_mesh(real_shapes) -> None:
+def test_arpack_on_real_meshes(real_shapes) -> None:
     """Relative residuals of at most 1e-8 on real graphics models, in their own units."""
     worst = {}
-    for path in sorted(real_shapes.glob("*.npz")):
-        with np.load(path) as data:
+    for name in REAL:
+        with np.load(real_shapes / f"{name}.npz") as data:
             mesh = TriangleMesh(data["V"], data["F"]).without_unreferenced()
         L = robust_laplacian(mesh.without_degenerate_faces().without_unreferenced())
         s = eigensolve(L, 96)
-        worst[path.stem] = s.certificate.relative_residuals.max()
-        assert s.certificate.n_zero_modes == L.kernel_dimension, path.stem
-    assert len(worst) >= 20
+        worst[name] = s.certificate.relative_residuals.max()
+        assert s.certificate.n_zero_modes == L.kernel_dimension, name
     assert max(worst.values()) <= 1e-8, worst
 
 
