@@ -1,0 +1,108 @@
+"""What of a geometry is drawn in the browser: all of it, or fewer points that stand for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Display:
+    """A geometry to draw, and how functions on the full one get there.
+
+    Attributes
+    ----------
+    geometry : TriangleMesh or PointCloud
+        The points to draw, s of them.
+    carry : sparse array of shape (s, n)
+        Values at the n points of the full geometry to values at these: rows sum to one.
+    decimated : bool
+        Whether there are fewer points than in the full geometry.
+    """
+
+    geometry: Geometry
+    carry: sparse.csr_array
+    decimated: bool
+
+
+def for_display(geometry: Geometry, max_points: int) -> Display:
+    """Return `geometry` with at most about `max_points` points.
+
+    A mesh loses edges by quadric decimation (Garland and Heckbert, 1997), and functions are
+    interpolated linearly at the closest points of the full mesh. Of a cloud, one point in each cell
+    of a grid is kept.
+    """
+    n = geometry.n
+    if n <= max_points:
+        return Display(geometry=geometry, carry=sparse.eye_array(n, format="csr"), decimated=False)
+    if isinstance(geometry, TriangleMesh):
+        coarse = _decimated(geometry, max_points)
+        return Display(geometry=coarse, carry=_closest(coarse.points, geometry), decimated=True)
+    kept = _thinned(geometry.points, max_points)
+    rows = np.arange(len(kept))
+    carry = sparse.csr_array((np.ones(len(kept)), (rows, kept)), shape=(len(kept), n))
+    return Display(geometry=PointCloud(geometry.points[kept]), carry=carry, decimated=True)
+
+
+def _decimated(mesh: TriangleMesh, max_points: int) -> TriangleMesh:
+    """A mesh with about as many vertices as asked for, or fewer."""
+    import pyvista as pv
+
+    # In a unit box: VTK's tolerances, and single precision in places, do not know the scale.
+    low, size = mesh.points.min(axis=0), float(np.ptp(mesh.points, axis=0).max()) or 1.0
+    whole = pv.PolyData.from_regular_faces((mesh.points - low) / size, mesh.faces)
+    coarse = whole.decimate(1.0 - max_points / mesh.n)
+    faces = np.asarray(coarse.regular_faces, dtype=np.int64)
+    points = np.asarray(coarse.points, dtype=np.float64) * size + low
+    return TriangleMesh(points, faces).without_unreferenced()
+
+
+def _closest(points: Floats, mesh: TriangleMesh) -> sparse.csr_array:
+    """Linear interpolation on the triangles of `mesh` at the points closest to `points`."""
+    import igl
+
+    _, face, at = igl.point_mesh_squared_distance(points, mesh.points, mesh.faces)
+    corners = mesh.faces[face]
+    a, b, c = (np.ascontiguousarray(mesh.points[corners[:, i]]) for i in range(3))
+    weights = np.asarray(igl.barycentric_coordinates(at, a, b, c))
+    # A triangle without area has no such coordinates: its nearest corner will do.
+    distances = np.stack([np.linalg.norm(at - corner, axis=1) for corner in (a, b, c)], axis=1)
+    lone = np.eye(3)[np.argmin(distances, axis=1)]
+    flat = ~np.isfinite(weights).all(axis=1) | (np.abs(weights).max(axis=1) > 2)
+    weights = np.where(flat[:, None], lone, np.clip(weights, 0.0, 1.0))
+    weights /= weights.sum(axis=1, keepdims=True)
+    rows = np.repeat(np.arange(len(points)), 3)
+    return sparse.csr_array((weights.ravel(), (rows, corners.ravel())), shape=(len(points), mesh.n))
+
+
+def _thinned(points: Floats, max_points: int) -> Ints:
+    """Indices of points that lie in different cells of the finest grid with few enough cells."""
+    low, size = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
+    coarse, fine = 1.0, 1e6  # cells along the longest side
+    kept = np.zeros(1, dtype=np.int64)
+    for _ in range(30):
+        cells = np.sqrt(coarse * fine)
+        grid = np.floor((points - low) * (cells / size)).astype(np.int64)
+        first = _first_of_each(grid)
+        if len(first) <= max_points:
+            kept, coarse = first, cells
+            if len(first) > 0.98 * max_points:
+                break
+        else:
+            fine = cells
+    return kept
+
+
+def _first_of_each(rows: Ints) -> Ints:
+    """Index of the first of each distinct row, ascending."""
+    side = int(rows.max()) + 1  # at most 1e6: three digits of that base fit 64 bits
+    keys = (rows[:, 0] * side + rows[:, 1]) * side + rows[:, 2]
+    return np.sort(np.unique(keys, return_index=True)[1]).astype(np.int64)

@@ -1,0 +1,338 @@
+"""One HTML file with everything in it: geometry, modes, numbers, and the program that shows them."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from spectra_kit._files import atomic_path
+from spectra_kit._validate import check_count
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.explorer.display import Display, for_display
+from spectra_kit.explorer.facts import colour_facts, comparison_facts, numbers, spectrum_facts
+from spectra_kit.explorer.payload import (
+    Quantised,
+    face_bytes,
+    packed,
+    quantised,
+    renumbered,
+    steps16,
+    walk,
+)
+from spectra_kit.geometry.normals import estimate_normals, orient_normals
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.metrics import Comparison, align_modes, compare_spectra
+from spectra_kit.spectrum import Spectrum
+from spectra_kit.viz.camera import choose_view
+
+Floats = NDArray[np.float64]
+
+_BOX = 65535  # positions are this many steps along the longest side
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explorer:
+    """A page that was written, and how faithful it is.
+
+    Attributes
+    ----------
+    path : Path
+        The HTML file.
+    n_points, n_shown : int
+        Points of the geometry, and of what is drawn.
+    n_modes : int
+        Modes on the page.
+    bytes : int
+        Size of the file.
+    quantisation : float
+        Largest error of a value on the page from rounding to 16 bits, relative to the largest value
+        of its mode.
+    decimated : bool
+        Whether fewer points are drawn than there are.
+    """
+
+    path: Path
+    n_points: int
+    n_shown: int
+    n_modes: int
+    bytes: int
+    quantisation: float
+    decimated: bool
+
+
+def write_explorer(
+    path: str | os.PathLike[str],
+    geometry: Geometry,
+    exact: Spectrum,
+    predicted: Spectrum | None = None,
+    *,
+    comparison: Comparison | None = None,
+    names: tuple[str, str] = ("exact", "predicted"),
+    title: str = "",
+    max_points: int = 50_000,
+    up: Literal["x", "y", "z"] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Explorer:
+    """Write a page on which modes can be turned, compared and leafed through.
+
+    It opens in any browser of today, from the disk, without a network.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.html`` file to write, whole or not at all.
+    geometry : TriangleMesh or PointCloud
+        The n points that the spectra live on.
+    exact : Spectrum
+        Shown alone, or beside `predicted`.
+    predicted : Spectrum, optional
+        Another spectrum on the same points; the page then shows both and their difference.
+    comparison : Comparison, optional
+        Of these two; by default ``compare_spectra(exact, predicted)``. Its k modes are shown.
+    names : tuple of str, default ("exact", "predicted")
+        What to call the two.
+    title : str, optional
+        At the head of the page.
+    max_points : int, default 50000
+        A geometry with more points is drawn with at most about as many: a mesh after
+        quadric decimation, with values interpolated at the closest points of the full mesh, a cloud
+        thinned evenly. The numbers on the page are those of the full geometry.
+    up : {"x", "y", "z"}, optional
+        The axis that points up; by default as `viz` chooses it.
+    progress : callable, optional
+        Called with the steps done and their number, after each.
+
+    Returns
+    -------
+    Explorer
+        Where the page is, and what it shows.
+
+    Raises
+    ------
+    InvalidInputError
+        If sizes disagree, the spectra cannot be compared, `path` is not an ``.html`` file in an
+        existing folder, or an option is out of range.
+
+    Notes
+    -----
+    Functions are multiplied by sqrt(area), which makes the constant mode 1 and frees the colours of
+    units. Positions are rounded to 1/65535 of the longest side, values to 1/65534 of the
+    range of their mode. Predicted modes are aligned by `align_modes`, for display only. Equal
+    input makes equal files.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit.geometry import sphere
+    >>> ball = sphere(subdivisions=2).geometry
+    >>> spectrum = eigensolve(robust_laplacian(ball), 4)
+    >>> with TemporaryDirectory() as folder:
+    ...     explorer = write_explorer(Path(folder) / "ball.html", ball, spectrum)
+    >>> explorer.n_shown, explorer.n_modes, explorer.quantisation < 1 / 65534
+    (162, 4, True)
+    """
+    _check(path, geometry, exact, predicted, comparison, names)
+    check_count("max_points", max_points, low=4)
+    tell = _telling(progress, 4)
+    if predicted is not None and comparison is None:
+        comparison = compare_spectra(exact, predicted)
+    root = float(np.sqrt(exact.area))
+    k = exact.k if comparison is None else comparison.k
+    functions = [root * exact.eigenvectors[:, :k]]
+    if predicted is not None:
+        functions.append(root * align_modes(exact, predicted, comparison))
+    tell()
+
+    display = for_display(geometry, max_points)
+    tell()
+
+    order = walk(display.geometry)
+    carried = [np.asarray((display.carry @ f)[order]) for f in functions]
+    scale = np.max([np.abs(f).max(axis=0) for f in carried], axis=0)
+    shown = [quantised(f, scale) for f in carried]
+    tell()
+
+    facts = {
+        "title": title,
+        "names": list(names),
+        "points": geometry.n,
+        "weyl": 4 * np.pi / exact.area,
+        "first": min(exact.n_zero_modes, k - 1),
+        "decimated": display.decimated,
+        "palette": _palette(),
+        **_view(geometry, up),
+        "exact": spectrum_facts(exact, np.arange(k)),
+        "colours": colour_facts(functions[0], functions[1] if predicted else None, shown),
+    }
+    if predicted is not None and comparison is not None:
+        facts["predicted"] = spectrum_facts(predicted, comparison.match)
+        facts["comparison"] = comparison_facts(comparison)
+    size = _write(path, facts, display, order, shown)
+    tell()
+    return Explorer(
+        path=Path(path),
+        n_points=geometry.n,
+        n_shown=display.geometry.n,
+        n_modes=k,
+        bytes=size,
+        quantisation=_rounding(carried, shown),
+        decimated=display.decimated,
+    )
+
+
+def _check(
+    path: str | os.PathLike[str],
+    geometry: Geometry,
+    exact: Spectrum,
+    predicted: Spectrum | None,
+    comparison: Comparison | None,
+    names: tuple[str, str],
+) -> None:
+    """Refuse what cannot become a page, before any work is done."""
+    if Path(path).suffix.lower() not in (".html", ".htm"):
+        raise InvalidInputError(f"`path` must end in .html, got {os.fspath(path)!r}")
+    if not Path(path).resolve().parent.is_dir():
+        raise InvalidInputError(
+            f"cannot write {os.fspath(path)!r}: the folder {str(Path(path).parent)!r} does not exist"
+        )
+    if geometry.n != exact.n:
+        raise InvalidInputError(
+            f"`geometry` must have the {exact.n} points of the spectrum, got {geometry.n}"
+        )
+    if exact.k == 0:
+        raise InvalidInputError("`exact` must have at least one mode to show, got none")
+    if len(names) != 2:
+        raise InvalidInputError(f"`names` must be two, of `exact` and `predicted`, got {names!r}")
+    if comparison is None:
+        return
+    if predicted is None:
+        raise InvalidInputError("`comparison` is of two spectra; pass `predicted` as well")
+    if comparison.k > exact.k or comparison.match.max(initial=0) >= predicted.k:
+        raise InvalidInputError(
+            f"`comparison` must be of these spectra of {exact.k} and {predicted.k} modes, got one"
+            f" of {comparison.k} modes, matched to as many as {comparison.match.max() + 1}"
+        )
+
+
+def _telling(progress: Callable[[int, int], None] | None, total: int) -> Callable[[], None]:
+    """A function that reports one more step each time it is called."""
+    steps = iter(range(1, total + 1))
+
+    def tell() -> None:
+        if progress is not None:
+            progress(next(steps), total)
+
+    return tell
+
+
+def _rounding(carried: list[Floats], shown: list[Quantised]) -> float:
+    """Largest error of a value shown, relative to the largest of its mode."""
+    worst = 0.0
+    for true, rounded in zip(carried, shown, strict=True):
+        error = np.abs(rounded.values() - true).max(axis=0)
+        worst = max(worst, float((error / np.where(rounded.scale > 0, rounded.scale, 1)).max()))
+    return worst
+
+
+def _view(geometry: Geometry, up: Literal["x", "y", "z"] | None) -> dict[str, Any]:
+    """Where the viewer stands at first, and the axis around which a drag turns."""
+    right, _, towards = choose_view(geometry, up=up)  # type: ignore[arg-type]
+    vertical = np.eye(3)[np.argmin(np.abs(right))]  # the view is level: only this one is across
+    return {"towards": numbers(towards), "vertical": vertical.tolist()}
+
+
+def _palette() -> str:
+    """The colours of `viz` from most negative to most positive, as base64 of bytes (256, 3)."""
+    from matplotlib import colormaps
+
+    table = colormaps["RdBu_r"](np.linspace(0, 1, 256), bytes=True)[:, :3]
+    return base64.b64encode(np.ascontiguousarray(table).tobytes()).decode("ascii")
+
+
+def _write(
+    path: str | os.PathLike[str],
+    facts: dict[str, Any],
+    display: Display,
+    order: NDArray[np.int64],
+    shown: list[Quantised],
+) -> int:
+    """Write the file; return its size in bytes."""
+    geometry = display.geometry
+    points = geometry.points[order]
+    low, side = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
+    steps = np.round((points - low) * (_BOX / side)).astype(np.int64)
+    # The page draws in a box of side one: it needs the form, and numbers of a fit size.
+    facts["box"] = (np.ptp(points, axis=0) / side).tolist()
+    facts["shown"] = geometry.n
+    facts["spacing"] = 0.0
+    parts = [steps16(steps)]
+    if isinstance(geometry, TriangleMesh):
+        facts["faces"] = len(geometry.faces)
+        parts.append(face_bytes(renumbered(geometry.faces, order)))
+    else:
+        facts["faces"] = 0
+        facts["spacing"] = _spacing(points) / side
+        parts.append(steps16(_normals(geometry)[order]))
+    blocks = {"geometry": packed(*parts)}
+    for name, functions in zip(("exact", "predicted"), shown, strict=False):
+        blocks[name] = packed(steps16(functions.steps))
+    text = _assembled(facts, blocks).encode("utf-8")
+    with atomic_path(path) as part:
+        part.write_bytes(text)
+    return len(text)
+
+
+def _spacing(points: Floats) -> float:
+    """Diameter of a cloud's points: at the twelfth neighbour, few gaps show the far side."""
+    distances, _ = cKDTree(points).query(points, k=min(13, len(points)))
+    return float(np.median(np.atleast_2d(distances.T)[-1]))
+
+
+def _normals(cloud: PointCloud) -> NDArray[np.int64]:
+    """Unit normals (n, 3) in steps of 1/127; zero where there are too few points for any."""
+    if cloud.n < 4:
+        return np.zeros((cloud.n, 3), dtype=np.int64)
+    return np.round(127 * orient_normals(cloud, estimate_normals(cloud))).astype(np.int64)
+
+
+def _assembled(facts: dict[str, Any], blocks: dict[str, str]) -> str:
+    """The template with everything in its place."""
+    script = _asset("explorer.js").replace("</script", "<\\/script")
+    digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+    # Inside <script> only "<" could end the block; JSON may write it as an escape.
+    record = json.dumps(facts, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    data = "\n".join(
+        f'<script type="application/octet-stream" id="{name}">{text}</script>'
+        for name, text in blocks.items()
+    )
+    content = {
+        "TITLE": html.escape(facts["title"] or "Spectrum explorer"),
+        "DIGEST": digest,
+        "STYLE": _asset("explorer.css"),
+        "FACTS": record,
+        "DATA": data,
+        "SCRIPT": script,
+    }
+    # One pass: what is put in is not searched again.
+    return re.sub(r"%%([A-Z]+)%%", lambda m: content[m[1]], _asset("explorer.html"))
+
+
+@cache
+def _asset(name: str) -> str:
+    return (resources.files("spectra_kit.explorer") / "assets" / name).read_text("utf-8")

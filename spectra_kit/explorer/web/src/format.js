@@ -1,0 +1,25 @@
+// Numbers as people write them.
+
+const whole = new Intl.NumberFormat("en-US");
+
+export const count = (value) => whole.format(value);
+
+/** A few digits: 0, 0.0312, 4.71, 20370, 3.1e-7. */
+export function short(value, digits = 3) {
+  if (value === null || value === undefined) return "–";
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  if (size >= 1e6 || size < 1e-3) {
+    const [mantissa, exponent] = value.toExponential(Math.max(digits - 2, 1)).split("e");
+    return `${mantissa}e${Number(exponent)}`.replace(/-/g, "−");
+  }
+  const places = Math.max(0, digits - 1 - Math.floor(Math.log10(size)));
+  return value.toFixed(places).replace("-", "−");
+}
+
+/** A relative change in per cent, with its sign. */
+export function percent(value) {
+  if (value === null || value === undefined) return "–";
+  const text = short(100 * value, 2);
+  return `${value > 0 ? "+" : ""}${text} %`;
+}

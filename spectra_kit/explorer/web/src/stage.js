@@ -1,0 +1,190 @@
+// The views: one canvas, one camera, one geometry; each view is a rectangle of the canvas.
+
+import {
+  BufferAttribute,
+  BufferGeometry,
+  DataTexture,
+  DoubleSide,
+  LinearFilter,
+  Mesh,
+  PerspectiveCamera,
+  Points,
+  Scene,
+  ShaderMaterial,
+  Vector2,
+  Vector3,
+  WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { FRAGMENT, VERTEX } from "./shaders.js";
+
+const ANGLE = 28; // degrees, from the lower to the upper edge of a view
+const MARGIN = 1.06;
+const SWING = 0.06; // of the box: how far a mode moves the surface
+const PERIOD = 2400; // milliseconds
+
+export class Stage {
+  constructor(canvas, facts, geometry) {
+    this.canvas = canvas;
+    this.facts = facts;
+    this.positions = geometry.positions;
+    this.views = []; // {pane, which, gain, lines}
+    this.wave = false;
+    this.playing = false;
+    this.phase = 0;
+    this.nodal = Boolean(geometry.index);
+    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
+    this.renderer.setClearColor(0, 0);
+    this.renderer.setScissorTest(true);
+    this.scene = new Scene();
+    this.camera = new PerspectiveCamera(ANGLE, 1, 0.01, 100);
+    this.build(geometry);
+    this.steer();
+    this.fitted = 0;
+  }
+
+  build({ positions, index, normals }) {
+    const n = positions.length / 3;
+    const buffers = new BufferGeometry();
+    buffers.setAttribute("position", new BufferAttribute(positions, 3));
+    buffers.setAttribute("normal", new BufferAttribute(normals, 3));
+    this.exact = new BufferAttribute(new Int16Array(n), 1, true);
+    this.predicted = new BufferAttribute(new Int16Array(n), 1, true);
+    buffers.setAttribute("exact", this.exact);
+    buffers.setAttribute("predicted", this.predicted);
+    if (index) buffers.setIndex(new BufferAttribute(index, 1));
+    const colours = Uint8Array.from(atob(this.facts.palette), (c) => c.charCodeAt(0));
+    const table = new Uint8Array(1024);
+    for (let i = 0; i < 256; i++) table.set([...colours.subarray(3 * i, 3 * i + 3), 255], 4 * i);
+    const palette = new DataTexture(table, 256, 1);
+    palette.minFilter = palette.magFilter = LinearFilter;
+    palette.needsUpdate = true;
+    this.material = new ShaderMaterial({
+      vertexShader: VERTEX,
+      fragmentShader: FRAGMENT,
+      side: DoubleSide,
+      uniforms: {
+        which: { value: 0 },
+        gain: { value: 1 },
+        swing: { value: 1 },
+        amplitude: { value: 0 },
+        pixels: { value: 0 },
+        diameter: { value: this.facts.spacing },
+        palette: { value: palette },
+        lines: { value: 0 },
+        depths: { value: new Vector2(0, 1) },
+        round: { value: !index },
+      },
+    });
+    const thing = index ? new Mesh(buffers, this.material) : new Points(buffers, this.material);
+    thing.frustumCulled = false;
+    this.scene.add(thing);
+    this.radius = 0;
+    for (let i = 0; i < positions.length; i += 3)
+      this.radius = Math.max(this.radius, Math.hypot(...positions.subarray(i, i + 3)));
+    this.radius ||= 1;
+  }
+
+  steer() {
+    this.camera.up.fromArray(this.facts.vertical);
+    this.camera.position.fromArray(this.facts.towards).multiplyScalar(4);
+    this.controls = new OrbitControls(this.camera, this.canvas);
+    this.canvas.style.touchAction = ""; // the style sheet knows whether the page scrolls
+    this.controls.enableDamping = !matchMedia("(prefers-reduced-motion: reduce)").matches;
+    this.controls.dampingFactor = 0.12;
+    this.controls.addEventListener("change", () => this.invalidate());
+    this.controls.update();
+    this.canvas.addEventListener("dblclick", () => this.reset());
+  }
+
+  /** Back to the first view. */
+  reset() {
+    this.camera.position.fromArray(this.facts.towards).multiplyScalar(this.fitted || 4);
+    this.controls.target.set(0, 0, 0);
+    this.controls.update();
+    this.invalidate();
+  }
+
+  /** Distance from which everything is seen in a pane of this aspect, from the first direction. */
+  fit(aspect) {
+    const towards = new Vector3().fromArray(this.facts.towards).normalize();
+    const right = new Vector3().fromArray(this.facts.vertical).cross(towards).normalize();
+    const above = towards.clone().cross(right);
+    const vertical = Math.tan((ANGLE * Math.PI) / 360);
+    const point = new Vector3();
+    let distance = 0;
+    for (let i = 0; i < this.positions.length; i += 3) {
+      point.fromArray(this.positions, i);
+      const out = Math.max(
+        Math.abs(point.dot(right)) / (vertical * aspect),
+        Math.abs(point.dot(above)) / vertical,
+      );
+      distance = Math.max(distance, MARGIN * out + point.dot(towards));
+    }
+    return distance || 4;
+  }
+
+  /** Sizes have changed. */
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    if (!width || !height || !this.views.length) return;
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setSize(width, height, false);
+    const pane = this.views[0].pane.getBoundingClientRect();
+    this.camera.aspect = pane.width / pane.height;
+    this.camera.updateProjectionMatrix();
+    const fitted = this.fit(this.camera.aspect);
+    const away = this.camera.position.clone().sub(this.controls.target);
+    away.multiplyScalar(this.fitted ? fitted / this.fitted : fitted / away.length());
+    this.camera.position.copy(this.controls.target).add(away);
+    this.fitted = fitted;
+    this.controls.minDistance = 0.15 * fitted;
+    this.controls.maxDistance = 6 * fitted;
+    // The controls measure a drag by the canvas; a hand measures it by the view.
+    this.controls.rotateSpeed = this.controls.panSpeed = height / pane.height;
+    this.controls.update();
+    this.invalidate();
+  }
+
+  /** Draw at the next frame. */
+  invalidate() {
+    this.asked ??= requestAnimationFrame((time) => {
+      this.asked = undefined;
+      this.draw(time);
+    });
+  }
+
+  draw(time) {
+    if (this.wave && this.playing) {
+      this.phase += ((time - (this.last ?? time)) / PERIOD) * 2 * Math.PI;
+      this.invalidate();
+    }
+    this.last = this.wave && this.playing ? time : undefined;
+    this.controls.update(); // asks for another frame while the camera glides
+    const uniforms = this.material.uniforms;
+    const box = this.canvas.getBoundingClientRect();
+    const distance = this.camera.position.length();
+    this.camera.near = Math.max(distance - 1.6 * this.radius, 0.002 * distance);
+    this.camera.far = distance + 1.6 * this.radius;
+    this.camera.updateProjectionMatrix();
+    uniforms.depths.value.set(distance - this.radius, distance + this.radius);
+    uniforms.swing.value = this.wave ? Math.cos(this.phase) : 1;
+    this.renderer.setScissor(0, 0, box.width, box.height);
+    this.renderer.clear();
+    for (const { pane, which, gain } of this.views) {
+      const { left, bottom, width, height } = pane.getBoundingClientRect();
+      if (!width) continue;
+      this.renderer.setViewport(left - box.left, box.bottom - bottom, width, height);
+      this.renderer.setScissor(left - box.left, box.bottom - bottom, width, height);
+      uniforms.which.value = which;
+      uniforms.gain.value = gain;
+      uniforms.amplitude.value = this.wave && which < 2 ? SWING : 0;
+      uniforms.lines.value = this.nodal && which < 2 ? 0.8 * this.renderer.getPixelRatio() : 0;
+      uniforms.pixels.value =
+        (height * this.renderer.getPixelRatio()) / (2 * Math.tan((ANGLE * Math.PI) / 360));
+      this.material.uniformsNeedUpdate = true;
+      this.renderer.render(this.scene, this.camera);
+    }
+    this.drawn?.();
+  }
+}
