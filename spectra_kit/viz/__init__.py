@@ -14,14 +14,18 @@ from spectra_kit.viz.isolines import plot_distance
 from spectra_kit.viz.maps import plot_error_curves, plot_functional_map
 from spectra_kit.viz.modes import plot_comparison
 from spectra_kit.viz.page import Panel, plot_panels
+from spectra_kit.viz.pareto import ParetoPoint, pareto_front, plot_pareto
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.solver_run import SolverRun
+from spectra_kit.viz.spectra import plot_spectrum
 
 __all__ = [
     "MatchedPair",
     "Panel",
+    "ParetoPoint",
     "Picture",
     "SolverRun",
+    "pareto_front",
     "plot_comparison",
     "plot_convergence",
     "plot_correspondence",
@@ -30,4 +34,6 @@ __all__ = [
     "plot_error_curves",
     "plot_functional_map",
     "plot_panels",
+    "plot_pareto",
+    "plot_spectrum",
 ]

@@ -74,7 +74,8 @@ def new_figure(
         pen.text(subtitle, MARGIN, MARGIN + 0.46, room, 9, colour="0.35")
     if constrained:
         below = 1 - (head(title, subtitle) - MARGIN) / height
-        figure.set_layout_engine(ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, below)))
+        rect, pad = (0.0, 0.0, 1.0, below), 2 * MARGIN / 3
+        figure.set_layout_engine(ConstrainedLayoutEngine(rect=rect, w_pad=pad, h_pad=pad))
     return figure
 
 

@@ -1,0 +1,94 @@
+"""What is written into diagrams: names beside dots that stay apart, and few numbers on log axes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit.viz.pen import short
+
+if TYPE_CHECKING:
+    from matplotlib.axis import Axis
+
+Floats = NDArray[np.float64]
+
+# Right and left first: read more easily than above and below.
+_ANGLES = np.deg2rad([0, 180, 20, -20, 160, 200, 40, -40, 140, 220, 90, -90, 65, -65, 115, 245])
+_GAPS = (6.0, 10.0, 16.0, 26.0, 40.0, 60.0)  # between a dot and its name, in points
+_ROUNDS = 8  # each name is put again where the others leave most room
+_OVERLAP, _COVERED, _CROSSED, _OUTSIDE = 40.0, 60.0, 8.0, 1e4  # costs, of one point of gap 1
+
+
+def place_labels(anchors: Floats, sizes: Floats, room: Floats, obstacles: Floats) -> Floats:
+    """Choose a place for each label near its anchor.
+
+    Parameters
+    ----------
+    anchors : ndarray of shape (l, 2)
+        The dots, in points (1/72 inch).
+    sizes : ndarray of shape (l, 2)
+        Width and height of each label.
+    room : ndarray of shape (2, 2)
+        Lower left and upper right corner of where labels may be.
+    obstacles : ndarray of shape (o, 2)
+        What labels should not cover, as points on it; the anchors count anyway.
+
+    Returns
+    -------
+    ndarray of shape (l, 2)
+        Lower left corners. Labels overlap only where there is no place for all.
+    """
+    candidates = _candidates(anchors, sizes)  # (l, c, 2)
+    ends = candidates + sizes[:, None]
+    cost = np.tile(np.repeat(_GAPS, len(_ANGLES)), (len(anchors), 1))
+    cost += 0.05 * np.tile(np.arange(len(_ANGLES)), len(_GAPS))  # the order above, when in doubt
+    cost += _OUTSIDE * ((candidates < room[0]) | (ends > room[1])).any(axis=2)
+    cost += _COVERED * _inside(anchors, candidates - 3, ends + 3)
+    cost += _CROSSED * _inside(obstacles, candidates, ends)
+    chosen = cost.argmin(axis=1)
+    for _ in range(_ROUNDS):
+        before = chosen.copy()
+        for i in range(len(anchors)):
+            others = np.delete(np.arange(len(anchors)), i)
+            low, high = candidates[others, chosen[others]], ends[others, chosen[others]]
+            common = np.minimum(ends[i][:, None], high + 2) - np.maximum(
+                candidates[i][:, None], low - 2
+            )
+            overlap = np.prod(np.clip(common, 0.0, None), axis=2).sum(axis=1)
+            chosen[i] = (cost[i] + _OVERLAP * overlap).argmin()
+        if (chosen == before).all():
+            break
+    return np.asarray(candidates[np.arange(len(anchors)), chosen])
+
+
+def _candidates(anchors: Floats, sizes: Floats) -> Floats:
+    """Lower left corners of all places for each label, near ones first: (l, c, 2)."""
+    towards = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+    # The edge of the label, not its centre, keeps the gap: steep directions centre it.
+    lean = np.clip(1.6 * towards, -1.0, 1.0)
+    steps = np.concatenate([gap * towards for gap in _GAPS])
+    leans = np.tile(lean, (len(_GAPS), 1))
+    centres = anchors[:, None] + steps + leans * sizes[:, None] / 2
+    return np.asarray(centres - sizes[:, None] / 2)
+
+
+def _inside(points: Floats, low: Floats, high: Floats) -> Floats:
+    """How many points each box holds: (l, c)."""
+    at = points[:, None, None]
+    return np.asarray(((at > low) & (at < high)).all(axis=3).sum(axis=0), dtype=np.float64)
+
+
+def log_ticks(axis: Axis, *, plain: bool = False) -> None:
+    """Number the powers of ten on a logarithmic axis; on a short or `plain` one others, too."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    if plain or high < 200 * low:
+        between = (1.2, 1.5, 3.0, 4.0, 7.0) if high < 4 * low else (3.0,) if high < 20 * low else ()
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0, *between)))
+        axis.set_major_formatter(
+            FuncFormatter(lambda value, _: f"{value:g}" if plain else short(value))
+        )
+    axis.set_minor_formatter(NullFormatter())

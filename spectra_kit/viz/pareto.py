@@ -1,0 +1,304 @@
+"""Time against error: what each method costs, and the front that nothing beats."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._validate import check_positive
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.viz.labels import log_ticks, place_labels
+from spectra_kit.viz.picture import Picture
+from spectra_kit.viz.sheet import (
+    LINE_COLOURS,
+    check_picture_path,
+    head,
+    new_figure,
+    save,
+    tidy,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+_WIDTH, _HEIGHT = 8.4, 5.2  # inches
+_MARKERS = "osD^vP*Xp"
+_INK: dict[str, Any] = {"fontsize": 8, "color": "0.2"}
+_LINED = 14.0  # names further than this from their dot, in points, are tied to it by a line
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParetoPoint:
+    """One run of one method: its seconds, and its error.
+
+    Attributes
+    ----------
+    name : str
+        Written beside its dot.
+    group : str
+        Points of one group share a colour and a marker.
+    seconds : float
+        Positive.
+    error : float
+        Not negative.
+    league : str, default ""
+        Points of one league share a front: a processor, for example.
+
+    Raises
+    ------
+    InvalidInputError
+        If `seconds` is not positive, or `error` negative or not finite.
+    """
+
+    name: str
+    group: str
+    seconds: float
+    error: float
+    league: str = ""
+
+    def __post_init__(self) -> None:
+        check_positive("seconds", self.seconds)
+        if not (np.isfinite(self.error) and self.error >= 0):
+            raise InvalidInputError(f"`error` must be finite and >= 0, got {self.error!r}")
+
+
+def pareto_front(points: Sequence[ParetoPoint], *, floor: float = 0.0) -> list[ParetoPoint]:
+    """Return the points that no other one beats in both time and error.
+
+    Parameters
+    ----------
+    points : sequence of ParetoPoint
+        In any order.
+    floor : float, default 0
+        Smaller errors count as this.
+
+    Returns
+    -------
+    list of ParetoPoint
+        Fastest first, each with less error than the one before.
+
+    Examples
+    --------
+    >>> runs = [
+    ...     ParetoPoint(name=name, group="", seconds=seconds, error=error)
+    ...     for name, seconds, error in (("a", 1, 0.1), ("b", 2, 0.2), ("c", 3, 0.01))
+    ... ]
+    >>> [run.name for run in pareto_front(runs)]
+    ['a', 'c']
+    """
+    front: list[ParetoPoint] = []
+    best = float("inf")
+    for point in sorted(points, key=lambda p: (p.seconds, max(p.error, floor))):
+        if max(point.error, floor) < best:
+            best = max(point.error, floor)
+            front.append(point)
+    return front
+
+
+def plot_pareto(
+    path: str | os.PathLike[str],
+    points: Sequence[ParetoPoint],
+    *,
+    floor: float = 1e-12,
+    marks: Mapping[str, float] | None = None,
+    xlabel: str = "seconds",
+    ylabel: str = "error",
+    title: str = "",
+    subtitle: str = "",
+    dpi: int = 200,
+) -> Picture:
+    """Draw error against time, both logarithmic, and the front that nothing beats.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    points : sequence of ParetoPoint
+        At least one.
+    floor : float, default 1e-12
+        Smaller errors are drawn here, on a grey ground: they are rounding.
+    marks : mapping of str to float, optional
+        Seconds of what has no error to compare, such as the exact solver, as lines with a name.
+    xlabel, ylabel : str
+        Of the axes.
+    title, subtitle : str, optional
+        Two lines at the head.
+    dpi : int, default 200
+        Pixels per inch.
+
+    Returns
+    -------
+    Picture
+        Of `path`.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no point, `floor` or a mark is not positive, or `path` cannot be a picture.
+
+    Notes
+    -----
+    The steps of the front say which error can be had within a time: to the left of its first dot
+    none. Each league has its own front.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> runs = [
+    ...     ParetoPoint(name="quick", group="ours", seconds=0.1, error=1e-2),
+    ...     ParetoPoint(name="exact", group="theirs", seconds=2.0, error=1e-9),
+    ... ]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     plot_pareto(f"{folder}/pareto.png", runs, dpi=40).path.exists()
+    True
+    """
+    check_picture_path(path)
+    if not points:
+        raise InvalidInputError("`points` must hold at least one ParetoPoint, got none")
+    check_positive("floor", floor)
+    for seconds in (marks or {}).values():
+        check_positive("marks", seconds)
+    figure = pareto_figure(points, floor, marks or {}, (xlabel, ylabel), (title, subtitle), dpi)
+    return save(figure, path, dpi)
+
+
+def pareto_figure(
+    points: Sequence[ParetoPoint],
+    floor: float,
+    marks: Mapping[str, float],
+    labels: tuple[str, str],
+    titles: tuple[str, str],
+    dpi: int,
+) -> Figure:
+    """Return the page: dots with names, fronts and marks."""
+    figure = new_figure(
+        _WIDTH,
+        _HEIGHT + head(*titles),
+        title=titles[0],
+        subtitle=titles[1],
+        dpi=dpi,
+        constrained=True,
+    )
+    panel = figure.add_subplot(xlabel=labels[0], ylabel=labels[1])
+    errors = [max(p.error, floor) for p in points]
+    panel.set(
+        xscale="log",
+        yscale="log",
+        xlim=_limits([*(p.seconds for p in points), *marks.values()], right=0.16),
+        ylim=_limits(errors, right=0.1),
+    )
+    tidy(panel)
+    if min(errors) <= floor:
+        panel.axhspan(panel.get_ylim()[0], floor, color="0.95", lw=0, zorder=0)
+    lines = [_steps(front, floor, panel.get_xlim()[1]) for front in _fronts(points, floor)]
+    for i, line in enumerate(lines):
+        told = None if i else "nothing is both faster and better"
+        panel.plot(*line.T, color="0.72", lw=2.0, zorder=1, label=told)
+    for i, group in enumerate(dict.fromkeys(p.group for p in points)):
+        panel.plot(
+            *_places([p for p in points if p.group == group], floor).T,
+            ls="",
+            color=LINE_COLOURS[i % len(LINE_COLOURS)],
+            marker=_MARKERS[i % len(_MARKERS)],
+            ms=7,
+            mec="white",
+            mew=0.8,
+            label=group,
+            zorder=3,
+        )
+    for name, seconds in marks.items():
+        panel.axvline(seconds, color="0.45", ls=(0, (4, 2)), lw=1.1, zorder=0)
+        style: dict[str, Any] = {"transform": panel.get_xaxis_transform(), "parse_math": False}
+        panel.text(seconds, 0.985, f"{name} ", rotation=90, ha="right", va="top", **_INK, **style)
+        lines.append(np.column_stack([[seconds] * 2, panel.get_ylim()]))
+    log_ticks(panel.xaxis, plain=True)
+    log_ticks(panel.yaxis)
+    handles, names = panel.get_legend_handles_labels()
+    figure.legend(
+        [*handles[1:], handles[0]],  # the front last
+        [*names[1:], names[0]],
+        loc="outside lower center",
+        ncols=5,
+        fontsize=9,
+        frameon=False,
+        columnspacing=1.5,
+    )
+    figure.draw_without_rendering()  # now the axes are where they will be
+    _write_names(panel, points, floor, lines)
+    return figure
+
+
+def _write_names(
+    panel: Axes, points: Sequence[ParetoPoint], floor: float, lines: Sequence[Floats]
+) -> None:
+    """Write the names where they cover neither each other nor a dot, nor a line if possible."""
+    unit = panel.figure.dpi / 72  # pixels in a point
+
+    def on_page(places: Floats) -> Floats:
+        return np.asarray(panel.transData.transform(places) / unit)
+
+    places = _places(points, floor)
+    texts = [
+        panel.annotate(
+            point.name,
+            xy=place,
+            xytext=(0, 0),
+            textcoords="offset points",
+            va="bottom",
+            parse_math=False,
+            zorder=4,
+            **_INK,
+        )
+        for point, place in zip(points, places, strict=True)
+    ]
+    sizes = np.array([text.get_window_extent().size for text in texts]) / unit
+    anchors, room = on_page(places), panel.bbox.get_points() / unit
+    corners = place_labels(anchors, sizes, room, np.vstack([_dots(on_page(x)) for x in lines]))
+    for text, place, offset, size in zip(texts, places, corners - anchors, sizes, strict=True):
+        text.set_position(tuple(offset))
+        nearest = np.clip(0.0, offset, offset + size)
+        if np.linalg.norm(nearest) > _LINED:
+            tie = {"arrowstyle": "-", "color": "0.6", "lw": 0.6, "shrinkA": 0, "shrinkB": 3}
+            panel.annotate(
+                "", xy=place, xytext=tuple(nearest), textcoords="offset points", arrowprops=tie
+            )
+
+
+def _fronts(points: Sequence[ParetoPoint], floor: float) -> list[list[ParetoPoint]]:
+    """One for each league."""
+    leagues = dict.fromkeys(p.league for p in points)
+    return [
+        pareto_front([p for p in points if p.league == league], floor=floor) for league in leagues
+    ]
+
+
+def _steps(front: Sequence[ParetoPoint], floor: float, end: float) -> Floats:
+    """Corners of the least error that can be had within a time, up to `end`: (c, 2)."""
+    seconds, errors = np.repeat(_places(front, floor), 2, axis=0).T
+    return np.column_stack([np.append(seconds[1:], end), errors])
+
+
+def _places(points: Sequence[ParetoPoint], floor: float) -> Floats:
+    """Seconds and errors, (p, 2)."""
+    return np.array([(p.seconds, max(p.error, floor)) for p in points])
+
+
+def _limits(values: Sequence[float], *, right: float) -> tuple[float, float]:
+    """The ends of a logarithmic axis, with some room."""
+    spread = max(np.log10(max(values) / min(values)), 0.5)
+    return min(values) * 10 ** (-0.1 * spread), max(values) * 10 ** (right * spread)
+
+
+def _dots(corners: Floats) -> Floats:
+    """Points along a line through `corners`, closer than a label is high."""
+    counts = 2 + (np.abs(np.diff(corners, axis=0)).max(axis=1) / 3).astype(int)
+    sides = zip(corners[:-1], corners[1:], counts, strict=True)
+    return np.vstack([np.linspace(a, b, count) for a, b, count in sides])

@@ -1,0 +1,254 @@
+"""Eigenvalues against their number, with Weyl's law, what is certain of them, and differences."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.spectrum import Spectrum
+from spectra_kit.viz.labels import log_ticks
+from spectra_kit.viz.pen import short
+from spectra_kit.viz.picture import Picture
+from spectra_kit.viz.sheet import LINE_COLOURS, check_picture_path, head, new_figure, save, tidy
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+_WIDTH = 8.0  # inches
+_FLOOR = 1e-17  # of relative numbers: below there is only rounding
+_HEADROOM = 1.5  # bars reach this times the largest eigenvalue, and are cut off there
+_SAME_AREA = 0.01  # relative: such spectra share one line of Weyl's law
+# Of each spectrum its marker, and the size of it: where several coincide, each one shows.
+_MARKERS = (("o", 3.2), ("s", 5.6), ("D", 7.0), ("^", 9.0), ("v", 10.5), ("p", 12.0))
+_MANY = 120  # modes: more than so many get smaller markers
+
+
+def plot_spectrum(
+    path: str | os.PathLike[str],
+    spectra: Spectrum | Mapping[str, Spectrum],
+    *,
+    weyl: bool = True,
+    title: str = "",
+    subtitle: str = "",
+    dpi: int = 200,
+) -> Picture:
+    """Draw eigenvalues against their number, what is certain of them, and how they differ.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    spectra : Spectrum or mapping of str to Spectrum
+        One, or several under their names. The others are compared with the first.
+    weyl : bool, default True
+        Draw the line of Weyl's law.
+    title, subtitle : str, optional
+        Two lines at the head.
+    dpi : int, default 200
+        Pixels per inch; the page is 8 inches wide.
+
+    Returns
+    -------
+    Picture
+        Of `path`.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no spectrum, one has no modes, or `path` cannot be a picture.
+
+    Notes
+    -----
+    **Bars** reach as far as the residuals of the certificate, ``lambda +- ||L u - lambda M u||``
+    (in 1/length^2): some true eigenvalue lies within them, which need not be that of the same
+    number. They end at zero, below which there is none; where they leave the panel, the legend
+    says how many do. Those of an exact solver are too short to be seen: the panel below has their
+    length relative to the eigenvalue (see `Certificate`), on a logarithmic axis. Its full markers
+    are modes that `verify` has proved to be the ones of their number, its open ones are not.
+
+    **Weyl's law**, ``lambda_k ~ 4 pi k / area`` (Weyl, 1911), is what eigenvalues of a surface
+    approach. A boundary shifts them, by a share that fades with k: below the line where the surface
+    ends freely, above it where it is held. So do points too few for the last
+    modes.
+
+    **Differences** to the first spectrum are those of the same number, relative to its eigenvalue,
+    zero modes left out; the triangles point upwards where the eigenvalue is larger.
+
+    References
+    ----------
+    H. Weyl, "Ueber die asymptotische Verteilung der Eigenwerte", Nachrichten der Gesellschaft der
+    Wissenschaften zu Goettingen, 1911.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import spectra_kit as sk
+    >>> laplacian = sk.robust_laplacian(sk.geometry.sphere(subdivisions=2).geometry)
+    >>> exact = sk.eigensolve(laplacian, 9)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     plot_spectrum(f"{folder}/spectrum.png", exact, dpi=40).path.exists()
+    True
+    """
+    check_picture_path(path)
+    named = {"": spectra} if isinstance(spectra, Spectrum) else dict(spectra)
+    if not named:
+        raise InvalidInputError("`spectra` must hold at least one Spectrum, got none")
+    for name, spectrum in named.items():
+        if not isinstance(spectrum, Spectrum):
+            raise InvalidInputError(
+                f"`spectra` must hold Spectrum objects, got a {type(spectrum).__name__}"
+            )
+        if not spectrum.k:
+            raise InvalidInputError(f"`spectra` must have modes, got none in {name or 'it'!r}")
+    return save(spectrum_figure(named, weyl, title, subtitle, dpi), path, dpi)
+
+
+def spectrum_figure(
+    spectra: Mapping[str, Spectrum], weyl: bool, title: str, subtitle: str, dpi: int
+) -> Figure:
+    """Return the page: eigenvalues, and below them what there is of residuals and differences."""
+    certified = any(spectrum.certificate is not None for spectrum in spectra.values())
+    below = [draw_residuals] * certified + [draw_differences] * (len(spectra) > 1)
+    height = head(title, subtitle) + 4.2 + 1.75 * len(below)
+    figure = new_figure(_WIDTH, height, title=title, subtitle=subtitle, dpi=dpi, constrained=True)
+    panels = figure.subplots(
+        1 + len(below), 1, sharex=True, squeeze=False, height_ratios=[4.2] + [1.75] * len(below)
+    )[:, 0]
+    draw_eigenvalues(panels[0], spectra, weyl=weyl)
+    for panel, draw in zip(panels[1:], below, strict=True):
+        draw(panel, spectra)
+    last = max(spectrum.k for spectrum in spectra.values()) - 1
+    margin = 0.015 * last + 0.3
+    panels[-1].set(xlabel="mode number k", xlim=(-margin, last + margin))
+    for panel in panels:
+        tidy(panel)
+        panel.xaxis.get_major_locator().set_params(integer=True)
+    figure.align_ylabels(panels)
+    panels[0].legend(
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False, fontsize=9, borderaxespad=0.2
+    )
+    return figure
+
+
+def draw_eigenvalues(panel: Axes, spectra: Mapping[str, Spectrum], *, weyl: bool) -> None:
+    """Markers, bars and Weyl's law of each spectrum."""
+    largest = max(float(spectrum.eigenvalues[-1]) for spectrum in spectra.values()) or 1.0
+    tops = [largest, *(float(np.max(_bar(spectrum)[1])) for spectrum in spectra.values())]
+    top = min(max(tops), _HEADROOM * largest)
+    if weyl:
+        _draw_weyl(panel, spectra)
+    for i, (name, spectrum) in enumerate(spectra.items()):
+        colour, number = LINE_COLOURS[i % len(LINE_COLOURS)], np.arange(spectrum.k)
+        panel.plot(
+            number,
+            spectrum.eigenvalues,
+            **_marker(i, spectrum.k, colour),
+            mfc=colour if i == 0 else "none",
+            label=_told(name, spectrum, top),
+            zorder=3,
+            clip_on=False,
+        )
+        if spectrum.certificate is not None:
+            low, high = _bar(spectrum)
+            panel.vlines(
+                number, low, high, color=colour, lw=3.5 - min(i, 2), alpha=0.22, zorder=2, label="_"
+            )
+    panel.set(ylabel="eigenvalue λ  [1/length²]", ylim=(0, 1.04 * top))
+
+
+def draw_residuals(panel: Axes, spectra: Mapping[str, Spectrum]) -> None:
+    """Relative residuals: full markers for modes proved to be the ones of their number."""
+    for i, spectrum in enumerate(spectra.values()):
+        if (certificate := spectrum.certificate) is None:
+            continue
+        colour, number = LINE_COLOURS[i % len(LINE_COLOURS)], np.arange(spectrum.k)
+        shown = np.maximum(certificate.relative_residuals, _FLOOR)
+        proved = number < certificate.n_verified
+        for these, face in ((proved, colour), (~proved, "none")):
+            style = _marker(i, spectrum.k, colour)
+            panel.plot(number[these], shown[these], **style, mfc=face)
+    panel.set(yscale="log", ylabel="relative residual")
+    log_ticks(panel.yaxis)
+    if any(s.certificate is not None and s.certificate.n_verified for s in spectra.values()):
+        where: dict[str, Any] = {"transform": panel.transAxes, "ha": "right", "va": "top"}
+        panel.text(0.995, 0.97, "full: verified, open: not", fontsize=8, color="0.35", **where)
+
+
+def draw_differences(panel: Axes, spectra: Mapping[str, Spectrum]) -> None:
+    """Relative differences of eigenvalues to those of the first spectrum, zero modes left out."""
+    (_, first), *others = spectra.items()
+    for i, (_, other) in enumerate(others, start=1):
+        colour, start = LINE_COLOURS[i % len(LINE_COLOURS)], first.n_zero_modes
+        number = np.arange(start, min(first.k, other.k))
+        change = other.eigenvalues[number] / first.eigenvalues[number] - 1
+        for these, marker in ((change >= 0, "^"), (change < 0, "v")):
+            panel.plot(
+                number[these],
+                np.maximum(np.abs(change[these]), _FLOOR),
+                **_marker(0, first.k, colour) | {"marker": marker, "ms": 4.0},
+                mfc=colour if marker == "^" else "none",
+            )
+    panel.set(yscale="log", ylabel="relative difference")
+    log_ticks(panel.yaxis)
+
+
+def _draw_weyl(panel: Axes, spectra: Mapping[str, Spectrum]) -> None:
+    """One line for spectra of about the same area; if there are several, in their colours."""
+    lines: dict[float, int] = {}  # from an area to the first spectrum that has it
+    for i, spectrum in enumerate(spectra.values()):
+        if not any(abs(area - spectrum.area) <= _SAME_AREA * area for area in lines):
+            lines[spectrum.area] = i
+    last = max(spectrum.k for spectrum in spectra.values()) - 1
+    for area, i in lines.items():
+        panel.plot(
+            [0, last],
+            [0, 4 * np.pi * last / area],
+            color="0.5" if len(lines) == 1 else LINE_COLOURS[i % len(LINE_COLOURS)],
+            lw=1.2,
+            ls=(0, (5, 2)),
+            zorder=1,
+            label=f"Weyl's law, λ = 4πk / area, for the area {area:.4g}",
+        )
+
+
+def _bar(spectrum: Spectrum) -> tuple[Floats, Floats]:
+    """Between what some true eigenvalue lies, for each mode: none is below zero."""
+    values = spectrum.eigenvalues
+    if spectrum.certificate is None:
+        return values, values
+    residuals = spectrum.certificate.residuals
+    return np.maximum(values - residuals, 0.0), values + residuals
+
+
+def _told(name: str, spectrum: Spectrum, top: float) -> str:
+    """Return the name of a spectrum and what is certain of it."""
+    certificate = spectrum.certificate
+    if certificate is None:
+        certain = "no certificate, no bars"
+    else:
+        certain = f"some true eigenvalue within ±{short(float(certificate.residuals.max()))}"
+        if cut := int((_bar(spectrum)[1] > top * (1 + 1e-12)).sum()):
+            certain += f" ({cut} bars leave the panel)"
+        if certificate.n_verified:
+            certain += f", {certificate.n_verified} of {spectrum.k} verified"
+    return f"{name}: {certain}" if name else certain
+
+
+def _marker(i: int, k: int, colour: str) -> dict[str, Any]:
+    """Style of the markers of spectrum number `i`."""
+    marker, size = _MARKERS[i % len(_MARKERS)]
+    return {
+        "ls": "",
+        "color": colour,
+        "marker": marker,
+        "ms": size * min(1.0, (_MANY / k) ** 0.5),
+        "mew": 1.0,
+    }
