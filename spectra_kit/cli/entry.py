@@ -5,13 +5,11 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 
-from spectra_kit._version import VERSION
-from spectra_kit.cli import commands, options
-from spectra_kit.cli.geodesic import geodesic_distances
-from spectra_kit.cli.geodesic_options import add_geodesic_arguments
-from spectra_kit.cli.match import match_shapes
+from spectra_kit.cli.progress import telling
+from spectra_kit.cli.story import build_parser
 from spectra_kit.errors import (
     ConvergenceError,
     InvalidSpectrumError,
@@ -19,7 +17,7 @@ from spectra_kit.errors import (
     SpectraKitError,
 )
 
-_BAD_INPUT, _SOLVER_FAILED, _INTERRUPTED = 2, 3, 130
+_BUG, _BAD_INPUT, _SOLVER_FAILED, _INTERRUPTED = 1, 2, 3, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -33,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit code: 0 fine, 2 bad input, 3 a solver failed, 130 interrupted.
+        The exit code: 0 fine, 1 a bug of ours, 2 bad input, 3 a solver failed, 130 interrupted.
 
     Examples
     --------
@@ -41,51 +39,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     demo: mesh, 600 vertices, 1,196 faces...
     0
     """
-    parser = argparse.ArgumentParser(
-        prog="spectra-kit",
-        description="Laplace-Beltrami eigenvalues and eigenfunctions of meshes and point clouds,"
-        " each with a certificate of its accuracy.",
-    )
-    parser.add_argument("--version", action="version", version=f"spectra_kit {VERSION}")
-    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
-    for name, summary, add_arguments, command in (
-        ("spectrum", "compute the lowest modes", options.add_spectrum_arguments, commands.spectrum),
-        (
-            "compare",
-            "set predicted modes beside exact ones",
-            options.add_compare_arguments,
-            commands.compare,
-        ),
-        (
-            "match",
-            "find the point of one shape that each point of another is",
-            options.add_match_arguments,
-            match_shapes,
-        ),
-        (
-            "geodesic",
-            "measure distances along a surface",
-            add_geodesic_arguments,
-            geodesic_distances,
-        ),
-        ("info", "say what a file holds and needs", options.add_info_arguments, commands.info),
-    ):
-        subparser = subparsers.add_parser(name, help=summary, description=summary.capitalize())
-        add_arguments(subparser)
-        subparser.set_defaults(command=command)
-    arguments = parser.parse_args(argv)
+    arguments, unknown = build_parser().parse_known_args(argv)
+    if unknown:  # refused by the command's own parser, which knows what may have been meant
+        arguments.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
     return run(arguments.command, arguments)
 
 
 def run(command: Callable[[argparse.Namespace], None], arguments: argparse.Namespace) -> int:
-    """Run a command and tell its errors on stderr.
+    """Run a command and tell its errors on stderr, in a line each.
 
     Parameters
     ----------
     command : callable
         Takes the arguments and writes to stdout.
     arguments : argparse.Namespace
-        With ``debug``: show the traceback instead.
+        With ``debug``: show the traceback too; ``quiet``: no progress.
 
     Returns
     -------
@@ -93,22 +61,50 @@ def run(command: Callable[[argparse.Namespace], None], arguments: argparse.Names
         The exit code, as in `main`.
     """
     try:
-        command(arguments)
+        with telling(quiet=arguments.quiet):
+            command(arguments)
         sys.stdout.flush()
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_stdout()
+        return 0
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         return _INTERRUPTED
-    except (SpectraKitError, OSError) as error:
+    except Exception as error:  # noqa: BLE001  # a person reads this: a line, not a traceback
         if arguments.debug:
-            raise
-        sys.stderr.write(f"error: {error}\n")
-        failed = isinstance(error, ConvergenceError | InvalidSpectrumError | OutOfMemoryError)
-        return _SOLVER_FAILED if failed else _BAD_INPUT
-    except MemoryError as error:
-        if arguments.debug:
-            raise
-        sys.stderr.write(f"error: not enough memory ({error}); ask for fewer points or modes\n")
-        return _BAD_INPUT
+            traceback.print_exc()
+        code, message = _told(error)
+        _flush_stdout()
+        sys.stderr.write(f"error: {message}\n")
+        return code
     return 0
+
+
+def _told(error: Exception) -> tuple[int, str]:
+    """Return the exit code and the line that an error deserves."""
+    if isinstance(error, ConvergenceError | InvalidSpectrumError | OutOfMemoryError):
+        return _SOLVER_FAILED, str(error)
+    if isinstance(error, SpectraKitError):
+        return _BAD_INPUT, str(error)
+    if isinstance(error, OSError):
+        what = (error.strerror or str(error)).lower()
+        return _BAD_INPUT, f"{error.filename}: {what}" if error.filename else what
+    if isinstance(error, MemoryError):
+        return _BAD_INPUT, f"not enough memory ({error}); ask for fewer points or modes"
+    return _BUG, (
+        f"this is a bug of spectra_kit: {type(error).__name__}: {error}; please report it with"
+        " what --debug shows"
+    )
+
+
+def _flush_stdout() -> None:
+    """Show what was printed before an error; a stdout that takes no more is dropped."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _drop_stdout()
+
+
+def _drop_stdout() -> None:
+    """Keep the interpreter from flushing into nowhere when it ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import os
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from spectra_kit.errors import InvalidInputError
@@ -16,7 +19,9 @@ def check_folder(
     `files` are the names that will be written, `known` all that the command ever writes.
     """
     if not folder.parent.is_dir():
-        raise InvalidInputError(f"cannot make {str(folder)!r}: there is no {str(folder.parent)!r}")
+        raise InvalidInputError(
+            f"cannot make {str(folder)!r}: there is no {str(folder.parent)!r}; make that first"
+        )
     if folder.exists() and not folder.is_dir():
         raise InvalidInputError(f"cannot make the folder {str(folder)!r}: a file has that name")
     read = {path.resolve() for path in inputs}
@@ -36,3 +41,20 @@ def check_folder(
             f"{str(folder)!r} must hold no other result, got {', '.join(left)}, which would stay"
             " beside the new one; remove what is old, or name another folder with --output"
         )
+
+
+@contextmanager
+def together(folder: Path, *, replacing: Iterable[str]) -> Iterator[Path]:
+    """Yield an empty folder, whose files move into `folder` when the block ends well.
+
+    So what is interrupted leaves nothing, or the whole result of an earlier run. The pictures of
+    that run, `replacing`, go in the same moment: they would show another result than the numbers.
+    """
+    beside = folder if folder.is_dir() else folder.parent
+    with tempfile.TemporaryDirectory(dir=beside, prefix=".unfinished-") as name:
+        yield Path(name)
+        folder.mkdir(exist_ok=True)
+        for old in replacing:
+            (folder / old).unlink(missing_ok=True)
+        for path in sorted(Path(name).iterdir()):
+            os.replace(path, folder / path.name)

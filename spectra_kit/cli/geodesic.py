@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._files import atomic_path
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.cli import tables
-from spectra_kit.cli.folder import check_folder
+from spectra_kit.cli.folder import check_folder, together
 from spectra_kit.cli.geodesic_compare import Compared, clock_note, compare_solvers, comparison_table
 from spectra_kit.cli.geodesic_method import (
     check_spectrum,
@@ -30,8 +29,9 @@ from spectra_kit.cli.geodesic_sources import (
     with_farthest,
 )
 from spectra_kit.cli.inputs import load
-from spectra_kit.cli.options import DEMO
-from spectra_kit.cli.output import plain, print_blocks, print_json, progress
+from spectra_kit.cli.options import DEMO, up_of
+from spectra_kit.cli.output import plain, print_blocks, print_json
+from spectra_kit.cli.progress import step
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import DistanceField, HeatGeodesics, Iterative
 from spectra_kit.geodesics.sources import check_sources
@@ -67,8 +67,8 @@ def geodesic_distances(arguments: argparse.Namespace) -> None:
     geometry = load(arguments)
     sources = named_sources(arguments, geometry)
     check_sources(sources or [0], geometry)
-    progress(f"triangulating {geometry.n:,} points")
-    triangulation = intrinsic_delaunay(geometry)
+    with step(f"triangulating {geometry.n:,} points"):
+        triangulation = intrinsic_delaunay(geometry)
     solver = linear_solver(arguments)
     unused = why_without_modes(arguments, solver, geometry.n)
     # Modes of a file cost nothing, and are checked.
@@ -78,23 +78,22 @@ def geodesic_distances(arguments: argparse.Namespace) -> None:
         triangulation.laplacian,
         arguments.modes or Iterative().modes,
     )
-    progress("preparing the solver")
-    geodesics = HeatGeodesics(
-        triangulation,
-        spectrum,
-        solver=solver,
-        time_coefficient=arguments.time_coefficient,
-        boundary=arguments.boundary,
-    )
-    if arguments.farthest:
-        progress(f"looking for the farthest points, {arguments.farthest}")
-    sources = with_farthest(
-        sources,
-        arguments.farthest,
-        lambda few: geodesics.distance(check_sources(few, geometry)).distance,
-    )
-    progress(f"measuring the distance to {len(sources)} sources")
-    field = geodesics.distance(check_sources(sources, geometry))
+    with step("preparing the solver"):
+        geodesics = HeatGeodesics(
+            triangulation,
+            spectrum,
+            solver=solver,
+            time_coefficient=arguments.time_coefficient,
+            boundary=arguments.boundary,
+        )
+    with step("looking for the farthest points"):
+        sources = with_farthest(
+            sources,
+            arguments.farthest,
+            lambda few: geodesics.distance(check_sources(few, geometry)).distance,
+        )
+    with step(f"measuring the distance to {tables.count(len(sources), 'source')}"):
+        field = geodesics.distance(check_sources(sources, geometry))
     record = _record(arguments, geometry, triangulation, sources, spectrum, field)
     record["spectrum_unused"] = unused or None
     compared = None
@@ -103,11 +102,11 @@ def geodesic_distances(arguments: argparse.Namespace) -> None:
             arguments, geometry, triangulation, check_sources(sources, geometry)
         )
         record["comparison"] = [one.record() for one in compared]
-    folder.mkdir(exist_ok=True)
-    written = _write(folder, geometry, field.distance, record)
+    with step(f"writing {folder}"):
+        written = _write(folder, geometry, field.distance, record)
     if not arguments.no_pictures:
-        progress("drawing")
-        written += _draw(arguments, geometry, sources, field, compared)
+        with step("drawing"):
+            written += _draw(arguments, geometry, sources, field, compared)
     if arguments.json:
         print_json(**record, written=[str(path) for path in written])
         return
@@ -192,16 +191,14 @@ def _facts(record: tables.Record) -> dict[str, object]:
 
 
 def _write(folder: Path, geometry: Geometry, distance: Floats, record: tables.Record) -> list[Path]:
-    """The distances, the coloured geometry and the report, each whole or not at all."""
-    paths = [folder / name for name in _NUMBERS]
-    with atomic_path(paths[0]) as part, part.open("wb") as file:
-        np.save(file, distance)
-    colours = dict(zip(("red", "green", "blue"), distance_colours(distance).T, strict=True))
-    with atomic_path(paths[1]) as part:
-        ply.write(geometry, part, {**colours, "quality": distance})  # so MeshLab calls it
-    with atomic_path(paths[2]) as part:
-        part.write_text(json.dumps(plain(record), indent=2, allow_nan=False) + "\n")
-    return paths
+    """The distances, the coloured geometry and the report, all or none."""
+    numbers, coloured, report = _NUMBERS
+    with together(folder, replacing=(_FIELD, _CONVERGENCE)) as part:
+        np.save(part / numbers, distance)
+        colours = dict(zip(("red", "green", "blue"), distance_colours(distance).T, strict=True))
+        ply.write(geometry, part / coloured, {**colours, "quality": distance})  # as MeshLab says
+        (part / report).write_text(json.dumps(plain(record), indent=2, allow_nan=False) + "\n")
+    return [folder / name for name in _NUMBERS]
 
 
 def _draw(
@@ -221,7 +218,7 @@ def _draw(
         field.distance,
         sources=positions(sources, geometry),
         spacing=arguments.spacing,
-        up=arguments.up or ("z" if arguments.file == DEMO else None),
+        up=up_of(arguments),
         title=name,
         subtitle=f"{size} \N{MIDDLE DOT} {field.choice}",
         dpi=dpi,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from spectra_kit.cli import tables
 from spectra_kit.cli.geodesic_method import spectrum_named
 from spectra_kit.cli.geodesic_options import COMPARED_MODES
-from spectra_kit.cli.output import progress
+from spectra_kit.cli.progress import step, telling
 from spectra_kit.geodesics import Direct, HeatGeodesics, Iterative
 from spectra_kit.geodesics.sources import Sources, check_sources
 from spectra_kit.geometry import Geometry, TriangleMesh, sphere
@@ -71,17 +71,17 @@ def compare_solvers(
 
     Compiled code is loaded and tried on a small sphere before any clock starts.
     """
-    progress("comparing: warming up")
     ball = sphere(subdivisions=4).geometry
     small = argparse.Namespace(**vars(arguments) | {"modes": 20})
-    for _, measure in _measures(small, ball, intrinsic_delaunay(ball), check_sources(0, ball)):
-        measure()
+    with step("warming up"), telling(quiet=True):
+        for _, measure in _measures(small, ball, intrinsic_delaunay(ball), check_sources(0, ball)):
+            measure()
     measures = list(_measures(arguments, geometry, triangulation, sources))
     fastest: dict[str, tuple[SolverRun, Floats]] = {}
     for _ in range(_REPEATS):
         for name, measure in measures:
-            progress(f"comparing: {name}")
-            run, distance = measure()
+            with step(f"trying {name}"):
+                run, distance = measure()
             if name not in fastest or run.seconds < fastest[name][0].seconds:
                 fastest[name] = run, distance
     _, reference = fastest[_DIRECT]

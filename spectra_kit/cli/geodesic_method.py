@@ -9,7 +9,7 @@ from typing import Literal
 
 from spectra_kit.cli.geodesic_options import SPECTRA
 from spectra_kit.cli.options import listed
-from spectra_kit.cli.output import progress
+from spectra_kit.cli.progress import step
 from spectra_kit.eigensolvers import Arpack, Eigensolver, Polished, eigensolve
 from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.errors import InvalidInputError
@@ -74,5 +74,5 @@ def spectrum_named(
     if name not in _EIGENSOLVERS:
         return Spectrum.load(name)
     k = min(modes + laplacian.kernel_dimension, laplacian.n)
-    progress(f"solving for {k} modes, {name}")
-    return eigensolve(laplacian, k, _EIGENSOLVERS[name](arguments))
+    with step(f"solving for {k} modes, {name}"):
+        return eigensolve(laplacian, k, _EIGENSOLVERS[name](arguments))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from spectra_kit.cli.options import add_input
+from spectra_kit.cli.arguments import add_folder
+from spectra_kit.cli.options import add_general, add_input, add_weights, completed, listed
 from spectra_kit.geodesics import Iterative
 
 LINEAR_SOLVERS = ("auto", "direct", "iterative", "projected", "plain")
@@ -20,28 +20,16 @@ def add_geodesic_arguments(
     add_input(parser, file=file)
     _add_sources(parser)
     _add_method(parser)
-    group = parser.add_argument_group("output")
-    group.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FOLDER",
-        default=Path(output),
-        help="for the distances, the report and the pictures (default: %(default)s)",
-    )
+    group = add_folder(parser, "for the distances, the report and the pictures", output)
     group.add_argument(
         "--compare",
         action="store_true",
         help="also solve by every solver, and draw and print how each converges",
     )
-    group.add_argument("--no-pictures", action="store_true", help="write numbers only")
     group.add_argument(
         "--spacing", type=float, metavar="D", help="between two isolines (default: 20 to 40 lines)"
     )
-    group.add_argument("--dpi", type=int, default=200, help="of the pictures (%(default)s)")
-    group.add_argument(
-        "--up", choices=("y", "z"), help="axis that points up in the picture (default: it looks)"
-    )
+    add_general(parser)
 
 
 def _add_sources(parser: argparse.ArgumentParser) -> None:
@@ -90,17 +78,21 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--solver",
         choices=LINEAR_SOLVERS,
+        metavar="NAME",
         default="auto",
-        help="of the linear systems: by a factor, or by conjugate gradients with incomplete"
-        " Cholesky (plain), with a coarse space of modes added (iterative) or projected out"
-        " (default: %(default)s, whichever should be quicker)",
+        help="of the linear systems: direct, by a factor; or by conjugate gradients with"
+        " incomplete Cholesky: plain, or with a coarse space of modes added (iterative) or"
+        " projected out (projected) (default: %(default)s, whichever should be quicker)",
     )
-    group.add_argument(
-        "--spectrum",
-        default="none",
-        metavar="|".join((*SPECTRA, "NPZ")),
-        help="modes for the coarse space: computed, predicted, or those of a file that spectra-kit"
-        " spectrum wrote; left alone where auto solves directly (default: %(default)s)",
+    completed(
+        group.add_argument(
+            "--spectrum",
+            default="none",
+            metavar="NAME",
+            help=f"modes for the coarse space: {listed(SPECTRA)}, or those of a file that"
+            " spectra-kit spectrum wrote; left alone where auto solves directly (default:"
+            " %(default)s)",
+        )
     )
     group.add_argument(
         "--modes",
@@ -108,26 +100,27 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
         metavar="K",
         help=f"nonzero modes to use (default: {Iterative().modes}, to compare {COMPARED_MODES})",
     )
-    group.add_argument(
-        "--weights", default="small", metavar="NAME|FILE", help="of neo (default: %(default)s)"
-    )
+    add_weights(group)
     group.add_argument(
         "--rtol",
         type=float,
         default=1e-8,
         metavar="R",
-        help="relative residual at which iterations stop (%(default)g)",
+        help="relative residual at which iterations stop (default: %(default)g)",
     )
     group.add_argument(
         "--time-coefficient",
         type=float,
         default=1.0,
         metavar="C",
-        help="the heat diffuses for C squared mean edge lengths; more is smoother (%(default)g)",
+        help="the heat diffuses for C squared mean edge lengths; more is smoother (default:"
+        " %(default)g)",
     )
     group.add_argument(
         "--boundary",
         choices=("neumann", "dirichlet", "average"),
+        metavar="NAME",
         default="neumann",
-        help="what heat does at a boundary: stay, leave, or the mean of both (%(default)s)",
+        help="what heat does at a boundary: neumann, stay; dirichlet, leave;"
+        " average, the mean of both (default: %(default)s)",
     )

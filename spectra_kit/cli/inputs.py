@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from spectra_kit.cli.options import DEMO, TAKERS, listed
-from spectra_kit.cli.output import progress
+from spectra_kit.cli.parser import did_you_mean
+from spectra_kit.cli.progress import say, step
 from spectra_kit.eigensolvers import (
     Arpack,
     Capped,
@@ -82,21 +83,33 @@ def load(arguments: argparse.Namespace) -> Geometry:
     geometry: Geometry
     if arguments.file == DEMO:
         pose = getattr(arguments, "pose", 0)
-        geometry = creature(arguments.points, seed=arguments.seed, pose=pose)
+        with step("making the demo"):
+            geometry = creature(arguments.points, seed=arguments.seed, pose=pose)
     else:
-        progress(f"reading {arguments.file}")
-        geometry = read(arguments.file)
+        _check_there(Path(arguments.file))
+        with step(f"reading {arguments.file}"):
+            geometry = read(arguments.file)
     if arguments.repair:
-        repaired = repair(geometry)
+        with step("repairing"):
+            repaired = repair(geometry)
         geometry = repaired.geometry
         counts = dataclasses.asdict(repaired.report)
         done = ", ".join(f"{n} {what.replace('_', ' ')}" for what, n in counts.items() if n)
-        sys.stderr.write(f"repaired: {done or 'nothing to do'}\n")
+        say(f"repaired: {done or 'nothing to do'}")
     if arguments.cloud is not None:
         if not isinstance(geometry, TriangleMesh):
             raise InvalidInputError("--cloud samples a mesh, and this file holds a point cloud")
-        geometry = sample(geometry, arguments.cloud, seed=arguments.seed)
+        with step(f"sampling {arguments.cloud:,} points"):
+            geometry = sample(geometry, arguments.cloud, seed=arguments.seed)
     return geometry
+
+
+def _check_there(path: Path) -> None:
+    """Refuse a file that is not there, and name the likeliest of those that are."""
+    if path.exists() or not path.parent.is_dir():
+        return
+    if meant := did_you_mean(path.name, [other.name for other in path.parent.iterdir()]):
+        raise InvalidInputError(f"{path}: there is no such file; {meant}")
 
 
 def assemble(arguments: argparse.Namespace, geometry: Geometry) -> Laplacian:

@@ -11,14 +11,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._files import atomic_path
 from spectra_kit._validate import check_indices
 from spectra_kit.cli import tables
+from spectra_kit.cli.folder import check_folder, together
 from spectra_kit.cli.inputs import assemble, load, solvers_named
-from spectra_kit.cli.options import DEMO
-from spectra_kit.cli.output import plain, print_blocks, print_json, progress
+from spectra_kit.cli.options import DEMO, up_of
+from spectra_kit.cli.output import plain, print_blocks, print_json
+from spectra_kit.cli.progress import step
 from spectra_kit.cli.quality import Errors, Side, doubts_of, errors_of, quality_of
-from spectra_kit.eigensolvers import Eigensolver, eigensolve
+from spectra_kit.cli.solving import solve
+from spectra_kit.eigensolvers import Eigensolver
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, creature_pair, write
 from spectra_kit.matching import Match, match, prepare
@@ -35,15 +37,13 @@ _PICTURES = ("correspondence.png", "functional_map.png", "errors.png")
 def match_shapes(arguments: argparse.Namespace) -> None:
     """Match, judge the map, write maps, report and pictures into one folder."""
     folder: Path = arguments.output
-    if not folder.parent.is_dir():
-        raise InvalidInputError(f"cannot make {str(folder)!r}: there is no {str(folder.parent)!r}")
     if _changed(arguments) and (arguments.landmarks or arguments.truth):
         raise InvalidInputError(
             "--landmarks and --truth number the points of the files, which --repair and --cloud"
             " change; repair or sample first, and match what came out"
         )
     (solver,) = solvers_named(arguments, arguments.solver)
-    _check_folder(folder, _files(arguments), _inputs(arguments))
+    check_folder(folder, _files(arguments), _MAPS + _SIDES + _PICTURES, _inputs(arguments))
     geometries, truth = _geometries(arguments)
     if arguments.truth:
         truth = _read_truth(arguments.truth, *(g.n for g in geometries))
@@ -54,11 +54,11 @@ def match_shapes(arguments: argparse.Namespace) -> None:
         _solve(arguments, name, geometry, solver)
         for name, geometry in zip((arguments.source, arguments.target), geometries, strict=True)
     )
-    progress("matching")
-    found, quality = _matched(source, target, landmarks, arguments.sides)
-    progress("judging the map")
-    quality |= quality_of(source, target, found.point_map)
-    errors = None if truth is None else errors_of(source, found.point_map, truth)
+    with step("matching"):
+        found, quality = _matched(source, target, landmarks, arguments.sides)
+    with step("judging the map"):
+        quality |= quality_of(source, target, found.point_map)
+        errors = None if truth is None else errors_of(source, found.point_map, truth)
     if errors is not None:
         quality |= errors.summary()
     record = {
@@ -67,16 +67,13 @@ def match_shapes(arguments: argparse.Namespace) -> None:
         "landmarks": 0 if landmarks is None else len(landmarks[0]),
         "match": quality,
     }
-    folder.mkdir(exist_ok=True)
-    written = _write(folder, found, record)
-    if _writes_sides(arguments):
-        for name, side in zip(_SIDES, (source, target), strict=True):
-            write(side.geometry, folder / name)
-            written.append(folder / name)
+    sides = (source, target) if _writes_sides(arguments) else ()
+    with step(f"writing {folder}"):
+        written = _write(folder, found, record, sides)
     if not arguments.no_pictures:
-        progress("drawing")
-        up: Up | None = arguments.up or ("z" if source.name == DEMO else None)
-        written += _draw(folder, source, target, found, errors, up, arguments.dpi)
+        up = up_of(arguments, source.name)
+        with step("drawing"):
+            written += _draw(folder, source, target, found, errors, up, arguments.dpi)
     if arguments.json:
         print_json(**record, written=[str(path) for path in written])
         return
@@ -110,27 +107,7 @@ def _files(arguments: argparse.Namespace) -> tuple[str, ...]:
 def _inputs(arguments: argparse.Namespace) -> set[Path]:
     """Files that are read."""
     names = (arguments.source, arguments.target, arguments.landmarks, arguments.truth)
-    return {Path(name).resolve() for name in names if name not in (DEMO, None)}
-
-
-def _check_folder(folder: Path, files: tuple[str, ...], inputs: set[Path]) -> None:
-    """Refuse to write over an input, or beside files of an earlier match that will stay."""
-    if taken := [name for name in files if (folder / name).resolve() in inputs]:
-        raise InvalidInputError(
-            f"the output must not replace an input, got {', '.join(taken)} in {str(folder)!r} as"
-            " one; name another folder with --output"
-        )
-    left = [
-        name
-        for name in _MAPS + _SIDES + _PICTURES
-        if name not in files and (folder / name).resolve() not in inputs
-        if (folder / name).exists()
-    ]
-    if left:
-        raise InvalidInputError(
-            f"{str(folder)!r} must hold no other match, got {', '.join(left)}, which would stay"
-            " beside the new one; remove what is old, or name another folder with --output"
-        )
+    return {Path(name) for name in names if name not in (DEMO, None)}
 
 
 def _geometries(arguments: argparse.Namespace) -> tuple[tuple[Geometry, Geometry], Ints | None]:
@@ -150,10 +127,9 @@ def _geometries(arguments: argparse.Namespace) -> tuple[tuple[Geometry, Geometry
 def _solve(
     arguments: argparse.Namespace, name: str, geometry: Geometry, solver: Eigensolver
 ) -> Side:
-    progress(f"{name}: assembling the Laplacian of {geometry.n:,} points")
-    laplacian = assemble(arguments, geometry)
-    progress(f"{name}: solving for {arguments.k} modes with {arguments.solver}")
-    spectrum = eigensolve(laplacian, arguments.k, solver)
+    with step(f"{name}: assembling the Laplacian of {geometry.n:,} points"):
+        laplacian = assemble(arguments, geometry)
+    spectrum = solve(laplacian, arguments.k, arguments.solver, solver)
     return Side(name, geometry, laplacian, spectrum)
 
 
@@ -227,15 +203,18 @@ def _side_record(side: Side) -> tables.Record:
     }
 
 
-def _write(folder: Path, found: Match, record: tables.Record) -> list[Path]:
-    """The two maps and the report, each whole or not at all."""
-    paths = [folder / name for name in _MAPS]
-    for path, array in zip(paths, (found.point_map, found.functional_map), strict=False):
-        with atomic_path(path) as part, part.open("wb") as file:
-            np.save(file, array)
-    with atomic_path(paths[2]) as part:
-        part.write_text(json.dumps(plain(record), indent=2, allow_nan=False) + "\n")
-    return paths
+def _write(
+    folder: Path, found: Match, record: tables.Record, sides: tuple[Side, ...]
+) -> list[Path]:
+    """The two maps, the report, and the shapes they belong to, all or none."""
+    points, functions, report = _MAPS
+    with together(folder, replacing=_PICTURES) as part:
+        np.save(part / points, found.point_map)
+        np.save(part / functions, found.functional_map)
+        (part / report).write_text(json.dumps(plain(record), indent=2, allow_nan=False) + "\n")
+        for name, side in zip(_SIDES, sides, strict=False):
+            write(side.geometry, part / name)
+    return [folder / name for name in (*_MAPS, *_SIDES[: len(sides)])]
 
 
 def _draw(

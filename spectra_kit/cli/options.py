@@ -1,12 +1,16 @@
-"""What the commands accept."""
+"""Options that several commands share, in groups."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, Literal
+
+import shtab
 
 DEMO = "demo"
+FORMATS = "obj, off, ply, stl, glb, gltf, xyz, npy, npz"
 OPERATORS = ("robust", "cotan", "knn", "delaunay")
 SOLVERS = (
     "arpack",
@@ -24,6 +28,22 @@ TAKERS = {
     "rtol": ("refined", "multilevel", "lobpcg"),
     "start": ("refined", "polished", "capped"),
 }
+PICTURES = (".png", ".pdf", ".svg")
+DEFAULT = "(default: %(default)s)"
+
+FILE, FOLDER = shtab.FILE, shtab.DIRECTORY
+GEOMETRY = {
+    **shtab.FILE,
+    "bash": "_spectra_kit_geometry",
+    "preamble": {
+        "bash": f"""\
+_spectra_kit_geometry() {{
+  compgen -f -- "$1"
+  compgen -W {DEMO} -- "$1"
+}}
+"""
+    },
+}
 
 
 def listed(names: Sequence[str]) -> str:
@@ -31,136 +51,53 @@ def listed(names: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
-def add_spectrum_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of ``spectrum``."""
-    add_input(parser, file=None)
-    _add_operator(parser)
-    _add_solver(parser)
-    parser.add_argument("--solver", choices=SOLVERS, default="arpack", help="default: %(default)s")
-    parser.add_argument(
-        "--verify",
-        action="store_true",
-        help="count the eigenvalues to prove that no mode was missed (a few factorisations)",
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="NPZ", help="write the spectrum to this .npz file"
-    )
-    _add_modes(parser)
-
-
-def add_compare_arguments(
-    parser: argparse.ArgumentParser, *, file: str | None = None, picture: str | None = None
-) -> None:
-    """Add the arguments of ``compare``; `file` and `picture` are defaults."""
-    add_input(parser, file=file)
-    _add_operator(parser)
-    _add_solver(parser)
-    parser.add_argument(
-        "--solver",
-        choices=SOLVERS,
-        help="what predicts (default: neo where weights are shipped, else fourier)",
-    )
-    parser.add_argument(
-        "--against", choices=SOLVERS, default="arpack", help="the truth (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--picture",
-        type=Path,
-        metavar="PNG",
-        default=picture and Path(picture),
-        help="draw exact | predicted | difference of the chosen modes"
-        + (" (default: %(default)s)" if picture else ""),
-    )
-    _add_modes(parser)
-
-
-def add_match_arguments(
-    parser: argparse.ArgumentParser, *, files: tuple[str, str] | None = None, output: str = "match"
-) -> None:
-    """Add the arguments of a match of two shapes; `files` and `output` are defaults."""
-    group = parser.add_argument_group("input")
-    for i, name in enumerate(("source", "target")):
-        _add_file(group, name, files and files[i])
-    _add_reading(group)
-    group.add_argument(
-        "--landmarks",
-        type=Path,
-        metavar="TXT",
-        help="corresponding points: a line for each with its number on the source and on the"
-        " target, counted from 0",
-    )
-    group.add_argument(
-        "--sides",
-        choices=("either", "kept", "reversed"),
-        default="either",
-        help="whether the map may mirror (default: only if that is clearly better)",
-    )
-    group.add_argument(
-        "--truth",
-        type=Path,
-        metavar="NPY",
-        help="the true source point of each target point, to measure errors by (negative: unknown)",
-    )
-    _add_operator(parser)
-    _add_solver(parser)
-    parser.set_defaults(k=150)
-    parser.add_argument("--solver", choices=SOLVERS, default="arpack", help="default: %(default)s")
-    group = parser.add_argument_group("output")
-    group.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FOLDER",
-        default=Path(output),
-        help="for the maps, the report and the pictures (default: %(default)s)",
-    )
-    group.add_argument("--no-pictures", action="store_true", help="write maps and report only")
-    group.add_argument("--dpi", type=int, default=200, help="of the pictures (%(default)s)")
-    group.add_argument(
-        "--up", choices=("y", "z"), help="axis that points up in the picture (default: it looks)"
-    )
-
-
-def add_info_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of ``info``."""
-    add_input(parser, file=None)
-    _add_operator(parser)
+def completed(action: argparse.Action, by: Any = FILE) -> None:
+    """Let the shell complete the value of an option."""
+    action.complete = by  # type: ignore[attr-defined]  # where shtab looks for it
 
 
 def add_input(parser: argparse.ArgumentParser, *, file: str | None) -> None:
-    """Add the file and how it is read."""
+    """Add the file and how it is read; `file` is a default."""
     group = parser.add_argument_group("input")
-    _add_file(group, "file", file)
-    _add_reading(group)
+    add_file(group, "file", file)
+    add_reading(group)
 
 
-def _add_file(group: argparse._ArgumentGroup, name: str, default: str | None) -> None:
-    group.add_argument(
-        name,
-        metavar=name.upper(),
-        nargs="?" if default else None,
-        default=default,
-        help=f"a mesh or point cloud (obj, off, ply, stl, glb, gltf, xyz, npy, npz), or"
-        f" {DEMO!r} for a procedural animal" + (" (default: %(default)s)" if default else ""),
+def add_file(group: argparse._ArgumentGroup, name: str, default: str | None) -> None:
+    """Add one geometry."""
+    completed(
+        group.add_argument(
+            name,
+            metavar=name.upper(),
+            nargs="?" if default else None,
+            default=default,
+            help=f"a mesh or point cloud ({FORMATS}), or {DEMO!r} for an animal made on the spot"
+            + (f" {DEFAULT}" if default else ""),
+        ),
+        GEOMETRY,
     )
 
 
-def _add_reading(group: argparse._ArgumentGroup) -> None:
+def add_reading(group: argparse._ArgumentGroup) -> None:
+    """Add what is done to geometries as they are read."""
     group.add_argument(
-        "--points", type=int, default=8000, metavar="N", help="vertices of the demo (%(default)s)"
+        "--points", type=int, default=8000, metavar="N", help=f"vertices of the demo {DEFAULT}"
     )
-    group.add_argument("--cloud", type=int, metavar="N", help="sample N points on the mesh")
-    group.add_argument("--seed", type=int, default=0, help="of everything random (%(default)s)")
+    group.add_argument(
+        "--cloud", type=int, metavar="N", help="sample N points on the mesh (default: none)"
+    )
     group.add_argument(
         "--repair",
         action="store_true",
         help="merge duplicates, drop degenerate faces and unused vertices, and say what was done",
     )
-    group.add_argument("--json", action="store_true", help="print JSON instead of tables")
-    group.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    group.add_argument(
+        "--seed", type=int, default=0, metavar="N", help=f"of everything random {DEFAULT}"
+    )
 
 
-def _add_operator(parser: argparse.ArgumentParser) -> None:
+def add_operator(parser: argparse.ArgumentParser) -> None:
+    """Add the choice of the Laplacian."""
     group = parser.add_argument_group("operator")
     group.add_argument(
         "--operator",
@@ -171,13 +108,33 @@ def _add_operator(parser: argparse.ArgumentParser) -> None:
         "--boundary",
         choices=("neumann", "dirichlet"),
         default="neumann",
-        help="of a mesh with a boundary (default: %(default)s)",
+        help=f"of a mesh with a boundary {DEFAULT}",
     )
 
 
-def _add_solver(parser: argparse.ArgumentParser) -> None:
+def add_solver(
+    parser: argparse.ArgumentParser,
+    *,
+    k: int | None = 96,
+    default: str | None = "arpack",
+    help_text: str = f"what solves {DEFAULT}",
+    none: bool = False,
+) -> argparse._ArgumentGroup:
+    """Add the choice of the eigensolver; with `none` it may be left out."""
     group = parser.add_argument_group("solver")
-    group.add_argument("-k", type=int, default=96, help="number of modes (default: %(default)s)")
+    group.add_argument(
+        "-k",
+        type=int,
+        default=k,
+        help="number of modes " + (DEFAULT if k else "(default: as many as are shown)"),
+    )
+    group.add_argument(
+        "--solver",
+        choices=(*SOLVERS, "none") if none else SOLVERS,
+        metavar="NAME",
+        default=default,
+        help=f"{help_text}; one of {', '.join(SOLVERS)}" + (", none" if none else ""),
+    )
     group.add_argument(
         "--rtol",
         type=float,
@@ -189,28 +146,106 @@ def _add_solver(parser: argparse.ArgumentParser) -> None:
         choices=("fourier", "neo", "random"),
         help=f"subspace that {listed(TAKERS['start'])} begin with (default: fourier)",
     )
-    group.add_argument(
-        "--weights", default="small", metavar="NAME|FILE", help="of neo (default: %(default)s)"
-    )
-    group.add_argument(
-        "--poses", type=int, choices=(1, 2, 4), default=1, help="of neo (default: %(default)s)"
-    )
+    add_weights(group)
+    group.add_argument("--poses", type=int, choices=(1, 2, 4), default=1, help=f"of neo {DEFAULT}")
     group.add_argument(
         "--dtype",
         choices=("float32", "bfloat16", "float16"),
         default="float32",
-        help="of neo (default: %(default)s)",
+        metavar="TYPE",
+        help=f"of neo: float32, bfloat16, float16 {DEFAULT}",
     )
-    group.add_argument("--device", default="cpu", help="of neo: cpu, cuda (default: %(default)s)")
+    group.add_argument("--device", default="cpu", help=f"of neo: cpu, cuda {DEFAULT}")
+    return group
 
 
-def _add_modes(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+def add_weights(group: argparse._ArgumentGroup) -> None:
+    """Add the weights of the network."""
+    completed(
+        group.add_argument(
+            "--weights",
+            default="small",
+            metavar="NAME",
+            help=f"of neo: shipped ones by name, others by file {DEFAULT}",
+        )
+    )
+
+
+def add_saved(group: argparse._ArgumentGroup, what: str = "modes") -> None:
+    """Add the spectrum that is at hand already."""
+    completed(
+        group.add_argument(
+            "--spectrum",
+            type=Path,
+            metavar="NPZ",
+            help=f"take the {what} from this file, written by spectra-kit spectrum -o, and solve"
+            " nothing",
+        )
+    )
+
+
+def add_modes(group: argparse._ArgumentGroup, default: str = "a handful") -> None:
+    """Add the choice of modes."""
+    group.add_argument(
         "--modes",
         type=_integers,
         metavar="I,J,...",
-        help="modes to show, counted from 0 (default: a handful)",
+        help=f"modes to show, counted from 0 (default: {default})",
     )
+
+
+def add_output(
+    group: argparse._ArgumentGroup,
+    what: str,
+    metavar: str,
+    default: str | None = None,
+    *,
+    flags: Sequence[str] = ("-o", "--output"),
+) -> None:
+    """Add a file to write, or with the metavar FOLDER a folder."""
+    completed(
+        group.add_argument(
+            *flags,
+            type=Path,
+            metavar=metavar,
+            default=default and Path(default),
+            help=f"{what} " + (DEFAULT if default else "(default: none)"),
+        ),
+        FOLDER if metavar == "FOLDER" else FILE,
+    )
+
+
+def add_drawing(group: argparse._ArgumentGroup, *, dpi: bool = True) -> None:
+    """Add how pictures are drawn."""
+    if dpi:
+        group.add_argument(
+            "--dpi",
+            type=int,
+            default=200,
+            metavar="N",
+            help=f"pixels per inch, 600 for print {DEFAULT}",
+        )
+    group.add_argument(
+        "--up",
+        choices=("y", "z"),
+        help="axis that points up in the picture (default: chosen by the shape)",
+    )
+
+
+def add_general(parser: argparse.ArgumentParser) -> None:
+    """Add what every command takes."""
+    group = parser.add_argument_group("general")
+    group.add_argument(
+        "--json", action="store_true", help="print one JSON object instead of tables"
+    )
+    group.add_argument("-q", "--quiet", action="store_true", help="show no progress")
+    group.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+
+def up_of(arguments: argparse.Namespace, file: str | None = None) -> Literal["y", "z"] | None:
+    """Return the axis that points up: the one asked for, or that of the demo; None to look."""
+    up: Literal["y", "z"] | None = arguments.up
+    return up or ("z" if (file or arguments.file) == DEMO else None)
 
 
 def _integers(text: str) -> tuple[int, ...]:

@@ -1,10 +1,11 @@
-"""Where the commands write: blocks of text or JSON to stdout, progress to a terminal."""
+"""Where the commands write: blocks of text or JSON to stdout, files where it was asked for."""
 
 from __future__ import annotations
 
 import json
+import os
 import sys
-import time
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,23 +13,26 @@ import numpy as np
 from spectra_kit.errors import InvalidInputError
 
 
-def check_output(path: Path, suffix: str) -> None:
-    """Refuse a bad output path before the work, not after it."""
-    if path.suffix.lower() != suffix:
-        raise InvalidInputError(f"the output must be a {suffix} file, got {str(path)!r}")
+def check_output(path: Path, suffixes: Sequence[str], inputs: Iterable[str | Path] = ()) -> None:
+    """Refuse a bad output path before the work, not after it; and one that would eat an input."""
+    if path.suffix.lower() not in suffixes:
+        known = " or ".join(suffixes)
+        raise InvalidInputError(f"the output must be a {known} file, got {str(path)!r}")
     if not path.parent.is_dir():
         raise InvalidInputError(
-            f"cannot write {str(path)!r}: there is no folder {str(path.parent)!r}"
+            f"cannot write {str(path)!r}: there is no folder {str(path.parent)!r}; make it first"
         )
-
-
-_START = time.perf_counter()
-
-
-def progress(text: str) -> None:
-    """Tell a person at the terminal what goes on; say nothing to a file or a pipe."""
-    if sys.stderr.isatty():
-        sys.stderr.write(f"[{time.perf_counter() - _START:6.1f} s] {text}\n")
+    if path.is_dir():
+        raise InvalidInputError(f"cannot write {str(path)!r}: a folder has that name")
+    if not os.access(path.parent, os.W_OK):
+        raise InvalidInputError(
+            f"cannot write {str(path)!r}: the folder {str(path.parent)!r} is not yours to write"
+            " to; name another place"
+        )
+    if path.resolve() in {Path(name).resolve() for name in inputs}:
+        raise InvalidInputError(
+            f"the output must not replace an input, got {str(path)!r} as both; name another file"
+        )
 
 
 def print_blocks(*blocks: str) -> None:

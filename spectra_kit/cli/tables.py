@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,9 +26,14 @@ def headline(name: str, geometry: Geometry, laplacian: Laplacian) -> str:
     """What was solved, in two lines."""
     return f"{name}: {_size(geometry)}\n" + (
         f"{laplacian.operator}: area {laplacian.area:.6g},"
-        f" {_count(laplacian.n_components, 'component')}"
+        f" {count(laplacian.n_components, 'component')}"
         + (f", {len(laplacian.fixed):,} fixed points" if len(laplacian.fixed) else "")
     )
+
+
+def title(name: str, geometry: Geometry) -> str:
+    """What a picture is of."""
+    return f"{Path(name).stem}, {geometry.n:,} points"
 
 
 def modes_table(spectrum: Spectrum, modes: Sequence[int]) -> str:
@@ -210,14 +216,15 @@ def align(rows: Sequence[Sequence[str]], *, left: int = 0) -> str:
     )
 
 
+def count(n: int, noun: str) -> str:
+    """`n` things, in words."""
+    return f"{n} {noun}" + ("" if n == 1 else "s")
+
+
 def _size(geometry: Geometry) -> str:
     if isinstance(geometry, TriangleMesh):
         return f"mesh, {geometry.n:,} vertices, {len(geometry.faces):,} faces"
     return f"cloud, {geometry.n:,} points"
-
-
-def _count(n: int, noun: str) -> str:
-    return f"{n} {noun}" + ("" if n == 1 else "s")
 
 
 def _certificate(spectrum: Spectrum) -> Certificate:

@@ -1,0 +1,125 @@
+"""The command that shows modes in the browser: as a page of its own, or served to this machine."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from spectra_kit._validate import check_count
+from spectra_kit.cli import tables
+from spectra_kit.cli.options import up_of
+from spectra_kit.cli.output import check_output, print_blocks, print_json
+from spectra_kit.cli.progress import counted, say
+from spectra_kit.cli.solving import Compared, compared, exact_modes, named_pair, prepare
+from spectra_kit.explorer import Explorer, write_explorer
+from spectra_kit.geometry import Geometry
+from spectra_kit.operators import Laplacian
+from spectra_kit.spectrum import Spectrum
+
+
+def explore(arguments: argparse.Namespace) -> None:
+    """Write the page, or serve it until Ctrl-C."""
+    page: Path = arguments.html or Path(Path(arguments.file).stem + ".html")
+    if not arguments.serve:
+        inputs = [arguments.file, *filter(None, [arguments.spectrum])]
+        check_output(page, (".html", ".htm"), inputs)
+    k = check_count("k", arguments.k, low=1)
+    check_count("--max-points", arguments.max_points, low=4)
+    check_count("--port", arguments.port, low=0, high=65535)
+    solvers = named_pair(arguments)
+    geometry, laplacian = prepare(arguments)
+    exact, name = exact_modes(arguments, laplacian, solvers)
+    pair = None
+    if arguments.solver == "none":
+        exact = exact.truncate(min(k, exact.k))
+    else:
+        pair = compared(arguments, laplacian, solvers, exact, name)
+    names = pair.names if pair else (name, "")
+    if arguments.serve:
+        _serve(arguments, geometry, exact, pair, names)
+        return
+    with counted(f"writing {page}", "step") as tell:
+        written = write_explorer(
+            page,
+            geometry,
+            exact,
+            pair.predicted if pair else None,
+            comparison=pair.comparison if pair else None,
+            names=names,
+            title=tables.title(arguments.file, geometry),
+            max_points=arguments.max_points,
+            up=up_of(arguments),
+            progress=tell,
+        )
+    if arguments.json:
+        print_json(**_record(arguments, geometry, exact, pair), explorer=vars(written), url=None)
+        return
+    print_blocks(*_tables(arguments, geometry, laplacian, exact, pair), _next(written))
+
+
+def _serve(
+    arguments: argparse.Namespace,
+    geometry: Geometry,
+    exact: Spectrum,
+    pair: Compared | None,
+    names: tuple[str, str],
+) -> None:
+    from spectra_kit.explorer.serve import serve
+
+    def ready(url: str) -> None:
+        if arguments.json:
+            print_json(**_record(arguments, geometry, exact, pair), explorer=None, url=url)
+        else:
+            print_blocks(f"serving {arguments.file} to this machine alone: {url}")
+            say("Ctrl-C ends it")
+
+    serve(
+        geometry,
+        exact,
+        pair.predicted if pair else None,
+        comparison=pair.comparison if pair else None,
+        names=names,
+        title=tables.title(arguments.file, geometry),
+        max_points=arguments.max_points,
+        up=up_of(arguments),
+        port=arguments.port,
+        open_browser=not arguments.no_browser,
+        ready=ready,
+    )
+
+
+def _record(
+    arguments: argparse.Namespace, geometry: Geometry, exact: Spectrum, pair: Compared | None
+) -> tables.Record:
+    return {
+        "input": arguments.file,
+        "geometry": tables.geometry_record(geometry),
+        "exact": tables.spectrum_record(exact),
+        "predicted": pair and tables.spectrum_record(pair.predicted),
+        "comparison": pair and tables.comparison_record(pair.comparison),
+    }
+
+
+def _tables(
+    arguments: argparse.Namespace,
+    geometry: Geometry,
+    laplacian: Laplacian,
+    exact: Spectrum,
+    pair: Compared | None,
+) -> list[str]:
+    head = tables.headline(arguments.file, geometry, laplacian)
+    if pair is None:
+        return [head, tables.certificate_lines(exact)]
+    return [head, tables.comparison_line(pair.comparison)]
+
+
+def _next(written: Explorer) -> str:
+    """What the page holds, and what to do with it."""
+    shown = f"all {written.n_shown:,} points"
+    if written.decimated:
+        shown = f"{written.n_shown:,} of {written.n_points:,} points (--max-points shows more)"
+    return (
+        f"page: {written.path}, {written.bytes / 1e6:.1f} MB, {written.n_modes} modes on {shown},\n"
+        f"values to {written.quantisation:.0e} of each mode's largest. Open it in any browser; it"
+        " needs no\nnetwork, and can be sent to others as it is."
+    )

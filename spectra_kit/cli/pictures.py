@@ -1,0 +1,86 @@
+"""The commands that draw modes: still ones, and swinging ones."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from spectra_kit._validate import check_count, check_positive
+from spectra_kit.cli import tables
+from spectra_kit.cli.options import PICTURES, up_of
+from spectra_kit.cli.output import check_output, print_blocks, print_json
+from spectra_kit.cli.progress import step
+from spectra_kit.cli.solving import Shown, to_show
+
+_DRAWN, _SWUNG = 12, 6
+
+
+def modes(arguments: argparse.Namespace) -> None:
+    """Draw modes on one page."""
+    _check(arguments, PICTURES)
+    if arguments.columns is not None:
+        check_count("--columns", arguments.columns, low=1)
+    shown = to_show(arguments, _DRAWN)
+    from spectra_kit.viz import plot_modes
+
+    with step(f"drawing {len(shown.modes)} modes"):
+        plot_modes(
+            arguments.output,
+            shown.geometry,
+            shown.spectrum,
+            modes=shown.modes,
+            nodal_lines=not arguments.no_lines,
+            columns=arguments.columns,
+            up=up_of(arguments),
+            title=tables.title(arguments.file, shown.geometry),
+            dpi=arguments.dpi,
+        )
+    _tell(arguments, shown, "picture")
+
+
+def animate(arguments: argparse.Namespace) -> None:
+    """Let modes swing, one after the other."""
+    _check(arguments, (".gif", ".mp4"))
+    seconds = check_positive("--seconds", arguments.seconds)
+    fps = check_count("--fps", arguments.fps, low=1)
+    width = check_count("--width", arguments.width, low=16)
+    shown = to_show(arguments, _SWUNG)
+    from spectra_kit.viz import animate_modes
+
+    with step(f"animating {len(shown.modes)} modes"):
+        animate_modes(
+            arguments.output,
+            shown.geometry,
+            shown.spectrum,
+            modes=shown.modes,
+            seconds_per_mode=seconds,
+            fps=fps,
+            width=width,
+            up=up_of(arguments),
+        )
+    _tell(arguments, shown, "animation")
+
+
+def _check(arguments: argparse.Namespace, suffixes: tuple[str, ...]) -> None:
+    inputs: list[str | Path] = [arguments.file]
+    if arguments.spectrum:
+        inputs.append(arguments.spectrum)
+    check_output(arguments.output, suffixes, inputs)
+
+
+def _tell(arguments: argparse.Namespace, shown: Shown, what: str) -> None:
+    """Say what was drawn and where it is."""
+    if arguments.json:
+        print_json(
+            input=arguments.file,
+            geometry=tables.geometry_record(shown.geometry),
+            **tables.spectrum_record(shown.spectrum),
+            modes=shown.modes,
+            **{what: str(arguments.output)},
+        )
+        return
+    print_blocks(
+        tables.headline(arguments.file, shown.geometry, shown.laplacian),
+        tables.modes_table(shown.spectrum, shown.modes),
+        f"{what}: {arguments.output}",
+    )

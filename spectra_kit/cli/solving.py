@@ -1,0 +1,149 @@
+"""Spectra for the commands: solved for, or taken from a file."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from spectra_kit._validate import check_count
+from spectra_kit.cli.inputs import EXTRA, assemble, load, solvers_named
+from spectra_kit.cli.progress import step
+from spectra_kit.eigensolvers import Eigensolver, eigensolve
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import Geometry
+from spectra_kit.metrics import Comparison, compare_spectra, subspace_span_error
+from spectra_kit.operators import Laplacian
+from spectra_kit.spectrum import Spectrum
+
+_SAME = (10.0, 1e-6)  # residuals of a saved mode may grow by this factor and this much
+
+
+def prepare(arguments: argparse.Namespace) -> tuple[Geometry, Laplacian]:
+    """Read the geometry and assemble its operator."""
+    geometry = load(arguments)
+    with step(f"assembling the Laplacian of {geometry.n:,} points"):
+        return geometry, assemble(arguments, geometry)
+
+
+def solve(laplacian: Laplacian, k: int, name: str, solver: Eigensolver) -> Spectrum:
+    """Solve for `k` modes."""
+    with step(f"solving for {k} modes by {name}"):
+        return eigensolve(laplacian, k, solver)
+
+
+def saved(path: Path, laplacian: Laplacian) -> Spectrum:
+    """Read a spectrum, and make sure by its residuals that it is one of this operator."""
+    with step(f"reading {path}"):
+        spectrum = Spectrum.load(path)
+        wrong = f"{path} holds modes of something else"
+        hint = "give the file and the options it was made with, or leave --spectrum out"
+        try:
+            certified = spectrum.certify(laplacian)
+        except InvalidInputError as error:
+            raise InvalidInputError(f"{wrong}: {error}; {hint}") from error
+        if spectrum.certificate is None:
+            return certified
+        factor, slack = _SAME
+        now, then = certified.certificate, spectrum.certificate
+        assert now is not None
+        if (now.relative_residuals > factor * then.relative_residuals + slack).any():
+            raise InvalidInputError(
+                f"{wrong}: their relative residuals were up to"
+                f" {then.relative_residuals.max():.1e} and are {now.relative_residuals.max():.1e}"
+                f" by {laplacian.operator}; {hint}"
+            )
+        return spectrum
+
+
+def shown_modes(asked: Sequence[int] | None, usual: Sequence[int], k: int) -> tuple[int, ...]:
+    """The modes to show: those asked for, else the usual ones, up to k."""
+    if asked is not None:
+        return tuple(check_count("modes", i, low=0, high=k - 1) for i in asked)
+    return tuple(sorted({i for i in usual if i < k})) or (k - 1,)
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A geometry, its operator, modes of it, and which of them to show."""
+
+    geometry: Geometry
+    laplacian: Laplacian
+    spectrum: Spectrum
+    modes: tuple[int, ...]
+
+
+def to_show(arguments: argparse.Namespace, count: int) -> Shown:
+    """Return modes to show: those asked for, else the first `count` that are not constant."""
+    if arguments.k is not None:
+        check_count("k", arguments.k, low=1)
+    (solver,) = solvers_named(arguments, arguments.solver)
+    geometry, laplacian = prepare(arguments)
+    if arguments.spectrum:
+        spectrum = saved(arguments.spectrum, laplacian)
+        if arguments.k is not None:
+            spectrum = spectrum.truncate(arguments.k)
+    else:
+        needed = max(arguments.modes) + 1 if arguments.modes else count + laplacian.kernel_dimension
+        k = min(needed, len(laplacian.free)) if arguments.k is None else arguments.k
+        spectrum = solve(laplacian, max(k, 1), arguments.solver, solver)
+    first = spectrum.n_zero_modes
+    modes = shown_modes(arguments.modes, range(first, first + count), spectrum.k)
+    return Shown(geometry, laplacian, spectrum, modes)
+
+
+def default_predictor() -> str:
+    """Return the network where weights are shipped, else plane waves."""
+    from spectra_kit.neo.pretrained import WEIGHTS
+
+    return "neo" if WEIGHTS else "fourier"
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """Exact modes, predicted ones, their errors, and what the two are called."""
+
+    exact: Spectrum
+    predicted: Spectrum
+    comparison: Comparison
+    names: tuple[str, str]
+
+
+def named_pair(arguments: argparse.Namespace) -> dict[str, Eigensolver]:
+    """Return the solvers of the truth, unless it is saved, and of the prediction, if any."""
+    names = [] if arguments.spectrum else [arguments.against]
+    if arguments.solver != "none":
+        names.append(arguments.solver or default_predictor())
+    return dict(zip(names, solvers_named(arguments, *names), strict=True))
+
+
+def exact_modes(
+    arguments: argparse.Namespace, laplacian: Laplacian, solvers: Mapping[str, Eigensolver]
+) -> tuple[Spectrum, str]:
+    """Solve for the exact modes and a few more, or read them; and what to call them."""
+    if arguments.spectrum:
+        return saved(arguments.spectrum, laplacian), arguments.spectrum.name
+    name, n_free = arguments.against, len(laplacian.free)
+    check_count("k", arguments.k, low=1, high=n_free)
+    return solve(laplacian, min(arguments.k + EXTRA, n_free), name, solvers[name]), name
+
+
+def compared(
+    arguments: argparse.Namespace,
+    laplacian: Laplacian,
+    solvers: Mapping[str, Eigensolver],
+    exact: Spectrum,
+    name: str,
+) -> Compared:
+    """Predict the modes, and measure the errors."""
+    k, predictor = min(arguments.k, exact.k), arguments.solver or default_predictor()
+    wanted = min(k + EXTRA, len(laplacian.free))
+    predicted = solve(laplacian, wanted, predictor, solvers[predictor])
+    with step("comparing"):
+        comparison = compare_spectra(exact, predicted, k=k)
+        subspace = getattr(solvers[predictor], "subspace", None)
+        if subspace is not None:
+            error, dimension = subspace_span_error(subspace, laplacian, exact, predicted)
+            comparison = replace(comparison, span_error=error[:k], span_dimension=dimension)
+    return Compared(exact, predicted, comparison, (name, predictor))
