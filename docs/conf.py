@@ -1,0 +1,71 @@
+"""How the pages are made: ``sphinx-build -W --keep-going -b html docs build/docs``.
+
+Nothing is fetched, neither while the pages are built nor when they are read.
+"""
+
+import sys
+from pathlib import Path
+
+from spectra_kit._version import VERSION
+
+sys.path.insert(0, str(Path(__file__).parent / "extensions"))
+
+project = "spectra_kit"
+author = "The spectra_kit authors"
+project_copyright = author
+version = release = VERSION
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",  # one page for each public name: docs/api/generated, not committed
+    "numpydoc",
+    "myst_nb",
+    "sphinx_copybutton",
+    # Small ones of our own, in docs/extensions:
+    "command_help",
+    "notebook_pages",
+    "short_names",
+]
+templates_path = ["_templates"]
+exclude_patterns = ["_templates", "extensions", "pictures"]
+default_role = "py:obj"  # `eigensolve` in a docstring is a link
+toc_object_entries = False  # the page of a class has its methods in view anyway
+
+autodoc_typehints = "none"  # the docstrings have the types, and the shapes
+autodoc_member_order = "bysource"
+autosummary_generate_overwrite = True
+numpydoc_show_class_members = False  # the template of a class shows them, with their docstrings
+numpydoc_class_members_toctree = False
+
+myst_heading_anchors = 3
+myst_enable_extensions = ["attrs_block", "colon_fence"]
+nb_execution_mode = "off"  # a test executes the notebooks and leaves the copies to show
+nb_merge_streams = True
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+
+html_title = "spectra_kit"
+html_theme = "pydata_sphinx_theme"
+html_static_path = ["_static"]
+html_css_files = ["style.css"]
+html_favicon = "_static/logo.svg"
+html_copy_source = False
+html_show_sourcelink = False
+html_theme_options = {
+    "logo": {
+        "text": "spectra_kit",
+        "image_light": "_static/logo.svg",
+        "image_dark": "_static/logo.svg",
+    },
+    "header_links_before_dropdown": 6,
+    "navbar_align": "left",
+    "navbar_persistent": [],
+    "navbar_end": ["search-button", "theme-switcher"],
+    "navigation_with_keys": False,
+    "show_nav_level": 1,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": ["theme-version"],
+    "pygments_light_style": "a11y-high-contrast-light",
+    "pygments_dark_style": "a11y-high-contrast-dark",
+}

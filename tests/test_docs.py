@@ -1,0 +1,118 @@
+"""The documentation leaves nothing out: public names, pictures, packages, notebooks."""
+
+import ast
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+import re
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import spectra_kit
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PUBLIC = sorted(
+    module.name
+    for module in pkgutil.iter_modules(spectra_kit.__path__)
+    if not module.name.startswith("_")
+)
+
+
+def load(path: Path) -> ModuleType:
+    """Import a file of docs/, which is no package."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def listed(page: str) -> set[str]:
+    """Names that a page of the reference has: entries of its tables, and its constants."""
+    text = (DOCS / "api" / page).read_text()
+    tables = re.findall(r"\.\. autosummary::\n(?:   :.*\n)*\n((?:   \S+\n)+)", text)
+    return set("".join(tables).split()) | set(re.findall(r"^\.\. data:: (\w+)", text, re.M))
+
+
+def public_names(module: ModuleType) -> set[str]:
+    """What a module exports; all that it defines where it does not say."""
+    here = {
+        name
+        for name, value in vars(module).items()
+        if not name.startswith("_") and getattr(value, "__module__", "") == module.__name__
+    }
+    return set(getattr(module, "__all__", here))
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_the_reference_has_every_public_name(name: str) -> None:
+    module = importlib.import_module(f"spectra_kit.{name}")
+    names = listed(f"{name}.rst")
+    assert public_names(module) <= names
+    for entry in names:  # as far as to functions of modules that are no packages
+        *parents, attribute = entry.split(".")
+        assert hasattr(importlib.import_module(".".join([module.__name__, *parents])), attribute)
+
+
+def test_the_first_page_of_the_reference_has_all_packages_and_the_names_above_them() -> None:
+    entries = {entry.removeprefix("~spectra_kit.") for entry in listed("index.rst")}
+    assert {f"spectra_kit.{name}" for name in PUBLIC} <= entries
+    for name in spectra_kit.__all__:
+        thing = getattr(spectra_kit, name)
+        if not inspect.ismodule(thing):
+            home = next((entry for entry in entries if entry.endswith(f".{name}")), "")
+            assert home, f"{name} is missing in docs/api/index.rst"
+            package, _, attribute = home.rpartition(".")
+            assert getattr(importlib.import_module(f"spectra_kit.{package}"), attribute) is thing
+
+
+def test_the_picture_of_the_architecture_has_all_packages() -> None:
+    architecture = load(DOCS / "architecture.py")
+    packages = [name for row in architecture.layers() for name in row]
+    assert sorted(packages) == PUBLIC
+    assert sorted(architecture.PURPOSE) == PUBLIC
+    drawn = re.findall(r'id="package-(\w+)"', (DOCS / "pictures/architecture.svg").read_text())
+    assert drawn == packages, "draw it again: python docs/architecture.py"
+
+
+def test_the_architecture_is_drawn_the_same_twice(tmp_path: Path) -> None:
+    architecture = load(DOCS / "architecture.py")
+    one, two = (architecture.draw_architecture(tmp_path / f"{i}.svg") for i in range(2))
+    assert one.read_bytes() == two.read_bytes()
+
+
+def test_the_gallery_shows_every_picture_with_the_code_that_draws_it() -> None:
+    pages = {path.name: path.read_text() for path in DOCS.glob("*.md")}
+    shown = set(re.findall(r"\{image\} pictures/(\S+)", "".join(pages.values())))
+    assert shown == {path.name for path in (DOCS / "pictures").iterdir()}
+    program = ast.parse((ROOT / "apps/make_pictures.py").read_text())
+    drawing = {
+        node.name
+        for node in program.body
+        if isinstance(node, ast.FunctionDef) and [a.arg for a in node.args.args] == ["studio"]
+    }
+    code = set(re.findall(r":pyobject: (\w+)", pages["gallery.md"]))
+    assert code == drawing - {"architecture"}  # that one is on a page of its own
+
+
+def test_executed_notebooks_take_the_place_of_bare_ones(tmp_path: Path) -> None:
+    gather = load(DOCS / "extensions/notebook_pages.py").gather
+    bare, executed, pages = (tmp_path / name for name in ("bare", "executed", "pages"))
+    for folder in (bare, executed, pages):
+        folder.mkdir()
+    (bare / "a.ipynb").write_text("a")
+    (bare / "b.ipynb").write_text("b")
+    (executed / "b.ipynb").write_text("b, executed")
+    (pages / "gone.ipynb").write_text("of a notebook that was renamed")
+    gather(bare, executed, pages)
+    assert {p.name: p.read_text() for p in pages.iterdir()} == {
+        "a.ipynb": "a",
+        "b.ipynb": "b, executed",
+    }
+    gather(bare, None, pages)
+    assert (pages / "b.ipynb").read_text() == "b"
