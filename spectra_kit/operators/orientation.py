@@ -302,7 +302,7 @@ def orientation_operator(
 
 
 def skew(oriented: OrientedTriangles, f: ArrayLike, g: ArrayLike) -> Floats:
-    """Return ``n . (grad f x grad g)`` at the points: it changes sign in a mirror.
+    """Return ``n · (grad f x grad g)`` at the points: it changes sign in a mirror.
 
     Parameters
     ----------
