@@ -1,17 +1,11 @@
-"""One HTML file with everything in it: geometry, modes, numbers, and the program that shows them."""
+"""One HTML file with everything in it: geometry, modes, numbers, and what shows them."""
 
 from __future__ import annotations
 
 import base64
-import hashlib
-import html
-import json
 import os
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spectra_kit._files import atomic_path
+from spectra_kit._files import atomic_path, check_target
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.explorer.display import Display, for_display
+from spectra_kit.explorer.document import assembled
 from spectra_kit.explorer.facts import colour_facts, comparison_facts, numbers, spectrum_facts
 from spectra_kit.explorer.payload import (
     Quantised,
@@ -207,10 +202,7 @@ def _check(
     """Refuse what cannot become a page, before any work is done."""
     if Path(path).suffix.lower() not in (".html", ".htm"):
         raise InvalidInputError(f"`path` must end in .html, got {os.fspath(path)!r}")
-    if not Path(path).resolve().parent.is_dir():
-        raise InvalidInputError(
-            f"cannot write {os.fspath(path)!r}: the folder {str(Path(path).parent)!r} does not exist"
-        )
+    check_target(path)
     if geometry.n != exact.n:
         raise InvalidInputError(
             f"`geometry` must have the {exact.n} points of the spectrum, got {geometry.n}"
@@ -252,7 +244,7 @@ def _rounding(carried: list[Floats], shown: list[Quantised]) -> float:
 
 def _view(geometry: Geometry, up: Literal["x", "y", "z"] | None) -> dict[str, Any]:
     """Where the viewer stands at first, and the axis around which a drag turns."""
-    right, _, towards = choose_view(geometry, up=up)  # type: ignore[arg-type]
+    right, _, towards = choose_view(geometry, up=up)
     vertical = np.eye(3)[np.argmin(np.abs(right))]  # the view is level: only this one is across
     return {"towards": numbers(towards), "vertical": vertical.tolist()}
 
@@ -292,7 +284,7 @@ def _write(
     blocks = {"geometry": packed(*parts)}
     for name, functions in zip(("exact", "predicted"), shown, strict=False):
         blocks[name] = packed(steps16(functions.steps))
-    text = _assembled(facts, blocks).encode("utf-8")
+    text = assembled(facts, blocks).encode("utf-8")
     with atomic_path(path) as part:
         part.write_bytes(text)
     return len(text)
@@ -309,30 +301,3 @@ def _normals(cloud: PointCloud) -> NDArray[np.int64]:
     if cloud.n < 4:
         return np.zeros((cloud.n, 3), dtype=np.int64)
     return np.round(127 * orient_normals(cloud, estimate_normals(cloud))).astype(np.int64)
-
-
-def _assembled(facts: dict[str, Any], blocks: dict[str, str]) -> str:
-    """The template with everything in its place."""
-    script = _asset("explorer.js").replace("</script", "<\\/script")
-    digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
-    # Inside <script> only "<" could end the block; JSON may write it as an escape.
-    record = json.dumps(facts, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    data = "\n".join(
-        f'<script type="application/octet-stream" id="{name}">{text}</script>'
-        for name, text in blocks.items()
-    )
-    content = {
-        "TITLE": html.escape(facts["title"] or "Spectrum explorer"),
-        "DIGEST": digest,
-        "STYLE": _asset("explorer.css"),
-        "FACTS": record,
-        "DATA": data,
-        "SCRIPT": script,
-    }
-    # One pass: what is put in is not searched again.
-    return re.sub(r"%%([A-Z]+)%%", lambda m: content[m[1]], _asset("explorer.html"))
-
-
-@cache
-def _asset(name: str) -> str:
-    return (resources.files("spectra_kit.explorer") / "assets" / name).read_text("utf-8")

@@ -13,8 +13,16 @@ export function short(value, digits = 3) {
     const [mantissa, exponent] = value.toExponential(Math.max(digits - 2, 1)).split("e");
     return `${mantissa}e${Number(exponent)}`.replace(/-/g, "−");
   }
+  if (size >= 1e4) return whole.format(Math.round(value)).replace("-", "−");
   const places = Math.max(0, digits - 1 - Math.floor(Math.log10(size)));
   return value.toFixed(places).replace("-", "−");
+}
+
+/** A number on an axis, without zeros that say nothing. */
+export function tick(value) {
+  const size = Math.abs(value);
+  if (value !== 0 && (size >= 1e6 || size < 1e-3)) return short(value);
+  return new Intl.NumberFormat("en-US", { maximumSignificantDigits: 6 }).format(value);
 }
 
 /** A relative change in per cent, with its sign. */

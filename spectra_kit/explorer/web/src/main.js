@@ -48,6 +48,8 @@ function head(facts) {
     );
   notes.push("Functions times √area; values rounded to 1/65,534 of the range of their mode.");
   if (facts.predicted)
+    notes.push(`Differences below ${short((8 / 32767) * 100, 2)} % of a mode are not shown.`);
+  if (facts.predicted)
     notes.push(`Signs, and bases within clusters of near-equal λ, of “${facts.names[1]}” chosen to look like “${facts.names[0]}”.`);
   $("note").textContent = notes.join(" ");
 }
@@ -57,7 +59,8 @@ function legend(facts) {
   const items = [["exact", facts.names[0]]];
   if (facts.predicted) items.push(["predicted", facts.names[1]]);
   items.push(["weyl", "Weyl’s law 4π j / area"]);
-  if (facts.exact.residuals || facts.predicted?.residuals) items.push(["bars", "residual: a true λ lies within"]);
+  const visible = (spectrum) => spectrum?.residuals?.some((r) => r > 0.005 * Math.max(...spectrum.eigenvalues));
+  if (visible(facts.exact) || visible(facts.predicted)) items.push(["bars", "residual: a true λ lies within"]);
   $("legend").replaceChildren(
     ...items.map(([kind, name]) => {
       const item = document.createElement("li");
@@ -80,23 +83,24 @@ function ramps(facts) {
 function captions(facts, mode, words) {
   const { exact, predicted, comparison, colours, names } = facts;
   const partner = comparison?.partner[mode];
-  const moved = partner !== undefined && partner !== mode ? ` (its mode ${partner})` : "";
+  $("moved").textContent = partner !== undefined && partner !== mode ? `its mode ${partner}` : "";
   const residual = (spectrum) => (spectrum.relative ? `relative residual ${short(spectrum.relative[mode], 2)}` : "not certified");
   const write = (view, title, first, second, limit) => {
     const part = (name) => $(view).querySelector(name);
-    part("h2").textContent = title;
+    part("h2").firstChild.textContent = title;
     part(".first").textContent = first;
     part(".second").textContent = second;
     part(".low").textContent = `−${short(limit, 2)}`;
     part(".high").textContent = `+${short(limit, 2)}`;
   };
   write("view-exact", names[0], `λ = ${short(exact.eigenvalues[mode], 5)}`, residual(exact), colours.limit[mode]);
+  words.textContent = `mode ${mode}, eigenvalue ${short(exact.eigenvalues[mode], 4)}`;
   if (!predicted) return;
   const change = comparison.eigenvalue_error[mode];
   const relative = change === null ? "" : ` (${percent(change)})`;
   write(
     "view-predicted",
-    `${names[1]}${moved}`,
+    names[1],
     `λ = ${short(predicted.eigenvalues[mode], 5)}${relative}`,
     residual(predicted),
     colours.limit[mode],
@@ -110,7 +114,6 @@ function captions(facts, mode, words) {
     hidden ? `under ${short((8 / 32767) * 100, 2)} % of the mode` : `outside the span ${short(comparison.span_error[mode], 2)}`,
     colours.difference[mode],
   );
-  words.textContent = `mode ${mode}`;
 }
 
 async function main() {
@@ -169,7 +172,7 @@ async function main() {
     if (facts.predicted && $("difference").getAttribute("aria-pressed") === "true") views.push(["view-difference", 2]);
     document.body.dataset.views = views.length;
     $("view-difference").hidden = views.length < 3;
-    stage.views = views.map(([id, which]) => ({ pane: $(id).querySelector(".pane"), which, gain: 1 }));
+    stage.views = views.map(([id, which]) => ({ card: $(id), pane: $(id).querySelector(".pane"), which, gain: 1 }));
     const now = mode;
     mode = -1;
     choose(Math.max(now, 0));
@@ -186,7 +189,7 @@ async function main() {
 function controls(facts, stage, choose, current, arrange) {
   const k = facts.exact.eigenvalues.length;
   for (const id of ["slider", "number"]) $(id).max = k - 1;
-  $("of").textContent = `of ${k - 1}`;
+  $("of").textContent = `0 – ${k - 1}`;
   $("slider").addEventListener("input", () => choose($("slider").valueAsNumber));
   $("number").addEventListener("input", () => $("number").value !== "" && choose($("number").valueAsNumber));
   $("number").addEventListener("change", () => ($("number").value = current()));

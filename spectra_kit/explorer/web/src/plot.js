@@ -1,13 +1,13 @@
 // Eigenvalues against their number, and below them how far the two spectra are apart.
 
-import { count, percent, short } from "./format.js";
+import { count, percent, short, tick as axis } from "./format.js";
 
 const NS = "http://www.w3.org/2000/svg";
 const LEFT = 52;
 const RIGHT = 14;
 const TOP = 12;
 const BOTTOM = 30;
-const GAP = 22;
+const GAP = 28;
 
 export class Plot {
   /** `choose` is called with the mode that was clicked. */
@@ -91,7 +91,7 @@ export class Plot {
     this.y = (value) => this.split - ((this.split - TOP) * Math.min(Math.max(value, 0), top)) / top;
     for (const tick of ticks(0, top, Math.max((this.split - TOP) / 34, 2))) {
       this.add("line", { class: "grid", x1: LEFT, x2: LEFT + this.width, y1: this.y(tick), y2: this.y(tick) });
-      this.text(tick ? short(tick) : "0", LEFT - 8, this.y(tick) + 4, { class: "tick", "text-anchor": "end" });
+      this.text(axis(tick), LEFT - 8, this.y(tick) + 4, { class: "tick", "text-anchor": "end" });
     }
     this.add("line", {
       class: "weyl",
@@ -151,7 +151,7 @@ export class Plot {
     sizes.forEach((size, mode) => {
       if (size !== null) this.add("circle", { cx: this.x(mode).toFixed(1), cy: y(size).toFixed(1), r: 1.6 }, dots);
     });
-    this.text("relative difference", LEFT + 6, above - 6, { class: "name" });
+    this.text("relative difference", LEFT + 6, above - 9, { class: "name" });
   }
 
   /** Mark the mode that is shown. */

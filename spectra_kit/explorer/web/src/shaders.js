@@ -44,20 +44,21 @@ export const FRAGMENT = /* glsl */ `
   void main() {
     vec3 view = normalize(-place);
     vec3 n = length(across) > 0.0 ? normalize(across) : view;
-    if (dot(n, view) < 0.0) n = -n;
+    // Faces know their side, points do not; at an outline a normal may lean away without turning.
+    if (round ? dot(n, view) < 0.0 : !gl_FrontFacing) n = -n;
     float shade = 1.0;
     if (round) {
       vec2 disc = 2.0 * gl_PointCoord - 1.0;
       float r = dot(disc, disc);
       if (r > 1.0) discard;
-      n = normalize(n + 0.45 * vec3(disc.x, -disc.y, sqrt(1.0 - r)));
+      n = normalize(n + 0.28 * vec3(disc.x, -disc.y, sqrt(1.0 - r)));
       shade = mix(1.0, 0.72, smoothstep(depths.x, depths.y, -place.z));
     }
     // A key light from above left, a fill from the right, the sky, all of which turn with the viewer.
     float key = max(dot(n, normalize(vec3(-0.45, 0.70, 0.80))), 0.0);
     float fill = max(dot(n, normalize(vec3(0.85, 0.10, 0.55))), 0.0);
     shade *= 0.30 + 0.10 * n.y + 0.58 * key + 0.20 * fill;
-    shade *= mix(0.72, 1.0, smoothstep(0.0, 0.5, dot(n, view)));
+    shade *= mix(0.72, 1.0, smoothstep(-0.1, 0.5, dot(n, view)));
     float gloss = 0.05 * pow(max(dot(n, normalize(normalize(vec3(-0.45, 0.70, 0.80)) + view)), 0.0), 24.0);
 
     float t = clamp(0.5 + 0.5 * value * swing, 0.0, 1.0) * (255.0 / 256.0) + 0.5 / 256.0;

@@ -19,7 +19,7 @@ import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { FRAGMENT, VERTEX } from "./shaders.js";
 
 const ANGLE = 28; // degrees, from the lower to the upper edge of a view
-const MARGIN = 1.06;
+const MARGIN = 1.08;
 const SWING = 0.06; // of the box: how far a mode moves the surface
 const PERIOD = 2400; // milliseconds
 
@@ -28,7 +28,7 @@ export class Stage {
     this.canvas = canvas;
     this.facts = facts;
     this.positions = geometry.positions;
-    this.views = []; // {pane, which, gain, lines}
+    this.views = []; // {card, pane, which, gain, lines}
     this.wave = false;
     this.playing = false;
     this.phase = 0;
@@ -40,6 +40,7 @@ export class Stage {
     this.camera = new PerspectiveCamera(ANGLE, 1, 0.01, 100);
     this.build(geometry);
     this.steer();
+    this.centre();
     this.fitted = 0;
   }
 
@@ -100,21 +101,40 @@ export class Stage {
   /** Back to the first view. */
   reset() {
     this.camera.position.fromArray(this.facts.towards).multiplyScalar(this.fitted || 4);
-    this.controls.target.set(0, 0, 0);
+    this.camera.position.add(this.middle);
+    this.controls.target.copy(this.middle);
     this.controls.update();
     this.invalidate();
   }
 
-  /** Distance from which everything is seen in a pane of this aspect, from the first direction. */
-  fit(aspect) {
+  /** The axes of the first view, and the middle of what it shows. */
+  centre() {
     const towards = new Vector3().fromArray(this.facts.towards).normalize();
     const right = new Vector3().fromArray(this.facts.vertical).cross(towards).normalize();
-    const above = towards.clone().cross(right);
+    this.axes = [right, towards.clone().cross(right), towards];
+    const point = new Vector3();
+    this.middle = new Vector3();
+    for (const axis of this.axes.slice(0, 2)) {
+      let [low, high] = [Infinity, -Infinity];
+      for (let i = 0; i < this.positions.length; i += 3) {
+        const along = point.fromArray(this.positions, i).dot(axis);
+        low = Math.min(low, along);
+        high = Math.max(high, along);
+      }
+      this.middle.addScaledVector(axis, (low + high) / 2);
+    }
+    this.controls.target.copy(this.middle);
+    this.camera.position.add(this.middle);
+  }
+
+  /** Distance from which everything is seen in a pane of this aspect, from the first direction. */
+  fit(aspect) {
+    const [right, above, towards] = this.axes;
     const vertical = Math.tan((ANGLE * Math.PI) / 360);
     const point = new Vector3();
     let distance = 0;
     for (let i = 0; i < this.positions.length; i += 3) {
-      point.fromArray(this.positions, i);
+      point.fromArray(this.positions, i).sub(this.middle);
       const out = Math.max(
         Math.abs(point.dot(right)) / (vertical * aspect),
         Math.abs(point.dot(above)) / vertical,
@@ -163,17 +183,19 @@ export class Stage {
     this.controls.update(); // asks for another frame while the camera glides
     const uniforms = this.material.uniforms;
     const box = this.canvas.getBoundingClientRect();
-    const distance = this.camera.position.length();
+    const distance = this.camera.position.length(); // from the middle of the box
     this.camera.near = Math.max(distance - 1.6 * this.radius, 0.002 * distance);
     this.camera.far = distance + 1.6 * this.radius;
-    this.camera.updateProjectionMatrix();
     uniforms.depths.value.set(distance - this.radius, distance + this.radius);
     uniforms.swing.value = this.wave ? Math.cos(this.phase) : 1;
     this.renderer.setScissor(0, 0, box.width, box.height);
     this.renderer.clear();
-    for (const { pane, which, gain } of this.views) {
-      const { left, bottom, width, height } = pane.getBoundingClientRect();
-      if (!width) continue;
+    for (const { card, pane, which, gain } of this.views) {
+      // The camera is aimed at the pane; what reaches beyond it is drawn on the rest of the card.
+      const inner = pane.getBoundingClientRect();
+      const { left, top, bottom, width, height } = card.getBoundingClientRect();
+      if (!inner.width) continue;
+      this.camera.setViewOffset(inner.width, inner.height, left - inner.left, top - inner.top, width, height);
       this.renderer.setViewport(left - box.left, box.bottom - bottom, width, height);
       this.renderer.setScissor(left - box.left, box.bottom - bottom, width, height);
       uniforms.which.value = which;
@@ -181,7 +203,7 @@ export class Stage {
       uniforms.amplitude.value = this.wave && which < 2 ? SWING : 0;
       uniforms.lines.value = this.nodal && which < 2 ? 0.8 * this.renderer.getPixelRatio() : 0;
       uniforms.pixels.value =
-        (height * this.renderer.getPixelRatio()) / (2 * Math.tan((ANGLE * Math.PI) / 360));
+        (inner.height * this.renderer.getPixelRatio()) / (2 * Math.tan((ANGLE * Math.PI) / 360));
       this.material.uniformsNeedUpdate = true;
       this.renderer.render(this.scene, this.camera);
     }

@@ -6,32 +6,34 @@ export class Table {
   constructor(host, facts, choose) {
     this.host = host;
     const { exact, predicted, comparison, names } = facts;
-    const columns = [["mode", (m) => String(m)]];
-    columns.push([`λ ${names[0]}`, (m) => short(exact.eigenvalues[m], 5)]);
+    const columns = [["mode", "Counted from 0", (m) => String(m)]];
+    columns.push([`λ\u00a0${names[0]}`, "Eigenvalue, in 1 / length²", (m) => short(exact.eigenvalues[m], 5)]);
     if (predicted) {
-      columns.push([`λ ${names[1]}`, (m) => short(predicted.eigenvalues[m], 5)]);
-      columns.push(["difference of λ", (m) => percent(comparison.eigenvalue_error[m])]);
+      columns.push([`λ\u00a0${names[1]}`, "Eigenvalue of its partner, in 1 / length²", (m) => short(predicted.eigenvalues[m], 5)]);
+      columns.push(["Δλ\u00a0/\u00a0λ", "Relative difference of the eigenvalues", (m) => percent(comparison.eigenvalue_error[m])]);
     }
-    columns.push([predicted ? `residual ${names[0]}` : "relative residual", (m) => short(exact.relative?.[m], 2)]);
-    if (!predicted) columns.push(["certified to ±", (m) => short(exact.residuals?.[m], 2)]);
+    const residual = "|L u − λ M u|, relative to λ or the spacing of eigenvalues";
+    columns.push([predicted ? `residual ${names[0]}` : "relative residual", residual, (m) => short(exact.relative?.[m], 2)]);
+    if (!predicted) columns.push(["certified to ±", "Some true eigenvalue lies within this of λ", (m) => short(exact.residuals?.[m], 2)]);
     if (predicted) {
-      columns.push([`residual ${names[1]}`, (m) => short(predicted.relative?.[m], 2)]);
-      columns.push(["cluster error", (m) => short(comparison.cluster_error[m], 2)]);
-      columns.push(["span error", (m) => short(comparison.span_error[m], 2)]);
+      columns.push([`residual ${names[1]}`, residual, (m) => short(predicted.relative?.[m], 2)]);
+      columns.push(["cluster error", "|u − v|², after the best rotation within the cluster of near-equal λ", (m) => short(comparison.cluster_error[m], 2)]);
+      columns.push(["span error", "Energy of the mode outside the span of the others’ modes", (m) => short(comparison.span_error[m], 2)]);
     }
     const table = document.createElement("table");
     const head = table.createTHead().insertRow();
-    for (const [name] of columns) {
+    for (const [name, meaning] of columns) {
       const cell = document.createElement("th");
       cell.scope = "col";
       cell.textContent = name;
+      cell.title = meaning;
       head.append(cell);
     }
     const body = table.createTBody();
     this.rows = exact.eigenvalues.map((_, mode) => {
       const row = body.insertRow();
       row.dataset.mode = mode;
-      for (const [, text] of columns) row.insertCell().textContent = text(mode);
+      for (const [, , text] of columns) row.insertCell().textContent = text(mode);
       return row;
     });
     body.addEventListener("click", (event) => {
@@ -49,8 +51,8 @@ export class Table {
     // Scrolled within the table alone: the page stays where it is.
     const { offsetTop: top, offsetHeight: height } = this.current;
     const hidden = this.head.offsetHeight;
-    if (top - hidden < this.host.scrollTop) this.host.scrollTop = top - hidden;
-    else if (top + height > this.host.scrollTop + this.host.clientHeight)
-      this.host.scrollTop = top + height - this.host.clientHeight;
+    const room = this.host.clientHeight;
+    const above = top - this.host.scrollTop;
+    if (above < hidden || above + height > room) this.host.scrollTop = top - hidden - (room - hidden - height) / 2;
   }
 }
