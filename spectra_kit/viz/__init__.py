@@ -10,10 +10,12 @@ from spectra_kit.viz.correspondence import (
     plot_correspondence,
     plot_correspondences,
 )
+from spectra_kit.viz.fields import plot_fields
 from spectra_kit.viz.isolines import plot_distance
 from spectra_kit.viz.maps import plot_error_curves, plot_functional_map
-from spectra_kit.viz.modes import plot_comparison
-from spectra_kit.viz.page import Panel, plot_panels
+from spectra_kit.viz.modes import plot_comparison, plot_modes
+from spectra_kit.viz.page import plot_panels
+from spectra_kit.viz.panels import Panel
 from spectra_kit.viz.pareto import ParetoPoint, pareto_front, plot_pareto
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.solver_run import SolverRun
@@ -32,7 +34,9 @@ __all__ = [
     "plot_correspondences",
     "plot_distance",
     "plot_error_curves",
+    "plot_fields",
     "plot_functional_map",
+    "plot_modes",
     "plot_panels",
     "plot_pareto",
     "plot_spectrum",

@@ -10,6 +10,11 @@ from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
+# Ends of the diverging colours in Oklab: as far from white, as dark and as strong as each other.
+# Blue and vermilion stay apart for whoever lacks one kind of cone.
+_DARK, _STRONG, _BLUE, _RED = 0.48, 0.175, 258.0, 28.0  # lightness, chroma, hues in degrees
+_EARLY = 0.4  # chroma rises faster than the lightness falls: clear colours half way
+
 UNKNOWN = (205, 205, 205)  # of a point whose error is not known
 
 _SQUARES = 16  # along the longest side
@@ -24,6 +29,25 @@ _TO_RGB = np.array(
         [-0.0041960863, -0.7034186147, 1.7076147010],
     ]
 )
+
+
+def diverging_colours(values: Floats) -> Bytes:
+    """Colour values (n,) in [-1, 1], cut off there: blue to white at zero to red.
+
+    Lightness (in Oklab) falls by equal steps on both sides, and equally far.
+    """
+    part = np.abs(np.clip(values, -1.0, 1.0))
+    hue = np.deg2rad(np.where(values < 0, _BLUE, _RED))
+    chroma = _STRONG * part * (1 + _EARLY * (1 - part))
+    lightness = 1 - (1 - _DARK) * part
+    return oklab_to_srgb(np.column_stack([lightness, chroma * np.cos(hue), chroma * np.sin(hue)]))
+
+
+def sequential_colours(values: Floats) -> Bytes:
+    """Colour values (n,) in [0, 1], cut off there: Matplotlib's viridis, dark to light."""
+    from matplotlib import colormaps
+
+    return np.asarray(colormaps["viridis"](np.clip(values, 0.0, 1.0), bytes=True))[..., :3]
 
 
 def position_colours(positions: Floats, low: Floats, high: Floats, *, squares: bool) -> Bytes:

@@ -84,10 +84,8 @@ def plot_convergence(
     >>> times, residuals = np.array([0.0, 0.1, 0.2]), np.array([1.0, 1e-4, 1e-9])
     >>> run = SolverRun(name="CG", stages={"setup": 0.1}, times=times, residuals=residuals)
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "convergence.png"
-    ...     plot_convergence(path, [run], dpi=40)
-    ...     path.exists()
-    True
+    ...     plot_convergence(f"{folder}/convergence.png", [run], dpi=40).path.name
+    'convergence.png'
     """
     check_picture_path(path)
     if not runs:

@@ -122,10 +122,8 @@ def plot_correspondence(
     >>> from spectra_kit.geometry import creature_pair
     >>> source, target, point_map = creature_pair(600)
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "map.png"
-    ...     plot_correspondence(path, source, target, point_map, dpi=30)
-    ...     path.exists()
-    True
+    ...     plot_correspondence(f"{folder}/map.png", source, target, point_map, dpi=30).path.name
+    'map.png'
     """
     pair = MatchedPair(
         source=source, target=target, point_map=point_map, errors=errors, names=names
@@ -180,10 +178,8 @@ def plot_correspondences(
     >>> source, target, point_map = creature_pair(600)
     >>> pair = MatchedPair(source=source, target=target, point_map=point_map, name="truth")
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "maps.png"
-    ...     plot_correspondences(path, [pair], dpi=30)
-    ...     path.exists()
-    True
+    ...     plot_correspondences(f"{folder}/maps.png", [pair], dpi=30).path.name
+    'maps.png'
     """
     if not pairs:
         raise InvalidInputError("`pairs` must hold at least one MatchedPair, got none")

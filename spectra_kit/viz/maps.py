@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from spectra_kit._validate import check_positive, real_array
 from spectra_kit.correspondence import accuracy_curve, auc
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.viz.colours import diverging_colours
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.sheet import check_picture_path, head, line_style, new_figure, save, tidy
 
@@ -56,11 +57,11 @@ def plot_functional_map(
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "map.png"
-    ...     plot_functional_map(path, np.eye(20), dpi=40)
-    ...     path.exists()
-    True
+    ...     plot_functional_map(f"{folder}/map.png", np.eye(20), dpi=40).path.name
+    'map.png'
     """
+    from matplotlib.colors import ListedColormap
+
     check_picture_path(path)
     matrix = real_array("functional_map", functional_map)
     if matrix.ndim != 2 or not matrix.size:
@@ -69,7 +70,8 @@ def plot_functional_map(
     tall = float(np.clip(4.4 * rows / columns, 1.5, 9.0)) + 0.5 + head(title, subtitle)
     figure = new_figure(5.8, tall, title=title, subtitle=subtitle, dpi=dpi, constrained=True)
     panel = figure.add_subplot()
-    image = panel.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1, interpolation="none")
+    colours = ListedColormap(diverging_colours(np.linspace(-1.0, 1.0, 255)) / 255)
+    image = panel.imshow(matrix, cmap=colours, vmin=-1, vmax=1, interpolation="none")
     panel.set(xlabel="mode of the source", ylabel="mode of the target")
     figure.colorbar(image, ax=panel, shrink=0.6, aspect=30, ticks=[-1, 0, 1])
     return save(figure, path, dpi)
@@ -121,10 +123,8 @@ def plot_error_curves(
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "curves.png"
-    ...     plot_error_curves(path, {"ours": [0.0, 1.0, 2.5], "theirs": [1.0, 8.0, 30.0]}, dpi=40)
-    ...     path.exists()
-    True
+    ...     plot_error_curves(f"{folder}/curves.svg", {"ours": [0.0, 2.5], "theirs": [8.0]}).path.name
+    'curves.svg'
     """
     check_picture_path(path)
     limit = check_positive("limit", limit)

@@ -1,4 +1,4 @@
-"""Modes of two spectra side by side."""
+"""Modes of a spectrum in a gallery, and of two side by side."""
 
 from __future__ import annotations
 
@@ -13,14 +13,106 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.metrics import Comparison, align_modes
 from spectra_kit.spectrum import Spectrum
-from spectra_kit.viz.page import Panel, plot_panels
+from spectra_kit.viz.camera import Up
+from spectra_kit.viz.page import plot_gallery, plot_panels
+from spectra_kit.viz.panels import Panel, symmetric_limit
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import Picture
+from spectra_kit.viz.sheet import check_picture_path
 
 Floats = NDArray[np.float64]
 
-_PERCENTILE = 99.0  # a lone spike must not bleach the rest
+_SHOWN = 12  # modes of a gallery
 _FAINT = 1e-4  # differences below this part of the mode stay white
+
+
+def plot_modes(
+    path: str | os.PathLike[str],
+    geometry: Geometry,
+    spectrum: Spectrum,
+    *,
+    modes: Sequence[int] | None = None,
+    nodal_lines: bool = True,
+    columns: int | None = None,
+    up: Up | None = None,
+    title: str = "",
+    subtitle: str = "",
+    dpi: int = 200,
+) -> Picture:
+    """Draw a gallery of modes, each with its number, eigenvalue and residual.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    geometry : TriangleMesh or PointCloud
+        The points that the spectrum lives on. A cloud is drawn as balls that overlap a little.
+    spectrum : Spectrum
+        Eigenvalues are in 1/length^2, as printed.
+    modes : sequence of int, optional
+        Which modes, counted from 0; by default the first twelve that are not constant.
+    nodal_lines : bool, default True
+        Draw where each mode is zero.
+    columns : int, optional
+        How many pictures stand beside each other; by default what fits the page best.
+    up : {"x", "y", "z"}, optional
+        The axis that points up in the picture; by default the one the geometry seems to stand on.
+    title, subtitle : str, optional
+        Two lines at the head of the page.
+    dpi : int, default 200
+        Pixels per inch, 600 for print; the page is at most 11 inches wide.
+
+    Returns
+    -------
+    Picture
+        Of the file written.
+
+    Raises
+    ------
+    InvalidInputError
+        If a mode is out of range, there is none to show, sizes disagree, or `path` cannot be
+        written.
+    MissingDependencyError
+        If there is no PyVista, or no OpenGL library that it can draw with.
+
+    Notes
+    -----
+    Modes are multiplied by sqrt(area), which makes the constant one 1 and frees the colours of
+    units. The sign of a mode means nothing: in the picture its largest value is positive. Each has
+    its own colour limit, which one point in a hundred may exceed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit.geometry import sphere
+    >>> ball = sphere(subdivisions=2).geometry
+    >>> spectrum = eigensolve(robust_laplacian(ball), 4)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     plot_modes(f"{folder}/modes.png", ball, spectrum, dpi=30).path.name
+    'modes.png'
+    """
+    check_picture_path(path)
+    _check_points(geometry, spectrum)
+    if modes is None:
+        first = min(spectrum.n_zero_modes, spectrum.k - 1)
+        modes = range(first, min(first + _SHOWN, spectrum.k))
+    if not len(modes):
+        raise InvalidInputError("`modes` must name at least one mode, got none")
+    chosen = [check_count("modes", mode, low=0, high=spectrum.k - 1) for mode in modes]
+    if columns is not None:
+        check_count("columns", columns, low=1)
+    return plot_gallery(
+        path,
+        geometry,
+        [_panel(spectrum, mode, (0.0,) if nodal_lines else ()) for mode in chosen],
+        columns=columns,
+        one_bar=False,
+        up=up,
+        title=title,
+        subtitle=subtitle,
+        dpi=dpi,
+    )
 
 
 def plot_comparison(
@@ -32,6 +124,8 @@ def plot_comparison(
     *,
     modes: Sequence[int],
     names: tuple[str, str] = ("exact", "predicted"),
+    nodal_lines: bool = True,
+    up: Up | None = None,
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
@@ -52,6 +146,10 @@ def plot_comparison(
         Which modes, counted from 0 (mode 0 is constant on a connected surface).
     names : tuple of str, default ("exact", "predicted")
         What to call the two.
+    nodal_lines : bool, default True
+        Draw where the modes (not their difference) are zero.
+    up : {"x", "y", "z"}, optional
+        The axis that points up in the picture; by default the one the geometry seems to stand on.
     title, subtitle : str, optional
         Two lines at the head of the page.
     dpi : int, default 200
@@ -74,31 +172,46 @@ def plot_comparison(
     has its own; both are printed. Predicted modes are aligned by `align_modes`: signs, and bases
     inside a cluster of near-equal eigenvalues, are chosen to look alike.
     """
-    if geometry.n != exact.n:
-        raise InvalidInputError(
-            f"`geometry` must have the {exact.n} points of the spectra, got {geometry.n}"
-        )
+    check_picture_path(path)
+    _check_points(geometry, exact)
     chosen = [check_count("modes", mode, low=0, high=comparison.k - 1) for mode in modes]
     aligned = align_modes(exact, predicted, comparison)
+    levels = (0.0,) if nodal_lines else ()
     return plot_panels(
         path,
         geometry,
-        [_panels(exact, predicted, aligned[:, i], comparison, i) for i in chosen],
+        [_panels(exact, predicted, aligned[:, i], comparison, i, levels) for i in chosen],
         rows_named=[f"mode {i}" for i in chosen],
         columns_named=[*names, "difference"],
+        up=up,
         title=title,
         subtitle=subtitle,
         dpi=dpi,
     )
 
 
+def _panel(spectrum: Spectrum, mode: int, levels: tuple[float, ...]) -> Panel:
+    """One mode of a gallery."""
+    values = np.sqrt(spectrum.area) * spectrum.eigenvectors[:, mode]
+    values = values * (np.sign(values[np.abs(values).argmax()]) or 1.0)
+    zero = mode < spectrum.n_zero_modes
+    text = f"mode {mode}    λ = {0 if zero else spectrum.eigenvalues[mode]:.5g}"
+    lines = (text, _residual(spectrum, mode))
+    return Panel(values=values, limit=symmetric_limit(values), lines=lines, levels=levels)
+
+
 def _panels(
-    exact: Spectrum, predicted: Spectrum, aligned: Floats, comparison: Comparison, mode: int
+    exact: Spectrum,
+    predicted: Spectrum,
+    aligned: Floats,
+    comparison: Comparison,
+    mode: int,
+    levels: tuple[float, ...],
 ) -> tuple[Panel, Panel, Panel]:
     """One mode: exact, predicted (already aligned), difference."""
     root = np.sqrt(exact.area)
     left, right = root * exact.eigenvectors[:, mode], root * aligned
-    limit = _limit(left, right)
+    limit = symmetric_limit(left, right)
     true, guess = comparison.eigenvalues[mode], comparison.predicted_eigenvalues[mode]
     zero = mode < comparison.n_zero_modes
     exact_text = "λ = 0" if zero else f"λ = {true:.5g}"
@@ -106,15 +219,16 @@ def _panels(
     size = next(stop - start for start, stop in comparison.clusters if start <= mode < stop)
     beside = f" (cluster of {size})" if size > 1 else ""
     return (
-        Panel(values=left, limit=limit, lines=(exact_text, _residual(exact, mode))),
+        Panel(values=left, limit=limit, lines=(exact_text, _residual(exact, mode)), levels=levels),
         Panel(
             values=right,
             limit=limit,
             lines=(f"λ = {guess:.5g}{change}", _residual(predicted, comparison.match[mode])),
+            levels=levels,
         ),
         Panel(
             values=right - left,
-            limit=max(_limit(right - left), _FAINT * limit),
+            limit=max(symmetric_limit(right - left), _FAINT * limit),
             lines=(
                 f"error {short(comparison.cluster_error[mode])}{beside}",
                 f"outside the span {short(comparison.span_error[mode])}",
@@ -123,9 +237,11 @@ def _panels(
     )
 
 
-def _limit(*functions: Floats) -> float:
-    """The symmetric colour limit of all these functions together."""
-    return max(float(np.percentile(np.abs(f), _PERCENTILE)) for f in functions) or 1.0
+def _check_points(geometry: Geometry, spectrum: Spectrum) -> None:
+    if geometry.n != spectrum.n:
+        raise InvalidInputError(
+            f"`geometry` must have the {spectrum.n} points of the spectrum, got {geometry.n}"
+        )
 
 
 def _residual(spectrum: Spectrum, mode: int) -> str:

@@ -1,4 +1,4 @@
-"""A table of pictures on one page, with its heads, captions and colour bars.
+"""Tables and galleries of pictures on one page, with their heads, captions and colour bars.
 
 Matplotlib sets the page; it is imported when a page is drawn.
 """
@@ -7,53 +7,26 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
-from spectra_kit.viz.camera import choose_view
-from spectra_kit.viz.pen import Pen, short
+from spectra_kit.viz.camera import Up, choose_view
+from spectra_kit.viz.panels import Panel, draw_panels
+from spectra_kit.viz.pen import Pen
 from spectra_kit.viz.picture import Picture
-from spectra_kit.viz.render import Scene, render
 from spectra_kit.viz.sheet import MARGIN, check_picture_path, head, new_figure, save
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-
-_COLOURS = "RdBu_r"  # diverging, told apart with every kind of colour blindness
 
 # Inches.
 _WIDTH, _WIDEST_CELL, _GAP = 11.0, 4.5, 0.18
-_HEAD, _SIDE, _CAPTION, _BAR = 0.34, 0.34, 0.40, 0.26
+_HEAD, _SIDE, _LINE, _BAR = 0.34, 0.34, 0.17, 0.26
 _TALLEST = 2.2  # pictures, height over cell width
-_ASPECT = 1.0  # of the page, width over height: decides whether modes are rows or columns
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Panel:
-    """One picture: a function on the geometry, its colour limit, and two lines of text.
-
-    Attributes
-    ----------
-    values : ndarray of shape (n,)
-        One value per point.
-    limit : float
-        The colours run from -limit to +limit, white at zero.
-    lines : tuple of str
-        Set above the picture.
-    """
-
-    values: Floats
-    limit: float
-    lines: tuple[str, ...] = ()
+_EMPTY = 0.2  # what a place left empty counts against a misfit of the page
+_TABLE, _GALLERY = 1.0, 1.4  # the wanted aspect of a page, width over height
 
 
 def plot_panels(
@@ -63,6 +36,7 @@ def plot_panels(
     *,
     rows_named: Sequence[str],
     columns_named: Sequence[str],
+    up: Up | None = None,
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
@@ -79,6 +53,8 @@ def plot_panels(
         A full table. It is transposed where that fits the page better.
     rows_named, columns_named : sequence of str
         The heads of the table.
+    up : {"x", "y", "z"}, optional
+        The axis that points up in the picture; by default the one the geometry seems to stand on.
     title, subtitle : str, optional
         Two lines at the head of the page.
     dpi : int, default 200
@@ -102,10 +78,11 @@ def plot_panels(
     >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     >>> panel = Panel(values=mesh.points[:, 0], limit=1.0, lines=("x",))
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "x.png"
-    ...     plot_panels(path, mesh, [[panel]], rows_named=["x"], columns_named=["a"], dpi=40)
-    ...     path.exists()
-    True
+    ...     picture = plot_panels(
+    ...         f"{folder}/x.png", mesh, [[panel]], rows_named=["x"], columns_named=["a"], dpi=40
+    ...     )
+    >>> picture.path.name
+    'x.png'
     """
     check_picture_path(path)
     if not rows or {len(row) for row in rows} != {len(columns_named)} or not columns_named:
@@ -113,66 +90,97 @@ def plot_panels(
             f"`rows` must be a table of {len(columns_named)} columns,"
             f" got rows of {[len(row) for row in rows]}"
         )
-    for panel in (panel for row in rows for panel in row):
-        if real_array("values", panel.values).shape != (geometry.n,):
-            raise InvalidInputError(
-                f"`values` must have shape ({geometry.n},), got {np.shape(panel.values)}"
-            )
     table, across, down = [list(row) for row in rows], list(columns_named), list(rows_named)
-    rotation = choose_view(geometry)
-    extent = np.ptp(geometry.points @ rotation.T, axis=0)[:2]
-    aspect = float(np.clip(extent[1] / max(extent[0], 1e-300), 0.1, 8.0))
-    if _misfit(len(across), len(down), aspect) > _misfit(len(down), len(across), aspect):
+    rotation = choose_view(geometry, up=up)
+    aspect = _aspect(geometry, rotation)
+    misfits = [
+        _misfit(columns, rows, aspect, _TABLE)
+        for columns, rows in ((len(across), len(down)), (len(down), len(across)))
+    ]
+    if misfits[0] > misfits[1]:
         table, across, down = [list(row) for row in zip(*table, strict=True)], down, across
-
-    cell = _cell_width(len(across))
-    width = cell if aspect < _TALLEST else cell * _TALLEST / aspect
-    functions = [panel.values / panel.limit for row in table for panel in row]
-    scene = Scene(
-        geometry=geometry,
-        functions=functions,
-        rotation=rotation,
-        width=round(width * dpi),
-        colours=_colours(np.linspace(-1.0, 1.0, 256)),
-    )
-    (pictures,) = render([scene])
-    return save(_set_page(table, across, down, pictures, cell, title, subtitle, dpi), path, dpi)
+    return _set_page(path, geometry, table, rotation, (across, down), False, (title, subtitle), dpi)
 
 
-def _set_page(
-    table: list[list[Panel]],
-    across: list[str],
-    down: list[str],
-    pictures: Bytes,
-    cell: float,
+def plot_gallery(
+    path: str | os.PathLike[str],
+    geometry: Geometry,
+    panels: Sequence[Panel],
+    *,
+    columns: int | None,
+    one_bar: bool,
+    up: Up | None,
     title: str,
     subtitle: str,
     dpi: int,
-) -> Figure:
-    """Place pictures, captions and colour bars; everything is measured in inches from the top."""
-    picture_height, picture_width = (side / dpi for side in pictures.shape[1:3])
-    row_height = _CAPTION + picture_height + _BAR
-    begin = head(title, subtitle)
-    height = begin + _HEAD + len(down) * (row_height + _GAP) + MARGIN
-    width = 2 * MARGIN + _SIDE + len(across) * (cell + _GAP) - _GAP
-    figure = new_figure(width, height, title=title, subtitle=subtitle, dpi=dpi)
-    pen = Pen(figure)
-    strip = _colours(np.linspace(-1.0, 1.0, 512))
-    lefts = [MARGIN + _SIDE + i * (cell + _GAP) for i in range(len(across))]
-    for left, name in zip(lefts, across, strict=True):
-        pen.text(name, left, begin + 0.22, cell, 12, bold=True, centred=True)
-    remaining = iter(pictures)
-    for r, name in enumerate(down):
-        top = begin + _HEAD + r * (row_height + _GAP)
-        pen.sideways(name, MARGIN + 0.12, top + _CAPTION + picture_height / 2, row_height)
-        for left, panel in zip(lefts, table[r], strict=True):
-            for line, text in enumerate(panel.lines):
-                colour = "0.1" if line == 0 else "0.4"
-                pen.text(text, left, top + 0.15 + 0.17 * line, cell, 9, colour=colour, centred=True)
-            pen.picture(next(remaining), left + (cell - picture_width) / 2, top + _CAPTION)
-            ends = "\N{MINUS SIGN}" + short(panel.limit), "+" + short(panel.limit)
-            pen.bar(strip, ends, left, top + _CAPTION + picture_height + 0.13, cell)
-    return figure
+) -> Picture:
+    """Draw panels in reading order, in as many columns as fit best; `one_bar` for all at the foot.
+
+    What `plot_fields` and `plot_modes` have in common; the path has been checked.
+    """
+    rotation, n = choose_view(geometry, up=up), len(panels)
+    if columns is None:
+        aspect = _aspect(geometry, rotation)
+        columns = min(
+            range(1, n + 1),
+            key=lambda c: _misfit(c, -(-n // c), aspect, _GALLERY) + _EMPTY * (-n % c),
+        )
+    columns = min(columns, n)
+    table = [list(panels[i : i + columns]) for i in range(0, n, columns)]
+    return _set_page(path, geometry, table, rotation, None, one_bar, (title, subtitle), dpi)
+
+
+def _set_page(
+    path: str | os.PathLike[str],
+    geometry: Geometry,
+    table: list[list[Panel]],
+    rotation: Floats,
+    named: tuple[list[str], list[str]] | None,
+    one_bar: bool,
+    titles: tuple[str, str],
+    dpi: int,
+) -> Picture:
+    """Draw and place pictures, captions and bars; all is measured in inches from the top."""
+    columns, aspect = len(table[0]), _aspect(geometry, rotation)
+    cell = _cell_width(columns)
+    width = round((cell if aspect < _TALLEST else cell * _TALLEST / aspect) * dpi)
+    panels = [panel for row in table for panel in row]
+    pictures = draw_panels(geometry, panels, rotation=rotation, width=width, dpi=dpi)
+    tall, wide = (side / dpi for side in pictures[0].shape[:2])
+    caption = 0.06 + _LINE * max(len(panel.lines) for panel in panels)
+    row_height = caption + tall + (0.0 if one_bar else _BAR)
+    begin = head(*titles) + (_HEAD if named else 0.0)
+    side = _SIDE if named else 0.0
+    height = begin + len(table) * (row_height + _GAP) + MARGIN + (_BAR if one_bar else 0.0)
+    page_width = 2 * MARGIN + side + columns * (cell + _GAP) - _GAP
+    figure = new_figure(page_width, height, title=titles[0], subtitle=titles[1], dpi=dpi)
+    pen, remaining = Pen(figure), iter(pictures)
+
+    lefts = [MARGIN + side + i * (cell + _GAP) for i in range(columns)]
+    for left, name in zip(lefts, named[0] if named else (), strict=False):
+        pen.text(name, left, begin - _HEAD + 0.22, cell, 12, bold=True, centred=True)
+    for r, row in enumerate(table):
+        top = begin + r * (row_height + _GAP)
+        if named:
+            pen.sideways(named[1][r], MARGIN + 0.12, top + caption + tall / 2, row_height)
+        for left, panel in zip(lefts, row, strict=False):
+            for i, text in enumerate(panel.lines):
+                colour = "0.1" if i == 0 else "0.4"
+                pen.text(text, left, top + 0.15 + _LINE * i, cell, 9, colour=colour, centred=True)
+            pen.picture(next(remaining), left + (cell - wide) / 2, top + caption)
+            if not one_bar:
+                pen.bar(panel.colours(512), panel.ends(), left, top + caption + tall + 0.13, cell)
+    if one_bar:
+        length = min(page_width - 2 * MARGIN, 4.0)
+        left = (page_width - length) / 2
+        pen.bar(panels[0].colours(512), panels[0].ends(), left, height - MARGIN - 0.13, length)
+    return save(figure, path, dpi)
+
+
+def _aspect(geometry: Geometry, rotation: Floats) -> float:
+    """Height over width of the picture of a geometry."""
+    extent = np.ptp(geometry.points @ rotation.T, axis=0)[:2]
+    return float(np.clip(extent[1] / max(extent[0], 1e-300), 0.1, 8.0))
 
 
 def _cell_width(columns: int) -> float:
@@ -181,20 +189,9 @@ def _cell_width(columns: int) -> float:
     return min(room / columns, _WIDEST_CELL)
 
 
-def _misfit(columns: int, rows: int, aspect: float) -> float:
+def _misfit(columns: int, rows: int, aspect: float, wanted: float) -> float:
     """How far a page of that many pictures of that aspect is from the wanted one."""
-    height = (
-        head("any", "")
-        + _HEAD
-        + rows * (_cell_width(columns) * min(aspect, _TALLEST) + _CAPTION + _BAR + _GAP)
-    )
-    return abs(float(np.log(_WIDTH / height / _ASPECT)))
-
-
-def _colours(values: Floats) -> Bytes:
-    """RGB bytes of values in [-1, 1], white at zero."""
-    from matplotlib import colormaps
-
-    # The two ends of the map are nearly black: lit surfaces need some colour left.
-    scaled = 0.5 + 0.46 * np.clip(values, -1.0, 1.0)
-    return np.asarray(colormaps[_COLOURS](scaled, bytes=True))[..., :3]
+    cell = _cell_width(columns)
+    width = 2 * MARGIN + _SIDE + columns * (cell + _GAP) - _GAP
+    each = cell * min(aspect, _TALLEST) + 2 * _LINE + _BAR + _GAP
+    return abs(float(np.log(width / (head("any", "") + _HEAD + rows * each) / wanted)))

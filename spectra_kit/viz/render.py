@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,6 +52,10 @@ class Scene:
     swings : sequence of float, default (1,)
         Each function is drawn once for each of these, multiplied by it like its shift. All
         pictures have the same camera, with room for the largest shift.
+    lines : sequence of ndarray of shape (s, 2, 3), optional
+        For each function, segments to draw in dark grey a little before the surface.
+    line_width : float, default 2
+        Of these, in pixels: the same wherever they are, whatever way they run.
     """
 
     geometry: Geometry
@@ -63,15 +67,26 @@ class Scene:
     behind: bool = False
     shifts: Sequence[Floats] | None = None
     swings: Sequence[float] = (1.0,)
+    lines: Sequence[Floats] | None = None
+    line_width: float = 2.0
+
+    @property
+    def n_pictures(self) -> int:
+        """How many pictures it makes."""
+        return len(self.functions) * len(self.swings) * (2 if self.behind else 1)
 
 
-def render(scenes: Sequence[Scene]) -> list[Bytes]:
+def render(
+    scenes: Sequence[Scene], *, progress: Callable[[int, int], None] | None = None
+) -> list[Bytes]:
     """Draw scenes, all in one process: to start it takes longer than to draw.
 
     Parameters
     ----------
     scenes : sequence of Scene
         At least one.
+    progress : callable, optional
+        Called after each picture with the number of those drawn, and of all.
 
     Returns
     -------
@@ -86,24 +101,47 @@ def render(scenes: Sequence[Scene]) -> list[Bytes]:
     if importlib.util.find_spec("pyvista") is None:
         raise MissingDependencyError("pictures need PyVista: pip install pyvista")
     with tempfile.TemporaryDirectory() as folder:
+        total = sum(scene.n_pictures for scene in scenes)
         for i, scene in enumerate(scenes):
             np.savez(Path(folder) / f"request{i}.npz", **_request(scene))
         for environment in _environments():
-            run = subprocess.run(  # -P: the folder of the worker must not shadow other modules
-                [sys.executable, "-P", str(_WORKER), folder, str(len(scenes))],
-                env=environment,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-            if run.returncode == 0:
+            # -P: the folder of the worker must not shadow other modules.
+            command = [sys.executable, "-P", str(_WORKER), folder, str(len(scenes))]
+            code, reason = _run(command, environment, progress, total)
+            if code == 0:
                 return [np.load(Path(folder) / f"pictures{i}.npy") for i in range(len(scenes))]
     # A Python error says what is wrong; VTK without OpenGL dies by a signal.
-    reason = run.stderr.strip().split("\n")[-1] if run.returncode == 1 else "it crashed"
+    reason = reason if code == 1 else "it crashed"
     raise MissingDependencyError(
         f"PyVista could not draw ({reason}); it needs an OpenGL library but no display,"
         " on Debian or Ubuntu: apt-get install libegl1 libgl1"
     )
+
+
+def _run(
+    command: Sequence[str],
+    environment: Mapping[str, str],
+    progress: Callable[[int, int], None] | None,
+    total: int,
+) -> tuple[int, str]:
+    """Run the worker; return its exit code, and the last line that it had to complain of."""
+    with (
+        tempfile.TemporaryFile("w+") as complaints,
+        subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=complaints, text=True
+        ) as process,
+    ):
+        assert process.stdout is not None  # it is a pipe
+        try:
+            for done, _ in enumerate(process.stdout, start=1):
+                if progress is not None:
+                    progress(done, total)
+            code = process.wait()
+        except BaseException:  # also Ctrl-C: nobody waits for the pictures any more
+            process.kill()
+            raise
+        complaints.seek(0)
+        return code, complaints.read().strip().split("\n")[-1]
 
 
 def _request(scene: Scene) -> dict[str, Any]:
@@ -115,6 +153,7 @@ def _request(scene: Scene) -> dict[str, Any]:
     # Points move on straight lines: the two farthest swings hold all between.
     reached = np.vstack([seen + end * s for s in shifts for end in _ends(scene.swings)])
     box = np.stack([reached.min(axis=0), reached.max(axis=0)])
+    lines = np.concatenate([np.empty((0, 2, 3)), *(scene.lines or ())])
     extent = np.ptp(box, axis=0)[:2] + diameter
     unit = max(float(extent[0]), float(extent[1]) / 8, 1e-300) / max(scene.width - 2 * _MARGIN, 1)
     height = int(np.ceil(extent[1] / unit)) + 2 * _MARGIN
@@ -130,6 +169,9 @@ def _request(scene: Scene) -> dict[str, Any]:
         "sides": [1, -1] if scene.behind else [1],
         "box": box / unit,
         "shifts": (shifts / unit if scene.shifts else shifts[:0]).astype(np.float32),
+        "segments": lines @ scene.rotation.T / unit,
+        "line_ends": np.cumsum([len(segments) for segments in scene.lines or ()], dtype=np.int64),
+        "line_width": scene.line_width,
         "swings": np.asarray(scene.swings, dtype=np.float32),
     }
 

@@ -19,7 +19,7 @@ Dashes = str | tuple[int, tuple[float, float]]
 
 SUFFIXES = (".png", ".pdf", ".svg")
 MARGIN = 0.15  # inches
-_TITLES = 0.62  # inches of the two lines at the head
+_TITLE, _SUBTITLE = 0.36, 0.26  # inches of the lines at the head
 
 # Okabe and Ito's colours and two more: told apart with every kind of colour blindness. Dashes let
 # curves that run into one show through each other.
@@ -45,7 +45,7 @@ def check_picture_path(path: str | os.PathLike[str]) -> Path:
 
 def head(title: str, subtitle: str) -> float:
     """Inches from the upper edge of the page to what comes below its titles."""
-    return MARGIN + (_TITLES if title or subtitle else 0.0)
+    return MARGIN + (_TITLE if title else 0.0) + (_SUBTITLE if subtitle else 0.0)
 
 
 def new_figure(
@@ -69,9 +69,10 @@ def new_figure(
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
     pen, room = Pen(figure), width - 2 * MARGIN
-    if title or subtitle:
+    if title:
         pen.text(title, MARGIN, MARGIN + 0.2, room, 14, bold=True)
-        pen.text(subtitle, MARGIN, MARGIN + 0.46, room, 9, colour="0.35")
+    if subtitle:
+        pen.text(subtitle, MARGIN, head(title, "") + 0.1, room, 9, colour="0.35")
     if constrained:
         below = 1 - (head(title, subtitle) - MARGIN) / height
         rect, pad = (0.0, 0.0, 1.0, below), 2 * MARGIN / 3

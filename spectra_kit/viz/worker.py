@@ -16,6 +16,10 @@ import pyvista as pv
 from numpy.typing import NDArray
 
 OVERSAMPLE = 2  # samples per pixel side: smooth edges whatever the driver can do
+LINE = (48, 48, 54)
+BEFORE = (
+    1.5  # widths (and balls) that a line lies before the surface: not cut off where it turns away
+)
 SHARP = 40.0  # degrees; edges that bend more are drawn sharp
 LIGHTS = (((-0.5, 0.75, 1.0), 0.52), ((0.9, 0.1, 0.8), 0.24))  # (direction, strength)
 
@@ -69,10 +73,16 @@ def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
         reset_camera=False,
         **style,
     )
+    drawn = _add_lines(plotter, request)
+    lift = BEFORE * (float(request["line_width"]) + float(request["diameter"]))
     pictures = []
     for side in request["sides"]:
         _place_camera(plotter, request["box"], float(request["half_height"]), int(side))
+        for lines in drawn.values():
+            lines.position = (0.0, 0.0, int(side) * lift)
         for i, values in enumerate(request["values"]):
+            for j, lines in drawn.items():
+                lines.visibility = j == i
             for swing in request["swings"]:
                 surface["values"] = values[owner] if swing == 1 else (swing * values)[owner]
                 if len(request["shifts"]):
@@ -81,6 +91,8 @@ def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
                 picture = plotter.screenshot(return_img=True)
                 assert picture is not None  # it was asked for
                 pictures.append(_shrink(np.asarray(picture)))
+                sys.stdout.write("picture\n")  # who waits counts them
+                sys.stdout.flush()
     plotter.close()
     return np.stack(pictures)
 
@@ -103,6 +115,32 @@ def _surface(
         consistent_normals=False,
     )
     return mesh, np.asarray(mesh["owner"]).astype(np.int64)
+
+
+def _add_lines(plotter: pv.Plotter, request: dict[str, NDArray[Any]]) -> dict[int, pv.Actor]:
+    """The lines of each function that has any, as flat bands that face the viewer."""
+    every = np.split(request["segments"], request["line_ends"])[:-1]
+    width = float(request["line_width"])
+    return {
+        i: plotter.add_mesh(_bands(lines, width), color=LINE, lighting=False, reset_camera=False)
+        for i, lines in enumerate(every)
+        if len(lines)
+    }
+
+
+def _bands(segments: NDArray[np.float64], width: float) -> pv.PolyData:
+    """Segments (s, 2, 3) as rectangles in the picture plane, a little longer to close the bends."""
+    along = np.diff(segments[..., :2], axis=1)[:, 0]
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    along = np.where(length > 0, along / np.maximum(length, 1e-12), [1.0, 0.0]) * width / 2
+    across = np.column_stack([-along[:, 1], along[:, 0]])
+    start, stop = segments[:, 0].copy(), segments[:, 1].copy()
+    start[:, :2] -= along / 2
+    stop[:, :2] += along / 2
+    aside = np.pad(across, ((0, 0), (0, 1)))
+    corners = np.stack([start - aside, stop - aside, stop + aside, start + aside], axis=1)
+    faces = np.arange(4 * len(segments)).reshape(-1, 4)
+    return pv.PolyData(corners.reshape(-1, 3), np.insert(faces, 0, 4, axis=1).ravel())
 
 
 def _move(surface: pv.PolyData, points: NDArray[np.float64]) -> None:

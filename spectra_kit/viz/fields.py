@@ -1,0 +1,143 @@
+"""A gallery of functions on one geometry."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit._validate import check_count, real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.viz.camera import Up
+from spectra_kit.viz.distance_scale import round_number
+from spectra_kit.viz.page import plot_gallery
+from spectra_kit.viz.panels import Panel, sequential_limits, symmetric_limit
+from spectra_kit.viz.picture import Picture
+from spectra_kit.viz.sheet import check_picture_path
+
+Floats = NDArray[np.float64]
+Lines = Literal["none", "nodal", "levels"]
+
+_LEVELS = 14  # lines from one end of the colours to the other, about
+
+
+def plot_fields(
+    path: str | os.PathLike[str],
+    geometry: Geometry,
+    fields: Mapping[str, ArrayLike] | Sequence[tuple[str, ArrayLike]],
+    *,
+    symmetric: bool | None = None,
+    share_limits: bool = False,
+    lines: Lines = "none",
+    columns: int | None = None,
+    up: Up | None = None,
+    title: str = "",
+    subtitle: str = "",
+    dpi: int = 200,
+) -> Picture:
+    """Draw a gallery of functions on one geometry, all seen from the same side.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    geometry : TriangleMesh or PointCloud
+        A cloud is drawn as balls that overlap a little.
+    fields : mapping of str to array_like of shape (n,), or sequence of such pairs
+        What to write above each picture, and one finite value for each point.
+    symmetric : bool, optional
+        Blue and red with white at zero, or sequential colours, dark to light; by default the former
+        for functions that have negative values.
+    share_limits : bool, default False
+        One colour bar for all, at the foot of the page.
+    lines : {"none", "nodal", "levels"}, default "none"
+        Draw lines where a function is zero, or at evenly spaced round values.
+    columns : int, optional
+        How many pictures stand beside each other; by default what fits the page best.
+    up : {"x", "y", "z"}, optional
+        The axis that points up in the picture; by default the one the geometry seems to stand on.
+    title, subtitle : str, optional
+        Two lines at the head of the page.
+    dpi : int, default 200
+        Pixels per inch, 600 for print; the page is at most 11 inches wide.
+
+    Returns
+    -------
+    Picture
+        Of the file written.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no field, one has not a finite value for each point, an option is unknown, or
+        `path` cannot be written.
+    MissingDependencyError
+        If there is no PyVista, or no OpenGL library that it can draw with.
+
+    Notes
+    -----
+    Functions are linear on triangles and coloured pixel by pixel. Colours end where one point in a
+    hundred lies beyond, so that a lone spike does not bleach the rest. Lines have the same width
+    everywhere on the page; on a cloud they are those of the triangles that neighbours make.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from spectra_kit.geometry import sphere
+    >>> ball = sphere(subdivisions=2).geometry
+    >>> fields = {"height": ball.points[:, 2], "squared": ball.points[:, 2] ** 2}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     plot_fields(f"{folder}/fields.svg", ball, fields, lines="nodal", dpi=30).path.name
+    'fields.svg'
+    """
+    check_picture_path(path)
+    if lines not in get_args(Lines):
+        raise InvalidInputError(f"`lines` must be 'none', 'nodal' or 'levels', got {lines!r}")
+    pairs = list(fields.items() if isinstance(fields, Mapping) else fields)
+    if not pairs:
+        raise InvalidInputError("`fields` must hold at least one function, got none")
+    if columns is not None:
+        check_count("columns", columns, low=1)
+    named = [(name, real_array(f"fields[{name!r}]", values)) for name, values in pairs]
+    for name, values in named:
+        if values.shape != (geometry.n,):
+            raise InvalidInputError(
+                f"`fields[{name!r}]` must have shape ({geometry.n},), one value for each point,"
+                f" got {values.shape}"
+            )
+    every = [values for _, values in named] if share_limits else None
+    return plot_gallery(
+        path,
+        geometry,
+        [_panel(name, values, every or [values], symmetric, lines) for name, values in named],
+        columns=columns,
+        one_bar=share_limits,
+        up=up,
+        title=title,
+        subtitle=subtitle,
+        dpi=dpi,
+    )
+
+
+def _panel(
+    name: str, values: Floats, together: list[Floats], symmetric: bool | None, lines: Lines
+) -> Panel:
+    """One field, in colours that fit all of `together`."""
+    if symmetric is None:
+        symmetric = any(bool((f < 0).any()) for f in together)
+    low: float | None
+    if symmetric:
+        low, high = None, symmetric_limit(*together)
+    else:
+        low, high = sequential_limits(*together)
+    levels: tuple[float, ...] = (0.0,) if lines == "nodal" else ()
+    if lines == "levels":
+        start = -high if low is None else low
+        step = round_number((high - start) / _LEVELS)
+        first, last = np.floor(values.min() / step), np.ceil(values.max() / step)
+        levels = tuple(step * np.arange(first, last + 1))
+    return Panel(values=values, limit=high, lines=(name,), low=low, levels=levels)

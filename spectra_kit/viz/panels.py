@@ -1,0 +1,127 @@
+"""`Panel`: a function with its colours and lines, and the pictures of many of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._validate import real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.viz.colours import diverging_colours, sequential_colours
+from spectra_kit.viz.contours import level_lines, triangles_of
+from spectra_kit.viz.pen import short
+from spectra_kit.viz.render import Scene, render
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+LINE_WIDTH = 0.75  # points (1/72 inch)
+_PERCENTILE = 99.0  # a lone spike must not bleach the rest
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Panel:
+    """One picture: a function on the geometry, its colour limits, and two lines of text.
+
+    Attributes
+    ----------
+    values : ndarray of shape (n,)
+        One value per point.
+    limit : float
+        The colours run from -limit to +limit, white at zero; or from `low`, if it is given.
+    lines : tuple of str
+        Set above the picture.
+    low : float, optional
+        Colours that begin here are sequential, dark to light.
+    levels : tuple of float
+        Values along which a line is drawn.
+    """
+
+    values: Floats
+    limit: float
+    lines: tuple[str, ...] = ()
+    low: float | None = None
+    levels: tuple[float, ...] = ()
+
+    def scaled(self) -> Floats:
+        """The values, -1 at one end of the colours and 1 at the other."""
+        low = -self.limit if self.low is None else self.low
+        return 2 * (self.values - low) / (self.limit - low) - 1
+
+    def ends(self) -> tuple[str, str]:
+        """The two ends of the colours in words."""
+        low = -self.limit if self.low is None else self.low
+        plus = "+" if self.low is None else ""
+        return _signed(low), plus + _signed(self.limit)
+
+    def colours(self, count: int) -> Bytes:
+        """Colours (count, 3) from one end to the other."""
+        if self.low is None:
+            return diverging_colours(np.linspace(-1.0, 1.0, count))
+        return sequential_colours(np.linspace(0.0, 1.0, count))
+
+
+def symmetric_limit(*functions: Floats) -> float:
+    """The limit of symmetric colours for all these functions together."""
+    return max(float(np.percentile(np.abs(f), _PERCENTILE)) for f in functions) or 1.0
+
+
+def sequential_limits(*functions: Floats) -> tuple[float, float]:
+    """Both ends of sequential colours for all these functions together."""
+    low = min(float(np.percentile(f, 100 - _PERCENTILE)) for f in functions)
+    high = max(float(np.percentile(f, _PERCENTILE)) for f in functions)
+    if high > low:
+        return low, high
+    return low - (abs(low) or 1.0) / 2, low + (abs(low) or 1.0) / 2
+
+
+def draw_panels(
+    geometry: Geometry, panels: Sequence[Panel], *, rotation: Floats, width: int, dpi: int
+) -> list[Bytes]:
+    """Return the pictures of panels, `width` pixels each, seen from one side.
+
+    Raises
+    ------
+    InvalidInputError
+        If a panel has not one finite value for each point.
+    """
+    for panel in panels:
+        if real_array("values", panel.values).shape != (geometry.n,):
+            raise InvalidInputError(
+                f"`values` must have shape ({geometry.n},), got {np.shape(panel.values)}"
+            )
+    triangles = triangles_of(geometry) if any(panel.levels for panel in panels) else None
+    kinds = [
+        [i for i, panel in enumerate(panels) if (panel.low is None) == symmetric]
+        for symmetric in (True, False)
+    ]
+    kinds = [kind for kind in kinds if kind]
+    scenes = [
+        Scene(
+            geometry=geometry,
+            functions=[panels[i].scaled() for i in kind],
+            rotation=rotation,
+            width=width,
+            colours=panels[kind[0]].colours(256),
+            lines=None
+            if triangles is None
+            else [
+                level_lines(geometry.points, triangles, panels[i].values, panels[i].levels)
+                for i in kind
+            ],
+            line_width=LINE_WIDTH * dpi / 72,
+        )
+        for kind in kinds
+    ]
+    found: dict[int, Bytes] = {}
+    for kind, drawn in zip(kinds, render(scenes), strict=True):
+        found |= dict(zip(kind, drawn, strict=True))
+    return [found[i] for i in range(len(panels))]
+
+
+def _signed(value: float) -> str:
+    return short(value).replace("-", "\N{MINUS SIGN}", 1) if value < 0 else short(value)
