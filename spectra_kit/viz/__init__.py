@@ -4,6 +4,7 @@ No display is needed: PyVista draws the panels off-screen in a process of its ow
 the page around them. Neither is imported before a picture is drawn.
 """
 
+from spectra_kit.viz.animation import animate_modes
 from spectra_kit.viz.convergence import plot_convergence
 from spectra_kit.viz.correspondence import (
     MatchedPair,
@@ -27,6 +28,7 @@ __all__ = [
     "ParetoPoint",
     "Picture",
     "SolverRun",
+    "animate_modes",
     "pareto_front",
     "plot_comparison",
     "plot_convergence",

@@ -1,0 +1,269 @@
+"""Modes that swing, as GIF or MP4."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._files import atomic_path, check_target
+from spectra_kit._validate import check_count, check_positive
+from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.geometry import estimate_normals, orient_normals
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.matching.curvature import outward_normals
+from spectra_kit.operators.orientation import oriented_triangles
+from spectra_kit.spectrum import Spectrum
+from spectra_kit.viz.camera import Up, choose_view
+from spectra_kit.viz.colours import diverging_colours
+from spectra_kit.viz.contours import level_lines, triangles_of
+from spectra_kit.viz.panels import symmetric_limit
+from spectra_kit.viz.picture import Picture
+from spectra_kit.viz.render import Scene, render
+from spectra_kit.viz.sheet import new_figure
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+_MODES = 4  # by default
+_CAPTION = 0.075  # of the width: height of the line above the picture
+_LINE = 1 / 300  # of the width: that of a nodal line
+_SAMPLED = 12  # frames that the colours of a GIF are chosen from
+_DITHER = 6.0  # steps of 255, hardly more than between two of those colours
+_BAYER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 16 - 15 / 32
+
+
+def animate_modes(
+    path: str | os.PathLike[str],
+    geometry: Geometry,
+    spectrum: Spectrum,
+    *,
+    modes: Sequence[int] | None = None,
+    amplitude: float = 0.01,
+    seconds_per_mode: float = 2.0,
+    fps: float = 20.0,
+    nodal_lines: bool = False,
+    width: int = 480,
+    up: Up | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Picture:
+    """Let modes swing one after the other, in colour and along the normals, as an endless film.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.gif`` or ``.mp4`` file to write, whole or not at all.
+    geometry : TriangleMesh or PointCloud
+        The points that the spectrum lives on.
+    spectrum : Spectrum
+        Its k modes.
+    modes : sequence of int, optional
+        Which ones, counted from 0; by default the first four that are not constant.
+    amplitude : float, default 0.01
+        The farthest that a point moves, as part of the diagonal of the bounding box; 0 for colours
+        alone. Parts thinner than twice as much turn inside out.
+    seconds_per_mode : float, default 2
+        Of one swing there and back.
+    fps : float, default 20
+        Frames in a second. GIF knows hundredths of a second only: there each frame lasts the
+        nearest number of them.
+    nodal_lines : bool, default False
+        Draw the lines where the mode is zero; they stay where they are.
+    width : int, default 480
+        Of a frame, in pixels; the height follows the geometry.
+    up : {"x", "y", "z"}, optional
+        Which axis points up; by default the one on which the geometry seems to stand.
+    progress : callable, optional
+        Called with the number of pictures drawn, and of all.
+
+    Returns
+    -------
+    Picture
+        Of `path`.
+
+    Raises
+    ------
+    InvalidInputError
+        If `path` is no ``.gif`` or ``.mp4`` in an existing folder, sizes disagree, a mode is out of
+        range, or a number is not positive.
+    MissingDependencyError
+        If there is nothing to draw with, or for ``.mp4`` no imageio-ffmpeg.
+
+    Notes
+    -----
+    ``x(t) = x + a u(x) / max|u| cos(omega t) n(x)`` with the outward normals n, those of clouds
+    estimated; the colours follow ``u cos(omega t)``, with the same limits in all frames. (Of max|u|
+    only the 99th percentile counts, and what exceeds it is cut off.) The film begins at the largest
+    swing of the first mode. Every mode begins and ends at rest, so that each flows into the next,
+    and the last into the first.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.sphere(subdivisions=2).geometry
+    >>> spectrum = sk.eigensolve(sk.robust_laplacian(mesh), 5)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "mode.gif"
+    ...     film = animate_modes(path, mesh, spectrum, modes=[1], width=40, fps=4)
+    ...     film.path.exists()
+    True
+    """
+    write = _writer(path)
+    chosen = _check_modes(modes, geometry, spectrum)
+    if not (np.isfinite(amplitude) and amplitude >= 0):
+        raise InvalidInputError(f"`amplitude` must be finite and >= 0, got {amplitude!r}")
+    check_count("width", width, low=16)
+    rate = check_positive("fps", fps)
+    quarter = max(round(check_positive("seconds_per_mode", seconds_per_mode) * rate / 4), 1)
+    count = 4 * quarter
+    swings = np.round(np.sin(2 * np.pi * np.arange(count) / count), 12)
+    distinct, number = np.unique(swings, return_inverse=True)
+    functions = [
+        np.clip(column / symmetric_limit(column), -1.0, 1.0)
+        for column in (spectrum.eigenvectors[:, mode] for mode in chosen)
+    ]
+    reach = amplitude * float(np.linalg.norm(np.ptp(geometry.points, axis=0)))
+    normals = _normals(geometry) if reach else np.zeros((geometry.n, 3))
+    with atomic_path(path) as part:
+        scene = Scene(
+            geometry=geometry,
+            functions=functions,
+            rotation=choose_view(geometry, up=up),
+            width=width,
+            colours=diverging_colours(np.linspace(-1.0, 1.0, 256)),
+            shifts=[reach * function[:, None] * normals for function in functions],
+            swings=distinct.tolist(),
+            lines=_nodal_lines(geometry, functions) if nodal_lines else None,
+            line_width=_LINE * width,
+        )
+        (pictures,) = render([scene], progress=progress)
+        captions = [_caption(spectrum, mode, width) for mode in chosen]
+        order = [(m, m * len(distinct) + i) for m in range(len(chosen)) for i in number]
+        # Begin at the first peak: a film that stands still shows something, too.
+        order = order[quarter:] + order[:quarter]
+        write(part, [_even(np.vstack([captions[m], pictures[p]])) for m, p in order], rate)
+    return Picture(Path(path))
+
+
+def _writer(path: str | os.PathLike[str]) -> Callable[[Path, list[Bytes], float], None]:
+    """What writes such a file; told before the work if there is nothing."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".gif", ".mp4"):
+        raise InvalidInputError(f"`path` must end in .gif or .mp4, got {str(path)!r}")
+    check_target(path)
+    if suffix == ".gif":
+        return _write_gif
+    if importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise MissingDependencyError(
+            "MP4 needs imageio-ffmpeg: pip install spectra_kit[video]; or write a .gif"
+        )
+    return _write_mp4
+
+
+def _check_modes(
+    modes: Sequence[int] | None, geometry: Geometry, spectrum: Spectrum
+) -> Sequence[int]:
+    if geometry.n != spectrum.n:
+        raise InvalidInputError(
+            f"`geometry` must have the {spectrum.n} points of the spectrum, got {geometry.n}"
+        )
+    if modes is None:
+        start = spectrum.n_zero_modes
+        modes = range(start, min(start + _MODES, spectrum.k))
+    if not len(modes):
+        raise InvalidInputError(
+            f"`modes` must hold at least one mode, got none; the spectrum has {spectrum.k},"
+            f" {spectrum.n_zero_modes} of them zero modes"
+        )
+    return [check_count("modes", mode, low=0, high=spectrum.k - 1) for mode in modes]
+
+
+def _normals(geometry: Geometry) -> Floats:
+    """Outward unit normals at the points, (n, 3)."""
+    if isinstance(geometry, TriangleMesh):
+        return outward_normals(geometry.points, oriented_triangles(geometry))
+    return orient_normals(geometry, estimate_normals(geometry))
+
+
+def _nodal_lines(geometry: Geometry, functions: Sequence[Floats]) -> list[Floats]:
+    """Where the functions are zero, and thus stand still."""
+    triangles = triangles_of(geometry)
+    return [level_lines(geometry.points, triangles, function) for function in functions]
+
+
+def _caption(spectrum: Spectrum, mode: int, width: int) -> Bytes:
+    """The line above the pictures of a mode."""
+    zero = mode < spectrum.n_zero_modes
+    value = "0" if zero else f"{spectrum.eigenvalues[mode]:.4g}"
+    inch = 64  # a power of two: the width in pixels comes out as asked for
+    figure = new_figure(width / inch, round(_CAPTION * width) / inch, dpi=inch)
+    figure.text(
+        0.5, 0.3, f"mode {mode}   λ = {value}", ha="center", fontsize=0.04 * width * 72 / inch
+    )
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba())[..., :3]  # type: ignore[attr-defined]
+
+
+def _even(frame: Bytes) -> Bytes:
+    """A frame with even sides, as films need them: white is added."""
+    rows, columns, _ = frame.shape
+    return np.pad(frame, ((0, rows % 2), (0, columns % 2), (0, 0)), constant_values=255)
+
+
+def _write_gif(path: Path, frames: list[Bytes], fps: float) -> None:
+    """Write frames in 256 colours that are the same in all: nothing flickers."""
+    from PIL import Image
+
+    chosen = np.unique(np.linspace(0, len(frames) - 1, _SAMPLED).astype(int))
+    sample = Image.fromarray(np.vstack([frames[i][::2, ::2] for i in chosen]))
+    colours = sample.quantize(
+        255, method=Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE
+    )
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([255, 255, 255, *(colours.getpalette() or [])[: 3 * 255]])
+    images = [
+        Image.fromarray(_dithered(frame)).quantize(palette=palette, dither=Image.Dither.NONE)
+        for frame in frames
+    ]
+    images[0].save(
+        path,
+        save_all=True,
+        append_images=images[1:],
+        duration=10 * max(round(100 / fps), 1),
+        loop=0,
+        optimize=False,
+    )
+
+
+def _dithered(frame: Bytes) -> Bytes:
+    """Add a fine pattern that stays where it is: fewer colours make no bands. White stays white."""
+    rows, columns, _ = frame.shape
+    pattern = np.tile(_BAYER, (rows // 4 + 1, columns // 4 + 1))[:rows, :columns, None]
+    mixed = np.clip(np.round(frame + _DITHER * pattern), 0, 255).astype(np.uint8)
+    return np.where((frame == 255).all(axis=2, keepdims=True), frame, mixed)
+
+
+def _write_mp4(path: Path, frames: list[Bytes], fps: float) -> None:
+    """Write frames as H.264 that every browser plays."""
+    import imageio_ffmpeg
+
+    rows, columns, _ = frames[0].shape
+    film = imageio_ffmpeg.write_frames(
+        str(path),
+        (columns, rows),
+        fps=fps,
+        quality=8,
+        macro_block_size=2,
+        ffmpeg_log_level="error",
+        output_params=["-movflags", "+faststart"],
+    )
+    with closing(film):
+        film.send(None)
+        for frame in frames:
+            film.send(np.ascontiguousarray(frame))
