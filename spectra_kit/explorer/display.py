@@ -13,6 +13,8 @@ from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_TRIES = 6
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Display:
@@ -58,11 +60,14 @@ def _decimated(mesh: TriangleMesh, max_points: int) -> TriangleMesh:
 
     # In a unit box: VTK's tolerances, and single precision in places, do not know the scale.
     low, size = mesh.points.min(axis=0), float(np.ptp(mesh.points, axis=0).max()) or 1.0
-    whole = pv.PolyData.from_regular_faces((mesh.points - low) / size, mesh.faces)
-    coarse = whole.decimate(1.0 - max_points / mesh.n)
-    faces = np.asarray(coarse.regular_faces, dtype=np.int64)
+    faces = np.column_stack([np.full(len(mesh.faces), 3), mesh.faces])
+    coarse = pv.PolyData((mesh.points - low) / size, faces=faces.ravel())
+    for _ in range(_TRIES):  # what is asked for is a share of the triangles, not of the vertices
+        if coarse.n_points <= max_points:
+            break
+        coarse = coarse.decimate(1.0 - 0.99 * max_points / coarse.n_points)
     points = np.asarray(coarse.points, dtype=np.float64) * size + low
-    return TriangleMesh(points, faces).without_unreferenced()
+    return TriangleMesh(points, np.asarray(coarse.regular_faces)).without_unreferenced()
 
 
 def _closest(points: Floats, mesh: TriangleMesh) -> sparse.csr_array:

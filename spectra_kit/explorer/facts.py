@@ -63,8 +63,8 @@ def colour_facts(exact: Floats, predicted: Floats | None, shown: list[Quantised]
 
 
 def numbers(values: Floats) -> list[float | None]:
-    """Seven digits of each, which is more than a page shows; None for what is no number."""
-    return [float(f"{value:.7g}") if np.isfinite(value) else None for value in values]
+    """Nine digits of each, which is more than a page shows; None for what is no number."""
+    return [float(f"{value:.9g}") if np.isfinite(value) else None for value in values]
 
 
 def _limits(functions: Floats) -> Floats:
