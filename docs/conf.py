@@ -51,6 +51,8 @@ html_css_files = ["style.css"]
 html_favicon = "_static/logo.svg"
 html_copy_source = False
 html_show_sourcelink = False
+html_context = {"default_mode": "auto"}  # light or dark as the reader's system has it
+html_sidebars = {page: [] for page in ("quickstart", "gallery", "measurements")}  # nothing below
 html_theme_options = {
     "logo": {
         "text": "spectra_kit",
