@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,10 +19,12 @@ from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.render import Scene, render
 from spectra_kit.viz.rows import Row, set_rows
 from spectra_kit.viz.sheet import check_picture_path, save
+from spectra_kit.viz.texture import texture_colours
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
+Transfer = Literal["colours", "texture"]
 
 _WIDEST, _TALLEST = 3.4, 3.6  # inches of a picture
 _PIXELS = 4  # to a vertex, at which a pattern inside triangles looks sharp
@@ -62,6 +65,7 @@ def plot_correspondence(
     point_map: ArrayLike,
     *,
     errors: ArrayLike | None = None,
+    transfer: Transfer = "colours",
     up: Up | None = None,
     limit: float | None = None,
     error_label: str = "geodesic error, 100 / √area",
@@ -84,6 +88,8 @@ def plot_correspondence(
         The source point of each target point.
     errors : array_like of shape (n2,), optional
         Of the map at each target point, >= 0, drawn in a third column; NaN where not known.
+    transfer : {"colours", "texture"}, default "colours"
+        What the map carries: gradual colours, or a chart of named squares.
     up : {"x", "y", "z"}, optional
         The axis of the source that points up in the picture; by default the one it seems to stand
         on.
@@ -116,6 +122,10 @@ def plot_correspondence(
     upwards, green to red towards the viewer. On meshes a faint checkerboard shows
     noise and stretch. A map that confuses left and right exchanges blue and yellow.
 
+    The texture lies on the source in the picture plane, and goes through it: from behind it reads
+    mirrored. On the target, names are legible where the map is smooth, broken where it is not, and
+    mirrored where it turns the surface over. It wants meshes: a cloud has one colour per ball.
+
     Examples
     --------
     >>> import tempfile
@@ -128,13 +138,14 @@ def plot_correspondence(
     pair = MatchedPair(
         source=source, target=target, point_map=point_map, errors=errors, names=names
     )
-    return _draw(path, [pair], True, up, limit, error_label, title, subtitle, dpi)
+    return _draw(path, [pair], True, transfer, up, limit, error_label, title, subtitle, dpi)
 
 
 def plot_correspondences(
     path: str | os.PathLike[str],
     pairs: Sequence[MatchedPair],
     *,
+    transfer: Transfer = "colours",
     up: Up | None = None,
     limit: float | None = None,
     error_label: str = "geodesic error, 100 / √area",
@@ -150,6 +161,8 @@ def plot_correspondences(
         The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
     pairs : sequence of MatchedPair
         At least one. If one has errors, all share their colour scale.
+    transfer : {"colours", "texture"}, default "colours"
+        As in `plot_correspondence`.
     up : {"x", "y", "z"}, optional
         As in `plot_correspondence`.
     limit : float, optional
@@ -183,13 +196,14 @@ def plot_correspondences(
     """
     if not pairs:
         raise InvalidInputError("`pairs` must hold at least one MatchedPair, got none")
-    return _draw(path, pairs, False, up, limit, error_label, title, subtitle, dpi)
+    return _draw(path, pairs, False, transfer, up, limit, error_label, title, subtitle, dpi)
 
 
 def _draw(
     path: str | os.PathLike[str],
     pairs: Sequence[MatchedPair],
     behind: bool,
+    transfer: Transfer,
     up: Up | None,
     limit: float | None,
     error_label: str,
@@ -199,6 +213,8 @@ def _draw(
 ) -> Picture:
     """Check everything, draw the pictures of each row, set the page."""
     check_picture_path(path)
+    if transfer not in get_args(Transfer):
+        raise InvalidInputError(f"`transfer` must be 'colours' or 'texture', got {transfer!r}")
     maps = [_check_map(pair) for pair in pairs]
     errors = [_check_errors(pair) for pair in pairs]
     known = np.concatenate([e[np.isfinite(e)] for e in errors if e is not None] or [np.zeros(0)])
@@ -208,7 +224,9 @@ def _draw(
     scenes = [
         scene
         for pair, p, e in zip(pairs, maps, errors, strict=True)
-        for scene in _scenes(pair, p, e, limit, dpi, choose_view(pair.source, up=up), behind)
+        for scene in _scenes(
+            pair, p, e, limit, dpi, choose_view(pair.source, up=up), behind, transfer
+        )
     ]
     drawn, rows = render(scenes), []
     for pair, source, target in zip(pairs, drawn[::2], drawn[1::2], strict=True):
@@ -255,6 +273,7 @@ def _scenes(
     dpi: int,
     rotation: Floats,
     behind: bool,
+    transfer: Transfer,
 ) -> tuple[Scene, Scene]:
     """Source, and target with the errors where there are any."""
     places = pair.source.points @ rotation.T
@@ -264,7 +283,10 @@ def _scenes(
         inches = fitting_size(geometry, rotation, _WIDEST, _TALLEST)
         width, height = (round(side * dpi) for side in inches)
         fine, values, normals = refined(geometry, values, width * height // _PIXELS)
-        colours = [position_colours(values[:, :3], low, high, squares=normals is not None)]
+        if transfer == "texture":
+            colours = [texture_colours(values[:, :3], low, high)]
+        else:
+            colours = [position_colours(values[:, :3], low, high, squares=normals is not None)]
         if values.shape[1] > 3:
             colours.append(error_colours(values[:, 3], limit))
         return Scene(

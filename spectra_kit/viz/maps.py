@@ -123,7 +123,7 @@ def plot_error_curves(
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     plot_error_curves(f"{folder}/curves.svg", {"ours": [0.0, 2.5], "theirs": [8.0]}).path.name
+    ...     plot_error_curves(f"{folder}/curves.svg", {"a": [0.0, 2.5], "b": [8.0]}).path.name
     'curves.svg'
     """
     check_picture_path(path)

@@ -98,6 +98,24 @@ def save(figure: Figure, path: str | os.PathLike[str], dpi: int) -> Picture:
 
     dated = {".pdf": "CreationDate", ".svg": "Date"}.get(Path(path).suffix.lower())
     style: Any = {"svg.fonttype": "none", "svg.hashsalt": "spectra_kit", "pdf.fonttype": 42}
+    if dated is not None:
+        _embed_pictures(figure)
     with atomic_path(path) as part, rc_context(style):
         figure.savefig(part, dpi=dpi, metadata=None if dated is None else {dated: None})
     return Picture(Path(path))
+
+
+def _embed_pictures(figure: Figure) -> None:
+    """Turn pictures laid on the pixels of a page into ones that a page without pixels scales.
+
+    Matplotlib would resample the former, and leave faint edges.
+    """
+    width, height = figure.get_size_inches() * figure.dpi
+    images: list[Any] = list(figure.images)
+    for image in images:
+        pixels = image.get_array()
+        rows, columns = pixels.shape[:2]
+        place = (image.ox / width, image.oy / height, columns / width, rows / height)
+        axes = figure.add_axes(place, frame_on=False, xticks=[], yticks=[], zorder=-1)
+        axes.imshow(pixels, interpolation="none", aspect="auto", origin="upper")
+        image.remove()

@@ -129,14 +129,18 @@ def _add_lines(plotter: pv.Plotter, request: dict[str, NDArray[Any]]) -> dict[in
 
 
 def _bands(segments: NDArray[np.float64], width: float) -> pv.PolyData:
-    """Segments (s, 2, 3) as rectangles in the picture plane, a little longer to close the bends."""
-    along = np.diff(segments[..., :2], axis=1)[:, 0]
-    length = np.linalg.norm(along, axis=1, keepdims=True)
-    along = np.where(length > 0, along / np.maximum(length, 1e-12), [1.0, 0.0]) * width / 2
+    """Segments (s, 2, 3) as rectangles in the picture plane, a little longer to close the bends.
+
+    Not where they run into the depth: at the outline they would stick out.
+    """
+    step = segments[:, 1] - segments[:, 0]
+    seen = np.linalg.norm(step[:, :2], axis=1, keepdims=True)
+    along = np.where(seen > 0, step[:, :2] / np.maximum(seen, 1e-12), [1.0, 0.0]) * width / 2
+    longer = along * 0.5 * seen / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
     across = np.column_stack([-along[:, 1], along[:, 0]])
     start, stop = segments[:, 0].copy(), segments[:, 1].copy()
-    start[:, :2] -= along / 2
-    stop[:, :2] += along / 2
+    start[:, :2] -= longer
+    stop[:, :2] += longer
     aside = np.pad(across, ((0, 0), (0, 1)))
     corners = np.stack([start - aside, stop - aside, stop + aside, start + aside], axis=1)
     faces = np.arange(4 * len(segments)).reshape(-1, 4)
