@@ -19,6 +19,7 @@ from spectra_kit.training.ranks import Ranks, process_group
 from spectra_kit.training.shards import open_shards, write_shard
 from spectra_kit.training.train import train, validate
 
+# Run by `command` in a process of its own, and by `run_here`, which need not import torch again.
 SCRIPT = """
 import sys, torch
 from spectra_kit.neo.model import NeoConfig
@@ -38,6 +39,19 @@ with process_group("cpu") as device:
     train(corpus, corpus, config, out=out, resume=resume == "resume", device=device)
 """
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
+
+
+@pytest.fixture
+def run_here(monkeypatch):
+    """Return a function that runs SCRIPT with the arguments of `command`, in this process."""
+    threads = torch.get_num_threads()
+
+    def run(call):
+        monkeypatch.setattr(sys, "argv", call[2:])
+        exec(compile(SCRIPT, "script", "exec"), {})
+
+    yield run
+    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +75,9 @@ def curve(out):
 
 
 @pytest.mark.slow
-def test_a_killed_run_resumes_to_the_same_loss_curve(folder, tmp_path):
+def test_a_killed_run_resumes_to_the_same_loss_curve(folder, tmp_path, run_here):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    subprocess.run(command(folder, whole), check=True, env=ENVIRONMENT)
+    run_here(command(folder, whole))
     reached = 0
     for attempt in range(2):
         call = command(folder, killed, resume=attempt > 0)
@@ -72,12 +86,12 @@ def test_a_killed_run_resumes_to_the_same_loss_curve(folder, tmp_path):
                 process.poll() is None
                 and (read(killed) or {"state": {"step": 0}})["state"]["step"] <= reached
             ):
-                time.sleep(0.01)
+                time.sleep(0.05)
             time.sleep(random.uniform(0, 0.2))
             process.kill()
         reached = read(killed)["state"]["step"]
         assert 0 < reached < 60
-    subprocess.run(command(folder, killed, resume=True), check=True, env=ENVIRONMENT)
+    run_here(command(folder, killed, resume=True))
     assert curve(killed) == curve(whole)
     one, other = read(killed), read(whole)
     for part in ("network", "average"):
@@ -86,8 +100,8 @@ def test_a_killed_run_resumes_to_the_same_loss_curve(folder, tmp_path):
 
 
 @pytest.mark.slow
-def test_two_processes_end_with_the_weights_of_one(folder, tmp_path):
-    subprocess.run(command(folder, tmp_path / "one", steps=6), check=True, env=ENVIRONMENT)
+def test_two_processes_end_with_the_weights_of_one(folder, tmp_path, run_here):
+    run_here(command(folder, tmp_path / "one", steps=6))
     launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
@@ -122,7 +136,7 @@ def learnt(tmp_path, device, **options):
         width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8, waves=4, bandwidth=3.0
     )
     config = TrainConfig(
-        network=network, steps=150, batch=8, points=48, validation=8, every=150, **options
+        network=network, steps=50, batch=8, points=48, validation=8, every=50, **options
     )
     torch.manual_seed(config.seed)
     before = validate(build_network(network).to(device), corpora[1], config)
