@@ -9,7 +9,7 @@ from spectra_kit._validate import check_count, check_positive
 from spectra_kit.cli import tables
 from spectra_kit.cli.options import PICTURES, up_of
 from spectra_kit.cli.output import check_output, print_blocks, print_json
-from spectra_kit.cli.progress import step
+from spectra_kit.cli.progress import counted, step
 from spectra_kit.cli.solving import Shown, to_show
 
 _DRAWN, _SWUNG = 12, 6
@@ -47,7 +47,7 @@ def animate(arguments: argparse.Namespace) -> None:
     shown = to_show(arguments, _SWUNG)
     from spectra_kit.viz import animate_modes
 
-    with step(f"animating {len(shown.modes)} modes"):
+    with counted(f"drawing {len(shown.modes)} modes", "frame") as tell:
         animate_modes(
             arguments.output,
             shown.geometry,
@@ -57,6 +57,7 @@ def animate(arguments: argparse.Namespace) -> None:
             fps=fps,
             width=width,
             up=up_of(arguments),
+            progress=tell,
         )
     _tell(arguments, shown, "animation")
 

@@ -1,46 +1,27 @@
-"""The explorer as a local server: the scene lives in Python, the browser draws it, trame links them.
-
-The scene is kept by PyVista and never rendered here, so the server needs no OpenGL.
-"""
+"""The explorer as a local server: Python keeps the scene, the browser draws it."""
 
 from __future__ import annotations
 
 import importlib.util
 import itertools
-import os
+import secrets
 import webbrowser
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Literal
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Callable
+from typing import Any, Literal
 
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
-from spectra_kit.explorer.display import for_display
-from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.metrics import Comparison, align_modes, compare_spectra
+from spectra_kit.explorer.scene import Modes, Scene
+from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.spectrum import Spectrum
-from spectra_kit.viz.camera import choose_view
-from spectra_kit.viz.colours import diverging_colours
-from spectra_kit.viz.pen import short
-
-if TYPE_CHECKING:
-    import pyvista as pv
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 _HOST = "127.0.0.1"
-_PERCENTILE = 99.0  # a lone spike must not bleach the rest
-_FAINT = 1e-4  # differences below this part of the mode stay white
-_BALL = 6.0  # pixels, of the points of a cloud
-_LIGHT = {"ambient": 0.4, "diffuse": 0.65, "specular": 0.0}  # colours must stay what they are
 _NAMES = itertools.count()  # trame keeps its servers by name
 _STYLE = """
 :root { color-scheme: light dark; --ink: #1b1f24; --paper: #ffffff; --faint: #6a737d; }
-@media (prefers-color-scheme: dark) { :root { --ink: #e6e8eb; --paper: #14171a; --faint: #98a1ab; } }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e6e8eb; --paper: #14171a; --faint: #98a1ab; } }
 html, body, #app { margin: 0; height: 100%; background: var(--paper); color: var(--ink);
   font: 15px/1.4 system-ui, sans-serif; }
 .page { display: flex; flex-direction: column; height: 100vh; box-sizing: border-box;
@@ -118,139 +99,15 @@ def serve(
         )
     if predicted is not None and comparison is None:
         comparison = compare_spectra(exact, predicted)
-    modes = _Modes(exact, predicted, comparison, names)
+    modes = Modes(exact, predicted, comparison, names)
     first = min(exact.n_zero_modes, modes.k - 1)
-    scene = _Scene(geometry, modes.functions, max_points, up)
+    scene = Scene(geometry, modes.functions, max_points, up)
     _run(scene, modes, first, title, port, open_browser, ready)
 
 
-class _Modes:
-    """The functions to show, column by column, and what is known of each mode."""
-
-    def __init__(
-        self,
-        exact: Spectrum,
-        predicted: Spectrum | None,
-        comparison: Comparison | None,
-        names: tuple[str, str],
-    ) -> None:
-        self.exact, self.predicted, self.comparison = exact, predicted, comparison
-        root = np.sqrt(exact.area)  # the constant mode is 1, and colours know no units
-        self.k = exact.k if comparison is None else comparison.k
-        self.heads, self.functions = [names[0]], [root * exact.eigenvectors[:, : self.k]]
-        if predicted is not None:
-            aligned = root * align_modes(exact, predicted, comparison)
-            self.heads += [names[1], "difference"]
-            self.functions += [aligned, aligned - self.functions[0]]
-
-    def table(self, mode: int) -> list[list[str]]:
-        """Rows of what is known of a mode: the name of a number, and one for each spectrum."""
-        spectra = [(self.exact, mode)]
-        if self.predicted is not None and self.comparison is not None:
-            spectra.append((self.predicted, int(self.comparison.match[mode])))
-        rows = [
-            ["", *self.heads[:2]],
-            ["eigenvalue", *(f"{s.eigenvalues[i]:.6g}" for s, i in spectra)],
-            ["relative residual", *(_residual(s, i) for s, i in spectra)],
-        ]
-        if self.comparison is not None:
-            rows.append(["error of the mode", "", short(self.comparison.vector_error[mode])])
-            rows.append(["of its cluster", "", short(self.comparison.cluster_error[mode])])
-            rows.append(["outside the span", "", short(self.comparison.span_error[mode])])
-        return rows
-
-
-def _residual(spectrum: Spectrum, mode: int) -> str:
-    if spectrum.certificate is None:
-        return "not certified"
-    return short(spectrum.certificate.relative_residuals[mode])
-
-
-class _Scene:
-    """The geometry once for each function, side by side under one camera."""
-
-    def __init__(
-        self,
-        geometry: Geometry,
-        functions: list[Floats],
-        max_points: int,
-        up: Literal["x", "y", "z"] | None,
-    ) -> None:
-        import pyvista as pv
-
-        display = for_display(geometry, max_points)
-        self._functions = [np.asarray(display.carry @ f) for f in functions]
-        with _without_display():
-            self.plotter = pv.Plotter(
-                off_screen=True, shape=(1, len(functions)), border=False, lighting="none"
-            )
-        self.plotter.set_background("white")
-        self._surfaces = []
-        points = display.geometry.points - display.geometry.points.mean(axis=0)
-        points = points / (np.ptp(points, axis=0).max() or 1.0)
-        for column in range(len(functions)):
-            self.plotter.subplot(0, column)
-            surface = _surface(points, display.geometry)
-            surface["colours"] = np.full((surface.n_points, 3), 255, dtype=np.uint8)
-            actor = self.plotter.add_mesh(
-                surface,
-                scalars="colours",
-                rgb=True,
-                point_size=_BALL,
-                lighting=isinstance(geometry, TriangleMesh),
-                **_LIGHT,
-            )
-            actor.prop.interpolation = "Phong"  # PyVista's smooth shading would draw a copy
-            self._surfaces.append(surface)
-        self._look(choose_view(geometry, up=up), points)
-        self.plotter.link_views()
-
-    def _look(self, rotation: Floats, points: Floats) -> None:
-        self.plotter.subplot(0, 0)
-        _, upwards, towards = rotation
-        seen = points @ rotation.T
-        middle = rotation.T @ ((seen.min(axis=0) + seen.max(axis=0)) / 2)
-        camera = self.plotter.camera
-        camera.focal_point, camera.position = middle, middle + 3 * towards
-        camera.up = upwards
-        camera.parallel_projection = True
-        camera.parallel_scale = 0.3 * np.ptp(seen, axis=0)[:2].max()
-
-    def show(self, mode: int) -> None:
-        """Colour the surfaces by a mode; all but the difference share their limit."""
-        values = [f[:, mode] for f in self._functions]
-        limits = [float(np.percentile(np.abs(v), _PERCENTILE)) for v in values]
-        limit = max(limits[:2]) or 1.0
-        for i, (surface, function) in enumerate(zip(self._surfaces, values, strict=True)):
-            scale = max(limits[i], _FAINT * limit) if i == 2 else limit
-            surface["colours"] = diverging_colours(function / scale)
-
-
-@contextmanager
-def _without_display() -> Iterator[None]:
-    """Keep VTK from looking for an X server, of which it would complain: nothing is drawn here."""
-    name = "VTK_DEFAULT_OPENGL_WINDOW"
-    before = os.environ.get(name)
-    os.environ[name] = before or "vtkEGLRenderWindow"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[name]
-
-
-def _surface(points: Floats, geometry: Geometry) -> pv.PolyData:
-    import pyvista as pv
-
-    if not isinstance(geometry, TriangleMesh):
-        return pv.PolyData(points)
-    surface = pv.PolyData.from_regular_faces(points, geometry.faces)
-    return surface.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
-
-
 def _run(
-    scene: _Scene,
-    modes: _Modes,
+    scene: Scene,
+    modes: Modes,
     first: int,
     title: str,
     port: int,
@@ -258,15 +115,19 @@ def _run(
     ready: Callable[[str], None] | None,
 ) -> None:
     """Build the page and serve it until it is interrupted."""
+    from aiohttp import web
     from trame.app import get_server
     from trame.ui.html import DivLayout
     from trame.widgets import client, html
     from trame.widgets import vtk as widgets
 
     server: Any = get_server(f"spectra_kit {next(_NAMES)}", client_type="vue3")
-    host = server.cli.parse_known_args()[0].host  # trame would obey the command line, or TRAME_ARGS
-    if host not in ("localhost", _HOST):
-        raise InvalidInputError(f"the explorer is served to this machine alone, got --host {host}")
+    server.cli.set_defaults(authKey=secrets.token_hex(16))
+    options = server.cli.parse_known_args()[0]  # trame obeys the command line, and TRAME_ARGS
+    if options.host not in ("localhost", _HOST):
+        raise InvalidInputError(
+            f"the explorer is served to this machine alone, got --host {options.host}; leave it out"
+        )
     state = server.state
     state.trame__title = title or "Spectrum explorer"
     state.heads, state.mode, state.last = modes.heads, first, modes.k - 1
@@ -277,7 +138,12 @@ def _run(
         with html.Div(classes="heads"):
             html.Div("{{ head }}", v_for="head in heads", key="head")
         with html.Div(classes="scene"):
-            view = widgets.VtkLocalView(scene.plotter.render_window, style="height: 100%")
+            view = widgets.VtkLocalView(
+                scene.plotter.render_window,
+                ref="scene",
+                style="height: 100%",
+                on_ready=lambda **_: _look_once(),
+            )
         with html.Div(classes="bar"):
             html.Label("mode", for_="mode")
             html.Input(
@@ -294,8 +160,7 @@ def _run(
 
     @state.change("mode")  # type: ignore[untyped-decorator]
     def _show(mode: int, **_: Any) -> None:
-        scene.show(int(mode))
-        state.table = modes.table(int(mode))
+        state.table = modes.table(int(mode), scene.show(int(mode)))
         view.update()
 
     def _ready(**_: Any) -> None:
@@ -305,6 +170,24 @@ def _run(
         if open_browser:
             webbrowser.open(url)
 
+    fresh = set[str]()  # "view" while a page has not been given its first view
+
+    def _look_once() -> None:
+        # The browser fits a ball around the geometry, which leaves much room; later views are the
+        # visitor's own.
+        if fresh:
+            fresh.clear()
+            server.js_call("scene", "setCamera", scene.camera())
+
+    def _bind(wslink: Any) -> None:
+        # The page asks for the way to its data; only a page of this server can read the answer.
+        async def answer(_: web.Request) -> web.Response:
+            return web.json_response({"sessionURL": "ws://USE_HOST/ws", "secret": options.authKey})
+
+        wslink.app.router.add_post("/paraview/", answer)
+
+    server.controller.on_client_connected.add(lambda **_: fresh.add("view"))
+    server.controller.on_server_bind.add(_bind)
     server.controller.on_server_ready.add(_ready)
     try:
         server.start(
