@@ -33,6 +33,7 @@ from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 from spectra_kit.metrics import Comparison, align_modes, compare_spectra
 from spectra_kit.spectrum import Spectrum
 from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.colours import diverging_colours
 
 Floats = NDArray[np.float64]
 
@@ -251,10 +252,9 @@ def _view(geometry: Geometry, up: Literal["x", "y", "z"] | None) -> dict[str, An
 
 def _palette() -> str:
     """The colours of `viz` from most negative to most positive, as base64 of bytes (256, 3)."""
-    from matplotlib import colormaps
-
-    table = colormaps["RdBu_r"](np.linspace(0, 1, 256), bytes=True)[:, :3]
-    return base64.b64encode(np.ascontiguousarray(table).tobytes()).decode("ascii")
+    return base64.b64encode(diverging_colours(np.linspace(-1.0, 1.0, 256)).tobytes()).decode(
+        "ascii"
+    )
 
 
 def _write(

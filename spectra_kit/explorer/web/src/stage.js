@@ -98,13 +98,21 @@ export class Stage {
     this.canvas.addEventListener("dblclick", () => this.reset());
   }
 
-  /** Back to the first view. */
-  reset() {
-    this.camera.position.fromArray(this.facts.towards).multiplyScalar(this.fitted || 4);
-    this.camera.position.add(this.middle);
+  /** Stand in this direction, at the first distance. */
+  look(towards) {
+    const glide = this.controls.enableDamping;
+    this.controls.enableDamping = false; // what is left of a drag must not turn the new view
+    this.controls.update();
+    this.camera.position.fromArray(towards).normalize().multiplyScalar(this.fitted || 4).add(this.middle);
     this.controls.target.copy(this.middle);
     this.controls.update();
+    this.controls.enableDamping = glide;
     this.invalidate();
+  }
+
+  /** Back to the first view. */
+  reset() {
+    this.look(this.facts.towards);
   }
 
   /** The axes of the first view, and the middle of what it shows. */
