@@ -19,6 +19,7 @@ from spectra_kit.viz.page import plot_panels
 from spectra_kit.viz.panels import Panel
 from spectra_kit.viz.pareto import ParetoPoint, pareto_front, plot_pareto
 from spectra_kit.viz.picture import Picture
+from spectra_kit.viz.signatures import plot_signatures
 from spectra_kit.viz.solver_run import SolverRun
 from spectra_kit.viz.spectra import plot_spectrum
 
@@ -41,5 +42,6 @@ __all__ = [
     "plot_modes",
     "plot_panels",
     "plot_pareto",
+    "plot_signatures",
     "plot_spectrum",
 ]

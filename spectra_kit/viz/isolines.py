@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._validate import check_points
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.reference import sphere
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.viz.camera import Up, choose_view, fitting_size
 from spectra_kit.viz.distance_scale import EVERY, Scale, distance_scale
+from spectra_kit.viz.marks import with_balls
 from spectra_kit.viz.pen import Pen
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.render import Scene, render
@@ -107,7 +107,8 @@ def plot_distance(
         values, spacing=spacing, inch=unit, dpi=dpi, lines=isinstance(geometry, TriangleMesh)
     )
     drawn, where = _torn(geometry, np.isfinite(values))
-    drawn, coded = _marked(drawn, scale.values(values[where]), marks, _BALL * unit, scale.mark)
+    drawn, ball = with_balls(drawn, marks, _BALL * unit)
+    coded = np.append(scale.values(values[where]), np.full(np.count_nonzero(ball >= 0), scale.mark))
     (pictures,) = render(
         [
             Scene(
@@ -156,22 +157,6 @@ def _torn(geometry: Geometry, reached: NDArray[np.bool_]) -> tuple[Geometry, NDA
     faces[mixed] = copy[faces[mixed]]
     points = np.vstack([geometry.points, geometry.points[inner]])
     return TriangleMesh(points, faces), np.append(everything, np.full(len(inner), beyond))
-
-
-def _marked(
-    geometry: Geometry, coded: Floats, marks: Floats, radius: float, value: float
-) -> tuple[Geometry, Floats]:
-    """Put balls at the sources, in the colour of marks."""
-    if not len(marks):
-        return geometry, coded
-    mesh = isinstance(geometry, TriangleMesh)
-    ball = sphere(subdivisions=3 if mesh else 2).geometry
-    points = np.vstack([geometry.points, *(radius * ball.points + mark for mark in marks)])
-    coded = np.append(coded, np.full(len(marks) * ball.n, value))
-    if not isinstance(geometry, TriangleMesh):
-        return PointCloud(points), coded
-    faces = [ball.faces + geometry.n + i * ball.n for i in range(len(marks))]
-    return TriangleMesh(points, np.vstack([geometry.faces, *faces])), coded
 
 
 def _set_page(

@@ -1,0 +1,40 @@
+"""Balls that mark points of a geometry."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit.geometry.reference import sphere
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def with_balls(geometry: Geometry, centres: Floats, radius: float) -> tuple[Geometry, Ints]:
+    """Return a geometry with balls added to it.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        With n points, which stay the first ones.
+    centres : ndarray of shape (b, 3)
+        Of the balls.
+    radius : float
+        Of the balls, in the unit of the points.
+
+    Returns
+    -------
+    geometry : TriangleMesh or PointCloud
+        The same kind.
+    ball : ndarray of shape (n + ...,)
+        Number of the ball that each point belongs to, -1 for the first n.
+    """
+    ball = sphere(subdivisions=3 if isinstance(geometry, TriangleMesh) else 2).geometry
+    owner = np.append(np.full(geometry.n, -1), np.repeat(np.arange(len(centres)), ball.n))
+    points = np.vstack([geometry.points, *(radius * ball.points + centre for centre in centres)])
+    if not isinstance(geometry, TriangleMesh):
+        return PointCloud(points), owner
+    faces = [ball.faces + geometry.n + i * ball.n for i in range(len(centres))]
+    return TriangleMesh(points, np.vstack([geometry.faces, *faces])), owner

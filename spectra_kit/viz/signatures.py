@@ -1,0 +1,279 @@
+"""Heat and wave kernel signatures: curves of chosen points, and pictures of all at some scales."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spectra_kit._validate import check_indices, real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.viz.camera import Up, choose_view, fitting_size
+from spectra_kit.viz.labels import log_ticks
+from spectra_kit.viz.marks import with_balls
+from spectra_kit.viz.panels import Panel, sequential_limits
+from spectra_kit.viz.pen import Pen, short
+from spectra_kit.viz.picture import Picture
+from spectra_kit.viz.render import Scene, render
+from spectra_kit.viz.sheet import (
+    LINE_COLOURS,
+    MARGIN,
+    check_picture_path,
+    head,
+    line_style,
+    new_figure,
+    save,
+    tidy,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+Kind = Literal["heat", "wave"]
+
+_PICTURES = 4  # by default
+_BALL = 0.017  # of the diagonal: radius of a mark
+_RED = 60  # more red than green: a lit red ball
+# Inches.
+_CURVES, _HEIGHT, _FOOT, _SIDE = 5.0, 4.4, 0.55, 0.75
+_WIDEST, _TALLEST, _CAPTION, _BAR, _GAP = 2.7, 2.6, 0.28, 0.28, 0.3
+_NARROWEST = 1.8  # of a picture with its caption
+
+
+def plot_signatures(
+    path: str | os.PathLike[str],
+    geometry: Geometry,
+    signature: ArrayLike,
+    scales: ArrayLike,
+    *,
+    points: ArrayLike,
+    kind: Kind = "heat",
+    shown: ArrayLike | None = None,
+    up: Up | None = None,
+    title: str = "",
+    subtitle: str = "",
+    dpi: int = 200,
+) -> Picture:
+    """Draw how a signature of some points changes with the scale, and all points at some scales.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    geometry : TriangleMesh or PointCloud
+        With n points.
+    signature : array_like of shape (n, t)
+        In 1/length^2, of every point at every scale: `heat_kernel_signature` or
+        `wave_kernel_signature`.
+    scales : array_like of shape (t,)
+        Ascending, two or more: times in length^2, or energies (logarithms of eigenvalues).
+    points : array_like of shape (p,)
+        Indices of one to nine points: each gets a curve, and a ball of its colour in the pictures.
+    kind : {"heat", "wave"}, default "heat"
+        Whether the scales are times or energies; times, and the heat, are drawn on logarithmic
+        axes.
+    shown : array_like of shape (s,), optional
+        Which scales to draw on the geometry, as one to nine indices; by default four, evenly
+        spread.
+    up : {"x", "y", "z"}, optional
+        Which axis points up; by default the one on which the geometry seems to stand.
+    title, subtitle : str, optional
+        Two lines at the head.
+    dpi : int, default 200
+        Pixels per inch.
+
+    Returns
+    -------
+    Picture
+        Of `path`.
+
+    Raises
+    ------
+    InvalidInputError
+        If sizes disagree, scales are not ascending (and positive for ``"heat"``), an index is out
+        of range, or `path` cannot be a picture.
+    MissingDependencyError
+        If there is no PyVista, or no OpenGL library that it can draw with.
+
+    Notes
+    -----
+    Each picture has its own colours, cut off where the highest and the lowest hundredth of the
+    points begin. The grey band holds nine tenths of all points.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.sphere(subdivisions=2).geometry
+    >>> spectrum = sk.eigensolve(sk.robust_laplacian(mesh), 9)
+    >>> times = sk.descriptors.heat_times(spectrum, 8)
+    >>> hks = sk.descriptors.heat_kernel_signature(spectrum, times)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     plot = plot_signatures(f"{folder}/hks.png", mesh, hks, times, points=[0, 7], dpi=30)
+    ...     plot.path.exists()
+    True
+    """
+    check_picture_path(path)
+    if kind not in get_args(Kind):
+        raise InvalidInputError(f"`kind` must be 'heat' or 'wave', got {kind!r}")
+    at = _check_scales(scales, kind)
+    values = real_array("signature", signature)
+    if values.shape != (geometry.n, len(at)):
+        raise InvalidInputError(
+            f"`signature` must have shape ({geometry.n}, {len(at)}), points by scales,"
+            f" got {values.shape}"
+        )
+    chosen = _few("points", points, geometry.n)
+    if shown is None:
+        shown = np.linspace(0, len(at) - 1, _PICTURES + 2).astype(int)[1:-1]
+    drawn = _few("shown", np.unique(shown), len(at))
+    panels = [
+        _panel(values[:, i], f"{_letter(j)}   {_named(at[i], kind)}") for j, i in enumerate(drawn)
+    ]
+    pictures, seen = _pictures(geometry, panels, chosen, up, dpi)
+    rows, columns = -(-len(panels) // 2), min(len(panels), 2)
+    tall, wide = (side / dpi for side in pictures.shape[1:3])
+    cell = max(wide, _NARROWEST)
+    row = _CAPTION + tall + _BAR
+    begin, left = head(title, subtitle), MARGIN + _SIDE + _CURVES + _GAP
+    room = max(_HEIGHT, rows * row)
+    figure = new_figure(
+        left + columns * (cell + _GAP),
+        begin + room + MARGIN,
+        title=title,
+        subtitle=subtitle,
+        dpi=dpi,
+    )
+    pen = Pen(figure)
+    box = (MARGIN + _SIDE, MARGIN + _FOOT, _CURVES, room - _FOOT - _CAPTION)
+    axes = figure.add_axes(tuple(np.array(box) / ([pen.width, pen.height] * 2)))
+    named = [
+        f"point {i}" + ("" if there else " (hidden)") for i, there in zip(chosen, seen, strict=True)
+    ]
+    draw_curves(axes, values, at, dict(zip(named, chosen, strict=True)), drawn, kind)
+    for j, (panel, picture) in enumerate(zip(panels, pictures, strict=True)):
+        x, y = left + j % 2 * (cell + _GAP), begin + (room - rows * row) / 2 + j // 2 * row
+        pen.text(panel.lines[0], x, y + 0.2, cell, 9.5, centred=True)
+        pen.picture(picture, x + (cell - wide) / 2, y + _CAPTION)
+        pen.bar(panel.colours(256), panel.ends(), x, y + _CAPTION + tall + 0.06, cell)
+    return save(figure, path, dpi)
+
+
+def draw_curves(
+    axes: Axes,
+    values: Floats,
+    scales: Floats,
+    points: Mapping[str, int],
+    shown: Ints,
+    kind: Kind,
+) -> None:
+    """Draw a curve for each point, the range of all points behind, and which scales are shown."""
+    low, high = np.percentile(values, (5, 95), axis=0)
+    axes.fill_between(scales, low, high, color="0.88", lw=0, label="90 % of all points")
+    for i, (name, point) in enumerate(points.items()):
+        colour, dashes = line_style(i)
+        axes.plot(scales, values[point], color=colour, ls=dashes, lw=1.8, label=name)
+    for j, at in enumerate(scales[shown]):
+        axes.axvline(at, color="0.55", lw=0.8, ls=":", zorder=0)
+        axes.annotate(
+            _letter(j),
+            (at, 1),
+            xycoords=axes.get_xaxis_transform(),
+            xytext=(0, 3),
+            textcoords="offset points",
+            ha="center",
+            fontsize=9.5,
+        )
+    if kind == "heat":
+        axes.set(xscale="log", yscale="log", xlabel="time t  [length²]")
+        axes.set_ylabel("heat kernel signature  [1/length²]")
+        log_ticks(axes.xaxis, plain=True)
+        log_ticks(axes.yaxis)
+    else:
+        axes.set(xlabel="energy log λ", ylabel="wave kernel signature  [1/length²]")
+    axes.margins(x=0.02)
+    tidy(axes)
+    axes.legend(frameon=False, fontsize=9)
+
+
+def _pictures(
+    geometry: Geometry, panels: Sequence[Panel], points: Ints, up: Up | None, dpi: int
+) -> tuple[Bytes, NDArray[np.bool_]]:
+    """Draw the fields with balls of the colours of their curves; tell which balls can be seen."""
+    rotation = choose_view(geometry, up=up)
+    radius = _BALL * float(np.linalg.norm(np.ptp(geometry.points, axis=0)))
+    centres = geometry.points[points]
+    # A larger white ball a little further back makes a rim around each.
+    rims = centres - 0.75 * radius * rotation[2]
+    marked, rim = with_balls(geometry, rims, 1.35 * radius)
+    marked, ball = with_balls(marked, centres, radius)
+    red = np.array([255, 0, 0], dtype=np.uint8)
+    colours = np.array([_rgb(line_style(i)[0]) for i in range(len(points))], dtype=np.uint8)
+    white = np.full((np.count_nonzero(rim >= 0), 3), 255, dtype=np.uint8)
+    scene = Scene(
+        geometry=marked,
+        functions=[
+            *(np.vstack([_coloured(panel), white, colours[ball[ball >= 0]]]) for panel in panels),
+            *(np.where(ball[:, None] == i, red, 0 * red) for i in range(len(points))),
+        ],
+        rotation=rotation,
+        width=round(fitting_size(geometry, rotation, _WIDEST, _TALLEST)[0] * dpi),
+    )
+    (pictures,) = render([scene])
+    excess = pictures[len(panels) :, ..., 0].astype(int) - pictures[len(panels) :, ..., 1]
+    return pictures[: len(panels)], np.asarray((excess > _RED).any(axis=(1, 2)))
+
+
+def _coloured(panel: Panel) -> Bytes:
+    """Colours (n, 3) of a field."""
+    table = panel.colours(1024)
+    part = np.clip((panel.scaled() + 1) / 2, 0.0, 1.0)
+    return np.asarray(table[np.round(part * (len(table) - 1)).astype(int)])
+
+
+def _panel(values: Floats, text: str) -> Panel:
+    low, high = sequential_limits(values)
+    return Panel(values=values, low=low, limit=high, lines=(text,))
+
+
+def _few(name: str, indices: ArrayLike, n: int) -> Ints:
+    """Return one to nine different indices."""
+    array, most = check_indices(name, indices, n), len(LINE_COLOURS)
+    if array.ndim != 1 or not 1 <= len(array) <= most or len(np.unique(array)) < len(array):
+        raise InvalidInputError(
+            f"`{name}` must be one to {most} different indices, got {array.tolist()}"
+        )
+    return array
+
+
+def _check_scales(scales: ArrayLike, kind: Kind) -> Floats:
+    at = real_array("scales", scales)
+    if at.ndim != 1 or len(at) < 2 or (np.diff(at) <= 0).any():
+        raise InvalidInputError(
+            f"`scales` must be two or more ascending numbers, got shape {at.shape}"
+        )
+    if kind == "heat" and at[0] <= 0:
+        raise InvalidInputError(
+            f"`scales` must be positive times, got {at[0]:.3g}; say kind='wave' for energies"
+        )
+    return at
+
+
+def _named(scale: float, kind: Kind) -> str:
+    return f"t = {short(scale)}" if kind == "heat" else f"energy {scale:.2f}"
+
+
+def _letter(number: int) -> str:
+    return "abcdefghijklmnopqrstuvwxyz"[number]
+
+
+def _rgb(colour: str) -> tuple[int, ...]:
+    """The bytes of a colour like ``#0072B2``."""
+    return tuple(bytes.fromhex(colour.removeprefix("#")))
