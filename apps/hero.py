@@ -1,0 +1,130 @@
+"""The picture at the head of the README: one spectrum, and what becomes of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import spectra_kit as sk
+from spectra_kit.descriptors import heat_kernel_signature, heat_times
+from spectra_kit.metrics import Comparison, align_modes
+from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.colours import position_colours, refined
+from spectra_kit.viz.distance_scale import distance_scale
+from spectra_kit.viz.panels import Panel, draw_panels
+from spectra_kit.viz.pen import Pen
+from spectra_kit.viz.render import Scene, render
+from spectra_kit.viz.sheet import MARGIN, new_figure, save, tidy
+from spectra_kit.viz.spectra import draw_eigenvalues
+
+Floats = NDArray[np.float64]
+
+MODE = 33
+COLUMNS, CELL, TALL, GAP, CAPTION = 4, 2.75, 2.05, 0.22, 0.62  # inches
+PATTERN = 200_000  # vertices at which the colours of positions look sharp
+
+
+def draw_hero(
+    path: Path,
+    mesh: sk.TriangleMesh,
+    exact: sk.Spectrum,
+    predicted: sk.Spectrum,
+    comparison: Comparison,
+    *,
+    source: int,
+    pair: tuple[sk.TriangleMesh, sk.TriangleMesh, sk.Match],
+    dpi: int,
+) -> None:
+    """Draw two rows of four: a mode in three panels and the eigenvalues; then the applications."""
+    view, width = choose_view(mesh), round(CELL * dpi)
+    left = exact.eigenvectors[:, MODE]
+    right = align_modes(exact, predicted, comparison)[:, MODE]
+    limit = float(np.percentile(np.abs(left), 99))
+    modes = [Panel(values=f, limit=limit, levels=(0.0,)) for f in (left, right)]
+    modes.append(Panel(values=right - left, limit=limit))
+    field = sk.HeatGeodesics(mesh, exact).distance(source).distance
+    unit = float(np.ptp(mesh.points @ view.T, axis=0)[0]) / CELL
+    scale = distance_scale(field, inch=unit, dpi=dpi)
+    distances = Scene(
+        geometry=mesh,
+        functions=[scale.values(field)],
+        rotation=view,
+        width=width,
+        colours=scale.table,
+    )
+    times = heat_times(exact, 12)
+    heat = np.log(heat_kernel_signature(exact, times)[:, 3])
+    signature = Panel(
+        values=heat,
+        low=heat.min(),
+        limit=heat.max(),
+        levels=tuple(np.linspace(heat.min(), heat.max(), 12)[1:-1]),
+    )
+    panels = draw_panels(mesh, [*modes, signature], rotation=view, width=width, dpi=dpi)
+    (distance,), *maps = render([distances, *map_scenes(pair, width)])
+    pictures = [*panels[:3], distance, panels[3], *(picture for (picture,) in maps)]
+
+    row = TALL + CAPTION
+    page = 2 * MARGIN + COLUMNS * (CELL + GAP) - GAP
+    figure = new_figure(page, 2 * row + 2 * MARGIN, dpi=dpi)
+    pen = Pen(figure)
+    error = float(np.sqrt(exact.mass @ (right - left) ** 2))  # the mode itself has norm 1
+    captions = (
+        ("exact eigenfunction", f"mode {MODE}, ARPACK"),
+        ("predicted by NEO", "one forward pass, no solve on the mesh"),
+        ("their difference", f"same colours; {100 * error:.1f} % of the mode"),
+        ("every mode certified", "bars: a true eigenvalue lies within"),
+        ("geodesic distances", "heat method, modes as coarse space"),
+        ("heat kernel signature", "what each point sees around it"),
+        ("shape matching", "source, coloured by position"),
+        ("", "target, coloured by the map found"),
+    )
+    places = [0, 1, 2, 4, 5, 6, 7]
+    for place, picture in zip(places, pictures, strict=True):
+        high, wide = (side / dpi for side in picture.shape[:2])
+        x = MARGIN + (place % COLUMNS) * (CELL + GAP) + (CELL - wide) / 2
+        y = MARGIN + (place // COLUMNS) * row + (TALL - high) / 2
+        pen.picture(picture, x, y)
+    for place, (head, below) in enumerate(captions):
+        x = MARGIN + (place % COLUMNS) * (CELL + GAP)
+        y = MARGIN + (place // COLUMNS) * row + TALL
+        pen.text(head, x, y + 0.24, CELL, 11, bold=True, centred=True)
+        pen.text(below, x, y + 0.42, CELL, 8.5, centred=True, colour="0.4")
+    corner = MARGIN + 3 * (CELL + GAP)
+    height = pen.height
+    panel = figure.add_axes(
+        (
+            (corner + 0.5) / page,
+            1 - (MARGIN + TALL - 0.2) / height,
+            (CELL - 0.55) / page,
+            (TALL - 0.25) / height,
+        )
+    )
+    draw_eigenvalues(panel, {"exact": exact, "NEO": predicted}, weyl=True)
+    panel.set(xlabel="", ylabel="eigenvalue")
+    panel.set_title("")
+    tidy(panel)
+    lines, labels = panel.get_legend_handles_labels()
+    short = [label.split(",")[0].split(":")[0] for label in labels]
+    panel.legend(lines, short, loc="upper left", fontsize=8, frameon=False)
+    save(figure, path, dpi)
+
+
+def map_scenes(
+    pair: tuple[sk.TriangleMesh, sk.TriangleMesh, sk.Match], width: int
+) -> tuple[Scene, Scene]:
+    """The source coloured by position, the target in the colours that the map brings it."""
+    source, target, match = pair
+    view = choose_view(source, up="z")
+    seen = source.points @ view.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    scenes = []
+    for mesh, places in ((source, seen), (target, seen[match.point_map])):
+        fine, positions, normals = refined(mesh, places, PATTERN)
+        colours = position_colours(positions, low, high, squares=True)
+        scenes.append(
+            Scene(geometry=fine, functions=[colours], rotation=view, width=width, normals=normals)
+        )
+    return scenes[0], scenes[1]

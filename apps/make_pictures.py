@@ -1,0 +1,331 @@
+"""Draw every picture of the README and the documentation again.
+
+    python apps/make_pictures.py                  # all, into docs/pictures
+    python apps/make_pictures.py hero modes       # some
+    python apps/make_pictures.py --out OUT --dpi 100
+
+Everything is computed here, from procedural surfaces; nothing is read. The two of the explorer are
+screenshots and need Chromium and Playwright (extra `dev`); `convergence` and `pareto` show the
+seconds of this machine. Needs the extra `dev`, and a few minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from hero import draw_hero
+
+import spectra_kit as sk
+from spectra_kit import viz
+from spectra_kit.cli import main as spectra_kit_command
+from spectra_kit.descriptors import farthest_points, heat_kernel_signature, heat_times
+from spectra_kit.errors import SpectraKitError
+from spectra_kit.explorer import write_explorer
+from spectra_kit.geometry import creature, creature_pair, sample
+from spectra_kit.metrics import Comparison, compare_spectra
+
+ROOT = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class Studio:
+    """What several pictures share, computed when first asked for."""
+
+    out: Path
+    dpi: int
+
+    def path(self, name: str) -> Path:
+        """Where a picture goes."""
+        return self.out / name
+
+    @cached_property
+    def animal(self) -> sk.TriangleMesh:
+        """The demo."""
+        return creature(12000, seed=0)
+
+    @cached_property
+    def exact(self) -> sk.Spectrum:
+        """Its modes."""
+        return sk.eigensolve(sk.robust_laplacian(self.animal), 96)
+
+    @cached_property
+    def predicted(self) -> sk.Spectrum:
+        """As the network has them."""
+        return sk.eigensolve(sk.robust_laplacian(self.animal), 96, sk.Neo())
+
+    @cached_property
+    def comparison(self) -> Comparison:
+        """Of the two."""
+        return compare_spectra(self.exact, self.predicted)
+
+    @cached_property
+    def pair(self) -> tuple[sk.TriangleMesh, sk.TriangleMesh, sk.Match]:
+        """The animal in two poses, of other triangles, and the map found between them."""
+        source, target, _ = creature_pair(8000, 7200, seed=1)
+        prepared = [
+            sk.prepare(sk.eigensolve(sk.robust_laplacian(mesh), 150), mesh)
+            for mesh in (source, target)
+        ]
+        return source, target, sk.match(*prepared)
+
+    @cached_property
+    def nose(self) -> int:
+        """The foremost vertex of the animal."""
+        return int(self.animal.points[:, 0].argmax())
+
+
+def hero(studio: Studio) -> None:
+    """What the toolkit is for, on one strip."""
+    draw_hero(
+        studio.path("hero.png"),
+        studio.animal,
+        studio.exact,
+        studio.predicted,
+        studio.comparison,
+        source=studio.nose,
+        pair=studio.pair,
+        dpi=studio.dpi,
+    )
+
+
+def modes(studio: Studio) -> None:
+    """A gallery of modes."""
+    viz.plot_modes(
+        studio.path("modes.png"),
+        studio.animal,
+        studio.exact,
+        modes=(1, 2, 3, 5, 8, 12, 20, 33, 54),
+        title="The lowest modes of a surface, with their nodal lines",
+        dpi=studio.dpi,
+    )
+
+
+def comparison(studio: Studio) -> None:
+    """Exact, predicted, difference."""
+    viz.plot_comparison(
+        studio.path("comparison.png"),
+        studio.animal,
+        studio.exact,
+        studio.predicted,
+        studio.comparison,
+        modes=(5, 20, 50),
+        names=("exact: Arpack()", "predicted: Neo()"),
+        dpi=studio.dpi,
+    )
+
+
+def cloud(studio: Studio) -> None:
+    """Modes of points."""
+    points = sample(studio.animal, 8000, seed=0)
+    viz.plot_modes(
+        studio.path("cloud.png"),
+        points,
+        sk.eigensolve(sk.delaunay_laplacian(points), 40),
+        modes=(2, 8, 33),
+        title="The same surface as 8,000 points",
+        dpi=studio.dpi,
+    )
+
+
+def spectrum(studio: Studio) -> None:
+    """Eigenvalues and what is certain of them."""
+    viz.plot_spectrum(
+        studio.path("spectrum.png"),
+        {"Arpack()": studio.exact, "Neo()": studio.predicted},
+        title="96 eigenvalues, exact and predicted",
+        dpi=studio.dpi,
+    )
+
+
+def signatures(studio: Studio) -> None:
+    """The heat kernel signature."""
+    times = heat_times(studio.exact, 60)
+    viz.plot_signatures(
+        studio.path("signatures.png"),
+        studio.animal,
+        heat_kernel_signature(studio.exact, times),
+        times,
+        points=farthest_points(studio.exact, 5),
+        title="Heat kernel signature",
+        dpi=studio.dpi,
+    )
+
+
+def distance(studio: Studio) -> None:
+    """Geodesic distances from the nose."""
+    field = sk.HeatGeodesics(studio.animal, studio.exact).distance(studio.nose)
+    viz.plot_distance(
+        studio.path("distance.png"),
+        studio.animal,
+        field.distance,
+        sources=studio.animal.points[[studio.nose]],
+        title="Geodesic distances by the heat method",
+        dpi=studio.dpi,
+    )
+
+
+def match(studio: Studio) -> None:
+    """A map between two poses."""
+    source, target, found = studio.pair
+    viz.plot_correspondence(
+        studio.path("match.png"),
+        source,
+        target,
+        found.point_map,
+        transfer="texture",
+        up="z",
+        names=("source", "target, textured by the map"),
+        dpi=studio.dpi,
+    )
+
+
+def animation(studio: Studio) -> None:
+    """Modes that swing."""
+    viz.animate_modes(
+        studio.path("modes.gif"), studio.animal, studio.exact, modes=(2, 8, 20), width=420
+    )
+
+
+def convergence(studio: Studio) -> None:
+    """How the solvers of the heat method's Poisson step converge."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = ["geodesic", "demo", "--points", "30000", "--compare", "-o", folder]
+        if spectra_kit_command([*command, "--dpi", str(studio.dpi)]):
+            raise SpectraKitError("`spectra-kit geodesic --compare` failed")
+        shutil.copyfile(Path(folder) / "convergence.png", studio.path("convergence.png"))
+
+
+def pareto(studio: Studio) -> None:
+    """Seconds and errors of the solvers."""
+    laplacian = sk.robust_laplacian(creature(32000, seed=0))
+    solvers = {
+        "Arpack": (sk.Arpack(), "exact"),
+        "Multilevel": (sk.Multilevel(rtol=1e-6), "exact"),
+        "Refined": (sk.Refined(rtol=1e-6), "exact"),
+        "Polished": (sk.Polished(), "approximate"),
+        "Capped": (sk.Capped(), "approximate"),
+        "Plane waves": (sk.RayleighRitz(subspace=sk.AmbientFourier()), "approximate"),
+        "Neo": (sk.Neo(), "neural"),
+        "Neo, two poses": (sk.Neo(poses=2), "neural"),
+        "Neo, polished": (sk.Polished(start=sk.Neo().subspace), "neural"),
+        "Neo, capped": (sk.Capped(subspace=sk.Neo().subspace), "neural"),
+    }
+    truth = sk.eigensolve(laplacian, 96).eigenvalues[1:]
+    runs = []
+    for name, (solver, group) in solvers.items():
+        sk.eigensolve(laplacian, 96, solver)  # what is compiled on first use is not timed
+        start = time.perf_counter()
+        found = sk.eigensolve(laplacian, 96, solver).eigenvalues[1:]
+        seconds = time.perf_counter() - start
+        error = max(float(np.mean(np.abs(found / truth - 1))), 1e-15)
+        runs.append(viz.ParetoPoint(name=name, group=group, seconds=seconds, error=error))
+    viz.plot_pareto(
+        studio.path("pareto.png"),
+        runs,
+        xlabel="seconds, 96 modes of 32,000 points",
+        ylabel="mean relative error of the eigenvalues",
+        title="Which solver when",
+        dpi=studio.dpi,
+    )
+
+
+def explorer(studio: Studio) -> None:
+    """Screenshots of the explorer, light and dark."""
+    from playwright.sync_api import sync_playwright
+
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        page_path = Path(folder) / "explorer.html"
+        write_explorer(
+            page_path,
+            studio.animal,
+            studio.exact,
+            studio.predicted,
+            comparison=studio.comparison,
+            title="demo animal",
+        )
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium") or shutil.which("google-chrome"),
+            args=["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"],
+        )
+        for scheme, name in (("light", "explorer.png"), ("dark", "explorer_dark.png")):
+            page = browser.new_page(
+                viewport={"width": 1440, "height": 900},
+                color_scheme=scheme,  # type: ignore[arg-type]
+            )
+            page.goto(page_path.as_uri())
+            page.wait_for_selector("[data-ready]")
+            for _ in range(20):
+                page.keyboard.press("ArrowRight")
+            page.wait_for_timeout(500)
+            page.screenshot(path=studio.path(name))
+            page.close()
+        browser.close()
+
+
+def architecture(studio: Studio) -> None:
+    """The packages and what they import."""
+    path = ROOT / "docs" / "architecture.py"
+    spec = importlib.util.spec_from_file_location("architecture", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.draw_architecture(studio.path("architecture.svg"))
+
+
+PICTURES: dict[str, Callable[[Studio], None]] = {
+    draw.__name__: draw
+    for draw in (
+        hero,
+        modes,
+        comparison,
+        cloud,
+        spectrum,
+        signatures,
+        distance,
+        match,
+        animation,
+        convergence,
+        pareto,
+        explorer,
+        architecture,
+    )
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Draw what was asked for; return the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="make_pictures.py",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help=f"some of: {', '.join(PICTURES)} (default: all)"
+    )
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "pictures", help="%(default)s")
+    parser.add_argument("--dpi", type=int, default=120, help="of the pages (%(default)s)")
+    options = parser.parse_args(argv)
+    if unknown := sorted(set(options.names) - set(PICTURES)):
+        parser.error(f"no pictures {', '.join(unknown)}; there are {', '.join(PICTURES)}")
+    options.out.mkdir(parents=True, exist_ok=True)
+    studio = Studio(options.out, options.dpi)
+    for name in options.names or PICTURES:
+        start = time.perf_counter()
+        PICTURES[name](studio)
+        print(f"{name}: {time.perf_counter() - start:.1f} s", file=sys.stderr)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
