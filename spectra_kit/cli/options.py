@@ -235,6 +235,7 @@ def add_drawing(group: argparse._ArgumentGroup, *, dpi: bool = True) -> None:
 def add_general(parser: argparse.ArgumentParser) -> None:
     """Add what every command takes."""
     group = parser.add_argument_group("general")
+    group.add_argument("-h", "--help", action="help", help="show this and exit")
     group.add_argument(
         "--json", action="store_true", help="print one JSON object instead of tables"
     )

@@ -42,8 +42,7 @@ def print_blocks(*blocks: str) -> None:
 
 def print_json(**record: object) -> None:
     """JSON knows no NaN: null stands for it."""
-    json.dump(plain(record), sys.stdout, indent=2, allow_nan=False)
-    sys.stdout.write("\n")
+    sys.stdout.write(json.dumps(plain(record), indent=2, allow_nan=False) + "\n")
 
 
 def plain(value: object) -> object:
@@ -54,6 +53,8 @@ def plain(value: object) -> object:
         return [plain(item) for item in value]
     if isinstance(value, np.generic):
         return plain(value.item())
+    if isinstance(value, Path):
+        return str(value)
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value

@@ -46,6 +46,7 @@ class Parser(argparse.ArgumentParser):
             description=purpose + (f"\n\nexamples:\n{shown}" if examples else ""),
             epilog=notes,
             formatter_class=_Formatter,
+            add_help=False,  # it has its place among the general options
         )
 
     def error(self, message: str) -> NoReturn:

@@ -113,7 +113,7 @@ COMMANDS = (
         "Set predicted modes beside exact ones: a table of errors, and a picture.",
         (
             "compare bunny.obj -o errors.png",
-            "compare bunny.obj --spectrum bunny.npz --solver polished --start neo",
+            "compare bunny.obj --spectrum bunny.npz --solver polished",
             f"compare {DEMO} --cloud 8000 --json",
         ),
         "input, geometry, exact, predicted, comparison, picture",
@@ -206,6 +206,7 @@ More: spectra-kit COMMAND --help     spectra-kit --version
 def build_parser() -> StoryParser:
     """Return the parser of ``spectra-kit``."""
     parser = StoryParser("spectra-kit", usage="spectra-kit COMMAND FILE [options]")
+    parser.add_argument("-h", "--help", action="help")
     parser.add_argument("--version", action="version", version=f"spectra_kit {VERSION}")
     subparsers = parser.add_subparsers(
         required=True, metavar="COMMAND", prog="spectra-kit", parser_class=Parser
