@@ -4,6 +4,7 @@ import ast
 import importlib
 import importlib.util
 import inspect
+import json
 import pkgutil
 import re
 import shlex
@@ -129,19 +130,27 @@ def test_the_command_lines_of_the_guide_are_accepted() -> None:
         build_parser().parse_args(arguments)  # exits where it has no use for one
 
 
+def write_notebook(path: Path, text: str) -> None:
+    cells = [{"cell_type": "markdown", "source": text.splitlines(keepends=True)}]
+    path.write_text(json.dumps({"cells": cells}))
+
+
 def test_executed_notebooks_take_the_place_of_bare_ones(tmp_path: Path) -> None:
     gather = load(DOCS / "extensions/notebook_pages.py").gather
     bare, executed, pages = (tmp_path / name for name in ("bare", "executed", "pages"))
     for folder in (bare, executed, pages):
         folder.mkdir()
-    (bare / "a.ipynb").write_text("a")
-    (bare / "b.ipynb").write_text("b")
-    (executed / "b.ipynb").write_text("b, executed")
+    write_notebook(bare / "a.ipynb", "# A\n\n**What is a?** This.")
+    write_notebook(bare / "b.ipynb", "# B\n\nWe ask. And\nwhy b?")
+    write_notebook(executed / "b.ipynb", "# B\n\nWhy b? Executed.")
     (pages / "gone.ipynb").write_text("of a notebook that was renamed")
     gather(bare, executed, pages)
-    assert {p.name: p.read_text() for p in pages.iterdir()} == {
-        "a.ipynb": "a",
-        "b.ipynb": "b, executed",
-    }
+    assert sorted(path.name for path in pages.iterdir()) == ["a.ipynb", "b.ipynb", "questions.inc"]
+    assert (pages / "a.ipynb").read_bytes() == (bare / "a.ipynb").read_bytes()
+    assert (pages / "b.ipynb").read_bytes() == (executed / "b.ipynb").read_bytes()
     gather(bare, None, pages)
-    assert (pages / "b.ipynb").read_text() == "b"
+    assert (pages / "b.ipynb").read_bytes() == (bare / "b.ipynb").read_bytes()
+    assert (pages / "questions.inc").read_text().splitlines() == [
+        "- [A](pages/a.ipynb): What is a?",
+        "- [B](pages/b.ipynb): And why b?",
+    ]

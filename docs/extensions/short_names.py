@@ -8,6 +8,8 @@ from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 from sphinx.util.nodes import make_refnode
 
+_KINDS = ("class", "exception", "function", "data")
+
 
 def resolve(
     app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nodes.TextElement
@@ -15,16 +17,18 @@ def resolve(
     """Find what a Python reference that nothing else resolved ends with."""
     if node.get("refdomain") != "py":
         return None
-    tail = "." + node["reftarget"].removeprefix("sk.").removesuffix("()")
-    objects = env.domains["py"].data["objects"]
-    found = [(name, entry) for name, entry in objects.items() if name.endswith(tail)]
-    pages = {(entry.docname, entry.node_id) for _, entry in found}
-    if len(pages) != 1:  # unknown, or several: text, not a link to a wrong place
+    target = node["reftarget"].removeprefix("sk.")
+    # A word alone is more often an argument than a method or a module of that name.
+    kinds = (*_KINDS, "method", "property", "attribute") if "." in target else _KINDS
+    found = {
+        (entry.docname, entry.node_id): name
+        for name, entry in env.domains["py"].data["objects"].items()
+        if name.endswith("." + target) and entry.objtype in kinds
+    }
+    if len(found) != 1:  # unknown, or several: text, not a link to a wrong place
         return None
-    name, entry = found[0]
-    return make_refnode(
-        app.builder, node["refdoc"], entry.docname, entry.node_id, content, title=name
-    )
+    [((page, place), name)] = found.items()
+    return make_refnode(app.builder, node["refdoc"], page, place, content, title=name)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
