@@ -489,7 +489,7 @@ def test_tiny_inputs() -> None:
 
 
 # Extents from 0.8 to 502; open, closed and of three components; edges 4,000 times as long as others
-# (hippo). Larger meshes, the bunny and the horse, are in test_geodesics_data.py.
+# (hippo). A larger mesh, the bunny, is in test_geodesics_data.py.
 REAL = [
     "3holes", "camelhead", "casting", "cheburashka", "cow", "fandisk", "hippo", "homer", "laurana",
     "plane", "spot", "teapot", "trim_star",

@@ -419,13 +419,17 @@ def test_a_copy_is_the_same() -> None:
 
 
 MESH = ball()
-TRIANGULATION = intrinsic_delaunay(MESH)
+
+
+@cache  # not when this file is read: kernels would be compiled in every process that collects it
+def triangulated() -> IntrinsicTriangulation:
+    return intrinsic_delaunay(MESH)
 
 
 def rebuilt(**changes) -> IntrinsicTriangulation:
     fields = ("corners", "lengths", "share", "boundary", "laplacian")
     return IntrinsicTriangulation(
-        **{name: getattr(TRIANGULATION, name) for name in fields} | changes
+        **{name: getattr(triangulated(), name) for name in fields} | changes
     )
 
 
@@ -454,27 +458,27 @@ BAD = {
         "`geometry` must have an extent between 1e-130 and 1e.130, got 3 points within 0",
     ),
     "values": (
-        lambda: TRIANGULATION.gradient(np.zeros(5)),
+        lambda: triangulated().gradient(np.zeros(5)),
         r"`values` must have shape \(162,\), got \(5,\)",
     ),
     "vectors": (
-        lambda: TRIANGULATION.divergence(np.zeros((5, 3))),
+        lambda: triangulated().divergence(np.zeros((5, 3))),
         r"`vectors` must have shape \(320, 2\), got \(5, 3\)",
     ),
     "not finite": (
-        lambda: TRIANGULATION.gradient(np.full(162, np.nan)),
+        lambda: triangulated().gradient(np.full(162, np.nan)),
         "`values` must be finite",
     ),
     "corner": (
-        lambda: rebuilt(corners=TRIANGULATION.corners + 1),
+        lambda: rebuilt(corners=triangulated().corners + 1),
         r"`corners` must be in \[0, 162",
     ),
     "shapes": (
-        lambda: rebuilt(lengths=TRIANGULATION.lengths[1:]),
+        lambda: rebuilt(lengths=triangulated().lengths[1:]),
         r"same shape \(f, 3\), got \(320, 3\) and \(319, 3\)",
     ),
     "length": (
-        lambda: rebuilt(lengths=TRIANGULATION.lengths * 0),
+        lambda: rebuilt(lengths=triangulated().lengths * 0),
         "`lengths` must be positive, got 960 entries",
     ),
     "share": (lambda: rebuilt(share=0), "`share` must be positive"),

@@ -32,7 +32,7 @@ K = 40
 
 @pytest.fixture(scope="module")
 def laplacian() -> Laplacian:
-    return robust_laplacian(creature(9000, seed=0))
+    return robust_laplacian(creature(6000, seed=0))
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def test_multilevel_refuses_options(options, match):
 @pytest.mark.parametrize("subspace", [Neo().subspace, RandomBasis(m=60)], ids=["neo", "random"])
 def test_a_capped_prediction_is_close(laplacian, exact, subspace, kind):
     if kind == "cloud":
-        laplacian = robust_laplacian(creature(9000, seed=0).as_cloud())
+        laplacian = robust_laplacian(creature(6000, seed=0).as_cloud())
         exact = eigensolve(laplacian, K)
     rough, swept = (
         eigensolve(laplacian, K, Capped(subspace=subspace, n_points=2000, sweeps=3, smoothing=s))
