@@ -263,7 +263,7 @@ def explorer(studio: Studio) -> None:
                 color_scheme=scheme,  # type: ignore[arg-type]
             )
             page.goto(page_path.as_uri())
-            page.wait_for_selector("[data-ready]")
+            page.wait_for_selector("body.ready")
             for _ in range(20):
                 page.keyboard.press("ArrowRight")
             page.wait_for_timeout(500)
