@@ -192,7 +192,7 @@ def match(studio: Studio) -> None:
 def animation(studio: Studio) -> None:
     """Modes that swing."""
     viz.animate_modes(
-        studio.path("modes.gif"), studio.animal, studio.exact, modes=(2, 8, 20), width=420
+        studio.path("modes.gif"), studio.animal, studio.exact, modes=(2, 8, 20), width=320
     )
 
 
