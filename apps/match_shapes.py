@@ -1,6 +1,6 @@
 """Match two meshes or clouds: find the source point of each target point.
 
-    python apps/match_shapes.py                      # a demo animal in two poses
+    python apps/match_shapes.py                    # a demo animal in two poses
     python apps/match_shapes.py cat.off lion.off -o cat_to_lion
     python apps/match_shapes.py cat.off lion.off --landmarks pairs.txt
 

@@ -60,8 +60,15 @@ def counted(text: str, unit: str) -> Iterator[Callable[[int, int], None]]:
     from tqdm import tqdm
 
     start = time.perf_counter()
+    seen = _seen()
     with tqdm(
-        desc=text, unit=unit, leave=False, disable=not _seen(), file=sys.stderr, dynamic_ncols=True
+        desc=text,
+        unit=unit,
+        leave=False,
+        disable=not seen,
+        file=sys.stderr,
+        ncols=_width() if seen else None,
+        nrows=24,  # a terminal that does not know its size would show nothing
     ) as bar:
 
         def tell(done: int, total: int) -> None:
@@ -69,7 +76,7 @@ def counted(text: str, unit: str) -> Iterator[Callable[[int, int], None]]:
             bar.update(done - bar.n)
 
         yield tell
-    if _seen():
+    if seen:
         _tell_done(text, time.perf_counter() - start)
 
 
@@ -99,6 +106,11 @@ def _tick(text: str, start: float, stop: threading.Event) -> None:
 
 def _show(text: str) -> None:
     """Put `text` in place of the line; one write, so that two threads do not mix theirs."""
-    width = (os.get_terminal_size(sys.stderr.fileno()).columns or 80) - 1
+    width = _width()
     sys.stderr.write(f"\r{text[:width]:{width}}\r")
     sys.stderr.flush()
+
+
+def _width() -> int:
+    """Columns that a line may fill without wrapping; some terminals do not know theirs."""
+    return (os.get_terminal_size(sys.stderr.fileno()).columns or 80) - 1

@@ -1,0 +1,157 @@
+"""What a terminal shows while a command works, and that files and pipes see nothing of it."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+import warnings
+
+import pytest
+
+from spectra_kit.cli import main
+from spectra_kit.cli.progress import counted, say, step, telling
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="there are no pseudo terminals here")
+
+
+class Terminal:
+    """A pseudo terminal, in place of stderr inside a with block."""
+
+    def __init__(self, patch):
+        self.master, self.slave = os.openpty()
+        os.set_blocking(self.master, False)
+        self.patch = patch
+
+    def __enter__(self):
+        self.screen = os.fdopen(self.slave, "w", encoding="utf-8")
+        self.patch.setattr(sys, "stderr", self.screen)
+
+    def __exit__(self, *_):
+        self.patch.undo()
+        time.sleep(0.05)
+        self.text = ""
+        while True:
+            try:
+                self.text += os.read(self.master, 65536).decode()
+            except BlockingIOError:
+                break
+        self.screen.close()
+        os.close(self.master)
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    return Terminal(monkeypatch)
+
+
+def left_over(text):
+    """The lines that stay on the screen when `text` was written to it."""
+    lines = []
+    for line in text.split("\n"):
+        cells = ""
+        for part in line.rstrip("\r").split("\r"):
+            cells = part + cells[len(part) :]
+        lines.append(cells.rstrip())
+    return [line for line in lines if line]
+
+
+def test_a_long_step_turns_a_wheel_and_says_how_long_it_took(terminal):
+    with terminal, step("working"):
+        time.sleep(1.15)
+    text = terminal.text
+    assert re.search(r"\r[⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏] working  0\.\d s", text)
+    assert re.fullmatch(r"working: done in 1\.\d s", *left_over(text))
+    assert max(map(len, re.split(r"[\r\n]", text))) <= 79  # one line, never wrapped
+    assert "\x1b" not in text
+
+
+def test_a_short_step_leaves_nothing(terminal):
+    with terminal, step("working"):
+        time.sleep(0.25)
+    text = terminal.text
+    assert "working" in text
+    assert left_over(text) == []
+
+
+def test_a_long_text_is_cut_to_the_terminal(terminal):
+    with terminal, step("x" * 300):
+        time.sleep(0.15)
+    assert max(map(len, terminal.text.split("\r"))) == 79
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_a_step_that_fails_is_cleared_and_its_thread_ends(terminal, error):
+    before = threading.active_count()
+    with terminal, pytest.raises(error), step("working"):
+        raise time.sleep(0.15) or error
+    assert left_over(terminal.text) == []
+    assert threading.active_count() == before
+
+
+def test_what_is_said_in_the_midst_of_a_step_has_a_line_of_its_own(terminal):
+    with terminal, telling(quiet=False), step("working"), warnings.catch_warnings():
+        time.sleep(0.15)
+        say("repaired: nothing to do")
+        warnings.simplefilter("always")
+        warnings.warn("thin ice", stacklevel=1)
+        time.sleep(0.15)
+    assert left_over(terminal.text) == ["repaired: nothing to do", "warning: thin ice"]
+
+
+def test_counted_work_has_a_bar(terminal):
+    with terminal, counted("drawing", "frame") as tell:
+        for i in range(1, 5):
+            time.sleep(0.12)
+            tell(i, 4)
+    text = terminal.text
+    assert "drawing" in text
+    assert re.search(r"[34]/4", text)
+    assert left_over(text.replace("\x1b[A", "")) == []
+
+
+def test_quiet_shows_nothing(terminal):
+    with terminal, telling(quiet=True):
+        with step("working"):
+            time.sleep(0.15)
+        with counted("drawing", "frame") as tell:
+            tell(1, 1)
+    assert terminal.text == ""
+
+
+def test_a_command_shows_its_steps_to_a_terminal_and_its_table_to_a_pipe(terminal, capsys):
+    command = ["compare", "demo", "--points", "500", "-k", "8", "--solver", "dense"]
+    with terminal:
+        assert main(command) == 0
+    assert all(re.search(r": done in \d+\.\d s$", line) for line in left_over(terminal.text))
+    assert "eigenvector error" in capsys.readouterr().out
+
+
+def test_ctrl_c_leaves_no_line_no_traceback_and_no_file(tmp_path):
+    master, slave = os.openpty()
+    command = [sys.executable, "-m", "spectra_kit", "spectrum", "demo", "--points", "1500"]
+    options = ["-k", "400", "--solver", "lobpcg", "--rtol", "1e-13", "-o", "out.npz"]
+    process = subprocess.Popen(
+        [*command, *options], stdout=subprocess.PIPE, stderr=slave, cwd=tmp_path
+    )
+    os.close(slave)
+    text = ""
+    while "solving for 400" not in text:
+        text += os.read(master, 4096).decode()
+    process.send_signal(signal.SIGINT)
+    while True:
+        try:
+            if not (chunk := os.read(master, 4096)):
+                break
+        except OSError:  # how a terminal says that its last writer has gone
+            break
+        text += chunk.decode()
+    out, _ = process.communicate(timeout=60)
+    os.close(master)
+    assert process.returncode == 130
+    assert out == b""
+    assert left_over(text)[-1] == "interrupted"
+    assert not any("solving" in line or "Traceback" in line for line in left_over(text))
+    assert os.listdir(tmp_path) == []
