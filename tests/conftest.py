@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -105,9 +106,14 @@ def _dirichlet_rectangle() -> Laplacian:
     return robust_laplacian(mesh).dirichlet(mesh.boundary_vertices)
 
 
+@cache  # pytest makes a fixture anew whenever it comes back to a parameter
+def laplacian_of(name: str) -> Laplacian:
+    return GEOMETRIES[name]()
+
+
 @pytest.fixture(params=GEOMETRIES, scope="session")
 def any_laplacian(request: pytest.FixtureRequest) -> Laplacian:
-    return GEOMETRIES[request.param]()
+    return laplacian_of(request.param)
 
 
 @pytest.fixture(scope="session")

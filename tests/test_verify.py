@@ -1,6 +1,7 @@
 """The count of eigenvalues, against LAPACK's; and that nothing incomplete passes for verified."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.linalg import SparseLDL
 
 
+@cache
 def exact_values(laplacian: Laplacian) -> np.ndarray:
     root = 1 / np.sqrt(laplacian.mass[laplacian.free])
     stiffness = laplacian.stiffness[laplacian.free][:, laplacian.free].toarray()
