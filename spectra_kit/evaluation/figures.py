@@ -6,27 +6,25 @@ Matplotlib draws the figures; it is imported when one is drawn.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spectra_kit._files import atomic_path
 from spectra_kit.evaluation.bench import Bench
 from spectra_kit.evaluation.curves import Curve
 from spectra_kit.evaluation.findings import Row
 from spectra_kit.evaluation.studies import Answer
 from spectra_kit.geometry import Geometry
-from spectra_kit.viz import plot_comparison
+from spectra_kit.viz import ParetoPoint, plot_comparison, plot_pareto
+from spectra_kit.viz.sheet import LINE_COLOURS, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _ERRORS = {"span": "span error", "vector": "eigenvector error", "value": "eigenvalue error"}
-# Okabe and Ito's colours: told apart with every kind of colour blindness.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 _LINES = 6  # in one panel
 _DRAWN = 3  # modes of a model
 _ROUNDING = 1e-10
@@ -60,7 +58,7 @@ def draw(answer: Answer, folder: Path) -> list[Path]:
         else:
             drawn.append(_save(_modes(here, place), folder / f"{slug}-modes.png"))
         if answer.name == "accuracy":
-            drawn.append(_save(_against_time(here, place), folder / f"{slug}-time.png"))
+            drawn.append(_against_time(here, place, folder / f"{slug}-time.png"))
     if answer.name in ("accuracy", "precision", "redundancy"):
         quantity = "m" if answer.name == "redundancy" else "points"
         for models in dict.fromkeys(row.labels["models"] for row in rows):
@@ -134,7 +132,7 @@ def draw_curves(curves: Sequence[Curve], folder: Path) -> Path:
         ``training-samples.png``.
     """
     figure, (panel,) = _figure("Validation against samples seen", panels=1)
-    for curve, colour in zip(curves, itertools.cycle(_COLOURS), strict=False):
+    for curve, colour in zip(curves, itertools.cycle(LINE_COLOURS), strict=False):
         panel.plot(curve.samples, curve.errors, "o-", color=colour, lw=1.4, ms=3, label=curve.name)
     panel.set(xlabel="samples seen", ylabel="mean span error", xscale="log", yscale="log")
     _legend(figure, panel)
@@ -144,7 +142,7 @@ def draw_curves(curves: Sequence[Curve], folder: Path) -> Path:
 def _modes(rows: Sequence[Row], place: str) -> Figure:
     """Each error against the mode number: median over models, and quartiles as a band."""
     figure, axes = _figure(place, panels=3)
-    for row, colour in zip(_few(rows), _COLOURS, strict=False):
+    for row, colour in zip(_few(rows), LINE_COLOURS, strict=False):
         for panel, error in zip(axes, _ERRORS, strict=True):
             modes = np.array([getattr(measurement, error) for measurement in row.measurements])
             # The constant mode is inside every span up to rounding: nothing for such an axis.
@@ -165,7 +163,7 @@ def _against(rows: Sequence[Row], quantity: str, place: str) -> Figure:
     lines: dict[str, list[Row]] = {}
     for row in rows:
         lines.setdefault(", ".join(_labelled(name, row) for name in others), []).append(row)
-    for (name, line), colour in zip(_first(lines), _COLOURS, strict=False):
+    for (name, line), colour in zip(_first(lines), LINE_COLOURS, strict=False):
         at = np.array([int(row.labels[quantity]) for row in line])
         for panel, error in zip(axes, _ERRORS, strict=True):
             low, median, high = np.array(
@@ -183,34 +181,24 @@ def _against(rows: Sequence[Row], quantity: str, place: str) -> Figure:
     return figure
 
 
-def _against_time(rows: Sequence[Row], place: str) -> Figure:
+def _against_time(rows: Sequence[Row], place: str, path: Path) -> Path:
     """Span error against seconds, one dot for each solver, ARPACK's time as a line."""
-    figure, (panel,) = _figure(place, panels=1)
-    kinds: dict[str, Callable[[Row], bool]] = {
-        "network": lambda row: "neo" in row.method.key,
-        "plane waves": lambda row: "fourier" in row.method.key,
-        "both": lambda row: "union" in row.method.key,
-    }
-    for (kind, belongs), colour in zip(kinds.items(), _COLOURS, strict=False):
-        these = [row for row in _best_bandwidths(rows) if belongs(row)]
-        at = [row.seconds() for row in these], [row.mean() for row in these]
-        panel.scatter(*at, color=colour, s=28, label=kind)
-        for row, x, y in zip(these, *at, strict=True):
-            panel.annotate(
-                row.method.name,
-                (x, y),
-                xytext=(5, -9 if kind == "both" else 3),
-                textcoords="offset points",
-                fontsize=6.5,
-                color="0.3",
-            )
+    kinds = {"neo": "network", "fourier": "plane waves", "union": "both"}
+    points = [
+        ParetoPoint(
+            name=row.method.name,
+            group=next(kinds[key] for key in row.method.key if key in kinds),
+            seconds=row.seconds(),
+            error=row.mean(),
+        )
+        for row in _best_bandwidths(rows)
+        if kinds.keys() & set(row.method.key)
+    ]
     exact = float(np.median([row.exact_seconds() for row in rows]))
-    panel.axvline(exact, color="0.5", ls="--", lw=1, label="ARPACK, exact")
-    panel.set(xlabel="seconds", ylabel="mean span error", xscale="log", yscale="log")
-    left, right = panel.get_xlim()
-    panel.set_xlim(left, right * (right / left) ** 0.35)  # room for the names
-    _legend(figure, panel)
-    return figure
+    marks = {"ARPACK, exact": exact}
+    return plot_pareto(
+        path, points, marks=marks, ylabel="mean span error", title=place, dpi=_DPI
+    ).path
 
 
 def _ranking(row: Row, place: str) -> Figure:
@@ -218,7 +206,7 @@ def _ranking(row: Row, place: str) -> Figure:
     figure, (panel,) = _figure(f"{place}, {row.method.name}", panels=1)
     ranked = sorted(row.measured, key=lambda pair: -pair[1].mean("span"))
     names = [case.model.name for case, _ in ranked]
-    panel.bar(range(len(names)), [m.mean("span") for _, m in ranked], color=_COLOURS[0])
+    panel.bar(range(len(names)), [m.mean("span") for _, m in ranked], color=LINE_COLOURS[0])
     panel.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
     panel.set(ylabel="mean span error", yscale="log")
     return figure
@@ -230,8 +218,8 @@ def _spread(rows: Sequence[Row], place: str) -> Figure:
     ranked = sorted(rows, key=lambda row: -row.mean())
     for i, row in enumerate(ranked):
         means = row.means("span")
-        panel.scatter(np.full(len(means), i), means, color=_COLOURS[0], s=10, alpha=0.6, lw=0)
-        panel.plot([i - 0.3, i + 0.3], [means.mean()] * 2, color=_COLOURS[1], lw=1.4)
+        panel.scatter(np.full(len(means), i), means, color=LINE_COLOURS[0], s=10, alpha=0.6, lw=0)
+        panel.plot([i - 0.3, i + 0.3], [means.mean()] * 2, color=LINE_COLOURS[1], lw=1.4)
     names = [str(row.labels["model"]) for row in ranked]
     panel.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
     panel.set(ylabel="mean span error", yscale="log")
@@ -296,6 +284,4 @@ def _legend(figure: Figure, panel: Axes) -> None:
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    with atomic_path(path) as part:
-        figure.savefig(part, dpi=_DPI)
-    return path
+    return save(figure, path, _DPI).path

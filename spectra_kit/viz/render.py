@@ -56,6 +56,8 @@ class Scene:
         For each function, segments to draw in dark grey a little before the surface.
     line_width : float, default 2
         Of these, in pixels: the same wherever they are, whatever way they run.
+    diameter : float, optional
+        Of the balls of a cloud; by default `ball_diameter`.
     """
 
     geometry: Geometry
@@ -69,6 +71,7 @@ class Scene:
     swings: Sequence[float] = (1.0,)
     lines: Sequence[Floats] | None = None
     line_width: float = 2.0
+    diameter: float | None = None
 
     @property
     def n_pictures(self) -> int:
@@ -147,7 +150,7 @@ def _run(
 def _request(scene: Scene) -> dict[str, Any]:
     """What the worker reads: everything in pixels, as single precision inside VTK wants it."""
     geometry, colours, normals = scene.geometry, scene.colours, scene.normals
-    diameter = _ball_diameter(geometry)
+    diameter = ball_diameter(geometry) if scene.diameter is None else scene.diameter
     seen = geometry.points @ scene.rotation.T
     shifts = np.stack(scene.shifts or [np.zeros((1, 3))]) @ scene.rotation.T
     # Points move on straight lines: the two farthest swings hold all between.
@@ -188,8 +191,8 @@ def _environments() -> list[Mapping[str, str]]:
     return [own | {"VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"}, own]
 
 
-def _ball_diameter(geometry: Geometry) -> float:
-    """Diameter of a cloud's balls: at the twelfth neighbour, few gaps show the far side."""
+def ball_diameter(geometry: Geometry) -> float:
+    """Diameter of a cloud's balls: at the twelfth neighbour, few gaps show the far side. Else 0."""
     if isinstance(geometry, TriangleMesh):
         return 0.0
     distances, _ = cKDTree(geometry.points).query(geometry.points, k=min(13, geometry.n))

@@ -18,7 +18,7 @@ from spectra_kit.viz.marks import with_balls
 from spectra_kit.viz.panels import Panel, sequential_limits
 from spectra_kit.viz.pen import Pen, short
 from spectra_kit.viz.picture import Picture
-from spectra_kit.viz.render import Scene, render
+from spectra_kit.viz.render import Scene, ball_diameter, render
 from spectra_kit.viz.sheet import (
     LINE_COLOURS,
     MARGIN,
@@ -224,11 +224,14 @@ def _pictures(
             *(np.where(ball[:, None] == i, red, 0 * red) for i in range(len(points))),
         ],
         rotation=rotation,
+        diameter=ball_diameter(geometry),
         width=round(fitting_size(geometry, rotation, _WIDEST, _TALLEST)[0] * dpi),
     )
     (pictures,) = render([scene])
     excess = pictures[len(panels) :, ..., 0].astype(int) - pictures[len(panels) :, ..., 1]
-    return pictures[: len(panels)], np.asarray((excess > _RED).any(axis=(1, 2)))
+    disc = np.pi * (radius * scene.width / np.ptp(marked.points @ rotation[0])) ** 2
+    seen = np.count_nonzero(excess > _RED, axis=(1, 2)) > disc / 4  # more than through a gap
+    return pictures[: len(panels)], seen
 
 
 def _coloured(panel: Panel) -> Bytes:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spectra_kit._files import atomic_path
 from spectra_kit.correspondence import geodesic_errors
 from spectra_kit.evaluation.matching.measure import THRESHOLDS
 from spectra_kit.evaluation.matching.protocols import Protocol
@@ -19,14 +18,13 @@ from spectra_kit.evaluation.matching.subjects import Subject, truth_between
 from spectra_kit.evaluation.matching.summaries import BAD, Name, Summary, counted, ranked
 from spectra_kit.evaluation.matching.table import Task
 from spectra_kit.viz import MatchedPair, plot_correspondences
+from spectra_kit.viz.sheet import LINE_COLOURS, save
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 Floats = NDArray[np.float64]
 
-# Okabe and Ito's colours: told apart with every kind of colour blindness.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 _DASHES = ("-", "--", ":", "-.")
 _TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)  # less is drawn as the first
 _DPI = 150
@@ -43,7 +41,7 @@ def draw_accuracy(run: Run, rows: Sequence[Summary], protocol: Protocol, path: P
     for i, row in enumerate(rows):
         these = [r for t, r in run.results.items() if (t.kind, t.backend, t.method) == row.name]
         curves = [r.accuracy_either if protocol.symmetric else r.accuracy for r in these]
-        style = {"color": _COLOURS[i % len(_COLOURS)], "ls": _DASHES[i % len(_DASHES)]}
+        style = {"color": LINE_COLOURS[i % len(LINE_COLOURS)], "ls": _DASHES[i % len(_DASHES)]}
         points.plot(THRESHOLDS, 100 * np.mean(curves, axis=0), label=row.label, lw=1.6, **style)
         errors = np.sort([max(counted(r, protocol), _TICKS[0]) for r in these])
         share = 100 * np.arange(len(errors) + 1) / len(errors)
@@ -60,8 +58,7 @@ def draw_accuracy(run: Run, rows: Sequence[Summary], protocol: Protocol, path: P
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(color="0.92", lw=0.7)
     points.legend(frameon=False, fontsize=8, loc="lower right")
-    _save(figure, path)
-    return path
+    return save(figure, path, _DPI).path
 
 
 def draw_extremes(
@@ -135,8 +132,3 @@ def _spread(source: Subject, target: Subject, point_map: NDArray[np.int64]) -> F
     points = target.mesh.points
     _, nearest = cKDTree(points[truth.target]).query(points)
     return np.asarray(errors[nearest])
-
-
-def _save(figure: Figure, path: Path) -> None:
-    with atomic_path(path) as part:
-        figure.savefig(part, dpi=_DPI)

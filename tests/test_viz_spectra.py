@@ -1,0 +1,391 @@
+"""Diagrams of spectra, signatures and methods: every mark lies where the numbers are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import two_parts
+from matplotlib.colors import to_hex
+from matplotlib.transforms import Bbox
+from PIL import Image
+
+from spectra_kit import Dense, Spectrum, eigensolve, robust_laplacian, verify
+from spectra_kit.descriptors import (
+    heat_kernel_signature,
+    heat_times,
+    wave_energies,
+    wave_kernel_signature,
+)
+from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.geometry import sphere
+from spectra_kit.viz import (
+    ParetoPoint,
+    pareto_front,
+    plot_pareto,
+    plot_signatures,
+    plot_spectrum,
+)
+from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.labels import place_labels
+from spectra_kit.viz.marks import with_balls
+from spectra_kit.viz.pareto import pareto_figure
+from spectra_kit.viz.sheet import LINE_COLOURS
+from spectra_kit.viz.signatures import _panel, _pictures, draw_curves
+from spectra_kit.viz.spectra import spectrum_figure
+
+
+@pytest.fixture(scope="module")
+def ball():
+    return sphere(subdivisions=3).geometry
+
+
+@pytest.fixture(scope="module")
+def laplacian(ball):
+    return robust_laplacian(ball)
+
+
+@pytest.fixture(scope="module")
+def exact(laplacian):
+    return eigensolve(laplacian, 16, Dense())
+
+
+@pytest.fixture(scope="module")
+def rough(laplacian, exact):
+    """Each mode mixed with a little noise: near true ones, not true."""
+    noise = np.random.default_rng(0).standard_normal((exact.n, exact.k))
+    basis = exact.eigenvectors + 0.02 * noise
+    ortho = np.linalg.qr(np.sqrt(exact.mass)[:, None] * basis)[0] / np.sqrt(exact.mass)[:, None]
+    values, turn = np.linalg.eigh(ortho.T @ (laplacian.stiffness @ ortho))
+    return Spectrum(np.maximum(values, 0.0), ortho @ turn, exact.mass).certify(laplacian)
+
+
+def figure_of(*spectra, weyl=True):
+    named = {f"spectrum {i}": spectrum for i, spectrum in enumerate(spectra)}
+    return spectrum_figure(named, weyl, "title", "", 50)
+
+
+def markers(panel, colour):
+    """The points (number, value) that are drawn in a colour."""
+    lines = [x for x in panel.lines if x.get_linestyle() == "None" and x.get_color() == colour]
+    points = np.vstack([line.get_xydata() for line in lines])
+    return points[np.argsort(points[:, 0])]
+
+
+def bars(panel):
+    """The ends (k, 2) of the bars of each certified spectrum."""
+    return [
+        np.array([segment[:, 1] for segment in collection.get_segments()])
+        for collection in panel.collections
+    ]
+
+
+def test_markers_lie_at_the_eigenvalues(exact, rough):
+    panel = figure_of(exact, rough).axes[0]
+    for spectrum, colour in zip((exact, rough), LINE_COLOURS, strict=False):
+        points = markers(panel, colour)
+        np.testing.assert_array_equal(points[:, 0], np.arange(16))
+        np.testing.assert_array_equal(points[:, 1], spectrum.eigenvalues)
+    first, second = (line for line in panel.lines if line.get_linestyle() == "None")
+    assert first.get_markersize() < second.get_markersize()  # where they coincide, both show
+    assert second.get_markerfacecolor() == "none"
+    assert "[1/length²]" in panel.get_ylabel()
+
+
+def test_bars_hold_true_eigenvalues_and_end_at_zero(exact, rough):
+    true = exact.eigenvalues
+    for low, high in bars(figure_of(rough).axes[0])[0]:
+        assert low >= 0
+        assert ((low <= true) & (true <= high)).any()
+    residuals = rough.certificate.residuals
+    np.testing.assert_allclose(
+        bars(figure_of(rough).axes[0])[0][:, 1], rough.eigenvalues + residuals
+    )
+    assert rough.eigenvalues[1] < residuals[1]  # so that the end at zero was put to the test
+    legend = figure_of(rough).axes[0].get_legend().get_texts()[-1].get_text()
+    beyond = (rough.eigenvalues + residuals > 1.5 * rough.eigenvalues[-1]).sum()
+    assert f"({beyond} bars leave the panel)" in legend
+    assert beyond > 0
+
+
+def test_weyls_law_of_the_sphere(exact, rough):
+    """lambda = l (l + 1) up to the number (l + 1)^2: the line passes through every shell."""
+    panel = figure_of(exact, rough).axes[0]
+    [line] = [line for line in panel.lines if line.get_linestyle() == "--"]
+    (start, begin), (end, height) = line.get_xydata()
+    assert (start, begin) == (0, 0)
+    assert height / end == pytest.approx(4 * np.pi / exact.area)
+    for degree in (1, 2, 3):
+        value = height / end * (degree**2 + degree + 0.5)  # the middle of its numbers, about
+        assert value == pytest.approx(degree * (degree + 1), rel=0.4 / degree)
+    shells = np.repeat([0, 2, 6, 12], [1, 3, 5, 7])
+    np.testing.assert_allclose(markers(panel, LINE_COLOURS[0])[:, 1], shells, rtol=0.03, atol=1e-9)
+    assert not [x for x in figure_of(exact, weyl=False).axes[0].lines if x.get_linestyle() == "--"]
+
+
+def test_surfaces_of_different_area_have_a_line_each(exact):
+    lines = figure_of(exact, exact.rescale(2.0)).axes[0].lines
+    slopes = [y[1] / x[1] for x, y in (v.get_data() for v in lines if v.get_linestyle() == "--")]
+    assert slopes[0] == pytest.approx(4 * slopes[1])
+
+
+def test_residuals_are_full_where_the_modes_are_verified(exact, rough, laplacian):
+    proved = verify(exact, laplacian)
+    assert proved.certificate.n_verified == 16
+    panel = figure_of(proved, rough).axes[1]
+    relative = markers(panel, LINE_COLOURS[1])[:, 1]
+    np.testing.assert_array_equal(relative, rough.certificate.relative_residuals)
+    faces = {
+        line.get_color(): line.get_markerfacecolor()
+        for line in panel.lines
+        if len(line.get_xdata())
+    }
+    assert faces == {LINE_COLOURS[0]: LINE_COLOURS[0], LINE_COLOURS[1]: "none"}
+    assert panel.get_yscale() == "log"
+    assert "full: verified, open: not" in [text.get_text() for text in panel.texts]
+    told = [text.get_text() for text in figure_of(proved).axes[0].get_legend().get_texts()]
+    assert "16 of 16 verified" in told[-1]
+
+
+def test_differences_are_relative_to_the_first_spectrum(exact, rough):
+    panel = figure_of(exact, rough.truncate(10)).axes[2]
+    points = markers(panel, LINE_COLOURS[1])
+    np.testing.assert_array_equal(points[:, 0], np.arange(1, 10))  # not that of zero to zero
+    change = rough.eigenvalues[1:10] / exact.eigenvalues[1:10] - 1
+    np.testing.assert_allclose(points[:, 1], change)
+    assert {line.get_marker() for line in panel.lines if len(line.get_xdata())} == {"^"}
+    below = figure_of(rough, exact).axes[2]
+    assert {line.get_marker() for line in below.lines if len(line.get_xdata())} == {"v"}
+
+
+def test_spectra_without_certificate_parts_and_single_modes_are_drawn(exact):
+    bare = replace(exact, certificate=None)
+    figure = figure_of(bare)
+    assert len(figure.axes) == 1
+    assert "no certificate" in figure.axes[0].get_legend().get_texts()[-1].get_text()
+    assert len(figure_of(bare, exact).axes) == 3
+    pair = eigensolve(robust_laplacian(two_parts()), 6)
+    assert pair.n_zero_modes == 2
+    points = markers(figure_of(pair, pair).axes[2], LINE_COLOURS[1])
+    np.testing.assert_array_equal(points[:, 0], [2, 3, 4, 5])
+    single = exact.truncate(1)
+    figure_of(single, single).draw_without_rendering()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg"])
+def test_a_page_of_spectra_is_written_whole(exact, rough, tmp_path, suffix):
+    path = tmp_path / f"spectra{suffix}"
+    picture = plot_spectrum(path, {"exact": exact, "<rough> $x": rough}, title="A ball", dpi=50)
+    assert picture.path == path
+    if suffix == ".svg":
+        text = path.read_text()
+        assert "A ball" in text
+        assert "&lt;rough&gt; $x: some true eigenvalue within" in text
+        return
+    with Image.open(path) as image:
+        page = np.asarray(image.convert("RGB"))
+    assert page.shape[1] == 400
+    for border in (page[:2], page[-2:], page[:, :2], page[:, -2:]):
+        assert (border == 255).all()
+
+
+def test_what_is_no_spectrum_is_refused(exact, ball, tmp_path):
+    path = tmp_path / "x.png"
+    with pytest.raises(InvalidInputError, match="`spectra` must hold at least one Spectrum"):
+        plot_spectrum(path, {})
+    with pytest.raises(InvalidInputError, match="must hold Spectrum objects, got a TriangleMesh"):
+        plot_spectrum(path, {"a": ball})
+    with pytest.raises(InvalidInputError, match="`spectra` must have modes, got none in 'empty'"):
+        plot_spectrum(path, {"empty": exact.truncate(1).nonzero()})
+    with pytest.raises(InvalidInputError, match=r"`path` must end in .png, .pdf or .svg"):
+        plot_spectrum(tmp_path / "x.gif", exact)
+
+
+# --- time against error -------------------------------------------------------------------------
+
+RUNS = [
+    ParetoPoint(name=name, group=group, seconds=seconds, error=error)
+    for name, group, seconds, error in (
+        ("guess", "ours", 0.1, 1e-1),
+        ("slow guess", "ours", 0.4, 2e-1),
+        ("good", "theirs", 1.0, 1e-4),
+        ("the same", "theirs", 1.0, 2e-4),
+        ("exact", "theirs", 8.0, 1e-15),
+        ("slower", "ours", 9.0, 1e-16),
+    )
+]
+
+
+def drawn(points, **marks):
+    return pareto_figure(points, 1e-12, marks, ("seconds", "error"), ("", ""), 60)
+
+
+def test_the_front_is_what_nothing_beats():
+    assert [p.name for p in pareto_front(RUNS)] == ["guess", "good", "exact", "slower"]
+    assert [p.name for p in pareto_front(RUNS, floor=1e-12)] == ["guess", "good", "exact"]
+
+
+def test_dots_lie_at_time_and_error_and_the_front_steps_down():
+    panel = drawn(RUNS, exactly=20.0).axes[0]
+    front, ours, theirs, mark = panel.lines
+    assert panel.get_xscale() == panel.get_yscale() == "log"
+    np.testing.assert_array_equal(ours.get_xydata(), [(0.1, 0.1), (0.4, 0.2), (9, 1e-12)])
+    np.testing.assert_array_equal(theirs.get_ydata(), [1e-4, 2e-4, 1e-12])
+    assert ours.get_color() != theirs.get_color()
+    end = panel.get_xlim()[1]
+    np.testing.assert_array_equal(
+        front.get_xydata(),
+        [(0.1, 0.1), (1, 0.1), (1, 1e-4), (8, 1e-4), (8, 1e-12), (end, 1e-12)],
+    )
+    assert list(mark.get_xdata()) == [20, 20]
+    assert end > 20
+    told = [text.get_text() for text in panel.figure.legends[0].get_texts()]
+    assert told == ["ours", "theirs", "nothing is both faster and better"]
+
+
+def test_each_league_has_its_own_front():
+    runs = [replace(run, league=run.group) for run in RUNS]
+    fronts = drawn(runs).axes[0].lines[:2]
+    assert [line.get_ydata()[-1] for line in fronts] == [1e-12, 1e-12]
+    assert [line.get_xdata()[0] for line in fronts] == [0.1, 1.0]
+
+
+def test_names_cover_neither_each_other_nor_a_dot():
+    rng = np.random.default_rng(3)
+    crowd = [
+        ParetoPoint(name=f"method {i}", group="", seconds=s, error=e)
+        for i, (s, e) in enumerate(10 ** rng.uniform(-1, 1, (24, 2)))
+    ]
+    figure = drawn(crowd)
+    panel = figure.axes[0]
+    boxes = [text.get_window_extent() for text in panel.texts if text.get_text()]
+    assert len(boxes) == 24
+    for i, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:i])
+        assert Bbox.intersection(box, panel.bbox).bounds == pytest.approx(box.bounds)
+        for run in crowd:
+            x, y = panel.transData.transform((run.seconds, run.error))
+            assert not box.contains(x, y)
+
+
+def test_a_lone_label_stands_beside_its_dot():
+    corner = place_labels(
+        np.array([[50.0, 50.0]]),
+        np.array([[20.0, 8.0]]),
+        np.array([[0.0, 0.0], [100.0, 100.0]]),
+        np.empty((0, 2)),
+    )
+    np.testing.assert_allclose(corner, [[56, 46]])
+
+
+def test_methods_are_drawn_or_refused(tmp_path):
+    path = tmp_path / "pareto.png"
+    plot_pareto(path, RUNS, marks={"ARPACK": 3.0}, title="Six", subtitle="of them", dpi=50)
+    with Image.open(path) as image:
+        page = np.asarray(image.convert("RGB"))
+    assert (page[:, :2] == 255).all()
+    assert (page[:, -2:] == 255).all()
+    plot_pareto(path, RUNS[:1], dpi=30)  # one dot has no range of its own
+    with pytest.raises(InvalidInputError, match="`points` must hold at least one ParetoPoint"):
+        plot_pareto(path, [])
+    for bad in (float("nan"), -1.0):
+        with pytest.raises(InvalidInputError, match="`error` must be finite and >= 0, got"):
+            ParetoPoint(name="", group="", seconds=1.0, error=bad)
+    with pytest.raises(InvalidInputError, match="`seconds` must be positive"):
+        ParetoPoint(name="", group="", seconds=0.0, error=1.0)
+    with pytest.raises(InvalidInputError, match="`marks` must be positive"):
+        plot_pareto(path, RUNS, marks={"never": 0.0})
+
+
+# --- signatures ---------------------------------------------------------------------------------
+
+
+def axes():
+    from matplotlib.figure import Figure
+
+    return Figure().add_subplot()
+
+
+def test_curves_are_rows_of_the_signature(exact):
+    times = heat_times(exact, 12)
+    hks = heat_kernel_signature(exact, times)
+    panel = axes()
+    draw_curves(panel, hks, times, {"point 5": 5, "point 9": 9}, np.array([2, 7]), "heat")
+    for line, point in zip(panel.lines, (5, 9), strict=False):
+        np.testing.assert_array_equal(line.get_xydata(), np.column_stack([times, hks[point]]))
+    assert [line.get_xdata()[0] for line in panel.lines[2:]] == [times[2], times[7]]
+    assert panel.get_xscale() == panel.get_yscale() == "log"
+    wave = axes()
+    energies, width = wave_energies(exact, 12)
+    wks = wave_kernel_signature(exact, energies, width=width)
+    draw_curves(wave, wks, energies, {"point 5": 5}, np.array([2]), "wave")
+    assert wave.get_xscale() == wave.get_yscale() == "linear"
+
+
+@pytest.mark.parametrize("as_cloud", [False, True])
+def test_balls_have_the_colours_of_their_curves_and_hidden_ones_are_told(ball, as_cloud):
+    geometry = ball.as_cloud() if as_cloud else ball
+    # Seen from the view that is chosen, the first two are in front, the third is behind.
+    seen = geometry.points @ choose_view(geometry).T
+    aim = np.array([[-0.5, 0, 0.86], [0.5, 0, 0.86], [0, 0, -1]])
+    points = np.linalg.norm(seen[:, None] - aim, axis=2).argmin(axis=0)
+    try:
+        pictures, visible = _pictures(geometry, [_panel(seen[:, 1], "")], points, None, 60)
+    except MissingDependencyError as error:
+        pytest.skip(f"no picture can be drawn here: {error}")
+    assert visible.tolist() == [True, True, False]
+    [picture] = pictures.astype(int)
+    side = picture.shape[1]
+    for point, colour in zip(points[:2], LINE_COLOURS, strict=False):
+        row, column = (
+            (side / 2 * (1 - 0.94 * seen[point, 1])),
+            side / 2 * (1 + 0.94 * seen[point, 0]),
+        )
+        around = picture[int(row) - 3 : int(row) + 4, int(column) - 3 : int(column) + 4].reshape(
+            -1, 3
+        )
+        wanted = np.array([int(to_hex(colour)[i : i + 2], 16) for i in (1, 3, 5)])
+        assert np.abs(around - wanted).sum(axis=1).min() < 60
+
+
+def test_balls_are_added_behind_the_points(ball):
+    for geometry in (ball, ball.as_cloud()):
+        marked, owner = with_balls(geometry, geometry.points[[3, 4]], 0.1)
+        assert type(marked) is type(geometry)
+        np.testing.assert_array_equal(marked.points[: geometry.n], geometry.points)
+        assert (owner[: geometry.n] == -1).all()
+        for i, point in enumerate((3, 4)):
+            away = np.linalg.norm(marked.points[owner == i] - geometry.points[point], axis=1)
+            np.testing.assert_allclose(away, 0.1)
+
+
+def test_a_page_of_signatures_is_written_or_refused(exact, ball, tmp_path):
+    path = tmp_path / "hks.png"
+    times = heat_times(exact, 8)
+    hks = heat_kernel_signature(exact, times)
+
+    def plot(signature=hks, scales=times, geometry=ball, points=(1, 2), **options):
+        return plot_signatures(path, geometry, signature, scales, points=points, **options)
+
+    for match, options in (
+        ("`kind` must be 'heat' or 'wave', got 'sound'", {"kind": "sound"}),
+        (r"`signature` must have shape \(642, 8\), points by scales", {"signature": hks[:, :3]}),
+        (r"`scales` must be two or more ascending numbers", {"scales": times[::-1]}),
+        (r"`scales` must be positive times, got .* say kind='wave'", {"scales": times - 1}),
+        (r"`points` must be in \[0, 642\), got 642", {"points": [642]}),
+        (r"`points` must be one to 9 different indices, got \[1, 1\]", {"points": [1, 1]}),
+        (r"`shown` must be one to 9 different indices, got \[\]", {"shown": np.empty(0, int)}),
+        (r"`shown` must be in \[0, 8\), got 8", {"shown": [8]}),
+    ):
+        with pytest.raises(InvalidInputError, match=match):
+            plot(**options)
+    try:
+        plot(shown=[1, 4, 6], title="A ball", dpi=40)
+    except MissingDependencyError as error:
+        pytest.skip(f"no picture can be drawn here: {error}")
+    with Image.open(path) as image:
+        page = np.asarray(image.convert("RGB"))
+    for border in (page[:2], page[-2:], page[:, :2], page[:, -2:]):
+        assert (border == 255).all()
+    right = page[:, page.shape[1] // 2 :].astype(int)
+    coloured = np.ptp(right, axis=2) > 40
+    assert coloured.mean() > 0.1  # three balls fill their cells
