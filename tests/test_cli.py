@@ -156,11 +156,11 @@ def test_compare_measures_a_prediction(files, capsys):
 
 
 def test_compare_prints_a_table(capsys):
-    command = ["compare", "demo", "--points", "1500", "-k", "12", "--solver", "fourier"]
+    command = ["compare", "demo", "--points", "800", "-k", "12", "--solver", "fourier"]
     assert main([*command, "--modes", "1,11"]) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    assert "demo: mesh, 1,500 vertices" in out
+    assert "demo: mesh, 800 vertices" in out
     assert "exact: arpack  predicted: fourier" in out
     assert "mean of 12 modes, span of 640 functions" in out
     assert "picture" not in out

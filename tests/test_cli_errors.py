@@ -4,6 +4,8 @@ import argparse
 import os
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -46,7 +48,7 @@ def test_every_command_refuses_bad_files_in_one_line(name, folder, capsys, monke
     for file, message in (
         ("bal.off", "bal.off: there is no such file; did you mean 'ball.off'?"),
         ("none.off", "none.off: there is no such file; looked from"),
-        ("sub", "sub: this is a folder, expected a file"),
+        ("sub", "sub: this is a folder, expected a file; name one that is in it"),
         ("empty.off", "empty.off: the file is empty"),
         ("text.docx", "cannot read the format '.docx'; known are .glb, "),
     ):
@@ -82,21 +84,21 @@ def test_outputs_are_checked_before_the_work(name, option, suffix, known, folder
     assert os.listdir(tmp_path) == [f"dir{suffix}"]
 
 
-def test_a_folder_without_rights_is_told_before_the_work(folder, capsys, tmp_path):
-    closed = tmp_path / "closed"
-    closed.mkdir(mode=0o555)
-    if os.access(closed, os.W_OK):  # the superuser may write everywhere
-        os.chmod(tmp_path, 0o755)
-        for parent in tmp_path.parents:
-            if not os.stat(parent).st_mode & 0o001:
-                pytest.skip("run as superuser, in folders that others may not enter")
-        os.seteuid(65534)
-    try:
-        out = closed / "out.npz"
-        assert "is not yours to write to; name" in refused(capsys, "spectrum", "demo", "-o", out)
-    finally:
-        if os.getuid() == 0:
-            os.seteuid(0)
+@pytest.mark.skipif(not hasattr(os, "setresuid"), reason="there are no such rights here")
+def test_a_folder_without_rights_is_told_before_the_work(capsys):
+    with tempfile.TemporaryDirectory() as name:  # not in a folder that only its owner may enter
+        closed = Path(name)
+        closed.chmod(0o555)
+        superuser = os.getuid() == 0
+        if superuser:  # who may write everywhere
+            os.setresuid(65534, 65534, 0)
+        try:
+            message = refused(capsys, "spectrum", "demo", "-o", closed / "out.npz")
+        finally:
+            if superuser:
+                os.setresuid(0, 0, 0)
+            closed.chmod(0o755)
+    assert "is not yours to write to; name another place" in message
 
 
 def test_an_output_never_replaces_an_input(capsys, tmp_path):

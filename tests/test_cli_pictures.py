@@ -1,0 +1,139 @@
+"""The commands that draw: what they write, and from which modes."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from spectra_kit import eigensolve, robust_laplacian
+from spectra_kit.cli import main
+from spectra_kit.geometry import creature, write
+
+DRAWN = ("--dpi", "40", "-q")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """An animal in a file, and its modes in another."""
+    folder = tmp_path_factory.mktemp("files")
+    mesh = creature(500)
+    write(mesh, folder / "animal.ply")
+    eigensolve(robust_laplacian(mesh), 9).save(folder / "animal.npz")
+    return folder
+
+
+def record(capsys, *arguments):
+    """Run a command that must succeed in silence, and return its JSON."""
+    code = main([*map(str, arguments), "--json"])
+    out, err = capsys.readouterr()
+    if code == 2 and "OpenGL" in err:
+        pytest.skip("no OpenGL library on this machine")
+    assert (code, err) == (0, "")
+    return json.loads(out)
+
+
+def coloured(path):
+    """Shares of the pixels that are clearly red, and clearly blue."""
+    with Image.open(path) as picture:
+        red, _, blue = np.moveaxis(np.asarray(picture.convert("RGB")).astype(int), 2, 0)
+    return (red - blue > 60).mean(), (blue - red > 60).mean()
+
+
+def test_saved_modes_are_drawn_without_solving(folder, capsys, tmp_path):
+    out = tmp_path / "modes.png"
+    told = record(
+        capsys, "modes", folder / "animal.ply", "--spectrum", folder / "animal.npz",
+        "--modes", "1,2", "-o", out, *DRAWN,
+    )  # fmt: skip
+    assert told["modes"] == [1, 2]
+    assert told["picture"] == str(out)
+    assert len(told["eigenvalues"]) == 9  # all that were saved
+    assert min(coloured(out)) > 0.01
+    with Image.open(out) as picture:
+        assert picture.width > picture.height  # two modes beside each other
+
+
+def test_as_many_modes_are_solved_for_as_are_shown(folder, capsys, tmp_path):
+    out = tmp_path / "modes.svg"
+    told = record(
+        capsys, "modes", folder / "animal.ply", "--modes", "3", "--no-lines", "--columns", "3",
+        "-o", out, *DRAWN,
+    )  # fmt: skip
+    assert len(told["eigenvalues"]) == 4
+    assert out.read_text().startswith("<?xml")
+
+
+def test_an_animation_swings(folder, capsys, tmp_path):
+    out = tmp_path / "modes.gif"
+    told = record(
+        capsys, "animate", folder / "animal.ply", "--spectrum", folder / "animal.npz",
+        "--modes", "1", "--seconds", "0.4", "--fps", "10", "--width", "90", "-o", out, "-q",
+    )  # fmt: skip
+    assert told["animation"] == str(out)
+    with Image.open(out) as film:
+        assert (film.n_frames, film.width) == (4, 90)
+        frames = []
+        for i in range(4):
+            film.seek(i)
+            frames.append(np.asarray(film.convert("RGB")).astype(int))
+    assert np.abs(frames[0] - frames[2]).max() > 100  # half a period later the colours are changed
+
+
+def test_eigenvalues_are_drawn(folder, capsys, tmp_path):
+    out = tmp_path / "spectrum.pdf"
+    told = record(capsys, "spectrum", folder / "animal.ply", "-k", "6", "--picture", out, "-q")
+    assert told["picture"] == str(out)
+    assert told["output"] is None
+    assert out.read_bytes().startswith(b"%PDF")
+
+
+def test_the_page_has_the_name_of_the_file_and_says_what_it_holds(
+    folder, capsys, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    command = ("explore", folder / "animal.ply", "--spectrum", folder / "animal.npz")
+    told = record(capsys, *command, "-k", "8", "--solver", "fourier", "--max-points", "200")
+    page = tmp_path / "animal.html"
+    explorer = told["explorer"]
+    assert explorer["path"] == "animal.html"
+    assert explorer["bytes"] == page.stat().st_size
+    assert explorer["n_points"] == 500
+    assert explorer["decimated"]
+    assert explorer["n_shown"] <= 210
+    assert told["url"] is None
+    assert len(told["comparison"]["match"]) == 8
+    assert main([*map(str, command), "--max-points", "200", "--solver", "none"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert f"{explorer['n_shown']} of 500 points (--max-points shows more)" in out
+    assert "page: animal.html, " in out
+    assert "9 modes on" in out
+
+
+def test_exact_modes_of_a_comparison_may_be_saved_ones(folder, capsys):
+    command = ("compare", folder / "animal.ply", "-q", "--solver", "dense", "-k", "9")
+    told = record(capsys, *command, "--spectrum", folder / "animal.npz")
+    assert told["comparison"]["mean_span_error"] < 1e-12
+    assert "Arpack" in told["exact"]["provenance"]["solver"]
+    assert main([*map(str, command), "--spectrum", str(folder / "animal.npz")]) == 0
+    assert "exact: animal.npz  predicted: dense" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("modes", "--columns", "0"), "`--columns` must be at least 1, got 0"),
+        (("modes", "-k", "0"), "`k` must be at least 1, got 0"),
+        (("modes", "-k", "4", "--modes", "4"), "`modes` must be in [0, 3], got 4"),
+        (("animate", "--seconds", "0"), "`--seconds` must be positive"),
+        (("animate", "--fps", "0"), "`--fps` must be at least 1, got 0"),
+        (("animate", "--width", "2"), "`--width` must be at least 16, got 2"),
+        (("explore", "--max-points", "2"), "`--max-points` must be at least 4, got 2"),
+        (("explore", "--serve", "--port", "70000"), "`--port` must be in [0, 65535], got 70000"),
+    ],
+)
+def test_bad_options_are_refused(arguments, message, folder, capsys):
+    name, *options = arguments
+    assert main([name, str(folder / "animal.ply"), *options]) == 2
+    assert message in capsys.readouterr().err
