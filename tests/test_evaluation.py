@@ -49,6 +49,12 @@ APP = Path(__file__).parents[1] / "apps" / "evaluate_neo.py"
 SMALL = Weights("small")
 
 
+@pytest.fixture(autouse=True)
+def coarse_figures(monkeypatch):
+    """Draw what nobody will look at with few pixels."""
+    monkeypatch.setattr(figures, "_DPI", 60)
+
+
 @pytest.fixture
 def bench(tmp_path):
     return Bench(tmp_path / "bench", k=10)
@@ -531,6 +537,9 @@ def test_weights_without_validations_leave_out_one_chapter(
 
 @pytest.mark.slow
 def test_the_app_runs_from_a_tree_that_is_not_installed(tmp_path):
+    write(bumpy(), tmp_path / "ball.ply")
+    arguments = ["sampling", str(tmp_path / "out"), "--data", str(tmp_path), "-k", "8"]
+    arguments += ["--procedural", "0", "--focus", "500"]
     banned = ["potpourri3d", "pyvista", "trimesh"]  # nor are these needed
     code = (
         "import sys, runpy\n"
@@ -538,7 +547,7 @@ def test_the_app_runs_from_a_tree_that_is_not_installed(tmp_path):
         "def never(name): raise metadata.PackageNotFoundError(name)\n"
         "metadata.version = never\n"
         f"sys.modules.update(dict.fromkeys({banned}))\n"
-        f"sys.argv = ['evaluate_neo.py', 'sampling', {str(tmp_path)!r}, '--quick']\n"
+        f"sys.argv = {['evaluate_neo.py', *arguments]}\n"
         f"runpy.run_path({str(APP)!r}, run_name='__main__')"
     )
     done = subprocess.run(

@@ -66,7 +66,7 @@ def copy(mesh) -> tuple[TriangleMesh, Spectrum, np.ndarray]:
 # --- copies ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("k", [30, 60, 80, 100, 150])
+@pytest.mark.parametrize("k", [30, 70, 150])
 @pytest.mark.parametrize("seen", ["geometry", "spectrum alone"])
 def test_a_copy_gives_the_permutation(mesh, spectrum, copy, k, seen) -> None:
     shuffled, target, truth = copy

@@ -124,13 +124,13 @@ def test_schedule_rises_stays_and_falls():
 
 def test_training_learns(corpora):
     config = TrainConfig(
-        network=TINY, steps=150, batch=8, points=48, validation=8, every=75, lr=5e-3
+        network=TINY, steps=80, batch=8, points=48, validation=8, every=40, lr=5e-3
     )
     result = train(*corpora, config)
     first = validate(train(*corpora, config, stop_after=1).network, corpora[1], config)
     assert result.finished
     assert result.record["span_error"] < 0.4 * first
-    assert result.record["samples"] == 1200
+    assert result.record["samples"] == 640
     assert len(result.record["history"]) == 2
 
 
