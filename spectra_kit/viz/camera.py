@@ -17,6 +17,7 @@ Up = Literal["x", "y", "z"]
 _AZIMUTHS = np.deg2rad([30, -30, 60, -60, 150, -150, 120, -120])
 _ELEVATION = np.deg2rad(22.0)
 _STEEP = np.deg2rad(55.0)  # for what lies flat, like a sheet or a terrain
+_STANDS = 0.1  # of the footprint that the lowest layer spans, at least, under what stands
 _GRID = 40
 _CLEARLY = 1.06  # a later view must show this much more than an earlier one
 
@@ -24,9 +25,9 @@ _CLEARLY = 1.06  # a later view must show this much more than an earlier one
 def choose_view(geometry: Geometry, *, up: Up | None = None) -> Floats:
     """Return the rotation (3, 3) whose rows point right, up, and towards the viewer.
 
-    Up is y, or z where the geometry stands more broadly on that side, or what is said. Of eight
-    oblique views
-    the one that covers most of the picture plane wins, earlier ones when in doubt.
+    Up is y, or z where the geometry stands on that side, and more broadly, or what is said. Of
+    eight oblique views the one that covers most of the picture plane wins, earlier ones when in
+    doubt. Front and back are not told apart.
     """
     if up not in (None, "x", "y", "z"):
         raise InvalidInputError(f"`up` must be 'x', 'y', 'z' or None, got {up!r}")
@@ -35,7 +36,7 @@ def choose_view(geometry: Geometry, *, up: Up | None = None) -> Floats:
     else:
         points = geometry.points[:: max(geometry.n // 4000, 1)]
     if up is None:
-        up = "z" if _stands_on(points, 2) > _stands_on(points, 1) else "y"
+        up = "z" if _stands_on(points, 2) > max(_stands_on(points, 1), _STANDS) else "y"
     axis, size = "xyz".index(up), np.ptp(points, axis=0)
     flat = size[axis] < 0.12 * np.delete(size, axis).min()
     views = [_rotation(axis, azimuth, _STEEP if flat else _ELEVATION) for azimuth in _AZIMUTHS]

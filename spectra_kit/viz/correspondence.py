@@ -27,7 +27,7 @@ Bytes = NDArray[np.uint8]
 Transfer = Literal["colours", "texture"]
 
 _WIDEST, _TALLEST = 3.4, 3.6  # inches of a picture
-_PIXELS = 4  # to a vertex, at which a pattern inside triangles looks sharp
+_PIXELS = {"colours": 4, "texture": 1}  # to a vertex: a pattern inside triangles looks sharp
 _HEADS = ("source", "target")
 _PERCENTILE = 99.0  # a lone outlier must not bleach the rest
 
@@ -282,7 +282,7 @@ def _scenes(
     def scene(geometry: Geometry, values: Floats) -> Scene:
         inches = fitting_size(geometry, rotation, _WIDEST, _TALLEST)
         width, height = (round(side * dpi) for side in inches)
-        fine, values, normals = refined(geometry, values, width * height // _PIXELS)
+        fine, values, normals = refined(geometry, values, width * height // _PIXELS[transfer])
         if transfer == "texture":
             colours = [texture_colours(values[:, :3], low, high)]
         else:

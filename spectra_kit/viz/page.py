@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 _WIDTH, _WIDEST_CELL, _GAP = 11.0, 4.5, 0.18
 _HEAD, _SIDE, _LINE, _BAR = 0.34, 0.34, 0.17, 0.26
 _TALLEST = 2.2  # pictures, height over cell width
-_EMPTY = 0.2  # what a place left empty counts against a misfit of the page
+_EMPTY = 0.5  # what a place left empty counts against a misfit of the page
 _TABLE, _GALLERY = 1.0, 1.4  # the wanted aspect of a page, width over height
 
 

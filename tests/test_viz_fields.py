@@ -1,0 +1,372 @@
+"""Galleries of fields and modes: colours, nodal lines, formats, and what notebooks show."""
+
+import re
+from base64 import b64decode
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from spectra_kit import Spectrum, eigensolve, robust_laplacian
+from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
+from spectra_kit.metrics import compare_spectra
+from spectra_kit.viz import (
+    MatchedPair,
+    Picture,
+    plot_comparison,
+    plot_correspondence,
+    plot_correspondences,
+    plot_fields,
+    plot_functional_map,
+    plot_modes,
+)
+from spectra_kit.viz.colours import diverging_colours, sequential_colours
+from spectra_kit.viz.contours import level_lines, triangles_of
+from spectra_kit.viz.render import Scene, render
+from spectra_kit.viz.texture import SQUARES, named_squares, texture_colours
+
+SQUARE = TriangleMesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+WHITE = np.full((2, 3), 255, np.uint8)
+
+# What people without red, green or blue cones see, of linear sRGB: G. Machado, M. Oliveira and
+# L. Fernandes, A physiologically-based model for simulation of color vision deficiency, 2009.
+BLIND = {
+    "protanopia": [
+        [0.152286, 1.052583, -0.204868],
+        [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ],
+    "deuteranopia": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "tritanopia": [
+        [1.255528, -0.076749, -0.178779],
+        [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
+}
+
+
+def linear(colours):
+    c = np.asarray(colours, float) / 255
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+def oklab(rgb):
+    """B. Ottosson's Oklab of linear sRGB, from his published matrices."""
+    lms = (
+        rgb
+        @ np.array(
+            [
+                [0.4122214708, 0.5363325363, 0.0514459929],
+                [0.2119034982, 0.6806995451, 0.1073969566],
+                [0.0883024619, 0.2817188376, 0.6299787005],
+            ]
+        ).T
+    )
+    return (
+        np.cbrt(np.clip(lms, 0, None))
+        @ np.array(
+            [
+                [0.2104542553, 0.7936177850, -0.0040720468],
+                [1.9779984951, -2.4285922050, 0.4505937099],
+                [0.0259040371, 0.7827717662, -0.8086757660],
+            ]
+        ).T
+    )
+
+
+@pytest.fixture(scope="module")
+def ball():
+    return sphere(subdivisions=3).geometry
+
+
+@pytest.fixture(scope="module", autouse=True)
+def can_draw():
+    """Skips everything where no picture can be drawn."""
+    try:
+        return drawn((SQUARE, np.ones(4), np.eye(3)), width=20)[0]
+    except MissingDependencyError as error:
+        pytest.skip(f"no picture can be drawn here: {error}")
+
+
+@pytest.fixture(scope="module")
+def spectrum(ball):
+    return eigensolve(robust_laplacian(ball), 9)
+
+
+def drawn(*scenes, width, line_width=4.0):
+    """Draw white geometries with nothing but the nodal lines of values, seen by a rotation."""
+    made = [
+        Scene(
+            geometry=geometry,
+            functions=[np.zeros(geometry.n)],
+            rotation=rotation,
+            width=width,
+            colours=WHITE,
+            lines=[level_lines(geometry.points, triangles_of(geometry), values)],
+            line_width=line_width,
+        )
+        for geometry, values, rotation in scenes
+    ]
+    return [pictures[0].mean(axis=2) for pictures in render(made)]
+
+
+def page(path):
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB")).astype(int)
+
+
+def lengths(segments):
+    return np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+
+
+def test_diverging_colours_are_equally_light_on_both_sides():
+    at = np.linspace(0, 1, 101)
+    red, blue = oklab(linear(diverging_colours(at))), oklab(linear(diverging_colours(-at)))
+    np.testing.assert_array_equal(diverging_colours(np.zeros(1)), [[255, 255, 255]])
+    for side in (red, blue):
+        assert (np.diff(side[:, 0]) < 0).all()
+        steps = np.linalg.norm(np.diff(side[::10], axis=0), axis=1)
+        assert steps.max() < 1.6 * steps.min()  # no step of the value leaps out
+    np.testing.assert_allclose(red[:, 0], blue[:, 0], rtol=0.02)
+
+
+@pytest.mark.parametrize("blind", BLIND)
+def test_the_two_sides_stay_apart_for_the_colour_blind(blind):
+    at = np.linspace(0.3, 1, 20)
+    red, blue = (
+        oklab(np.clip(linear(diverging_colours(side)) @ np.array(BLIND[blind]).T, 0, 1))
+        for side in (at, -at)
+    )
+    apart = np.linalg.norm(red[:, 1:] - blue[:, 1:], axis=1)
+    assert (apart > 0.08).all()  # by hue and chroma alone, not by lightness
+    assert (np.diff(apart) > -0.01).all()
+
+
+def test_sequential_colours_grow_lighter():
+    for matrix in (np.eye(3), *map(np.array, BLIND.values())):
+        seen = oklab(np.clip(linear(sequential_colours(np.linspace(0, 1, 40))) @ matrix.T, 0, 1))
+        assert (np.diff(seen[:, 0]) > 0).all()
+
+
+def test_the_zeros_of_a_height_are_the_equator(ball):
+    turned = ball.points @ np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    lines = level_lines(turned, ball.faces, turned[:, 2])
+    assert np.abs(lines[..., 2]).max() < 1e-12
+    assert lengths(lines).sum() == pytest.approx(2 * np.pi, rel=0.01)
+    several = level_lines(turned, ball.faces, turned[:, 2], (-0.5, 0.0, 0.5))
+    assert lengths(several).sum() == pytest.approx(2 * np.pi * (1 + np.sqrt(3)), rel=0.01)
+    cloud = PointCloud(turned)
+    near = level_lines(turned, triangles_of(cloud), turned[:, 2])
+    assert np.abs(near[..., 2]).max() < 1e-12
+    angles = np.sort(np.arctan2(near[..., 1], near[..., 0]).ravel())
+    assert np.diff(angles).max() < 0.1  # nowhere broken
+
+
+def test_zeros_at_vertices_make_one_line():
+    middle = TriangleMesh(
+        [[x, y, 0] for y in (0, 1) for x in (-1, 0, 1)],
+        [[0, 1, 3], [1, 4, 3], [1, 2, 4], [2, 5, 4]],
+    )
+    for sign in (1, -1):
+        lines = level_lines(middle.points, middle.faces, sign * middle.points[:, 0])
+        assert lengths(lines).sum() == pytest.approx(1)
+        assert np.abs(lines[lengths(lines) > 0][..., 0]).max() == 0
+
+
+def test_rounding_and_plateaus_make_no_line(ball):
+    noise = 1e-9 * np.random.default_rng(0).normal(size=ball.n)
+    assert len(level_lines(ball.points, ball.faces, 1 + noise)) == 0
+    assert len(level_lines(ball.points, ball.faces, np.zeros(ball.n))) == 0
+    for sign in (1, -1):
+        bump = sign * np.maximum(ball.points[:, 2] - 0.5, 0) + noise
+        assert len(level_lines(ball.points, ball.faces, bump)) == 0
+    two = np.clip(np.abs(ball.points[:, 2]) - 0.5, 0, None) * np.sign(ball.points[:, 2]) + noise
+    assert len(level_lines(ball.points, ball.faces, two)) == 0  # a wide zero between
+
+
+def test_lines_have_one_width_whatever_their_direction(can_draw):
+    assert (can_draw > 150).all()  # a constant has none
+    directions = np.array([[1, 0], [0, 1], [1, 1], [1, -2]])
+    normals = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    values = (SQUARE.points[:, :2] - 0.5) @ normals.T
+    pictures = drawn(*((SQUARE, f, np.eye(3)) for f in values.T), width=208)
+    for normal, picture in zip(normals, pictures, strict=True):  # 200 pixels without the margins
+        length, white = 200 / np.abs(normal).max(), np.median(picture)
+        ink = (white - picture[4:-4, 4:-4]) / (white - 50)
+        assert ink.sum() == pytest.approx(4 * length, rel=0.05)
+
+
+def test_lines_reach_round_a_surface_and_hide_behind_it(ball):
+    tilt = np.deg2rad(30)
+    rotation = np.array(
+        [[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]]
+    )
+    height = ball.points[:, 1]
+    for picture in drawn((ball, height, rotation), (ball.as_cloud(), height, rotation), width=200):
+        dark = picture < 90
+        columns = np.flatnonzero(dark.any(axis=0))
+        assert np.ptp(columns) > 165
+        assert dark[:, columns[0] : columns[-1] + 1].any(axis=0).mean() > 0.98
+        rows = np.flatnonzero(dark[:, 100])  # the front of the ellipse, not its back
+        middle = dark.shape[0] / 2
+        assert (rows < middle).all() or (rows > middle).all()
+        assert np.abs(rows - middle).mean() == pytest.approx(92 * np.sin(tilt), abs=6)
+
+
+def test_fields_share_a_view_and_limits(tmp_path, ball, monkeypatch, capfd):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    fields = {"whole": ball.points[:, 2], "half": ball.points[:, 2] / 2}
+    style = {"columns": 2, "up": "z", "dpi": 40}
+    own = plot_fields(tmp_path / "own.png", ball, fields, **style)
+    one = plot_fields(tmp_path / "one.png", ball.as_cloud(), fields, share_limits=True, **style)
+    own, one = page(own.path)[30:180], page(one.path)[30:180]
+    half = own.shape[1] // 2
+    left, right = own[:, :half], own[:, own.shape[1] - half :]
+    starts = [np.flatnonzero((np.ptp(p, axis=2) > 40).any(axis=0))[0] for p in (left, right)]
+    np.testing.assert_array_equal(left, np.roll(right, starts[0] - starts[1], axis=1))
+    assert 0.25 < (np.ptp(left, axis=2) > 40).mean() < 0.7
+    strong = [np.ptp(p, axis=2).max() for p in (one[:, :half], one[:, half:])]
+    assert strong[1] < 0.85 * strong[0]
+    assert capfd.readouterr() == ("", "")
+
+
+def embedded(svg):
+    """The pictures in an SVG that are more than a bar."""
+    found = re.findall(r"data:image/png;base64,\s*([A-Za-z0-9+/=\s]+)", svg)
+    images = [np.asarray(Image.open(BytesIO(b64decode(text))).convert("RGB")) for text in found]
+    return [image.astype(int) for image in images if len(image) > 20]
+
+
+def test_vector_pages_hold_text_and_pictures_of_their_resolution(tmp_path, ball, spectrum):
+    def draw(name, modes):
+        return plot_modes(tmp_path / name, ball, spectrum, modes=modes, title="T & λ", dpi=60).path
+
+    svg = draw("modes.svg", [0, 4]).read_text()
+    texts = re.findall(r">([^<>]+)</text>", svg)
+    assert texts[0] == "T &amp; λ"
+    assert any(text.startswith("mode 4 ") and "λ = " in text for text in texts)
+    assert sum(text.startswith("relative residual ") for text in texts) == 2
+    assert svg.count("<image") == 4  # two pictures, two bars
+    constant, mode = embedded(svg)
+    assert constant.shape == mode.shape
+    assert constant.shape[1] == 4.5 * 60
+    inked = [((p.max(axis=2) < 90) & (np.ptp(p, axis=2) < 25)).sum() for p in (constant, mode)]
+    assert inked[0] == 0
+    assert inked[1] > 60  # its nodal lines
+    pdf = draw("modes.pdf", [4]).read_bytes()
+    assert pdf.startswith(b"%PDF")
+    assert max(int(n) for n in re.findall(rb"/Width (\d+)", pdf)) == 4.5 * 60
+
+
+@pytest.mark.parametrize("name", ["a.svg", "a.pdf", "a.png"])
+def test_the_same_page_has_the_same_bytes(tmp_path, name):
+    pages = [
+        plot_functional_map(tmp_path / name, np.eye(4), title="C", dpi=30).path.read_bytes()
+        for _ in range(2)
+    ]
+    assert pages[0] == pages[1]
+
+
+def test_galleries_leave_constants_out(tmp_path):
+    sheet = rectangle(n=400).geometry
+    found = eigensolve(robust_laplacian(sheet), 3)
+    text = plot_modes(tmp_path / "m.svg", sheet, found, dpi=20).path.read_text()
+    assert re.findall(r">mode (\d)", text) == ["1", "2"]
+
+
+def test_comparisons_draw_zeros_of_modes_alone(tmp_path, ball, spectrum):
+    other = Spectrum(  # another sign, another size: the difference is a mode too
+        eigenvalues=spectrum.eigenvalues,
+        eigenvectors=spectrum.eigenvectors,
+        mass=spectrum.mass,
+    )
+    comparison = compare_spectra(spectrum, other)
+    with_lines, without = (
+        page(
+            plot_comparison(
+                *(tmp_path / "c.png", ball, spectrum, other, comparison),
+                modes=[2],
+                nodal_lines=lines,
+                dpi=60,
+            ).path
+        )
+        for lines in (True, False)
+    )
+    darker = without.sum(axis=2) - with_lines.sum(axis=2) > 100
+    along = int(darker.shape[1] > darker.shape[0])  # the three stand beside or below each other
+    exact, predicted, difference = (part.sum() for part in np.array_split(darker, 3, axis=along))
+    assert min(exact, predicted) > 50
+    assert difference == 0
+
+
+def test_squares_are_named_light_and_dark():
+    chart = named_squares(3, 2).astype(int)
+    corners = chart[5::96, 5::96].sum(axis=2)
+    assert (corners[0, [0, 2]] < corners[0, 1] - 150).all()  # A2 and C2 are dark, A1 and B2 light
+    assert corners[1, 0] > corners[0, 0] + 150
+    inked = [np.ptp(chart[:96, i * 96 : i * 96 + 96].sum(axis=2)) for i in range(3)]
+    assert min(inked) > 250
+    box = np.zeros(3), np.array([1.0, 0.5, 1.0])
+    cells = (np.arange(SQUARES) + 0.06) / SQUARES
+    row = texture_colours(np.column_stack([cells, 0 * cells + 0.005, cells]), *box).astype(int)
+    assert (np.abs(np.diff(row.sum(axis=1))) > 120).all()
+
+
+def test_a_texture_travels_with_the_map(tmp_path, ball):
+    pairs = [
+        MatchedPair(source=ball, target=ball, point_map=np.arange(ball.n)),
+        MatchedPair(source=ball, target=ball, point_map=np.zeros(ball.n, dtype=int)),
+    ]
+    svg = plot_correspondences(tmp_path / "t.svg", pairs, transfer="texture", up="z", dpi=40)
+    source, same, _, constant = embedded(svg.path.read_text())
+    np.testing.assert_array_equal(source, same)
+    hues = [
+        (seen / seen.sum(axis=1, keepdims=True)).std(axis=0).max()
+        for seen in (p[p.min(axis=2) < 240] for p in (source, constant))
+    ]
+    assert hues[1] < 0.6 * hues[0]  # one colour, and the light on it
+
+
+def test_notebooks_show_pictures(tmp_path):
+    picture = plot_functional_map(tmp_path / "x.png", np.eye(3), dpi=20)
+    (tmp_path / "x.svg").write_text("<svg/>")
+    (tmp_path / "x.pdf").write_bytes(b"%PDF")
+    shown = picture._repr_mimebundle_()
+    assert list(shown) == ["image/png"]
+    assert b64decode(shown["image/png"]) == (tmp_path / "x.png").read_bytes()
+    assert Picture(tmp_path / "x.svg")._repr_mimebundle_() == {"image/svg+xml": "<svg/>"}
+    for name in ("x.pdf", "missing.png"):
+        assert Picture(tmp_path / name)._repr_mimebundle_() == {}
+
+
+def test_bad_input_is_refused(tmp_path, ball, spectrum):
+    good, path = np.zeros(ball.n), tmp_path / "x.png"
+    for fields, options, message in (
+        ({}, {}, "`fields` must hold at least one function, got none"),
+        ({"a": good[:4]}, {}, r"`fields\['a'\]` must have shape \(642,\), .* got \(4,\)"),
+        ({"a": good * np.nan}, {}, r"`fields\['a'\]` must be finite"),
+        ({"a": good}, {"lines": "zero"}, "`lines` must be 'none', 'nodal' or 'levels', got 'zero'"),
+        ({"a": good}, {"columns": 0}, "`columns` must be at least 1"),
+        ({"a": good}, {"up": "w"}, "`up` must be 'x', 'y', 'z' or None, got 'w'"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            plot_fields(path, ball, fields, **options)
+    for modes, message in (
+        ([], "`modes` must name at least one mode, got none"),
+        ([9], r"`modes` must be in \[0, 8\], got 9"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            plot_modes(path, ball, spectrum, modes=modes)
+    with pytest.raises(InvalidInputError, match="`columns` must be at least 1"):
+        plot_modes(path, ball, spectrum, columns=0)
+    with pytest.raises(InvalidInputError, match="`geometry` must have the 642 points"):
+        plot_modes(path, SQUARE, spectrum)
+    with pytest.raises(InvalidInputError, match="`transfer` must be 'colours' or 'texture'"):
+        plot_correspondence(path, ball, ball, np.arange(ball.n), transfer="uv")
+    assert not list(tmp_path.iterdir())
