@@ -6,6 +6,8 @@ Nothing is fetched, neither while the pages are built nor when they are read.
 import sys
 from pathlib import Path
 
+from numpydoc.xref import DEFAULT_LINKS
+
 import spectra_kit
 from spectra_kit._version import VERSION
 
@@ -38,9 +40,10 @@ autosummary_generate_overwrite = True
 numpydoc_show_class_members = False  # the template of a class shows them, with their docstrings
 numpydoc_class_members_toctree = False
 # Types of arguments are links too, where they are ours; the words around them stay words.
+DEFAULT_LINKS.clear()  # to the pages of Python and NumPy, which need a network
 numpydoc_xref_param_type = True
 numpydoc_xref_ignore = "all"
-numpydoc_xref_aliases = {name: name for name in spectra_kit.__all__ if name[0].isupper()}
+numpydoc_xref_aliases = {name: f"sk.{name}" for name in spectra_kit.__all__ if name[0].isupper()}
 
 myst_heading_anchors = 3
 myst_enable_extensions = ["attrs_block", "colon_fence"]

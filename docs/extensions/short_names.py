@@ -8,6 +8,8 @@ from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 from sphinx.util.nodes import make_refnode
 
+import spectra_kit
+
 _KINDS = ("class", "exception", "function", "data")
 
 
@@ -18,7 +20,9 @@ def resolve(
     if node.get("refdomain") != "py":
         return None
     target = node["reftarget"].removeprefix("sk.")
-    # A word alone is more often an argument than a method or a module of that name.
+    # A word alone is more often an argument: `count`, `geometry`, `laplacian`.
+    if target.isalpha() and target.islower() and target not in spectra_kit.__all__:
+        return None
     kinds = (*_KINDS, "method", "property", "attribute") if "." in target else _KINDS
     found = {
         (entry.docname, entry.node_id): name
