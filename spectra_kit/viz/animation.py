@@ -140,7 +140,7 @@ def animate_modes(
             shifts=[reach * function[:, None] * normals for function in functions],
             swings=distinct.tolist(),
             lines=_nodal_lines(geometry, functions) if nodal_lines else None,
-            line_width=_LINE * width,
+            line_width=max(_LINE * width, 1.5),
         )
         (pictures,) = render([scene], progress=progress)
         captions = [_caption(spectrum, mode, width) for mode in chosen]
@@ -225,8 +225,9 @@ def _write_gif(path: Path, frames: list[Bytes], fps: float) -> None:
     colours = sample.quantize(
         255, method=Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE
     )
+    table = bytes([255, 255, 255, *(colours.getpalette() or [])[: 3 * 255]])
     palette = Image.new("P", (1, 1))
-    palette.putpalette([255, 255, 255, *(colours.getpalette() or [])[: 3 * 255]])
+    palette.putpalette(table)
     images = [
         Image.fromarray(_dithered(frame)).quantize(palette=palette, dither=Image.Dither.NONE)
         for frame in frames
@@ -237,7 +238,7 @@ def _write_gif(path: Path, frames: list[Bytes], fps: float) -> None:
         append_images=images[1:],
         duration=10 * max(round(100 / fps), 1),
         loop=0,
-        optimize=False,
+        palette=table,  # said once, for all frames
     )
 
 

@@ -1,0 +1,231 @@
+"""Films of modes: what swings, how far, and that they close."""
+
+import os
+import subprocess
+import sys
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from PIL import Image
+
+from spectra_kit import Dense, eigensolve, robust_laplacian
+from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.geometry import PointCloud, sphere
+from spectra_kit.viz import animate_modes
+
+SIZE = {"width": 72, "fps": 8.0}  # 16 frames in two seconds
+CAPTION = 6  # rows of such a frame
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """Long in one direction: its lowest mode tells the ends apart, and stands alone."""
+    mesh = sphere(subdivisions=3).geometry
+    return mesh.with_points(mesh.points * [1.6, 1.0, 0.9])
+
+
+@pytest.fixture(scope="module")
+def modes(ball):
+    return eigensolve(robust_laplacian(ball), 5, Dense())
+
+
+@pytest.fixture(scope="module")
+def film(ball, modes, tmp_path_factory):
+    """The frames of two modes, and where they are."""
+    path = tmp_path_factory.mktemp("film") / "modes.gif"
+    try:
+        picture = animate_modes(path, ball, modes, modes=[1, 2], amplitude=0.05, **SIZE)
+    except MissingDependencyError as error:
+        pytest.skip(f"no picture can be drawn here: {error}")
+    assert picture.path == path
+    return path
+
+
+@pytest.fixture(scope="module")
+def frames(film):
+    return iio.imread(film).astype(int)
+
+
+def redness(frames):
+    """From -1 for blue to 1 for red, grey being 0."""
+    return (frames[..., 0] - frames[..., 2]) / 255
+
+
+def width_of(frame):
+    """Columns that are not white, below the caption."""
+    return int((frame[CAPTION:] < 250).any(axis=(0, 2)).sum())
+
+
+def test_a_film_has_its_frames_its_time_and_no_end(film, frames):
+    assert frames.shape[0] == 32
+    assert frames.shape[2] == SIZE["width"]
+    with Image.open(film) as gif:
+        assert gif.info["loop"] == 0
+        lasting = []
+        for i in range(gif.n_frames):
+            gif.seek(i)
+            lasting.append(gif.info["duration"])
+    assert set(lasting) == {120}  # of 125 milliseconds the nearest number of hundredths
+
+
+def test_colours_are_opposite_half_a_swing_later(frames):
+    first, middle = redness(frames[0]), redness(frames[8])
+    coloured = np.abs(first) > 0.25
+    assert coloured.mean() > 0.1
+    held = coloured & (np.abs(middle) > 0.25)
+    assert held.sum() > 0.5 * coloured.sum()  # the rest has moved
+    assert (np.sign(first[held]) == -np.sign(middle[held])).mean() > 0.99
+    left, right = first[:, :24], first[:, -24:]
+    assert np.sign(left.sum()) == -np.sign(right.sum())  # the mode that tells the ends apart
+
+
+def test_a_mode_is_at_rest_between_two_modes(frames):
+    for rest in (4, 12, 20, 28):  # a quarter before and after each peak
+        assert np.abs(redness(frames[rest])).max() < 0.06
+    np.testing.assert_allclose(frames[4][CAPTION:], frames[12][CAPTION:], atol=12)
+    np.testing.assert_allclose(frames[4][CAPTION:], frames[20][CAPTION:], atol=12)
+
+
+def test_the_last_frame_flows_into_the_first(frames):
+    steps = np.abs(np.diff(frames, axis=0, append=frames[:1])).mean(axis=(1, 2, 3))
+    assert steps[-1] <= 1.1 * steps.max()
+    assert steps[-1] == pytest.approx(steps[0], rel=0.3)  # before and after the same peak
+
+
+def test_points_swing_along_the_normals_inside_one_unmoved_frame(frames):
+    """The ends swing in turns, by a twentieth of the diagonal each, and nothing is cut off."""
+    centre = [np.flatnonzero((frame[CAPTION:] < 250).any(axis=(0, 2))) for frame in frames]
+    ends = np.array([(columns[0], columns[-1]) for columns in centre])
+    swing = ends[:16] - ends[4]
+    peak, opposite = swing[0], swing[8]
+    assert np.sign(peak[0]) == np.sign(peak[1])  # one end out, the other one in
+    np.testing.assert_allclose(peak, -opposite, atol=1)
+    length = np.linalg.norm([3.2, 2.0, 1.8]) * 0.05  # in the unit of the points
+    assert abs(peak[0]) * 3.2 / width_of(frames[4]) == pytest.approx(length, rel=0.35)
+    borders = frames[:, CAPTION:][:, [0, -1]], frames[:, CAPTION:, [0, -1]]
+    assert all((border == 255).all() for border in borders)
+
+
+def test_captions_tell_the_mode(frames):
+    captions = frames[:, :CAPTION]
+    assert (captions < 200).any(axis=(1, 2, 3)).all()
+    assert len(np.unique(captions, axis=0)) == 2  # nothing flickers
+    same = [np.array_equal(caption, captions[0]) for caption in captions]
+    assert same == [True] * 12 + [False] * 16 + [True] * 4
+
+
+def test_one_palette_serves_all_frames(film):
+    data = film.read_bytes()
+    assert data[10] & 0x80  # there are colours for all
+    pieces = data.split(b"\x21\xf9\x04")[1:]  # what starts a frame: five bytes, then where it is
+    assert len(pieces) == 32
+    assert not any(piece[5 + 9] & 0x80 for piece in pieces)  # no frame has colours of its own
+
+
+def test_clouds_swing_and_nodal_lines_stand_still(ball, modes, tmp_path):
+    path = tmp_path / "cloud.gif"
+    told = []
+    try:
+        animate_modes(
+            path,
+            ball.as_cloud(),
+            modes,
+            modes=[1],
+            amplitude=0.05,
+            seconds_per_mode=0.5,
+            nodal_lines=True,
+            up="z",
+            progress=lambda done, total: told.append((done, total)),
+            width=150,
+            fps=8,
+        )
+    except MissingDependencyError as error:
+        pytest.skip(f"no picture can be drawn here: {error}")
+    assert told == [(1, 3), (2, 3), (3, 3)]  # at both ends and at rest
+    frames = iio.imread(path).astype(int)
+    assert len(frames) == 4
+    pictures = frames[:, 12:].max(axis=3)  # below the caption
+    line = pictures[1] < 140  # at rest all else is white
+    assert line.sum() > 20
+    for peak in (0, 2):
+        assert (pictures[peak][line] < 170).mean() > 0.6
+    ends = np.array([np.flatnonzero((f[12:] < 250).any(axis=(0, 2)))[[0, -1]] for f in frames])
+    assert np.abs(ends[0] - ends[2]).min() >= 3
+
+
+def test_a_film_as_mp4(ball, modes, tmp_path):
+    path = tmp_path / "modes.mp4"
+    try:
+        animate_modes(path, ball, modes, modes=[1], seconds_per_mode=1, width=71, fps=8)
+    except MissingDependencyError as error:
+        pytest.skip(f"no film can be made here: {error}")
+    with iio.imopen(path, "r", plugin="FFMPEG") as film:
+        about = film.metadata()
+        frames = np.stack(list(film.iter())).astype(int)
+    assert about["codec"] == "h264"
+    assert about["fps"] == 8
+    assert frames.shape[0] == 8
+    assert frames.shape[2] == 72
+    assert frames.shape[1] % 2 == 0
+    first, middle = redness(frames[0]), redness(frames[4])
+    held = (np.abs(first) > 0.2) & (np.abs(middle) > 0.2)
+    assert held.sum() > 100
+    assert (np.sign(first[held]) == -np.sign(middle[held])).mean() > 0.95
+
+
+def test_an_interrupted_film_leaves_nothing_behind(ball, modes, tmp_path):
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    path = tmp_path / "modes.gif"
+    path.write_text("the old one")
+    try:
+        animate_modes(path, ball, modes, progress=interrupt, **SIZE)
+    except MissingDependencyError as error:
+        pytest.skip(f"no picture can be drawn here: {error}")
+    except KeyboardInterrupt:
+        assert os.listdir(tmp_path) == ["modes.gif"]
+        assert path.read_text() == "the old one"
+    else:
+        pytest.fail("nobody was told of the progress")
+
+
+def test_without_ffmpeg_the_error_names_the_extra(tmp_path):
+    script = """
+import sys
+sys.modules["imageio_ffmpeg"] = None  # as if it were not installed
+from spectra_kit import Dense, eigensolve, robust_laplacian
+from spectra_kit.geometry import sphere
+from spectra_kit.viz import animate_modes
+mesh = sphere(subdivisions=1).geometry
+animate_modes("modes.mp4", mesh, eigensolve(robust_laplacian(mesh), 4, Dense()))
+"""
+    run = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert "MissingDependencyError: MP4 needs imageio-ffmpeg" in run.stderr
+    assert "pip install spectra_kit[video]; or write a .gif" in run.stderr
+    assert os.listdir(tmp_path) == []
+
+
+def test_bad_input_is_refused(ball, modes, tmp_path):
+    path = tmp_path / "modes.gif"
+    for match, options in (
+        (r"`modes` must be in \[0, 4\], got 5", {"modes": [5]}),
+        ("`modes` must hold at least one mode, got none", {"modes": []}),
+        ("`amplitude` must be finite and >= 0, got -1", {"amplitude": -1.0}),
+        ("`width` must be at least 16, got 3", {"width": 3}),
+        ("`fps` must be positive", {"fps": 0}),
+        ("`seconds_per_mode` must be positive", {"seconds_per_mode": 0.0}),
+        ("`up` must be 'x', 'y', 'z' or None, got 'w'", {"up": "w"}),
+    ):
+        with pytest.raises(InvalidInputError, match=match):
+            animate_modes(path, ball, modes, **options)
+    with pytest.raises(InvalidInputError, match="`geometry` must have the 642 points"):
+        animate_modes(path, PointCloud(ball.points[:9]), modes)
+    with pytest.raises(InvalidInputError, match=r"`path` must end in .gif or .mp4, got 'x.png'"):
+        animate_modes("x.png", ball, modes)
+    with pytest.raises(InvalidInputError, match=r"the folder .* does not exist"):
+        animate_modes(tmp_path / "no" / "x.gif", ball, modes)
+    assert os.listdir(tmp_path) == []
