@@ -38,13 +38,13 @@ def test_compare_modes_without_arguments_draws_the_demo(
     compare_modes, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    code = compare_modes(["--points", "1500", "-k", "8", "--solver", "fourier"])
+    code = compare_modes(["--points", "800", "-k", "8", "--solver", "fourier"])
     check_picture("compare_modes.png", code, *capsys.readouterr())
 
 
 def test_compare_modes_of_a_cloud(compare_modes, tmp_path, capsys):
     file, picture = tmp_path / "cloud.ply", tmp_path / "cloud.png"
-    write(sample(sphere(subdivisions=3).geometry, 1500, seed=0), file)
+    write(sample(sphere(subdivisions=3).geometry, 800, seed=0), file)
     code = compare_modes(
         [str(file), "-k", "6", "--solver", "fourier", "--modes", "1", "--picture", str(picture)]
     )

@@ -508,6 +508,8 @@ def test_the_app_runs_one_study_and_continues(main, tmp_path, capsys):
 @pytest.mark.slow
 def test_a_quick_run_of_everything_needs_no_data(main, tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("SPECTRA_KIT_DATA", raising=False)
+    # The demo alone; a procedural model goes through the app in a tree, below.
+    monkeypatch.setitem(main.__globals__["_QUICK"], "procedural", 0)
     assert main(["all", str(tmp_path), "--quick"]) == 0
     text = (tmp_path / "report.md").read_text()
     assert all(f"## {study.title}" in text for study in STUDIES.values())
@@ -537,9 +539,6 @@ def test_weights_without_validations_leave_out_one_chapter(
 
 @pytest.mark.slow
 def test_the_app_runs_from_a_tree_that_is_not_installed(tmp_path):
-    write(bumpy(), tmp_path / "ball.ply")
-    arguments = ["sampling", str(tmp_path / "out"), "--data", str(tmp_path), "-k", "8"]
-    arguments += ["--procedural", "0", "--focus", "500"]
     banned = ["potpourri3d", "pyvista", "trimesh"]  # nor are these needed
     code = (
         "import sys, runpy\n"
@@ -547,7 +546,7 @@ def test_the_app_runs_from_a_tree_that_is_not_installed(tmp_path):
         "def never(name): raise metadata.PackageNotFoundError(name)\n"
         "metadata.version = never\n"
         f"sys.modules.update(dict.fromkeys({banned}))\n"
-        f"sys.argv = {['evaluate_neo.py', *arguments]}\n"
+        f"sys.argv = ['evaluate_neo.py', 'sampling', {str(tmp_path)!r}, '--quick']\n"
         f"runpy.run_path({str(APP)!r}, run_name='__main__')"
     )
     done = subprocess.run(
