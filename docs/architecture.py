@@ -68,7 +68,7 @@ COLOURS = {
     "see": "#efcade",
     "study": "#f6f0b4",
 }
-_WIDTH, _HEIGHT, _GAP = 1.72, 0.62, 0.2
+_WIDTH, _HEIGHT, _GAP = 1.8, 0.68, 0.17
 
 
 def layers() -> list[list[str]]:
@@ -167,20 +167,20 @@ def _draw_layers(axes: Axes, rows: list[list[str]], width: float) -> None:
             lines = words.count("\n") + 1
             axes.text(
                 x,
-                y + 0.07 * (lines + 0.4),
+                y + 0.08 * (lines + 0.3),
                 name,
                 ha="center",
                 va="center",
-                fontsize=10,
+                fontsize=11,
                 fontweight="bold",
             )
             axes.text(
                 x,
-                y - 0.13 if lines == 1 else y - 0.1,
+                y - 0.14 if lines == 1 else y - 0.12,
                 words,
                 ha="center",
                 va="center",
-                fontsize=7.5,
+                fontsize=8.8,
                 linespacing=1.05,
                 color="#333333",
             )
