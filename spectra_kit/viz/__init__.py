@@ -1,4 +1,4 @@
-"""Pictures of functions and distances on geometries, and of maps between them, as PNG.
+"""Pictures of functions and distances on geometries, of maps between them, and of spectra.
 
 No display is needed: PyVista draws the panels off-screen in a process of its own, Matplotlib sets
 the page around them. Neither is imported before a picture is drawn.
