@@ -35,9 +35,12 @@ def sheet():
     return mesh, eigensolve(laplacian, 6), guess
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def server():
-    """A server in a process of its own, and what it said when it was ready."""
+    """A server in a process of its own, and what it said when it was ready; the last test ends it.
+
+    To start it takes longer than to use it.
+    """
     process = subprocess.Popen(COMMAND, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         lines = iter(process.stdout.readline, "")
