@@ -245,7 +245,7 @@ def embedded(svg):
 
 def test_vector_pages_hold_text_and_pictures_of_their_resolution(tmp_path, ball, spectrum):
     def draw(name, modes):
-        return plot_modes(tmp_path / name, ball, spectrum, modes=modes, title="T & λ", dpi=60).path
+        return plot_modes(tmp_path / name, ball, spectrum, modes=modes, title="T & λ", dpi=150).path
 
     svg = draw("modes.svg", [0, 4]).read_text()
     texts = re.findall(r">([^<>]+)</text>", svg)
@@ -255,13 +255,13 @@ def test_vector_pages_hold_text_and_pictures_of_their_resolution(tmp_path, ball,
     assert svg.count("<image") == 4  # two pictures, two bars
     constant, mode = embedded(svg)
     assert constant.shape == mode.shape
-    assert constant.shape[1] == 4.5 * 60
+    assert constant.shape[1] == 4.5 * 150
     inked = [((p.max(axis=2) < 90) & (np.ptp(p, axis=2) < 25)).sum() for p in (constant, mode)]
     assert inked[0] == 0
     assert inked[1] > 60  # its nodal lines
     pdf = draw("modes.pdf", [4]).read_bytes()
     assert pdf.startswith(b"%PDF")
-    assert max(int(n) for n in re.findall(rb"/Width (\d+)", pdf)) == 4.5 * 60
+    assert max(int(n) for n in re.findall(rb"/Width (\d+)", pdf)) == 4.5 * 150
 
 
 @pytest.mark.parametrize("name", ["a.svg", "a.pdf", "a.png"])
