@@ -107,7 +107,9 @@ def load(arguments: argparse.Namespace) -> Geometry:
 def _check_there(path: Path) -> None:
     """Refuse a file that is not there, and name the likeliest of those that are."""
     if path.is_dir():
-        raise InvalidInputError(f"{path}: this is a folder, expected a file; name one that is in it")
+        raise InvalidInputError(
+            f"{path}: this is a folder, expected a file; name one that is in it"
+        )
     if path.exists() or not path.parent.is_dir():
         return
     if meant := did_you_mean(path.name, [other.name for other in path.parent.iterdir()]):
