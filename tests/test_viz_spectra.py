@@ -168,7 +168,7 @@ def test_spectra_without_certificate_parts_and_single_modes_are_drawn(exact):
     points = markers(figure_of(pair, pair).axes[2], LINE_COLOURS[1])
     np.testing.assert_array_equal(points[:, 0], [2, 3, 4, 5])
     single = exact.truncate(1)
-    figure_of(single, single).draw_without_rendering()
+    assert len(figure_of(single, single).axes) == 2  # zero modes do not differ: no empty panel
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg"])

@@ -116,7 +116,9 @@ def spectrum_figure(
 ) -> Figure:
     """Return the page: eigenvalues, and below them what there is of residuals and differences."""
     certified = any(spectrum.certificate is not None for spectrum in spectra.values())
-    below = [draw_residuals] * certified + [draw_differences] * (len(spectra) > 1)
+    first, *others = spectra.values()
+    comparable = any(min(first.k, other.k) > first.n_zero_modes for other in others)
+    below = [draw_residuals] * certified + [draw_differences] * comparable
     height = head(title, subtitle) + 4.2 + 1.75 * len(below)
     figure = new_figure(_WIDTH, height, title=title, subtitle=subtitle, dpi=dpi, constrained=True)
     panels = figure.subplots(
