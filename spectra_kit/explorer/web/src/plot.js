@@ -16,10 +16,12 @@ export class Plot {
     this.facts = facts;
     this.k = facts.exact.eigenvalues.length;
     this.svg = element("svg", { role: "img", "aria-label": "Eigenvalues against the number of the mode" });
+    // Apart, so that a step of the slider paints these few again and not all the rest.
+    this.above = element("svg", { class: "above", "aria-hidden": "true" });
     this.tip = document.createElement("div");
     this.tip.className = "tip";
     this.tip.hidden = true;
-    host.append(this.svg, this.tip);
+    host.append(this.svg, this.above, this.tip);
     this.mode = 0;
     new ResizeObserver(() => this.layout()).observe(host);
     let held = false;
@@ -57,12 +59,13 @@ export class Plot {
     const compared = Boolean(this.facts.comparison);
     this.split = compared ? TOP + (room - GAP) * 0.66 : this.bottom;
     this.svg.replaceChildren();
-    this.svg.setAttribute("viewBox", `0 0 ${clientWidth} ${clientHeight}`);
-    this.cursor = this.add("line", { class: "cursor", y1: TOP - 4, y2: this.bottom });
+    this.above.replaceChildren();
+    for (const svg of [this.svg, this.above]) svg.setAttribute("viewBox", `0 0 ${clientWidth} ${clientHeight}`);
+    this.cursor = this.add("line", { class: "cursor", y1: TOP - 4, y2: this.bottom }, this.above);
     this.values();
     if (compared) this.errors();
     this.numbers();
-    this.marks = this.add("g", { class: "marks" });
+    this.marks = this.add("g", { class: "marks" }, this.above);
     this.show(this.mode);
   }
 

@@ -34,6 +34,7 @@ export const FRAGMENT = /* glsl */ `
   uniform float lines;      // half width of nodal lines in pixels; 0 for none
   uniform vec2 depths;      // of the nearest and the farthest point
   uniform bool round;       // points of a cloud
+  uniform bool rough;       // few triangles in place of many: some lie the wrong way round
   varying float value;
   varying vec3 across;
   varying vec3 place;
@@ -45,7 +46,7 @@ export const FRAGMENT = /* glsl */ `
     vec3 view = normalize(-place);
     vec3 n = length(across) > 0.0 ? normalize(across) : view;
     // Faces know their side, points do not; at an outline a normal may lean away without turning.
-    if (round ? dot(n, view) < 0.0 : !gl_FrontFacing) n = -n;
+    if (round || rough ? dot(n, view) < 0.0 : !gl_FrontFacing) n = -n;
     float shade = 1.0;
     if (round) {
       vec2 disc = 2.0 * gl_PointCoord - 1.0;

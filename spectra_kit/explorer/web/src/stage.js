@@ -17,11 +17,14 @@ import {
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { FRAGMENT, VERTEX } from "./shaders.js";
+import { coarse, isSoftware } from "./speed.js";
 
 const ANGLE = 28; // degrees, from the lower to the upper edge of a view
 const MARGIN = 1.08;
 const SWING = 0.06; // of the box: how far a mode moves the surface
 const PERIOD = 2400; // milliseconds
+const SLOW = 40; // milliseconds of a frame, above which moving things are drawn coarsely
+const REST = 160; // milliseconds without a change, after which everything is drawn
 
 export class Stage {
   constructor(canvas, facts, geometry) {
@@ -33,7 +36,10 @@ export class Stage {
     this.playing = false;
     this.phase = 0;
     this.nodal = Boolean(geometry.index);
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
+    this.software = isSoftware();
+    this.slow = false;
+    this.fine = true;
+    this.renderer = new WebGLRenderer({ canvas, antialias: !this.software, alpha: true });
     this.renderer.setClearColor(0, 0);
     this.renderer.setScissorTest(true);
     this.scene = new Scene();
@@ -53,7 +59,12 @@ export class Stage {
     this.predicted = new BufferAttribute(new Int16Array(n), 1, true);
     buffers.setAttribute("exact", this.exact);
     buffers.setAttribute("predicted", this.predicted);
-    if (index) buffers.setIndex(new BufferAttribute(index, 1));
+    this.buffers = buffers;
+    this.index = index && new BufferAttribute(index, 1);
+    const few = coarse(positions, index);
+    this.coarse = few ? new BufferAttribute(few, 1) : this.index;
+    this.thinned = few && !index ? Math.sqrt(n / few.length) : 1; // of a cloud: larger points fill in
+    buffers.setIndex(this.index);
     const colours = Uint8Array.from(atob(this.facts.palette), (c) => c.charCodeAt(0));
     const table = new Uint8Array(1024);
     for (let i = 0; i < 256; i++) table.set([...colours.subarray(3 * i, 3 * i + 3), 255], 4 * i);
@@ -75,6 +86,7 @@ export class Stage {
         lines: { value: 0 },
         depths: { value: new Vector2(0, 1) },
         round: { value: !index },
+        rough: { value: false },
       },
     });
     const thing = index ? new Mesh(buffers, this.material) : new Points(buffers, this.material);
@@ -156,8 +168,7 @@ export class Stage {
   resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (!width || !height || !this.views.length) return;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
-    this.renderer.setSize(width, height, false);
+    this.sharpness();
     const pane = this.views[0].pane.getBoundingClientRect();
     this.camera.aspect = pane.width / pane.height;
     this.camera.updateProjectionMatrix();
@@ -171,7 +182,38 @@ export class Stage {
     // The controls measure a drag by the canvas; a hand measures it by the view.
     this.controls.rotateSpeed = this.controls.panSpeed = height / pane.height;
     this.controls.update();
-    this.invalidate();
+    this.paint();
+    this.measure();
+  }
+
+  /** Pixels of the canvas for those of the page. */
+  sharpness() {
+    const most = Math.max(Math.min(devicePixelRatio, 2), this.software ? 2 : 1);
+    this.renderer.setPixelRatio(this.fine ? most : 1);
+    this.renderer.setSize(this.canvas.clientWidth, this.canvas.clientHeight, false);
+  }
+
+  /** How long a frame takes here, once: then whether to draw coarsely what moves. */
+  measure() {
+    if (this.measured) return;
+    this.measured = true;
+    const gl = this.renderer.getContext();
+    const wait = () => gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+    wait(); // for what the first frame alone needs
+    const start = performance.now();
+    this.paint();
+    wait();
+    this.slow = performance.now() - start > SLOW;
+  }
+
+  /** Everything and sharp, or few triangles and fewer pixels. */
+  detail(fine) {
+    if (fine === this.fine) return;
+    this.fine = fine;
+    this.buffers.setIndex(fine ? this.index : this.coarse);
+    this.material.uniforms.rough.value = !fine;
+    this.material.uniforms.diameter.value = this.facts.spacing * (fine ? 1 : this.thinned);
+    this.sharpness();
   }
 
   /** Draw at the next frame. */
@@ -189,6 +231,18 @@ export class Stage {
     }
     this.last = this.wave && this.playing ? time : undefined;
     this.controls.update(); // asks for another frame while the camera glides
+    clearTimeout(this.resting);
+    if (this.slow) {
+      this.detail(false);
+      this.resting = setTimeout(() => {
+        this.detail(true);
+        this.paint();
+      }, REST);
+    }
+    this.paint();
+  }
+
+  paint() {
     const uniforms = this.material.uniforms;
     const box = this.canvas.getBoundingClientRect();
     const distance = this.camera.position.length(); // from the middle of the box
@@ -215,6 +269,5 @@ export class Stage {
       this.material.uniformsNeedUpdate = true;
       this.renderer.render(this.scene, this.camera);
     }
-    this.drawn?.();
   }
 }
