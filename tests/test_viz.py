@@ -86,6 +86,16 @@ def test_view_is_a_rotation_that_keeps_the_geometry_upright():
         assert view[1, up] == pytest.approx(np.cos(np.deg2rad(22)))
 
 
+def test_nothing_stands_on_a_tip():
+    points = np.random.default_rng(0).normal(size=(4000, 3))
+    points /= np.abs(points).sum(axis=1, keepdims=True)  # an octahedron,
+    blunt = points[points[:, 2] > -0.9]  # its lowest tip along z cut off
+    assert choose_view(PointCloud(blunt))[1, 1] > 0.9
+    assert choose_view(PointCloud(blunt), up="z")[1, 2] > 0.9
+    assert choose_view(PointCloud(blunt), up="x")[1, 0] > 0.9
+    assert choose_view(PointCloud(points[points[:, 2] > -0.3]))[1, 2] > 0.9
+
+
 def test_a_flat_geometry_is_seen_from_above():
     view = choose_view(rectangle(n=200).geometry)
     assert abs(view[2, 2]) > 0.5
