@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.spatial import cKDTree
 
+from spectra_kit.geometry.normals import estimate_normals, orient_normals
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
 Floats = NDArray[np.float64]
@@ -111,3 +113,16 @@ def _first_of_each(rows: Ints) -> Ints:
     side = int(rows.max()) + 1  # at most 1e6: three digits of that base fit 64 bits
     keys = (rows[:, 0] * side + rows[:, 1]) * side + rows[:, 2]
     return np.sort(np.unique(keys, return_index=True)[1]).astype(np.int64)
+
+
+def spacing(points: Floats) -> float:
+    """Diameter of a cloud's points: at the twelfth neighbour, few gaps show the far side."""
+    distances, _ = cKDTree(points).query(points, k=min(13, len(points)))
+    return float(np.median(np.atleast_2d(distances.T)[-1]))
+
+
+def normal_steps(cloud: PointCloud) -> NDArray[np.int64]:
+    """Unit normals (n, 3) in steps of 1/127; zero where there are too few points for any."""
+    if cloud.n < 4:
+        return np.zeros((cloud.n, 3), dtype=np.int64)
+    return np.round(127 * orient_normals(cloud, estimate_normals(cloud))).astype(np.int64)

@@ -11,12 +11,11 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from spectra_kit._files import atomic_path, check_target
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.explorer.display import Display, for_display
+from spectra_kit.explorer.display import Display, for_display, normal_steps, spacing
 from spectra_kit.explorer.document import assembled
 from spectra_kit.explorer.facts import colour_facts, comparison_facts, numbers, spectrum_facts
 from spectra_kit.explorer.payload import (
@@ -28,8 +27,7 @@ from spectra_kit.explorer.payload import (
     steps16,
     walk,
 )
-from spectra_kit.geometry.normals import estimate_normals, orient_normals
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.metrics import Comparison, align_modes, compare_spectra
 from spectra_kit.spectrum import Spectrum
 from spectra_kit.viz.camera import choose_view
@@ -279,8 +277,8 @@ def _write(
         parts.append(face_bytes(renumbered(geometry.faces, order)))
     else:
         facts["faces"] = 0
-        facts["spacing"] = _spacing(points) / side
-        parts.append(steps16(_normals(geometry)[order]))
+        facts["spacing"] = spacing(points) / side
+        parts.append(steps16(normal_steps(geometry)[order]))
     blocks = {"geometry": packed(*parts)}
     for name, functions in zip(("exact", "predicted"), shown, strict=False):
         blocks[name] = packed(steps16(functions.steps))
@@ -288,16 +286,3 @@ def _write(
     with atomic_path(path) as part:
         part.write_bytes(text)
     return len(text)
-
-
-def _spacing(points: Floats) -> float:
-    """Diameter of a cloud's points: at the twelfth neighbour, few gaps show the far side."""
-    distances, _ = cKDTree(points).query(points, k=min(13, len(points)))
-    return float(np.median(np.atleast_2d(distances.T)[-1]))
-
-
-def _normals(cloud: PointCloud) -> NDArray[np.int64]:
-    """Unit normals (n, 3) in steps of 1/127; zero where there are too few points for any."""
-    if cloud.n < 4:
-        return np.zeros((cloud.n, 3), dtype=np.int64)
-    return np.round(127 * orient_normals(cloud, estimate_normals(cloud))).astype(np.int64)
