@@ -87,6 +87,11 @@ def test_newton_schulz_brings_singular_values_near_one():
     assert 0.5 < singular.min() < singular.max() < 1.3
 
 
+def test_a_network_too_narrow_for_muon_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="both sizes above 32"):
+        make_optimizers(torch.nn.Linear(32, 64), lr=1e-3)
+
+
 def test_muon_gets_matrices_and_adamw_the_rest():
     network = NeoNetwork(NeoConfig.named("small"))
     muon, adamw = make_optimizers(network, lr=1e-3)

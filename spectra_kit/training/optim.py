@@ -12,6 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.optim import AdamW, Optimizer
 
+from spectra_kit.errors import InvalidInputError
+
 _QUINTIC = (3.4445, -4.7750, 2.0315)  # Newton-Schulz coefficients, Jordan et al. 2024
 
 
@@ -119,9 +121,19 @@ def make_optimizers(
     Returns
     -------
     tuple of Muon and AdamW
+
+    Raises
+    ------
+    InvalidInputError
+        If no matrix of the network is that large.
     """
     parameters = list(network.parameters())
     matrices = [p for p in parameters if p.ndim == 2 and min(p.shape) > 32]
+    if not matrices:
+        raise InvalidInputError(
+            "`network` must have a matrix with both sizes above 32, which Muon trains, got none;"
+            " make it wider"
+        )
     chosen = {id(p) for p in matrices}
     rest = [p for p in parameters if id(p) not in chosen]
     return (
