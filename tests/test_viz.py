@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from conftest import bumpy
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from spectra_kit import eigensolve, robust_laplacian
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
@@ -96,9 +97,22 @@ def test_nothing_stands_on_a_tip():
     assert choose_view(PointCloud(points[points[:, 2] > -0.3]))[1, 2] > 0.9
 
 
-def test_a_flat_geometry_is_seen_from_above():
-    view = choose_view(rectangle(n=200).geometry)
-    assert abs(view[2, 2]) > 0.5
+def test_what_lies_in_a_plane_is_faced():
+    flat = rectangle(n=200).geometry.points
+    np.testing.assert_allclose(choose_view(PointCloud(flat)), np.eye(3), atol=1e-12)
+    turn = Rotation.from_euler("xyz", [0.4, 0.3, 0.2]).as_matrix()
+    tilted = choose_view(PointCloud(flat @ turn.T))
+    np.testing.assert_allclose(np.abs(tilted[2]), np.abs(turn[:, 2]), atol=1e-12)
+    assert np.linalg.det(tilted) == pytest.approx(1)
+    for axis in range(3):
+        seen = choose_view(PointCloud(np.roll(flat, axis, axis=1)))
+        assert seen[2, (2 + axis) % 3] == pytest.approx(1)
+
+
+def test_a_sheet_is_seen_from_above():
+    rough = rectangle(n=200).geometry.points.copy()
+    rough[:, 2] = 0.01 * np.random.default_rng(0).normal(size=len(rough))
+    assert abs(choose_view(PointCloud(rough))[2, 2]) > 0.5
 
 
 @pytest.mark.parametrize("points", [[[0, 0, 0]], [[0, 0, 0], [1, 0, 0]]])

@@ -18,6 +18,7 @@ _AZIMUTHS = np.deg2rad([30, -30, 60, -60, 150, -150, 120, -120])
 _ELEVATION = np.deg2rad(22.0)
 _STEEP = np.deg2rad(55.0)  # for what lies flat, like a sheet or a terrain
 _STANDS = 0.1  # of the footprint that the lowest layer spans, at least, under what stands
+_PLANE = 1e-3  # thinner than this, relative to its width, is no more than a plane
 _GRID = 40
 _CLEARLY = 1.06  # a later view must show this much more than an earlier one
 
@@ -27,7 +28,7 @@ def choose_view(geometry: Geometry, *, up: Up | None = None) -> Floats:
 
     Up is y, or z where the geometry stands on that side, and more broadly, or what is said. Of
     eight oblique views the one that covers most of the picture plane wins, earlier ones when in
-    doubt. Front and back are not told apart.
+    doubt. Front and back are not told apart. What lies in a plane is faced, unless `up` is given.
     """
     if up not in (None, "x", "y", "z"):
         raise InvalidInputError(f"`up` must be 'x', 'y', 'z' or None, got {up!r}")
@@ -36,6 +37,8 @@ def choose_view(geometry: Geometry, *, up: Up | None = None) -> Floats:
     else:
         points = geometry.points[:: max(geometry.n // 4000, 1)]
     if up is None:
+        if (facing := _facing(points)) is not None:
+            return facing
         up = "z" if _stands_on(points, 2) > max(_stands_on(points, 1), _STANDS) else "y"
     axis, size = "xyz".index(up), np.ptp(points, axis=0)
     flat = size[axis] < 0.12 * np.delete(size, axis).min()
@@ -45,6 +48,18 @@ def choose_view(geometry: Geometry, *, up: Up | None = None) -> Floats:
         if (covered := _coverage(points @ view.T)) > _CLEARLY * shown:
             best, shown = view, covered
     return best
+
+
+def _facing(points: Floats) -> Floats | None:
+    """The view straight onto the plane of all points, x to the right if it can be; else None."""
+    _, spread, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    if len(points) < 3 or not spread[2] < _PLANE * spread[1]:
+        return None
+    normal = axes[2] * (np.sign(axes[2][np.abs(axes[2]).argmax()]))
+    across = np.eye(3)[int(np.abs(normal[0]) > np.abs(normal[1:]).max())]
+    right = across - (across @ normal) * normal
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(normal, right), normal])
 
 
 def _stands_on(points: Floats, axis: int) -> float:
