@@ -22,7 +22,7 @@ from spectra_kit.viz.spectra import draw_eigenvalues
 Floats = NDArray[np.float64]
 
 MODE = 33
-COLUMNS, CELL, TALL, GAP, CAPTION = 4, 2.75, 2.05, 0.22, 0.62  # inches
+COLUMNS, CELL, TALL, GAP, CAPTION = 4, 2.75, 2.05, 0.22, 0.56  # inches
 PATTERN = 200_000  # vertices at which the colours of positions look sharp
 
 
@@ -68,18 +68,18 @@ def draw_hero(
 
     row = TALL + CAPTION
     page = 2 * MARGIN + COLUMNS * (CELL + GAP) - GAP
-    figure = new_figure(page, 2 * row + 2 * MARGIN, dpi=dpi)
+    figure = new_figure(page, 2 * row + MARGIN, dpi=dpi)
     pen = Pen(figure)
     error = float(np.sqrt(exact.mass @ (right - left) ** 2))  # the mode itself has norm 1
     captions = (
         ("exact eigenfunction", f"mode {MODE}, ARPACK"),
         ("predicted by NEO", "one forward pass, no solve on the mesh"),
         ("their difference", f"same colours; {100 * error:.1f} % of the mode"),
-        ("every mode certified", "bars: a true eigenvalue lies within"),
+        ("a bound for every mode", "bars: a true eigenvalue lies within"),
         ("geodesic distances", "heat method, modes as coarse space"),
         ("heat kernel signature", "what each point sees around it"),
         ("shape matching", "source, coloured by position"),
-        ("", "target, coloured by the map found"),
+        ("the map found", "target, in the colours it brings"),
     )
     places = [0, 1, 2, 4, 5, 6, 7]
     for place, picture in zip(places, pictures, strict=True):

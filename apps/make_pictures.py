@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import os
 import shutil
 import sys
 import tempfile
@@ -35,6 +36,7 @@ from spectra_kit.geometry import creature, creature_pair, sample
 from spectra_kit.metrics import Comparison, compare_spectra
 
 ROOT = Path(__file__).parents[1]
+REPEATS = 2  # of what is timed
 
 
 @dataclass(frozen=True)
@@ -221,20 +223,25 @@ def pareto(studio: Studio) -> None:
         "Neo, capped": (sk.Capped(subspace=sk.Neo().subspace), "neural"),
     }
     truth = sk.eigensolve(laplacian, 96).eigenvalues[1:]
-    runs = []
-    for name, (solver, group) in solvers.items():
-        sk.eigensolve(laplacian, 96, solver)  # what is compiled on first use is not timed
-        start = time.perf_counter()
-        found = sk.eigensolve(laplacian, 96, solver).eigenvalues[1:]
-        seconds = time.perf_counter() - start
-        error = max(float(np.mean(np.abs(found / truth - 1))), 1e-15)
-        runs.append(viz.ParetoPoint(name=name, group=group, seconds=seconds, error=error))
+    seconds = dict.fromkeys(solvers, np.inf)
+    errors = {}
+    for _ in range(1 + REPEATS):  # the first round compiles; then by turns, the fastest counts
+        for name, (solver, _group) in solvers.items():
+            start = time.perf_counter()
+            found = sk.eigensolve(laplacian, 96, solver).eigenvalues[1:]
+            seconds[name] = min(seconds[name], time.perf_counter() - start)
+            errors[name] = float(np.mean(np.abs(found / truth - 1)))
+    runs = [
+        viz.ParetoPoint(name=name, group=group, seconds=seconds[name], error=errors[name])
+        for name, (_solver, group) in solvers.items()
+    ]
     viz.plot_pareto(
         studio.path("pareto.png"),
         runs,
         xlabel="seconds, 96 modes of 32,000 points",
         ylabel="mean relative error of the eigenvalues",
         title="Which solver when",
+        subtitle=f"{os.cpu_count()} processor cores, no GPU; the faster of {REPEATS} runs of each",
         dpi=studio.dpi,
     )
 
