@@ -106,6 +106,14 @@ def test_second_order() -> None:
     assert np.polyfit([0, -1, -2], np.log2(errors), 1)[0] == pytest.approx(2, abs=0.1)
 
 
+@pytest.mark.parametrize("scale", [1e-12, 1e12])
+def test_arpack_is_exact_in_any_unit(scale: float) -> None:
+    """ARPACK's own test of convergence is absolute for small Ritz values."""
+    mesh = sphere(subdivisions=2).geometry
+    s = eigensolve(robust_laplacian(mesh.with_points(scale * mesh.points)), 13)
+    assert s.certificate.relative_residuals.max() < 1e-12
+
+
 def test_rectangle_eigenfunctions() -> None:
     reference = rectangle(n=4000)
     s = eigensolve(robust_laplacian(reference.geometry), 10)
