@@ -33,9 +33,13 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     ------
     InvalidInputError
         If the folder of `path` does not exist, or `path` is a folder.
+    OSError
+        If no file can be made there.
     """
     target = check_target(path)
     part = target.with_name(f".{target.stem}-{secrets.token_hex(4)}{target.suffix}")
+    with naming(path):
+        part.touch()
     try:
         yield part
         with part.open("rb+") as file:
@@ -43,6 +47,16 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.replace(part, target)
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Let an OSError of the block name `path`, not a temporary file that nobody has heard of."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = str(path)
+        raise
 
 
 def check_target(path: str | os.PathLike[str]) -> Path:

@@ -101,6 +101,18 @@ def test_a_folder_without_rights_is_told_before_the_work(capsys):
     assert "is not yours to write to; name another place" in message
 
 
+@pytest.mark.skipif(not os.path.exists("/proc/self"), reason="there is no /proc here")
+def test_a_file_that_cannot_be_made_has_its_own_name(folder, capsys):
+    """The superuser too cannot write there, though he has the right to."""
+    ball = folder / "ball.off"
+    for place, command in (
+        ("/proc/foo.npz", ("spectrum", ball, "-k", "4")),
+        ("/proc/foo", ("geodesic", ball, "--source", "0", "--no-pictures")),
+    ):
+        message = refused(capsys, *command, "-o", place)
+        assert message.startswith(f"error: {place}: ") or "is not yours to write" in message
+
+
 def test_an_output_never_replaces_an_input(capsys, tmp_path):
     write(sphere(subdivisions=1).geometry, tmp_path / "ball.npz")
     before = (tmp_path / "ball.npz").read_bytes()

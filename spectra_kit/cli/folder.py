@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from spectra_kit._files import naming
 from spectra_kit.errors import InvalidInputError
 
 
@@ -51,7 +52,9 @@ def together(folder: Path, *, replacing: Iterable[str]) -> Iterator[Path]:
     that run, `replacing`, go in the same moment: they would show another result than the numbers.
     """
     beside = folder if folder.is_dir() else folder.parent
-    with tempfile.TemporaryDirectory(dir=beside, prefix=".unfinished-") as name:
+    with naming(folder):
+        unfinished = tempfile.TemporaryDirectory(dir=beside, prefix=".unfinished-")
+    with unfinished as name:
         yield Path(name)
         folder.mkdir(exist_ok=True)
         for old in replacing:
