@@ -241,7 +241,7 @@ def pareto(studio: Studio) -> None:
         xlabel="seconds, 96 modes of 32,000 points",
         ylabel="mean relative error of the eigenvalues",
         title="Which solver when",
-        subtitle=f"{os.cpu_count()} processor cores, no GPU; the fastest of {REPEATS} runs, by turns",
+        subtitle=f"{os.cpu_count()} processor cores, no GPU; fastest of {REPEATS} runs, by turns",
         dpi=studio.dpi,
     )
 
