@@ -229,7 +229,7 @@ def test_bad_input_is_refused_before_the_work(app, files, tmp_path, capsys):
         (("--landmarks", tmp_path / "none.txt"), "none.txt"),
         (("--truth", tmp_path / "broken.npy"), "not a whole npy file"),
         (("--truth", tmp_path / "short.npy"), "got int64 of shape (7,)"),
-        (("--truth", tmp_path / "several.npz"), "got npz"),
+        (("--truth", tmp_path / "several.npz"), "not a whole npy file of numbers (it begins"),
         (("--truth", files / "truth.npy", "--repair"), "repair or sample first"),
         (("--landmarks", files / "landmarks.txt", "--cloud", 700), "repair or sample first"),
         (("--solver", "arpack", "--rtol", 1e-3), "--rtol is for the solvers"),

@@ -23,6 +23,7 @@ from spectra_kit.cli.solving import solve
 from spectra_kit.eigensolvers import Eigensolver
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, creature_pair, write
+from spectra_kit.geometry.formats.numpy_arrays import read_npy
 from spectra_kit.matching import Match, match, prepare
 from spectra_kit.matching.match import Sides
 
@@ -178,15 +179,15 @@ def _read_landmarks(path: Path, n_source: int, n_target: int) -> tuple[Ints, Int
 def _read_truth(path: Path, n_source: int, n_target: int) -> Ints:
     """An integer for each target point, below n_source; negative where it is not known."""
     try:
-        truth = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise InvalidInputError(f"{path}: not a whole npy file of numbers ({error})") from error
-    fits = isinstance(truth, np.ndarray) and truth.dtype.kind in "iu"
-    if not fits or truth.shape != (n_target,) or truth.max() < 0 or truth.max() >= n_source:
-        got = f"{truth.dtype} of shape {truth.shape}" if isinstance(truth, np.ndarray) else "npz"
+        truth = np.asarray(read_npy(path)[0])
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path}: {error}") from error
+    fits = truth.dtype.kind in "iu" and truth.shape == (n_target,)
+    if not fits or truth.max() < 0 or truth.max() >= n_source:
         raise InvalidInputError(
             f"{path}: must hold {n_target} integers below {n_source}, the source point of each"
-            f" target point, some of them known, got {got}; are source and target exchanged?"
+            f" target point, some of them known, got {truth.dtype} of shape {truth.shape}; are"
+            " source and target exchanged?"
         )
     return np.asarray(truth, dtype=np.int64)
 
