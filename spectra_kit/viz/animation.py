@@ -26,6 +26,7 @@ from spectra_kit.viz.panels import symmetric_limit
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.render import Scene, render
 from spectra_kit.viz.sheet import new_figure
+from spectra_kit.viz.signs import display_signs
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -124,9 +125,10 @@ def animate_modes(
     count = 4 * quarter
     swings = np.round(np.sin(2 * np.pi * np.arange(count) / count), 12)
     distinct, number = np.unique(swings, return_inverse=True)
+    vectors = spectrum.eigenvectors[:, chosen]
     functions = [
         np.clip(column / symmetric_limit(column), -1.0, 1.0)
-        for column in (spectrum.eigenvectors[:, mode] for mode in chosen)
+        for column in (vectors * display_signs(vectors)).T
     ]
     reach = amplitude * float(np.linalg.norm(np.ptp(geometry.points, axis=0)))
     normals = _normals(geometry) if reach else np.zeros((geometry.n, 3))

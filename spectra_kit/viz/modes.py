@@ -19,6 +19,7 @@ from spectra_kit.viz.panels import Panel, symmetric_limit
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.sheet import check_picture_path
+from spectra_kit.viz.signs import display_signs
 
 Floats = NDArray[np.float64]
 
@@ -78,7 +79,7 @@ def plot_modes(
     Notes
     -----
     Modes are multiplied by sqrt(area), which makes the constant one 1 and frees the colours of
-    units. The sign of a mode means nothing: in the picture its largest value is positive. Each has
+    units. The sign of a mode means nothing: in all pictures its largest value is positive. Each has
     its own colour limit, which one point in a hundred may exceed.
 
     Examples
@@ -170,7 +171,8 @@ def plot_comparison(
     Functions are multiplied by sqrt(area), which makes the constant mode 1 and frees the colours of
     units. Exact and predicted share one symmetric limit for each mode, the difference
     has its own; both are printed. Predicted modes are aligned by `align_modes`: signs, and bases
-    inside a cluster of near-equal eigenvalues, are chosen to look alike.
+    inside a cluster of near-equal eigenvalues, are chosen to look alike. The largest value of an
+    exact mode is positive, as in `plot_modes`.
     """
     check_picture_path(path)
     _check_points(geometry, exact)
@@ -193,7 +195,7 @@ def plot_comparison(
 def _panel(spectrum: Spectrum, mode: int, levels: tuple[float, ...]) -> Panel:
     """One mode of a gallery."""
     values = np.sqrt(spectrum.area) * spectrum.eigenvectors[:, mode]
-    values = values * (np.sign(values[np.abs(values).argmax()]) or 1.0)
+    values = values * display_signs(values[:, None])
     zero = mode < spectrum.n_zero_modes
     text = f"mode {mode}    λ = {0 if zero else spectrum.eigenvalues[mode]:.5g}"
     lines = (text, _residual(spectrum, mode))
@@ -209,7 +211,7 @@ def _panels(
     levels: tuple[float, ...],
 ) -> tuple[Panel, Panel, Panel]:
     """One mode: exact, predicted (already aligned), difference."""
-    root = np.sqrt(exact.area)
+    root = np.sqrt(exact.area) * display_signs(exact.eigenvectors[:, [mode]])
     left, right = root * exact.eigenvectors[:, mode], root * aligned
     limit = symmetric_limit(left, right)
     true, guess = comparison.eigenvalues[mode], comparison.predicted_eigenvalues[mode]
