@@ -142,6 +142,7 @@ def _run(
             code = process.wait()
         except BaseException:  # also Ctrl-C: nobody waits for the pictures any more
             process.kill()
+            process.wait()  # on Ctrl-C `Popen` itself would wait for a quarter of a second only
             raise
         complaints.seek(0)
         return code, complaints.read().strip().split("\n")[-1]
