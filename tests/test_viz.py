@@ -109,6 +109,21 @@ def test_what_lies_in_a_plane_is_faced():
         assert seen[2, (2 + axis) % 3] == pytest.approx(1)
 
 
+def test_a_turn_takes_the_front_to_the_right():
+    points = np.random.default_rng(0).normal(size=(500, 3)) * [1.0, 1.5, 0.6]
+    cloud = PointCloud(points)
+    flat = PointCloud(rectangle(n=200).geometry.points)
+    for geometry, up, axis in ((cloud, "y", 1), (cloud, "z", 2), (flat, None, 1)):
+        view = choose_view(geometry, up=up)
+        level = np.cross(view[0], np.eye(3)[axis])  # towards the viewer, and level
+        turned = choose_view(geometry, up=up, turn=30.0)
+        np.testing.assert_allclose(turned[:, axis], view[:, axis], atol=1e-12)  # as upright
+        assert turned[0] @ level == pytest.approx(0.5)
+        np.testing.assert_allclose(choose_view(geometry, up=up, turn=360.0), view, atol=1e-12)
+    with pytest.raises(InvalidInputError, match="`turn` must be a finite number of degrees"):
+        choose_view(cloud, turn=float("nan"))
+
+
 def test_a_sheet_is_seen_from_above():
     rough = rectangle(n=200).geometry.points.copy()
     rough[:, 2] = np.maximum(0.01 * np.random.default_rng(0).normal(size=len(rough)), 0)

@@ -51,6 +51,7 @@ def animate_modes(
     nodal_lines: bool = False,
     width: int = 480,
     up: Up | None = None,
+    turn: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Picture:
     """Let modes swing one after the other, in colour and along the normals, as an endless film.
@@ -79,6 +80,8 @@ def animate_modes(
         Of a frame, in pixels; the height follows the geometry.
     up : {"x", "y", "z"}, optional
         Which axis points up; by default the one on which the geometry seems to stand.
+    turn : float, default 0
+        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
     progress : callable, optional
         Called with the number of pictures drawn, and of all.
 
@@ -136,7 +139,7 @@ def animate_modes(
         scene = Scene(
             geometry=geometry,
             functions=functions,
-            rotation=choose_view(geometry, up=up),
+            rotation=choose_view(geometry, up=up, turn=turn),
             width=width,
             colours=diverging_colours(np.linspace(-1.0, 1.0, 256)),
             shifts=[reach * function[:, None] * normals for function in functions],

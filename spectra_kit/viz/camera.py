@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.sampling import sample
@@ -23,22 +24,26 @@ _GRID = 40
 _CLEARLY = 1.06  # a later view must show this much more than an earlier one
 
 
-def choose_view(geometry: Geometry, *, up: Up | None = None) -> Floats:
+def choose_view(geometry: Geometry, *, up: Up | None = None, turn: float = 0.0) -> Floats:
     """Return the rotation (3, 3) whose rows point right, up, and towards the viewer.
 
     Up is y, or z where the geometry stands on that side, and more broadly, or what is said. Of
     eight oblique views the one that covers most of the picture plane wins, earlier ones when in
     doubt. Front and back are not told apart. What lies in a plane is faced, unless `up` is given.
+    From there the geometry is turned by `turn` degrees about the axis that points up, its front to
+    the right.
     """
     if up not in (None, "x", "y", "z"):
         raise InvalidInputError(f"`up` must be 'x', 'y', 'z' or None, got {up!r}")
+    if not np.isfinite(turn):
+        raise InvalidInputError(f"`turn` must be a finite number of degrees, got {turn!r}")
     if isinstance(geometry, TriangleMesh) and geometry.area > 0:
         points = sample(geometry, 4000, seed=0).points
     else:
         points = geometry.points[:: max(geometry.n // 4000, 1)]
     if up is None:
         if (facing := _facing(points)) is not None:
-            return facing
+            return _turned(facing, facing[1], turn)
         up = "z" if _stands_on(points, 2) > max(_stands_on(points, 1), _STANDS) else "y"
     axis, size = "xyz".index(up), np.ptp(points, axis=0)
     flat = size[axis] < 0.12 * np.delete(size, axis).min()
@@ -47,7 +52,12 @@ def choose_view(geometry: Geometry, *, up: Up | None = None) -> Floats:
     for view in views[1:]:
         if (covered := _coverage(points @ view.T)) > _CLEARLY * shown:
             best, shown = view, covered
-    return best
+    return _turned(best, np.eye(3)[axis], turn)
+
+
+def _turned(view: Floats, axis: Floats, degrees: float) -> Floats:
+    """The view of a geometry that has been turned about an axis (3,), against the clock."""
+    return np.asarray(view @ Rotation.from_rotvec(degrees * axis, degrees=True).as_matrix())
 
 
 def _facing(points: Floats) -> Floats | None:

@@ -67,6 +67,7 @@ def plot_correspondence(
     errors: ArrayLike | None = None,
     transfer: Transfer = "colours",
     up: Up | None = None,
+    turn: float = 0.0,
     limit: float | None = None,
     error_label: str = "geodesic error, 100 / √area",
     names: tuple[str, str] = ("source", "target"),
@@ -93,6 +94,8 @@ def plot_correspondence(
     up : {"x", "y", "z"}, optional
         The axis of the source that points up in the picture; by default the one it seems to stand
         on.
+    turn : float, default 0
+        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
     limit : float, optional
         The error at the dark end of the colours; by default the 99th percentile.
     error_label : str
@@ -138,7 +141,7 @@ def plot_correspondence(
     pair = MatchedPair(
         source=source, target=target, point_map=point_map, errors=errors, names=names
     )
-    return _draw(path, [pair], True, transfer, up, limit, error_label, title, subtitle, dpi)
+    return _draw(path, [pair], True, transfer, up, turn, limit, error_label, title, subtitle, dpi)
 
 
 def plot_correspondences(
@@ -147,6 +150,7 @@ def plot_correspondences(
     *,
     transfer: Transfer = "colours",
     up: Up | None = None,
+    turn: float = 0.0,
     limit: float | None = None,
     error_label: str = "geodesic error, 100 / √area",
     title: str = "",
@@ -164,6 +168,8 @@ def plot_correspondences(
     transfer : {"colours", "texture"}, default "colours"
         As in `plot_correspondence`.
     up : {"x", "y", "z"}, optional
+        As in `plot_correspondence`.
+    turn : float, default 0
         As in `plot_correspondence`.
     limit : float, optional
         The error at the dark end of the colours, for all.
@@ -196,7 +202,7 @@ def plot_correspondences(
     """
     if not pairs:
         raise InvalidInputError("`pairs` must hold at least one MatchedPair, got none")
-    return _draw(path, pairs, False, transfer, up, limit, error_label, title, subtitle, dpi)
+    return _draw(path, pairs, False, transfer, up, turn, limit, error_label, title, subtitle, dpi)
 
 
 def _draw(
@@ -205,6 +211,7 @@ def _draw(
     behind: bool,
     transfer: Transfer,
     up: Up | None,
+    turn: float,
     limit: float | None,
     error_label: str,
     title: str,
@@ -225,7 +232,7 @@ def _draw(
         scene
         for pair, p, e in zip(pairs, maps, errors, strict=True)
         for scene in _scenes(
-            pair, p, e, limit, dpi, choose_view(pair.source, up=up), behind, transfer
+            pair, p, e, limit, dpi, choose_view(pair.source, up=up, turn=turn), behind, transfer
         )
     ]
     drawn, rows = render(scenes), []

@@ -35,6 +35,7 @@ def plot_fields(
     lines: Lines = "none",
     columns: int | None = None,
     up: Up | None = None,
+    turn: float = 0.0,
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
@@ -60,6 +61,8 @@ def plot_fields(
         How many pictures stand beside each other; by default what fits the page best.
     up : {"x", "y", "z"}, optional
         The axis that points up in the picture; by default the one the geometry seems to stand on.
+    turn : float, default 0
+        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
     title, subtitle : str, optional
         Two lines at the head of the page.
     dpi : int, default 200
@@ -117,6 +120,7 @@ def plot_fields(
         columns=columns,
         one_bar=share_limits,
         up=up,
+        turn=turn,
         title=title,
         subtitle=subtitle,
         dpi=dpi,

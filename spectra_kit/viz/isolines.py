@@ -40,6 +40,7 @@ def plot_distance(
     sources: ArrayLike | None = None,
     spacing: float | None = None,
     up: Up | None = None,
+    turn: float = 0.0,
     label: str = "distance",
     title: str = "",
     subtitle: str = "",
@@ -61,6 +62,8 @@ def plot_distance(
         Between two lines, in the unit of length; by default a round number that makes 20 to 40.
     up : {"x", "y", "z"}, optional
         The axis that points up in the picture; by default the one the geometry seems to stand on.
+    turn : float, default 0
+        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
     label : str, default "distance"
         Set below the scale.
     title, subtitle : str, optional
@@ -100,7 +103,7 @@ def plot_distance(
     check_picture_path(path)
     values = _check_distance(distance, geometry.n)
     marks = np.empty((0, 3)) if sources is None else check_points("sources", sources)
-    rotation = choose_view(geometry, up=up)
+    rotation = choose_view(geometry, up=up, turn=turn)
     across, tall = fitting_size(geometry, rotation, _WIDEST, _TALLEST)
     unit = float(np.ptp(geometry.points @ rotation.T, axis=0)[:2].max()) / max(across, tall)
     scale = distance_scale(

@@ -36,6 +36,7 @@ def plot_modes(
     nodal_lines: bool = True,
     columns: int | None = None,
     up: Up | None = None,
+    turn: float = 0.0,
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
@@ -58,6 +59,8 @@ def plot_modes(
         How many pictures stand beside each other; by default what fits the page best.
     up : {"x", "y", "z"}, optional
         The axis that points up in the picture; by default the one the geometry seems to stand on.
+    turn : float, default 0
+        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
     title, subtitle : str, optional
         Two lines at the head of the page.
     dpi : int, default 200
@@ -110,6 +113,7 @@ def plot_modes(
         columns=columns,
         one_bar=False,
         up=up,
+        turn=turn,
         title=title,
         subtitle=subtitle,
         dpi=dpi,
@@ -127,6 +131,7 @@ def plot_comparison(
     names: tuple[str, str] = ("exact", "predicted"),
     nodal_lines: bool = True,
     up: Up | None = None,
+    turn: float = 0.0,
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
@@ -151,6 +156,8 @@ def plot_comparison(
         Draw where the modes (not their difference) are zero.
     up : {"x", "y", "z"}, optional
         The axis that points up in the picture; by default the one the geometry seems to stand on.
+    turn : float, default 0
+        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
     title, subtitle : str, optional
         Two lines at the head of the page.
     dpi : int, default 200
@@ -186,6 +193,7 @@ def plot_comparison(
         rows_named=[f"mode {i}" for i in chosen],
         columns_named=[*names, "difference"],
         up=up,
+        turn=turn,
         title=title,
         subtitle=subtitle,
         dpi=dpi,

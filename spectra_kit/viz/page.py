@@ -37,6 +37,7 @@ def plot_panels(
     rows_named: Sequence[str],
     columns_named: Sequence[str],
     up: Up | None = None,
+    turn: float = 0.0,
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
@@ -55,6 +56,8 @@ def plot_panels(
         The heads of the table.
     up : {"x", "y", "z"}, optional
         The axis that points up in the picture; by default the one the geometry seems to stand on.
+    turn : float, default 0
+        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
     title, subtitle : str, optional
         Two lines at the head of the page.
     dpi : int, default 200
@@ -91,7 +94,7 @@ def plot_panels(
             f" got rows of {[len(row) for row in rows]}"
         )
     table, across, down = [list(row) for row in rows], list(columns_named), list(rows_named)
-    rotation = choose_view(geometry, up=up)
+    rotation = choose_view(geometry, up=up, turn=turn)
     aspect = _aspect(geometry, rotation)
     misfits = [
         _misfit(columns, rows, aspect, _TABLE)
@@ -110,6 +113,7 @@ def plot_gallery(
     columns: int | None,
     one_bar: bool,
     up: Up | None,
+    turn: float,
     title: str,
     subtitle: str,
     dpi: int,
@@ -118,7 +122,7 @@ def plot_gallery(
 
     What `plot_fields` and `plot_modes` have in common; the path has been checked.
     """
-    rotation, n = choose_view(geometry, up=up), len(panels)
+    rotation, n = choose_view(geometry, up=up, turn=turn), len(panels)
     if columns is None:
         aspect = _aspect(geometry, rotation)
         columns = min(

@@ -57,6 +57,7 @@ def plot_signatures(
     kind: Kind = "heat",
     shown: ArrayLike | None = None,
     up: Up | None = None,
+    turn: float = 0.0,
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
@@ -84,6 +85,8 @@ def plot_signatures(
         spread.
     up : {"x", "y", "z"}, optional
         Which axis points up; by default the one on which the geometry seems to stand.
+    turn : float, default 0
+        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
     title, subtitle : str, optional
         Two lines at the head.
     dpi : int, default 200
@@ -137,7 +140,9 @@ def plot_signatures(
     panels = [
         _panel(values[:, i], f"{_letter(j)}   {_named(at[i], kind)}") for j, i in enumerate(drawn)
     ]
-    pictures, seen = _pictures(geometry, panels, chosen, up, dpi)
+    pictures, seen = _pictures(
+        geometry, panels, chosen, choose_view(geometry, up=up, turn=turn), dpi
+    )
     rows, columns = -(-len(panels) // 2), min(len(panels), 2)
     tall, wide = (side / dpi for side in pictures.shape[1:3])
     cell = max(wide, _NARROWEST)
@@ -204,10 +209,9 @@ def draw_curves(
 
 
 def _pictures(
-    geometry: Geometry, panels: Sequence[Panel], points: Ints, up: Up | None, dpi: int
+    geometry: Geometry, panels: Sequence[Panel], points: Ints, rotation: Floats, dpi: int
 ) -> tuple[Bytes, NDArray[np.bool_]]:
     """Draw the fields with balls of the colours of their curves; tell which balls can be seen."""
-    rotation = choose_view(geometry, up=up)
     radius = _BALL * float(np.linalg.norm(np.ptp(geometry.points, axis=0)))
     centres = geometry.points[points]
     # A larger white ball a little further back makes a rim around each.
