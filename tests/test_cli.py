@@ -173,7 +173,7 @@ def test_info(files, capsys):
     assert result["problems"] == []
     assert main(["info", str(files / "dirty.off")]) == 0
     out = capsys.readouterr().out
-    assert "1 points lie exactly on earlier ones" in out
+    assert "1 point lies exactly on an earlier one" in out
     assert "refused" in out
     assert output(capsys, "info", files / "cloud.ply")["diagnosis"]["area"] is None
 

@@ -162,6 +162,8 @@ def test_non_manifold_edge_and_vertex():
     bow_tie = TriangleMesh(points, [[0, 1, 2], [0, 5, 6]])
     assert diagnose(bow_tie).nonmanifold_edges == 0
     assert diagnose(bow_tie).nonmanifold_vertices == 1
+    pinched = "1 vertex joins fans of faces that share no edge: use robust_laplacian"
+    assert diagnose(bow_tie).problems == (pinched,)
 
 
 def test_vertex_fans_agree_with_a_walk_around_each_vertex(ball):
@@ -199,7 +201,7 @@ def test_dimension_of_the_hull(offset):
 
 def test_cloud_duplicates_are_found():
     found = diagnose(PointCloud([*TRIANGLE, TRIANGLE[1]]))
-    assert found.problems == ("1 points lie exactly on earlier ones: cloud.without_duplicates()",)
+    assert found.problems == ("1 point lies exactly on an earlier one: cloud.without_duplicates()",)
     assert np.isnan(found.area)
 
 

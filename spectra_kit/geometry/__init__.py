@@ -17,7 +17,7 @@ Every step is optional and returns a new object; nothing is repaired, moved or s
 ...     write(square, Path(folder) / "square.obj")
 ...     mesh = read(Path(folder) / "square.obj")
 >>> diagnose(mesh).problems
-('1 vertices have no face: mesh.without_unreferenced()',)
+('1 vertex has no face: mesh.without_unreferenced()',)
 >>> repaired = repair(mesh)
 >>> repaired.report.unreferenced_vertices, repaired.vertex_index
 (1, array([0, 1, 2, 3]))

@@ -69,22 +69,56 @@ class Diagnosis:
     @property
     def problems(self) -> tuple[str, ...]:
         """One sentence for each thing that an operator may refuse, with what to do about it."""
-        is_mesh = self.n_faces > 0
-        merge = "mesh.with_merged_vertices()" if is_mesh else "cloud.without_duplicates()"
+        merge = "mesh.with_merged_vertices()" if self.n_faces else "cloud.without_duplicates()"
         findings = (
-            (self.duplicate_points, f"points lie exactly on earlier ones: {merge}"),
-            (self.degenerate_faces, "faces have no area: mesh.without_degenerate_faces()"),
-            (self.duplicate_faces, "faces repeat earlier ones: mesh.without_duplicate_faces()"),
-            (self.unreferenced_vertices, "vertices have no face: mesh.without_unreferenced()"),
-            (self.nonmanifold_edges, "edges have three or more faces: use robust_laplacian"),
+            (
+                self.duplicate_points,
+                "point lies exactly on an earlier one",
+                "points lie exactly on earlier ones",
+                merge,
+            ),
+            (
+                self.degenerate_faces,
+                "face has no area",
+                "faces have no area",
+                "mesh.without_degenerate_faces()",
+            ),
+            (
+                self.duplicate_faces,
+                "face repeats an earlier one",
+                "faces repeat earlier ones",
+                "mesh.without_duplicate_faces()",
+            ),
+            (
+                self.unreferenced_vertices,
+                "vertex has no face",
+                "vertices have no face",
+                "mesh.without_unreferenced()",
+            ),
+            (
+                self.nonmanifold_edges,
+                "edge has three or more faces",
+                "edges have three or more faces",
+                "use robust_laplacian",
+            ),
+            (
+                self.nonmanifold_vertices,
+                "vertex joins fans of faces that share no edge",
+                "vertices join fans of faces that share no edge",
+                "use robust_laplacian",
+            ),
         )
         flat = ("all points coincide: no surface", "all points lie on one line: no surface")
-        sentences = [f"{count} {text}" for count, text in findings if count]
+        sentences = [
+            f"{count:,} {one if count == 1 else several}: {advice}"
+            for count, one, several, advice in findings
+            if count
+        ]
         return (*sentences, *flat[self.dimension : self.dimension + 1])
 
     @property
     def is_clean(self) -> bool:
-        """Whether there are no problems; boundaries, fans and several components are none."""
+        """Whether there are no problems; boundaries and several components are none."""
         return not self.problems
 
 
@@ -106,7 +140,7 @@ def diagnose(geometry: Geometry) -> Diagnosis:
     >>> from spectra_kit.geometry import TriangleMesh, diagnose
     >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [9, 9, 9]], [[0, 1, 2]])
     >>> diagnose(mesh).problems
-    ('1 vertices have no face: mesh.without_unreferenced()',)
+    ('1 vertex has no face: mesh.without_unreferenced()',)
     """
     points = geometry.points
     counts = _face_counts(geometry) if isinstance(geometry, TriangleMesh) else _NO_FACES
