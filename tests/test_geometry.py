@@ -163,7 +163,7 @@ def test_non_manifold_edge_and_vertex():
     assert diagnose(bow_tie).nonmanifold_edges == 0
     assert diagnose(bow_tie).nonmanifold_vertices == 1
     pinched = "1 vertex joins fans of faces that share no edge: use robust_laplacian"
-    assert diagnose(bow_tie).problems == (pinched,)
+    assert pinched in diagnose(bow_tie).problems
 
 
 def test_vertex_fans_agree_with_a_walk_around_each_vertex(ball):
