@@ -24,10 +24,13 @@ from spectra_kit.viz import (
 )
 from spectra_kit.viz.colours import diverging_colours, sequential_colours
 from spectra_kit.viz.contours import level_lines, triangles_of
+from spectra_kit.viz.fields import _panel
+from spectra_kit.viz.panels import Panel, symmetric_limit
 from spectra_kit.viz.render import Scene, render
 from spectra_kit.viz.texture import SQUARES, named_squares, texture_colours
 
 SQUARE = TriangleMesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+LEVELS = np.array([-0.5, 0.0, 0.5])
 WHITE = np.full((2, 3), 255, np.uint8)
 
 # What people without red, green or blue cones see, of linear sRGB: G. Machado, M. Oliveira and
@@ -159,7 +162,7 @@ def test_the_zeros_of_a_height_are_the_equator(ball):
     lines = level_lines(turned, ball.faces, turned[:, 2])
     assert np.abs(lines[..., 2]).max() < 1e-12
     assert lengths(lines).sum() == pytest.approx(2 * np.pi, rel=0.01)
-    several = level_lines(turned, ball.faces, turned[:, 2], (-0.5, 0.0, 0.5))
+    several = level_lines(turned, ball.faces, turned[:, 2], LEVELS)
     assert lengths(several).sum() == pytest.approx(2 * np.pi * (1 + np.sqrt(3)), rel=0.01)
     cloud = PointCloud(turned)
     near = level_lines(turned, triangles_of(cloud), turned[:, 2])
@@ -188,6 +191,49 @@ def test_rounding_and_plateaus_make_no_line(ball):
         assert len(level_lines(ball.points, ball.faces, bump)) == 0
     two = np.clip(np.abs(ball.points[:, 2]) - 0.5, 0, None) * np.sign(ball.points[:, 2]) + noise
     assert len(level_lines(ball.points, ball.faces, two)) == 0  # a wide zero between
+
+
+def test_levels_are_relative_to_the_range_of_values(ball):
+    height = ball.points[:, 2]
+    wanted = 2 * np.pi * (1 + np.sqrt(3))
+    for offset in (1e9, -1e6):
+        far = level_lines(ball.points, ball.faces, offset + height, offset + LEVELS)
+        assert lengths(far).sum() == pytest.approx(wanted, rel=0.01)
+    spiked = height.copy()
+    spiked[height.argmax()] = 1e8
+    lines = level_lines(ball.points, ball.faces, spiked, LEVELS)
+    assert lengths(lines).sum() == pytest.approx(wanted, rel=0.01)
+
+
+def test_a_spike_neither_widens_the_colours_nor_adds_levels(ball):
+    spiked = 1e-3 * np.abs(ball.points[:, 2])
+    spiked[0] = 1e3
+    panel = _panel("spiked", spiked, [spiked], None, "levels")
+    assert panel.limit < 1.1e-3
+    assert 8 <= len(panel.levels) <= 20
+    assert panel.low <= min(panel.levels) < max(panel.levels) <= panel.limit
+
+
+def test_colours_of_nearly_constant_fields_hold_their_values(ball):
+    spike, zero = np.zeros(ball.n), np.zeros(ball.n)
+    spike[7] = 1.0
+    delta = _panel("delta", spike, [spike], None, "levels")
+    assert (delta.low, delta.limit, delta.ends()) == (0.0, 1.0, ("0", "1.0"))
+    assert symmetric_limit(-5 * spike) == 5.0
+    for value, text in ((zero, "0"), (zero + 3, "3.0"), (zero + 3 + 1e-14 * spike, "3.0")):
+        panel = _panel("constant", value, [value], None, "levels")
+        assert panel.ends() == ("", text)
+        assert panel.levels == ()
+        assert (panel.scaled() == 0).all()
+        assert (panel.colours(5) == sequential_colours(np.array([0.5]))).all()
+
+
+def test_the_ends_of_the_colours_can_be_told_apart(ball):
+    values = 1e9 + ball.points[:, 2]
+    low, high = (float(end) for end in _panel("z", values, [values], None, "none").ends())
+    assert high - low == pytest.approx(2, rel=0.05)
+    assert Panel(values=values, low=101.0, limit=149.0).ends() == ("101", "149")
+    assert Panel(values=values, low=0.518, limit=0.523).ends() == ("0.518", "0.523")
 
 
 def test_lines_have_one_width_whatever_their_direction(can_draw):

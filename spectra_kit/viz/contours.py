@@ -13,7 +13,8 @@ from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 Floats = NDArray[np.float64]
 Ints = NDArray[np.integer]
 
-_PLATEAU = 1e-6  # of the largest value: what is nearer to zero is zero
+_PLATEAU = 1e-6  # of the range of values: what is nearer to a level lies on it
+_ROUNDING = 100 * np.finfo(np.float64).eps  # likewise, of the largest value
 _NEIGHBOURS = 7  # whose triangles with a point of a cloud stand for the surface around it
 
 
@@ -43,7 +44,10 @@ def level_lines(
     A line separates what is clearly above from what is clearly below: the rounding errors of a
     function that vanishes somewhere, or of a constant one, make none.
     """
-    flat = _PLATEAU * float(np.abs(values).max(initial=0.0))
+    flat = 0.0
+    if values.size:
+        spread = np.ptp(np.percentile(values, [1, 99])) or np.ptp(values)  # spikes count less
+        flat = float(_PLATEAU * spread + _ROUNDING * np.abs(values).max())
     found = [_zeros(points, triangles, values - level, flat) for level in levels]
     return np.concatenate([np.empty((0, 2, 3)), *found])
 

@@ -56,7 +56,7 @@ def plot_fields(
     share_limits : bool, default False
         One colour bar for all, at the foot of the page.
     lines : {"none", "nodal", "levels"}, default "none"
-        Draw lines where a function is zero, or at evenly spaced round values.
+        Draw lines where a function is zero, or at evenly spaced round values within the colours.
     columns : int, optional
         How many pictures stand beside each other; by default what fits the page best.
     up : {"x", "y", "z"}, optional
@@ -139,9 +139,13 @@ def _panel(
     else:
         low, high = sequential_limits(*together)
     levels: tuple[float, ...] = (0.0,) if lines == "nodal" else ()
-    if lines == "levels":
-        start = -high if low is None else low
+    start = -high if low is None else low
+    if lines == "levels" and start < high:
         step = round_number((high - start) / _LEVELS)
-        first, last = np.floor(values.min() / step), np.ceil(values.max() / step)
+        # Not beyond the colours: a lone spike would have more lines than anything else.
+        first, last = (
+            np.ceil(max(start, values.min()) / step),
+            np.floor(min(high, values.max()) / step),
+        )
         levels = tuple(step * np.arange(first, last + 1))
     return Panel(values=values, limit=high, lines=(name,), low=low, levels=levels)

@@ -21,6 +21,7 @@ Bytes = NDArray[np.uint8]
 
 LINE_WIDTH = 0.75  # points (1/72 inch)
 _PERCENTILE = 99.0  # a lone spike must not bleach the rest
+_CONSTANT = 1e-12  # of the values: smaller differences are rounding
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,7 +33,8 @@ class Panel:
     values : ndarray of shape (n,)
         One value per point.
     limit : float
-        The colours run from -limit to +limit, white at zero; or from `low`, if it is given.
+        The colours run from -limit to +limit, white at zero; or from `low`, if it is given. Where
+        that is the limit, too, there is one value, and one colour.
     lines : tuple of str
         Set above the picture.
     low : float, optional
@@ -50,33 +52,43 @@ class Panel:
     def scaled(self) -> Floats:
         """The values, -1 at one end of the colours and 1 at the other."""
         low = -self.limit if self.low is None else self.low
+        if low == self.limit:
+            return np.zeros_like(self.values)
         return 2 * (self.values - low) / (self.limit - low) - 1
 
     def ends(self) -> tuple[str, str]:
-        """The two ends of the colours in words."""
-        low = -self.limit if self.low is None else self.low
-        plus = "+" if self.low is None else ""
-        return _signed(low), plus + _signed(self.limit)
+        """The two ends of the colours in words; the first is empty where they are one value."""
+        if self.low is None:
+            return _signed(-self.limit, 2), "+" + _signed(self.limit, 2)
+        if self.low == self.limit:
+            return "", _signed(self.limit, 2)
+        size = max(abs(self.low), abs(self.limit)) / (self.limit - self.low)
+        digits = 2 + int(np.ceil(np.log10(max(size / 10, 1.0))))  # enough to tell them apart
+        return _signed(self.low, digits), _signed(self.limit, digits)
 
     def colours(self, count: int) -> Bytes:
         """Colours (count, 3) from one end to the other."""
         if self.low is None:
             return diverging_colours(np.linspace(-1.0, 1.0, count))
-        return sequential_colours(np.linspace(0.0, 1.0, count))
+        ends = (0.5, 0.5) if self.low == self.limit else (0.0, 1.0)
+        return sequential_colours(np.linspace(*ends, count))
 
 
 def symmetric_limit(*functions: Floats) -> float:
     """The limit of symmetric colours for all these functions together."""
-    return max(float(np.percentile(np.abs(f), _PERCENTILE)) for f in functions) or 1.0
+    sizes = [np.abs(f) for f in functions]
+    common = max(float(np.percentile(size, _PERCENTILE)) for size in sizes)
+    return common or max(float(size.max()) for size in sizes) or 1.0
 
 
 def sequential_limits(*functions: Floats) -> tuple[float, float]:
-    """Both ends of sequential colours for all these functions together."""
-    low = min(float(np.percentile(f, 100 - _PERCENTILE)) for f in functions)
-    high = max(float(np.percentile(f, _PERCENTILE)) for f in functions)
-    if high > low:
-        return low, high
-    return low - (abs(low) or 1.0) / 2, low + (abs(low) or 1.0) / 2
+    """Both ends of sequential colours for all these functions together; equal for a constant."""
+    for beyond in (100 - _PERCENTILE, 0.0):  # where hardly any differ, those few are the picture
+        low = min(float(np.percentile(f, beyond)) for f in functions)
+        high = max(float(np.percentile(f, 100 - beyond)) for f in functions)
+        if high - low > _CONSTANT * max(abs(low), abs(high)):
+            return low, high
+    return high, high
 
 
 def draw_panels(
@@ -123,5 +135,6 @@ def draw_panels(
     return [found[i] for i in range(len(panels))]
 
 
-def _signed(value: float) -> str:
-    return short(value).replace("-", "\N{MINUS SIGN}", 1) if value < 0 else short(value)
+def _signed(value: float, digits: int) -> str:
+    text = short(value) if digits == 2 else f"{value:.{digits}g}"
+    return text.replace("-", "\N{MINUS SIGN}", 1) if value < 0 else text
