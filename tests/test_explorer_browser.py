@@ -350,6 +350,20 @@ def test_a_thinned_cloud_alone_on_a_phone(browser, pages):
     phone.page.context.close()
 
 
+def test_every_view_is_seen_on_a_phone(browser, pages):
+    # Without the flags of drawing: how the page is put together there lost the first view once.
+    plain = [flag for flag in FLAGS if "angle" not in flag]
+    other = browser.browser_type.launch(executable_path=CHROMIUM, args=plain)
+    phone = Visit(other, pages / "pair.html", width=390, height=844)
+    shot = np.asarray(Image.open(io.BytesIO(phone.page.screenshot())).convert("RGB")).astype(int)
+    for name in ("exact", "predicted"):
+        box = phone.page.locator(f"#view-{name} .pane").bounding_box()
+        pixels = shot[int(box["y"]) : int(box["y"] + box["height"])]
+        assert is_red(at(pixels, 0.5, 0.25))
+        assert is_blue(at(pixels, 0.5, 0.87))
+    other.close()
+
+
 @pytest.mark.parametrize(
     ("lack", "reason"),
     [

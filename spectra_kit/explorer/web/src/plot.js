@@ -16,12 +16,18 @@ export class Plot {
     this.facts = facts;
     this.k = facts.exact.eigenvalues.length;
     this.svg = element("svg", { role: "img", "aria-label": "Eigenvalues against the number of the mode" });
-    // Apart, so that a step of the slider paints these few again and not all the rest.
-    this.above = element("svg", { class: "above", "aria-hidden": "true" });
+    // Apart and moved as they are, so that a step of the slider paints nothing of the plot again.
+    this.marks = Object.fromEntries(
+      ["cursor", "predicted", "exact", "change"].map((kind) => {
+        const mark = document.createElement("i");
+        mark.className = `mark ${kind}`;
+        return [kind, mark];
+      }),
+    );
     this.tip = document.createElement("div");
     this.tip.className = "tip";
     this.tip.hidden = true;
-    host.append(this.svg, this.above, this.tip);
+    host.append(this.svg, ...Object.values(this.marks), this.tip);
     this.mode = 0;
     new ResizeObserver(() => this.layout()).observe(host);
     let held = false;
@@ -59,13 +65,11 @@ export class Plot {
     const compared = Boolean(this.facts.comparison);
     this.split = compared ? TOP + (room - GAP) * 0.66 : this.bottom;
     this.svg.replaceChildren();
-    this.above.replaceChildren();
-    for (const svg of [this.svg, this.above]) svg.setAttribute("viewBox", `0 0 ${clientWidth} ${clientHeight}`);
-    this.cursor = this.add("line", { class: "cursor", y1: TOP - 4, y2: this.bottom }, this.above);
+    this.svg.setAttribute("viewBox", `0 0 ${clientWidth} ${clientHeight}`);
+    this.marks.cursor.style.height = `${this.bottom - TOP + 4}px`;
     this.values();
     if (compared) this.errors();
     this.numbers();
-    this.marks = this.add("g", { class: "marks" }, this.above);
     this.show(this.mode);
   }
 
@@ -160,17 +164,18 @@ export class Plot {
   /** Mark the mode that is shown. */
   show(mode) {
     this.mode = mode;
-    if (!this.marks) return;
-    const x = this.x(mode);
-    this.cursor.setAttribute("x1", x);
-    this.cursor.setAttribute("x2", x);
-    this.marks.replaceChildren();
+    if (!this.width) return;
     const { exact, predicted } = this.facts;
-    if (predicted)
-      this.add("circle", { class: "predicted", cx: x, cy: this.y(predicted.eigenvalues[mode]), r: 6.5 }, this.marks);
-    this.add("circle", { class: "exact", cx: x, cy: this.y(exact.eigenvalues[mode]), r: 4 }, this.marks);
-    const change = this.change?.(mode) ?? null;
-    if (change !== null) this.add("circle", { class: "change", cx: x, cy: change, r: 4 }, this.marks);
+    const heights = {
+      cursor: TOP - 4,
+      predicted: predicted && this.y(predicted.eigenvalues[mode]),
+      exact: this.y(exact.eigenvalues[mode]),
+      change: this.change?.(mode),
+    };
+    for (const [kind, mark] of Object.entries(this.marks)) {
+      mark.hidden = (heights[kind] ?? null) === null;
+      mark.style.transform = `translate(${this.x(mode)}px, ${heights[kind] ?? 0}px)`;
+    }
   }
 
   hint(mode) {

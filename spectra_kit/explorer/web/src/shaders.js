@@ -28,42 +28,58 @@ export const VERTEX = /* glsl */ `
   }
 `;
 
+// CLOUD: round points in place of faces. ROUGH: few triangles in place of many, some of which lie the
+// wrong way round. Decided when the program is made: a `discard` anywhere in it keeps hidden
+// fragments from being left out early, and on a processor that is half the work.
 export const FRAGMENT = /* glsl */ `
   ${COMMON}
-  uniform sampler2D palette;
-  uniform float lines;      // half width of nodal lines in pixels; 0 for none
-  uniform vec2 depths;      // of the nearest and the farthest point
-  uniform bool round;       // points of a cloud
-  uniform bool rough;       // few triangles in place of many: some lie the wrong way round
+  uniform sampler2D palette; // in linear light
+  uniform float lines;       // half width of nodal lines in pixels; 0 for none
+  uniform vec2 depths;       // of the nearest and the farthest point
   varying float value;
   varying vec3 across;
   varying vec3 place;
 
-  vec3 linear(vec3 c) { return mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(0.04045, c)); }
-  vec3 encoded(vec3 c) { return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c)); }
+  const vec3 KEY = vec3(-0.38987, 0.60647, 0.69311);
+  const vec3 FILL = vec3(0.83624, 0.09838, 0.53942);
+
+  // The sRGB curve to within 0.001, by roots: exponentials cost far more on a processor.
+  vec3 encoded(vec3 c) {
+    vec3 a = sqrt(c), b = sqrt(a), d = sqrt(b);
+    return 0.662002687 * a + 0.684122060 * b - 0.323583601 * d - 0.022541147 * c;
+  }
 
   void main() {
     vec3 view = normalize(-place);
-    vec3 n = length(across) > 0.0 ? normalize(across) : view;
+    float size = dot(across, across);
+    vec3 n = size > 0.0 ? across * inversesqrt(size) : view;
     // Faces know their side, points do not; at an outline a normal may lean away without turning.
-    if (round || rough ? dot(n, view) < 0.0 : !gl_FrontFacing) n = -n;
+    #if defined(CLOUD) || defined(ROUGH)
+      if (dot(n, view) < 0.0) n = -n;
+    #else
+      if (!gl_FrontFacing) n = -n;
+    #endif
     float shade = 1.0;
-    if (round) {
+    #ifdef CLOUD
       vec2 disc = 2.0 * gl_PointCoord - 1.0;
       float r = dot(disc, disc);
       if (r > 1.0) discard;
       n = normalize(n + 0.28 * vec3(disc.x, -disc.y, sqrt(1.0 - r)));
       shade = mix(1.0, 0.72, smoothstep(depths.x, depths.y, -place.z));
-    }
+    #endif
     // A key light from above left, a fill from the right, the sky, all of which turn with the viewer.
-    float key = max(dot(n, normalize(vec3(-0.45, 0.70, 0.80))), 0.0);
-    float fill = max(dot(n, normalize(vec3(0.85, 0.10, 0.55))), 0.0);
+    float key = max(dot(n, KEY), 0.0);
+    float fill = max(dot(n, FILL), 0.0);
     shade *= 0.30 + 0.10 * n.y + 0.58 * key + 0.20 * fill;
     shade *= mix(0.72, 1.0, smoothstep(-0.1, 0.5, dot(n, view)));
-    float gloss = 0.05 * pow(max(dot(n, normalize(normalize(vec3(-0.45, 0.70, 0.80)) + view)), 0.0), 24.0);
+    float g = max(dot(n, normalize(KEY + view)), 0.0);
+    g *= g * g;
+    g *= g;
+    g *= g;
+    float gloss = 0.05 * g * g;
 
     float t = clamp(0.5 + 0.5 * value * swing, 0.0, 1.0) * (255.0 / 256.0) + 0.5 / 256.0;
-    vec3 colour = linear(texture2D(palette, vec2(t, 0.5)).rgb) * shade + gloss;
+    vec3 colour = texture2D(palette, vec2(t, 0.5)).rgb * shade + gloss;
 
     if (lines > 0.0) {
       float slope = length(vec2(dFdx(value), dFdy(value)));

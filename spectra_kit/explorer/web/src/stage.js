@@ -4,11 +4,14 @@ import {
   BufferAttribute,
   BufferGeometry,
   DataTexture,
+  DataUtils,
   DoubleSide,
+  HalfFloatType,
   LinearFilter,
   Mesh,
   PerspectiveCamera,
   Points,
+  RGBAFormat,
   Scene,
   ShaderMaterial,
   Vector2,
@@ -25,6 +28,7 @@ const SWING = 0.06; // of the box: how far a mode moves the surface
 const PERIOD = 2400; // milliseconds
 const SLOW = 40; // milliseconds of a frame, above which moving things are drawn coarsely
 const REST = 160; // milliseconds without a change, after which everything is drawn
+const PATIENCE = 600; // the same, where a frame of everything takes longer than that
 
 export class Stage {
   constructor(canvas, facts, geometry) {
@@ -42,6 +46,7 @@ export class Stage {
     this.renderer = new WebGLRenderer({ canvas, antialias: !this.software, alpha: true });
     this.renderer.setClearColor(0, 0);
     this.renderer.setScissorTest(true);
+    this.renderer.autoClear = false; // once for all views
     this.scene = new Scene();
     this.camera = new PerspectiveCamera(ANGLE, 1, 0.01, 100);
     this.build(geometry);
@@ -66,32 +71,34 @@ export class Stage {
     this.thinned = few && !index ? Math.sqrt(n / few.length) : 1; // of a cloud: larger points fill in
     buffers.setIndex(this.index);
     const colours = Uint8Array.from(atob(this.facts.palette), (c) => c.charCodeAt(0));
-    const table = new Uint8Array(1024);
-    for (let i = 0; i < 256; i++) table.set([...colours.subarray(3 * i, 3 * i + 3), 255], 4 * i);
-    const palette = new DataTexture(table, 256, 1);
+    const table = new Uint16Array(1024);
+    colours.forEach((byte, i) => (table[4 * Math.floor(i / 3) + (i % 3)] = DataUtils.toHalfFloat(linear(byte / 255))));
+    const palette = new DataTexture(table, 256, 1, RGBAFormat, HalfFloatType);
     palette.minFilter = palette.magFilter = LinearFilter;
     palette.needsUpdate = true;
-    this.material = new ShaderMaterial({
-      vertexShader: VERTEX,
-      fragmentShader: FRAGMENT,
-      side: DoubleSide,
-      uniforms: {
-        which: { value: 0 },
-        gain: { value: 1 },
-        swing: { value: 1 },
-        amplitude: { value: 0 },
-        pixels: { value: 0 },
-        diameter: { value: this.facts.spacing },
-        palette: { value: palette },
-        lines: { value: 0 },
-        depths: { value: new Vector2(0, 1) },
-        round: { value: !index },
-        rough: { value: false },
-      },
-    });
-    const thing = index ? new Mesh(buffers, this.material) : new Points(buffers, this.material);
-    thing.frustumCulled = false;
-    this.scene.add(thing);
+    this.uniforms = {
+      which: { value: 0 },
+      gain: { value: 1 },
+      swing: { value: 1 },
+      amplitude: { value: 0 },
+      pixels: { value: 0 },
+      diameter: { value: this.facts.spacing },
+      palette: { value: palette },
+      lines: { value: 0 },
+      depths: { value: new Vector2(0, 1) },
+    };
+    const material = (kind) =>
+      new ShaderMaterial({
+        vertexShader: VERTEX,
+        fragmentShader: FRAGMENT,
+        side: DoubleSide,
+        defines: { ...kind, ...(index ? {} : { CLOUD: 1 }) },
+        uniforms: this.uniforms,
+      });
+    this.materials = { fine: material({}), rough: material({ ROUGH: 1 }) };
+    this.thing = index ? new Mesh(buffers, this.materials.fine) : new Points(buffers, this.materials.fine);
+    this.thing.frustumCulled = false;
+    this.scene.add(this.thing);
     this.radius = 0;
     for (let i = 0; i < positions.length; i += 3)
       this.radius = Math.max(this.radius, Math.hypot(...positions.subarray(i, i + 3)));
@@ -182,8 +189,8 @@ export class Stage {
     // The controls measure a drag by the canvas; a hand measures it by the view.
     this.controls.rotateSpeed = this.controls.panSpeed = height / pane.height;
     this.controls.update();
-    this.paint();
     this.measure();
+    this.paint();
   }
 
   /** Pixels of the canvas for those of the page. */
@@ -198,12 +205,18 @@ export class Stage {
     if (this.measured) return;
     this.measured = true;
     const gl = this.renderer.getContext();
-    const wait = () => gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
-    wait(); // for what the first frame alone needs
-    const start = performance.now();
-    this.paint();
-    wait();
-    this.slow = performance.now() - start > SLOW;
+    const timed = (fine) => {
+      this.detail(fine);
+      const start = performance.now();
+      this.paint();
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits for the drawing
+      return performance.now() - start;
+    };
+    // The first frame of each kind makes its program and its buffers: better now than at a step.
+    timed(false);
+    timed(true);
+    this.cost = timed(true);
+    this.slow = this.cost > SLOW;
   }
 
   /** Everything and sharp, or few triangles and fewer pixels. */
@@ -211,13 +224,14 @@ export class Stage {
     if (fine === this.fine) return;
     this.fine = fine;
     this.buffers.setIndex(fine ? this.index : this.coarse);
-    this.material.uniforms.rough.value = !fine;
-    this.material.uniforms.diameter.value = this.facts.spacing * (fine ? 1 : this.thinned);
+    this.thing.material = fine ? this.materials.fine : this.materials.rough;
+    this.uniforms.diameter.value = this.facts.spacing * (fine ? 1 : this.thinned);
     this.sharpness();
   }
 
   /** Draw at the next frame. */
   invalidate() {
+    clearTimeout(this.resting);
     this.asked ??= requestAnimationFrame((time) => {
       this.asked = undefined;
       this.draw(time);
@@ -237,13 +251,13 @@ export class Stage {
       this.resting = setTimeout(() => {
         this.detail(true);
         this.paint();
-      }, REST);
+      }, Math.min(Math.max(REST, this.cost), PATIENCE)); // what would hold up more waits longer
     }
     this.paint();
   }
 
   paint() {
-    const uniforms = this.material.uniforms;
+    const { uniforms } = this;
     const box = this.canvas.getBoundingClientRect();
     const distance = this.camera.position.length(); // from the middle of the box
     this.camera.near = Math.max(distance - 1.6 * this.radius, 0.002 * distance);
@@ -266,8 +280,13 @@ export class Stage {
       uniforms.lines.value = this.nodal && which < 2 ? 0.8 * this.renderer.getPixelRatio() : 0;
       uniforms.pixels.value =
         (inner.height * this.renderer.getPixelRatio()) / (2 * Math.tan((ANGLE * Math.PI) / 360));
-      this.material.uniformsNeedUpdate = true;
+      this.thing.material.uniformsNeedUpdate = true;
       this.renderer.render(this.scene, this.camera);
     }
   }
+}
+
+/** From sRGB to light. */
+function linear(c) {
+  return c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
 }
