@@ -133,10 +133,11 @@ def test_spectrum_table(files, capsys):
 
 
 def test_repair_is_told(files, capsys):
-    assert "without_" in refusal(capsys, "spectrum", files / "dirty.off", "-k", 4)
+    message = refusal(capsys, "spectrum", files / "dirty.off", "-k", 4)
+    assert message.endswith("; --repair drops them\n")
     assert main(["spectrum", str(files / "dirty.off"), "-k", "4", "--repair"]) == 0
     out, err = capsys.readouterr()
-    assert err == ("repaired: 1 merged points, 1 degenerate faces, 1 unreferenced vertices\n")
+    assert err == "repaired: 1 merged point, 1 degenerate face, 1 unreferenced vertex\n"
     assert "642 vertices" in out
     assert main(["info", str(files / "sphere.off"), "--repair"]) == 0
     assert capsys.readouterr().err == "repaired: nothing to do\n"
@@ -173,8 +174,11 @@ def test_info(files, capsys):
     assert result["problems"] == []
     assert main(["info", str(files / "dirty.off")]) == 0
     out = capsys.readouterr().out
-    assert "1 point lies exactly on an earlier one" in out
+    assert "1 point lies exactly on an earlier one: --repair" in out
+    assert "2 vertices join fans of faces that share no edge: use --operator robust" in out
     assert "refused" in out
+    assert "--repair drops them" in out
+    assert "without_" not in out
     assert output(capsys, "info", files / "cloud.ply")["diagnosis"]["area"] is None
 
 
@@ -207,19 +211,20 @@ def test_bad_input_is_refused_with_a_message(files, capsys, tmp_path):
     for message, *arguments in (
         ("no such file", "info", tmp_path / "none.off"),
         ("finite", "spectrum", tmp_path / "x.off"),
-        ("`k` must be at most the number of free points", "spectrum", ball, "-k", 700),
-        ("`k` must be in [1, 642], got 700", "compare", ball, "-k", 700),
-        ("`k` must be at least 1", "spectrum", ball, "-k", 0),
-        ("`modes` must be in [0, 3], got 4", "spectrum", ball, "-k", 4, "--modes", "4"),
+        ("`-k` must be at most the number of free points", "spectrum", ball, "-k", 700),
+        ("`-k` must be in [1, 642], got 700", "compare", ball, "-k", 700),
+        ("`-k` must be at least 1", "spectrum", ball, "-k", 0),
+        ("`--modes` must be in [0, 3], got 4", "spectrum", ball, "-k", 4, "--modes", "4"),
         ("must be a .npz file", "spectrum", ball, "-o", tmp_path / "x.txt"),
         ("there is no folder", "spectrum", ball, "-o", tmp_path / "no" / "x.npz"),
         ("must be a .png or .pdf or .svg file", "compare", ball, "-o", tmp_path / "x.jpg"),
         ("--operator cotan needs a mesh", "spectrum", cloud, "--operator", "cotan"),
         ("--operator delaunay needs points", "spectrum", ball, "--operator", "delaunay"),
         ("--cloud samples a mesh", "spectrum", cloud, "--cloud", 100),
+        ("`--cloud` must be at least 1, got 0", "spectrum", ball, "--cloud", 0),
         ("--boundary dirichlet needs", "spectrum", ball, "--boundary", "dirichlet"),
         ("--boundary dirichlet needs", "spectrum", cloud, "--boundary", "dirichlet"),
-        ("`rtol` must be positive", "spectrum", ball, "--solver", "refined", "--rtol", "0"),
+        ("`--rtol` must be positive", "spectrum", ball, "--solver", "refined", "--rtol", "0"),
         (
             "--rtol is for the solvers refined, multilevel and lobpcg, got arpack; choose one of",
             "spectrum",
@@ -238,7 +243,7 @@ def test_bad_input_is_refused_with_a_message(files, capsys, tmp_path):
             "random",
         ),
         ("weights must be one of", "spectrum", ball, "--solver", "neo", "--weights", "none"),
-        ("`n_points` must be in [500, 5000000], got 10", "spectrum", "demo", "--points", 10),
+        ("`--points` must be in [500, 5000000], got 10", "spectrum", "demo", "--points", 10),
     ):
         assert message in refusal(capsys, *arguments)
 
@@ -333,6 +338,14 @@ def test_tables_ask_for_a_certificate(bumpy_laplacian):
     assert tables.modes_table(bare.certify(bumpy_laplacian), [1]) == tables.modes_table(s, [1])
 
 
+def test_one_is_singular():
+    assert tables.count(1, "vertex") == "1 vertex"
+    assert tables.count(1234, "unreferenced vertex") == "1,234 unreferenced vertices"
+    triangle = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    head = tables.headline("a.off", triangle, robust_laplacian(triangle))
+    assert head.startswith("a.off: mesh, 3 vertices, 1 face\n")
+
+
 def test_version(capsys):
     with pytest.raises(SystemExit, match="0"):
         main(["--version"])
@@ -342,7 +355,7 @@ def test_version(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--points", "60000000000"], r"`n_points` must be in \[500, 5000000\]"),
+        (["--points", "60000000000"], r"`--points` must be in \[500, 5000000\]"),
         (["--points", "600", "--cloud", "90000000000000"], "not enough memory"),
     ],
 )

@@ -124,8 +124,9 @@ def test_exact_modes_of_a_comparison_may_be_saved_ones(folder, capsys):
     ("arguments", "message"),
     [
         (("modes", "--columns", "0"), "`--columns` must be at least 1, got 0"),
-        (("modes", "-k", "0"), "`k` must be at least 1, got 0"),
-        (("modes", "-k", "4", "--modes", "4"), "`modes` must be in [0, 3], got 4"),
+        (("modes", "-k", "0"), "`-k` must be at least 1, got 0"),
+        (("modes", "-k", "4", "--modes", "4"), "`--modes` must be in [0, 3], got 4"),
+        (("modes", "--modes", "-1"), "`--modes` must be at least 0, got -1"),
         (("animate", "--seconds", "0"), "`--seconds` must be positive"),
         (("animate", "--fps", "0"), "`--fps` must be at least 1, got 0"),
         (("animate", "--width", "2"), "`--width` must be at least 16, got 2"),

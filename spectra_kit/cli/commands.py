@@ -20,6 +20,7 @@ from spectra_kit.cli.solving import (
     shown_modes,
     solve,
 )
+from spectra_kit.cli.words import in_options
 from spectra_kit.eigensolvers import verify
 from spectra_kit.errors import ConvergenceError, InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry import diagnose
@@ -45,7 +46,7 @@ def spectrum(arguments: argparse.Namespace) -> None:
         if output and error.partial is not None:
             rescued = output.with_suffix(".partial.npz")
             error.partial.save(rescued)
-            say(f"the {error.partial.k} modes that converged: {rescued}")
+            say(f"the {tables.count(error.partial.k, 'mode')} that converged: {rescued}")
         raise
     if arguments.verify:
         with step("counting eigenvalues"):
@@ -139,13 +140,13 @@ def info(arguments: argparse.Namespace) -> None:
         with step("assembling the Laplacian"):
             operator = tables.operator_record(assemble(arguments, geometry))
     except InvalidInputError as error:
-        operator = {"refused": str(error)}
+        operator = {"refused": in_options(str(error))}
     if arguments.json:
         print_json(
             input=arguments.file,
             kind=tables.kind(geometry),
             diagnosis=dataclasses.asdict(diagnosis),
-            problems=list(diagnosis.problems),
+            problems=[in_options(problem) for problem in diagnosis.problems],
             operator=operator,
         )
         return

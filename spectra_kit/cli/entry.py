@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 
 from spectra_kit.cli.progress import telling
 from spectra_kit.cli.story import build_parser
+from spectra_kit.cli.words import in_options
 from spectra_kit.errors import (
     ConvergenceError,
     InvalidSpectrumError,
@@ -83,9 +84,9 @@ def run(command: Callable[[argparse.Namespace], None], arguments: argparse.Names
 def _told(error: Exception) -> tuple[int, str]:
     """Return the exit code and the line that an error deserves."""
     if isinstance(error, ConvergenceError | InvalidSpectrumError | OutOfMemoryError):
-        return _SOLVER_FAILED, str(error)
+        return _SOLVER_FAILED, in_options(str(error))
     if isinstance(error, SpectraKitError):
-        return _BAD_INPUT, str(error)
+        return _BAD_INPUT, in_options(str(error))
     if isinstance(error, OSError):
         what = (error.strerror or str(error)).lower()
         return _BAD_INPUT, f"{error.filename}: {what}" if error.filename else what

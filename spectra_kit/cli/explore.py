@@ -115,11 +115,16 @@ def _tables(
 
 def _next(written: Explorer) -> str:
     """What the page holds, and what to do with it."""
-    shown = f"all {written.n_shown:,} points"
+    shown = f"all {tables.count(written.n_shown, 'point')}"
     if written.decimated:
         shown = f"{written.n_shown:,} of {written.n_points:,} points (--max-points shows more)"
+    rounding = written.quantisation
+    values = (
+        f"values to {rounding:.0e} of each mode's largest" if rounding else "values as computed"
+    )
     return (
-        f"page: {written.path}, {written.bytes / 1e6:.1f} MB, {written.n_modes} modes on {shown},\n"
-        f"values to {written.quantisation:.0e} of each mode's largest. Open it in any browser; it"
-        " needs no\nnetwork, and can be sent to others as it is."
+        f"page: {written.path}, {written.bytes / 1e6:.1f} MB,"
+        f" {tables.count(written.n_modes, 'mode')} on {shown},\n"
+        f"{values}. Open it in any browser; it needs no\n"
+        "network, and can be sent to others as it is."
     )

@@ -8,9 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from spectra_kit._validate import check_count
 from spectra_kit.cli.options import DEMO, TAKERS, listed
 from spectra_kit.cli.parser import did_you_mean
 from spectra_kit.cli.progress import say, step
+from spectra_kit.cli.tables import count
 from spectra_kit.eigensolvers import (
     Arpack,
     Capped,
@@ -38,6 +40,13 @@ from spectra_kit.subspaces import AmbientFourier, RandomBasis, Subspace
 # Both sides of a comparison are solved for a few modes more: pushed-out modes are found again,
 # and a cluster that k cuts is known as one.
 EXTRA = 6
+
+_REMOVED = {
+    "merged_points": "merged point",
+    "degenerate_faces": "degenerate face",
+    "duplicate_faces": "duplicate face",
+    "unreferenced_vertices": "unreferenced vertex",
+}
 
 
 def _start(a: argparse.Namespace) -> Subspace:
@@ -94,11 +103,12 @@ def load(arguments: argparse.Namespace) -> Geometry:
             repaired = repair(geometry)
         geometry = repaired.geometry
         counts = dataclasses.asdict(repaired.report)
-        done = ", ".join(f"{n} {what.replace('_', ' ')}" for what, n in counts.items() if n)
+        done = ", ".join(count(n, _REMOVED[what]) for what, n in counts.items() if n)
         say(f"repaired: {done or 'nothing to do'}")
     if arguments.cloud is not None:
         if not isinstance(geometry, TriangleMesh):
             raise InvalidInputError("--cloud samples a mesh, and this file holds a point cloud")
+        check_count("--cloud", arguments.cloud, low=1)
         with step(f"sampling {arguments.cloud:,} points"):
             geometry = sample(geometry, arguments.cloud, seed=arguments.seed)
     return geometry

@@ -81,7 +81,11 @@ def add_file(group: argparse._ArgumentGroup, name: str, default: str | None) -> 
 def add_reading(group: argparse._ArgumentGroup) -> None:
     """Add what is done to geometries as they are read."""
     group.add_argument(
-        "--points", type=int, default=8000, metavar="N", help=f"vertices of the demo {DEFAULT}"
+        "--points",
+        type=int,
+        default=8000,
+        metavar="N",
+        help=f"vertices of the demo, 500 or more {DEFAULT}",
     )
     group.add_argument(
         "--cloud", type=int, metavar="N", help="sample N points on the mesh (default: none)"

@@ -23,7 +23,7 @@ def modes(arguments: argparse.Namespace) -> None:
     shown = to_show(arguments, _DRAWN)
     from spectra_kit.viz import plot_modes
 
-    with step(f"drawing {len(shown.modes)} modes"):
+    with step(f"drawing {tables.count(len(shown.modes), 'mode')}"):
         plot_modes(
             arguments.output,
             shown.geometry,
@@ -47,7 +47,7 @@ def animate(arguments: argparse.Namespace) -> None:
     shown = to_show(arguments, _SWUNG)
     from spectra_kit.viz import animate_modes
 
-    with counted(f"drawing {len(shown.modes)} modes", "frame") as tell:
+    with counted(f"drawing {tables.count(len(shown.modes), 'mode')}", "frame") as tell:
         animate_modes(
             arguments.output,
             shown.geometry,

@@ -10,6 +10,7 @@ from pathlib import Path
 from spectra_kit._validate import check_count
 from spectra_kit.cli.inputs import EXTRA, assemble, load, solvers_named
 from spectra_kit.cli.progress import step
+from spectra_kit.cli.tables import count
 from spectra_kit.eigensolvers import Eigensolver, eigensolve
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry
@@ -29,7 +30,7 @@ def prepare(arguments: argparse.Namespace) -> tuple[Geometry, Laplacian]:
 
 def solve(laplacian: Laplacian, k: int, name: str, solver: Eigensolver) -> Spectrum:
     """Solve for `k` modes."""
-    with step(f"solving for {k} modes by {name}"):
+    with step(f"solving for {count(k, 'mode')} by {name}"):
         return eigensolve(laplacian, k, solver)
 
 
@@ -74,10 +75,12 @@ class Shown:
     modes: tuple[int, ...]
 
 
-def to_show(arguments: argparse.Namespace, count: int) -> Shown:
-    """Return modes to show: those asked for, else the first `count` that are not constant."""
+def to_show(arguments: argparse.Namespace, usual: int) -> Shown:
+    """Return modes to show: those asked for, else the first `usual` that are not constant."""
     if arguments.k is not None:
         check_count("k", arguments.k, low=1)
+    for mode in arguments.modes or ():
+        check_count("modes", mode, low=0)
     (solver,) = solvers_named(arguments, arguments.solver)
     geometry, laplacian = prepare(arguments)
     if arguments.spectrum:
@@ -85,11 +88,11 @@ def to_show(arguments: argparse.Namespace, count: int) -> Shown:
         if arguments.k is not None:
             spectrum = spectrum.truncate(arguments.k)
     else:
-        needed = max(arguments.modes) + 1 if arguments.modes else count + laplacian.kernel_dimension
+        needed = max(arguments.modes) + 1 if arguments.modes else usual + laplacian.kernel_dimension
         k = min(needed, len(laplacian.free)) if arguments.k is None else arguments.k
         spectrum = solve(laplacian, max(k, 1), arguments.solver, solver)
     first = spectrum.n_zero_modes
-    modes = shown_modes(arguments.modes, range(first, first + count), spectrum.k)
+    modes = shown_modes(arguments.modes, range(first, first + usual), spectrum.k)
     return Shown(geometry, laplacian, spectrum, modes)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from spectra_kit.cli.words import in_options
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Diagnosis, Geometry, TriangleMesh
 from spectra_kit.metrics import Comparison
@@ -27,13 +28,13 @@ def headline(name: str, geometry: Geometry, laplacian: Laplacian) -> str:
     return f"{name}: {_size(geometry)}\n" + (
         f"{laplacian.operator}: area {laplacian.area:.6g},"
         f" {count(laplacian.n_components, 'component')}"
-        + (f", {len(laplacian.fixed):,} fixed points" if len(laplacian.fixed) else "")
+        + (f", {count(len(laplacian.fixed), 'fixed point')}" if len(laplacian.fixed) else "")
     )
 
 
 def title(name: str, geometry: Geometry) -> str:
     """What a picture is of."""
-    return f"{Path(name).stem}, {geometry.n:,} points"
+    return f"{Path(name).stem}, {count(geometry.n, 'point')}"
 
 
 def modes_table(spectrum: Spectrum, modes: Sequence[int]) -> str:
@@ -108,14 +109,15 @@ def comparison_lines(
     moved = int((comparison.match != np.arange(k)).sum())
     means = pairs(
         {
-            "span error": f"{comparison.mean_span_error:.2e}  mean of {k} modes,"
-            f" span of {comparison.span_dimension} functions",
+            "span error": f"{comparison.mean_span_error:.2e}  mean of {count(k, 'mode')},"
+            f" span of {count(comparison.span_dimension, 'function')}",
             "eigenvalue error": f"{comparison.mean_eigenvalue_error:.2e}"
-            f"  mean of the {k - zero} nonzero modes",
+            f"  mean of {count(k - zero, 'nonzero mode')}",
             "eigenvector error": f"{comparison.mean_vector_error:.2e}"
-            f"  mean of {k} modes, {moved} of them out of order",
+            f"  mean of {count(k, 'mode')}, {moved} of them out of order",
             "  clusters as spaces": f"{comparison.mean_cluster_error:.2e}"
-            f"  mean of {comparison.open_from} modes in {len(comparison.clusters)} clusters",
+            f"  mean of {count(comparison.open_from, 'mode')} in"
+            f" {count(len(comparison.clusters), 'cluster')}",
         }
     )
     rows = [["", f"exact: {exact_name}", f"predicted: {predicted_name}"]]
@@ -138,7 +140,7 @@ def comparison_lines(
 def comparison_line(comparison: Comparison) -> str:
     """The three means in one line."""
     return (
-        f"{comparison.k} modes: mean span error {comparison.mean_span_error:.2g},"
+        f"{count(comparison.k, 'mode')}: mean span error {comparison.mean_span_error:.2g},"
         f" eigenvalue error {100 * comparison.mean_eigenvalue_error:.2g} %,"
         f" eigenvector error {comparison.mean_vector_error:.2g}"
     )
@@ -155,7 +157,7 @@ def diagnosis_lines(name: str, geometry: Geometry, diagnosis: Diagnosis) -> str:
             "Euler characteristic": diagnosis.euler_characteristic,
             "boundary edges": f"{diagnosis.boundary_edges:,}",
         }
-    problems = "\n".join(f"  {text}" for text in diagnosis.problems) or "  none"
+    problems = "\n".join(f"  {in_options(text)}" for text in diagnosis.problems) or "  none"
     return f"{name}: {_size(geometry)}\n\n{pairs(facts)}\n\nproblems\n{problems}"
 
 
@@ -218,13 +220,15 @@ def align(rows: Sequence[Sequence[str]], *, left: int = 0) -> str:
 
 def count(n: int, noun: str) -> str:
     """`n` things, in words."""
-    return f"{n} {noun}" + ("" if n == 1 else "s")
+    if n != 1:
+        noun = noun[:-2] + "ices" if noun.endswith("vertex") else noun + "s"
+    return f"{n:,} {noun}"
 
 
 def _size(geometry: Geometry) -> str:
     if isinstance(geometry, TriangleMesh):
-        return f"mesh, {geometry.n:,} vertices, {len(geometry.faces):,} faces"
-    return f"cloud, {geometry.n:,} points"
+        return f"mesh, {count(geometry.n, 'vertex')}, {count(len(geometry.faces), 'face')}"
+    return f"cloud, {count(geometry.n, 'point')}"
 
 
 def _certificate(spectrum: Spectrum) -> Certificate:

@@ -1,0 +1,51 @@
+"""What the library says of its functions and arguments, in the words of the command line."""
+
+from __future__ import annotations
+
+import re
+
+_OPTIONS = {
+    "k": "-k",
+    "n_points": "--points",
+    "modes": "--modes",
+    "rtol": "--rtol",
+    "seed": "--seed",
+    "dpi": "--dpi",
+}
+# Longest first; the advice of two methods that are one option is given once.
+_ADVICE = (
+    (r", or join the corners of a mesh with `mesh\.with_merged_vertices\(\)`", ""),
+    (r"`?(mesh|cloud)\.(without_\w+|with_merged_vertices)\(\)`?", "--repair"),
+    (r"\bdrop them with --repair", "--repair drops them"),
+    (r"\bdrop such vertices with --repair", "--repair drops such vertices"),
+    (r"\buse robust_laplacian\b", "use --operator robust"),
+    (r"\buse Arpack\b", "use --solver arpack"),
+    (r"\bloosen `rtol`", "loosen --rtol"),
+)
+
+
+def in_options(message: str) -> str:
+    """Return a message of the library with options in place of arguments and methods.
+
+    Parameters
+    ----------
+    message : str
+        Of an error, or of `Diagnosis.problems`.
+
+    Returns
+    -------
+    str
+        The same for somebody who types commands.
+
+    Examples
+    --------
+    >>> in_options("`k` must be at least 1, got 0")
+    '`-k` must be at least 1, got 0'
+    >>> in_options("2 vertices have no face: mesh.without_unreferenced()")
+    '2 vertices have no face: --repair'
+    """
+    for pattern, words in _ADVICE:
+        message = re.sub(pattern, words, message)
+    return re.sub(
+        r"^`(\w+)`(?= must )", lambda found: f"`{_OPTIONS.get(found[1], found[1])}`", message
+    )
