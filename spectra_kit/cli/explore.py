@@ -46,7 +46,7 @@ def explore(arguments: argparse.Namespace) -> None:
             pair.predicted if pair else None,
             comparison=pair.comparison if pair else None,
             names=names,
-            title=tables.title(arguments.file, geometry),
+            title=Path(arguments.file).stem,  # the page itself counts the points
             max_points=arguments.max_points,
             up=up_of(arguments),
             progress=tell,
