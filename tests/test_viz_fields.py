@@ -271,6 +271,9 @@ def test_fields_share_a_view_and_limits(tmp_path, ball, monkeypatch, capfd):
     style = {"columns": 2, "up": "z", "dpi": 40}
     own = plot_fields(tmp_path / "own.png", ball, fields, **style)
     one = plot_fields(tmp_path / "one.png", ball.as_cloud(), fields, share_limits=True, **style)
+    for picture in (own, one):  # no more than the margin stays empty at the foot
+        inked = np.flatnonzero((page(picture.path) < 240).any(axis=(1, 2)))
+        assert 5 <= len(page(picture.path)) - inked[-1] <= 10
     own, one = page(own.path)[30:180], page(one.path)[30:180]
     half = own.shape[1] // 2
     left, right = own[:, :half], own[:, own.shape[1] - half :]

@@ -155,7 +155,7 @@ def _set_page(
     row_height = caption + tall + (0.0 if one_bar else _BAR)
     begin = head(*titles) + (_HEAD if named else 0.0)
     side = _SIDE if named else 0.0
-    height = begin + len(table) * (row_height + _GAP) + MARGIN + (_BAR if one_bar else 0.0)
+    height = begin + len(table) * (row_height + _GAP) - _GAP + MARGIN + (_BAR if one_bar else 0.0)
     page_width = 2 * MARGIN + side + columns * (cell + _GAP) - _GAP
     figure = new_figure(page_width, height, title=titles[0], subtitle=titles[1], dpi=dpi)
     pen, remaining = Pen(figure), iter(pictures)
@@ -198,4 +198,5 @@ def _misfit(columns: int, rows: int, aspect: float, wanted: float) -> float:
     cell = _cell_width(columns)
     width = 2 * MARGIN + _SIDE + columns * (cell + _GAP) - _GAP
     each = cell * min(aspect, _TALLEST) + 2 * _LINE + _BAR + _GAP
-    return abs(float(np.log(width / (head("any", "") + _HEAD + rows * each) / wanted)))
+    height = head("any", "") + _HEAD + rows * each - _GAP
+    return abs(float(np.log(width / height / wanted)))
