@@ -226,10 +226,13 @@ def test_the_front_is_what_nothing_beats():
 
 def test_dots_lie_at_time_and_error_and_the_front_steps_down():
     panel = drawn(RUNS, exactly=20.0).axes[0]
-    front, ours, theirs, mark = panel.lines
+    front, ours, theirs, hollow, mark = panel.lines
     assert panel.get_xscale() == panel.get_yscale() == "log"
     np.testing.assert_array_equal(ours.get_xydata(), [(0.1, 0.1), (0.4, 0.2), (9, 1e-12)])
     np.testing.assert_array_equal(theirs.get_ydata(), [1e-4, 2e-4, 1e-12])
+    np.testing.assert_array_equal(hollow.get_xydata(), [(8, 1e-12), (9, 1e-12)])
+    assert hollow.get_color() == "white"
+    assert hollow.get_markersize() < ours.get_markersize()
     assert ours.get_color() != theirs.get_color()
     end = panel.get_xlim()[1]
     np.testing.assert_array_equal(
@@ -239,7 +242,8 @@ def test_dots_lie_at_time_and_error_and_the_front_steps_down():
     assert list(mark.get_xdata()) == [20, 20]
     assert end > 20
     told = [text.get_text() for text in panel.figure.legends[0].get_texts()]
-    assert told == ["ours", "theirs", "nothing is both faster and better"]
+    rounding = "hollow: 1e-12 or less, rounding"
+    assert told == ["ours", "theirs", rounding, "nothing is both faster and better"]
 
 
 def test_each_league_has_its_own_front():

@@ -8,8 +8,9 @@ from typing import Any
 
 from spectra_kit.benchmarks.methods import METHODS, Entry
 from spectra_kit.benchmarks.results import Fit, Result, error_of
+from spectra_kit.viz.front import ParetoPoint
 from spectra_kit.viz.labels import log_ticks
-from spectra_kit.viz.pareto import ParetoPoint, plot_pareto
+from spectra_kit.viz.pareto import plot_pareto
 from spectra_kit.viz.sheet import LINE_COLOURS, new_figure, save, tidy
 
 # Markers tell the second round of colours from the first; dashes and open markers tell other

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._validate import check_indices, check_positive
+from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import Up, choose_view, fitting_size
 from spectra_kit.viz.colours import error_colours, position_colours, refined
+from spectra_kit.viz.matched_pair import MatchedPair
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.render import Scene, render
 from spectra_kit.viz.rows import Row, set_rows
@@ -30,32 +30,6 @@ _WIDEST, _TALLEST = 3.4, 3.6  # inches of a picture
 _PIXELS = {"colours": 4, "texture": 1}  # to a vertex: a pattern inside triangles looks sharp
 _HEADS = ("source", "target")
 _PERCENTILE = 99.0  # a lone outlier must not bleach the rest
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MatchedPair:
-    """Two geometries, a map between them, and what to write beside their pictures.
-
-    Attributes
-    ----------
-    source, target : TriangleMesh or PointCloud
-        With n1 and n2 points.
-    point_map : array_like of shape (n2,), integers
-        The source point of each target point.
-    errors : array_like of shape (n2,), optional
-        Of the map at each target point, >= 0; NaN where not known.
-    name : str
-        Set beside the row, reading upwards.
-    names : tuple of str
-        What to call the two.
-    """
-
-    source: Geometry
-    target: Geometry
-    point_map: ArrayLike
-    errors: ArrayLike | None = None
-    name: str = ""
-    names: tuple[str, str] = ("source", "target")
 
 
 def plot_correspondence(
@@ -222,8 +196,8 @@ def _draw(
     check_picture_path(path)
     if transfer not in get_args(Transfer):
         raise InvalidInputError(f"`transfer` must be 'colours' or 'texture', got {transfer!r}")
-    maps = [_check_map(pair) for pair in pairs]
-    errors = [_check_errors(pair) for pair in pairs]
+    maps = [pair.checked_map() for pair in pairs]
+    errors = [pair.checked_errors() for pair in pairs]
     known = np.concatenate([e[np.isfinite(e)] for e in errors if e is not None] or [np.zeros(0)])
     if limit is None:
         limit = (float(np.percentile(known, _PERCENTILE)) if len(known) else 0.0) or 1.0
@@ -236,8 +210,9 @@ def _draw(
         )
     ]
     drawn, rows = render(scenes), []
+    other = "other side" if transfer == "colours" else "other side, mirrored"
     for pair, source, target in zip(pairs, drawn[::2], drawn[1::2], strict=True):
-        sides = ("one side", "other side") if behind else (pair.name,)
+        sides = ("one side", other) if behind else (pair.name,)
         names = None if behind or pair.names == _HEADS else pair.names
         each = np.split(target, len(source))  # the pictures of one side follow each other
         rows += [
@@ -247,29 +222,6 @@ def _draw(
     heads = [*(pairs[0].names if behind else _HEADS), "error"]
     bar = None if all(e is None for e in errors) else (limit, error_label)
     return save(set_rows(rows, heads, bar, title, subtitle, dpi), path, dpi)
-
-
-def _check_map(pair: MatchedPair) -> Ints:
-    """Return the point map of a pair if it fits the two geometries."""
-    n = pair.target.n
-    if np.shape(pair.point_map) != (n,):
-        raise InvalidInputError(
-            f"`point_map` must have shape ({n},), a source point for each target point,"
-            f" got {np.shape(pair.point_map)}; are source and target exchanged?"
-        )
-    return check_indices("point_map", pair.point_map, pair.source.n)
-
-
-def _check_errors(pair: MatchedPair) -> Floats | None:
-    if pair.errors is None:
-        return None
-    errors = np.asarray(pair.errors, dtype=np.float64)
-    if errors.shape != (pair.target.n,) or (errors < 0).any():
-        raise InvalidInputError(
-            f"`errors` must have shape ({pair.target.n},), one number >= 0 or NaN for each target"
-            f" point, got shape {errors.shape} with {int((errors < 0).sum())} negative"
-        )
-    return errors
 
 
 def _scenes(

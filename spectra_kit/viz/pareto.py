@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.viz.front import ParetoPoint, pareto_front
 from spectra_kit.viz.labels import log_ticks, place_labels
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.sheet import (
@@ -35,74 +35,6 @@ _INK: dict[str, Any] = {"fontsize": 8, "color": "0.2"}
 _LINED = 14.0  # names further than this from their dot, in points, are tied to it by a line
 
 
-@dataclass(frozen=True, kw_only=True)
-class ParetoPoint:
-    """One run of one method: its seconds, and its error.
-
-    Attributes
-    ----------
-    name : str
-        Written beside its dot.
-    group : str
-        Points of one group share a colour and a marker.
-    seconds : float
-        Positive.
-    error : float
-        Not negative.
-    league : str, default ""
-        Points of one league share a front: a processor, for example.
-
-    Raises
-    ------
-    InvalidInputError
-        If `seconds` is not positive, or `error` negative or not finite.
-    """
-
-    name: str
-    group: str
-    seconds: float
-    error: float
-    league: str = ""
-
-    def __post_init__(self) -> None:
-        check_positive("seconds", self.seconds)
-        if not (np.isfinite(self.error) and self.error >= 0):
-            raise InvalidInputError(f"`error` must be finite and >= 0, got {self.error!r}")
-
-
-def pareto_front(points: Sequence[ParetoPoint], *, floor: float = 0.0) -> list[ParetoPoint]:
-    """Return the points that no other one beats in both time and error.
-
-    Parameters
-    ----------
-    points : sequence of ParetoPoint
-        In any order.
-    floor : float, default 0
-        Smaller errors count as this.
-
-    Returns
-    -------
-    list of ParetoPoint
-        Fastest first, each with less error than the one before.
-
-    Examples
-    --------
-    >>> runs = [
-    ...     ParetoPoint(name=name, group="", seconds=seconds, error=error)
-    ...     for name, seconds, error in (("a", 1, 0.1), ("b", 2, 0.2), ("c", 3, 0.01))
-    ... ]
-    >>> [run.name for run in pareto_front(runs)]
-    ['a', 'c']
-    """
-    front: list[ParetoPoint] = []
-    best = float("inf")
-    for point in sorted(points, key=lambda p: (p.seconds, max(p.error, floor))):
-        if max(point.error, floor) < best:
-            best = max(point.error, floor)
-            front.append(point)
-    return front
-
-
 def plot_pareto(
     path: str | os.PathLike[str],
     points: Sequence[ParetoPoint],
@@ -124,7 +56,7 @@ def plot_pareto(
     points : sequence of ParetoPoint
         At least one.
     floor : float, default 1e-12
-        Smaller errors are drawn here, on a grey ground: they are rounding.
+        Smaller errors are drawn here as hollow dots, on a grey ground: they are rounding.
     marks : mapping of str to float, optional
         Seconds of what has no error to compare, such as the exact solver, as lines with a name.
     xlabel, ylabel : str
@@ -196,8 +128,6 @@ def pareto_figure(
         ylim=_limits(errors, right=0.1),
     )
     tidy(panel)
-    if min(errors) <= floor:
-        panel.axhspan(panel.get_ylim()[0], floor, color="0.95", lw=0, zorder=0)
     lines = [_steps(front, floor, panel.get_xlim()[1]) for front in _fronts(points, floor)]
     for i, line in enumerate(lines):
         told = None if i else "nothing is both faster and better"
@@ -214,6 +144,10 @@ def pareto_figure(
             label=group,
             zorder=3,
         )
+    if rounded := [p for p in points if p.error <= floor]:
+        panel.plot(*_places(rounded, floor).T, ls="", marker="o", ms=3.4, color="white", zorder=3)
+        told = f"hollow: {floor:.2g} or less, rounding"
+        panel.axhspan(panel.get_ylim()[0], floor, color="0.92", lw=0, zorder=0, label=told)
     for name, seconds in marks.items():
         panel.axvline(seconds, color="0.45", ls=(0, (4, 2)), lw=1.1, zorder=0)
         style: dict[str, Any] = {"transform": panel.get_xaxis_transform(), "parse_math": False}
