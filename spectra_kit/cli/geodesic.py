@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +29,7 @@ from spectra_kit.cli.geodesic_sources import (
 )
 from spectra_kit.cli.inputs import load
 from spectra_kit.cli.options import DEMO, up_of
-from spectra_kit.cli.output import plain, print_blocks, print_json
+from spectra_kit.cli.output import as_json, print_blocks, print_json
 from spectra_kit.cli.progress import step
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import DistanceField, HeatGeodesics, Iterative
@@ -197,7 +196,7 @@ def _write(folder: Path, geometry: Geometry, distance: Floats, record: tables.Re
         np.save(part / numbers, distance)
         colours = dict(zip(("red", "green", "blue"), distance_colours(distance).T, strict=True))
         ply.write(geometry, part / coloured, {**colours, "quality": distance})  # as MeshLab says
-        (part / report).write_text(json.dumps(plain(record), indent=2, allow_nan=False) + "\n")
+        (part / report).write_text(as_json(record))
     return [folder / name for name in _NUMBERS]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 from typing import Literal
@@ -16,7 +15,7 @@ from spectra_kit.cli import tables
 from spectra_kit.cli.folder import check_folder, together
 from spectra_kit.cli.inputs import assemble, load, solvers_named
 from spectra_kit.cli.options import DEMO, up_of
-from spectra_kit.cli.output import plain, print_blocks, print_json
+from spectra_kit.cli.output import as_json, print_blocks, print_json
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.quality import Errors, Side, doubts_of, errors_of, quality_of
 from spectra_kit.cli.solving import solve
@@ -212,7 +211,7 @@ def _write(
     with together(folder, replacing=_PICTURES) as part:
         np.save(part / points, found.point_map)
         np.save(part / functions, found.functional_map)
-        (part / report).write_text(json.dumps(plain(record), indent=2, allow_nan=False) + "\n")
+        (part / report).write_text(as_json(record))
         for name, side in zip(_SIDES, sides, strict=False):
             write(side.geometry, part / name)
     return [folder / name for name in (*_MAPS, *_SIDES[: len(sides)])]

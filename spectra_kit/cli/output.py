@@ -41,18 +41,47 @@ def print_blocks(*blocks: str) -> None:
 
 
 def print_json(**record: object) -> None:
-    """JSON knows no NaN: null stands for it."""
-    sys.stdout.write(json.dumps(plain(record), indent=2, allow_nan=False) + "\n")
+    """Write one object; JSON knows no NaN: null stands for it."""
+    sys.stdout.write(as_json(record))
 
 
-def plain(value: object) -> object:
+def as_json(record: object) -> str:
+    """Return JSON in which an array of numbers is one line.
+
+    Examples
+    --------
+    >>> print(as_json({"k": 2, "eigenvalues": np.array([0.0, 2.5])}), end="")
+    {
+      "k": 2,
+      "eigenvalues": [0.0, 2.5]
+    }
+    """
+    return _indented(_plain(record), "") + "\n"
+
+
+def _indented(value: object, margin: str) -> str:
+    """Objects line by line, and lists of objects; whatever else on one line."""
+    inner = margin + "  "
+    if isinstance(value, dict) and value:
+        parts = [f"{json.dumps(key)}: {_indented(item, inner)}" for key, item in value.items()]
+        opening, closing = "{}"
+    elif isinstance(value, list) and any(isinstance(item, dict) for item in value):
+        parts = [_indented(item, inner) for item in value]
+        opening, closing = "[]"
+    else:
+        return json.dumps(value, allow_nan=False)
+    lines = ",\n".join(inner + part for part in parts)
+    return f"{opening}\n{lines}\n{margin}{closing}"
+
+
+def _plain(value: object) -> object:
     """Return `value` as JSON has it."""
     if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | list | tuple):
-        return [plain(item) for item in value]
+        return [_plain(item) for item in value]
     if isinstance(value, np.generic):
-        return plain(value.item())
+        return _plain(value.item())
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, float) and not np.isfinite(value):

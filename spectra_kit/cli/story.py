@@ -16,10 +16,6 @@ from spectra_kit.cli.match import match_shapes
 from spectra_kit.cli.options import DEMO, FORMATS
 from spectra_kit.cli.parser import Parser
 
-EXIT_CODES = """\
-exit codes: 0 fine, 1 a bug of ours, 2 wrong usage or bad input or output,
-            3 a solver failed, 130 interrupted. Errors are one line on stderr."""
-
 
 @dataclass(frozen=True)
 class Command:
@@ -188,18 +184,13 @@ class StoryParser(Parser):
             f"  {c.name:10}  {c.outcome:20}  spectra-kit {c.examples[0]}" for c in COMMANDS
         )
         return f"""\
-usage: {self.usage}
-
-Any surface in, mesh or point cloud; its Laplace-Beltrami spectrum out, with a
-certificate for every mode. The commands, in the order one meets them:
+usage: {self.usage}       more: spectra-kit COMMAND --help
+From any mesh or point cloud to its Laplace-Beltrami spectrum, and on from there:
 
 {lines}
 
-FILE: {FORMATS};
-      or the word {DEMO}, for an animal made on the spot.
-More: spectra-kit COMMAND --help     spectra-kit --version
-
-{EXIT_CODES}
+FILE: {FORMATS}; or {DEMO}, a made-up animal.
+Exit codes: 0 fine, 1 our bug, 2 bad usage or file, 3 solver failed, 130 Ctrl-C
 """
 
 
