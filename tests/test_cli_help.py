@@ -38,7 +38,7 @@ def test_the_story_has_each_command_with_an_example(capsys, monkeypatch):
     assert told == [(name, name) for name in NAMES]
     assert len(told) <= 10
     assert story.count("\n") <= 15
-    assert "Exit codes: 0 fine, 1 our bug, 2 bad usage or file, 3 solver failed" in story
+    assert "Exit codes: 0 fine, 1 bug, 2 bad usage or file, 3 solver failed" in story
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -190,7 +190,7 @@ From any mesh or point cloud to its Laplace-Beltrami spectrum, and on from there
 {lines}
 
 FILE: {FORMATS}; or {DEMO}, a made-up animal.
-Exit codes: 0 fine, 1 our bug, 2 bad usage or file, 3 solver failed, 130 Ctrl-C
+Exit codes: 0 fine, 1 bug, 2 bad usage or file, 3 solver failed, 130 Ctrl-C
 """
 
 
