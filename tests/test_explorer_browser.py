@@ -57,16 +57,24 @@ def pages(ball, tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
     x, y, z = ball.points.T
     one = np.ones(ball.n)
-    exact = spectrum(ball, one, z, x, y, x * y)
-    guess = spectrum(ball, one, z, x + 0.3 * y * z, y, x * y, certified=False)
+    height = z + 0.02 * z**2  # a little more above: its larger end is shown in red
+    exact = spectrum(ball, one, height, x, y, x * y)
+    guess = spectrum(ball, one, height, x + 0.3 * y * z, y, x * y, certified=False)
     write_explorer(
         folder / "pair.html", ball, exact, guess, names=NAMES, title="<i>Ball</i> & more", up="z"
     )
     write_explorer(folder / "cloud.html", ball.as_cloud(), exact, up="z", max_points=1500)
     fine = sphere(subdivisions=5).geometry
-    lone = Spectrum(
-        np.zeros(1), fine.points[:, 2:] / np.linalg.norm(fine.points[:, 2]), np.ones(fine.n)
+    height = fine.points[:, 2:] / np.linalg.norm(fine.points[:, 2])
+    sure = Certificate(
+        residuals=np.full(1, 1e-13),
+        relative_residuals=np.full(1, 1e-14),
+        orthonormality_error=0.0,
+        n_zero_modes=1,
+        kernel_dimension=1,
+        n_components=1,
     )
+    lone = Spectrum(np.full(1, 1e-14), height, np.full(fine.n, 4 * np.pi / fine.n), sure)
     write_explorer(folder / "many.html", fine, lone)
     return folder
 
@@ -225,7 +233,7 @@ def test_a_click_on_the_plot_or_the_table_chooses_the_mode(visit):
     visit.page.mouse.click(dot["x"] + 2, dot["y"] + 2)
     assert visit.mode() == 3
     row = visit.page.locator("#table tbody tr").nth(2)
-    assert row.inner_text().split("\t")[:4] == ["2", "2.0000", "2.0000", "0 %"]
+    assert row.inner_text().split("\t")[:4] == ["2", "2.0000", "2.0000", "equal"]
     row.click()
     assert visit.mode() == 2
     assert row.get_attribute("aria-current") == "true"
@@ -305,6 +313,11 @@ def test_the_difference_can_be_put_away_and_the_mode_swings(visit):
 
 def test_a_slow_machine_draws_coarsely_what_moves_and_everything_at_rest(browser, pages):
     many = Visit(browser, pages / "many.html", width=500, height=400)
+    # A mode alone, of eigenvalue zero up to rounding: neither a scale nor bars made of it.
+    assert many.text("#legend").split("\n") == ["exact"]
+    assert many.text("#subtitle").startswith("10,242 points · 1 mode · λ = 1.00e")
+    ticks = many.page.locator("#plot .tick").all_inner_texts()
+    assert "1" in ticks
     many.page.evaluate("explorer.stage.look([1, 0, 0]); explorer.stage.slow = true")
     many.settle()
     fine = many.view("exact")

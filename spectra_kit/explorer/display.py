@@ -1,4 +1,4 @@
-"""What of a geometry is drawn in the browser: all of it, or fewer points that stand for it."""
+"""What is drawn in the browser: modes, on the whole geometry or on fewer points in its place."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from scipy.spatial import cKDTree
 
 from spectra_kit.geometry.normals import estimate_normals, orient_normals
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.metrics import Comparison, align_modes
+from spectra_kit.spectrum import Spectrum
+from spectra_kit.viz.signs import display_signs
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -35,6 +38,22 @@ class Display:
     geometry: Geometry
     carry: sparse.csr_array
     decimated: bool
+
+
+def functions_of(
+    exact: Spectrum, predicted: Spectrum | None, comparison: Comparison | None
+) -> list[Floats]:
+    """Modes (n, k) as they are shown: exact, then those of `predicted` aligned to them, if any.
+
+    Times sqrt(area), so that the constant mode is 1 and colours know no units, and with the signs
+    of all pictures.
+    """
+    vectors = exact.eigenvectors[:, : exact.k if comparison is None else comparison.k]
+    factor = np.sqrt(exact.area) * display_signs(vectors)
+    functions = [factor * vectors]
+    if predicted is not None:
+        functions.append(factor * align_modes(exact, predicted, comparison))
+    return functions
 
 
 def for_display(geometry: Geometry, max_points: int) -> Display:

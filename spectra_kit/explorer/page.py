@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from spectra_kit._files import atomic_path, check_target
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.explorer.display import Display, for_display, normal_steps, spacing
+from spectra_kit.explorer.display import (
+    Display,
+    for_display,
+    functions_of,
+    normal_steps,
+    spacing,
+)
 from spectra_kit.explorer.document import assembled
 from spectra_kit.explorer.facts import colour_facts, comparison_facts, numbers, spectrum_facts
 from spectra_kit.explorer.payload import (
@@ -28,7 +34,7 @@ from spectra_kit.explorer.payload import (
     walk,
 )
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.metrics import Comparison, align_modes, compare_spectra
+from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.spectrum import Spectrum
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.colours import diverging_colours
@@ -125,8 +131,8 @@ def write_explorer(
     -----
     Functions are multiplied by sqrt(area), which makes the constant mode 1 and frees the colours of
     units. Positions are rounded to 1/65535 of the longest side, values to 1/65534 of the
-    range of their mode. Predicted modes are aligned by `align_modes`, for display only. Equal
-    input makes equal files.
+    range of their mode. The signs of exact modes are those of `plot_modes`, predicted modes are
+    aligned to them by `align_modes`, for display only. Equal input makes equal files.
 
     Examples
     --------
@@ -146,11 +152,8 @@ def write_explorer(
     tell = _telling(progress, 4)
     if predicted is not None and comparison is None:
         comparison = compare_spectra(exact, predicted)
-    root = float(np.sqrt(exact.area))
-    k = exact.k if comparison is None else comparison.k
-    functions = [root * exact.eigenvectors[:, :k]]
-    if predicted is not None:
-        functions.append(root * align_modes(exact, predicted, comparison))
+    functions = functions_of(exact, predicted, comparison)
+    k = functions[0].shape[1]
     tell()
 
     display = for_display(geometry, max_points)

@@ -14,9 +14,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit.explorer.display import for_display
+from spectra_kit.explorer.display import for_display, functions_of
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.metrics import Comparison, align_modes
+from spectra_kit.metrics import Comparison
 from spectra_kit.spectrum import Spectrum
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.colours import diverging_colours
@@ -43,13 +43,11 @@ class Modes:
         names: tuple[str, str],
     ) -> None:
         self.exact, self.predicted, self.comparison = exact, predicted, comparison
-        root = np.sqrt(exact.area)  # the constant mode is 1, and colours know no units
-        self.k = exact.k if comparison is None else comparison.k
-        self.heads, self.functions = [names[0]], [root * exact.eigenvectors[:, : self.k]]
+        self.heads, self.functions = [names[0]], functions_of(exact, predicted, comparison)
+        self.k = self.functions[0].shape[1]
         if predicted is not None:
-            aligned = root * align_modes(exact, predicted, comparison)
             self.heads += [names[1], "difference"]
-            self.functions += [aligned, aligned - self.functions[0]]
+            self.functions.append(self.functions[1] - self.functions[0])
 
     def table(self, mode: int, limits: list[float]) -> list[list[str]]:
         """Rows of what is known of a mode: the name of a number, and one for each column."""

@@ -31,3 +31,12 @@ export function percent(value) {
   const text = short(100 * value, 2);
   return `${value > 0 ? "+" : ""}${text} %`;
 }
+
+/** The relative change of an eigenvalue in per cent; "equal" where it is nothing but rounding. */
+export function change({ exact, predicted, comparison }, mode) {
+  const relative = comparison.eigenvalue_error[mode];
+  const bound = (exact.residuals?.[mode] ?? 0) + (predicted.residuals?.[mode] ?? 0);
+  const size = Math.abs(relative ?? 1);
+  const rounding = size <= 1e-14 || (size <= 1e-9 && size * Math.abs(exact.eigenvalues[mode]) <= bound);
+  return rounding ? "equal" : percent(relative);
+}

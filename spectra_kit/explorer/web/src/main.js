@@ -1,6 +1,6 @@
 // The page: reads its data, then shows one mode at a time in every part.
 
-import { count, percent, short } from "./format.js";
+import { change, count, short } from "./format.js";
 import { bytesOf, column16, readGeometry } from "./payload.js";
 import { Plot } from "./plot.js";
 import { Stage } from "./stage.js";
@@ -32,19 +32,17 @@ function theme() {
 
 function head(facts) {
   const k = facts.exact.eigenvalues.length;
-  const what = facts.faces ? "vertices" : "points";
   const shown = facts.decimated
-    ? `shown: ${count(facts.shown)} of ${count(facts.points)} ${what}`
-    : `${count(facts.points)} ${what}`;
+    ? `shown: ${count(facts.shown)} of ${count(facts.points)} points`
+    : `${count(facts.points)} ${facts.points === 1 ? "point" : "points"}`;
   $("title").textContent = facts.title || "Laplace–Beltrami spectrum";
-  $("subtitle").textContent = `${shown} · ${k} ${k === 1 ? "mode" : "modes"} · λ from ${short(
-    facts.exact.eigenvalues[0],
-    4,
-  )} to ${short(facts.exact.eigenvalues[k - 1], 4)} / length²`;
+  const [low, high] = [0, k - 1].map((mode) => short(facts.exact.eigenvalues[mode], 4));
+  const modes = k === 1 ? `1 mode · λ = ${low}` : `${k} modes · λ from ${low} to ${high}`;
+  $("subtitle").textContent = `${shown} · ${modes} / length²`;
   const notes = [];
   if (facts.decimated)
     notes.push(
-      `Shown: ${count(facts.shown)} of ${count(facts.points)} ${what}; eigenvalues, residuals and errors are those of all.`,
+      `Shown: ${count(facts.shown)} of ${count(facts.points)} points; eigenvalues, residuals and errors are those of all.`,
     );
   notes.push("Functions times √area; values rounded to 1/65,534 of the range of their mode.");
   if (facts.predicted)
@@ -54,12 +52,12 @@ function head(facts) {
   $("note").textContent = notes.join(" ");
 }
 
-/** The legend of the plot. */
-function legend(facts) {
+/** The legend of what the plot shows, up to this eigenvalue. */
+function legend(facts, top) {
   const items = [["exact", facts.names[0]]];
   if (facts.predicted) items.push(["predicted", facts.names[1]]);
-  items.push(["weyl", "Weyl’s law 4π j / area"]);
-  const visible = (spectrum) => spectrum?.residuals?.some((r) => r > 0.005 * Math.max(...spectrum.eigenvalues));
+  if (facts.exact.eigenvalues.length > 1) items.push(["weyl", "Weyl’s law 4π j / area"]);
+  const visible = (spectrum) => spectrum?.residuals?.some((r) => r > 0.005 * top);
   if (visible(facts.exact) || visible(facts.predicted)) items.push(["bars", "residual: a true λ lies within"]);
   $("legend").replaceChildren(
     ...items.map(([kind, name]) => {
@@ -96,8 +94,7 @@ function captions(facts, mode, words) {
   write("view-exact", names[0], `λ = ${short(exact.eigenvalues[mode], 5)}`, residual(exact), colours.limit[mode]);
   words.textContent = `mode ${mode}, eigenvalue ${short(exact.eigenvalues[mode], 4)}`;
   if (!predicted) return;
-  const change = comparison.eigenvalue_error[mode];
-  const relative = change === null ? "" : ` (${percent(change)})`;
+  const relative = comparison.eigenvalue_error[mode] === null ? "" : ` (${change(facts, mode)})`;
   write(
     "view-predicted",
     names[1],
@@ -162,7 +159,7 @@ async function main() {
   };
   const plot = new Plot($("plot"), facts, (m) => choose(m));
   const table = new Table($("table"), facts, (m) => choose(m));
-  legend(facts);
+  legend(facts, plot.top);
   ramps(facts);
 
   // Views that are on the page now.

@@ -1,6 +1,6 @@
 // Eigenvalues against their number, and below them how far the two spectra are apart.
 
-import { count, percent, short, tick as axis } from "./format.js";
+import { change, count, short, tick as axis } from "./format.js";
 
 const NS = "http://www.w3.org/2000/svg";
 const LEFT = 52;
@@ -15,6 +15,10 @@ export class Plot {
     this.host = host;
     this.facts = facts;
     this.k = facts.exact.eigenvalues.length;
+    const { exact, predicted, weyl } = facts;
+    const all = [...exact.eigenvalues, ...(predicted?.eigenvalues ?? []), weyl * (this.k - 1)];
+    // Not less than one step of Weyl's law: zero alone has no scale.
+    this.top = 1.04 * Math.max(...all, weyl);
     this.svg = element("svg", { role: "img", "aria-label": "Eigenvalues against the number of the mode" });
     // Apart and moved as they are, so that a step of the slider paints nothing of the plot again.
     this.marks = Object.fromEntries(
@@ -93,8 +97,7 @@ export class Plot {
 
   values() {
     const { exact, predicted, weyl } = this.facts;
-    const all = [...exact.eigenvalues, ...(predicted?.eigenvalues ?? []), weyl * (this.k - 1)];
-    const top = 1.04 * Math.max(...all) || 1;
+    const { top } = this;
     this.y = (value) => this.split - ((this.split - TOP) * Math.min(Math.max(value, 0), top)) / top;
     for (const tick of ticks(0, top, Math.max((this.split - TOP) / 34, 2))) {
       this.add("line", { class: "grid", x1: LEFT, x2: LEFT + this.width, y1: this.y(tick), y2: this.y(tick) });
@@ -185,7 +188,7 @@ export class Plot {
     const lines = [[`mode ${mode}`, ""], [names[0], short(exact.eigenvalues[mode], 5)]];
     if (predicted) {
       lines.push([names[1], short(predicted.eigenvalues[mode], 5)]);
-      if (comparison.eigenvalue_error[mode] !== null) lines.push(["", percent(comparison.eigenvalue_error[mode])]);
+      if (comparison.eigenvalue_error[mode] !== null) lines.push(["", change(this.facts, mode)]);
     }
     if (exact.residuals) lines.push(["certified to", `± ${short(exact.residuals[mode], 2)}`]);
     this.tip.replaceChildren(

@@ -1,6 +1,6 @@
 // One row for each mode; a click shows it.
 
-import { percent, short } from "./format.js";
+import { change, short } from "./format.js";
 
 export class Table {
   constructor(host, facts, choose) {
@@ -10,7 +10,7 @@ export class Table {
     columns.push([`λ\u00a0${names[0]}`, "Eigenvalue, in 1 / length²", (m) => short(exact.eigenvalues[m], 5)]);
     if (predicted) {
       columns.push([`λ\u00a0${names[1]}`, "Eigenvalue of its partner, in 1 / length²", (m) => short(predicted.eigenvalues[m], 5)]);
-      columns.push(["Δλ\u00a0/\u00a0λ", "Relative difference of the eigenvalues", (m) => percent(comparison.eigenvalue_error[m])]);
+      columns.push(["Δλ\u00a0/\u00a0λ", "Relative difference of the eigenvalues", (m) => change(facts, m)]);
     }
     const residual = "|L u − λ M u|, relative to λ or the spacing of eigenvalues";
     columns.push([predicted ? `residual ${names[0]}` : "relative residual", residual, (m) => short(exact.relative?.[m], 2)]);
