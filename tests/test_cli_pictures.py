@@ -127,6 +127,12 @@ def test_exact_modes_of_a_comparison_may_be_saved_ones(folder, capsys):
         (("modes", "-k", "0"), "`-k` must be at least 1, got 0"),
         (("modes", "-k", "4", "--modes", "4"), "`--modes` must be in [0, 3], got 4"),
         (("modes", "--modes", "-1"), "`--modes` must be at least 0, got -1"),
+        (("modes", "-k", "3", "--turn", "nan"), "`--turn` must be a finite number of degrees"),
+        (("animate", "-k", "3", "--turn", "nan"), "`--turn` must be a finite number of degrees"),
+        (
+            ("compare", "-k", "3", "--solver", "dense", "-o", "x.png", "--turn", "nan", "--json"),
+            "`--turn` must be a finite number of degrees",
+        ),
         (("animate", "--seconds", "0"), "`--seconds` must be positive"),
         (("animate", "--fps", "0"), "`--fps` must be at least 1, got 0"),
         (("animate", "--width", "2"), "`--width` must be at least 16, got 2"),
@@ -134,7 +140,9 @@ def test_exact_modes_of_a_comparison_may_be_saved_ones(folder, capsys):
         (("explore", "--serve", "--port", "70000"), "`--port` must be in [0, 65535], got 70000"),
     ],
 )
-def test_bad_options_are_refused(arguments, message, folder, capsys):
+def test_bad_options_are_refused(arguments, message, folder, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     name, *options = arguments
     assert main([name, str(folder / "animal.ply"), *options]) == 2
     assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

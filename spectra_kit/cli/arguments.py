@@ -149,7 +149,7 @@ def add_explore_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--no-browser", action="store_true", help="with --serve, do not open a browser"
     )
-    add_drawing(group, dpi=False)
+    add_drawing(group, dpi=False, turn=False)  # the mouse does
     add_general(parser)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from spectra_kit._validate import check_count
 from spectra_kit.cli import tables
 from spectra_kit.cli.inputs import assemble, load, solvers_named
-from spectra_kit.cli.options import PICTURES
+from spectra_kit.cli.options import PICTURES, up_of
 from spectra_kit.cli.output import check_output, print_blocks, print_json
 from spectra_kit.cli.progress import say, step
 from spectra_kit.cli.solving import (
@@ -116,6 +116,8 @@ def compare(arguments: argparse.Namespace) -> None:
                 names=(f"exact: {truth}", f"predicted: {predictor}"),
                 title=tables.title(arguments.file, geometry),
                 subtitle=tables.comparison_line(comparison),
+                up=up_of(arguments),
+                turn=arguments.turn,
                 dpi=arguments.dpi,
             )
     if arguments.json:

@@ -218,6 +218,7 @@ def _draw(
         sources=positions(sources, geometry),
         spacing=arguments.spacing,
         up=up_of(arguments),
+        turn=arguments.turn,
         title=name,
         subtitle=f"{size} \N{MIDDLE DOT} {field.choice}",
         dpi=dpi,

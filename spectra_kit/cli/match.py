@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,6 @@ from spectra_kit.matching import Match, match, prepare
 from spectra_kit.matching.match import Sides
 
 Ints = NDArray[np.int64]
-Up = Literal["y", "z"]
 
 _MAPS = ("point_map.npy", "functional_map.npy", "report.json")
 _SIDES = ("source.npz", "target.npz")
@@ -71,9 +69,8 @@ def match_shapes(arguments: argparse.Namespace) -> None:
     with step(f"writing {folder}"):
         written = _write(folder, found, record, sides)
     if not arguments.no_pictures:
-        up = up_of(arguments, source.name)
         with step("drawing"):
-            written += _draw(folder, source, target, found, errors, up, arguments.dpi)
+            written += _draw(arguments, source, target, found, errors)
     if arguments.json:
         print_json(**record, written=[str(path) for path in written])
         return
@@ -218,16 +215,15 @@ def _write(
 
 
 def _draw(
-    folder: Path,
+    arguments: argparse.Namespace,
     source: Side,
     target: Side,
     found: Match,
     errors: Errors | None,
-    up: Up | None,
-    dpi: int,
 ) -> list[Path]:
     from spectra_kit.viz import plot_correspondence, plot_error_curves, plot_functional_map
 
+    folder, dpi = arguments.output, arguments.dpi
     paths = [folder / name for name in (_PICTURES[:2] if errors is None else _PICTURES)]
     names = tuple(Path(side.name).stem for side in (source, target))
     title = " to ".join(names)
@@ -238,7 +234,8 @@ def _draw(
         found.point_map,
         errors=None if errors is None else errors.at_points,
         error_label=errors.label if errors else "",
-        up=up,
+        up=up_of(arguments, source.name),
+        turn=arguments.turn,
         names=(names[0], names[1]) if names[0] != names[1] else ("source", "target"),
         title=title,
         subtitle=f"{source.geometry.n:,} and {target.geometry.n:,} points",

@@ -28,6 +28,7 @@ TAKERS = {
     "rtol": ("refined", "multilevel", "lobpcg"),
     "start": ("refined", "polished", "capped"),
 }
+Up = Literal["x", "y", "z"]
 PICTURES = (".png", ".pdf", ".svg")
 DEFAULT = "(default: %(default)s)"
 
@@ -219,8 +220,8 @@ def add_output(
     )
 
 
-def add_drawing(group: argparse._ArgumentGroup, *, dpi: bool = True) -> None:
-    """Add how pictures are drawn."""
+def add_drawing(group: argparse._ArgumentGroup, *, dpi: bool = True, turn: bool = True) -> None:
+    """Add how pictures are drawn, and from where."""
     if dpi:
         group.add_argument(
             "--dpi",
@@ -231,9 +232,18 @@ def add_drawing(group: argparse._ArgumentGroup, *, dpi: bool = True) -> None:
         )
     group.add_argument(
         "--up",
-        choices=("y", "z"),
+        choices=("x", "y", "z"),
         help="axis that points up in the picture (default: chosen by the shape)",
     )
+    if turn:
+        group.add_argument(
+            "--turn",
+            type=float,
+            default=0.0,
+            metavar="DEGREES",
+            help="turn it about that axis, its front to the right; 180 shows the other side"
+            " (default: %(default)g)",
+        )
 
 
 def add_general(parser: argparse.ArgumentParser) -> None:
@@ -247,9 +257,9 @@ def add_general(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
 
-def up_of(arguments: argparse.Namespace, file: str | None = None) -> Literal["y", "z"] | None:
+def up_of(arguments: argparse.Namespace, file: str | None = None) -> Up | None:
     """Return the axis that points up: the one asked for, or that of the demo; None to look."""
-    up: Literal["y", "z"] | None = arguments.up
+    up: Up | None = arguments.up
     return up or ("z" if (file or arguments.file) == DEMO else None)
 
 

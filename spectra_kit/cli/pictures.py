@@ -32,6 +32,7 @@ def modes(arguments: argparse.Namespace) -> None:
             nodal_lines=not arguments.no_lines,
             columns=arguments.columns,
             up=up_of(arguments),
+            turn=arguments.turn,
             title=tables.title(arguments.file, shown.geometry),
             dpi=arguments.dpi,
         )
@@ -57,6 +58,7 @@ def animate(arguments: argparse.Namespace) -> None:
             fps=fps,
             width=width,
             up=up_of(arguments),
+            turn=arguments.turn,
             progress=tell,
         )
     _tell(arguments, shown, "animation")

@@ -184,8 +184,8 @@ class StoryParser(Parser):
             f"  {c.name:10}  {c.outcome:20}  spectra-kit {c.examples[0]}" for c in COMMANDS
         )
         return f"""\
-usage: {self.usage}       more: spectra-kit COMMAND --help
-From any mesh or point cloud to its Laplace-Beltrami spectrum, and on from there:
+usage: {self.usage}      more: spectra-kit COMMAND --help
+From a mesh or point cloud to its Laplace-Beltrami spectrum, and onwards:
 
 {lines}
 

@@ -11,6 +11,7 @@ _OPTIONS = {
     "rtol": "--rtol",
     "seed": "--seed",
     "dpi": "--dpi",
+    "turn": "--turn",
 }
 # Longest first; the advice of two methods that are one option is given once.
 _ADVICE = (
