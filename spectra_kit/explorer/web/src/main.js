@@ -133,7 +133,7 @@ async function main() {
   } catch (error) {
     return fail(`This browser cannot draw in three dimensions: WebGL 2 is missing or switched off (${error.message}).`);
   }
-  let mode = -1;
+  let mode = Math.min(facts.first, k - 1);
   const choose = (wanted) => {
     const next = Math.min(Math.max(Math.round(wanted) || 0, 0), k - 1);
     if (next === mode) return;
@@ -172,12 +172,11 @@ async function main() {
     stage.views = views.map(([id, which]) => ({ card: $(id), pane: $(id).querySelector(".pane"), which, gain: 1 }));
     const now = mode;
     mode = -1;
-    choose(Math.max(now, 0));
+    choose(now);
     stage.resize();
   };
   controls(facts, stage, choose, () => mode, arrange);
   arrange();
-  choose(Math.min(facts.first, k - 1));
   new ResizeObserver(() => stage.resize()).observe($("canvas"));
   document.body.classList.add("ready");
   window.explorer = { stage, choose }; // for the console, and for tests

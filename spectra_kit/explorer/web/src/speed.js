@@ -1,6 +1,6 @@
 // What is drawn while something moves on a machine without a fast graphics card.
 
-const FEW = 10000; // triangles or points that any machine can draw
+const FEW = 6000; // triangles or points that any machine can draw
 const MOST = 127; // cells along a side: three digits of that base make one key
 
 /** Whether WebGL runs on the processor: its smoothing of edges would cost more than all the rest. */

@@ -175,8 +175,11 @@ export class Stage {
   resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (!width || !height || !this.views.length) return;
-    this.sharpness();
     const pane = this.views[0].pane.getBoundingClientRect();
+    const sizes = [width, height, pane.width, pane.height, this.views.length, devicePixelRatio].join();
+    if (sizes === this.sizes) return;
+    this.sizes = sizes;
+    this.sharpness();
     this.camera.aspect = pane.width / pane.height;
     this.camera.updateProjectionMatrix();
     const fitted = this.fit(this.camera.aspect);
@@ -191,6 +194,9 @@ export class Stage {
     this.controls.update();
     this.measure();
     this.paint();
+    if (this.playing) return;
+    cancelAnimationFrame(this.asked); // it is drawn
+    this.asked = undefined;
   }
 
   /** Pixels of the canvas for those of the page. */
