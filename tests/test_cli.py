@@ -162,7 +162,7 @@ def test_compare_prints_a_table(capsys):
     out, err = capsys.readouterr()
     assert err == ""
     assert "demo: mesh, 800 vertices" in out
-    assert "exact: arpack  predicted: fourier" in out
+    assert "exact (arpack)  predicted (fourier)" in out
     assert re.search(r"mean of 12 modes, span of \d+ functions", out)
     assert "picture" not in out
 

@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from spectra_kit import eigensolve, robust_laplacian
+from spectra_kit import (
+    AmbientFourier,
+    Arpack,
+    Provenance,
+    RayleighRitz,
+    Spectrum,
+    eigensolve,
+    robust_laplacian,
+)
 from spectra_kit.cli import main
+from spectra_kit.cli.solving import solver_of
 from spectra_kit.geometry import creature, write
 
 DRAWN = ("--dpi", "40", "-q")
@@ -97,6 +106,7 @@ def test_the_page_has_the_name_of_the_file_and_says_what_it_holds(
     page = tmp_path / "animal.html"
     explorer = told["explorer"]
     assert explorer["path"] == "animal.html"
+    assert '"names":["exact (arpack)","predicted (fourier)"]' in page.read_text()
     assert explorer["bytes"] == page.stat().st_size
     assert explorer["n_points"] == 500
     assert explorer["decimated"]
@@ -117,7 +127,20 @@ def test_exact_modes_of_a_comparison_may_be_saved_ones(folder, capsys):
     assert told["comparison"]["mean_span_error"] < 1e-12
     assert "Arpack" in told["exact"]["provenance"]["solver"]
     assert main([*map(str, command), "--spectrum", str(folder / "animal.npz")]) == 0
-    assert "exact: animal.npz  predicted: dense" in capsys.readouterr().out
+    assert "exact (arpack)  predicted (dense)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("made_by", "name"),
+    [
+        (Arpack(), "arpack"),
+        (RayleighRitz(subspace=AmbientFourier(m=8)), "fourier"),
+        ("user", ""),
+    ],
+)
+def test_a_spectrum_is_named_after_its_solver(made_by, name):
+    made = Spectrum([0.0], [[0.5]] * 4, [1.0] * 4, provenance=Provenance(solver=str(made_by)))
+    assert solver_of(made) == name
 
 
 @pytest.mark.parametrize(

@@ -86,9 +86,9 @@ def compare(arguments: argparse.Namespace) -> None:
     shown_modes(arguments.modes, (), k)
     solvers = named_pair(arguments)
     geometry, laplacian = prepare(arguments)
-    exact, truth = exact_modes(arguments, laplacian, solvers)
-    pair = compared(arguments, laplacian, solvers, exact, truth)
-    comparison, predictor = pair.comparison, pair.names[1]
+    exact, name = exact_modes(arguments, laplacian, solvers)
+    pair = compared(arguments, laplacian, solvers, exact, name)
+    comparison = pair.comparison
     k = comparison.k
     if not arguments.json:
         print_blocks(
@@ -99,7 +99,7 @@ def compare(arguments: argparse.Namespace) -> None:
                 comparison,
                 shown_modes(arguments.modes, (*_SHOWN, k - 1), k),
             ),
-            tables.comparison_lines(truth, exact, predictor, pair.predicted, comparison),
+            tables.comparison_lines(pair.names, exact, pair.predicted, comparison),
         )
     if picture:
         from spectra_kit.viz import plot_comparison
@@ -113,7 +113,7 @@ def compare(arguments: argparse.Namespace) -> None:
                 pair.predicted,
                 comparison,
                 modes=shown_modes(arguments.modes, [i + first for i in _DRAWN], k),
-                names=(f"exact: {truth}", f"predicted: {predictor}"),
+                names=pair.names,
                 title=tables.title(arguments.file, geometry),
                 subtitle=tables.comparison_line(comparison),
                 up=up_of(arguments),

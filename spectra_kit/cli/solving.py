@@ -126,10 +126,22 @@ def exact_modes(
 ) -> tuple[Spectrum, str]:
     """Solve for the exact modes and a few more, or read them; and what to call them."""
     if arguments.spectrum:
-        return saved(arguments.spectrum, laplacian), arguments.spectrum.name
+        spectrum = saved(arguments.spectrum, laplacian)
+        solver = solver_of(spectrum)
+        return spectrum, f"exact ({solver})" if solver else "exact"
     name, n_free = arguments.against, len(laplacian.free)
     check_count("k", arguments.k, low=1, high=n_free)
-    return solve(laplacian, min(arguments.k + EXTRA, n_free), name, solvers[name]), name
+    exact = solve(laplacian, min(arguments.k + EXTRA, n_free), name, solvers[name])
+    return exact, f"exact ({name})"
+
+
+def solver_of(spectrum: Spectrum) -> str:
+    """Return the name of the solver that made a spectrum, as ``--solver`` has it; "" if unknown."""
+    made = spectrum.provenance.solver
+    if made.startswith("RayleighRitz(subspace=AmbientFourier("):
+        return "fourier"
+    name = made.split("(")[0].lower()
+    return "" if name == "user" else name
 
 
 def compared(
@@ -149,4 +161,4 @@ def compared(
         if subspace is not None:
             error, dimension = subspace_span_error(subspace, laplacian, exact, predicted)
             comparison = replace(comparison, span_error=error[:k], span_dimension=dimension)
-    return Compared(exact, predicted, comparison, (name, predictor))
+    return Compared(exact, predicted, comparison, (name, f"predicted ({predictor})"))

@@ -98,11 +98,7 @@ def comparison_table(
 
 
 def comparison_lines(
-    exact_name: str,
-    exact: Spectrum,
-    predicted_name: str,
-    predicted: Spectrum,
-    comparison: Comparison,
+    names: tuple[str, str], exact: Spectrum, predicted: Spectrum, comparison: Comparison
 ) -> str:
     """Means over all modes, then the certificates and times of both sides."""
     k, zero = comparison.k, comparison.n_zero_modes
@@ -120,7 +116,7 @@ def comparison_lines(
             f" {count(len(comparison.clusters), 'cluster')}",
         }
     )
-    rows = [["", f"exact: {exact_name}", f"predicted: {predicted_name}"]]
+    rows = [["", *names]]
     for label, value in (
         ("modes solved for", lambda s: str(s.k)),
         ("largest relative residual", _worst),
