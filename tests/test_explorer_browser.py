@@ -348,6 +348,7 @@ def test_a_thinned_cloud_alone_on_a_phone(browser, pages):
     )
     assert not phone.page.is_visible("#view-predicted")
     assert not phone.page.is_visible("#nodal")
+    assert "Nodal lines need triangles" in phone.text("#note")
     assert re.match(r"shown: 1,\d{3} of 2,562 points", phone.text("#subtitle"))
     assert "are those of all" in phone.text("#note")
     phone.page.evaluate("explorer.stage.look([1, 0, 0])")

@@ -45,6 +45,7 @@ function head(facts) {
       `Shown: ${count(facts.shown)} of ${count(facts.points)} points; eigenvalues, residuals and errors are those of all.`,
     );
   notes.push("Functions times √area; values rounded to 1/65,534 of the range of their mode.");
+  if (!facts.faces) notes.push("Nodal lines need triangles; a cloud of points has none.");
   if (facts.predicted)
     notes.push(`Differences below ${short((8 / 32767) * 100, 2)} % of a mode are not shown.`);
   if (facts.predicted)
