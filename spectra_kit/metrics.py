@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from spectra_kit._validate import check_count, frozen
 from spectra_kit.errors import InvalidInputError
@@ -336,6 +335,8 @@ def _pair(
     exact: Spectrum, predicted: Spectrum, k: int | None, cluster_gap: float
 ) -> tuple[int, Ints, tuple[tuple[int, int], ...], int]:
     """Check the input; return k, the pairing, the clusters, and where an open cluster starts."""
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
     if exact.n != predicted.n:
         raise InvalidInputError(
             f"`predicted` must live on the {exact.n} points of `exact`, got {predicted.n} points"
