@@ -70,6 +70,15 @@ def test_a_sphere_is_a_disc_with_each_value_at_its_place(ball, as_cloud):
     assert redness(by_z)[middle, 60] > 50  # the near side, not the far one
 
 
+def test_no_gap_of_a_cloud_shows_its_far_side():
+    points = np.random.default_rng(0).normal(size=(400, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    by_z = draw(PointCloud(points))[2]
+    rows, columns = np.indices(by_z.shape[:2]) - np.array(by_z.shape[:2])[:, None, None] / 2
+    middle = by_z[np.hypot(rows, columns) < 35]
+    assert (middle[:, 0] > middle[:, 2] + 40).all()  # red is near, blue far
+
+
 def test_pictures_are_the_same_twice_and_silent(ball, small_picture, capfd):
     np.testing.assert_array_equal(draw(ball, width=40), small_picture)
     assert capfd.readouterr() == ("", "")

@@ -166,9 +166,10 @@ def test_the_zeros_of_a_height_are_the_equator(ball):
     assert lengths(several).sum() == pytest.approx(2 * np.pi * (1 + np.sqrt(3)), rel=0.01)
     cloud = PointCloud(turned)
     near = level_lines(turned, triangles_of(cloud), turned[:, 2])
+    assert lengths(near).sum() == pytest.approx(2 * np.pi, rel=0.02)  # nor drawn twice
     assert np.abs(near[..., 2]).max() < 1e-12
     angles = np.sort(np.arctan2(near[..., 1], near[..., 0]).ravel())
-    assert np.diff(angles).max() < 0.1  # nowhere broken
+    assert np.diff(angles).max() < 0.15  # nowhere broken
 
 
 def test_zeros_at_vertices_make_one_line():

@@ -15,25 +15,30 @@ Ints = NDArray[np.integer]
 
 _PLATEAU = 1e-6  # of the range of values: what is nearer to a level lies on it
 _ROUNDING = 100 * np.finfo(np.float64).eps  # likewise, of the largest value
-_NEIGHBOURS = 7  # whose triangles with a point of a cloud stand for the surface around it
+_NEIGHBOURS = 30  # of a point of a cloud, among which its triangles are sought
+_BESIDE, _REACH = 12, 2.0  # none reaches so much farther than most do to that neighbour
 
 
 def triangles_of(geometry: Geometry) -> Ints:
     """Return triangles (f, 3) on which functions are taken to be linear.
 
-    Those of a mesh; of a cloud all that a point makes with two of its nearest neighbours. They
-    overlap, but where a function is smooth its zeros on all of them are one line.
+    Those of a mesh; of a cloud the Delaunay stars of all points in their tangent planes, which
+    leave no gaps and agree on most triangles; not those that reach across to another part.
     """
     if isinstance(geometry, TriangleMesh):
         return geometry.faces
-    k = min(_NEIGHBOURS, geometry.n - 1)
-    first, second = np.triu_indices(k, 1)
-    if not len(first):
-        return np.empty((0, 3), dtype=np.int32)
-    _, near = cKDTree(geometry.points).query(geometry.points, k=k + 1)
-    near = near[:, 1:].astype(np.int32)
-    own = np.repeat(np.arange(geometry.n, dtype=np.int32), len(first))
-    return np.column_stack([own, near[:, first].ravel(), near[:, second].ravel()])
+    from spectra_kit.operators._local_delaunay import local_triangles
+
+    points, first = np.unique(geometry.points, axis=0, return_index=True)
+    if len(points) < 4:
+        return np.empty((0, 3), dtype=np.int64)
+    stars, _, _ = local_triangles(points, min(_NEIGHBOURS, len(points) - 1))
+    triangles = np.unique(np.sort(stars, axis=1), axis=0)
+    sides = points[triangles] - points[np.roll(triangles, 1, axis=1)]
+    near = cKDTree(points).query(points, k=min(_BESIDE, len(points) - 1) + 1)[0][:, -1]
+    reach = np.maximum(near[triangles].min(axis=1, keepdims=True), _REACH * np.median(near))
+    short = np.linalg.norm(sides, axis=2) <= reach
+    return np.asarray(first[triangles[short.all(axis=1)]])
 
 
 def level_lines(

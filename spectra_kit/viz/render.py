@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from spectra_kit.errors import MissingDependencyError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.viz.contours import triangles_of
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -33,7 +34,7 @@ class Scene:
     Attributes
     ----------
     geometry : TriangleMesh or PointCloud
-        A cloud is drawn as balls.
+        A cloud is drawn as balls, and behind them the triangles between: no gap shows the far side.
     functions : sequence of ndarray of shape (n,)
         Values in [-1, 1]; what lies outside takes the colour of the end. Without `colours`: the
         colour of each point, shape (n, 3), uint8.
@@ -163,7 +164,8 @@ def _request(scene: Scene) -> dict[str, Any]:
     height = int(np.ceil(extent[1] / unit)) + 2 * _MARGIN
     return {
         "points": seen / unit,
-        "faces": geometry.faces if isinstance(geometry, TriangleMesh) else np.empty((0, 3)),
+        "faces": triangles_of(geometry),
+        "balls": not isinstance(geometry, TriangleMesh),
         "values": np.stack(scene.functions).astype(np.uint8 if colours is None else np.float32),
         "size": [scene.width, height],
         "half_height": height / 2,

@@ -43,17 +43,10 @@ def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
         plotter.add_light(  # in the coordinates of the camera
             pv.Light(position=direction, intensity=strength, light_type="camera light")
         )
-    surface, owner = _surface(request["points"], request["faces"], request["normals"])
-    surface["values"] = request["values"][0][owner]
-    style: dict[str, Any] = (
-        {"smooth_shading": True}
-        if len(request["faces"])
-        else {
-            "style": "points",
-            "render_points_as_spheres": True,
-            "point_size": float(request["diameter"]) * OVERSAMPLE,
-        }
-    )
+    surfaces, owner = _surfaces(request)
+    for surface in surfaces:
+        surface["values"] = request["values"][0][owner]
+    style: dict[str, Any] = {}
     if len(request["colours"]):
         style |= {
             "cmap": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in request["colours"]],
@@ -62,17 +55,25 @@ def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
         }
     else:
         style["rgb"] = True
-    plotter.add_mesh(
-        surface,
-        scalars="values",
-        show_scalar_bar=False,
-        ambient=0.46,
-        diffuse=0.85,
-        specular=0.08,
-        specular_power=30,
-        reset_camera=False,
-        **style,
-    )
+    as_balls: dict[str, Any] = {
+        "style": "points",
+        "render_points_as_spheres": True,
+        "point_size": float(request["diameter"]) * OVERSAMPLE,
+    }
+    for surface in surfaces:
+        plotter.add_mesh(
+            surface,
+            scalars="values",
+            show_scalar_bar=False,
+            ambient=0.46,
+            diffuse=0.85,
+            specular=0.08,
+            specular_power=30,
+            reset_camera=False,
+            smooth_shading=not request["balls"],
+            **style,
+            **({} if surface.n_faces_strict else as_balls),
+        )
     drawn = _add_lines(plotter, request)
     lift = BEFORE * (float(request["line_width"]) + float(request["diameter"]))
     pictures = []
@@ -84,9 +85,13 @@ def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
             for j, lines in drawn.items():
                 lines.visibility = j == i
             for swing in request["swings"]:
-                surface["values"] = values[owner] if swing == 1 else (swing * values)[owner]
+                moved = request["points"]
                 if len(request["shifts"]):
-                    _move(surface, (request["points"] + swing * request["shifts"][i])[owner])
+                    moved = moved + swing * request["shifts"][i]
+                for surface in surfaces:
+                    surface["values"] = values[owner] if swing == 1 else (swing * values)[owner]
+                    if len(request["shifts"]):
+                        _move(surface, moved[owner])
                 plotter.render()
                 picture = plotter.screenshot(return_img=True)
                 assert picture is not None  # it was asked for
@@ -97,24 +102,28 @@ def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
     return np.stack(pictures)
 
 
-def _surface(
-    points: NDArray[np.float64], faces: NDArray[Any], normals: NDArray[np.float64]
-) -> tuple[pv.PolyData, NDArray[np.int64]]:
-    """The geometry with vertices doubled along sharp edges, and which point each vertex was."""
-    if not len(faces):
-        return pv.PolyData(points), np.arange(len(points))
+def _surfaces(request: dict[str, NDArray[Any]]) -> tuple[list[pv.PolyData], NDArray[np.int64]]:
+    """What to draw of the geometry, and which point each vertex was.
+
+    A mesh with vertices doubled along sharp edges; or the balls of a cloud, and triangles.
+    """
+    points, faces, normals = (request[name] for name in ("points", "faces", "normals"))
+    own = np.arange(len(points))
+    if request["balls"]:
+        between = [pv.PolyData.from_regular_faces(points, faces)] if len(faces) else []
+        return [pv.PolyData(points), *between], own
     mesh = pv.PolyData.from_regular_faces(points, faces)
     if len(normals):
         mesh.point_data.active_normals = normals
-        return mesh, np.arange(len(points))
-    mesh["owner"] = np.arange(len(points))
+        return [mesh], own
+    mesh["owner"] = own
     mesh = mesh.compute_normals(
         cell_normals=False,
         split_vertices=True,
         feature_angle=SHARP,
         consistent_normals=False,
     )
-    return mesh, np.asarray(mesh["owner"]).astype(np.int64)
+    return [mesh], np.asarray(mesh["owner"]).astype(np.int64)
 
 
 def _add_lines(plotter: pv.Plotter, request: dict[str, NDArray[Any]]) -> dict[int, pv.Actor]:
