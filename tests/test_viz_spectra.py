@@ -329,11 +329,14 @@ def test_curves_are_rows_of_the_signature(exact):
 def test_balls_have_the_colours_of_their_curves_and_hidden_ones_are_told(ball, as_cloud):
     geometry = ball.as_cloud() if as_cloud else ball
     # Seen from the view that is chosen, the first two are in front, the third is behind.
-    seen = geometry.points @ choose_view(geometry).T
+    rotation = choose_view(geometry)
+    seen = geometry.points @ rotation.T
     aim = np.array([[-0.5, 0, 0.86], [0.5, 0, 0.86], [0, 0, -1]])
     points = np.linalg.norm(seen[:, None] - aim, axis=2).argmin(axis=0)
     try:
-        pictures, visible = _pictures(geometry, [_panel(seen[:, 1], "")], points, None, 60)
+        pictures, visible = _pictures(
+            geometry, [_panel(seen[:, 1], "")], points, choose_view(geometry), 60
+        )
     except MissingDependencyError as error:
         pytest.skip(f"no picture can be drawn here: {error}")
     assert visible.tolist() == [True, True, False]
