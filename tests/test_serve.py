@@ -114,7 +114,11 @@ def test_a_browser_shows_the_modes_and_the_slider_changes_them(server, page):
     for panel in first[:2]:  # the first mode has two signs, exact and predicted
         assert min(shares(panel)) > 0.01
     np.testing.assert_allclose(shares(first[0]), shares(first[1]), rtol=0.1)
-    assert page.locator(".heads div").all_inner_texts() == ["arpack", "fourier", "difference"]
+    assert page.locator(".heads div").all_inner_texts() == [
+        "exact (arpack)",
+        "predicted (fourier)",
+        "difference",
+    ]
 
     slider = page.locator("#mode")
     assert (slider.get_attribute("min"), slider.get_attribute("max")) == ("0", "7")
