@@ -17,6 +17,7 @@ from spectra_kit.viz.panels import Panel, draw_panels
 from spectra_kit.viz.pen import Pen
 from spectra_kit.viz.render import Scene, render
 from spectra_kit.viz.sheet import MARGIN, new_figure, save, tidy
+from spectra_kit.viz.signs import display_signs
 from spectra_kit.viz.spectra import draw_eigenvalues
 
 Floats = NDArray[np.float64]
@@ -39,8 +40,9 @@ def draw_hero(
 ) -> None:
     """Draw two rows of four: a mode in three panels and the eigenvalues; then the applications."""
     view, width = choose_view(mesh), round(CELL * dpi)
-    left = exact.eigenvectors[:, MODE]
-    right = align_modes(exact, predicted, comparison)[:, MODE]
+    sign = display_signs(exact.eigenvectors)[MODE]
+    left = sign * exact.eigenvectors[:, MODE]
+    right = sign * align_modes(exact, predicted, comparison)[:, MODE]
     limit = float(np.percentile(np.abs(left), 99))
     modes = [Panel(values=f, limit=limit, levels=(0.0,)) for f in (left, right)]
     modes.append(Panel(values=right - left, limit=limit))
