@@ -251,7 +251,7 @@ def test_processes_end_with_the_one_that_started_them(tmp_path):
     worker = int(parent.stdout.readline())
     parent.kill()
     parent.communicate()
-    for _ in range(100):
+    for _ in range(600):
         if not _alive(worker):
             return
         time.sleep(0.1)
