@@ -84,7 +84,7 @@ def test_neo_runs_from_a_weights_file(capsys, tmp_path):
         capsys, "compare", "demo", "--points", 700, "-k", 5, "--solver", "neo",
         "--weights", weights, "--poses", 2,
     )  # fmt: skip
-    exact, predicted = result["exact"]["eigenvalues"], result["predicted"]["eigenvalues"]
+    exact, predicted = result["reference"]["eigenvalues"], result["predicted"]["eigenvalues"]
     assert (np.array(predicted) >= np.array(exact) * (1 - 1e-9) - 1e-9).all()  # Rayleigh-Ritz
     assert result["comparison"]["span_dimension"] == 81
 
@@ -193,7 +193,7 @@ def test_options_reach_the_solvers_that_take_them(files, capsys):
             else:
                 assert f"--{option} is for the solvers" in refusal(capsys, *command)
     comparison = ("compare", ball, "-k", 4, "--solver", "fourier")
-    exact = output(capsys, *comparison, "--against", "refined", "--rtol", "1e-4")["exact"]
+    exact = output(capsys, *comparison, "--against", "refined", "--rtol", "1e-4")["reference"]
     assert "rtol=0.0001" in exact["provenance"]["solver"]  # one of the two takes it
 
 

@@ -1,6 +1,8 @@
 """The commands that draw: what they write, and from which modes."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +18,8 @@ from spectra_kit import (
     robust_laplacian,
 )
 from spectra_kit.cli import main
-from spectra_kit.cli.solving import solver_of
-from spectra_kit.geometry import creature, write
+from spectra_kit.cli.solving import is_exact, reference_name, solver_of
+from spectra_kit.geometry import creature, read, write
 
 DRAWN = ("--dpi", "40", "-q")
 
@@ -125,9 +127,56 @@ def test_exact_modes_of_a_comparison_may_be_saved_ones(folder, capsys):
     command = ("compare", folder / "animal.ply", "-q", "--solver", "dense", "-k", "9")
     told = record(capsys, *command, "--spectrum", folder / "animal.npz")
     assert told["comparison"]["mean_span_error"] < 1e-12
-    assert "Arpack" in told["exact"]["provenance"]["solver"]
+    assert "Arpack" in told["reference"]["provenance"]["solver"]
     assert main([*map(str, command), "--spectrum", str(folder / "animal.npz")]) == 0
-    assert "exact (arpack)  predicted (dense)" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "exact (arpack)  predicted (dense)" in out
+    assert "not against exact modes" not in out
+
+
+def test_modes_that_were_predicted_are_never_called_exact(folder, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    mesh = str(folder / "animal.ply")
+    guess = RayleighRitz(subspace=AmbientFourier(m=60))
+    eigensolve(robust_laplacian(read(mesh)), 9, guess).save("guess.npz")
+    for reference, name in (
+        (("--spectrum", "guess.npz"), "predicted (fourier)"),
+        (("--against", "capped"), "predicted (capped)"),
+    ):
+        command = ("compare", mesh, "-q", "--solver", "fourier", "-k", "8", *reference)
+        told = record(capsys, *command)
+        assert "exact" not in told
+        assert told["reference"]["name"] == f"reference, {name}"
+        assert [told[side]["exact"] for side in ("reference", "predicted")] == [False, False]
+        assert main([*command, "-o", "errors.svg", "--dpi", "40"]) == 0
+        out, drawn = capsys.readouterr().out, Path("errors.svg").read_text()
+        assert f"\n\nerrors are against the reference, {name}, not against exact modes" in out
+        assert re.search(r"mode +reference +predicted +change", out)
+        for text in (out, drawn):
+            assert "exact" not in text.replace("not against exact modes", "")
+    page = ("explore", mesh, "--spectrum", "guess.npz", "-k", "8", "-q")
+    record(capsys, *page, "--solver", "fourier")
+    names = '"names":["reference, predicted (fourier)","predicted (fourier)"]'
+    assert names in Path("animal.html").read_text()
+    assert record(capsys, *page, "--solver", "none")["reference"]["name"] == "predicted (fourier)"
+    assert '"names":["predicted (fourier)",""]' in Path("animal.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("made_by", "name"),
+    [
+        ("Lobpcg(rtol=1e-08)", "exact (lobpcg)"),
+        ("Neo(NeoSubspace('small'))", "reference, predicted (neo)"),
+        ("Polished(start=NeoSubspace('small'))", "reference, predicted (polished)"),
+        ("RayleighRitz(subspace=RandomBasis(m=9))", "reference, predicted (rayleighritz)"),
+        ("pyFM", "reference, modes (pyfm)"),
+        ("user", "reference, modes (solver unknown)"),
+    ],
+)
+def test_a_reference_is_exact_only_if_a_solver_to_tolerance_made_it(made_by, name):
+    made = Spectrum([0.0], [[0.5]] * 4, [1.0] * 4, provenance=Provenance(solver=made_by))
+    assert reference_name(made) == name
+    assert is_exact(made) == name.startswith("exact")
 
 
 @pytest.mark.parametrize(

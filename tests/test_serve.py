@@ -127,7 +127,7 @@ def test_a_browser_shows_the_modes_and_the_slider_changes_them(server, page):
     second = settled(page, first)
     assert page.locator("output").inner_text() == "2 of 7"
     row = page.locator("tr", has_text="eigenvalue").locator("td").all_inner_texts()
-    values = [told[name]["eigenvalues"][2] for name in ("exact", "predicted")]
+    values = [told[name]["eigenvalues"][2] for name in ("reference", "predicted")]
     np.testing.assert_allclose([float(cell) for cell in row], values, rtol=1e-5)
 
     box = page.locator(".scene").bounding_box()  # turn the first: the others turn with it

@@ -219,4 +219,4 @@ def _add_both_solvers(parser: argparse.ArgumentParser, *, none: bool = False) ->
         default="arpack",
         help="what solves for the truth, one of the same (default: %(default)s)",
     )
-    add_saved(group, "exact modes")
+    add_saved(group, "modes to compare with")

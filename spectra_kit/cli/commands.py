@@ -14,9 +14,9 @@ from spectra_kit.cli.output import check_output, print_blocks, print_json
 from spectra_kit.cli.progress import say, step
 from spectra_kit.cli.solving import (
     compared,
-    exact_modes,
     named_pair,
     prepare,
+    reference_modes,
     shown_modes,
     solve,
 )
@@ -78,7 +78,7 @@ def spectrum(arguments: argparse.Namespace) -> None:
 
 
 def compare(arguments: argparse.Namespace) -> None:
-    """Set predicted modes beside exact ones, as a table and as a picture."""
+    """Set predicted modes beside exact ones, or others, as a table and as a picture."""
     picture: Path | None = arguments.picture
     if picture:
         check_output(picture, PICTURES, [arguments.file, *filter(None, [arguments.spectrum])])
@@ -86,20 +86,21 @@ def compare(arguments: argparse.Namespace) -> None:
     shown_modes(arguments.modes, (), k)
     solvers = named_pair(arguments)
     geometry, laplacian = prepare(arguments)
-    exact, name = exact_modes(arguments, laplacian, solvers)
-    pair = compared(arguments, laplacian, solvers, exact, name)
+    pair = compared(arguments, laplacian, solvers, reference_modes(arguments, laplacian, solvers))
     comparison = pair.comparison
     k = comparison.k
     if not arguments.json:
         print_blocks(
             tables.headline(arguments.file, geometry, laplacian),
             tables.comparison_table(
-                exact,
+                pair.names,
+                pair.reference,
                 pair.predicted,
                 comparison,
                 shown_modes(arguments.modes, (*_SHOWN, k - 1), k),
             ),
-            tables.comparison_lines(pair.names, exact, pair.predicted, comparison),
+            tables.comparison_lines(pair.names, pair.reference, pair.predicted, comparison),
+            *([pair.caution] if pair.caution else []),
         )
     if picture:
         from spectra_kit.viz import plot_comparison
@@ -109,13 +110,15 @@ def compare(arguments: argparse.Namespace) -> None:
             plot_comparison(
                 picture,
                 geometry,
-                exact,
+                pair.reference,
                 pair.predicted,
                 comparison,
                 modes=shown_modes(arguments.modes, [i + first for i in _DRAWN], k),
                 names=pair.names,
                 title=tables.title(arguments.file, geometry),
-                subtitle=tables.comparison_line(comparison),
+                subtitle="; ".join(
+                    filter(None, [tables.comparison_line(comparison), pair.caution])
+                ),
                 up=up_of(arguments),
                 turn=arguments.turn,
                 dpi=arguments.dpi,
@@ -124,9 +127,7 @@ def compare(arguments: argparse.Namespace) -> None:
         print_json(
             input=arguments.file,
             geometry=tables.geometry_record(geometry),
-            exact=tables.spectrum_record(exact),
-            predicted=tables.spectrum_record(pair.predicted),
-            comparison=tables.comparison_record(comparison),
+            **pair.record(),
             picture=picture and str(picture),
         )
     elif picture:

@@ -10,7 +10,15 @@ from spectra_kit.cli import tables
 from spectra_kit.cli.options import up_of
 from spectra_kit.cli.output import check_output, print_blocks, print_json
 from spectra_kit.cli.progress import counted, say
-from spectra_kit.cli.solving import Compared, compared, exact_modes, named_pair, prepare
+from spectra_kit.cli.solving import (
+    Compared,
+    alone_record,
+    compared,
+    name_of,
+    named_pair,
+    prepare,
+    reference_modes,
+)
 from spectra_kit.explorer import Explorer, write_explorer
 from spectra_kit.geometry import Geometry
 from spectra_kit.operators import Laplacian
@@ -28,21 +36,21 @@ def explore(arguments: argparse.Namespace) -> None:
     check_count("--port", arguments.port, low=0, high=65535)
     solvers = named_pair(arguments)
     geometry, laplacian = prepare(arguments)
-    exact, name = exact_modes(arguments, laplacian, solvers)
+    reference = reference_modes(arguments, laplacian, solvers)
     pair = None
     if arguments.solver == "none":
-        exact = exact.truncate(min(k, exact.k))
+        reference = reference.truncate(min(k, reference.k))
     else:
-        pair = compared(arguments, laplacian, solvers, exact, name)
-    names = pair.names if pair else (name, "")
+        pair = compared(arguments, laplacian, solvers, reference)
+    names = pair.names if pair else (name_of(reference), "")
     if arguments.serve:
-        _serve(arguments, geometry, exact, pair, names)
+        _serve(arguments, geometry, reference, pair, names)
         return
     with counted(f"writing {page}", "step") as tell:
         written = write_explorer(
             page,
             geometry,
-            exact,
+            reference,
             pair.predicted if pair else None,
             comparison=pair.comparison if pair else None,
             names=names,
@@ -52,15 +60,17 @@ def explore(arguments: argparse.Namespace) -> None:
             progress=tell,
         )
     if arguments.json:
-        print_json(**_record(arguments, geometry, exact, pair), explorer=vars(written), url=None)
+        print_json(
+            **_record(arguments, geometry, reference, pair), explorer=vars(written), url=None
+        )
         return
-    print_blocks(*_tables(arguments, geometry, laplacian, exact, pair), _next(written))
+    print_blocks(*_tables(arguments, geometry, laplacian, reference, pair), _next(written))
 
 
 def _serve(
     arguments: argparse.Namespace,
     geometry: Geometry,
-    exact: Spectrum,
+    reference: Spectrum,
     pair: Compared | None,
     names: tuple[str, str],
 ) -> None:
@@ -68,14 +78,14 @@ def _serve(
 
     def ready(url: str) -> None:
         if arguments.json:
-            print_json(**_record(arguments, geometry, exact, pair), explorer=None, url=url)
+            print_json(**_record(arguments, geometry, reference, pair), explorer=None, url=url)
         else:
             print_blocks(f"serving {arguments.file} to this machine alone: {url}")
             say("Ctrl-C ends it")
 
     serve(
         geometry,
-        exact,
+        reference,
         pair.predicted if pair else None,
         comparison=pair.comparison if pair else None,
         names=names,
@@ -89,14 +99,12 @@ def _serve(
 
 
 def _record(
-    arguments: argparse.Namespace, geometry: Geometry, exact: Spectrum, pair: Compared | None
+    arguments: argparse.Namespace, geometry: Geometry, reference: Spectrum, pair: Compared | None
 ) -> tables.Record:
     return {
         "input": arguments.file,
         "geometry": tables.geometry_record(geometry),
-        "exact": tables.spectrum_record(exact),
-        "predicted": pair and tables.spectrum_record(pair.predicted),
-        "comparison": pair and tables.comparison_record(pair.comparison),
+        **(pair.record() if pair else alone_record(reference)),
     }
 
 
@@ -104,12 +112,12 @@ def _tables(
     arguments: argparse.Namespace,
     geometry: Geometry,
     laplacian: Laplacian,
-    exact: Spectrum,
+    reference: Spectrum,
     pair: Compared | None,
 ) -> list[str]:
     head = tables.headline(arguments.file, geometry, laplacian)
     if pair is None:
-        return [head, tables.certificate_lines(exact)]
+        return [head, tables.certificate_lines(reference)]
     return [head, tables.comparison_line(pair.comparison)]
 
 

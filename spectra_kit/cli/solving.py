@@ -9,8 +9,9 @@ from pathlib import Path
 
 from spectra_kit._validate import check_count
 from spectra_kit.cli.inputs import EXTRA, assemble, load, solvers_named
+from spectra_kit.cli.options import SOLVERS
 from spectra_kit.cli.progress import step
-from spectra_kit.cli.tables import count
+from spectra_kit.cli.tables import Record, comparison_record, count, spectrum_record
 from spectra_kit.eigensolvers import Eigensolver, eigensolve
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry
@@ -18,6 +19,9 @@ from spectra_kit.metrics import Comparison, compare_spectra, subspace_span_error
 from spectra_kit.operators import Laplacian
 from spectra_kit.spectrum import Spectrum
 
+# Those that stop when the residuals are small; the others stop after so much work.
+EXACT = ("arpack", "multilevel", "refined", "lobpcg", "dense")
+PREDICT = (*(name for name in SOLVERS if name not in EXACT), "rayleighritz")
 _SAME = (10.0, 1e-6)  # residuals of a saved mode may grow by this factor and this much
 
 
@@ -105,34 +109,78 @@ def default_predictor() -> str:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Exact modes, predicted ones, their errors, and what the two are called."""
+    """Modes to compare with, predicted ones, their errors, and what the two are called."""
 
-    exact: Spectrum
+    reference: Spectrum
     predicted: Spectrum
     comparison: Comparison
     names: tuple[str, str]
 
+    @property
+    def caution(self) -> str:
+        """What to keep in mind where the errors are not those against the truth; else empty."""
+        if is_exact(self.reference):
+            return ""
+        return f"errors are against the {self.names[0]}, not against exact modes"
+
+    def record(self) -> Record:
+        """Everything, as JSON has it."""
+        return {
+            "reference": named_record(self.names[0], self.reference),
+            "predicted": named_record(self.names[1], self.predicted),
+            "comparison": comparison_record(self.comparison),
+        }
+
+
+def alone_record(spectrum: Spectrum) -> Record:
+    """Return the same of modes that are compared with none."""
+    reference = named_record(name_of(spectrum), spectrum)
+    return {"reference": reference, "predicted": None, "comparison": None}
+
+
+def named_record(name: str, spectrum: Spectrum) -> Record:
+    """Return a spectrum with its name, and whether it is exact."""
+    return {"name": name, "exact": is_exact(spectrum), **spectrum_record(spectrum)}
+
 
 def named_pair(arguments: argparse.Namespace) -> dict[str, Eigensolver]:
-    """Return the solvers of the truth, unless it is saved, and of the prediction, if any."""
+    """Return the solvers of the reference, unless it is saved, and of the prediction, if any."""
     names = [] if arguments.spectrum else [arguments.against]
     if arguments.solver != "none":
         names.append(arguments.solver or default_predictor())
     return dict(zip(names, solvers_named(arguments, *names), strict=True))
 
 
-def exact_modes(
+def reference_modes(
     arguments: argparse.Namespace, laplacian: Laplacian, solvers: Mapping[str, Eigensolver]
-) -> tuple[Spectrum, str]:
-    """Solve for the exact modes and a few more, or read them; and what to call them."""
+) -> Spectrum:
+    """Solve for the modes to compare with and a few more, or read them."""
     if arguments.spectrum:
-        spectrum = saved(arguments.spectrum, laplacian)
-        solver = solver_of(spectrum)
-        return spectrum, f"exact ({solver})" if solver else "exact"
+        return saved(arguments.spectrum, laplacian)
     name, n_free = arguments.against, len(laplacian.free)
     check_count("k", arguments.k, low=1, high=n_free)
-    exact = solve(laplacian, min(arguments.k + EXTRA, n_free), name, solvers[name])
-    return exact, f"exact ({name})"
+    return solve(laplacian, min(arguments.k + EXTRA, n_free), name, solvers[name])
+
+
+def is_exact(spectrum: Spectrum) -> bool:
+    """Whether a solver made it that goes on until its residuals are small."""
+    return solver_of(spectrum) in EXACT
+
+
+def name_of(spectrum: Spectrum) -> str:
+    """Return what to call modes by themselves: exact, predicted or neither, and by what."""
+    solver = solver_of(spectrum)
+    if solver in EXACT:
+        return f"exact ({solver})"
+    if solver in PREDICT:
+        return f"predicted ({solver})"
+    return f"modes ({solver or 'solver unknown'})"
+
+
+def reference_name(spectrum: Spectrum) -> str:
+    """Return what to call modes that others are compared with; exact only if they are."""
+    name = name_of(spectrum)
+    return name if is_exact(spectrum) else f"reference, {name}"
 
 
 def solver_of(spectrum: Spectrum) -> str:
@@ -148,17 +196,17 @@ def compared(
     arguments: argparse.Namespace,
     laplacian: Laplacian,
     solvers: Mapping[str, Eigensolver],
-    exact: Spectrum,
-    name: str,
+    reference: Spectrum,
 ) -> Compared:
     """Predict the modes, and measure the errors."""
-    k, predictor = min(arguments.k, exact.k), arguments.solver or default_predictor()
+    k, predictor = min(arguments.k, reference.k), arguments.solver or default_predictor()
     wanted = min(k + EXTRA, len(laplacian.free))
     predicted = solve(laplacian, wanted, predictor, solvers[predictor])
     with step("comparing"):
-        comparison = compare_spectra(exact, predicted, k=k)
+        comparison = compare_spectra(reference, predicted, k=k)
         subspace = getattr(solvers[predictor], "subspace", None)
         if subspace is not None:
-            error, dimension = subspace_span_error(subspace, laplacian, exact, predicted)
+            error, dimension = subspace_span_error(subspace, laplacian, reference, predicted)
             comparison = replace(comparison, span_error=error[:k], span_dimension=dimension)
-    return Compared(exact, predicted, comparison, (name, f"predicted ({predictor})"))
+    names = reference_name(reference), f"predicted ({predictor})"
+    return Compared(reference, predicted, comparison, names)

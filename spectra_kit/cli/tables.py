@@ -69,13 +69,18 @@ def certificate_lines(spectrum: Spectrum) -> str:
 
 
 def comparison_table(
-    exact: Spectrum, predicted: Spectrum, comparison: Comparison, modes: Sequence[int]
+    names: tuple[str, str],
+    reference: Spectrum,
+    predicted: Spectrum,
+    comparison: Comparison,
+    modes: Sequence[int],
 ) -> str:
-    """Eigenvalues, errors and relative residuals of some modes."""
-    ours, theirs = _certificate(exact), _certificate(predicted)
+    """Eigenvalues, errors and relative residuals of some modes, by the first words of the names."""
+    ours, theirs = _certificate(reference), _certificate(predicted)
+    left, right = (name.split()[0].rstrip(",") for name in names)
     rows = [
         ("", "eigenvalue", "", "", "error of", "of its", "outside", "relative", "residual"),
-        ("mode", "exact", "predicted", "change", "mode", "cluster", "span", "exact", "predicted"),
+        ("mode", left, right, "change", "mode", "cluster", "span", left, right),
     ]
     for i in modes:
         true, guess = comparison.eigenvalues[i], comparison.predicted_eigenvalues[i]
@@ -98,7 +103,7 @@ def comparison_table(
 
 
 def comparison_lines(
-    names: tuple[str, str], exact: Spectrum, predicted: Spectrum, comparison: Comparison
+    names: tuple[str, str], reference: Spectrum, predicted: Spectrum, comparison: Comparison
 ) -> str:
     """Means over all modes, then the certificates and times of both sides."""
     k, zero = comparison.k, comparison.n_zero_modes
@@ -124,10 +129,10 @@ def comparison_lines(
         ("zero modes", _kernel),
         ("seconds in all", lambda s: f"{sum(s.provenance.seconds.values()):.2f}"),
     ):
-        rows.append([label, value(exact), value(predicted)])
-    stages = dict.fromkeys([*exact.provenance.seconds, *predicted.provenance.seconds])
+        rows.append([label, value(reference), value(predicted)])
+    stages = dict.fromkeys([*reference.provenance.seconds, *predicted.provenance.seconds])
     for stage in stages:
-        times = [s.provenance.seconds.get(stage) for s in (exact, predicted)]
+        times = [s.provenance.seconds.get(stage) for s in (reference, predicted)]
         if max(t or 0.0 for t in times) >= 0.005:
             rows.append([f"  {stage}", *("" if t is None else f"{t:.2f}" for t in times)])
     return means + "\n\n" + align(rows, left=1)
