@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
@@ -14,6 +15,20 @@ from spectra_kit.errors import InvalidInputError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Array = TypeVar("Array", bound=NDArray[np.generic])
+
+
+def quantity(n: int, noun: str) -> str:
+    """Return `n` things in words, one of them as one.
+
+    Examples
+    --------
+    >>> quantity(1, "entry"), quantity(1234, "unreferenced vertex")
+    ('1 entry', '1,234 unreferenced vertices')
+    """
+    if n != 1:
+        stem, ending = re.sub("(ex|try)$", "", noun), {"ex": "ices", "try": "tries"}
+        noun = stem + ending.get(noun[len(stem) :], "s")
+    return f"{n:,} {noun}"
 
 
 def frozen(array: Array) -> Array:
@@ -40,7 +55,7 @@ def real_array(name: str, values: ArrayLike) -> Floats:
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])
         raise InvalidInputError(
-            f"`{name}` must be finite, got {int(bad.sum())} NaN or infinite values,"
+            f"`{name}` must be finite, got {quantity(bad.sum(), 'NaN or infinite value')},"
             f" the first at {first}; remove or repair those rows"
         )
     return floats
@@ -94,7 +109,7 @@ def check_mass(name: str, values: ArrayLike, n: int) -> Floats:
     array = real_array(name, values)
     if not (array > 0).all():
         raise InvalidInputError(
-            f"`{name}` must be positive, got {int((array <= 0).sum())} entries <= 0"
+            f"`{name}` must be positive, got {quantity((array <= 0).sum(), 'entry')} <= 0"
             f" (smallest {array.min():.3g}); drop unreferenced vertices with"
             " `mesh.without_unreferenced()` or duplicate points with `cloud.without_duplicates()`"
         )

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from spectra_kit._spectrum_file import read_spectrum_file, write_spectrum_file
-from spectra_kit._validate import Rebuilt, check_count, check_positive, frozen, real_array
+from spectra_kit._validate import Rebuilt, check_count, check_positive, frozen, quantity, real_array
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
 from spectra_kit.linalg.residuals import residual_norms
 from spectra_kit.operators.laplacian import ZERO_MODE, Laplacian
@@ -199,7 +199,7 @@ class Spectrum(Rebuilt):
             hint = "; transposed?" if vectors.shape == (len(values), len(mass)) else ""
             raise InvalidSpectrumError(
                 f"`eigenvectors` must have shape ({len(mass)}, {len(values)}) for {len(mass)}"
-                f" masses and {len(values)} eigenvalues, got {vectors.shape}{hint}"
+                f" masses and {quantity(len(values), 'eigenvalue')}, got {vectors.shape}{hint}"
             )
         if np.any(np.diff(values) < 0) or (len(values) and values[0] < 0):
             raise InvalidSpectrumError(
@@ -209,11 +209,11 @@ class Spectrum(Rebuilt):
             )
         if not (mass > 0).all():
             raise InvalidSpectrumError(
-                f"`mass` must be positive, got {int((mass <= 0).sum())} entries <= 0"
+                f"`mass` must be positive, got {quantity((mass <= 0).sum(), 'entry')} <= 0"
             )
         if self.certificate is not None and len(self.certificate.residuals) != len(values):
             raise InvalidSpectrumError(
-                f"`certificate` must cover {len(values)} modes,"
+                f"`certificate` must cover {quantity(len(values), 'mode')},"
                 f" got {len(self.certificate.residuals)}"
             )
         for name, array in (("eigenvalues", values), ("eigenvectors", vectors), ("mass", mass)):
@@ -296,7 +296,7 @@ class Spectrum(Rebuilt):
         gain = np.asarray(response(self.eigenvalues), dtype=np.float64)
         if gain.shape != (self.k,):
             raise InvalidInputError(
-                f"`response` must return shape ({self.k},) for {self.k} eigenvalues,"
+                f"`response` must return shape ({self.k},) for {quantity(self.k, 'eigenvalue')},"
                 f" got {gain.shape}"
             )
         return self.reconstruct((gain * self.project(values).T).T)
@@ -341,8 +341,8 @@ class Spectrum(Rebuilt):
         held = np.abs(self.eigenvectors[laplacian.fixed]).max(initial=0.0)
         if held > 1e-8 * np.abs(self.eigenvectors).max(initial=0.0):
             raise InvalidInputError(
-                f"`laplacian` holds {len(laplacian.fixed)} points at zero, where these modes reach"
-                f" {held:.3g}; they belong to another boundary condition"
+                f"`laplacian` holds {quantity(len(laplacian.fixed), 'point')} at zero, where these"
+                f" modes reach {held:.3g}; they belong to another boundary condition"
             )
 
     def orthonormality_error(self) -> float:
@@ -500,7 +500,7 @@ def _as_float64(name: str, values: ArrayLike, ndim: int) -> Floats:
     array = np.asarray(array, dtype=np.float64)
     if not isinstance(values, np.memmap) and not np.isfinite(array).all():
         raise InvalidSpectrumError(
-            f"`{name}` must be finite, got {int((~np.isfinite(array)).sum())} NaN or infinite"
-            " values"
+            f"`{name}` must be finite, got"
+            f" {quantity((~np.isfinite(array)).sum(), 'NaN or infinite value')}"
         )
     return array

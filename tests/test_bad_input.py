@@ -103,7 +103,7 @@ def test_methods_check_what_they_are_given():
         (lambda: _validate.check_mass("mass", [1.0, 2.0], 3), r"`mass` must have shape \(3,\)"),
         (
             lambda: _validate.check_mass("mass", [1.0, 0.0], 2),
-            "must be positive, got 1 entries <= 0",
+            "must be positive, got 1 entry <= 0",
         ),
         (lambda: _validate.check_mass("mass", [1.0, np.nan], 2), "`mass` must be finite"),
         (lambda: _validate.check_count("k", 2.0, low=1), "`k` must be an integer, got 2.0"),

@@ -156,7 +156,7 @@ def test_a_tolerance_below_rounding_is_given_up_soon(laplacian, exact):
 def test_bad_starts_and_operators_are_refused(laplacian):
     start = noise(laplacian.n, 12)
     start[3, 4] = torch.nan
-    with pytest.raises(InvalidInputError, match="1 columns with NaN or infinite values of 12"):
+    with pytest.raises(InvalidInputError, match="1 column with NaN or infinite values of 12"):
         refine(laplacian, start, 8, rtol=1e-6)
     hollow = sparse_tensor(sparse.csr_array([[0.0, 1.0], [1.0, 2.0]]))
     with pytest.raises(InvalidInputError, match="must store all 2 entries of its diagonal, got 1"):

@@ -10,6 +10,7 @@ import pytest
 from conftest import bumpy, two_parts
 
 from spectra_kit import Lobpcg, Spectrum, eigensolve, robust_laplacian
+from spectra_kit._validate import quantity
 from spectra_kit.cli import inputs, main, options, run, tables
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
@@ -339,8 +340,8 @@ def test_tables_ask_for_a_certificate(bumpy_laplacian):
 
 
 def test_one_is_singular():
-    assert tables.count(1, "vertex") == "1 vertex"
-    assert tables.count(1234, "unreferenced vertex") == "1,234 unreferenced vertices"
+    assert quantity(1, "vertex") == "1 vertex"
+    assert quantity(1234, "unreferenced vertex") == "1,234 unreferenced vertices"
     triangle = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     head = tables.headline("a.off", triangle, robust_laplacian(triangle))
     assert head.startswith("a.off: mesh, 3 vertices, 1 face\n")

@@ -263,7 +263,7 @@ def test_they_refuse():
         exact_distances(lone, 64)
     line = TriangleMesh(mesh.points, np.concatenate([mesh.faces, [[0, 1, 1]]]))
     with pytest.raises(
-        InvalidInputError, match=f"1 faces that name a vertex.*is {len(mesh.faces)}"
+        InvalidInputError, match=f"1 face with a vertex twice.*is {len(mesh.faces)}"
     ):
         exact_distances(line, 0)
 

@@ -300,7 +300,7 @@ def test_a_dense_cluster(scale) -> None:
         (lambda: BALL.with_points(np.where(BALL.points > 0.99, np.nan, 0)), "must be finite"),
         (lambda: BALL.with_points(np.where(BALL.points > 0.99, np.inf, 0)), "must be finite"),
         (lambda: PointCloud(np.vstack([BALL.points, BALL.points[:1]])), "without_duplicates"),
-        (lambda: PointCloud(BALL.points * [1, 0, 0]), "duplicate points|on one line"),
+        (lambda: PointCloud(BALL.points * [1, 0, 0]), "duplicate point|on one line"),
         (lambda: PointCloud(np.eye(3)), "at least 4 points"),
         (lambda: BALL.points, "must be a TriangleMesh or PointCloud, got ndarray"),
         (lambda: (BALL.points, BALL.faces), "got tuple"),

@@ -447,11 +447,11 @@ BAD = {
     ),
     "lone vertex": (
         lambda: intrinsic_delaunay(TriangleMesh(np.eye(4, 3), [[0, 1, 2]])),
-        "1 vertices that no face uses",
+        "1 vertex that no face uses",
     ),
     "vertex twice": (
         lambda: intrinsic_delaunay(TriangleMesh(np.eye(3), [[0, 1, 2], [0, 1, 1]])),
-        "1 faces that name a vertex twice",
+        "1 face with a vertex twice",
     ),
     "one point": (
         lambda: intrinsic_delaunay(TriangleMesh(np.ones((3, 3)), [[0, 1, 2]])),

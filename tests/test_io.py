@@ -390,7 +390,7 @@ FACET = "facet normal 0 0 1\nouter loop\nvertex {}\nvertex 1 0 0\nvertex 0 1 0\n
         ("a.off", "# only a comment\n", "must start with the keyword OFF, got ''"),
         ("a.off", "OFF\nBINARY\n", "must announce its numbers of vertices and faces"),
         ("a.off", "OFF\n", "must announce its numbers of vertices and faces"),
-        ("a.off", "OFF\n3 1 0\n0 0 0\n", "announces 3 vertices and 1 faces, but 1 lines follow"),
+        ("a.off", "OFF\n3 1 0\n0 0 0\n", "announces 3 vertices and 1 face, followed by 1 line;"),
         ("a.off", "OFF\n1 1 0\n0 0 0\n3 0 0\n", "line 4 is broken: '3 0 0'"),
         ("a.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n", r"must be in \[0, 3\), got 3"),
         ("a.off", "OFF\n3 1 0\n0 0 0\n1 0 inf\n0 1 0\n3 0 1 2\n", "must be finite"),

@@ -192,11 +192,11 @@ BAD = {
     ),
     "unreferenced": (
         lambda: robust_laplacian(TriangleMesh(POINTS, [[0, 1, 2]])),
-        r"1 vertices that no face uses.*without_unreferenced",
+        r"1 vertex that no face uses.*without_unreferenced",
     ),
     "vertex twice": (
         lambda: robust_laplacian(TriangleMesh(TRIANGLES, [[0, 1, 2], [1, 3, 1]])),
-        r"1 faces that name a vertex twice.*without_degenerate_faces",
+        r"1 face with a vertex twice.*without_degenerate_faces",
     ),
     "cotan of a needle": (
         lambda: cotan_laplacian(TriangleMesh(LINE[:3], [[0, 1, 2]])),
@@ -214,7 +214,7 @@ BAD = {
     "cloud on a line": (lambda: robust_laplacian(PointCloud(LINE)), "points on one line"),
     "cloud with duplicates": (
         lambda: robust_laplacian(PointCloud(TWICE)),
-        r"1 duplicate points \(such as 0 and 3\).*without_duplicates",
+        r"1 duplicate point \(such as 0 and 3\).*without_duplicates",
     ),
     "few neighbours": (
         lambda: robust_laplacian(PointCloud(POINTS), n_neighbors=2),

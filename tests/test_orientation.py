@@ -133,7 +133,7 @@ def test_mixed_winding_is_refused_with_a_way_out() -> None:
 
 
 def test_bad_triangles_are_refused() -> None:
-    with pytest.raises(InvalidInputError, match="`areas` must hold 1 numbers >= 0"):
+    with pytest.raises(InvalidInputError, match="`areas` must hold 1 number >= 0"):
         OrientedTriangles([[0, 1, 2]], [1.0], [-1.0], 3)
     with pytest.raises(InvalidInputError, match="`weights` must be positive"):
         OrientedTriangles([[0, 1, 2]], [0.0], [1.0], 3)
@@ -214,7 +214,7 @@ def test_near_sheets_are_told_apart_down_to_the_spacing_of_their_points() -> Non
 
 
 def test_unusable_clouds_are_refused() -> None:
-    with pytest.raises(InvalidInputError, match="duplicate points"):
+    with pytest.raises(InvalidInputError, match="duplicate point"):
         oriented_triangles(PointCloud(np.vstack([np.eye(3), np.eye(3), np.zeros((1, 3))])))
 
 

@@ -120,7 +120,7 @@ def test_too_small_a_subspace_and_bad_columns_are_refused(problem):
         rayleigh_ritz(sparse_tensor(L), mass, vectors[:, [0, 1, 2, 2]], 4)
     bad = vectors[:, :4].clone()
     bad[3, 1] = torch.nan
-    with pytest.raises(InvalidInputError, match="1 columns with NaN or infinite values of 4"):
+    with pytest.raises(InvalidInputError, match="1 column with NaN or infinite values of 4"):
         orthonormalize(bad, mass)
     with pytest.raises(InvalidInputError, match="finite columns that are not all zero"):
         orthonormalize(torch.zeros(120, 2), mass)

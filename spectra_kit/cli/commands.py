@@ -6,7 +6,7 @@ import argparse
 import dataclasses
 from pathlib import Path
 
-from spectra_kit._validate import check_count
+from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli import tables
 from spectra_kit.cli.inputs import assemble, load, solvers_named
 from spectra_kit.cli.options import PICTURES, up_of
@@ -46,7 +46,7 @@ def spectrum(arguments: argparse.Namespace) -> None:
         if output and error.partial is not None:
             rescued = output.with_suffix(".partial.npz")
             error.partial.save(rescued)
-            say(f"the {tables.count(error.partial.k, 'mode')} that converged: {rescued}")
+            say(f"the {quantity(error.partial.k, 'mode')} that converged: {rescued}")
         raise
     if arguments.verify:
         with step("counting eigenvalues"):

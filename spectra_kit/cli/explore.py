@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from spectra_kit._validate import check_count
+from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli import tables
 from spectra_kit.cli.options import up_of
 from spectra_kit.cli.output import check_output, print_blocks, print_json
@@ -123,7 +123,7 @@ def _tables(
 
 def _next(written: Explorer) -> str:
     """What the page holds, and what to do with it."""
-    shown = f"all {tables.count(written.n_shown, 'point')}"
+    shown = f"all {quantity(written.n_shown, 'point')}"
     if written.decimated:
         shown = f"{written.n_shown:,} of {written.n_points:,} points (--max-points shows more)"
     rounding = written.quantisation
@@ -132,7 +132,7 @@ def _next(written: Explorer) -> str:
     )
     return (
         f"page: {written.path}, {written.bytes / 1e6:.1f} MB,"
-        f" {tables.count(written.n_modes, 'mode')} on {shown},\n"
+        f" {quantity(written.n_modes, 'mode')} on {shown},\n"
         f"{values}. Open it in any browser; it needs no\n"
         "network, and can be sent to others as it is."
     )

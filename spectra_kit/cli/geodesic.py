@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import check_count, check_positive
+from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.cli import tables
 from spectra_kit.cli.folder import check_folder, together
 from spectra_kit.cli.geodesic_compare import Compared, clock_note, compare_solvers, comparison_table
@@ -91,7 +91,7 @@ def geodesic_distances(arguments: argparse.Namespace) -> None:
             arguments.farthest,
             lambda few: geodesics.distance(check_sources(few, geometry)).distance,
         )
-    with step(f"measuring the distance to {tables.count(len(sources), 'source')}"):
+    with step(f"measuring the distance to {quantity(len(sources), 'source')}"):
         field = geodesics.distance(check_sources(sources, geometry))
     record = _record(arguments, geometry, triangulation, sources, spectrum, field)
     record["spectrum_unused"] = unused or None

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+from spectra_kit._validate import quantity
 from spectra_kit.cli.geodesic_options import SPECTRA
 from spectra_kit.cli.options import listed
 from spectra_kit.cli.progress import step
@@ -74,5 +75,5 @@ def spectrum_named(
     if name not in _EIGENSOLVERS:
         return Spectrum.load(name)
     k = min(modes + laplacian.kernel_dimension, laplacian.n)
-    with step(f"solving for {k} modes, {name}"):
+    with step(f"solving for {quantity(k, 'mode')}, {name}"):
         return eigensolve(laplacian, k, _EIGENSOLVERS[name](arguments))

@@ -8,11 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from spectra_kit._validate import check_count
+from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli.options import DEMO, TAKERS, listed
 from spectra_kit.cli.parser import did_you_mean
 from spectra_kit.cli.progress import say, step
-from spectra_kit.cli.tables import count
 from spectra_kit.eigensolvers import (
     Arpack,
     Capped,
@@ -103,7 +102,7 @@ def load(arguments: argparse.Namespace) -> Geometry:
             repaired = repair(geometry)
         geometry = repaired.geometry
         counts = dataclasses.asdict(repaired.report)
-        done = ", ".join(count(n, _REMOVED[what]) for what, n in counts.items() if n)
+        done = ", ".join(quantity(n, _REMOVED[what]) for what, n in counts.items() if n)
         say(f"repaired: {done or 'nothing to do'}")
     if arguments.cloud is not None:
         if not isinstance(geometry, TriangleMesh):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from spectra_kit._validate import check_count, check_positive
+from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.cli import tables
 from spectra_kit.cli.options import PICTURES, up_of
 from spectra_kit.cli.output import check_output, print_blocks, print_json
@@ -23,7 +23,7 @@ def modes(arguments: argparse.Namespace) -> None:
     shown = to_show(arguments, _DRAWN)
     from spectra_kit.viz import plot_modes
 
-    with step(f"drawing {tables.count(len(shown.modes), 'mode')}"):
+    with step(f"drawing {quantity(len(shown.modes), 'mode')}"):
         plot_modes(
             arguments.output,
             shown.geometry,
@@ -48,7 +48,7 @@ def animate(arguments: argparse.Namespace) -> None:
     shown = to_show(arguments, _SWUNG)
     from spectra_kit.viz import animate_modes
 
-    with counted(f"drawing {tables.count(len(shown.modes), 'mode')}", "frame") as tell:
+    with counted(f"drawing {quantity(len(shown.modes), 'mode')}", "frame") as tell:
         animate_modes(
             arguments.output,
             shown.geometry,

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from spectra_kit._validate import check_count
+from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli.inputs import EXTRA, assemble, load, solvers_named
 from spectra_kit.cli.options import SOLVERS
 from spectra_kit.cli.progress import step
-from spectra_kit.cli.tables import Record, comparison_record, count, spectrum_record
+from spectra_kit.cli.tables import Record, comparison_record, spectrum_record
 from spectra_kit.eigensolvers import Eigensolver, eigensolve
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry
@@ -34,7 +34,7 @@ def prepare(arguments: argparse.Namespace) -> tuple[Geometry, Laplacian]:
 
 def solve(laplacian: Laplacian, k: int, name: str, solver: Eigensolver) -> Spectrum:
     """Solve for `k` modes."""
-    with step(f"solving for {count(k, 'mode')} by {name}"):
+    with step(f"solving for {quantity(k, 'mode')} by {name}"):
         return eigensolve(laplacian, k, solver)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from spectra_kit._validate import quantity
 from spectra_kit.cli.words import in_options
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Diagnosis, Geometry, TriangleMesh
@@ -27,14 +28,14 @@ def headline(name: str, geometry: Geometry, laplacian: Laplacian) -> str:
     """What was solved, in two lines."""
     return f"{name}: {_size(geometry)}\n" + (
         f"{laplacian.operator}: area {laplacian.area:.6g},"
-        f" {count(laplacian.n_components, 'component')}"
-        + (f", {count(len(laplacian.fixed), 'fixed point')}" if len(laplacian.fixed) else "")
+        f" {quantity(laplacian.n_components, 'component')}"
+        + (f", {quantity(len(laplacian.fixed), 'fixed point')}" if len(laplacian.fixed) else "")
     )
 
 
 def title(name: str, geometry: Geometry) -> str:
     """What a picture is of."""
-    return f"{Path(name).stem}, {count(geometry.n, 'point')}"
+    return f"{Path(name).stem}, {quantity(geometry.n, 'point')}"
 
 
 def modes_table(spectrum: Spectrum, modes: Sequence[int]) -> str:
@@ -110,15 +111,15 @@ def comparison_lines(
     moved = int((comparison.match != np.arange(k)).sum())
     means = pairs(
         {
-            "span error": f"{comparison.mean_span_error:.2e}  mean of {count(k, 'mode')},"
-            f" span of {count(comparison.span_dimension, 'function')}",
+            "span error": f"{comparison.mean_span_error:.2e}  mean of {quantity(k, 'mode')},"
+            f" span of {quantity(comparison.span_dimension, 'function')}",
             "eigenvalue error": f"{comparison.mean_eigenvalue_error:.2e}"
-            f"  mean of {count(k - zero, 'nonzero mode')}",
+            f"  mean of {quantity(k - zero, 'nonzero mode')}",
             "eigenvector error": f"{comparison.mean_vector_error:.2e}"
-            f"  mean of {count(k, 'mode')}, {moved} of them out of order",
+            f"  mean of {quantity(k, 'mode')}, {moved} of them out of order",
             "  clusters as spaces": f"{comparison.mean_cluster_error:.2e}"
-            f"  mean of {count(comparison.open_from, 'mode')} in"
-            f" {count(len(comparison.clusters), 'cluster')}",
+            f"  mean of {quantity(comparison.open_from, 'mode')} in"
+            f" {quantity(len(comparison.clusters), 'cluster')}",
         }
     )
     rows = [["", *names]]
@@ -141,7 +142,7 @@ def comparison_lines(
 def comparison_line(comparison: Comparison) -> str:
     """The three means in one line."""
     return (
-        f"{count(comparison.k, 'mode')}: mean span error {comparison.mean_span_error:.2g},"
+        f"{quantity(comparison.k, 'mode')}: mean span error {comparison.mean_span_error:.2g},"
         f" eigenvalue error {100 * comparison.mean_eigenvalue_error:.2g} %,"
         f" eigenvector error {comparison.mean_vector_error:.2g}"
     )
@@ -219,17 +220,10 @@ def align(rows: Sequence[Sequence[str]], *, left: int = 0) -> str:
     )
 
 
-def count(n: int, noun: str) -> str:
-    """`n` things, in words."""
-    if n != 1:
-        noun = noun[:-2] + "ices" if noun.endswith("vertex") else noun + "s"
-    return f"{n:,} {noun}"
-
-
 def _size(geometry: Geometry) -> str:
     if isinstance(geometry, TriangleMesh):
-        return f"mesh, {count(geometry.n, 'vertex')}, {count(len(geometry.faces), 'face')}"
-    return f"cloud, {count(geometry.n, 'point')}"
+        return f"mesh, {quantity(geometry.n, 'vertex')}, {quantity(len(geometry.faces), 'face')}"
+    return f"cloud, {quantity(geometry.n, 'point')}"
 
 
 def _certificate(spectrum: Spectrum) -> Certificate:

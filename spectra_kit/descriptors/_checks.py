@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._validate import check_indices, real_array
+from spectra_kit._validate import check_indices, quantity, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectrum import Spectrum
 
@@ -28,8 +28,8 @@ def outside_kernel(spectrum: Spectrum) -> Spectrum:
     modes = spectrum.nonzero()
     if modes.k == 0:
         raise InvalidInputError(
-            f"`spectrum` must have modes outside its kernel, got {spectrum.k} modes, all of them"
-            " zero modes; compute more than there are components"
+            "`spectrum` must have modes outside its kernel, got"
+            f" {quantity(spectrum.k, 'zero mode')} alone; compute more than there are components"
         )
     return modes
 
@@ -60,7 +60,7 @@ def check_times(values: ArrayLike) -> Floats:
     times = check_grid("times", values)
     if not (times > 0).all():
         raise InvalidInputError(
-            f"`times` must be positive, got {int((times <= 0).sum())} entries <= 0"
+            f"`times` must be positive, got {quantity((times <= 0).sum(), 'entry')} <= 0"
             f" (smallest {times.min():.3g}); times are in length^2, `heat_times` suggests some"
         )
     return times

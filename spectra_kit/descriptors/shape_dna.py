@@ -167,7 +167,7 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
         )
     if not (rows > 0).all():
         raise InvalidInputError(
-            f"`dnas` must be positive, got {int((rows <= 0).sum())} entries <= 0;"
+            f"`dnas` must be positive, got {int((rows <= 0).sum())} of {rows.size} <= 0;"
             " `shape_dna` leaves out zero modes"
         )
     if weight == "index":

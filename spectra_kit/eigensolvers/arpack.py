@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
-from spectra_kit._validate import check_count, check_positive
+from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.errors import InvalidInputError
@@ -110,8 +110,8 @@ class Arpack:
         except ArpackNoConvergence as error:
             pairs = Eigenpairs(unit / error.eigenvalues + sigma, error.eigenvectors / root[:, None])
             raise NotConvergedError(
-                f"ARPACK found {len(error.eigenvalues)} of {k} modes in {self.max_restarts}"
-                " restarts; raise `max_restarts`, or loosen `tol`",
+                f"ARPACK found {len(error.eigenvalues)} of {quantity(k, 'mode')} in"
+                f" {quantity(self.max_restarts, 'restart')}; raise `max_restarts`, or loosen `tol`",
                 pairs,
             ) from error
         return Eigenpairs(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from spectra_kit._validate import check_count, check_positive
+from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.arpack import shifted_factor
 from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
@@ -118,8 +118,8 @@ class Lobpcg:
         )
         if not good.all():
             raise NotConvergedError(
-                f"LOBPCG brought {int(good.sum())} of {k} modes to rtol = {self.rtol:g} in"
-                f" {steps} steps (largest relative residual {relative.max():.1e});"
+                f"LOBPCG brought {int(good.sum())} of {quantity(k, 'mode')} to rtol = {self.rtol:g}"
+                f" in {steps} steps (largest relative residual {relative.max():.1e});"
                 " raise `max_steps`, loosen `rtol`, or use Arpack",
                 Eigenpairs(values[good], pairs.eigenvectors[:, good]),
             )

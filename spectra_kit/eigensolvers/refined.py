@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import check_count, check_positive
+from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.lobpcg import Lobpcg
@@ -157,7 +157,7 @@ class Refined:
             else "raise `max_sweeps`, loosen `rtol`, or use Arpack"
         )
         raise NotConvergedError(
-            f"{int(good.sum())} of {len(good)} modes reached rtol = {self.rtol:g} in"
+            f"{int(good.sum())} of {quantity(len(good), 'mode')} reached rtol = {self.rtol:g} in"
             f" {pairs.iterations} sweeps (largest relative residual {relative.max():.1e}); {why}",
             pairs,
         )

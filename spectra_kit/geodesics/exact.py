@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spectra_kit._validate import check_indices
+from spectra_kit._validate import check_indices, quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
 from spectra_kit.geometry import TriangleMesh
@@ -128,7 +128,7 @@ def _soup(mesh: TriangleMesh) -> tuple[Soup, float]:
     repeated = (mesh.faces == np.roll(mesh.faces, 1, axis=1)).any(axis=1)
     if repeated.any():
         raise InvalidInputError(
-            f"`mesh` has {int(repeated.sum())} faces that name a vertex twice (the first is"
+            f"`mesh` has {quantity(repeated.sum(), 'face')} with a vertex twice (the first is"
             f" {int(np.argmax(repeated))}); drop them with `mesh.without_degenerate_faces()`"
         )
     faces = mesh.faces

@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import check_positive
+from spectra_kit._validate import check_positive, quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
@@ -306,8 +306,8 @@ def _check_resolving(spectrum: Spectrum) -> None:
     _check_spectrum(spectrum)
     if spectrum.k == spectrum.n_zero_modes:
         raise InvalidInputError(
-            f"`spectrum` must have modes outside its kernel, got {spectrum.k} modes, all of them"
-            " zero modes; compute more than there are components"
+            "`spectrum` must have modes outside its kernel, got"
+            f" {quantity(spectrum.k, 'zero mode')} alone; compute more than there are components"
         )
 
 

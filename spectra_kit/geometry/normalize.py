@@ -9,7 +9,7 @@ from typing import TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import check_points, check_positive, frozen
+from spectra_kit._validate import check_points, check_positive, frozen, quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh, check_mesh
 
@@ -81,8 +81,8 @@ class Normalization:
         side = float((high - low).max())
         if side == 0:
             raise InvalidInputError(
-                f"`geometry` must have an extent to be normalised, got {geometry.n} points at"
-                f" {tuple(low.tolist())}"
+                "`geometry` must have an extent to be normalised, got"
+                f" {quantity(geometry.n, 'point')} at {tuple(low.tolist())}"
             )
         return cls(low + 0.5 * (high - low), side)
 

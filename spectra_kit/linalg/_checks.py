@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from spectra_kit._validate import real_array
+from spectra_kit._validate import quantity, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.constant_kernel import ConstantKernel
 
@@ -80,8 +80,8 @@ def check_kernel(kernel: ConstantKernel | None, matrix: sparse.csr_array) -> Con
     if len(bad):
         raise InvalidInputError(
             "`kernel` must hold constants that `matrix` maps to zero, but it does not in"
-            f" {len(bad)} rows, the first {bad[0]}; label points of a component that has a fixed"
-            " point or a potential -1"
+            f" {quantity(len(bad), 'row')}, the first {bad[0]}; label points of a component with"
+            " a fixed point or a potential -1"
         )
     return kernel
 

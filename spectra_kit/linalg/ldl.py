@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from scipy import sparse
 
+from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.linalg.products import real_dtype
 from spectra_kit.linalg.threads import in_threads, thread_count
@@ -81,7 +82,7 @@ class SparseLDL:
         upper = sparse.csc_matrix(sparse.triu(matrix, format="csc"), dtype=np.float64)
         diagonal = upper.diagonal()
         if not diagonal.all():  # qdldl wants every diagonal entry stored
-            raise _singular(f"{int((diagonal == 0).sum())} diagonal entries are zero")
+            raise _singular(f"its diagonal has {quantity((diagonal == 0).sum(), 'zero')}")
         try:
             lower, pivots, order = qdldl.Solver(upper, upper=True).factors()
         except (RuntimeError, MemoryError) as error:

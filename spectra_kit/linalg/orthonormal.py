@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
 
 Floats = NDArray[np.float64]
@@ -60,7 +61,7 @@ def orthonormalize(basis: NDArray[np.floating], mass: Floats, *, rank_tol: float
     if not np.isfinite(norms).all() or not (norms > 0).any():
         raise InvalidInputError(
             "`basis` must have finite columns that are not all zero, got"
-            f" {int((~np.isfinite(norms)).sum())} columns with NaN or infinite values"
+            f" {quantity((~np.isfinite(norms)).sum(), 'column')} with NaN or infinite values"
             f" of {len(norms)}; look at the subspace that returned it"
         )
     q = q[:, norms > 0] / norms[norms > 0]

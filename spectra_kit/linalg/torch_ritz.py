@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.torch_device import Clock, csr_product
 
@@ -85,7 +86,7 @@ def orthonormalize(basis: Tensor, mass: Tensor, *, rank_tol: float = 1e-10) -> T
     if not norms.isfinite().all() or not norms.any():
         raise InvalidInputError(
             "`basis` must have finite columns that are not all zero, got"
-            f" {int((~norms.isfinite()).sum())} columns with NaN or infinite values of"
+            f" {quantity(int((~norms.isfinite()).sum()), 'column')} with NaN or infinite values of"
             f" {len(norms)}; in half precision try float32"
         )
     if not norms.all():

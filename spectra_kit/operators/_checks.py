@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import check_count
+from spectra_kit._validate import check_count, quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 
@@ -24,14 +24,14 @@ def check_faces_usable(mesh: TriangleMesh) -> None:
     used[mesh.faces] = True
     if not used.all():
         raise InvalidInputError(
-            f"`mesh` has {int((~used).sum())} vertices that no face uses (the first is"
+            f"`mesh` has {quantity((~used).sum(), 'vertex')} that no face uses (the first is"
             f" {int(np.argmin(used))}), so they have no area;"
             " drop them with `mesh.without_unreferenced()`"
         )
     repeated = (mesh.faces == np.roll(mesh.faces, 1, axis=1)).any(axis=1)
     if repeated.any():
         raise InvalidInputError(
-            f"`mesh` has {int(repeated.sum())} faces that name a vertex twice (the first is"
+            f"`mesh` has {quantity(repeated.sum(), 'face')} with a vertex twice (the first is"
             f" {int(np.argmax(repeated))}); drop them with `mesh.without_degenerate_faces()`"
         )
 
@@ -60,7 +60,7 @@ def check_distinct(points: NDArray[np.float64]) -> None:
     if same.any():
         first, second = sorted(int(i) for i in order[np.argmax(same) :][:2])
         raise InvalidInputError(
-            f"`geometry` has {int(same.sum())} duplicate points (such as {first} and {second});"
-            " drop them with `cloud.without_duplicates()`, or join the corners of a mesh with"
-            " `mesh.with_merged_vertices()`"
+            f"`geometry` has {quantity(same.sum(), 'duplicate point')} (such as {first} and"
+            f" {second}); drop them with `cloud.without_duplicates()`, or join the corners of a"
+            " mesh with `mesh.with_merged_vertices()`"
         )

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from spectra_kit._validate import quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 from spectra_kit.linalg.threads import in_threads
@@ -78,7 +79,7 @@ def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> G
     stiffness, mass = _laplacian(corners, lengths, twins, cloud.n, copies)
     if not mass.all():
         raise InvalidInputError(
-            f"`geometry` has {int((mass == 0).sum())} points in no triangle (such as"
+            f"`geometry` has {quantity((mass == 0).sum(), 'point')} in no triangle (such as"
             f" {int(np.argmin(mass))}): their neighbours lie on one line;"
             " remove such curves first"
         )
@@ -127,7 +128,7 @@ def _laplacian(
     if not np.isfinite(weights).all():
         raise InvalidInputError(
             f"`mollify_factor` must lengthen the sides of degenerate triangles, got"
-            f" {int((~np.isfinite(weights)).sum())} edges of triangles without an area; raise it"
+            f" {quantity((~np.isfinite(weights)).sum(), 'edge')} of triangles of no area; raise it"
         )
     upper = sparse.csr_array((weights / copies, (rows, columns)), shape=(n, n))
     adjacency = upper + upper.T
@@ -154,6 +155,6 @@ def _extent(geometry: Geometry) -> float:
     if not _SMALLEST < extent < _LARGEST:
         raise InvalidInputError(
             f"`geometry` must have an extent between {_SMALLEST:g} and {_LARGEST:g}, got"
-            f" {geometry.n} points within {extent:g}; choose another unit of length"
+            f" {quantity(geometry.n, 'point')} within {extent:g}; choose another unit of length"
         )
     return extent

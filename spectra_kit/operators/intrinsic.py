@@ -9,7 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._validate import Rebuilt, check_indices, check_positive, frozen, real_array
+from spectra_kit._validate import (
+    Rebuilt,
+    check_indices,
+    check_positive,
+    frozen,
+    quantity,
+    real_array,
+)
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators._checks import (
@@ -79,7 +86,7 @@ class IntrinsicTriangulation(Rebuilt):
             )
         if not (lengths > 0).all():
             raise InvalidInputError(
-                f"`lengths` must be positive, got {int((lengths <= 0).sum())} entries <= 0;"
+                f"`lengths` must be positive, got {quantity((lengths <= 0).sum(), 'entry')} <= 0;"
                 " `intrinsic_delaunay` lengthens the sides of degenerate triangles"
             )
         boundary = np.unique(check_indices("boundary", self.boundary, n))

@@ -73,7 +73,7 @@ class Laplacian(Rebuilt):
         fixed = np.unique(_as_indices("fixed", self.fixed, len(points)))
         if len(fixed) == len(points):
             raise InvalidInputError(
-                f"`fixed` must leave at least one point free, got all {len(points)} points"
+                f"`fixed` must leave at least one point free, got all {len(points)} of them"
             )
         for name, value in (("points", points), ("mass", mass), ("fixed", fixed)):
             object.__setattr__(self, name, frozen(np.array(value)))

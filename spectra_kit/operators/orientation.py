@@ -20,6 +20,7 @@ from spectra_kit._validate import (
     check_faces,
     check_mass,
     frozen,
+    quantity,
     real_array,
 )
 from spectra_kit.errors import InvalidInputError
@@ -80,8 +81,8 @@ class OrientedTriangles(Rebuilt):
         areas = real_array("areas", self.areas)
         if areas.shape != (len(faces),) or (areas < 0).any():
             raise InvalidInputError(
-                f"`areas` must hold {len(faces)} numbers >= 0, got shape {areas.shape}"
-                f" with {int((areas < 0).sum())} negative ones"
+                f"`areas` must hold {quantity(len(faces), 'number')} >= 0, got shape {areas.shape}"
+                f" with {int((areas < 0).sum())} below 0"
             )
         for name, array in (("faces", faces), ("weights", weights), ("areas", areas)):
             object.__setattr__(self, name, frozen(array.copy()))
@@ -173,8 +174,9 @@ def _pieces(mesh: TriangleMesh) -> tuple[Ints, NDArray[np.bool_]]:
     if bad.any():
         i, j = divmod(int(edges[np.argmax(bad)]), mesh.n)
         raise InvalidInputError(
-            f"`mesh` must have faces of one winding, got {int(bad.sum())} edges (such as {i}, {j})"
-            " that two faces run along in the same direction; turn the faces, as with"
+            "`mesh` must have faces of one winding, got"
+            f" {quantity(bad.sum(), 'edge')} (such as {i}, {j}) that two faces run along in the"
+            " same direction; turn the faces, as with"
             " `TriangleMesh(mesh.points, igl.bfs_orient(mesh.faces)[0])`"
         )
     incidence = sparse.csr_array(

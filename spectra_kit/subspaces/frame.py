@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._validate import check_mass, check_points
+from spectra_kit._validate import check_mass, check_points, quantity
 from spectra_kit.errors import InvalidInputError
 
 Floats = NDArray[np.float64]
@@ -88,8 +88,8 @@ def canonical_frame(points: ArrayLike, mass: ArrayLike) -> Frame:
     extent = np.abs(centred).max()
     if extent <= 1e-12 * np.abs(points).max():
         raise InvalidInputError(
-            f"`points` must not share one location, got {len(points)} points within {extent:.3g}"
-            f" of {points[0].tolist()}; a frame needs at least two distinct points"
+            f"`points` must not share one location, got {quantity(len(points), 'point')} within"
+            f" {extent:.3g} of {points[0].tolist()}; a frame needs at least two distinct points"
         )
     centred = centred / extent
     _, axes = np.linalg.eigh(centred.T @ (weights[:, None] * centred))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays, text_lines, triangle_fans
 from spectra_kit.geometry.shapes import TriangleMesh
@@ -26,7 +27,7 @@ def read(path: Path) -> Arrays:
             ) from error
     if not polygons:
         raise InvalidInputError(
-            f"holds {len(points)} vertices but no face line; the file may be cut short"
+            f"holds {quantity(len(points), 'vertex')} but no face line; the file may be cut short"
         )
     return points, triangle_fans(polygons)
 

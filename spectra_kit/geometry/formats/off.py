@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays, text_lines, triangle_fans
 from spectra_kit.geometry.shapes import TriangleMesh
@@ -16,8 +17,8 @@ def read(path: Path) -> Arrays:
     n_points, n_faces, body = _header(lines)
     if len(body) != n_points + n_faces:
         raise InvalidInputError(
-            f"the header announces {n_points} vertices and {n_faces} faces,"
-            f" but {len(body)} lines follow; the file may be cut short"
+            f"the header announces {quantity(n_points, 'vertex')} and {quantity(n_faces, 'face')},"
+            f" followed by {quantity(len(body), 'line')}; the file may be cut short"
         )
     points: list[list[float]] = []
     polygons: list[list[int]] = []
@@ -40,7 +41,7 @@ def _corners(words: list[str]) -> list[int]:
     size = int(words[0])
     corners = [int(word) for word in words[1 : size + 1]]
     if len(corners) != size:
-        raise ValueError(f"{len(corners)} corners where {size} are announced")
+        raise ValueError(f"{quantity(len(corners), 'corner')} where {size} are announced")
     return corners
 
 
