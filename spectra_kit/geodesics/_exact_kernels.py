@@ -1,5 +1,8 @@
 """Windows of straight paths that cross a surface of triangles; compiled by numba on first use.
 
+Inner functions are `register_jitable`: without an entry from Python for each, which would cost as
+much to compile as the function itself. Memory is found, and doubled, outside for the same reason.
+
 A *side* is number ``3 f + c``: that of face f from its corner c to corner c + 1. In the frame of a
 side its tail is the origin, its head lies at (length, 0), and its face above. A *window* is a part
 of a side through which straight paths leave its face, all of them from one vertex, which lies at
@@ -12,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -63,25 +67,35 @@ class Front(NamedTuple):
     """One that passed the same edge before, or -1."""
     latest: Ints
     """The latest to pass, for that side."""
+    split: Floats
+    """Least distance of the apex over each side, by a window that sees it."""
+    split_at: Floats
+    """Where on the side it came through."""
     size: Ints
-    """Of the heap, of the windows, of the stack, of those that have passed."""
+    """Of the heap, of the windows, of the stack, of those that have passed; then how many targets
+    are known, and how many windows there have been."""
 
 
-@njit(nogil=True, cache=True)
 def propagate(soup: Soup, sources: Ints, targets: Ints, d: Floats, most: int) -> int:
     """Write to `d` (n,), infinite at first, the distances from `sources`; count the windows.
 
     It stops once all `targets` are known, or at more than `most` windows; what is farther may
     then be too long, or infinite.
     """
-    n, m = len(d), len(soup.tails)
-    margin = 64  # entries that one step may add: by an edge of many faces, or around a vertex
-    for v in range(n):
-        margin = max(margin, 64 + 4 * (soup.first[v + 1] - soup.first[v]))
-    heap, room = 1024 + len(sources) + margin, 1024 + margin
-    front = Front(
+    # Entries that one step may add: by an edge of many faces, or around a vertex.
+    margin = 64 + 4 * int(np.diff(soup.first).max(initial=0))
+    front = _front(d, len(soup.tails), 1024 + margin, 1024 + len(sources) + margin)
+    start_from(front, sources)
+    while advance(soup, front, targets, most, margin):
+        front = _doubled(front)
+    return int(front.size[5])
+
+
+def _front(d: Floats, sides: int, room: int, heap: int) -> Front:
+    """Return one that knows nothing yet, with room for so many windows and entries of the heap."""
+    return Front(
         d,
-        np.zeros(n, np.int64),
+        np.zeros(len(d), np.int64),
         np.empty((room, 5)),
         np.empty((room, 3), np.int64),
         np.empty(room, np.int64),
@@ -89,52 +103,49 @@ def propagate(soup: Soup, sources: Ints, targets: Ints, d: Floats, most: int) ->
         np.empty(heap, np.int64),
         np.empty((room, 5)),
         np.empty(room, np.int64),
-        np.full(m, -1),
-        np.zeros(4, np.int64),
+        np.full(sides, -1),
+        np.full(sides, np.inf),
+        np.zeros(sides),
+        np.zeros(6, np.int64),
     )
-    split, split_at = np.full(m, np.inf), np.zeros(m)
-    for v in sources:
-        d[v] = 0.0
-        _push(front, 0.0, -1 - v)
-    settled, total = 0, 0
-    while front.size[0] and total <= most:
-        key = front.keys[0]
-        while settled < len(targets) and d[targets[settled]] <= key:
-            settled += 1
-        if settled == len(targets):
-            break
-        item = _pop(front)
-        full = front.size[0] + margin > len(front.keys)
-        if full or max(front.size[1], front.size[3]) + margin > len(front.free):
-            front = _doubled(front)
-        if item < 0:
-            if key <= d[-1 - item]:  # else a shorter way was found meanwhile
-                total += _start(soup, front, -1 - item)
-        else:
-            total += _go_on(soup, front, item, split, split_at)
-    return total
 
 
-@njit(nogil=True, cache=True)
 def _doubled(front: Front) -> Front:
     """Return `front` with twice the room."""
-    reals, whole, passed = front.reals, front.whole, front.passed
-    return Front(
-        front.d,
-        front.births,
-        np.concatenate((reals, np.empty_like(reals))),
-        np.concatenate((whole, np.empty_like(whole))),
-        np.append(front.free, np.empty_like(front.free)),
-        np.append(front.keys, np.empty_like(front.keys)),
-        np.append(front.items, np.empty_like(front.items)),
-        np.concatenate((passed, np.empty_like(passed))),
-        np.append(front.following, np.empty_like(front.following)),
-        front.latest,
-        front.size,
-    )
+    names = ("reals", "whole", "free", "keys", "items", "passed", "following")
+    old = {name: getattr(front, name) for name in names}
+    return front._replace(**{k: np.concatenate([v, np.empty_like(v)]) for k, v in old.items()})
 
 
 @njit(nogil=True, cache=True)
+def start_from(front: Front, sources: Ints) -> None:
+    """Put the sources into the heap."""
+    for v in sources:
+        front.d[v] = 0.0
+        _push(front.keys, front.items, front.size, 0.0, -1 - v)
+
+
+@njit(nogil=True, cache=True)
+def advance(soup: Soup, front: Front, targets: Ints, most: int, margin: int) -> bool:
+    """Go on until there is nothing left to do, or return that there is no room left."""
+    d, keys, size = front.d, front.keys, front.size
+    while size[0] and size[5] <= most:
+        if size[0] + margin > len(keys) or max(size[1], size[3]) + margin > len(front.free):
+            return True
+        key = keys[0]
+        while size[4] < len(targets) and d[targets[size[4]]] <= key:
+            size[4] += 1
+        if size[4] == len(targets):
+            break
+        item = _pop(keys, front.items, size)
+        if item >= 0:
+            size[5] += _go_on(soup, front, item)
+        elif key <= d[-1 - item]:  # else a shorter way was found meanwhile
+            size[5] += _start(soup, front, -1 - item)
+    return False
+
+
+@register_jitable
 def _start(soup: Soup, front: Front, v: int) -> int:
     """Send paths from vertex v along all its sides and through all its faces."""
     d, lengths = front.d[v], soup.lengths
@@ -146,12 +157,12 @@ def _start(soup: Soup, front: Front, v: int) -> int:
     for i in range(soup.first[v], soup.first[v + 1]):
         t = _next(soup.corners[i])
         x, y = soup.apex_x[t], soup.apex_y[t]
-        count += _add(soup, front, t, 0.0, lengths[t], x, y, d, v, front.births[v], 0)
+        count += _add(soup, front, t, 0.0, lengths[t], x, y, d, v, front.births[v], 0.0)
     return count
 
 
-@njit(nogil=True, cache=True)
-def _go_on(soup: Soup, front: Front, item: int, split: Floats, split_at: Floats) -> int:
+@register_jitable
+def _go_on(soup: Soup, front: Front, item: int) -> int:
     """Let a window shine through the other faces on its edge."""
     s, v, birth = front.whole[item, 0], front.whole[item, 1], front.whole[item, 2]
     b0, b1 = front.reals[item, 0], front.reals[item, 1]
@@ -169,19 +180,15 @@ def _go_on(soup: Soup, front: Front, item: int, split: Floats, split_at: Floats)
             return 0
     while t != s:
         if soup.tails[t] == soup.tails[s]:  # wound the other way: the same direction on the edge
-            count += _cross(
-                soup, front, t, b0, b1, x, y, before, v, birth, two_faces, split, split_at
-            )
+            count += _cross(soup, front, t, b0, b1, x, y, before, v, birth, two_faces)
         else:
             e0, e1, z = length - b1, length - b0, length - x
-            count += _cross(
-                soup, front, t, e0, e1, z, y, before, v, birth, two_faces, split, split_at
-            )
+            count += _cross(soup, front, t, e0, e1, z, y, before, v, birth, two_faces)
         t = soup.around[t]
     return count
 
 
-@njit(nogil=True, cache=True)
+@register_jitable
 def _unmatched(
     soup: Soup, front: Front, s: int, b0: float, b1: float, x: float, y: float, before: float
 ) -> tuple[float, float]:
@@ -222,13 +229,13 @@ def _unmatched(
     return (length - b1, length - b0) if turned else (b0, b1)
 
 
-@njit(nogil=True, cache=True)
+@register_jitable
 def _behind(p: float, x: float, y: float, before: float, other: Floats) -> float:
     """Return how much longer the way of one window to the point at p is than that of another."""
     return float(before + np.hypot(p - x, y) - other[4] - np.hypot(p - other[2], other[3]))
 
 
-@njit(nogil=True, cache=True)
+@register_jitable
 def _cross(
     soup: Soup,
     front: Front,
@@ -241,12 +248,11 @@ def _cross(
     v: int,
     birth: int,
     two_faces: bool,
-    split: Floats,
-    split_at: Floats,
 ) -> int:
     """Let the paths through part of side t cross its face to the other two sides."""
     right = _next(t)
     left = _next(right)
+    split, split_at = front.split, front.split_at
     length, ax, ay = soup.lengths[t], soup.apex_x[t], soup.apex_y[t]
     at = x + (ax - x) * y / (y + ay)  # where the ray to the apex crosses the side
     goes_left, goes_right = at > b0, at < b1
@@ -272,25 +278,25 @@ def _cross(
         u0 = _meet(b0, x, y, ex, ey)
         u1 = L if at <= b1 else min(_meet(b1, x, y, ex, ey), L)
         z, h = L - (x * ex - y * ey), y * ex + x * ey
-        count += _add(soup, front, left, L - u1, L - u0, z, h, before, v, birth, 1)
+        count += _add(soup, front, left, L - u1, L - u0, z, h, before, v, birth, 1.0)
     if goes_right:  # the same in the mirror, where `right` runs from its tail
         L, x = soup.lengths[right], length - x
         ex, ey = (length - ax) / L, ay / L
         u0 = _meet(length - b1, x, y, ex, ey)
         u1 = L if at >= b0 else min(_meet(length - b0, x, y, ex, ey), L)
         z, h = x * ex - y * ey, y * ex + x * ey
-        count += _add(soup, front, right, u0, u1, z, h, before, v, birth, -1)
+        count += _add(soup, front, right, u0, u1, z, h, before, v, birth, -1.0)
     return count
 
 
-@njit(nogil=True, inline="always")
+@register_jitable
 def _meet(b: float, x: float, y: float, ex: float, ey: float) -> float:
     """Return how far along (ex, ey), from the origin, the ray from (x, -y) by (b, 0) meets it."""
     below = ex * y + ey * (x - b)
     return max(y * b / below, 0.0) if below > 0 else np.inf
 
 
-@njit(nogil=True, cache=True)
+@register_jitable
 def _add(
     soup: Soup,
     front: Front,
@@ -302,7 +308,7 @@ def _add(
     before: float,
     v: int,
     birth: int,
-    entered: int,
+    entered: float,
 ) -> int:
     """Keep a window on side t, unless a corner of its face has shorter ways to all of it.
 
@@ -319,9 +325,9 @@ def _add(
         return 0
     if (d[soup.tails[_next(t)]] + length - b0) * slack < before + r0:
         return 0
-    if entered:
+    if entered != 0.0:
         # All paths cross the straight way from the apex to the end away from where they entered.
-        far, r = (b1, r1) if entered > 0 else (b0, r0)
+        far, r = (b1, r1) if entered > 0.0 else (b0, r0)
         apex = d[soup.tails[_next(_next(t))]]
         if (apex + np.hypot(far - soup.apex_x[t], soup.apex_y[t])) * slack < before + r:
             return 0
@@ -334,17 +340,17 @@ def _add(
     reals, whole = front.reals[w], front.whole[w]
     reals[0], reals[1], reals[2], reals[3], reals[4] = b0, b1, x, y, before
     whole[0], whole[1], whole[2] = t, v, birth
-    _push(front, before + (y if b0 <= x <= b1 else min(r0, r1)), w)
+    _push(front.keys, front.items, front.size, before + (y if b0 <= x <= b1 else min(r0, r1)), w)
     return 1
 
 
-@njit(nogil=True, inline="always")
+@register_jitable
 def _next(side: int) -> int:
     """Return the next side of the same face."""
     return side + 1 if side % 3 < 2 else side - 2
 
 
-@njit(nogil=True, inline="always")
+@register_jitable
 def _reach(soup: Soup, front: Front, v: int, far: float) -> None:
     """Note a way of length `far` to vertex v; where paths bend they start from it anew."""
     if far >= front.d[v]:
@@ -354,14 +360,13 @@ def _reach(soup: Soup, front: Front, v: int, far: float) -> None:
     elif far < front.d[v] * (1 - _IMPROVED):
         front.d[v] = far
         front.births[v] += 1
-        _push(front, far, -1 - v)
+        _push(front.keys, front.items, front.size, far, -1 - v)
 
 
-@njit(nogil=True, inline="always")
-def _push(front: Front, key: float, item: int) -> None:
-    keys, items = front.keys, front.items
-    i = front.size[0]
-    front.size[0] += 1
+@register_jitable
+def _push(keys: Floats, items: Ints, size: Ints, key: float, item: int) -> None:
+    i = size[0]
+    size[0] += 1
     while i > 0:
         up = (i - 1) // 2
         if keys[up] <= key:
@@ -371,11 +376,10 @@ def _push(front: Front, key: float, item: int) -> None:
     keys[i], items[i] = key, item
 
 
-@njit(nogil=True, inline="always")
-def _pop(front: Front) -> int:
-    keys, items = front.keys, front.items
-    front.size[0] -= 1
-    last = front.size[0]
+@register_jitable
+def _pop(keys: Floats, items: Ints, size: Ints) -> int:
+    size[0] -= 1
+    last = size[0]
     result, key, item = items[0], keys[last], items[last]
     i = 0
     while True:
