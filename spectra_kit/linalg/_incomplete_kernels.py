@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 Reals = NDArray[np.float64] | NDArray[np.float32]
@@ -21,7 +22,7 @@ Ints = NDArray[np.int32] | NDArray[np.int64] | NDArray[np.uint32]
 ROUNDING = 1e-11  # share of the diagonal entry below which a pivot is zero
 
 
-@njit(nogil=True, cache=True)
+@register_jitable
 def _inverted(pivot: float, scale: float, ends: bool) -> float:
     """Return the inverse of a pivot, zero for one that ends a component, NaN for a breakdown."""
     if pivot > ROUNDING * scale:
@@ -111,55 +112,77 @@ def factor_threshold(
                 position[column] = p + 1
                 following[column], head[out_columns[p + 1]] = head[out_columns[p + 1]], column
             column = after
-        pattern = _kept(work, rows[:count], smallest[k], max_fill)
-        for t in range(len(pattern), count):
+        kept = _kept(work, rows[:count], smallest[k], max_fill)
+        for t in range(kept, count):
             lost = relaxation * work[rows[t]]
             diagonal[k] += lost
             diagonal[rows[t]] += lost
-        inverse[k] = _inverted(diagonal[k], scale[k], len(pattern) == 0)
+        inverse[k] = _inverted(diagonal[k], scale[k], kept == 0)
         if np.isnan(inverse[k]):
             return k, out_starts, out_columns, out_values
-        begin, end = out_starts[k], out_starts[k] + len(pattern)
+        begin, end = out_starts[k], out_starts[k] + kept
         out_starts[k + 1] = end
         if end > len(out_values):
             out_columns, out_values = _wider(out_columns, end), _wider(out_values, end)
-        for t in range(len(pattern)):
-            i = pattern[t]
+        for t in range(kept):
+            i = rows[t]
             out_columns[begin + t], out_values[begin + t] = i, work[i] * inverse[k]
             diagonal[i] -= work[i] * work[i] * inverse[k]
-        for i in rows[:count]:
-            work[i], touched[i] = 0.0, False
-        if len(pattern):
+        if kept:
             position[k] = begin
-            following[k], head[pattern[0]] = head[pattern[0]], k
+            following[k], head[rows[0]] = head[rows[0]], k
+        for t in range(count):
+            work[rows[t]], touched[rows[t]] = 0.0, False
     return -1, out_starts, out_columns, out_values
 
 
-@njit(nogil=True, cache=True)
-def _kept(
-    work: Floats, rows: NDArray[np.int32], smallest: float, max_fill: int
-) -> NDArray[np.int32]:
-    """Return those of `rows` where `work` is largest, ascending; swap them to the front of it."""
+@register_jitable
+def _kept(work: Floats, rows: NDArray[np.int32], smallest: float, max_fill: int) -> int:
+    """Move those of `rows` where `work` is largest to the front of it, ascending; count them."""
     kept = 0
     for t in range(len(rows)):
         i = rows[t]
         if abs(work[i]) > smallest:
             rows[kept], rows[t] = i, rows[kept]
             kept += 1
-    pattern = np.sort(rows[:kept])
-    if kept <= max_fill:
-        return pattern
-    # Of equal ones, the first.
-    order = np.argsort(-np.abs(work[pattern]), kind="mergesort")
-    rows[:kept] = pattern[order]
-    return np.sort(rows[:max_fill])
+    if kept > max_fill:
+        _sort(rows, kept, work, True)
+        kept = max_fill
+    _sort(rows, kept, work, False)
+    return kept
 
 
-@njit(nogil=True, cache=True)
+@register_jitable
+def _sort(rows: NDArray[np.int32], size: int, work: Floats, largest_first: bool) -> None:
+    """Sort the first `size` of `rows`: upwards, or by `work`, of equal ones the first.
+
+    Shell's sort, which numba compiles in a tenth of the time of numpy's.
+    """
+    gap = 1
+    while gap < size // 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for t in range(gap, size):
+            row, at = rows[t], t
+            while at >= gap:
+                other = rows[at - gap]
+                before = other < row
+                if largest_first and abs(work[other]) != abs(work[row]):
+                    before = abs(work[other]) > abs(work[row])
+                if before:
+                    break
+                rows[at] = other
+                at -= gap
+            rows[at] = row
+        gap //= 3
+
+
+@register_jitable
 def _wider(values: NDArray[Any], size: int) -> NDArray[Any]:
     """Return a copy with room for twice `size` entries."""
     wider = np.empty(2 * size, values.dtype)
-    wider[: len(values)] = values
+    for t in range(len(values)):  # a slice would have its error message compiled
+        wider[t] = values[t]
     return wider
 
 
