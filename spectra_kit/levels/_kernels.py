@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -96,9 +97,11 @@ def balls(
                     last += 1
         if total + last > len(members):
             longer = np.empty(2 * len(members) + last, np.int32)
-            longer[:total] = members[:total]
+            for t in range(total):  # slices would have their error messages compiled
+                longer[t] = members[t]
             members = longer
-        members[total : total + last] = ball[:last]
+        for t in range(last):
+            members[total + t] = ball[t]
         total += last
         ends[k + 1] = total
     return ends, members[:total].copy()
@@ -188,7 +191,7 @@ def interpolate(
             weights[p] *= tilt
 
 
-@njit(nogil=True, cache=True)
+@register_jitable
 def _diagonalize(matrix: Floats, axes: Floats) -> None:
     """Diagonalise a symmetric 3 x 3 `matrix` in place by Jacobi rotations; `axes` by columns."""
     axes[:] = 0.0
