@@ -260,6 +260,22 @@ def test_a_machine_without_opengl_gets_an_error_and_keeps_its_picture(
     assert picture.read_text() == "the old one"
 
 
+def test_an_error_in_the_process_that_draws_comes_out_as_itself(ball, tmp_path, monkeypatch):
+    """It is no sign of a missing library, and nobody is sent to install one."""
+    short_of_memory = "def Color(name):\n    raise MemoryError('no room for colours')"
+    without(
+        f"{short_of_memory}\nclass Plotter:\n    def __init__(self, **_): ...",
+        tmp_path,
+        monkeypatch,
+    )
+    with pytest.raises(MemoryError, match="^no room for colours") as caught:
+        one_panel(tmp_path / "x.png", ball, np.zeros(ball.n))
+    (note,) = caught.value.__notes__
+    assert note.startswith("It was raised in the process that draws:\nTraceback")
+    assert "in Color" in note
+    assert not (tmp_path / "x.png").exists()
+
+
 def test_a_machine_without_pyvista_gets_an_error(ball, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyvista", None)
     with pytest.raises(MissingDependencyError, match="pictures need PyVista: pip install pyvista"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import pickle
 import subprocess
 import sys
 import tempfile
@@ -101,6 +102,8 @@ def render(
     ------
     MissingDependencyError
         If there is no PyVista, or no OpenGL library that it can draw with.
+    Exception
+        What the process that draws raised itself, with its traceback as a note.
     """
     if importlib.util.find_spec("pyvista") is None:
         raise MissingDependencyError("pictures need PyVista: pip install pyvista")
@@ -111,11 +114,15 @@ def render(
         for environment in _environments():
             # -P: the folder of the worker must not shadow other modules.
             command = [sys.executable, "-P", str(_WORKER), folder, str(len(scenes))]
-            code, reason = _run(command, environment, progress, total)
+            code, complaints = _run(command, environment, progress, total)
             if code == 0:
                 return [np.load(Path(folder) / f"pictures{i}.npy") for i in range(len(scenes))]
-    # A Python error says what is wrong; VTK without OpenGL dies by a signal.
-    reason = reason if code == 1 else "it crashed"
+            if (raised := Path(folder) / "error.pickle").exists():
+                error: Exception = pickle.loads(raised.read_bytes())
+                error.add_note(f"It was raised in the process that draws:\n{complaints}")
+                raise error
+    # Libraries that are not there cannot be imported; VTK without a window dies by a signal.
+    reason = complaints.split("\n")[-1] if code == 1 else "it crashed"
     raise MissingDependencyError(
         f"PyVista could not draw ({reason}); it needs an OpenGL library but no display,"
         " on Debian or Ubuntu: apt-get install libegl1 libgl1"
@@ -128,7 +135,7 @@ def _run(
     progress: Callable[[int, int], None] | None,
     total: int,
 ) -> tuple[int, str]:
-    """Run the worker; return its exit code, and the last line that it had to complain of."""
+    """Run the worker; return its exit code, and what it had to complain of."""
     with (
         tempfile.TemporaryFile("w+") as complaints,
         subprocess.Popen(
@@ -146,7 +153,7 @@ def _run(
             process.wait()  # on Ctrl-C `Popen` itself would wait for a quarter of a second only
             raise
         complaints.seek(0)
-        return code, complaints.read().strip().split("\n")[-1]
+        return code, complaints.read().strip()
 
 
 def _request(scene: Scene) -> dict[str, Any]:

@@ -7,6 +7,7 @@ contained. It needs NumPy and PyVista only.
 
 from __future__ import annotations
 
+import pickle
 import sys
 from pathlib import Path
 from typing import Any
@@ -25,11 +26,15 @@ LIGHTS = (((-0.5, 0.75, 1.0), 0.52), ((0.9, 0.1, 0.8), 0.24))  # (direction, str
 
 
 def main(folder: str, count: str) -> None:
-    """Answer every request in the folder."""
-    for i in range(int(count)):
-        with np.load(Path(folder) / f"request{i}.npz") as file:
-            request = {name: file[name] for name in file.files}
-        np.save(Path(folder) / f"pictures{i}.npy", draw(request))
+    """Answer every request in the folder; leave an error of Python's there for who waits."""
+    try:
+        for i in range(int(count)):
+            with np.load(Path(folder) / f"request{i}.npz") as file:
+                request = {name: file[name] for name in file.files}
+            np.save(Path(folder) / f"pictures{i}.npy", draw(request))
+    except Exception as error:
+        (Path(folder) / "error.pickle").write_bytes(pickle.dumps(error))
+        raise
 
 
 def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
