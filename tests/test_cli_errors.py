@@ -2,9 +2,11 @@
 
 import argparse
 import os
+import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -193,3 +195,41 @@ def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_p
     assert not page.exists()
     assert "found no file" in refused(capsys, "modes", ball, "--spectrum", tmp_path / "none.npz")
     assert "not a whole spectrum file" in refused(capsys, "modes", ball, "--spectrum", ball)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="there is no Ctrl-C for a process alone here")
+@pytest.mark.parametrize(
+    ("command", "numbers", "pictures"),
+    [
+        (
+            ("match", "demo", "demo", "-k", "30"),
+            ("functional_map.npy", "point_map.npy", "report.json", "source.npz", "target.npz"),
+            ("correspondence.png", "functional_map.png", "errors.png"),
+        ),
+        (("geodesic", "demo"), ("distance.npy", "distance.ply", "report.json"), ("field.png",)),
+        (("spectrum", "demo", "-k", "9", "--picture", "out/plot.png"), ("modes.npz",), ()),
+    ],
+    ids=lambda part: part[0] if part else "",
+)
+def test_ctrl_c_while_drawing_keeps_the_numbers_and_names_what_is_missing(
+    command, numbers, pictures, tmp_path
+):
+    out = tmp_path / "out"
+    out.mkdir()
+    target = Path("out") if pictures else Path("out", "modes.npz")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "spectra_kit", *command, "--points", "700", "-o", str(target)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+    )
+    while not (out / numbers[-1]).exists() and process.poll() is None:  # the last to be written
+        time.sleep(0.005)
+    process.send_signal(signal.SIGINT)
+    said, told = process.communicate(timeout=60)
+    assert (process.returncode, said) == (130, "")
+    assert sorted(os.listdir(out)) == list(numbers)
+    missing = ", ".join(f"out/{name}" for name in pictures or ["plot.png"])
+    kept = "the numbers in out are" if pictures else f"the spectrum {target} is"
+    assert told == f"{kept} whole, but not drawn: {missing}\ninterrupted\n"

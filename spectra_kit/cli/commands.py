@@ -8,6 +8,7 @@ from pathlib import Path
 
 from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli import tables
+from spectra_kit.cli.folder import drawing
 from spectra_kit.cli.inputs import assemble, load, solvers_named
 from spectra_kit.cli.options import PICTURES, up_of
 from spectra_kit.cli.output import check_output, print_blocks, print_json
@@ -57,7 +58,8 @@ def spectrum(arguments: argparse.Namespace) -> None:
     if picture:
         from spectra_kit.viz import plot_spectrum
 
-        with step("drawing"):
+        kept = f"the spectrum {output} is whole" if output else "the modes were solved for"
+        with drawing([picture], kept=kept):
             plot_spectrum(picture, result, title=tables.title(arguments.file, geometry))
     if arguments.json:
         print_json(

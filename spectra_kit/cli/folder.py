@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from spectra_kit._files import naming
+from spectra_kit.cli.progress import say, step
 from spectra_kit.errors import InvalidInputError
 
 
@@ -42,6 +43,31 @@ def check_folder(
             f"{str(folder)!r} must hold no other result, got {', '.join(left)}, which would stay"
             " beside the new one; remove what is old, or name another folder with --output"
         )
+
+
+@contextmanager
+def drawing(pictures: Sequence[Path], *, kept: str) -> Iterator[None]:
+    """Show that pictures are drawn; where that ends early, say what is `kept` and what is missing.
+
+    The numbers took longer than their pictures, and are whole: Ctrl-C does not throw them away.
+    """
+    before = [_state(path) for path in pictures]
+    try:
+        with step("drawing"):
+            yield
+    except BaseException:
+        drawn = zip(pictures, before, strict=True)
+        missing = [str(path) for path, old in drawn if _state(path) in (None, old)]
+        say(f"{kept}, but not drawn: {', '.join(missing)}")
+        raise
+
+
+def _state(path: Path) -> tuple[int, int] | None:
+    """What changes when a file is replaced; None where there is none."""
+    if not path.exists():
+        return None
+    status = path.stat()
+    return status.st_ino, status.st_mtime_ns
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.cli import tables
-from spectra_kit.cli.folder import check_folder, together
+from spectra_kit.cli.folder import check_folder, drawing, together
 from spectra_kit.cli.geodesic_compare import Compared, clock_note, compare_solvers, comparison_table
 from spectra_kit.cli.geodesic_method import (
     check_spectrum,
@@ -104,7 +104,8 @@ def geodesic_distances(arguments: argparse.Namespace) -> None:
     with step(f"writing {folder}"):
         written = _write(folder, geometry, field.distance, record)
     if not arguments.no_pictures:
-        with step("drawing"):
+        pictures = [folder / name for name in _files(arguments)[len(_NUMBERS) :]]
+        with drawing(pictures, kept=f"the numbers in {folder} are whole"):
             written += _draw(arguments, geometry, sources, field, compared)
     if arguments.json:
         print_json(**record, written=[str(path) for path in written])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from spectra_kit._validate import check_indices
 from spectra_kit.cli import tables
-from spectra_kit.cli.folder import check_folder, together
+from spectra_kit.cli.folder import check_folder, drawing, together
 from spectra_kit.cli.inputs import assemble, load, solvers_named
 from spectra_kit.cli.options import DEMO, up_of
 from spectra_kit.cli.output import as_json, print_blocks, print_json
@@ -69,7 +69,7 @@ def match_shapes(arguments: argparse.Namespace) -> None:
     with step(f"writing {folder}"):
         written = _write(folder, found, record, sides)
     if not arguments.no_pictures:
-        with step("drawing"):
+        with drawing(_pictures(folder, errors), kept=f"the numbers in {folder} are whole"):
             written += _draw(arguments, source, target, found, errors)
     if arguments.json:
         print_json(**record, written=[str(path) for path in written])
@@ -214,6 +214,10 @@ def _write(
     return [folder / name for name in (*_MAPS, *_SIDES[: len(sides)])]
 
 
+def _pictures(folder: Path, errors: Errors | None) -> list[Path]:
+    return [folder / name for name in (_PICTURES[:2] if errors is None else _PICTURES)]
+
+
 def _draw(
     arguments: argparse.Namespace,
     source: Side,
@@ -224,7 +228,7 @@ def _draw(
     from spectra_kit.viz import plot_correspondence, plot_error_curves, plot_functional_map
 
     folder, dpi = arguments.output, arguments.dpi
-    paths = [folder / name for name in (_PICTURES[:2] if errors is None else _PICTURES)]
+    paths = _pictures(folder, errors)
     names = tuple(Path(side.name).stem for side in (source, target))
     title = " to ".join(names)
     plot_correspondence(
