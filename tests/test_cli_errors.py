@@ -226,6 +226,7 @@ def test_ctrl_c_while_drawing_keeps_the_numbers_and_names_what_is_missing(
     )
     while not (out / numbers[-1]).exists() and process.poll() is None:  # the last to be written
         time.sleep(0.005)
+    time.sleep(0.4)  # the drawing has begun, and takes longer
     process.send_signal(signal.SIGINT)
     said, told = process.communicate(timeout=60)
     assert (process.returncode, said) == (130, "")
