@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -52,7 +53,7 @@ def stars(
     """
     k = neighbors.shape[1]
     x, y, angle = np.empty(k), np.empty(k), np.empty(k)
-    hull = np.empty(k + 1, np.int64)
+    hull, order = np.empty(k + 1, np.int64), np.empty(k, np.int64)
     for row in range(len(owners)):
         owner, near = owners[row], neighbors[row]
         u0, u1, u2, v0, v1, v2 = _tangents(points, owner, near)
@@ -67,7 +68,7 @@ def stars(
             # Rises with the angle from -1 by 4 a turn; opposite directions differ by 2.
             steep = y[j] / (abs(x[j]) + abs(y[j])) if x[j] != 0 or y[j] != 0 else 0.0
             angle[j] = steep if x[j] >= 0 else 2 - steep
-        size, is_closed = _hull(x, y, angle, hull)
+        size, is_closed = _hull(x, y, angle, order, hull)
         closed[row] = is_closed
         if size < 2:
             size = 0
@@ -95,11 +96,13 @@ def triangles(owners: Ints, links: Ints, sizes: Ints, closed: Bools) -> Ints:
     return found
 
 
-@njit(nogil=True, cache=True)
-def _hull(x: Floats, y: Floats, angle: Floats, hull: NDArray[np.int64]) -> tuple[int, bool]:
+@register_jitable
+def _hull(
+    x: Floats, y: Floats, angle: Floats, order: NDArray[np.int64], hull: NDArray[np.int64]
+) -> tuple[int, bool]:
     """Write the hull of the points and the origin, counter-clockwise from the origin if on it."""
     k = len(x)
-    order = np.argsort(angle)
+    _sort(angle, order)
     widest, after = -1.0, 0
     for j in range(k):
         gap = angle[order[(j + 1) % k]] - angle[order[j]]
@@ -141,7 +144,32 @@ def _hull(x: Floats, y: Floats, angle: Floats, hull: NDArray[np.int64]) -> tuple
     return size, is_closed
 
 
-@njit(nogil=True, cache=True)
+@register_jitable
+def _sort(angle: Floats, order: NDArray[np.int64]) -> None:
+    """Write to `order` the indices of the angles upwards, of equal ones the lower index first.
+
+    Shell's sort: numba compiles it in a tenth of the time of numpy's.
+    """
+    k = len(angle)
+    for j in range(k):
+        order[j] = j
+    gap = 1
+    while gap < k // 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for t in range(gap, k):
+            new, at = order[t], t
+            while at >= gap:
+                old = order[at - gap]
+                if angle[old] < angle[new] or (angle[old] == angle[new] and old < new):
+                    break
+                order[at] = old
+                at -= gap
+            order[at] = new
+        gap //= 3
+
+
+@register_jitable
 def _tangents(
     points: Floats, owner: int, near: Ints
 ) -> tuple[float, float, float, float, float, float]:
@@ -178,10 +206,12 @@ def _tangents(
     return axes[0, i], axes[1, i], axes[2, i], axes[0, j], axes[1, j], axes[2, j]
 
 
-@njit(nogil=True, cache=True)
+@register_jitable
 def _eigenvectors(a: Floats) -> Floats:
     """Diagonalise the symmetric 3 x 3 matrix `a` in place by Jacobi rotations."""
-    axes = np.eye(3)
+    axes = np.zeros((3, 3))
+    for r in range(3):
+        axes[r, r] = 1.0
     for _ in range(20):
         off = a[0, 1] ** 2 + a[0, 2] ** 2 + a[1, 2] ** 2
         if off <= 1e-30 * (a[0, 0] ** 2 + a[1, 1] ** 2 + a[2, 2] ** 2):
