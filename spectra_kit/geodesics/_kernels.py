@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -20,7 +21,7 @@ _MOST = 1023
 _POWERS = 2.0 ** np.arange(-1074.0, _MOST + 1)  # a look-up is quicker than `ldexp`
 
 
-@njit(nogil=True, cache=True)
+@register_jitable
 def _power(exponent: int) -> float:
     """Two to the power of `exponent`, the nearest there is."""
     return float(_POWERS[min(max(exponent, -1074), _MOST) + 1074])

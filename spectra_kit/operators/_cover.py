@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -139,7 +140,7 @@ def glue(
                 _glue_edge(points, triangles, group[:d], low, high, sharpest, halves, out, twins)
 
 
-@njit(nogil=True, cache=True)
+@register_jitable
 def _glue_edge(
     points: Floats,
     triangles: Ints,
@@ -182,7 +183,7 @@ def _glue_edge(
         twins[up[q]], twins[down[p]] = down[p], up[q]
 
 
-@njit(nogil=True, cache=True)
+@register_jitable
 def _direction(points: Floats, low: int, high: int, apex: int, out: Floats) -> None:
     """Write the unit vector from the line through two points towards a third one."""
     along, square = 0.0, 0.0
@@ -201,7 +202,7 @@ def _direction(points: Floats, low: int, high: int, apex: int, out: Floats) -> N
             out[r] /= math.sqrt(norm)
 
 
-@njit(nogil=True, cache=True)
+@register_jitable
 def _distance(points: Floats, a: int, b: int) -> float:
     return math.sqrt(
         (points[a, 0] - points[b, 0]) ** 2

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -29,15 +30,15 @@ def flip_to_delaunay(tails: Ints, lengths: Floats, twins: Ints, most: int) -> bo
     stack = np.empty(len(tails), np.int32)
     top = 0
     for h in range(len(tails)):
-        if h < twins[h] and _is_bad(lengths, h, twins[h]):
+        if h < twins[h] and _is_bad(lengths, h, twins[h] + 0):
             stack[top], waiting[h] = h, True
             top += 1
     flips = 0
     while top > 0:
         top -= 1
-        h = stack[top]
+        h = stack[top] + 0  # of 64 bits: nothing is compiled for two kinds of integers
         waiting[h] = False
-        g = twins[h]
+        g = twins[h] + 0
         if h // 3 == g // 3 or not _is_bad(lengths, h, g):
             continue
         if flips == most:
@@ -52,7 +53,7 @@ def flip_to_delaunay(tails: Ints, lengths: Floats, twins: Ints, most: int) -> bo
     return True
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@register_jitable
 def _flip(tails: Ints, lengths: Floats, twins: Ints, h: int, g: int) -> None:
     """Replace the edge ab of the faces abc (h: a to b) and bad (g) by cd.
 
@@ -95,7 +96,7 @@ def edge_weights(
     for h in range(len(tails)):
         if h < twins[h] and tails[h] != tails[_next(h)]:
             rows[e], columns[e] = tails[h], tails[_next(h)]
-            values[e] = (_cotangent(lengths, h) + _cotangent(lengths, twins[h])) / 2
+            values[e] = (_cotangent(lengths, h) + _cotangent(lengths, twins[h] + 0)) / 2
             e += 1
     for face in range(len(tails) // 3):
         third = _area(lengths, 3 * face) / 3
@@ -104,31 +105,31 @@ def edge_weights(
     return rows, columns, values, mass
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@register_jitable
 def _is_bad(lengths: Floats, h: int, g: int) -> bool:
     one, other = _cotangent(lengths, h), _cotangent(lengths, g)
     return one + other < -_ROUNDING * (1 + abs(one) + abs(other))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@register_jitable
 def _cotangent(lengths: Floats, h: int) -> float:
     """Cotangent of the angle opposite half-edge `h`."""
     a, b, c = lengths[h], lengths[_next(h)], lengths[_previous(h)]
     return float((b * b + c * c - a * a) / (4 * _area(lengths, h)))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@register_jitable
 def _area(lengths: Floats, h: int) -> float:
     a, b, c = lengths[h], lengths[_next(h)], lengths[_previous(h)]
     square = (a + b + c) * (b + c - a) * (c + a - b) * (a + b - c)
     return math.sqrt(max(square, 0.0)) / 4
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@register_jitable
 def _next(h: int) -> int:
     return h - 2 if h % 3 == 2 else h + 1
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@register_jitable
 def _previous(h: int) -> int:
     return h + 2 if h % 3 == 0 else h - 1

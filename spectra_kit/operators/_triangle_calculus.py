@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -63,7 +64,7 @@ def divergences(corners: Ints, lengths: Floats, vectors: Floats, n: int) -> Floa
     return found
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@register_jitable
 def _apex(lengths: Floats, t: int) -> tuple[float, float]:
     """Return where corner 2 of triangle t is in its frame."""
     a = lengths[t, 0]
