@@ -11,7 +11,7 @@ import pytest
 from conftest import bumpy
 
 from spectra_kit import Arpack, eigensolve, robust_laplacian
-from spectra_kit.benchmarks import METHODS, Result, Settings, fit_exponent, measure, undominated
+from spectra_kit.benchmarks import METHODS, Result, Settings, fit_exponent, measure
 from spectra_kit.benchmarks.methods import QUICK
 from spectra_kit.benchmarks.peers import ScipyEigsh
 from spectra_kit.benchmarks.problems import Problem, read_operator, write_operator
@@ -393,16 +393,20 @@ def result(method, seconds, error, **changes):
     return dataclasses.replace(measured, **changes)
 
 
-def test_the_front_leaves_out_what_is_beaten():
+def test_bold_methods_are_those_that_none_beats_on_their_device():
     results = [
-        result("exact", 4.0, 0.0),
-        result("as exact, slower", 5.0, 1e-15),
-        result("fast", 0.1, 1e-2),
+        result("arpack", 4.0, 0.0),
+        result("eigsh", 5.0, 1e-15),  # as exact, but slower
+        result("neo", 0.1, 1e-2),
         result("polished", 0.5, 1e-4),
-        result("beaten", 0.6, 1e-3),
-        result("unknown", 0.01, None),
+        result("fourier", 0.6, 1e-3),  # beaten
+        result("lapy", 0.01, None),  # of unknown accuracy
+        result("neo", 0.05, 2e-4, device="cuda"),
     ]
-    assert [r.method for r in undominated(results)] == ["fast", "polished", "exact"]
+    machine = {"name": "box", "processor": "fast", "accelerator": ""}
+    text = markdown(results, Settings(machine="box", commit="", repeats=1), machine)
+    bold = [line.split("**")[1] for line in text.splitlines() if line.startswith("| **")]
+    assert bold == ["arpack", "neo", "polished", "neo (cuda)"]
 
 
 def test_the_report_says_what_is_missing_and_what_disturbed():

@@ -2,7 +2,7 @@
 
 Data flows `problems` (a geometry at a number of points, its operator) and `methods` (backends, and
 the `peers` wrapped as backends) -> `measure` (each in a process of its own, see `worker`) ->
-`results` (medians, exponents, who is undominated) -> `report` (JSON, tables, plots).
+`results` (medians, exponents) -> `report` (JSON, tables, plots).
 """
 
 from spectra_kit.benchmarks.machine import describe_machine
@@ -10,7 +10,7 @@ from spectra_kit.benchmarks.measure import Settings, measure
 from spectra_kit.benchmarks.methods import METHODS, Entry
 from spectra_kit.benchmarks.problems import Problem
 from spectra_kit.benchmarks.report import write_report
-from spectra_kit.benchmarks.results import Result, fit_exponent, summarize, undominated
+from spectra_kit.benchmarks.results import Result, fit_exponent, summarize
 
 __all__ = [
     "METHODS",
@@ -22,6 +22,5 @@ __all__ = [
     "fit_exponent",
     "measure",
     "summarize",
-    "undominated",
     "write_report",
 ]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from spectra_kit.benchmarks.methods import METHODS, Entry
-from spectra_kit.benchmarks.results import Fit, Result, error_of
+from spectra_kit.benchmarks.results import Fit, Result
 from spectra_kit.viz.front import ParetoPoint
 from spectra_kit.viz.labels import log_ticks
 from spectra_kit.viz.pareto import plot_pareto
@@ -87,24 +87,29 @@ def draw_accuracy(results: Sequence[Result], path: Path) -> Path:
     Path
         The same.
     """
-    shown = [r for r in results if r.ok and r.eigenvalue_error is not None]
-    points = [
+    shown = next(result for result in results if result.ok)
+    return plot_pareto(
+        path,
+        pareto_points(results),
+        ylabel="mean relative eigenvalue error",
+        title=f"{shown.geometry}, {shown.n:,} points: accuracy against time",
+        dpi=_DPI,
+    ).path
+
+
+def pareto_points(results: Iterable[Result]) -> list[ParetoPoint]:
+    """Return the results that have an error as points of a Pareto plot, a league each device."""
+    return [
         ParetoPoint(
             name=result.label,
             group=_group(METHODS[result.method]),
             seconds=result.median,
-            error=error_of(result, 0.0),
+            error=result.eigenvalue_error,
             league=result.device,
         )
-        for result in shown
+        for result in results
+        if result.ok and result.eigenvalue_error is not None
     ]
-    return plot_pareto(
-        path,
-        points,
-        ylabel="mean relative eigenvalue error",
-        title=f"{shown[0].geometry}, {shown[0].n:,} points: accuracy against time",
-        dpi=_DPI,
-    ).path
 
 
 def _group(entry: Entry) -> str:

@@ -9,15 +9,17 @@ from pathlib import Path
 from typing import TypeVar
 
 from spectra_kit._files import atomic_path
-from spectra_kit.benchmarks.figures import draw_accuracy, draw_times
+from spectra_kit.benchmarks.figures import draw_accuracy, draw_times, pareto_points
 from spectra_kit.benchmarks.machine import describe_machine
 from spectra_kit.benchmarks.measure import SCHEMA, Settings
 from spectra_kit.benchmarks.methods import BASELINE, METHODS
-from spectra_kit.benchmarks.results import FIT_FROM, Result, exponents, undominated
+from spectra_kit.benchmarks.results import FIT_FROM, Result, exponents
+from spectra_kit.viz.front import pareto_front
 
 Item = TypeVar("Item")
 Name = TypeVar("Name")
 
+_ROUNDING = 1e-12  # smaller errors count as equal
 _BUSY = 0.05  # of a solve's time without a core; times are longer than they should be
 
 _COLUMNS = (
@@ -159,10 +161,11 @@ def _table(here: Sequence[Result], operator: str) -> list[str]:
     lines = [title, "", f"Operator: {operator}{took}.", ""]
     lines += ["| " + " | ".join(_COLUMNS) + " |", "|---" * len(_COLUMNS) + "|"]
     base = next((r.median for r in here if r.method == BASELINE and r.ok), None)
-    best = [r for _, these in _grouped(here, lambda r: r.device) for r in undominated(these)]
+    leagues = _grouped(pareto_points(here), lambda point: point.league)
+    best = {p.name for _, league in leagues for p in pareto_front(league, floor=_ROUNDING)}
     for result in (result for result in here if result.ok):
         cells = [
-            f"**{result.label}**" if result in best else result.label,
+            f"**{result.label}**" if result.label in best else result.label,
             METHODS[result.method].stops,
             f"{result.median:.3g}",
             "" if base is None else f"{base / result.median:.2f}",

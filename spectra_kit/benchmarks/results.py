@@ -1,4 +1,4 @@
-"""What the measurements say: one `Result` for each method and problem, exponents, Pareto fronts."""
+"""What the measurements say: one `Result` for each method and problem, and exponents."""
 
 from __future__ import annotations
 
@@ -207,34 +207,3 @@ def exponents(results: Iterable[Result]) -> dict[tuple[str, str, str], Fit]:
         for name, line in lines.items()
         if len(line) >= FIT_SIZES
     }
-
-
-def undominated(results: Iterable[Result], *, floor: float = 1e-12) -> list[Result]:
-    """Return the Pareto front: results that no other one beats in both time and accuracy.
-
-    Parameters
-    ----------
-    results : iterable of Result
-        Of one problem; those without an eigenvalue error are left out.
-    floor : float, default 1e-12
-        Smaller errors count as this: they are rounding.
-
-    Returns
-    -------
-    list of Result
-        Fastest first, each more accurate than the one before.
-    """
-    measured = [r for r in results if r.ok and r.eigenvalue_error is not None]
-    front: list[Result] = []
-    best = float("inf")
-    for result in sorted(measured, key=lambda r: (r.median, error_of(r, floor))):
-        if error_of(result, floor) < best:
-            best = error_of(result, floor)
-            front.append(result)
-    return front
-
-
-def error_of(result: Result, floor: float) -> float:
-    """Mean eigenvalue error, not below `floor`."""
-    assert result.eigenvalue_error is not None
-    return max(result.eigenvalue_error, floor)
