@@ -202,7 +202,7 @@ def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_p
     ("command", "numbers", "pictures"),
     [
         (
-            ("match", "demo", "demo", "-k", "30"),
+            ("match", "demo", "demo", "-k", "20"),
             ("functional_map.npy", "point_map.npy", "report.json", "source.npz", "target.npz"),
             ("correspondence.png", "functional_map.png", "errors.png"),
         ),
@@ -218,7 +218,7 @@ def test_ctrl_c_while_drawing_keeps_the_numbers_and_names_what_is_missing(
     out.mkdir()
     target = Path("out") if pictures else Path("out", "modes.npz")
     process = subprocess.Popen(
-        [sys.executable, "-m", "spectra_kit", *command, "--points", "700", "-o", str(target)],
+        [sys.executable, "-m", "spectra_kit", *command, "--points", "500", "-o", str(target)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -268,7 +268,7 @@ def test_an_error_in_the_process_that_draws_comes_out_as_itself(ball, tmp_path, 
         tmp_path,
         monkeypatch,
     )
-    with pytest.raises(MemoryError, match="^no room for colours") as caught:
+    with pytest.raises(MemoryError, match=r"^no room for colours") as caught:
         one_panel(tmp_path / "x.png", ball, np.zeros(ball.n))
     (note,) = caught.value.__notes__
     assert note.startswith("It was raised in the process that draws:\nTraceback")
