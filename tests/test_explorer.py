@@ -18,6 +18,7 @@ from spectra_kit.explorer.display import for_display
 from spectra_kit.explorer.payload import walk
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
 from spectra_kit.metrics import align_modes, compare_spectra
+from spectra_kit.viz.contours import triangles_of
 from spectra_kit.viz.signs import display_signs
 
 PACKAGE = Path(walk.__code__.co_filename).parent
@@ -119,6 +120,18 @@ def test_the_page_holds_the_geometry(mesh, exact, tmp_path):
     rank[walk(mesh)] = np.arange(mesh.n)
     theirs = corner_sets(unit[walk(mesh)], page.faces())
     np.testing.assert_array_equal(theirs, corner_sets(unit, mesh.faces))
+
+
+def test_the_page_of_a_cloud_holds_the_triangles_of_its_nodal_lines(mesh, exact, tmp_path):
+    cloud = mesh.as_cloud()
+    page = Page(write_explorer(tmp_path / "page.html", cloud, exact).path)
+    f, data = page.facts["stars"], page.blocks["geometry"][12 * cloud.n :]
+    first, second, third = (numbers32(data[4 * f * i :], f) for i in range(3))
+    rows = walk(cloud)[np.column_stack([first, first + second, first + third])]
+    theirs = np.unique(np.sort(rows, axis=1), axis=0)
+    ours = np.unique(np.sort(triangles_of(cloud), axis=1), axis=0)
+    np.testing.assert_array_equal(theirs, ours)
+    assert "stars" not in Page(write_explorer(tmp_path / "mesh.html", mesh, exact).path).facts
 
 
 def test_numbers_on_the_page_are_those_of_the_comparison(mesh, exact, predicted, tmp_path):

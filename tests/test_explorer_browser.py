@@ -347,8 +347,7 @@ def test_a_thinned_cloud_alone_on_a_phone(browser, pages):
         browser, pages / "cloud.html", width=390, height=800, has_touch=True, is_mobile=True
     )
     assert not phone.page.is_visible("#view-predicted")
-    assert not phone.page.is_visible("#nodal")
-    assert "Nodal lines need triangles" in phone.text("#note")
+    assert "Nodal lines run over triangles between neighbouring points" in phone.text("#note")
     assert re.match(r"shown: 1,\d{3} of 2,562 points", phone.text("#subtitle"))
     assert "are those of all" in phone.text("#note")
     phone.page.evaluate("explorer.stage.look([1, 0, 0])")
@@ -361,6 +360,58 @@ def test_a_thinned_cloud_alone_on_a_phone(browser, pages):
     assert phone.mode() == 2
     phone.assert_silent()
     phone.page.context.close()
+
+
+def test_a_cloud_has_nodal_lines_where_the_function_vanishes(browser, pages, ball):
+    visit = Visit(browser, pages / "cloud.html", width=500, height=500)
+    visit.page.evaluate("explorer.stage.look([1, 0, 0])")
+    visit.settle()
+
+    def darkest(across):
+        pixels = visit.view("exact")
+        rows, columns, _ = pixels.shape
+        column = int(across * columns)
+        return pixels[rows // 3 : -rows // 3, column].max(axis=1).min()
+
+    lines = """() => { const { buffer, thing } = explorer.stage.surface.zeros[0];
+        return [...buffer.array.slice(0, 7 * thing.geometry.instanceCount)]; }"""
+    segments = np.reshape(visit.page.evaluate(lines), (-1, 7))[:, :6].reshape(-1, 2, 3)
+    # Mode 1 is z + 0.02 z^2: its zeros are one whole circle, at the radius 1/2 of a box of side 1.
+    assert np.abs(segments[..., 2]).max() < 0.005
+    np.testing.assert_allclose(np.linalg.norm(segments, axis=2), 0.5, atol=0.005)
+    turn = np.unwrap(np.arctan2(segments[..., 1], segments[..., 0]), axis=1)
+    starts, stops = np.sort(turn, axis=1).T
+    angles = np.linspace(0, 2 * np.pi, 400)[:, None]
+    inside = (angles - starts) % (2 * np.pi) <= stops - starts + 1e-4
+    assert inside.any(axis=1).all()
+    # Drawn over the points, and nowhere else.
+    assert darkest(0.5) < 120
+    assert darkest(0.35) < 120
+    visit.page.click("#nodal")
+    visit.settle()
+    assert darkest(0.5) > 150
+    visit.page.click("#nodal")
+    # From above the circle is the outline; the far side of another is hidden: of x, seen along x.
+    visit.page.evaluate("explorer.choose(2); explorer.stage.look([1, 0, 0])")
+    visit.settle()
+    with_lines = visit.view("exact")
+    visit.page.click("#nodal")
+    visit.settle()
+    changed = np.abs(visit.view("exact") - with_lines).max(axis=2) > 10
+    rows, columns = changed.shape
+    assert not changed[2 * rows // 5 : -2 * rows // 5, 2 * columns // 5 : -2 * columns // 5].any()
+    visit.page.click("#nodal")
+    # The constant mode has none; while the surface swings, lines stay where they are.
+    visit.page.evaluate("explorer.choose(0)")
+    visit.settle()
+    assert visit.page.evaluate(lines) == []
+    visit.page.evaluate("explorer.choose(1)")
+    visit.page.click("#wave")
+    visit.page.click("#play")
+    visit.settle()
+    assert darkest(0.5) < 120
+    visit.assert_silent()
+    visit.page.context.close()
 
 
 def test_every_view_is_seen_on_a_phone(browser, pages):

@@ -13,6 +13,7 @@ from spectra_kit.geometry.normals import estimate_normals, orient_normals
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 from spectra_kit.metrics import Comparison, align_modes
 from spectra_kit.spectrum import Spectrum
+from spectra_kit.viz.contours import triangles_of
 from spectra_kit.viz.signs import display_signs
 
 Floats = NDArray[np.float64]
@@ -138,6 +139,14 @@ def spacing(points: Floats) -> float:
     """Diameter of a cloud's points: at the twelfth neighbour, few gaps show the far side."""
     distances, _ = cKDTree(points).query(points, k=min(13, len(points)))
     return float(np.median(np.atleast_2d(distances.T)[-1]))
+
+
+def stars_of(cloud: PointCloud, order: Ints) -> Ints:
+    """Triangles (f, 3) for the nodal lines of a cloud, of its points in this order, sorted."""
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    rows = np.sort(rank[triangles_of(cloud)], axis=1)
+    return np.asarray(rows[np.lexsort(rows.T[::-1])])
 
 
 def normal_steps(cloud: PointCloud) -> NDArray[np.int64]:

@@ -21,6 +21,7 @@ from spectra_kit.explorer.display import (
     functions_of,
     normal_steps,
     spacing,
+    stars_of,
 )
 from spectra_kit.explorer.document import assembled
 from spectra_kit.explorer.facts import colour_facts, comparison_facts, numbers, spectrum_facts
@@ -282,6 +283,9 @@ def _write(
         facts["faces"] = 0
         facts["spacing"] = spacing(points) / side
         parts.append(steps16(normal_steps(geometry)[order]))
+        stars = stars_of(geometry, order)
+        facts["stars"] = len(stars)
+        parts.append(face_bytes(stars))
     blocks = {"geometry": packed(*parts)}
     for name, functions in zip(("exact", "predicted"), shown, strict=False):
         blocks[name] = packed(steps16(functions.steps))

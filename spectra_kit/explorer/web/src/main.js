@@ -45,7 +45,7 @@ function head(facts) {
       `Shown: ${count(facts.shown)} of ${count(facts.points)} points; eigenvalues, residuals and errors are those of all.`,
     );
   notes.push("Functions times √area; values rounded to 1/65,534 of the range of their mode.");
-  if (!facts.faces) notes.push("Nodal lines need triangles; a cloud of points has none.");
+  if (facts.stars) notes.push("Nodal lines run over triangles between neighbouring points.");
   if (facts.predicted)
     notes.push(`Differences below ${short((8 / 32767) * 100, 2)} % of a mode are not shown.`);
   if (facts.predicted)
@@ -139,13 +139,10 @@ async function main() {
     const next = Math.min(Math.max(Math.round(wanted) || 0, 0), k - 1);
     if (next === mode) return;
     mode = next;
-    column16(exact, 0, n, mode, stage.exact.array);
-    stage.exact.needsUpdate = true;
-    if (predicted) {
-      column16(predicted, 0, n, mode, stage.predicted.array);
-      stage.predicted.needsUpdate = true;
-    }
     const { scale, limit, difference } = facts.colours;
+    column16(exact, 0, n, mode, stage.surface.values[0]);
+    if (predicted) column16(predicted, 0, n, mode, stage.surface.values[1]);
+    stage.surface.change(scale[mode] / (limit[mode] || 1));
     for (const view of stage.views)
       view.gain = scale[mode] / ((view.which === 2 ? difference[mode] : limit[mode]) || 1);
     stage.invalidate();
@@ -199,7 +196,7 @@ function controls(facts, stage, choose, current, arrange) {
       act(on);
     });
   $("difference").hidden = !facts.predicted;
-  $("nodal").hidden = !facts.faces;
+  $("nodal").hidden = !(facts.faces || facts.stars);
   toggle("difference", arrange);
   toggle("nodal", (on) => {
     stage.nodal = on;

@@ -38,7 +38,7 @@ export function column32(bytes, start, n) {
   return out;
 }
 
-/** Positions (centred, longest side 1), faces, and normals. */
+/** Positions (centred, longest side 1), faces, normals; of a cloud the triangles beside its points. */
 export function readGeometry(bytes, facts) {
   const n = facts.shown;
   const positions = new Float32Array(3 * n);
@@ -49,8 +49,15 @@ export function readGeometry(bytes, facts) {
     for (let i = 0; i < n; i++) positions[3 * i + axis] = steps[i] / 65535 - middle;
   }
   const start = 6 * n;
-  if (!facts.faces) return { positions, index: null, normals: readNormals(bytes, start, n) };
-  const f = facts.faces;
+  if (facts.faces) {
+    const index = readTriangles(bytes, start, facts.faces);
+    return { positions, index, stars: null, normals: faceNormals(positions, index) };
+  }
+  const stars = facts.stars ? readTriangles(bytes, start + 6 * n, facts.stars) : null;
+  return { positions, index: null, stars, normals: readNormals(bytes, start, n) };
+}
+
+function readTriangles(bytes, start, f) {
   const corners = [0, 1, 2].map((corner) => column32(bytes, start + 4 * f * corner, f));
   const index = new Uint32Array(3 * f);
   for (let i = 0; i < f; i++) {
@@ -59,7 +66,7 @@ export function readGeometry(bytes, facts) {
     index[3 * i + 1] = first + corners[1][i];
     index[3 * i + 2] = first + corners[2][i];
   }
-  return { positions, index, normals: faceNormals(positions, index) };
+  return index;
 }
 
 function readNormals(bytes, start, n) {

@@ -1,6 +1,7 @@
 // What is drawn while something moves on a machine without a fast graphics card.
 
-const FEW = 6000; // triangles or points that any machine can draw
+const FEW = 6000; // triangles that any machine can draw
+const LEAST = 0.5; // pixels of the canvas for one of the page, along a side: fewer would be seen
 const MOST = 127; // cells along a side: three digits of that base make one key
 
 /** Whether WebGL runs on the processor: its smoothing of edges would cost more than all the rest. */
@@ -14,14 +15,10 @@ export function isSoftware() {
   return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
-/** Indices of a coarse stand-in among the same points: the first of each cell of a grid. */
+/** A coarse stand-in: which points it keeps, the first of each cell of a grid, and its triangles. */
 export function coarse(positions, index) {
   const n = positions.length / 3;
-  if ((index ? index.length / 3 : n) <= 1.5 * FEW) return null;
-  if (!index) {
-    const step = Math.ceil(n / FEW);
-    return Uint32Array.from({ length: Math.floor(n / step) }, (_, i) => i * step);
-  }
+  if (!index || index.length / 3 <= 1.5 * FEW) return null;
   // A surface meets about 3/2 area / cell^2 cells, and each of them makes two triangles.
   const cells = Math.min(Math.sqrt(FEW / (3 * area(positions, index))), MOST);
   const first = new Map();
@@ -32,12 +29,22 @@ export function coarse(positions, index) {
     if (!first.has(key)) first.set(key, i);
     stand[i] = first.get(key);
   }
-  const kept = [];
+  const kept = Uint32Array.from(first.values());
+  const rank = new Uint32Array(n);
+  kept.forEach((i, j) => (rank[i] = j));
+  const triangles = [];
   for (let t = 0; t < index.length; t += 3) {
     const [a, b, c] = [stand[index[t]], stand[index[t + 1]], stand[index[t + 2]]];
-    if (a !== b && b !== c && c !== a) kept.push(a, b, c);
+    if (a !== b && b !== c && c !== a) triangles.push(rank[a], rank[b], rank[c]);
   }
-  return Uint32Array.from(kept);
+  return { kept, triangles: Uint32Array.from(triangles) };
+}
+
+/** Pixels for each of the page's, so that a frame takes `quick` ms: `whole` at one, `half` at 1/2. */
+export function ratioFor(quick, whole, half) {
+  const fill = (whole - half) / 0.75; // the rest does not depend on the pixels
+  const ratio = fill > 0 ? Math.sqrt(Math.max(quick - whole + fill, 0) / fill) : 1;
+  return whole <= quick ? 1 : Math.min(Math.max(ratio, LEAST), 1);
 }
 
 function area(p, index) {

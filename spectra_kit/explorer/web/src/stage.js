@@ -1,32 +1,16 @@
 // The views: one canvas, one camera, one geometry; each view is a rectangle of the canvas.
 
-import {
-  BufferAttribute,
-  BufferGeometry,
-  DataTexture,
-  DataUtils,
-  DoubleSide,
-  HalfFloatType,
-  LinearFilter,
-  Mesh,
-  PerspectiveCamera,
-  Points,
-  RGBAFormat,
-  Scene,
-  ShaderMaterial,
-  Vector2,
-  Vector3,
-  WebGLRenderer,
-} from "three";
+import { PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { FRAGMENT, VERTEX } from "./shaders.js";
-import { coarse, isSoftware } from "./speed.js";
+import { isSoftware, ratioFor } from "./speed.js";
+import { Surface } from "./surface.js";
 
 const ANGLE = 28; // degrees, from the lower to the upper edge of a view
 const MARGIN = 1.08;
 const SWING = 0.06; // of the box: how far a mode moves the surface
 const PERIOD = 2400; // milliseconds
 const SLOW = 40; // milliseconds of a frame, above which moving things are drawn coarsely
+const QUICK = 30; // milliseconds that a coarse frame may take
 const REST = 160; // milliseconds without a change, after which everything is drawn
 const PATIENCE = 600; // the same, where a frame of everything takes longer than that
 
@@ -35,74 +19,30 @@ export class Stage {
     this.canvas = canvas;
     this.facts = facts;
     this.positions = geometry.positions;
-    this.views = []; // {card, pane, which, gain, lines}
+    this.views = []; // {card, pane, which, gain}
     this.wave = false;
     this.playing = false;
     this.phase = 0;
-    this.nodal = Boolean(geometry.index);
+    this.nodal = Boolean(geometry.index ?? geometry.stars);
     this.software = isSoftware();
     this.slow = false;
     this.fine = true;
+    this.ratio = 1; // of a picture that moves, where drawing is slow
     this.renderer = new WebGLRenderer({ canvas, antialias: !this.software, alpha: true });
     this.renderer.setClearColor(0, 0);
     this.renderer.setScissorTest(true);
     this.renderer.autoClear = false; // once for all views
     this.scene = new Scene();
     this.camera = new PerspectiveCamera(ANGLE, 1, 0.01, 100);
-    this.build(geometry);
+    this.surface = new Surface(facts, geometry);
+    this.scene.add(this.surface);
+    this.radius = 0;
+    for (let i = 0; i < this.positions.length; i += 3)
+      this.radius = Math.max(this.radius, Math.hypot(...this.positions.subarray(i, i + 3)));
+    this.radius ||= 1;
     this.steer();
     this.centre();
     this.fitted = 0;
-  }
-
-  build({ positions, index, normals }) {
-    const n = positions.length / 3;
-    const buffers = new BufferGeometry();
-    buffers.setAttribute("position", new BufferAttribute(positions, 3));
-    buffers.setAttribute("normal", new BufferAttribute(normals, 3));
-    this.exact = new BufferAttribute(new Int16Array(n), 1, true);
-    this.predicted = new BufferAttribute(new Int16Array(n), 1, true);
-    buffers.setAttribute("exact", this.exact);
-    buffers.setAttribute("predicted", this.predicted);
-    this.buffers = buffers;
-    this.index = index && new BufferAttribute(index, 1);
-    const few = coarse(positions, index);
-    this.coarse = few ? new BufferAttribute(few, 1) : this.index;
-    this.thinned = few && !index ? Math.sqrt(n / few.length) : 1; // of a cloud: larger points fill in
-    buffers.setIndex(this.index);
-    const colours = Uint8Array.from(atob(this.facts.palette), (c) => c.charCodeAt(0));
-    const table = new Uint16Array(1024);
-    colours.forEach((byte, i) => (table[4 * Math.floor(i / 3) + (i % 3)] = DataUtils.toHalfFloat(linear(byte / 255))));
-    const palette = new DataTexture(table, 256, 1, RGBAFormat, HalfFloatType);
-    palette.minFilter = palette.magFilter = LinearFilter;
-    palette.needsUpdate = true;
-    this.uniforms = {
-      which: { value: 0 },
-      gain: { value: 1 },
-      swing: { value: 1 },
-      amplitude: { value: 0 },
-      pixels: { value: 0 },
-      diameter: { value: this.facts.spacing },
-      palette: { value: palette },
-      lines: { value: 0 },
-      depths: { value: new Vector2(0, 1) },
-    };
-    const material = (kind) =>
-      new ShaderMaterial({
-        vertexShader: VERTEX,
-        fragmentShader: FRAGMENT,
-        side: DoubleSide,
-        defines: { ...kind, ...(index ? {} : { CLOUD: 1 }) },
-        uniforms: this.uniforms,
-      });
-    this.materials = { fine: material({}), rough: material({ ROUGH: 1 }) };
-    this.thing = index ? new Mesh(buffers, this.materials.fine) : new Points(buffers, this.materials.fine);
-    this.thing.frustumCulled = false;
-    this.scene.add(this.thing);
-    this.radius = 0;
-    for (let i = 0; i < positions.length; i += 3)
-      this.radius = Math.max(this.radius, Math.hypot(...positions.subarray(i, i + 3)));
-    this.radius ||= 1;
   }
 
   steer() {
@@ -202,7 +142,7 @@ export class Stage {
   /** Pixels of the canvas for those of the page. */
   sharpness() {
     const most = Math.max(Math.min(devicePixelRatio, 2), this.software ? 2 : 1);
-    this.renderer.setPixelRatio(this.fine ? most : 1);
+    this.renderer.setPixelRatio(this.fine ? most : this.ratio);
     this.renderer.setSize(this.canvas.clientWidth, this.canvas.clientHeight, false);
   }
 
@@ -211,27 +151,28 @@ export class Stage {
     if (this.measured) return;
     this.measured = true;
     const gl = this.renderer.getContext();
-    const timed = (fine) => {
+    const timed = (fine, ratio = 1) => {
+      this.ratio = ratio;
       this.detail(fine);
+      this.sharpness();
+      this.paint();
       const start = performance.now();
       this.paint();
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits for the drawing
       return performance.now() - start;
     };
     // The first frame of each kind makes its program and its buffers: better now than at a step.
-    timed(false);
-    timed(true);
+    const [whole, half] = [timed(false, 1), timed(false, 0.5)];
     this.cost = timed(true);
     this.slow = this.cost > SLOW;
+    this.ratio = this.software ? ratioFor(QUICK, whole, half) : 1; // a graphics card need not save
   }
 
   /** Everything and sharp, or few triangles and fewer pixels. */
   detail(fine) {
     if (fine === this.fine) return;
     this.fine = fine;
-    this.buffers.setIndex(fine ? this.index : this.coarse);
-    this.thing.material = fine ? this.materials.fine : this.materials.rough;
-    this.uniforms.diameter.value = this.facts.spacing * (fine ? 1 : this.thinned);
+    this.surface.show(fine);
     this.sharpness();
   }
 
@@ -263,7 +204,8 @@ export class Stage {
   }
 
   paint() {
-    const { uniforms } = this;
+    const { uniforms } = this.surface;
+    const ratio = this.renderer.getPixelRatio();
     const box = this.canvas.getBoundingClientRect();
     const distance = this.camera.position.length(); // from the middle of the box
     this.camera.near = Math.max(distance - 1.6 * this.radius, 0.002 * distance);
@@ -283,16 +225,11 @@ export class Stage {
       uniforms.which.value = which;
       uniforms.gain.value = gain;
       uniforms.amplitude.value = this.wave && which < 2 ? SWING : 0;
-      uniforms.lines.value = this.nodal && which < 2 ? 0.8 * this.renderer.getPixelRatio() : 0;
-      uniforms.pixels.value =
-        (inner.height * this.renderer.getPixelRatio()) / (2 * Math.tan((ANGLE * Math.PI) / 360));
-      this.thing.material.uniformsNeedUpdate = true;
+      uniforms.lines.value = this.nodal && which < 2 ? 0.8 * ratio : 0;
+      uniforms.size.value.set(width * ratio, height * ratio);
+      uniforms.pixels.value = (inner.height * ratio) / (2 * Math.tan((ANGLE * Math.PI) / 360));
+      this.surface.prepare(which, this.nodal);
       this.renderer.render(this.scene, this.camera);
     }
   }
-}
-
-/** From sRGB to light. */
-function linear(c) {
-  return c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
 }
