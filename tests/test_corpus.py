@@ -261,7 +261,7 @@ def test_processes_end_with_the_one_that_started_them(tmp_path):
 def _alive(pid: int) -> bool:
     try:  # an ended process that nobody waited for counts as ended
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):  # the latter if it ends while it is read
         return False
 
 
