@@ -77,7 +77,7 @@ def test_a_bounded_folder_keeps_the_newest_shards(tmp_path):
 
 
 def test_start_skips_samples_and_closing_ends_the_processes():
-    with SampleStream(TINY, workers=1, capacity=8, start=6) as stream:
+    with SampleStream(TINY, workers=1, capacity=64, start=6) as stream:
         assert stream.ready(1, timeout=300)
     assert not multiprocessing.active_children()
     corpus = stream.corpus()  # what is there stays readable
@@ -86,7 +86,7 @@ def test_start_skips_samples_and_closing_ends_the_processes():
     np.testing.assert_array_equal(corpus.batch([0]).points[0], expected.points.astype(np.float32))
 
 
-def test_the_oldest_samples_make_room_and_views_stay(shards):
+def test_the_oldest_samples_make_room_and_views_stay():
     with SampleStream(TINY, workers=1, capacity=8) as stream:
         assert stream.ready(3, timeout=300)
         early = stream.corpus()
@@ -99,7 +99,12 @@ def test_the_oldest_samples_make_room_and_views_stay(shards):
     np.testing.assert_array_equal(np.diff(late.labels["index"]), 1)
     assert report.samples >= 19  # those that are gone are counted
     np.testing.assert_array_equal(early.batch(np.arange(len(early))).eigenvectors, before)
-    assert_same(early, open_shards(shards), np.arange(3))
+    # A reader looks a few times a second: on a quick machine the first may be gone by then.
+    for position, index in enumerate(early.labels["index"][:3]):
+        found, expected = early.batch([position]), make_sample(TINY, int(index))
+        for name in ("points", "mass", "eigenvectors"):
+            ours = getattr(found, name)[0]
+            np.testing.assert_array_equal(ours, getattr(expected, name).astype(ours.dtype))
 
 
 def test_reading_waits_for_nothing():
@@ -163,7 +168,7 @@ def test_rejections_are_counted(tmp_path):
     config = replace(TINY, n_points=400, nonuniform=0.0, pool=tmp_path / "pool.npz", pool_share=1.0)
     with SampleStream(config, workers=1, capacity=64) as stream:
         assert stream.ready(6, timeout=300)
-        report, labels = stream.report(), stream.corpus().labels
+        labels, report = stream.corpus().labels, stream.report()  # samples may come in between
     assert not labels["pool"].any()  # only the ball in one piece
     assert report.rejected["components"] >= labels["rejected_components"].sum() > 0
     assert report.rejected["mesh"] == report.rejected["solve"] == 0
