@@ -21,7 +21,7 @@ from spectra_kit.training.train import train, validate
 
 # Run by `command` in a process of its own, and by `run_here`, which need not import torch again.
 SCRIPT = """
-import sys, torch
+import sys, time, torch
 from spectra_kit.neo.model import NeoConfig
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.ranks import process_group
@@ -30,13 +30,14 @@ from spectra_kit.training.train import train
 
 torch.set_num_threads(1)
 network = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
-folder, out, steps, resume = sys.argv[1:]
+folder, out, steps, resume, pause = sys.argv[1:]
 config = TrainConfig(
     network=network, steps=int(steps), batch=5, points=48, validation=4, every=25, log=1, save=0.01
 )
 corpus = open_shards(folder)
 with process_group("cpu") as device:
-    train(corpus, corpus, config, out=out, resume=resume == "resume", device=device)
+    options = {"out": out, "resume": resume == "resume", "device": device}
+    train(corpus, corpus, config, report=lambda row: time.sleep(float(pause)), **options)
 """
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
@@ -63,8 +64,9 @@ def folder(tmp_path_factory):
     return path
 
 
-def command(folder, out, *, steps=60, resume=False):
-    rest = [str(folder), str(out), str(steps), "resume" if resume else "begin"]
+def command(folder, out, *, steps=60, resume=False, pause=0.0):
+    """Train for so many steps, with so many seconds between them."""
+    rest = [str(folder), str(out), str(steps), "resume" if resume else "begin", str(pause)]
     return [sys.executable, "-c", SCRIPT, *rest]
 
 
@@ -80,7 +82,8 @@ def test_a_killed_run_resumes_to_the_same_loss_curve(folder, tmp_path, run_here)
     run_here(command(folder, whole))
     reached = 0
     for attempt in range(2):
-        call = command(folder, killed, resume=attempt > 0)
+        # Paused, so that no machine is done before it is killed: twice at most 0.25 s of 60 steps.
+        call = command(folder, killed, resume=attempt > 0, pause=0.02)
         with subprocess.Popen(call, env=ENVIRONMENT) as process:
             while (
                 process.poll() is None
