@@ -19,7 +19,7 @@ from spectra_kit import (
 )
 from spectra_kit.cli import main
 from spectra_kit.cli.solving import is_exact, reference_name, solver_of
-from spectra_kit.geometry import creature, read, write
+from spectra_kit.geometry import creature, read, rectangle, write
 
 DRAWN = ("--dpi", "40", "-q")
 
@@ -97,6 +97,19 @@ def test_eigenvalues_are_drawn(folder, capsys, tmp_path):
     assert told["picture"] == str(out)
     assert told["output"] is None
     assert out.read_bytes().startswith(b"%PDF")
+
+
+def test_the_boundary_of_a_mesh_is_part_of_weyls_law(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write(rectangle(width=2.0, height=1.0, n=300).geometry, "sheet.off")
+    for boundary, what in (("neumann", "free"), ("dirichlet", "held")):
+        out = Path(f"{what}.svg")
+        record(capsys, "spectrum", "sheet.off", "-k", "5", "--boundary", boundary, "--picture", out)
+        assert f"area 2 and a {what} boundary of length 6" in out.read_text()
+    record(capsys, "spectrum", "sheet.off", "-k", "5", "--cloud", "300", "--picture", "cloud.svg")
+    text = Path("cloud.svg").read_text()
+    assert "λ = 4πk / area, for the area" in text
+    assert "boundary" not in text
 
 
 def test_the_page_has_the_name_of_the_file_and_says_what_it_holds(

@@ -31,7 +31,7 @@ from spectra_kit.viz.marks import with_balls
 from spectra_kit.viz.pareto import pareto_figure
 from spectra_kit.viz.sheet import LINE_COLOURS
 from spectra_kit.viz.signatures import _panel, _pictures, draw_curves
-from spectra_kit.viz.spectra import spectrum_figure
+from spectra_kit.viz.spectra import spectrum_figure, weyl_law
 
 
 @pytest.fixture(scope="module")
@@ -196,8 +196,49 @@ def test_what_is_no_spectrum_is_refused(exact, ball, tmp_path):
         plot_spectrum(path, {"a": ball})
     with pytest.raises(InvalidInputError, match="`spectra` must have modes, got none in 'empty'"):
         plot_spectrum(path, {"empty": exact.truncate(1).nonzero()})
+    with pytest.raises(InvalidInputError, match="`free_boundary` must be a finite length, got nan"):
+        plot_spectrum(path, exact, free_boundary=np.nan)
+    larger = {"one": exact, "two": exact.rescale(2.0)}
+    with pytest.raises(InvalidInputError, match=r"must be of one surface, got 1 .* draw them one"):
+        plot_spectrum(path, larger, free_boundary=1.0)
     with pytest.raises(InvalidInputError, match=r"`path` must end in .png, .pdf or .svg"):
         plot_spectrum(tmp_path / "x.gif", exact)
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_weyls_second_term_is_that_of_a_rectangle(held):
+    """Its eigenvalues are known: pi^2 (i^2 / a^2 + j^2 / b^2), with i, j from 0, or from 1."""
+    a, b = 1.0, 1.7
+    i, j = np.ogrid[held:80, held:80]
+    values = np.sort(np.pi**2 * ((i / a) ** 2 + (j / b) ** 2), axis=None)[50:1000]
+    number = np.arange(50, 1000)
+    around = 2 * (a + b) * (-1 if held else 1)
+    with_two = weyl_law(number, a * b, around) / values - 1
+    with_one = weyl_law(number, a * b) / values - 1
+    assert abs(with_two.mean()) < 0.005
+    assert np.abs(with_two).max() < 0.05
+    assert abs(with_one.mean()) > 0.05
+    assert (with_one < 0).all() if held else (with_one > 0).all()
+    np.testing.assert_allclose(weyl_law(number, a * b), 4 * np.pi * number / (a * b))
+    again = weyl_law(number, 1e6 * a * b, 1e3 * around)  # in another unit
+    np.testing.assert_allclose(1e6 * again, weyl_law(number, a * b, around))
+
+
+def test_the_second_term_is_drawn_and_told(exact):
+    (line,) = (
+        line
+        for line in spectrum_figure({"": exact}, True, "", "", 40, -3.0).axes[0].lines
+        if str(line.get_label()).startswith("Weyl")
+    )
+    assert line.get_label() == (
+        "Weyl's law, k = (area λ \N{MINUS SIGN} length √λ) / 4π, for the area"
+        f" {exact.area:.4g} and a held boundary of length 3"
+    )
+    number, value = line.get_xydata().T
+    assert (number[0], number[-1]) == (0, exact.k - 1)
+    np.testing.assert_allclose(
+        exact.area * value - 3 * np.sqrt(value), 4 * np.pi * number, atol=1e-9
+    )
 
 
 # --- time against error -------------------------------------------------------------------------

@@ -6,6 +6,8 @@ import argparse
 import dataclasses
 from pathlib import Path
 
+import numpy as np
+
 from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli import tables
 from spectra_kit.cli.folder import drawing
@@ -24,7 +26,7 @@ from spectra_kit.cli.solving import (
 from spectra_kit.cli.words import in_options
 from spectra_kit.eigensolvers import verify
 from spectra_kit.errors import ConvergenceError, InvalidInputError, OutOfMemoryError
-from spectra_kit.geometry import diagnose
+from spectra_kit.geometry import Geometry, TriangleMesh, diagnose
 
 _SHOWN = (0, 1, 2, 5, 10, 25, 50)  # and the last
 _DRAWN = (1, 2, 5, 10, 25)
@@ -60,7 +62,12 @@ def spectrum(arguments: argparse.Namespace) -> None:
 
         kept = f"the spectrum {output} is whole" if output else "the modes were solved for"
         with drawing([picture], kept=kept):
-            plot_spectrum(picture, result, title=tables.title(arguments.file, geometry))
+            plot_spectrum(
+                picture,
+                result,
+                free_boundary=free_boundary(geometry, held=arguments.boundary == "dirichlet"),
+                title=tables.title(arguments.file, geometry),
+            )
     if arguments.json:
         print_json(
             input=arguments.file,
@@ -77,6 +84,16 @@ def spectrum(arguments: argparse.Namespace) -> None:
         *([f"spectrum: {output}"] if output else []),
         *([f"picture: {picture}"] if picture else []),
     )
+
+
+def free_boundary(geometry: Geometry, *, held: bool) -> float:
+    """Return the length of the boundary of a mesh, negative where it is held; 0 if unknown."""
+    if not isinstance(geometry, TriangleMesh):
+        return 0.0
+    edges, n_faces = geometry.unique_edges
+    start, stop = geometry.points[edges[n_faces == 1]].swapaxes(0, 1)
+    length = float(np.linalg.norm(stop - start, axis=1).sum())
+    return -length if held else length
 
 
 def compare(arguments: argparse.Namespace) -> None:

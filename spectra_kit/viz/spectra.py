@@ -36,6 +36,7 @@ def plot_spectrum(
     spectra: Spectrum | Mapping[str, Spectrum],
     *,
     weyl: bool = True,
+    free_boundary: float = 0.0,
     title: str = "",
     subtitle: str = "",
     dpi: int = 200,
@@ -50,6 +51,10 @@ def plot_spectrum(
         One, or several under their names. The others are compared with the first.
     weyl : bool, default True
         Draw the line of Weyl's law.
+    free_boundary : float, default 0
+        Length of the boundary along which the surface ends freely (Neumann), less the length along
+        which it is held at zero (Dirichlet): Weyl's law then has its second term. Of one surface,
+        so all spectra must have its area.
     title, subtitle : str, optional
         Two lines at the head.
     dpi : int, default 200
@@ -63,7 +68,8 @@ def plot_spectrum(
     Raises
     ------
     InvalidInputError
-        If there is no spectrum, one has no modes, or `path` cannot be a picture.
+        If there is no spectrum, one has no modes, `free_boundary` is not finite or is given for
+        surfaces of several areas, or `path` cannot be a picture.
 
     Notes
     -----
@@ -76,8 +82,9 @@ def plot_spectrum(
 
     **Weyl's law**, ``lambda_k ~ 4 pi k / area`` (Weyl, 1911), is what eigenvalues of a surface
     approach. A boundary shifts them, by a share that fades with k: below the line where the surface
-    ends freely, above it where it is held. So do points too few for the last
-    modes.
+    ends freely, above it where it is held; with `free_boundary` b the line is that of
+    ``k = (area lambda + b sqrt(lambda)) / (4 pi)`` (Ivrii, 1980). Points too few for the last modes
+    shift them, too.
 
     **Differences** to the first spectrum are those of the same number, relative to its eigenvalue,
     zero modes left out; the triangles point upwards where the eigenvalue is larger.
@@ -86,6 +93,8 @@ def plot_spectrum(
     ----------
     H. Weyl, "Ueber die asymptotische Verteilung der Eigenwerte", Nachrichten der Gesellschaft der
     Wissenschaften zu Goettingen, 1911.
+    V. Ya. Ivrii, "Second term of the spectral asymptotic expansion of the Laplace-Beltrami operator
+    on manifolds with boundary", Functional Analysis and Its Applications 14, 1980.
 
     Examples
     --------
@@ -108,11 +117,23 @@ def plot_spectrum(
             )
         if not spectrum.k:
             raise InvalidInputError(f"`spectra` must have modes, got none in {name or 'it'!r}")
-    return save(spectrum_figure(named, weyl, title, subtitle, dpi), path, dpi)
+    if not np.isfinite(free_boundary):
+        raise InvalidInputError(f"`free_boundary` must be a finite length, got {free_boundary!r}")
+    if free_boundary and len(_areas(named)) > 1:
+        raise InvalidInputError(
+            f"`free_boundary` must be of one surface, got {free_boundary:g} for spectra of the"
+            f" areas {', '.join(f'{area:.4g}' for area in _areas(named))}; draw them one by one"
+        )
+    return save(spectrum_figure(named, weyl, title, subtitle, dpi, free_boundary), path, dpi)
 
 
 def spectrum_figure(
-    spectra: Mapping[str, Spectrum], weyl: bool, title: str, subtitle: str, dpi: int
+    spectra: Mapping[str, Spectrum],
+    weyl: bool,
+    title: str,
+    subtitle: str,
+    dpi: int,
+    free_boundary: float = 0.0,
 ) -> Figure:
     """Return the page: eigenvalues, and below them what there is of residuals and differences."""
     certified = any(spectrum.certificate is not None for spectrum in spectra.values())
@@ -124,7 +145,7 @@ def spectrum_figure(
     panels = figure.subplots(
         1 + len(below), 1, sharex=True, squeeze=False, height_ratios=[4.2] + [1.75] * len(below)
     )[:, 0]
-    draw_eigenvalues(panels[0], spectra, weyl=weyl)
+    draw_eigenvalues(panels[0], spectra, weyl=weyl, free_boundary=free_boundary)
     for panel, draw in zip(panels[1:], below, strict=True):
         draw(panel, spectra)
     last = max(spectrum.k for spectrum in spectra.values()) - 1
@@ -140,13 +161,15 @@ def spectrum_figure(
     return figure
 
 
-def draw_eigenvalues(panel: Axes, spectra: Mapping[str, Spectrum], *, weyl: bool) -> None:
+def draw_eigenvalues(
+    panel: Axes, spectra: Mapping[str, Spectrum], *, weyl: bool, free_boundary: float = 0.0
+) -> None:
     """Markers, bars and Weyl's law of each spectrum."""
     largest = max(float(spectrum.eigenvalues[-1]) for spectrum in spectra.values()) or 1.0
     tops = [largest, *(float(np.max(_bar(spectrum)[1])) for spectrum in spectra.values())]
     top = min(max(tops), _HEADROOM * largest)
     if weyl:
-        _draw_weyl(panel, spectra)
+        _draw_weyl(panel, spectra, free_boundary)
     for i, (name, spectrum) in enumerate(spectra.items()):
         colour, number = LINE_COLOURS[i % len(LINE_COLOURS)], np.arange(spectrum.k)
         panel.plot(
@@ -202,23 +225,43 @@ def draw_differences(panel: Axes, spectra: Mapping[str, Spectrum]) -> None:
     log_ticks(panel.yaxis)
 
 
-def _draw_weyl(panel: Axes, spectra: Mapping[str, Spectrum]) -> None:
+def _draw_weyl(panel: Axes, spectra: Mapping[str, Spectrum], free_boundary: float) -> None:
     """One line for spectra of about the same area; if there are several, in their colours."""
-    lines: dict[float, int] = {}  # from an area to the first spectrum that has it
-    for i, spectrum in enumerate(spectra.values()):
-        if not any(abs(area - spectrum.area) <= _SAME_AREA * area for area in lines):
-            lines[spectrum.area] = i
+    areas = _areas(spectra)
     last = max(spectrum.k for spectrum in spectra.values()) - 1
-    for area, i in lines.items():
+    number = np.linspace(0, last, 200) if free_boundary else np.array([0, last])
+    for area, i in areas.items():
+        law, of = "λ = 4πk / area", f"the area {area:.4g}"
+        if free_boundary:
+            held = "a held" if free_boundary < 0 else "a free"
+            sign = "\N{MINUS SIGN}" if free_boundary < 0 else "+"
+            law = f"k = (area λ {sign} length √λ) / 4π"
+            of += f" and {held} boundary of length {abs(free_boundary):.4g}"
         panel.plot(
-            [0, last],
-            [0, 4 * np.pi * last / area],
-            color="0.5" if len(lines) == 1 else LINE_COLOURS[i % len(LINE_COLOURS)],
+            number,
+            weyl_law(number, area, free_boundary),
+            color="0.5" if len(areas) == 1 else LINE_COLOURS[i % len(LINE_COLOURS)],
             lw=1.2,
             ls=(0, (5, 2)),
             zorder=1,
-            label=f"Weyl's law, λ = 4πk / area, for the area {area:.4g}",
+            label=f"Weyl's law, {law}, for {of}",
         )
+
+
+def weyl_law(number: NDArray[Any], area: float, free_boundary: float = 0.0) -> Floats:
+    """Solve ``k = (area lambda + free_boundary sqrt(lambda)) / (4 pi)`` for the eigenvalues."""
+    half = free_boundary / 2
+    root = (np.sqrt(half**2 + 4 * np.pi * area * number) - half) / area
+    return np.asarray(root**2)
+
+
+def _areas(spectra: Mapping[str, Spectrum]) -> dict[float, int]:
+    """The different areas, each with the number of the first spectrum that has it."""
+    areas: dict[float, int] = {}
+    for i, spectrum in enumerate(spectra.values()):
+        if not any(abs(area - spectrum.area) <= _SAME_AREA * area for area in areas):
+            areas[spectrum.area] = i
+    return areas
 
 
 def _bar(spectrum: Spectrum) -> tuple[Floats, Floats]:
