@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.functional_maps import functional_map_from_point_map
 from spectra_kit.geometry import (
     Geometry,
+    PointCloud,
     creature,
     creature_pair,
     mirrored,
@@ -31,6 +33,7 @@ def solved(geometry: Geometry, k: int = K) -> Spectrum:
     return eigensolve(robust_laplacian(geometry), k)
 
 
+@cache  # by identity: the fixtures below are prepared once
 def prepared(geometry: Geometry, k: int = K) -> Prepared:
     return prepare(solved(geometry, k), geometry)
 
@@ -63,6 +66,16 @@ def copy(mesh) -> tuple[TriangleMesh, Spectrum, np.ndarray]:
     return shuffled, solved(shuffled), truth
 
 
+@pytest.fixture(scope="module")
+def target(copy) -> Prepared:
+    return prepare(copy[1], copy[0])
+
+
+@pytest.fixture(scope="module")
+def cloud(mesh) -> PointCloud:
+    return mesh.as_cloud()
+
+
 # --- copies ---------------------------------------------------------------------------------
 
 
@@ -93,10 +106,9 @@ def test_copies_of_other_sizes_and_animals(n, seed) -> None:
 
 
 @pytest.mark.parametrize("options", [{"elastic": False}, {"k": 40}, {"sides": "kept"}], ids=str)
-def test_no_option_breaks_a_copy(source, copy, options) -> None:
-    shuffled, target, truth = copy
-    found = match(source, prepare(target, shuffled), **options)
-    assert (found.point_map == truth).all()
+def test_no_option_breaks_a_copy(source, target, copy, options) -> None:
+    found = match(source, target, **options)
+    assert (found.point_map == copy[2]).all()
     assert len(found.functional_map) == options.get("k", K)
 
 
@@ -105,21 +117,23 @@ def test_a_mesh_may_have_fewer_points_than_samples() -> None:
     assert (match(ball, ball).point_map == np.arange(162)).all()
 
 
+@pytest.fixture(scope="module")
+def holed(mesh) -> TriangleMesh:
+    near = np.argsort(((mesh.points - mesh.points[0]) ** 2).sum(axis=1))[:12]
+    kept = mesh.faces[~np.isin(mesh.faces, near).any(axis=1)]
+    return TriangleMesh(mesh.points, kept).without_unreferenced()
+
+
 @pytest.mark.parametrize("mirror", [False, True])
 @pytest.mark.parametrize("inside_out", [False, True])
-def test_scans_with_holes_have_an_outside(mirror, inside_out) -> None:
+def test_scans_with_holes_have_an_outside(holed, mirror, inside_out) -> None:
     """However their faces are wound: a copy is no mirror image, and a mirror image is one."""
-    whole = creature(1000)
-    near = np.argsort(((whole.points - whole.points[0]) ** 2).sum(axis=1))[:12]
-    mesh = TriangleMesh(
-        whole.points, whole.faces[~np.isin(whole.faces, near).any(axis=1)]
-    ).without_unreferenced()
     copy = TriangleMesh(
-        mesh.points * ([-1, 1, 1] if mirror else 1),
-        mesh.faces[:, ::-1] if inside_out else mesh.faces,
+        holed.points * ([-1, 1, 1] if mirror else 1),
+        holed.faces[:, ::-1] if inside_out else holed.faces,
     )
-    found = match(prepared(mesh, 60), prepared(copy, 60))
-    assert (found.point_map == np.arange(mesh.n)).all()
+    found = match(prepared(holed, 60), prepared(copy, 60))
+    assert (found.point_map == np.arange(holed.n)).all()
     assert found.mirrored == mirror
 
 
@@ -163,8 +177,7 @@ def test_a_spectrum_is_prepared_with_its_geometry(mesh, spectrum, source, copy) 
     assert (alone.point_map == truth).all()
 
 
-def test_a_match_is_the_same_every_time_and_in_every_process(source, copy) -> None:
-    target = prepare(copy[1], copy[0])
+def test_a_match_is_the_same_every_time_and_in_every_process(source, target) -> None:
     one = match(source, target)
     two = match(pickle.loads(pickle.dumps(source)), target)
     assert (one.point_map == two.point_map).all()
@@ -197,8 +210,7 @@ def test_a_mirrored_copy_is_seen_as_one(mesh, source, axis, flipped) -> None:
     assert kept.score > 50 * found.score
 
 
-def test_the_sides_of_a_copy_can_be_forced_to_turn(source, copy) -> None:
-    target = prepare(copy[1], copy[0])
+def test_the_sides_of_a_copy_can_be_forced_to_turn(source, target) -> None:
     either, forced = (match(source, target, sides=s) for s in ("either", "reversed"))
     assert not either.mirrored
     assert {c.reversing for c in either.candidates} == {False, True}
@@ -265,8 +277,7 @@ def test_poses_are_matched_without_their_geometry(pose) -> None:
 
 
 @pytest.mark.parametrize("reflect", [False, True])
-def test_clouds_have_sides_too(mesh, reflect) -> None:
-    cloud = mesh.as_cloud()
+def test_clouds_have_sides_too(cloud, reflect) -> None:
     image, truth = permuted(mirrored(cloud) if reflect else cloud, seed=6)
     found = match(prepared(cloud), prepared(moved(image)))
     assert (found.point_map == truth).all()
@@ -275,18 +286,23 @@ def test_clouds_have_sides_too(mesh, reflect) -> None:
 
 
 @pytest.mark.parametrize("cloud_first", [False, True])
-def test_a_mesh_and_its_cloud(mesh, source, cloud_first) -> None:
-    sides = [source, prepared(mesh.as_cloud())]
+def test_a_mesh_and_its_cloud(mesh, source, cloud, cloud_first) -> None:
+    sides = [source, prepared(cloud)]
     found = match(*(sides[::-1] if cloud_first else sides))
     errors = geodesic_errors(mesh, found.point_map, Truth.of_map(np.arange(mesh.n)))
     assert errors.mean() < 0.2
     assert not found.mirrored
 
 
+@pytest.fixture(scope="module")
+def pose_seen(pose) -> PointCloud:
+    return pose[1].as_cloud()
+
+
 @pytest.mark.parametrize("both", [False, True])
-def test_a_pose_seen_as_a_cloud(pose, both) -> None:
-    mesh, target, a, _ = pose
-    found = match(prepared(mesh.as_cloud()) if both else a, prepared(target.as_cloud()))
+def test_a_pose_seen_as_a_cloud(pose, pose_seen, both) -> None:
+    mesh, _, a, _ = pose
+    found = match(prepared(mesh.as_cloud()) if both else a, prepared(pose_seen))
     assert mean_error(mesh, found) < 1.5
     assert not found.mirrored
 
@@ -294,6 +310,7 @@ def test_a_pose_seen_as_a_cloud(pose, both) -> None:
 # --- doubt ----------------------------------------------------------------------------------
 
 
+@cache
 def ellipsoids(axes: tuple[float, float, float]) -> tuple[TriangleMesh, TriangleMesh]:
     """One ellipsoid, in two sets of triangles."""
     ball = sphere(subdivisions=3).geometry
