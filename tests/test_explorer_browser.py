@@ -311,6 +311,19 @@ def test_the_difference_can_be_put_away_and_the_mode_swings(visit):
     assert visit.page.get_attribute("#play", "aria-label") == "Play the wave"
 
 
+def test_on_a_slow_machine_plot_and_table_follow_when_the_slider_rests(visit):
+    visit.page.evaluate("explorer.stage.slow = true")
+    shown = "document.querySelector('#table tr[aria-current]').dataset.mode"
+    before = visit.page.evaluate(f"(explorer.choose(3), {shown})")
+    assert before == "1"
+    assert visit.text("#view-exact .first") == "λ = 3.0000"  # this is said at once
+    visit.settle()
+    visit.page.wait_for_selector("#table tr[aria-current][data-mode='3']")
+    visit.page.locator("#table tbody tr").nth(2).click()  # what is clicked answers at once
+    assert visit.page.evaluate(shown) == "2"
+    visit.page.evaluate("explorer.stage.slow = false")
+
+
 def test_a_slow_machine_draws_coarsely_what_moves_and_everything_at_rest(browser, pages):
     many = Visit(browser, pages / "many.html", width=500, height=400)
     # A mode alone, of eigenvalue zero up to rounding: neither a scale nor bars made of it.
@@ -323,9 +336,14 @@ def test_a_slow_machine_draws_coarsely_what_moves_and_everything_at_rest(browser
     drawn = "explorer.stage.renderer.info.render.triangles"
     everything = many.page.evaluate(drawn)
     assert everything == 20480
-    # Drawn at once, before the moment of rest.
+    # Drawn at once, before the moment of rest: fewer triangles, and no fewer pixels than half.
     few = many.page.evaluate(f"(explorer.stage.draw(0), {drawn})")
     assert 2000 < few < everything / 1.5
+    assert 0.5 <= many.page.evaluate("explorer.stage.renderer.getPixelRatio()") <= 1
+    many.page.evaluate("clearTimeout(explorer.stage.resting)")
+    moving = many.view("exact")
+    assert 0.05 < np.abs(moving - fine).mean() < 4  # the same picture, coarser
+    many.page.evaluate("explorer.stage.invalidate()")
     many.settle()
     assert many.page.evaluate(drawn) == everything
     assert np.abs(many.view("exact") - fine).max() <= 2
@@ -360,6 +378,14 @@ def test_a_thinned_cloud_alone_on_a_phone(browser, pages):
     assert phone.mode() == 2
     phone.assert_silent()
     phone.page.context.close()
+
+
+def test_pixels_are_spared_only_as_far_as_time_is_short(visit):
+    # 40 ms at one pixel for each of the page, 10 of them for what does not depend on pixels.
+    for quick, ratio in ((50, 1), (40, 1), (20, (10 / 30) ** 0.5), (5, 0.5)):
+        found = visit.page.evaluate(f"explorer.ratioFor({quick}, 40, {10 + 30 / 4})")
+        assert found == pytest.approx(ratio)
+    assert visit.page.evaluate("explorer.ratioFor(30, 40, 41)") == 1  # fewer would not help
 
 
 def test_a_cloud_has_nodal_lines_where_the_function_vanishes(browser, pages, ball):

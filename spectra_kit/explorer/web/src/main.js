@@ -3,8 +3,11 @@
 import { change, count, short } from "./format.js";
 import { bytesOf, column16, readGeometry } from "./payload.js";
 import { Plot } from "./plot.js";
+import { ratioFor } from "./speed.js";
 import { Stage } from "./stage.js";
 import { Table } from "./table.js";
+
+const PAUSE = 120; // milliseconds without a step, after which plot and table follow a slow machine
 
 const $ = (id) => document.getElementById(id);
 
@@ -152,11 +155,23 @@ async function main() {
     $("previous").disabled = mode === 0;
     $("next").disabled = mode === k - 1;
     captions(facts, mode, $("words"));
+    clearTimeout(following);
+    if (stage.slow) following = setTimeout(follow, PAUSE);
+    else follow();
+  };
+  // A processor that draws the views has no time left for the rest of the page at each step.
+  let following;
+  const follow = () => {
     plot.show(mode);
     table.show(mode);
   };
-  const plot = new Plot($("plot"), facts, (m) => choose(m));
-  const table = new Table($("table"), facts, (m) => choose(m));
+  const pick = (m) => {
+    choose(m);
+    clearTimeout(following);
+    follow(); // what is clicked answers at once
+  };
+  const plot = new Plot($("plot"), facts, pick);
+  const table = new Table($("table"), facts, pick);
   legend(facts, plot.top);
   ramps(facts);
 
@@ -177,7 +192,7 @@ async function main() {
   arrange();
   new ResizeObserver(() => stage.resize()).observe($("canvas"));
   document.body.classList.add("ready");
-  window.explorer = { stage, choose }; // for the console, and for tests
+  window.explorer = { stage, choose, ratioFor }; // for the console, and for tests
 }
 
 function controls(facts, stage, choose, current, arrange) {
