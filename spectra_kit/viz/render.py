@@ -20,10 +20,8 @@ from scipy.spatial import cKDTree
 from spectra_kit.errors import MissingDependencyError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.viz.contours import triangles_of
-from spectra_kit.viz.creases import split_along_creases
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.integer]
 Bytes = NDArray[np.uint8]
 
 _WORKER = Path(__file__).with_name("worker.py")
@@ -48,7 +46,7 @@ class Scene:
     colours : ndarray of shape (c, 3), uint8, optional
         From -1 to 1.
     normals : ndarray of shape (n, 3), optional
-        Of a mesh, to light it by; by default those of its faces, averaged except across creases.
+        Of a mesh, to light it by; by default those of its faces, averaged where it is not sharp.
     behind : bool, default False
         Draw all functions again from the other side.
     shifts : sequence of ndarray of shape (n, 3), optional
@@ -161,10 +159,6 @@ def _run(
 def _request(scene: Scene) -> dict[str, Any]:
     """What the worker reads: everything in pixels, as single precision inside VTK wants it."""
     geometry, colours, normals = scene.geometry, scene.colours, scene.normals
-    owner: Ints = np.arange(geometry.n)
-    faces = triangles_of(geometry)
-    if normals is None and isinstance(geometry, TriangleMesh):
-        owner, faces = split_along_creases(geometry.points, faces)
     diameter = ball_diameter(geometry) if scene.diameter is None else scene.diameter
     seen = geometry.points @ scene.rotation.T
     shifts = np.stack(scene.shifts or [np.zeros((1, 3))]) @ scene.rotation.T
@@ -177,8 +171,7 @@ def _request(scene: Scene) -> dict[str, Any]:
     height = int(np.ceil(extent[1] / unit)) + 2 * _MARGIN
     return {
         "points": seen / unit,
-        "faces": faces,
-        "owner": owner,
+        "faces": triangles_of(geometry),
         "balls": not isinstance(geometry, TriangleMesh),
         "values": np.stack(scene.functions).astype(np.uint8 if colours is None else np.float32),
         "size": [scene.width, height],

@@ -21,6 +21,8 @@ LINE = (48, 48, 54)
 BEFORE = (
     1.5  # widths (and balls) that a line lies before the surface: not cut off where it turns away
 )
+# Degrees; edges that bend more are drawn sharp. A tight saddle of few triangles bends up to 70.
+SHARP = 75.0
 LIGHTS = (((-0.5, 0.75, 1.0), 0.52), ((0.9, 0.1, 0.8), 0.24))  # (direction, strength)
 
 
@@ -109,16 +111,25 @@ def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
 def _surfaces(request: dict[str, NDArray[Any]]) -> tuple[list[pv.PolyData], NDArray[np.int64]]:
     """What to draw of the geometry, and which point each vertex was.
 
-    A mesh; or the balls of a cloud, and triangles.
+    A mesh with vertices doubled along sharp edges; or the balls of a cloud, and triangles.
     """
-    owner, faces, normals = (request[name] for name in ("owner", "faces", "normals"))
-    points = request["points"][owner]
+    points, faces, normals = (request[name] for name in ("points", "faces", "normals"))
+    own = np.arange(len(points))
     if request["balls"]:
         between = [pv.PolyData.from_regular_faces(points, faces)] if len(faces) else []
-        return [pv.PolyData(points), *between], owner
+        return [pv.PolyData(points), *between], own
     mesh = pv.PolyData.from_regular_faces(points, faces)
-    _light(mesh, normals[owner] if len(normals) else None)
-    return [mesh], owner
+    if len(normals):
+        mesh.point_data.active_normals = normals
+        return [mesh], own
+    mesh["owner"] = own
+    mesh = mesh.compute_normals(
+        cell_normals=False,
+        split_vertices=True,
+        feature_angle=SHARP,
+        consistent_normals=False,
+    )
+    return [mesh], np.asarray(mesh["owner"]).astype(np.int64)
 
 
 def _add_lines(plotter: pv.Plotter, request: dict[str, NDArray[Any]]) -> dict[int, pv.Actor]:
@@ -155,17 +166,10 @@ def _move(surface: pv.PolyData, points: NDArray[np.float64]) -> None:
     """Put the vertices elsewhere, and light them by where their faces look to now."""
     surface.points = points
     if surface.n_faces_strict:
-        _light(surface)
-
-
-def _light(surface: pv.PolyData, normals: NDArray[np.float64] | None = None) -> None:
-    """Light a surface by normals, or by those of its faces, averaged at each vertex."""
-    if normals is None:
-        computed = surface.compute_normals(
+        moved = surface.compute_normals(
             cell_normals=False, split_vertices=False, consistent_normals=False
         )
-        normals = computed.point_data.active_normals
-    surface.point_data.active_normals = normals
+        surface.point_data.active_normals = moved.point_data.active_normals
 
 
 def _place_camera(
