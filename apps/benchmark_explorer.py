@@ -5,8 +5,8 @@
 
 Each step sets the slider and sends its event. It is "presented" when the second animation frame
 after that begins, and "drawn" when the software renderer has finished, which frames do not wait
-for. While the slider moves, slow renderers draw coarsely; the sharp frame is that at rest. Needs
-the extra `dev`, and Chromium.
+for. While the slider moves, slow renderers draw coarsely, and plot and table wait until it pauses;
+the sharp frame is that at rest. Needs the extra `dev`, and Chromium.
 """
 
 from __future__ import annotations
