@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._validate import frozen
 from spectra_kit.linalg.threads import in_threads, thread_count
 from spectra_kit.operators.laplacian import Laplacian
 
@@ -63,12 +64,14 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
 
     residual, old, direction, new = (np.zeros(vectors.shape, np.float32) for _ in range(4))
     vectors = np.ascontiguousarray(vectors)
-    exact = (L.indptr, L.indices, L.data, laplacian.mass, np.asarray(values), vectors)
-    in_threads(residual_rows, ((*exact, *rows, residual) for rows in pairwise(cuts)))
+    # All read-only, and one kind of indices: numba compiles anew for others.
+    graph = tuple(frozen(np.asarray(a, dtype=np.int32)) for a in (L.indptr, L.indices))
+    exact = tuple(frozen(a) for a in (L.data, laplacian.mass, np.asarray(values), vectors))
+    in_threads(residual_rows, ((*graph, *exact, *rows, residual) for rows in pairwise(cuts)))
     singles = (
         a.astype(np.float32) for a in (L.data, laplacian.mass, 1 / diagonal, np.asarray(values))
     )
-    fixed = (L.indptr, L.indices, *singles, residual)
+    fixed = (*graph, *singles, residual)
     ratio = 1.0
     for i in range(degree):
         before, ratio = ratio, radius / centre if i == 0 else 1 / (2 * centre / radius - ratio)
