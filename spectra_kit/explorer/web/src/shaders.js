@@ -63,8 +63,9 @@ export const VERTEX = /* glsl */ `
   }
 `;
 
-// CLOUD: round points in place of faces. Decided when the program is made: a `discard` anywhere in
-// it keeps hidden fragments from being left out early, and on a processor that is half the work.
+// CLOUD: triangles between the points of a cloud; BALLS: the points, drawn round. Decided when the
+// program is made: a `discard` anywhere in it keeps hidden fragments from being left out early, and
+// on a processor that is half the work.
 export const FRAGMENT = /* glsl */ `
   ${COMMON}
   ${LIGHT}
@@ -79,13 +80,15 @@ export const FRAGMENT = /* glsl */ `
     float size = dot(across, across);
     vec3 n = size > 0.0 ? across * inversesqrt(size) : view;
     float fade = 1.0;
-    // Faces know their side, points do not; at an outline a normal may lean away without turning.
+    // Faces of a mesh know their side, points do not; at an outline a normal may lean away without turning.
     #ifdef CLOUD
       if (dot(n, view) < 0.0) n = -n;
-      vec2 disc = 2.0 * gl_PointCoord - 1.0;
-      float r = dot(disc, disc);
-      if (r > 1.0) discard;
-      n = normalize(n + 0.28 * vec3(disc.x, -disc.y, sqrt(1.0 - r)));
+      #ifdef BALLS
+        vec2 disc = 2.0 * gl_PointCoord - 1.0;
+        float r = dot(disc, disc);
+        if (r > 1.0) discard;
+        n = normalize(n + 0.28 * vec3(disc.x, -disc.y, sqrt(1.0 - r)));
+      #endif
       fade = mix(1.0, 0.72, smoothstep(depths.x, depths.y, -place.z));
     #else
       if (!gl_FrontFacing) n = -n;

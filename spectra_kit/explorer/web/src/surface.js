@@ -40,7 +40,8 @@ export class Surface extends Group {
     };
     const whole = buffers(positions, normals, this.values, index);
     const kind = index ? Mesh : Points;
-    this.fine = new kind(whole, this.material(VERTEX, FRAGMENT, !index));
+    this.fine = new kind(whole, this.material(VERTEX, FRAGMENT, index ? {} : { CLOUD: 1, BALLS: 1 }));
+    if (stars) this.fine.add(this.between(whole, stars));
     const few = coarse(positions, index ?? stars);
     // A cloud of few points stays what it is; one of many has triangles in its place.
     this.rough = this.fine;
@@ -49,18 +50,26 @@ export class Surface extends Group {
       this.thinned = few && this.values.map(() => new Int16Array(few.kept.length));
       const pick = (values) => picked(values, few.kept);
       const small = few ? buffers(pick(positions), pick(normals), this.thinned, few.triangles) : whole;
-      this.rough = new Mesh(small, this.material(ROUGH_VERTEX, ROUGH_FRAGMENT, !index));
+      this.rough = new Mesh(small, this.material(ROUGH_VERTEX, ROUGH_FRAGMENT, index ? {} : { CLOUD: 1 }));
     }
     this.add(this.fine);
     if (this.rough !== this.fine) this.add(this.rough);
     this.zeros = stars ? this.values.map(() => new Zeros(geometry, this.uniforms)) : [];
     for (const { thing } of this.zeros) this.add(thing);
-    for (const thing of this.children) thing.frustumCulled = false;
+    this.traverse((thing) => (thing.frustumCulled = false));
     this.show(true);
   }
 
-  material(vertexShader, fragmentShader, isCloud) {
-    const defines = isCloud ? { CLOUD: 1 } : {};
+  /** Triangles behind the points of a cloud: through no gap is its far side seen. */
+  between(whole, stars) {
+    const geometry = new BufferGeometry();
+    for (const name in whole.attributes) geometry.setAttribute(name, whole.attributes[name]);
+    geometry.setIndex(new BufferAttribute(stars, 1));
+    const material = this.material(VERTEX, FRAGMENT, { CLOUD: 1 });
+    return new Mesh(geometry, Object.assign(material, { polygonOffset: true, polygonOffsetUnits: 1 }));
+  }
+
+  material(vertexShader, fragmentShader, defines) {
     return new ShaderMaterial({ vertexShader, fragmentShader, defines, side: DoubleSide, uniforms: this.uniforms });
   }
 
@@ -94,7 +103,7 @@ export class Surface extends Group {
       zeros.update(this.values[i], this.gain / 32767);
       this.lost[i] = false;
     });
-    for (const { material } of this.children) material.uniformsNeedUpdate = true;
+    this.traverse(({ material }) => material && (material.uniformsNeedUpdate = true));
   }
 }
 
