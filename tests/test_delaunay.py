@@ -18,7 +18,7 @@ from spectra_kit import (
 )
 from spectra_kit.geometry import rectangle, sphere, torus
 from spectra_kit.linalg import threads
-from spectra_kit.operators import _gluing, delaunay_laplacian
+from spectra_kit.operators import _gluing, _stars, delaunay_laplacian
 
 
 def ball(n: int, seed: int = 0) -> np.ndarray:
@@ -163,6 +163,14 @@ def test_same_bits_whatever_the_number_of_threads(monkeypatch: pytest.MonkeyPatc
     one, three = found
     assert np.array_equal(one.stiffness.data, three.stiffness.data)
     assert np.array_equal(one.mass, three.mass)
+
+
+def test_directions_are_sorted_and_equal_ones_stay_in_order() -> None:
+    rng = np.random.default_rng(0)
+    for k in (1, 2, 5, 30, 60):
+        angle, order = rng.integers(0, 12, k) / 4.0, np.empty(k, np.int64)
+        _stars._sort(angle, order)
+        np.testing.assert_array_equal(order, np.argsort(angle, kind="stable"))
 
 
 def test_area_of_a_random_cloud() -> None:

@@ -106,12 +106,42 @@ def test_more_fill_is_a_better_factor(stiffness):
     assert its[-1] == 1
 
 
-def test_max_fill_keeps_the_largest(stiffness):
+def test_max_fill_bounds_the_fill(stiffness):
     free = IncompleteCholesky(stiffness, drop=0.0, reorder=False)
     capped = IncompleteCholesky(stiffness, drop=0.0, max_fill=5, reorder=False)
     assert capped.fill <= 5 * capped.n < free.fill
     none = IncompleteCholesky(stiffness, drop=0.0, max_fill=0)
     np.testing.assert_allclose(none.solve(stiffness.diagonal()), 1.0)  # Jacobi
+
+
+def factorised(matrix, max_fill, relaxation):
+    """The product of the factors that keep the largest entries of each column, of equal ones the
+    first, by elimination in a dense matrix."""
+    rest, n = matrix.toarray(), matrix.shape[0]
+    lower, pivots = np.eye(n), np.empty(n)
+    for k in range(n):
+        column = rest[k + 1 :, k]
+        order = np.argsort(-np.abs(column), kind="stable")
+        kept, lost = k + 1 + order[:max_fill], k + 1 + order[max_fill:]
+        rest[lost, lost] += relaxation * rest[lost, k]
+        pivots[k] = rest[k, k] + relaxation * rest[lost, k].sum()
+        lower[kept, k] = rest[kept, k] / pivots[k]
+        rest[np.ix_(kept, kept)] -= np.outer(rest[kept, k], lower[kept, k])
+    return lower * pivots @ lower.T
+
+
+@pytest.mark.parametrize("relaxation", [0.0, 0.5])
+@pytest.mark.parametrize("equal", [True, False])
+def test_of_a_dense_column_the_largest_entries_are_kept_and_of_equal_ones_the_first(
+    equal, relaxation
+):
+    n = 40
+    weights = np.ones((n, n)) if equal else np.random.default_rng(0).uniform(0.1, 1, (n, n))
+    weights += weights.T
+    matrix = sparse.csr_array(np.diag(weights.sum(axis=1)) - weights + np.eye(n))
+    factor = IncompleteCholesky(matrix, drop=0.0, max_fill=6, relaxation=relaxation, reorder=False)
+    product = factorised(matrix, 6, relaxation)
+    np.testing.assert_allclose(dense(factor) @ product, np.eye(n), atol=1e-12)
 
 
 def test_a_shuffled_mesh_takes_no_more_iterations():
