@@ -351,6 +351,34 @@ def test_a_slow_machine_draws_coarsely_what_moves_and_everything_at_rest(browser
     many.page.context.close()
 
 
+def test_nothing_is_covered_and_a_cut_table_shows_that_it_scrolls(visit):
+    def bottom(selector):
+        return visit.page.eval_on_selector(selector, "e => e.getBoundingClientRect().bottom")
+
+    def edge():
+        """Mean grey of a row of the table, at its right edge and a little before it."""
+        box = visit.page.locator("#table tbody tr").nth(3).bounding_box()
+        right = visit.page.locator("#table").bounding_box()
+        clip = {"x": right["x"] + right["width"] - 40, "y": box["y"] + 2, "width": 40, "height": 3}
+        shot = np.asarray(Image.open(io.BytesIO(visit.page.screenshot(clip=clip))).convert("L"))
+        return shot[:, -4:].mean(), shot.max()
+
+    for width, height in ((1200, 700), (1200, 800), (1200, 1000), (900, 800)):
+        visit.page.set_viewport_size({"width": width, "height": height})
+        visit.settle()
+        notes = visit.page.locator("#note").bounding_box()["y"]
+        assert notes >= max(bottom(".lower"), bottom(".card"), bottom("#table"))
+        hidden = visit.page.eval_on_selector("#table", "e => e.scrollWidth - e.clientWidth")
+        assert (hidden > 0) == (width == 900)
+        visit.page.evaluate("document.querySelector('#table').scrollIntoView()")
+        near, paper = edge()
+        assert (near < paper - 20) == (hidden > 0)
+    visit.page.eval_on_selector("#table", "e => (e.scrollLeft = 999)")
+    near, paper = edge()
+    assert near > paper - 5  # there is no more
+    visit.page.set_viewport_size({"width": 1000, "height": 640})
+
+
 def test_names_are_shown_as_they_are(visit):
     assert visit.text("#title") == "<i>Ball</i> & more"
     assert visit.page.title() == "<i>Ball</i> & more"
