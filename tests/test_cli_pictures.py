@@ -143,8 +143,29 @@ def test_exact_modes_of_a_comparison_may_be_saved_ones(folder, capsys):
     assert "Arpack" in told["reference"]["provenance"]["solver"]
     assert main([*map(str, command), "--spectrum", str(folder / "animal.npz")]) == 0
     out = capsys.readouterr().out
-    assert "exact (arpack)  predicted (dense)" in out
-    assert "not against exact modes" not in out
+    assert "exact (arpack)  exact (dense)" in out
+    assert re.search(r"mode +first +second +change", out)
+    assert "errors are" not in out
+    assert "predicted" not in out
+
+
+def test_where_the_second_side_is_exact_the_errors_are_those_of_the_first(
+    folder, capsys, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    command = ("compare", str(folder / "animal.ply"), "-q", "--against", "fourier", "-k", "6")
+    told = record(capsys, *command, "--solver", "arpack")
+    assert [told[side]["exact"] for side in ("reference", "predicted")] == [False, True]
+    names = [told[side]["name"] for side in ("reference", "predicted")]
+    assert names == ["reference, predicted (fourier)", "exact (arpack)"]
+    assert main([*command, "--solver", "arpack", "-o", "errors.svg", "--dpi", "40"]) == 0
+    out, drawn = capsys.readouterr().out, Path("errors.svg").read_text()
+    assert "reference, predicted (fourier)  exact (arpack)" in out
+    assert re.search(r"mode +reference +exact +change", out)
+    caution = "errors are those of the reference, predicted (fourier): the other side is exact"
+    for text in (out, drawn):
+        assert caution in text
+        assert "predicted (arpack)" not in text
 
 
 def test_modes_that_were_predicted_are_never_called_exact(folder, capsys, tmp_path, monkeypatch):

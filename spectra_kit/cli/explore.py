@@ -118,7 +118,7 @@ def _tables(
     head = tables.headline(arguments.file, geometry, laplacian)
     if pair is None:
         return [head, tables.certificate_lines(reference)]
-    return [head, tables.comparison_line(pair.comparison)]
+    return [head, tables.comparison_line(pair.comparison), *filter(None, [pair.caution])]
 
 
 def _next(written: Explorer) -> str:

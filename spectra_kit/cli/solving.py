@@ -109,7 +109,7 @@ def default_predictor() -> str:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Modes to compare with, predicted ones, their errors, and what the two are called."""
+    """Modes to compare with, others, what differs, and what the two are called."""
 
     reference: Spectrum
     predicted: Spectrum
@@ -121,6 +121,8 @@ class Compared:
         """What to keep in mind where the errors are not those against the truth; else empty."""
         if is_exact(self.reference):
             return ""
+        if is_exact(self.predicted):
+            return f"errors are those of the {self.names[0]}: the other side is {self.names[1]}"
         return f"errors are against the {self.names[0]}, not against exact modes"
 
     def record(self) -> Record:
@@ -208,5 +210,5 @@ def compared(
         if subspace is not None:
             error, dimension = subspace_span_error(subspace, laplacian, reference, predicted)
             comparison = replace(comparison, span_error=error[:k], span_dimension=dimension)
-    names = reference_name(reference), f"predicted ({predictor})"
+    names = reference_name(reference), name_of(predicted)
     return Compared(reference, predicted, comparison, names)

@@ -76,9 +76,14 @@ def comparison_table(
     comparison: Comparison,
     modes: Sequence[int],
 ) -> str:
-    """Eigenvalues, errors and relative residuals of some modes, by the first words of the names."""
+    """Eigenvalues, errors and relative residuals of some modes, by the first words of the names.
+
+    Where both begin with one word, as two exact ones do, they are the first and the second.
+    """
     ours, theirs = _certificate(reference), _certificate(predicted)
     left, right = (name.split()[0].rstrip(",") for name in names)
+    if left == right:
+        left, right = "first", "second"
     rows = [
         ("", "eigenvalue", "", "", "error of", "of its", "outside", "relative", "residual"),
         ("mode", left, right, "change", "mode", "cluster", "span", left, right),
