@@ -32,6 +32,11 @@ export function percent(value) {
   return `${value > 0 ? "+" : ""}${text} %`;
 }
 
+/** The error of a mode; 0 where it is nothing but rounding. */
+export function error(value) {
+  return short(value !== null && value < 1e-15 ? 0 : value, 2);
+}
+
 /** The relative change of an eigenvalue in per cent; "equal" where it is nothing but rounding. */
 export function change({ exact, predicted, comparison }, mode) {
   const relative = comparison.eigenvalue_error[mode];

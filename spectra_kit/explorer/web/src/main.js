@@ -1,6 +1,6 @@
 // The page: reads its data, then shows one mode at a time in every part.
 
-import { change, count, short } from "./format.js";
+import { change, count, error, short } from "./format.js";
 import { bytesOf, column16, readGeometry } from "./payload.js";
 import { Plot } from "./plot.js";
 import { ratioFor } from "./speed.js";
@@ -111,8 +111,8 @@ function captions(facts, mode, words) {
   write(
     "view-difference",
     "difference",
-    hidden ? "below what this page can show" : `error ${short(comparison.cluster_error[mode], 2)}${size > 1 ? `, cluster of ${size}` : ""}`,
-    hidden ? `under ${short((8 / 32767) * 100, 2)} % of the mode` : `outside the span ${short(comparison.span_error[mode], 2)}`,
+    hidden ? "below what this page can show" : `error ${error(comparison.cluster_error[mode])}${size > 1 ? `, cluster of ${size}` : ""}`,
+    hidden ? `under ${short((8 / 32767) * 100, 2)} % of the mode` : `outside the span ${error(comparison.span_error[mode])}`,
     colours.difference[mode],
   );
 }

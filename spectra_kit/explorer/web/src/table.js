@@ -1,6 +1,6 @@
 // One row for each mode; a click shows it.
 
-import { change, short } from "./format.js";
+import { change, error, short } from "./format.js";
 
 export class Table {
   constructor(host, facts, choose) {
@@ -17,8 +17,8 @@ export class Table {
     if (!predicted) columns.push(["certified to ±", "Some true eigenvalue lies within this of λ", (m) => short(exact.residuals?.[m], 2)]);
     if (predicted) {
       columns.push([`residual ${names[1]}`, residual, (m) => short(predicted.relative?.[m], 2)]);
-      columns.push(["cluster error", "|u − v|², after the best rotation within the cluster of near-equal λ", (m) => short(comparison.cluster_error[m], 2)]);
-      columns.push(["span error", "Energy of the mode outside the span of the others’ modes", (m) => short(comparison.span_error[m], 2)]);
+      columns.push(["cluster error", "|u − v|², after the best rotation within the cluster of near-equal λ", (m) => error(comparison.cluster_error[m])]);
+      columns.push(["span error", "Energy of the mode outside the span of the others’ modes", (m) => error(comparison.span_error[m])]);
     }
     const table = document.createElement("table");
     const head = table.createTHead().insertRow();
