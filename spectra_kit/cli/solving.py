@@ -22,6 +22,7 @@ from spectra_kit.spectrum import Spectrum
 # Those that stop when the residuals are small; the others stop after so much work.
 EXACT = ("arpack", "multilevel", "refined", "lobpcg", "dense")
 PREDICT = (*(name for name in SOLVERS if name not in EXACT), "rayleighritz")
+_SMALL = 1e-3  # relative residuals up to here are exact; a solver may be asked for less
 _SAME = (10.0, 1e-6)  # residuals of a saved mode may grow by this factor and this much
 
 
@@ -165,18 +166,27 @@ def reference_modes(
 
 
 def is_exact(spectrum: Spectrum) -> bool:
-    """Whether a solver made it that goes on until its residuals are small."""
-    return solver_of(spectrum) in EXACT
+    """Whether a solver made it that goes on until its residuals are small, and they are."""
+    return solver_of(spectrum) in EXACT and largest_residual(spectrum) <= _SMALL
 
 
 def name_of(spectrum: Spectrum) -> str:
     """Return what to call modes by themselves: exact, predicted or neither, and by what."""
     solver = solver_of(spectrum)
-    if solver in EXACT:
+    if is_exact(spectrum):
         return f"exact ({solver})"
+    if solver in EXACT:
+        return f"solved to {largest_residual(spectrum):.0e} ({solver})"
     if solver in PREDICT:
         return f"predicted ({solver})"
     return f"modes ({solver or 'solver unknown'})"
+
+
+def largest_residual(spectrum: Spectrum) -> float:
+    """Return the largest relative residual of a spectrum; infinite if it is not certified."""
+    if spectrum.certificate is None:
+        return float("inf")
+    return float(spectrum.certificate.relative_residuals.max(initial=0.0))
 
 
 def reference_name(spectrum: Spectrum) -> str:
