@@ -168,6 +168,22 @@ def test_compare_prints_a_table(capsys):
     assert "picture" not in out
 
 
+def test_where_eigenvalues_coincide_the_means_are_those_of_spaces(files, capsys):
+    """Each basis of an eigenspace is as good: the vectors of the two solvers differ freely."""
+    ball = sphere(subdivisions=2).geometry
+    three = [ball.points + [4 * i, 0, 0] for i in range(3)]
+    faces = [ball.faces + i * ball.n for i in range(3)]
+    write(TriangleMesh(np.vstack(three), np.vstack(faces)), files / "three.off")
+    command = ["compare", str(files / "three.off"), "-k", "12", "--solver", "dense"]
+    comparison = output(capsys, *command)["comparison"]
+    assert comparison["mean_vector_error"] > 0.1
+    assert comparison["mean_cluster_error"] < 1e-20
+    assert main(command) == 0
+    means = dict(re.findall(r"^(\w+ error) +(\S+)  mean", capsys.readouterr().out, flags=re.M))
+    assert list(means) == ["span error", "eigenvalue error", "cluster error", "eigenvector error"]
+    assert float(means["cluster error"]) < 1e-20
+
+
 def test_info(files, capsys):
     result = output(capsys, "info", files / "parts.ply")
     assert result["kind"] == "mesh"

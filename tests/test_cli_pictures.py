@@ -167,6 +167,7 @@ def test_where_the_second_side_is_exact_the_errors_are_those_of_the_first(
     for text in (out, drawn):
         assert caution in text
         assert "predicted (arpack)" not in text
+    assert ", cluster error " in drawn
 
 
 def test_modes_that_were_predicted_are_never_called_exact(folder, capsys, tmp_path, monkeypatch):
