@@ -19,6 +19,7 @@ from spectra_kit.explorer.payload import walk
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
 from spectra_kit.metrics import align_modes, compare_spectra
 from spectra_kit.viz.contours import triangles_of
+from spectra_kit.viz.render import ball_diameter
 from spectra_kit.viz.signs import display_signs
 
 PACKAGE = Path(walk.__code__.co_filename).parent
@@ -131,6 +132,7 @@ def test_the_page_of_a_cloud_holds_the_triangles_of_its_nodal_lines(mesh, exact,
     theirs = np.unique(np.sort(rows, axis=1), axis=0)
     ours = np.unique(np.sort(triangles_of(cloud), axis=1), axis=0)
     np.testing.assert_array_equal(theirs, ours)
+    assert page.facts["diameter"] == ball_diameter(cloud) / np.ptp(cloud.points, axis=0).max()
     assert "stars" not in Page(write_explorer(tmp_path / "mesh.html", mesh, exact).path).facts
 
 

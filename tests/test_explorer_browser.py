@@ -241,7 +241,9 @@ def test_a_click_on_the_plot_or_the_table_chooses_the_mode(visit):
     facts = json.loads(visit.page.text_content("#facts"))["comparison"]
     errors = np.array([facts["cluster_error"], facts["span_error"]], dtype=float).T
     assert ((errors > 0) & (errors < 1e-20)).any()
-    cells = [row.split("\t")[-2:] for row in visit.page.locator("#table tbody tr").all_inner_texts()]
+    cells = [
+        row.split("\t")[-2:] for row in visit.page.locator("#table tbody tr").all_inner_texts()
+    ]
     assert ((np.array(cells) == "0") == (errors < 1e-15)).all()
     # Held and drawn along the plot, the mode follows.
     first = visit.page.locator("#plot .dots.exact circle").nth(0).bounding_box()
@@ -444,6 +446,10 @@ def test_a_cloud_has_nodal_lines_where_the_function_vanishes(browser, pages, bal
     angles = np.linspace(0, 2 * np.pi, 400)[:, None]
     inside = (angles - starts) % (2 * np.pi) <= stops - starts + 1e-4
     assert inside.any(axis=1).all()
+    # From farther away where balls are large: they reach beyond the points.
+    away = "(explorer.stage.facts.diameter = {}, explorer.stage.fit(1))"
+    near, far = (visit.page.evaluate(away.format(diameter)) for diameter in (0, 0.4))
+    assert far - near == pytest.approx(1.08 * 0.2 / np.tan(np.deg2rad(14)))
     # Drawn over the points, and nowhere else.
     assert darkest(0.5) < 120
     assert darkest(0.35) < 120

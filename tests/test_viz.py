@@ -14,7 +14,7 @@ from spectra_kit.metrics import compare_spectra
 from spectra_kit.viz import Panel, plot_comparison, plot_panels
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.pen import short
-from spectra_kit.viz.render import Scene, render
+from spectra_kit.viz.render import Scene, ball_diameter, render
 
 BLUE_TO_RED = np.column_stack([np.arange(256), np.zeros(256), np.arange(256)[::-1]]).astype("u1")
 
@@ -77,6 +77,18 @@ def test_no_gap_of_a_cloud_shows_its_far_side():
     rows, columns = np.indices(by_z.shape[:2]) - np.array(by_z.shape[:2])[:, None, None] / 2
     middle = by_z[np.hypot(rows, columns) < 35]
     assert (middle[:, 0] > middle[:, 2] + 40).all()  # red is near, blue far
+
+
+def test_balls_reach_the_twelfth_neighbour_but_few_points_stay_apart():
+    turn = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+    ring = PointCloud(np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1))
+    twelfth = 2 * np.sin(6 * np.pi / 200)  # six on either side
+    for scale in (1, 1e-6):
+        scaled = PointCloud(scale * ring.points)
+        assert ball_diameter(scaled) == pytest.approx(scale * twelfth)
+        assert ball_diameter(PointCloud(scale * ring.points[::10])) == pytest.approx(0.24 * scale)
+    assert ball_diameter(PointCloud([[1.0, 2, 3]])) == 0
+    assert ball_diameter(rectangle(n=50).geometry) == 0
 
 
 def test_pictures_are_the_same_twice_and_silent(ball, small_picture, capfd):

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from spectra_kit.geometry.normals import estimate_normals, orient_normals
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
@@ -133,12 +132,6 @@ def _first_of_each(rows: Ints) -> Ints:
     side = int(rows.max()) + 1  # at most 1e6: three digits of that base fit 64 bits
     keys = (rows[:, 0] * side + rows[:, 1]) * side + rows[:, 2]
     return np.sort(np.unique(keys, return_index=True)[1]).astype(np.int64)
-
-
-def spacing(points: Floats) -> float:
-    """Diameter of a cloud's points: at the twelfth neighbour, few gaps show the far side."""
-    distances, _ = cKDTree(points).query(points, k=min(13, len(points)))
-    return float(np.median(np.atleast_2d(distances.T)[-1]))
 
 
 def stars_of(cloud: PointCloud, order: Ints) -> Ints:

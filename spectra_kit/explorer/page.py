@@ -20,7 +20,6 @@ from spectra_kit.explorer.display import (
     for_display,
     functions_of,
     normal_steps,
-    spacing,
     stars_of,
 )
 from spectra_kit.explorer.document import assembled
@@ -39,6 +38,7 @@ from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.spectrum import Spectrum
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.colours import diverging_colours
+from spectra_kit.viz.render import ball_diameter
 
 Floats = NDArray[np.float64]
 
@@ -274,14 +274,13 @@ def _write(
     # The page draws in a box of side one: it needs the form, and numbers of a fit size.
     facts["box"] = (np.ptp(points, axis=0) / side).tolist()
     facts["shown"] = geometry.n
-    facts["spacing"] = 0.0
+    facts["diameter"] = ball_diameter(geometry) / side
     parts = [steps16(steps)]
     if isinstance(geometry, TriangleMesh):
         facts["faces"] = len(geometry.faces)
         parts.append(face_bytes(renumbered(geometry.faces, order)))
     else:
         facts["faces"] = 0
-        facts["spacing"] = spacing(points) / side
         parts.append(steps16(normal_steps(geometry)[order]))
         stars = stars_of(geometry, order)
         facts["stars"] = len(stars)

@@ -26,6 +26,7 @@ Bytes = NDArray[np.uint8]
 
 _WORKER = Path(__file__).with_name("worker.py")
 _MARGIN = 4  # pixels around the geometry
+_LARGEST_BALL = 0.12  # of the longest side
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -202,8 +203,13 @@ def _environments() -> list[Mapping[str, str]]:
 
 
 def ball_diameter(geometry: Geometry) -> float:
-    """Diameter of a cloud's balls: at the twelfth neighbour, few gaps show the far side. Else 0."""
+    """Diameter of a cloud's balls; of a mesh, 0.
+
+    At the twelfth neighbour, few gaps show the far side; of few points this is half the cloud, and
+    balls stay small enough to be told apart.
+    """
     if isinstance(geometry, TriangleMesh):
         return 0.0
     distances, _ = cKDTree(geometry.points).query(geometry.points, k=min(13, geometry.n))
-    return float(np.median(np.atleast_2d(distances.T)[-1]))
+    longest = float(np.ptp(geometry.points, axis=0).max())
+    return min(float(np.median(np.atleast_2d(distances.T)[-1])), _LARGEST_BALL * longest)

@@ -98,13 +98,14 @@ export class Stage {
   fit(aspect) {
     const [right, above, towards] = this.axes;
     const vertical = Math.tan((ANGLE * Math.PI) / 360);
+    const ball = this.facts.diameter / 2; // also the balls of a cloud
     const point = new Vector3();
     let distance = 0;
     for (let i = 0; i < this.positions.length; i += 3) {
       point.fromArray(this.positions, i).sub(this.middle);
       const out = Math.max(
-        Math.abs(point.dot(right)) / (vertical * aspect),
-        Math.abs(point.dot(above)) / vertical,
+        (Math.abs(point.dot(right)) + ball) / (vertical * aspect),
+        (Math.abs(point.dot(above)) + ball) / vertical,
       );
       distance = Math.max(distance, MARGIN * out + point.dot(towards));
     }

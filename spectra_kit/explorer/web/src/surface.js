@@ -33,7 +33,7 @@ export class Surface extends Group {
       amplitude: { value: 0 },
       pixels: { value: 0 },
       size: { value: new Vector2() },
-      diameter: { value: facts.spacing },
+      diameter: { value: facts.diameter },
       ...palettes(facts),
       lines: { value: 0 },
       depths: { value: new Vector2(0, 1) },
