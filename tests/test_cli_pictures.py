@@ -93,11 +93,15 @@ def test_an_animation_swings(folder, capsys, tmp_path):
 
 
 def test_eigenvalues_are_drawn(folder, capsys, tmp_path):
+    command = ("spectrum", folder / "animal.ply", "-k", "6", "--picture")
     out = tmp_path / "spectrum.pdf"
-    told = record(capsys, "spectrum", folder / "animal.ply", "-k", "6", "--picture", out, "-q")
+    told = record(capsys, *command, out, "-q")
     assert told["picture"] == str(out)
     assert told["output"] is None
     assert out.read_bytes().startswith(b"%PDF")
+    record(capsys, *command, tmp_path / "spectrum.png", *DRAWN)
+    with Image.open(tmp_path / "spectrum.png") as picture:
+        assert picture.width == 320  # 8 inches
 
 
 def test_the_boundary_of_a_mesh_is_part_of_weyls_law(capsys, tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from spectra_kit.cli.options import (
     SOLVERS,
+    add_dpi,
     add_drawing,
     add_file,
     add_general,
@@ -50,6 +51,7 @@ def add_spectrum_arguments(parser: argparse.ArgumentParser) -> None:
         "PNG",
         flags=("--picture",),
     )
+    add_dpi(group)
     add_modes(group)
     add_general(parser)
 

@@ -67,6 +67,7 @@ def spectrum(arguments: argparse.Namespace) -> None:
                 result,
                 free_boundary=free_boundary(geometry, held=arguments.boundary == "dirichlet"),
                 title=tables.title(arguments.file, geometry),
+                dpi=arguments.dpi,
             )
     if arguments.json:
         print_json(

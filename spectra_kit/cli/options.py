@@ -220,16 +220,21 @@ def add_output(
     )
 
 
+def add_dpi(group: argparse._ArgumentGroup) -> None:
+    """Add how fine pictures are drawn."""
+    group.add_argument(
+        "--dpi",
+        type=int,
+        default=200,
+        metavar="N",
+        help=f"pixels per inch, 600 for print {DEFAULT}",
+    )
+
+
 def add_drawing(group: argparse._ArgumentGroup, *, dpi: bool = True, turn: bool = True) -> None:
     """Add how pictures are drawn, and from where."""
     if dpi:
-        group.add_argument(
-            "--dpi",
-            type=int,
-            default=200,
-            metavar="N",
-            help=f"pixels per inch, 600 for print {DEFAULT}",
-        )
+        add_dpi(group)
     group.add_argument(
         "--up",
         choices=("x", "y", "z"),
