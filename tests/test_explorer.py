@@ -18,6 +18,7 @@ from spectra_kit.explorer.display import for_display
 from spectra_kit.explorer.payload import walk
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
 from spectra_kit.metrics import align_modes, compare_spectra
+from spectra_kit.viz.boundary import free_boundary
 from spectra_kit.viz.contours import triangles_of
 from spectra_kit.viz.render import ball_diameter
 from spectra_kit.viz.signs import display_signs
@@ -154,7 +155,8 @@ def test_numbers_on_the_page_are_those_of_the_comparison(mesh, exact, predicted,
         facts["exact"]["residuals"], exact.certificate.residuals[:6], rtol=1e-6
     )
     assert facts["predicted"]["residuals"] is None
-    assert facts["weyl"] == pytest.approx(4 * np.pi / exact.area)
+    assert facts["area"] == pytest.approx(exact.area)
+    assert facts["boundary"] == 0
     assert facts["first"] == 1
 
 
@@ -296,7 +298,13 @@ def test_modes_held_at_a_boundary_and_spectra_of_other_lengths(tmp_path):
     long, short = eigensolve(held, 6), eigensolve(held, 4)
     written = write_explorer(tmp_path / "page.html", sheet.geometry, long, short)
     assert written.n_modes == 4
-    assert Page(written.path).facts["first"] == 0  # no mode is constant
+    facts = Page(written.path).facts
+    assert facts["first"] == 0  # no mode is constant
+    around = 2 * np.ptp(sheet.geometry.points, axis=0).sum()
+    assert facts["boundary"] == pytest.approx(-around)
+    loose = eigensolve(free, 4)
+    assert free_boundary(sheet.geometry, loose) == pytest.approx(around)
+    assert free_boundary(sheet.geometry.as_cloud(), loose) == 0
 
 
 def test_progress_is_told(mesh, exact, tmp_path):

@@ -259,13 +259,14 @@ def test_the_plot_shows_both_spectra_weyls_law_and_bars(visit):
     assert visit.page.locator("#plot .dots.predicted circle").count() == 5
     assert visit.page.get_attribute("#plot .bars.exact", "d").count("V") == 5
     assert visit.page.locator("#plot .bars.predicted").get_attribute("d") in (None, "")
-    line = {
-        side: float(visit.page.get_attribute("#plot .weyl", side))
-        for side in ("x1", "y1", "x2", "y2")
-    }
-    assert line["x2"] > line["x1"]
-    assert line["y2"] < line["y1"]  # upwards
-    assert "Weyl" in visit.text("#legend")
+    assert "Weyl’s law, λ = 4πj / area" in visit.text("#legend")
+    # Of this law: through zero and as high at the last mode as 4 pi 4 / area.
+    law = np.array(re.findall(r"[\d.]+", visit.page.get_attribute("#plot .weyl", "d")), dtype=float)
+    (x, y), dots = law.reshape(-1, 2).T, visit.page.locator("#plot .dots.exact circle")
+    cx, cy = ([float(dots.nth(i).get_attribute(at)) for i in (0, 4)] for at in ("cx", "cy"))
+    assert (x[0], y[0], x[-1]) == (cx[0], cy[0], cx[1])
+    assert (y[0] - y[-1]) / (cy[0] - cy[1]) == pytest.approx(4 * np.pi / 2562, abs=0.01)
+    np.testing.assert_allclose(y, np.linspace(y[0], y[-1], len(y)), atol=0.1)
 
 
 def test_a_drag_turns_every_view_and_a_double_click_turns_back(visit):

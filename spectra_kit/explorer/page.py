@@ -36,6 +36,7 @@ from spectra_kit.explorer.payload import (
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.spectrum import Spectrum
+from spectra_kit.viz.boundary import free_boundary
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.colours import diverging_colours
 from spectra_kit.viz.render import ball_diameter
@@ -170,7 +171,8 @@ def write_explorer(
         "title": title,
         "names": list(names),
         "points": geometry.n,
-        "weyl": 4 * np.pi / exact.area,
+        "area": exact.area,
+        "boundary": free_boundary(geometry, exact),
         "first": min(exact.n_zero_modes, k - 1),
         "decimated": display.decimated,
         "palette": _palette(),

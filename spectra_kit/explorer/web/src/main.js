@@ -56,11 +56,17 @@ function head(facts) {
   $("note").textContent = notes.join(" ");
 }
 
+function law({ boundary }) {
+  if (!boundary) return "Weyl’s law, λ = 4πj / area";
+  const [sign, kind] = boundary > 0 ? ["+", "free"] : ["−", "held"];
+  return `Weyl’s law, j = (area λ ${sign} length √λ) / 4π, for a ${kind} boundary of length ${short(Math.abs(boundary), 4)}`;
+}
+
 /** The legend of what the plot shows, up to this eigenvalue. */
 function legend(facts, top) {
   const items = [["exact", facts.names[0]]];
   if (facts.predicted) items.push(["predicted", facts.names[1]]);
-  if (facts.exact.eigenvalues.length > 1) items.push(["weyl", "Weyl’s law 4π j / area"]);
+  if (facts.exact.eigenvalues.length > 1) items.push(["weyl", law(facts)]);
   const visible = (spectrum) => spectrum?.residuals?.some((r) => r > 0.005 * top);
   if (visible(facts.exact) || visible(facts.predicted)) items.push(["bars", "residual: a true λ lies within"]);
   $("legend").replaceChildren(

@@ -15,10 +15,10 @@ export class Plot {
     this.host = host;
     this.facts = facts;
     this.k = facts.exact.eigenvalues.length;
-    const { exact, predicted, weyl } = facts;
-    const all = [...exact.eigenvalues, ...(predicted?.eigenvalues ?? []), weyl * (this.k - 1)];
+    const { exact, predicted } = facts;
+    const all = [...exact.eigenvalues, ...(predicted?.eigenvalues ?? []), weyl(facts, this.k - 1)];
     // Not less than one step of Weyl's law: zero alone has no scale.
-    this.top = 1.04 * Math.max(...all, weyl);
+    this.top = 1.04 * Math.max(...all, weyl(facts, 1));
     this.svg = element("svg", { role: "img", "aria-label": "Eigenvalues against the number of the mode" });
     // Apart and moved as they are, so that a step of the slider paints nothing of the plot again.
     this.marks = Object.fromEntries(
@@ -96,20 +96,16 @@ export class Plot {
   }
 
   values() {
-    const { exact, predicted, weyl } = this.facts;
+    const { exact, predicted } = this.facts;
     const { top } = this;
     this.y = (value) => this.split - ((this.split - TOP) * Math.min(Math.max(value, 0), top)) / top;
     for (const tick of ticks(0, top, Math.max((this.split - TOP) / 34, 2))) {
       this.add("line", { class: "grid", x1: LEFT, x2: LEFT + this.width, y1: this.y(tick), y2: this.y(tick) });
       this.text(axis(tick), LEFT - 8, this.y(tick) + 4, { class: "tick", "text-anchor": "end" });
     }
-    this.add("line", {
-      class: "weyl",
-      x1: this.x(0),
-      y1: this.y(0),
-      x2: this.x(this.k - 1),
-      y2: this.y(weyl * (this.k - 1)),
-    });
+    const law = Array.from({ length: 101 }, (_, i) => ((this.k - 1) * i) / 100);
+    const line = law.map((j) => `${this.x(j).toFixed(1)} ${this.y(weyl(this.facts, j)).toFixed(1)}`);
+    this.add("path", { class: "weyl", d: `M${line.join("L")}` });
     for (const [which, spectrum] of [["predicted", predicted], ["exact", exact]]) {
       if (!spectrum) continue;
       const bars = this.add("path", { class: `bars ${which}` });
@@ -200,6 +196,12 @@ export class Plot {
     this.tip.style.right = right ? `${this.host.clientWidth - x + 14}px` : "auto";
     this.tip.style.top = `${Math.max(this.y(exact.eigenvalues[mode]) - 90, TOP)}px`;
   }
+}
+
+/** Weyl's law, the solution of j = (area lambda + boundary sqrt(lambda)) / 4 pi. */
+function weyl({ area, boundary }, j) {
+  const half = boundary / 2;
+  return ((Math.sqrt(half ** 2 + 4 * Math.PI * area * j) - half) / area) ** 2;
 }
 
 function cell(name, content) {
