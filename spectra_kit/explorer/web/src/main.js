@@ -67,7 +67,7 @@ function legend(facts, top) {
   const items = [["exact", facts.names[0]]];
   if (facts.predicted) items.push(["predicted", facts.names[1]]);
   if (facts.exact.eigenvalues.length > 1) items.push(["weyl", law(facts)]);
-  const visible = (spectrum) => spectrum?.residuals?.some((r) => r > 0.005 * top);
+  const visible = (spectrum) => spectrum?.residuals?.some((r) => top && r > 0.005 * top);
   if (visible(facts.exact) || visible(facts.predicted)) items.push(["bars", "residual: a true λ lies within"]);
   $("legend").replaceChildren(
     ...items.map(([kind, name]) => {
@@ -217,7 +217,7 @@ function controls(facts, stage, choose, current, arrange) {
       act(on);
     });
   $("difference").hidden = !facts.predicted;
-  $("nodal").hidden = !(facts.faces || facts.stars);
+  $("nodal").hidden = k === 1 || !(facts.faces || facts.stars); // the first mode has one sign
   toggle("difference", arrange);
   toggle("nodal", (on) => {
     stage.nodal = on;

@@ -16,9 +16,10 @@ export class Plot {
     this.facts = facts;
     this.k = facts.exact.eigenvalues.length;
     const { exact, predicted } = facts;
-    const all = [...exact.eigenvalues, ...(predicted?.eigenvalues ?? []), weyl(facts, this.k - 1)];
-    // Not less than one step of Weyl's law: zero alone has no scale.
-    this.top = 1.04 * Math.max(...all, weyl(facts, 1));
+    const all = [...exact.eigenvalues, ...(predicted?.eigenvalues ?? [])];
+    if (this.k > 1) all.push(weyl(facts, this.k - 1));
+    const top = 1.04 * Math.max(...all);
+    this.top = top > 1e-9 * weyl(facts, 1) ? top : 0; // zero alone has no scale
     this.svg = element("svg", { role: "img", "aria-label": "Eigenvalues against the number of the mode" });
     // Apart and moved as they are, so that a step of the slider paints nothing of the plot again.
     this.marks = Object.fromEntries(
@@ -52,12 +53,12 @@ export class Plot {
 
   at(event) {
     const x = event.clientX - this.svg.getBoundingClientRect().left;
-    const mode = Math.round(((x - LEFT) / this.width) * Math.max(this.k - 1, 1));
+    const mode = Math.round(((x - LEFT) / this.width) * (this.k - 1));
     return Math.min(Math.max(mode, 0), this.k - 1);
   }
 
   x(mode) {
-    return LEFT + (mode / Math.max(this.k - 1, 1)) * this.width;
+    return LEFT + (this.k > 1 ? mode / (this.k - 1) : 0.5) * this.width;
   }
 
   layout() {
@@ -98,14 +99,14 @@ export class Plot {
   values() {
     const { exact, predicted } = this.facts;
     const { top } = this;
-    this.y = (value) => this.split - ((this.split - TOP) * Math.min(Math.max(value, 0), top)) / top;
+    this.y = (value) => this.split - ((this.split - TOP) * Math.min(Math.max(value, 0), top)) / (top || 1);
     for (const tick of ticks(0, top, Math.max((this.split - TOP) / 34, 2))) {
       this.add("line", { class: "grid", x1: LEFT, x2: LEFT + this.width, y1: this.y(tick), y2: this.y(tick) });
       this.text(axis(tick), LEFT - 8, this.y(tick) + 4, { class: "tick", "text-anchor": "end" });
     }
     const law = Array.from({ length: 101 }, (_, i) => ((this.k - 1) * i) / 100);
     const line = law.map((j) => `${this.x(j).toFixed(1)} ${this.y(weyl(this.facts, j)).toFixed(1)}`);
-    this.add("path", { class: "weyl", d: `M${line.join("L")}` });
+    if (this.k > 1) this.add("path", { class: "weyl", d: `M${line.join("L")}` });
     for (const [which, spectrum] of [["predicted", predicted], ["exact", exact]]) {
       if (!spectrum) continue;
       const bars = this.add("path", { class: `bars ${which}` });
