@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -57,33 +58,32 @@ def spectrum(arguments: argparse.Namespace) -> None:
     if output:
         with step(f"writing {output}"):
             result.save(output)
-    if picture:
+    if not arguments.json:
+        print_blocks(
+            tables.headline(arguments.file, geometry, laplacian),
+            tables.modes_table(result, modes),
+            tables.certificate_lines(result),
+            *([f"spectrum: {output}"] if output else []),
+        )
+
+    def draw(path: Path) -> None:
         from spectra_kit.viz import plot_spectrum
 
-        kept = f"the spectrum {output} is whole" if output else "the modes were solved for"
-        with drawing([picture], kept=kept):
-            plot_spectrum(
-                picture,
-                result,
-                free_boundary=free_boundary(geometry, held=arguments.boundary == "dirichlet"),
-                title=tables.title(arguments.file, geometry),
-                dpi=arguments.dpi,
-            )
-    if arguments.json:
-        print_json(
-            input=arguments.file,
-            geometry=tables.geometry_record(geometry),
-            **tables.spectrum_record(result),
-            output=output and str(output),
-            picture=picture and str(picture),
+        plot_spectrum(
+            path,
+            result,
+            free_boundary=free_boundary(geometry, held=arguments.boundary == "dirichlet"),
+            title=tables.title(arguments.file, geometry),
+            dpi=arguments.dpi,
         )
-        return
-    print_blocks(
-        tables.headline(arguments.file, geometry, laplacian),
-        tables.modes_table(result, modes),
-        tables.certificate_lines(result),
-        *([f"spectrum: {output}"] if output else []),
-        *([f"picture: {picture}"] if picture else []),
+
+    _finish(
+        arguments,
+        draw,
+        kept=f"the spectrum {output} is whole" if output else "the numbers are whole",
+        geometry=tables.geometry_record(geometry),
+        **tables.spectrum_record(result),
+        output=output and str(output),
     )
 
 
@@ -122,36 +122,51 @@ def compare(arguments: argparse.Namespace) -> None:
             tables.comparison_lines(pair.names, pair.reference, pair.predicted, comparison),
             *([pair.caution] if pair.caution else []),
         )
-    if picture:
+
+    def draw(path: Path) -> None:
         from spectra_kit.viz import plot_comparison
 
         first = max(comparison.n_zero_modes - 1, 0)  # one constant function per component is dull
-        with step("drawing"):
-            plot_comparison(
-                picture,
-                geometry,
-                pair.reference,
-                pair.predicted,
-                comparison,
-                modes=shown_modes(arguments.modes, [i + first for i in _DRAWN], k),
-                names=pair.names,
-                title=tables.title(arguments.file, geometry),
-                subtitle="; ".join(
-                    filter(None, [tables.comparison_line(comparison), pair.caution])
-                ),
-                up=up_of(arguments),
-                turn=arguments.turn,
-                dpi=arguments.dpi,
-            )
-    if arguments.json:
-        print_json(
-            input=arguments.file,
-            geometry=tables.geometry_record(geometry),
-            **pair.record(),
-            picture=picture and str(picture),
+        plot_comparison(
+            path,
+            geometry,
+            pair.reference,
+            pair.predicted,
+            comparison,
+            modes=shown_modes(arguments.modes, [i + first for i in _DRAWN], k),
+            names=pair.names,
+            title=tables.title(arguments.file, geometry),
+            subtitle="; ".join(filter(None, [tables.comparison_line(comparison), pair.caution])),
+            up=up_of(arguments),
+            turn=arguments.turn,
+            dpi=arguments.dpi,
         )
-    elif picture:
-        print_blocks(f"picture: {picture}")
+
+    _finish(
+        arguments,
+        draw,
+        kept="the numbers are whole",
+        geometry=tables.geometry_record(geometry),
+        **pair.record(),
+    )
+
+
+def _finish(
+    arguments: argparse.Namespace, draw: Callable[[Path], None], *, kept: str, **record: object
+) -> None:
+    """Draw where that was asked for; print the JSON after that, also where it ends early."""
+    picture: Path | None = arguments.picture
+    drawn = None
+    try:
+        if picture:
+            with drawing([picture], kept=kept):
+                draw(picture)
+            drawn = str(picture)
+    finally:
+        if arguments.json:
+            print_json(input=arguments.file, **record, picture=drawn)
+    if drawn and not arguments.json:
+        print_blocks(f"picture: {drawn}")
 
 
 def info(arguments: argparse.Namespace) -> None:
