@@ -53,6 +53,8 @@ def test_every_command_refuses_bad_files_in_one_line(name, folder, capsys, monke
         ("none.off", "none.off: there is no such file; looked from"),
         ("sub", "sub: this is a folder, expected a file; name one that is in it"),
         ("empty.off", "empty.off: the file is empty"),
+        ("-", "-: pipes are not read, expected a file whose name ends in its format (obj, off"),
+        ("/dev/stdin", "/dev/stdin: pipes are not read, expected a file"),
         ("text.docx", "cannot read the format '.docx'; known are .glb, "),
     ):
         assert message in refused(capsys, name, file, *second, *source)

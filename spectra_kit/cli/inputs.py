@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from spectra_kit._validate import check_count, quantity
-from spectra_kit.cli.options import DEMO, TAKERS, listed
+from spectra_kit.cli.options import DEMO, FORMATS, TAKERS, listed
 from spectra_kit.cli.parser import did_you_mean
 from spectra_kit.cli.progress import say, step
 from spectra_kit.eigensolvers import (
@@ -114,10 +114,15 @@ def load(arguments: argparse.Namespace) -> Geometry:
 
 
 def _check_there(path: Path) -> None:
-    """Refuse a file that is not there, and name the likeliest of those that are."""
+    """Refuse what is no file, or not there, and name the likeliest of those that are."""
     if path.is_dir():
         raise InvalidInputError(
             f"{path}: this is a folder, expected a file; name one that is in it"
+        )
+    if str(path) in ("-", "/dev/stdin") or (path.exists() and not path.is_file()):
+        raise InvalidInputError(
+            f"{path}: pipes are not read, expected a file whose name ends in its format"
+            f" ({FORMATS}); save the data as one"
         )
     if path.exists() or not path.parent.is_dir():
         return
