@@ -7,8 +7,6 @@ import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
 from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli import tables
 from spectra_kit.cli.folder import drawing
@@ -27,7 +25,7 @@ from spectra_kit.cli.solving import (
 from spectra_kit.cli.words import in_options
 from spectra_kit.eigensolvers import verify
 from spectra_kit.errors import ConvergenceError, InvalidInputError, OutOfMemoryError
-from spectra_kit.geometry import Geometry, TriangleMesh, diagnose
+from spectra_kit.geometry import diagnose
 
 _SHOWN = (0, 1, 2, 5, 10, 25, 50)  # and the last
 _DRAWN = (1, 2, 5, 10, 25)
@@ -68,11 +66,12 @@ def spectrum(arguments: argparse.Namespace) -> None:
 
     def draw(path: Path) -> None:
         from spectra_kit.viz import plot_spectrum
+        from spectra_kit.viz.boundary import free_boundary
 
         plot_spectrum(
             path,
             result,
-            free_boundary=free_boundary(geometry, held=arguments.boundary == "dirichlet"),
+            free_boundary=free_boundary(geometry, result),
             title=tables.title(arguments.file, geometry),
             dpi=arguments.dpi,
         )
@@ -85,16 +84,6 @@ def spectrum(arguments: argparse.Namespace) -> None:
         **tables.spectrum_record(result),
         output=output and str(output),
     )
-
-
-def free_boundary(geometry: Geometry, *, held: bool) -> float:
-    """Return the length of the boundary of a mesh, negative where it is held; 0 if unknown."""
-    if not isinstance(geometry, TriangleMesh):
-        return 0.0
-    edges, n_faces = geometry.unique_edges
-    start, stop = geometry.points[edges[n_faces == 1]].swapaxes(0, 1)
-    length = float(np.linalg.norm(stop - start, axis=1).sum())
-    return -length if held else length
 
 
 def compare(arguments: argparse.Namespace) -> None:
