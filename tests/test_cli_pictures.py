@@ -113,7 +113,7 @@ def test_the_boundary_of_a_mesh_is_part_of_weyls_law(capsys, tmp_path, monkeypat
         assert f"area 2 and a {what} boundary of length 6" in out.read_text()
     record(capsys, "spectrum", "sheet.off", "-k", "5", "--cloud", "300", "--picture", "cloud.svg")
     text = Path("cloud.svg").read_text()
-    assert "λ = 4πk / area, for the area" in text
+    assert "λ = 4πj / area, for the area" in text
     assert "boundary" not in text
 
 

@@ -231,7 +231,7 @@ def test_the_second_term_is_drawn_and_told(exact):
         if str(line.get_label()).startswith("Weyl")
     )
     assert line.get_label() == (
-        "Weyl's law, k = (area λ \N{MINUS SIGN} length √λ) / 4π, for the area"
+        "Weyl's law, j = (area λ \N{MINUS SIGN} length √λ) / 4π, for the area"
         f" {exact.area:.4g} and a held boundary of length 3"
     )
     number, value = line.get_xydata().T

@@ -80,10 +80,10 @@ def plot_spectrum(
     length relative to the eigenvalue (see `Certificate`), on a logarithmic axis. Its full markers
     are modes that `verify` has proved to be the ones of their number, its open ones are not.
 
-    **Weyl's law**, ``lambda_k ~ 4 pi k / area`` (Weyl, 1911), is what eigenvalues of a surface
-    approach. A boundary shifts them, by a share that fades with k: below the line where the surface
+    **Weyl's law**, ``lambda_j ~ 4 pi j / area`` (Weyl, 1911), is what eigenvalues of a surface
+    approach. A boundary shifts them, by a share that fades with j: below the line where the surface
     ends freely, above it where it is held; with `free_boundary` b the line is that of
-    ``k = (area lambda + b sqrt(lambda)) / (4 pi)`` (Ivrii, 1980). Points too few for the last modes
+    ``j = (area lambda + b sqrt(lambda)) / (4 pi)`` (Ivrii, 1980). Points too few for the last modes
     shift them, too.
 
     **Differences** to the first spectrum are those of the same number, relative to its eigenvalue,
@@ -150,7 +150,7 @@ def spectrum_figure(
         draw(panel, spectra)
     last = max(spectrum.k for spectrum in spectra.values()) - 1
     margin = 0.015 * last + 0.3
-    panels[-1].set(xlabel="mode number k", xlim=(-margin, last + margin))
+    panels[-1].set(xlabel="mode number j", xlim=(-margin, last + margin))
     for panel in panels:
         tidy(panel)
         panel.xaxis.get_major_locator().set_params(integer=True)
@@ -231,11 +231,11 @@ def _draw_weyl(panel: Axes, spectra: Mapping[str, Spectrum], free_boundary: floa
     last = max(spectrum.k for spectrum in spectra.values()) - 1
     number = np.linspace(0, last, 200) if free_boundary else np.array([0, last])
     for area, i in areas.items():
-        law, of = "λ = 4πk / area", f"the area {area:.4g}"
+        law, of = "λ = 4πj / area", f"the area {area:.4g}"
         if free_boundary:
             held = "a held" if free_boundary < 0 else "a free"
             sign = "\N{MINUS SIGN}" if free_boundary < 0 else "+"
-            law = f"k = (area λ {sign} length √λ) / 4π"
+            law = f"j = (area λ {sign} length √λ) / 4π"
             of += f" and {held} boundary of length {abs(free_boundary):.4g}"
         panel.plot(
             number,
@@ -249,7 +249,7 @@ def _draw_weyl(panel: Axes, spectra: Mapping[str, Spectrum], free_boundary: floa
 
 
 def weyl_law(number: NDArray[Any], area: float, free_boundary: float = 0.0) -> Floats:
-    """Solve ``k = (area lambda + free_boundary sqrt(lambda)) / (4 pi)`` for the eigenvalues."""
+    """Solve ``j = (area lambda + free_boundary sqrt(lambda)) / (4 pi)`` for the eigenvalues."""
     half = free_boundary / 2
     root = (np.sqrt(half**2 + 4 * np.pi * area * number) - half) / area
     return np.asarray(root**2)
