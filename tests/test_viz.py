@@ -272,15 +272,31 @@ def test_a_machine_without_opengl_gets_an_error_and_keeps_its_picture(
     assert picture.read_text() == "the old one"
 
 
-def test_an_error_in_the_process_that_draws_comes_out_as_itself(ball, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("raised", "error", "told"),
+    [
+        ("MemoryError('no room for colours')", MemoryError, r"^no room for colours"),
+        ("Odd('no room', 3)", RuntimeError, r"^Odd\('no room'\)"),  # it cannot be unpickled
+        ("ValueError(os.environ.get('VTK_DEFAULT_OPENGL_WINDOW', 'the last'))", ValueError, "last"),
+    ],
+)
+def test_an_error_in_the_process_that_draws_comes_out_as_itself(
+    ball, tmp_path, monkeypatch, raised, error, told
+):
     """It is no sign of a missing library, and nobody is sent to install one."""
-    short_of_memory = "def Color(name):\n    raise MemoryError('no room for colours')"
-    without(
-        f"{short_of_memory}\nclass Plotter:\n    def __init__(self, **_): ...",
-        tmp_path,
-        monkeypatch,
-    )
-    with pytest.raises(MemoryError, match=r"^no room for colours") as caught:
+    monkeypatch.delenv("VTK_DEFAULT_OPENGL_WINDOW", raising=False)
+    fake = f"""
+import os
+class Odd(Exception):
+    def __init__(self, text, number):
+        super().__init__(text)
+def Color(name):
+    raise {raised}
+class Plotter:
+    def __init__(self, **_): ...
+"""
+    without(fake, tmp_path, monkeypatch)
+    with pytest.raises(error, match=told) as caught:
         one_panel(tmp_path / "x.png", ball, np.zeros(ball.n))
     (note,) = caught.value.__notes__
     assert note.startswith("It was raised in the process that draws:\nTraceback")

@@ -112,6 +112,7 @@ def render(
         total = sum(scene.n_pictures for scene in scenes)
         for i, scene in enumerate(scenes):
             np.savez(Path(folder) / f"request{i}.npz", **_request(scene))
+        error: Exception | None = None
         for environment in _environments():
             # -P: the folder of the worker must not shadow other modules.
             command = [sys.executable, "-P", str(_WORKER), folder, str(len(scenes))]
@@ -119,9 +120,11 @@ def render(
             if code == 0:
                 return [np.load(Path(folder) / f"pictures{i}.npy") for i in range(len(scenes))]
             if (raised := Path(folder) / "error.pickle").exists():
-                error: Exception = pickle.loads(raised.read_bytes())
+                error = pickle.loads(raised.read_bytes())
                 error.add_note(f"It was raised in the process that draws:\n{complaints}")
-                raise error
+                raised.unlink()
+    if error is not None:
+        raise error
     # Libraries that are not there cannot be imported; VTK without a window dies by a signal.
     reason = complaints.split("\n")[-1] if code == 1 else "it crashed"
     raise MissingDependencyError(

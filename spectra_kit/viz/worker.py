@@ -34,8 +34,17 @@ def main(folder: str, count: str) -> None:
                 request = {name: file[name] for name in file.files}
             np.save(Path(folder) / f"pictures{i}.npy", draw(request))
     except Exception as error:
-        (Path(folder) / "error.pickle").write_bytes(pickle.dumps(error))
+        (Path(folder) / "error.pickle").write_bytes(_portable(error))
         raise
+
+
+def _portable(error: Exception) -> bytes:
+    """Pickle an error, or what it says of itself where it cannot be unpickled."""
+    try:
+        pickle.loads(told := pickle.dumps(error))
+    except Exception:  # noqa: BLE001  # whatever it is, it must not hide the one that is told
+        told = pickle.dumps(RuntimeError(repr(error)))
+    return told
 
 
 def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
