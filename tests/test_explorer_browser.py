@@ -342,6 +342,13 @@ def test_a_slow_machine_draws_coarsely_what_moves_and_everything_at_rest(browser
     assert many.page.is_hidden("#nodal")
     dot, plot = (many.page.locator(part).bounding_box() for part in ("#plot .dots circle", "#plot"))
     assert dot["x"] + dot["width"] / 2 - plot["x"] == pytest.approx(plot["width"] / 2, abs=30)
+    # As it opens: nothing sharp is waited for, and how long that takes is not known yet.
+    again = "Object.assign(explorer.stage, {slow: undefined, cost: undefined, sizes: ''}).resize()"
+    stage = "[explorer.stage.fine, explorer.stage.slow, explorer.stage.cost ?? null]"
+    assert many.page.evaluate(f"({again}, {stage})") == [False, True, None]
+    many.settle()
+    fine, slow, cost = many.page.evaluate(stage)
+    assert (fine, slow) == (True, cost > 40)
     many.page.evaluate("explorer.stage.look([1, 0, 0]); explorer.stage.slow = true")
     many.settle()
     fine = many.view("exact")

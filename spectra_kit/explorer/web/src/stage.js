@@ -10,7 +10,7 @@ const MARGIN = 1.08;
 const SWING = 0.06; // of the box: how far a mode moves the surface
 const PERIOD = 2400; // milliseconds
 const SLOW = 40; // milliseconds of a frame, above which moving things are drawn coarsely
-const QUICK = 30; // milliseconds that a coarse frame may take
+const QUICK = 20; // milliseconds that a coarse frame may take
 const REST = 160; // milliseconds without a change, after which everything is drawn
 const PATIENCE = 600; // the same, where a frame of everything takes longer than that
 
@@ -25,7 +25,8 @@ export class Stage {
     this.phase = 0;
     this.nodal = Boolean(geometry.index ?? geometry.stars);
     this.software = isSoftware();
-    this.slow = false;
+    this.slow = undefined; // not known yet
+    this.cost = undefined; // milliseconds of a sharp frame
     this.fine = true;
     this.ratio = 1; // of a picture that moves, where drawing is slow
     this.renderer = new WebGLRenderer({ canvas, antialias: !this.software, alpha: true });
@@ -134,7 +135,7 @@ export class Stage {
     this.controls.rotateSpeed = this.controls.panSpeed = height / pane.height;
     this.controls.update();
     this.measure();
-    this.paint();
+    this.frame();
     if (this.playing) return;
     cancelAnimationFrame(this.asked); // it is drawn
     this.asked = undefined;
@@ -147,26 +148,38 @@ export class Stage {
     this.renderer.setSize(this.canvas.clientWidth, this.canvas.clientHeight, false);
   }
 
-  /** How long a frame takes here, once: then whether to draw coarsely what moves. */
+  /** How long a frame takes here, once: then how coarsely to draw what moves. */
   measure() {
-    if (this.measured) return;
-    this.measured = true;
-    const gl = this.renderer.getContext();
-    const timed = (fine, ratio = 1) => {
+    if (this.slow !== undefined) return;
+    const coarsely = (ratio) => {
       this.ratio = ratio;
-      this.detail(fine);
+      this.detail(false);
       this.sharpness();
-      this.paint();
-      const start = performance.now();
-      this.paint();
-      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits for the drawing
-      return performance.now() - start;
+      this.timed(); // the first frame makes its program and its buffers: better now than at a step
+      return this.timed();
     };
-    // The first frame of each kind makes its program and its buffers: better now than at a step.
-    const [whole, half] = [timed(false, 1), timed(false, 0.5)];
-    this.cost = timed(true);
-    this.slow = this.cost > SLOW;
+    const [whole, half] = [coarsely(1), coarsely(0.5)];
     this.ratio = this.software ? ratioFor(QUICK, whole, half) : 1; // a graphics card need not save
+    this.slow = this.software; // until a sharp frame tells, after the first moment of rest
+    if (!this.slow) this.sharp();
+  }
+
+  /** Milliseconds that a frame takes. */
+  timed() {
+    const gl = this.renderer.getContext();
+    const start = performance.now();
+    this.paint();
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits for the drawing
+    return performance.now() - start;
+  }
+
+  /** Draw everything; the first time, find out whether that is slow here. */
+  sharp() {
+    this.detail(true);
+    if (this.cost !== undefined) return this.paint();
+    this.cost = this.timed();
+    if (this.cost > SLOW && this.cost < 5 * SLOW) this.cost = this.timed(); // without what is made once
+    this.slow = this.cost > SLOW;
   }
 
   /** Everything and sharp, or few triangles and fewer pixels. */
@@ -193,13 +206,16 @@ export class Stage {
     }
     this.last = this.wave && this.playing ? time : undefined;
     this.controls.update(); // asks for another frame while the camera glides
+    this.frame();
+  }
+
+  /** Where drawing is slow, coarsely now, and everything after a rest. */
+  frame() {
     clearTimeout(this.resting);
     if (this.slow) {
       this.detail(false);
-      this.resting = setTimeout(() => {
-        this.detail(true);
-        this.paint();
-      }, Math.min(Math.max(REST, this.cost), PATIENCE)); // what would hold up more waits longer
+      const rest = Math.min(Math.max(REST, this.cost ?? 0), PATIENCE); // what would hold up more waits longer
+      this.resting = setTimeout(() => this.sharp(), rest);
     }
     this.paint();
   }
