@@ -195,7 +195,9 @@ def test_modes_that_were_predicted_are_never_called_exact(folder, capsys, tmp_pa
         for text in (out, drawn):
             assert "exact" not in text.replace("not against exact modes", "")
     page = ("explore", mesh, "--spectrum", "guess.npz", "-k", "8", "-q")
-    record(capsys, *page, "--solver", "fourier")
+    assert main([*page, "--solver", "fourier"]) == 0
+    out = capsys.readouterr().out
+    assert "errors are against the reference, predicted (fourier), not against exact" in out
     names = '"names":["reference, predicted (fourier)","predicted (fourier)"]'
     assert names in Path("animal.html").read_text()
     assert record(capsys, *page, "--solver", "none")["reference"]["name"] == "predicted (fourier)"
