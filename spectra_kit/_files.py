@@ -1,14 +1,30 @@
-"""Writing files so that a reader never meets half of one."""
+"""Writing files so that a reader never meets half of one, and refusing one that was damaged."""
 
 from __future__ import annotations
 
+import atexit
+import lzma
 import os
+import pickle
 import secrets
-from collections.abc import Iterator
-from contextlib import contextmanager
+import shutil
+import signal
+import stat
+import struct
+import tempfile
+import threading
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidInputError, SpectraKitError
+
+_ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+_LONGEST_SUFFIX = 32  # bytes; no format has a longer one, and names have room for 255
+_cleanups: list[tuple[int, Callable[[], object]]] = []  # with the process that they are of
 
 
 @contextmanager
@@ -16,8 +32,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path that takes the place of `path` once it is completely written.
 
     The temporary file lies in the same folder and has the same suffix. When the block ends well
-    it is flushed to the disk and renamed over `path` in one step; when the block raises, also on
-    Ctrl-C, it is removed and `path` keeps its old content. A symbolic link is followed.
+    it is flushed to the disk and renamed over `path` in one step, with the rights of the file that
+    was there; when the block raises, or the process is told to end, it is removed and `path` keeps
+    its old content. A symbolic link is followed. A pipe or a device is not replaced but written
+    to, when all that it shall get is there.
 
     Parameters
     ----------
@@ -37,16 +55,109 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         If no file can be made there.
     """
     target = check_target(path)
-    part = target.with_name(f".{target.stem}-{secrets.token_hex(4)}{target.suffix}")
-    with naming(path):
-        part.touch()
-    try:
+    through = is_special(path)
+    folder = Path(tempfile.gettempdir()) if through else target.parent
+    suffix = target.suffix if len(os.fsencode(target.suffix)) <= _LONGEST_SUFFIX else ""
+    part = folder / f".{secrets.token_hex(8)}{suffix}"
+    private = through or target.exists()  # whose rights may be narrower than usual
+    with cleaned(lambda: part.unlink(missing_ok=True)):
+        with naming(path):
+            part.touch(0o600 if private else 0o666, exist_ok=False)
         yield part
+        if through:
+            with naming(path), part.open("rb") as source, open(path, "wb") as sink:
+                shutil.copyfileobj(source, sink)
+            return
         with part.open("rb+") as file:
             os.fsync(file.fileno())
-        os.replace(part, target)
+        replace(part, target)
+
+
+def is_special(path: str | os.PathLike[str]) -> bool:
+    """Whether `path` is, or links to, a pipe or a device: something to write to, never to replace.
+
+    The links in ``/proc`` to what has no name are followed too, unlike by `os.path.realpath`.
+    """
+    return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
+
+
+def replace(part: Path, target: Path) -> None:
+    """Rename `part` over `target`, which hands on its owner and its rights, as far as they go."""
+    if target.exists():
+        old = target.stat()
+        # To give files away is the right of the superuser, and not everywhere.
+        with suppress(OSError, AttributeError):
+            os.chown(part, old.st_uid, old.st_gid)
+        part.chmod(stat.S_IMODE(old.st_mode))
+    os.replace(part, target)
+
+
+@contextmanager
+def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Yield a new folder in `parent`, by default where the system has its own; remove it after."""
+    name = f".unfinished-{secrets.token_hex(4)}"
+    folder = (parent or Path(tempfile.gettempdir())) / name
+    with cleaned(lambda: shutil.rmtree(folder, ignore_errors=True)):
+        folder.mkdir(0o700 if parent is None else 0o777)
+        yield folder
+
+
+@contextmanager
+def cleaned(cleanup: Callable[[], object]) -> Iterator[None]:
+    """Call `cleanup` after the block, also where SIGTERM or SIGHUP ends the process within it.
+
+    Handlers that somebody else has set are left alone: they end the block in their own way.
+    """
+    entry, ours = (os.getpid(), cleanup), []
+    _cleanups.append(entry)
+    try:
+        if threading.current_thread() is threading.main_thread():  # which alone may set handlers
+            for number in _ENDING:
+                if signal.getsignal(number) is signal.SIG_DFL:
+                    signal.signal(number, _end)
+                    ours.append(number)
+        yield
     finally:
-        part.unlink(missing_ok=True)
+        cleanup()
+        _cleanups.remove(entry)
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
+
+
+@atexit.register
+def _clean() -> None:
+    """Clean up what is not yet; also what Ctrl-C in the midst of cleaning up has left."""
+    for process, cleanup in list(_cleanups):
+        if process == os.getpid():  # not in a copy of it, which a fork makes
+            cleanup()
+
+
+def _end(number: int, frame: object) -> None:
+    """Die of the signal, as who sent it expects, but tidily."""
+    _clean()
+    signal.signal(number, signal.SIG_DFL)
+    os.kill(os.getpid(), number)
+
+
+@contextmanager
+def undivided() -> Iterator[None]:
+    """Hold back Ctrl-C and the signals that end a process until the block has ended."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _: held.append(number))
+        for number in (signal.SIGINT, *_ENDING)
+        if signal.getsignal(number) not in (signal.SIG_IGN, None)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in held:
+            signal.raise_signal(number)
 
 
 @contextmanager
@@ -57,6 +168,35 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
     except OSError as error:
         error.filename = str(path)
         raise
+
+
+# What parsers of JSON, npz, npy and zip raise of damaged bytes; RecursionError and
+# NotImplementedError are RuntimeErrors, UnicodeDecodeError and JSONDecodeError are ValueErrors.
+_DAMAGE = (
+    *(ArithmeticError, AttributeError, EOFError, LookupError, RuntimeError, TypeError, ValueError),
+    *(lzma.LZMAError, pickle.UnpicklingError, struct.error, zipfile.BadZipFile, zlib.error),
+    tokenize.TokenError,
+)
+
+
+@contextmanager
+def parsing(path: str | os.PathLike[str], what: str, *, remedy: str) -> Iterator[None]:
+    """Refuse the file `path` if the block, which takes its content apart, cannot.
+
+    For files that the library wrote itself: whatever does not parse is damage.
+
+    Raises
+    ------
+    InvalidInputError
+        Naming the file, `what` it must be, and the `remedy`.
+    """
+    try:
+        yield
+    except SpectraKitError:
+        raise
+    except (*_DAMAGE, OSError) as error:
+        told = str(error).split("\n")[0] or type(error).__name__
+        raise InvalidInputError(f"{path} is not a whole {what} ({told}); {remedy}") from error
 
 
 def check_target(path: str | os.PathLike[str]) -> Path:

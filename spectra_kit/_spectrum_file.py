@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
 import zipfile
 from collections.abc import Mapping
@@ -12,10 +13,10 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._files import atomic_path
+from spectra_kit._files import atomic_path, parsing
 from spectra_kit.errors import InvalidInputError
 
-FORMAT_VERSION = 2  # since certificates may hold a count; files without one are written as 1
+FORMAT_VERSION = 3  # 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`
 _ARRAYS = ("eigenvalues", "eigenvectors", "mass")
 _RESIDUALS = ("residuals", "relative_residuals")
 _ALIGNMENT = 64
@@ -35,7 +36,7 @@ def write_spectrum_file(
     members = dict(arrays)
     header: dict[str, Any] = {
         "format": "spectra_kit spectrum",
-        "version": FORMAT_VERSION if certificate and "count" in certificate else 1,
+        "version": FORMAT_VERSION,
         "provenance": {**provenance, "seconds": dict(provenance["seconds"])},
         "certificate": None,
     }
@@ -54,30 +55,27 @@ def read_spectrum_file(
     """Return the arrays, the certificate's fields (or None) and the provenance's fields."""
     if not path.is_file():
         raise InvalidInputError(f"`path` must be a spectrum file, found no file {str(path)!r}")
-    try:
-        with zipfile.ZipFile(path) as archive, path.open("rb") as raw:
-            header = json.loads(str(_read_member(archive, "header")))
-            if header["format"] != "spectra_kit spectrum":
-                raise KeyError("format")  # noqa: TRY301
-            if header["version"] > FORMAT_VERSION:
-                raise InvalidInputError(  # noqa: TRY301
-                    f"{path} has format version {header['version']}, this spectra_kit reads up to"
-                    f" {FORMAT_VERSION}; upgrade it"
-                )
-            certificate = header["certificate"]
-            if certificate is not None:
-                certificate |= {name: _read_member(archive, name) for name in _RESIDUALS}
-            arrays = {
-                name: _map_member(path, raw, archive, name) if mmap else _read_member(archive, name)
-                for name in _ARRAYS
-            }
-    except InvalidInputError:
-        raise
-    except (zipfile.BadZipFile, KeyError, EOFError, OSError, ValueError, TypeError) as error:
-        raise InvalidInputError(
-            f"{path} is not a whole spectrum file ({error}); write it again with Spectrum.save"
-        ) from error
-    return arrays, certificate, header["provenance"]
+    with (
+        parsing(path, "spectrum file", remedy="write it again with Spectrum.save"),
+        zipfile.ZipFile(path) as archive,
+        path.open("rb") as raw,
+    ):
+        header = json.loads(str(_read_member(archive, "header")))
+        if header["format"] != "spectra_kit spectrum":
+            raise KeyError("format")
+        if header["version"] > FORMAT_VERSION:
+            raise InvalidInputError(
+                f"{path} has format version {header['version']}, this spectra_kit reads up to"
+                f" {FORMAT_VERSION}; upgrade it"
+            )
+        certificate, provenance = header["certificate"], dict(header["provenance"])
+        if certificate is not None:
+            certificate |= {name: _read_member(archive, name) for name in _RESIDUALS}
+        arrays = {
+            name: _map_member(path, raw, archive, name) if mmap else _read_member(archive, name)
+            for name in _ARRAYS
+        }
+    return arrays, certificate, provenance
 
 
 def _write_member(archive: zipfile.ZipFile, name: str, array: NDArray[Any]) -> None:
@@ -92,8 +90,20 @@ def _write_member(archive: zipfile.ZipFile, name: str, array: NDArray[Any]) -> N
 
 
 def _read_member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
-    with archive.open(f"{name}.npy") as member:
+    """Read ``name.npy``, all its bytes: at the last one `zipfile` compares the checksum."""
+    info = archive.getinfo(f"{name}.npy")
+    with archive.open(info) as member:
+        dims, _, dtype = _array_header(member)
+        size = math.prod(dims) * dtype.itemsize
+        if member.tell() + size != info.file_size:
+            raise ValueError(f"{info.filename} has {info.file_size} bytes for a shape of {dims}")
+        member.seek(0)
         return np.asarray(np.lib.format.read_array(member, allow_pickle=False))
+
+
+def _array_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    np.lib.format.read_magic(file)
+    return np.lib.format.read_array_header_1_0(file)
 
 
 def _map_member(path: Path, raw: IO[bytes], archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
@@ -104,8 +114,7 @@ def _map_member(path: Path, raw: IO[bytes], archive: zipfile.ZipFile, name: str)
     raw.seek(info.header_offset + 26)
     name_length, extra_length = struct.unpack("<HH", raw.read(4))
     raw.seek(info.header_offset + _LOCAL_HEADER + name_length + extra_length)
-    np.lib.format.read_magic(raw)
-    dims, fortran_order, dtype = np.lib.format.read_array_header_1_0(raw)
+    dims, fortran_order, dtype = _array_header(raw)
     return np.memmap(
         path, dtype, "r", offset=raw.tell(), shape=dims, order="F" if fortran_order else "C"
     )

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import re
+import sys
+import warnings
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidInputError, SpectraKitWarning
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Array = TypeVar("Array", bound=NDArray[np.generic])
+
+
+_HANDFUL = 4  # numbers that the repr of an array may show
 
 
 def quantity(n: int, noun: str) -> str:
@@ -22,6 +27,7 @@ def quantity(n: int, noun: str) -> str:
 
     Examples
     --------
+    >>> from spectra_kit._validate import quantity
     >>> quantity(1, "entry"), quantity(1234, "unreferenced vertex")
     ('1 entry', '1,234 unreferenced vertices')
     """
@@ -32,8 +38,8 @@ def quantity(n: int, noun: str) -> str:
 
 
 def frozen(array: Array) -> Array:
-    """Return a read-only view of `array` (no copy)."""
-    view = array.view()
+    """Return a read-only view of `array` (no copy; a list, and the like, becomes one)."""
+    view = cast(Array, np.asarray(array)).view()
     view.flags.writeable = False
     return view
 
@@ -79,7 +85,8 @@ def _check_three_columns(name: str, array: NDArray[np.generic], rows: str) -> No
 def check_indices(name: str, values: ArrayLike, n: int) -> Ints:
     """Return `values` as int64 indices into `n` points; any shape."""
     array = _as_array(name, values)
-    if array.dtype.kind not in "iu":
+    huge = array.dtype == object and all(isinstance(value, int) for value in array.flat)
+    if array.dtype.kind not in "iu" and not huge:
         raise InvalidInputError(
             f"`{name}` must hold integers, got dtype {array.dtype}; count from 0"
         )
@@ -120,6 +127,8 @@ def check_count(name: str, value: int, *, low: int, high: int | None = None) -> 
     """Return the integer `value` if ``low <= value <= high``."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise InvalidInputError(f"`{name}` must be an integer, got {value!r}")
+    if high is None and value >= 2**63:
+        raise InvalidInputError(f"`{name}` must fit into 64 bits, got {value}")
     if value < low or (high is not None and value > high):
         bound = f"at least {low}" if high is None else f"in [{low}, {high}]"
         raise InvalidInputError(f"`{name}` must be {bound}, got {value}")
@@ -135,7 +144,30 @@ def check_positive(name: str, value: float) -> float:
     return float(value)
 
 
-class Rebuilt:
+class Brief:
+    """Mixin of a dataclass that holds arrays: its repr tells their form, not their entries."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "__repr__" not in vars(cls):  # `dataclass`, which comes later, leaves it where it is
+            cls.__repr__ = Brief.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.repr}  # type: ignore[arg-type]
+        shown = ", ".join(f"{name}={_form(value)}" for name, value in values.items())
+        return f"{type(self).__qualname__}({shown})"
+
+
+def _form(value: object) -> str:
+    """Return the repr of a value, or the shape of an array that is not a handful of numbers."""
+    if isinstance(value, np.ndarray) and value.size > _HANDFUL:
+        return f"<{value.dtype} {value.shape}>"
+    if hasattr(value, "nnz"):
+        return f"<sparse {value.shape}, {value.nnz} entries>"  # type: ignore[attr-defined]
+    return repr(value)
+
+
+class Rebuilt(Brief):
     """Mixin of a frozen dataclass: pickling and copying go through its constructor.
 
     So a copy is validated and read-only like the original, and leaves cached values behind.
@@ -149,3 +181,23 @@ class Rebuilt:
 
 def _rebuild(cls: type[Any], values: dict[str, Any]) -> Any:
     return cls(**values)
+
+
+def warn(message: str, category: type[SpectraKitWarning]) -> None:
+    """Warn at the line that called the package, however deep inside the reason was found.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> from spectra_kit._validate import warn
+    >>> from spectra_kit.errors import SpectraKitWarning
+    >>> with warnings.catch_warnings(record=True) as told:
+    ...     warnings.simplefilter("always")
+    ...     warn("no good", SpectraKitWarning)
+    >>> str(told[0].message)
+    'no good'
+    """
+    level, frame = 1, sys._getframe()
+    while frame.f_back and frame.f_globals["__name__"].partition(".")[0] == "spectra_kit":
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, category, stacklevel=level)

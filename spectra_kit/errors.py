@@ -1,7 +1,9 @@
-"""Exceptions of spectra_kit; every one derives from `SpectraKitError`.
+"""Exceptions and warnings of spectra_kit: `SpectraKitError`, `SpectraKitWarning` and theirs.
 
-Each also derives from the builtin a caller would expect, so ``except ValueError`` keeps working.
-A message names the argument, what was expected, what arrived, and what to do next.
+Each error also derives from the builtin a caller would expect, so ``except ValueError`` keeps
+working. A message names the argument, what was expected, what arrived, and what to do next.
+Warnings are about results that are returned all the same; `warnings.filterwarnings` silences them,
+or makes them errors.
 """
 
 from __future__ import annotations
@@ -38,9 +40,17 @@ class ConvergenceError(_PartialError, RuntimeError):
     Attributes
     ----------
     partial : Spectrum or LinearSolution or None
-        From `eigensolve`: the certified modes that had converged; None where there were none.
-        From `linalg.pcg`: the last iterate, with its residuals.
+        From `eigensolve`: the modes there were, certified, so that each tells how far it came; None
+        where there were none. From `linalg.pcg`: the last iterate, with its residuals.
+    n_converged : int or None
+        From `eigensolve`: how many modes of `partial` had reached the tolerance.
     """
+
+    def __init__(
+        self, message: str, *, partial: Any = None, n_converged: int | None = None
+    ) -> None:
+        super().__init__(message, partial=partial)
+        self.n_converged = n_converged
 
 
 class OutOfMemoryError(_PartialError, MemoryError):
@@ -60,3 +70,19 @@ class MissingDependencyError(SpectraKitError, ImportError):
 
 class WeightsError(SpectraKitError, RuntimeError):
     """A weights file is missing, damaged, or does not fit the network."""
+
+
+class SpectraKitWarning(UserWarning):
+    """Base class of every warning spectra_kit gives on purpose."""
+
+
+class DoubtfulSpectrumWarning(SpectraKitWarning):
+    """Eigenvalues of an approximate solver are proved to be far too high."""
+
+
+class DoubtfulDistanceWarning(SpectraKitWarning):
+    """Geodesic distances are blurred, or cannot be told from the heat that they are read from."""
+
+
+class DoubtfulMatchWarning(SpectraKitWarning):
+    """A map between two surfaces is no better than one between shapes that do not correspond."""

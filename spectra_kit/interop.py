@@ -7,12 +7,14 @@ larger ones are refused.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
+from spectra_kit._checked import checked
+from spectra_kit._validate import check_mass
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian, lumped_diagonal
 from spectra_kit.spectrum import Provenance, Spectrum
@@ -41,8 +43,13 @@ class GeomfumArrays(TypedDict):
     vecs: Any
 
 
+@checked
 def from_arrays(
-    eigenvalues: ArrayLike, eigenvectors: ArrayLike, mass: ArrayLike, *, solver: str = "user"
+    eigenvalues: ArrayLike,
+    eigenvectors: ArrayLike,
+    mass: Annotated[ArrayLike, sparse.sparray],
+    *,
+    solver: str = "user",
 ) -> Spectrum:
     """Make a spectrum of anybody's eigenpairs.
 
@@ -72,11 +79,16 @@ def from_arrays(
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit.interop import from_arrays
     >>> from_arrays([-1e-15, 2.0], np.eye(2), np.ones(2)).eigenvalues
     array([0., 2.])
     """
     values = np.array(eigenvalues, dtype=np.float64)
-    diagonal = np.asarray(lumped_diagonal(mass), dtype=np.float64)
+    if np.ndim(eigenvectors) != 2 or not np.size(eigenvectors):
+        raise InvalidInputError(
+            f"`eigenvectors` must have shape (n, k), got {np.shape(eigenvectors)}"
+        )
+    diagonal = check_mass("mass", lumped_diagonal(mass), len(np.asarray(eigenvectors)))
     floor = -_NEGATIVE * 4 * np.pi / diagonal.sum()
     if values.size and values.min() < floor:
         raise InvalidInputError(
@@ -97,6 +109,7 @@ def from_arrays(
     return spectrum
 
 
+@checked
 def to_pyfm(spectrum: Spectrum, laplacian: Laplacian) -> PyfmArrays:
     """Return the attributes that make a pyFM ``TriMesh`` use this spectrum.
 
@@ -123,11 +136,15 @@ def to_pyfm(spectrum: Spectrum, laplacian: Laplacian) -> PyfmArrays:
     )
 
 
-def from_pyfm(eigenvalues: ArrayLike, eigenvectors: ArrayLike, mass: ArrayLike) -> Spectrum:
+@checked
+def from_pyfm(
+    eigenvalues: ArrayLike, eigenvectors: ArrayLike, mass: Annotated[ArrayLike, sparse.sparray]
+) -> Spectrum:
     """Return the spectrum of ``mesh.eigenvalues, mesh.eigenvectors, mesh.mass`` of pyFM."""
     return from_arrays(eigenvalues, eigenvectors, mass, solver="pyFM")
 
 
+@checked
 def to_geomfum(spectrum: Spectrum, laplacian: Laplacian) -> GeomfumArrays:
     """Return the arrays of geomfum's ``Laplacian`` and ``LaplaceEigenBasis``.
 
@@ -151,11 +168,17 @@ def to_geomfum(spectrum: Spectrum, laplacian: Laplacian) -> GeomfumArrays:
     )
 
 
-def from_geomfum(vals: ArrayLike, vecs: ArrayLike, mass_matrix: ArrayLike) -> Spectrum:
+@checked
+def from_geomfum(
+    eigenvalues: ArrayLike,
+    eigenvectors: ArrayLike,
+    mass: Annotated[ArrayLike, sparse.sparray],
+) -> Spectrum:
     """Return the spectrum of geomfum's ``basis.vals, basis.vecs, laplacian.mass_matrix``."""
-    return from_arrays(vals, vecs, mass_matrix, solver="geomfum")
+    return from_arrays(eigenvalues, eigenvectors, mass, solver="geomfum")
 
 
+@checked
 def to_diffusion_net(
     spectrum: Spectrum, laplacian: Laplacian, *, dtype: torch.dtype | None = None
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -179,7 +202,7 @@ def to_diffusion_net(
     import torch
 
     _check_pair(spectrum, laplacian)
-    dtype = dtype or torch.float32
+    dtype = torch.float32 if dtype is None else dtype
     evals, evecs, mass = spectrum.to_torch(dtype=dtype)
     L = sparse.coo_array(laplacian.stiffness)
     indices = torch.tensor(np.vstack([L.row, L.col]), dtype=torch.int64)
@@ -189,6 +212,7 @@ def to_diffusion_net(
     return mass, stiffness, evals, evecs
 
 
+@checked
 def from_diffusion_net(operators: tuple[Any, ...]) -> Spectrum:
     """Return the spectrum inside DiffusionNet's operators.
 

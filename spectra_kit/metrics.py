@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import check_count, frozen
+from spectra_kit._checked import checked
+from spectra_kit._validate import Brief, check_count, check_mass, frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.orthonormal import orthonormalize
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.spectrum import Spectrum
-from spectra_kit.subspaces import Subspace
+from spectra_kit.subspaces import Subspace, restricted
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -25,10 +26,12 @@ Ints = NDArray[np.int64]
 # Moving one place in the order must win this much squared cosine: modes that nothing
 # resembles stay where they are.
 _MOVE_COST = 0.01
+_ORTHONORMAL = 1e-5  # modes further from it have errors that mean nothing; single precision fits
 
 
+@checked
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Comparison:
+class Comparison(Brief):
     """The errors of a predicted spectrum, mode by mode.
 
     Attributes
@@ -113,6 +116,7 @@ class Comparison:
         return float(closed.mean()) if len(closed) else float("nan")
 
 
+@checked
 def span_error(basis: NDArray[np.floating], mass: Floats, eigenvectors: Floats) -> Floats:
     """Energy of each eigenvector outside the span of a basis.
 
@@ -133,7 +137,8 @@ def span_error(basis: NDArray[np.floating], mass: Floats, eigenvectors: Floats) 
     Raises
     ------
     InvalidInputError
-        If the arrays disagree in n, or `basis` is not finite or all zero.
+        If the arrays disagree in n, `basis` is not finite or all zero, or `eigenvectors` are not
+        M-orthonormal.
 
     Notes
     -----
@@ -142,18 +147,24 @@ def span_error(basis: NDArray[np.floating], mass: Floats, eigenvectors: Floats) 
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.metrics import span_error
     >>> span_error(np.eye(4)[:, :2], np.ones(4), np.eye(4)[:, 1:3])
     array([0., 1.])
     """
+    basis, eigenvectors = np.asarray(basis), np.asarray(eigenvectors)
+    mass = check_mass("mass", mass, np.size(mass))
     n = len(mass)
     for name, array in (("basis", basis), ("eigenvectors", eigenvectors)):
         if array.ndim != 2 or len(array) != n:
             raise InvalidInputError(
                 f"`{name}` must have shape ({n}, columns) like the {n} masses, got {array.shape}"
             )
+    _check_orthonormal("eigenvectors", eigenvectors, mass)
     return _outside(orthonormalize(basis, mass), mass, eigenvectors)
 
 
+@checked
 def subspace_span_error(
     subspace: Subspace, laplacian: Laplacian, exact: Spectrum, predicted: Spectrum
 ) -> tuple[Floats, int]:
@@ -180,6 +191,7 @@ def subspace_span_error(
     --------
     >>> from spectra_kit import AmbientFourier, RayleighRitz, eigensolve, robust_laplacian
     >>> from spectra_kit.geometry import creature
+    >>> from spectra_kit.metrics import subspace_span_error
     >>> laplacian, subspace = robust_laplacian(creature(1000)), AmbientFourier(m=200, bandwidth=5.0)
     >>> exact = eigensolve(laplacian, 10)
     >>> predicted = eigensolve(laplacian, 10, RayleighRitz(subspace=subspace))
@@ -187,14 +199,20 @@ def subspace_span_error(
     >>> bool(error.max() < 0.01)
     True
     """
+    _check_orthonormal("exact", exact.eigenvectors, exact.mass)
     inside, dimension = np.zeros(exact.k), 0
     for label in range(laplacian.n_components):
         part = np.flatnonzero(laplacian.component_labels == label)
         mass, found = laplacian.mass[part], predicted.eigenvectors[part]
-        found = found[:, np.abs(found).max(axis=0) > 0]
         # Three points have no frame to predict in.
-        basis = [subspace(laplacian.points[part], mass)] if len(part) > 3 else []
+        own = restricted(subspace, part)
+        basis = [np.asarray(own(laplacian.points[part], mass))] if len(part) > 3 else []
+        if any(columns.ndim != 2 or len(columns) != len(part) for columns in basis):
+            raise InvalidInputError(
+                f"`subspace` must return shape ({len(part)}, m), got {basis[0].shape}"
+            )
         columns = np.hstack([*basis, found])
+        columns = columns[:, columns.any(axis=0)]  # what lives on other components
         if columns.shape[1]:
             Y = orthonormalize(columns, mass)
             inside += np.sum((Y.T @ (mass[:, None] * exact.eigenvectors[part])) ** 2, axis=0)
@@ -202,6 +220,7 @@ def subspace_span_error(
     return np.clip(1.0 - inside, 0.0, 1.0), dimension
 
 
+@checked
 def compare_spectra(
     exact: Spectrum,
     predicted: Spectrum,
@@ -235,8 +254,8 @@ def compare_spectra(
     Raises
     ------
     InvalidInputError
-        If the spectra belong to different points, masses or operators, `k` is out of range, or
-        `cluster_gap` is negative.
+        If the spectra belong to different points, masses or operators, the modes of one are not
+        M-orthonormal, `k` is out of range, or `cluster_gap` is negative.
 
     Notes
     -----
@@ -247,6 +266,9 @@ def compare_spectra(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.metrics import compare_spectra
     >>> s = Spectrum(np.array([0.0, 1.0, 2.0]), np.eye(3), np.ones(3))
     >>> turned = Spectrum(s.eigenvalues, -s.eigenvectors, s.mass)
     >>> compare_spectra(s, turned).mean_vector_error
@@ -289,6 +311,7 @@ def compare_spectra(
     )
 
 
+@checked
 def align_modes(
     exact: Spectrum, predicted: Spectrum, comparison: Comparison | None = None
 ) -> Floats:
@@ -316,6 +339,9 @@ def align_modes(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.metrics import align_modes
     >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
     >>> align_modes(s, Spectrum(s.eigenvalues, -s.eigenvectors, s.mass))
     array([[1., 0.],
@@ -356,6 +382,8 @@ def _pair(
         )
     if not cluster_gap >= 0:
         raise InvalidInputError(f"`cluster_gap` must be at least 0, got {cluster_gap!r}")
+    for name, spectrum in (("exact", exact), ("predicted", predicted)):
+        _check_orthonormal(name, spectrum.eigenvectors, spectrum.mass)
     most = min(exact.k, predicted.k)
     k = most if k is None else check_count("k", k, low=1, high=most)
 
@@ -369,6 +397,18 @@ def _pair(
     starts = starts[starts < k]
     clusters = tuple((int(a), int(b)) for a, b in zip(starts, [*starts[1:], k], strict=True))
     return k, np.asarray(match, dtype=np.int64), clusters, k if complete else clusters[-1][0]
+
+
+def _check_orthonormal(name: str, modes: NDArray[np.floating], mass: Floats) -> None:
+    """Refuse modes whose cosines and energies would not be those of M-orthonormal ones."""
+    gram = modes.T @ (mass[:, None] * modes)
+    error = float(np.abs(gram - np.eye(len(gram))).max(initial=0.0))
+    if not error <= _ORTHONORMAL:
+        raise InvalidInputError(
+            f"`{name}` must hold M-orthonormal modes, got |U^T M U - I| of up to {error:.2g}; of"
+            " any columns, eigensolve(laplacian, k, RayleighRitz(subspace=GivenBasis(columns)))"
+            " makes modes, and linalg.orthonormalize(columns, mass) a basis"
+        )
 
 
 def _cluster_starts(exact: Spectrum, gap: float) -> Ints:

@@ -6,16 +6,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from spectra_kit._checked import checked
 from spectra_kit._spectrum_file import read_spectrum_file, write_spectrum_file
 from spectra_kit._validate import Rebuilt, check_count, check_positive, frozen, quantity, real_array
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
 from spectra_kit.linalg.residuals import residual_norms
+from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import ZERO_MODE, Laplacian
 
 if TYPE_CHECKING:
@@ -26,13 +28,15 @@ Floats = NDArray[np.float64]
 _FOREIGN_MASS = 1e-5  # relative; float32 copies of the same mass differ by less
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class ModeCount(Rebuilt):
-    """What counting the eigenvalues below a shift has proved; see `verify`.
+    """What counting the eigenvalues below a shift has proved; see `eigensolve` and `verify`.
 
-    The i-th mode is the i-th lowest of the operator for all i < `verified`, repeated eigenvalues
+    The i-th eigenvalue is the i-th lowest of the operator for all i < `verified`, repeated ones
     counted as often as they occur: none was missed. (Leading modes that `Spectrum.nonzero`
-    dropped on purpose are not missing.)
+    dropped on purpose are not missing.) Where k cuts a cluster of eigenvalues, this holds to within
+    the width of the cluster, which `radius` then covers.
 
     Attributes
     ----------
@@ -42,6 +46,10 @@ class ModeCount(Rebuilt):
         Each of their eigenvalues is exact to within this, in 1/length^2.
     floor : float
         Every eigenvalue beyond them is at least this, in 1/length^2.
+    missing : int
+        At least so many of the lowest modes are certainly not in the spectrum.
+    added : int
+        Modes that the solver had missed: the count told, and `eigensolve` found them.
     reason : str
         Why not all modes are verified; empty if they are.
     """
@@ -49,13 +57,19 @@ class ModeCount(Rebuilt):
     verified: int
     radius: float
     floor: float
+    missing: int = 0
+    added: int = 0
     reason: str = ""
+
+    def __post_init__(self) -> None:
+        check_count("verified", self.verified, low=0)
 
     def rescaled(self, square: float) -> ModeCount:
         """Return the same for eigenvalues divided by `square`."""
         return replace(self, radius=self.radius / square, floor=self.floor / square)
 
 
+@checked
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Certificate(Rebuilt):
     """What was checked about each mode, against the operator itself.
@@ -72,13 +86,19 @@ class Certificate(Rebuilt):
     orthonormality_error : float
         Largest entry of ``|U^T M U - I|``.
     n_zero_modes : int
-        Modes whose eigenvalue is zero to rounding.
+        Modes in the kernel of the operator: constant on components where that has no energy. A
+        small eigenvalue does not make one.
     kernel_dimension : int
-        Zero modes that the operator has: one for each component without a fixed point.
+        Zero modes that the operator has: `Laplacian.kernel_dimension`.
     n_components : int
         Connected components of the operator.
     count : ModeCount, optional
-        The proof, by a count of the eigenvalues, that none was missed; `verify` makes it.
+        The proof, by a count of the eigenvalues, that none was missed. `eigensolve` makes it for
+        solvers that are exact, or go on to a tolerance, by means of a factor; `verify` for any.
+    excess : ndarray of shape (k,), optional
+        By how much each eigenvalue is too high at least, relative to the true one; 0 where nothing
+        is proved. `eigensolve` adds it where a relative residual is above 0.1, as those of
+        predictions are.
 
     Notes
     -----
@@ -93,10 +113,24 @@ class Certificate(Rebuilt):
     kernel_dimension: int
     n_components: int
     count: ModeCount | None = None
+    excess: Floats | None = None
 
     def __post_init__(self) -> None:
-        for name in ("residuals", "relative_residuals"):
-            object.__setattr__(self, name, frozen(real_array(name, getattr(self, name))))
+        for name in ("residuals", "relative_residuals", "excess"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen(real_array(name, getattr(self, name))))
+        if self.residuals.ndim != 1 or self.relative_residuals.shape != self.residuals.shape:
+            raise InvalidInputError(
+                "`residuals` and `relative_residuals` must have the same shape (k,), got"
+                f" {self.residuals.shape} and {self.relative_residuals.shape}"
+            )
+        if self.excess is not None and self.excess.shape != self.residuals.shape:
+            raise InvalidInputError(
+                f"`excess` must have the shape {self.residuals.shape} of `residuals`, got"
+                f" {self.excess.shape}"
+            )
+        for name in ("n_zero_modes", "kernel_dimension", "n_components"):
+            check_count(name, getattr(self, name), low=0)
 
     @property
     def level(self) -> Literal["residuals", "verified"]:
@@ -109,14 +143,23 @@ class Certificate(Rebuilt):
 
     @property
     def n_verified(self) -> int:
-        """Number of leading modes that `verify` has proved to be the lowest."""
+        """Number of leading modes that are proved to be the lowest."""
         return self.count.verified if self.count else 0
 
-    def kernel_is_complete(self, k: int) -> bool:
-        """Whether all zero modes that can be among the first `k` were found, and no more."""
-        return self.n_zero_modes == min(self.kernel_dimension, k)
+    @property
+    def completeness(self) -> str:
+        """What is known of modes that were missed, in words."""
+        if self.count is None:
+            return "not counted: modes may be missing between these"
+        if self.level != "verified":
+            return f"the first {self.count.verified} of {len(self.residuals)}; {self.count.reason}"
+        added = quantity(self.count.added, "mode")
+        found = f"; {added} that the solver had passed over added" if self.count.added else ""
+        below = f" below {self.count.floor:.6g}" if self.count.floor > 0 else ""
+        return f"all {len(self.residuals)}, none missed{below}{found}"
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Provenance(Rebuilt):
     """Where a spectrum comes from.
@@ -135,6 +178,8 @@ class Provenance(Rebuilt):
         Version of spectra_kit.
     iterations : int or None
         Sweeps of an iterative backend, summed over the components; None where it does not count.
+    accuracy : {"exact", "to tolerance", "approximate", ""}
+        What the backend goes on for; empty where it does not say.
     """
 
     solver: str = "user"
@@ -144,12 +189,20 @@ class Provenance(Rebuilt):
     input_hash: str = ""
     version: str = ""
     iterations: int | None = None
+    accuracy: str = ""
 
     def __post_init__(self) -> None:
         seconds = {str(stage): float(t) for stage, t in self.seconds.items()}
         object.__setattr__(self, "seconds", MappingProxyType(seconds))
 
+    @property
+    def solving_seconds(self) -> float:
+        """Seconds of the solver alone: neither assembly nor certificate nor proof."""
+        besides = {"assembly", "certify", "count", "verify"}
+        return sum(t for stage, t in self.seconds.items() if stage not in besides)
 
+
+@checked
 @dataclass(frozen=True, eq=False)
 class Spectrum(Rebuilt):
     """The k lowest eigenpairs of ``L u = lambda M u`` on n points.
@@ -179,6 +232,7 @@ class Spectrum(Rebuilt):
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit import Spectrum
     >>> s = Spectrum(np.array([0.0]), np.full((4, 1), 0.5), np.ones(4))
     >>> s.project(np.array([1.0, 2.0, 3.0, 4.0]))
     array([5.])
@@ -211,11 +265,7 @@ class Spectrum(Rebuilt):
             raise InvalidSpectrumError(
                 f"`mass` must be positive, got {quantity((mass <= 0).sum(), 'entry')} <= 0"
             )
-        if self.certificate is not None and len(self.certificate.residuals) != len(values):
-            raise InvalidSpectrumError(
-                f"`certificate` must cover {quantity(len(values), 'mode')},"
-                f" got {len(self.certificate.residuals)}"
-            )
+        _check_covers(self.certificate, len(values))
         for name, array in (("eigenvalues", values), ("eigenvectors", vectors), ("mass", mass)):
             object.__setattr__(self, name, frozen(array))
 
@@ -271,15 +321,17 @@ class Spectrum(Rebuilt):
             provenance=replace(self.provenance, input_hash=""),
         )
 
-    def project(self, values: ArrayLike) -> Floats:
+    def project(self, values: Annotated[ArrayLike, NDArray[np.bool_]]) -> Floats:
         """Return the coefficients U^T M f of functions `values`: (n,) to (k,), (n, c) to (k, c)."""
         f = _as_columns("values", values, self.n)
-        return np.asarray(self.eigenvectors.T @ (self.mass * f.T).T)
+        with blas_threads_for(self.eigenvectors.size):
+            return np.asarray(self.eigenvectors.T @ (self.mass * f.T).T)
 
     def reconstruct(self, coefficients: ArrayLike) -> Floats:
         """Return the functions U c with these `coefficients`: (k,) to (n,), (k, c) to (n, c)."""
         c = _as_columns("coefficients", coefficients, self.k)
-        return np.asarray(self.eigenvectors @ c)
+        with blas_threads_for(self.eigenvectors.size):
+            return np.asarray(self.eigenvectors @ c)
 
     def filter(self, response: Callable[[Floats], Floats], values: ArrayLike) -> Floats:
         """Return U g(lambda) U^T M f: `values` with each mode multiplied by ``response(lambda)``.
@@ -289,6 +341,7 @@ class Spectrum(Rebuilt):
         Heat diffusion for a time t (in length^2):
 
         >>> import numpy as np
+        >>> from spectra_kit import Spectrum
         >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
         >>> s.filter(lambda lam: np.exp(-0.5 * lam), np.array([1.0, 1.0]))
         array([1.      , 0.6065...])
@@ -347,33 +400,60 @@ class Spectrum(Rebuilt):
 
     def orthonormality_error(self) -> float:
         """Return the largest entry of ``|U^T M U - I|``."""
-        gram = self.eigenvectors.T @ (self.mass[:, None] * self.eigenvectors)
+        with blas_threads_for(self.eigenvectors.size):
+            gram = self.eigenvectors.T @ (self.mass[:, None] * self.eigenvectors)
         return float(np.abs(gram - np.eye(self.k)).max(initial=0.0))
 
     def certify(self, laplacian: Laplacian) -> Spectrum:
         """Return this spectrum with a `Certificate` against `laplacian`, whoever computed it."""
         residuals = self.residuals(laplacian)
         spacing = self._spacings(laplacian)
-        return replace(
-            self,
-            certificate=Certificate(
-                residuals=residuals,
-                relative_residuals=residuals / np.maximum(self.eigenvalues, spacing),
-                orthonormality_error=self.orthonormality_error(),
-                n_zero_modes=int((self.eigenvalues <= ZERO_MODE * spacing).sum()),
-                kernel_dimension=laplacian.kernel_dimension,
-                n_components=laplacian.n_components,
-            ),
+        certificate = Certificate(
+            residuals=residuals,
+            relative_residuals=residuals / np.maximum(self.eigenvalues, spacing),
+            orthonormality_error=self.orthonormality_error(),
+            n_zero_modes=self._kernel_modes(laplacian),
+            kernel_dimension=laplacian.kernel_dimension,
+            n_components=laplacian.n_components,
         )
+        return self.described(certificate, self.provenance)
+
+    def described(self, certificate: Certificate | None, provenance: Provenance) -> Spectrum:
+        """Return the same modes with these facts; the arrays, checked once, are not read again.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Provenance, Spectrum
+        >>> s = Spectrum(np.array([0.0]), np.full((4, 1), 0.5), np.ones(4))
+        >>> s.described(None, Provenance(solver="by hand")).provenance.solver
+        'by hand'
+        """
+        _check_covers(certificate, self.k)
+        spectrum = object.__new__(type(self))
+        vars(spectrum).update(vars(self), certificate=certificate, provenance=provenance)
+        return spectrum
 
     def _spacings(self, laplacian: Laplacian) -> Floats:
         """Eigenvalue spacing of the component on which each mode lives (weighted, if several)."""
         if laplacian.n_components == 1:
             return np.full(self.k, laplacian.component_spacings[0])
-        labels, free = laplacian.component_labels[laplacian.free], laplacian.free
-        member = sparse.csr_array((self.mass[free], (labels, np.arange(len(free)))))
-        shares = member @ self.eigenvectors[free] ** 2
+        shares = self._by_component(laplacian) @ self.eigenvectors[laplacian.free] ** 2
         return np.asarray(laplacian.component_spacings @ (shares / shares.sum(axis=0)))
+
+    def _kernel_modes(self, laplacian: Laplacian) -> int:
+        """How many modes lie in the kernel: the squared cosines between it and their span."""
+        if not laplacian.kernel_dimension:
+            return 0
+        member = self._by_component(laplacian)[laplacian.constant_components]
+        roots = np.sqrt(np.asarray(member.sum(axis=1)))
+        cosines = (member @ self.eigenvectors[laplacian.free]) / roots[:, None]
+        return min(round(float((cosines**2).sum())), laplacian.kernel_dimension)
+
+    def _by_component(self, laplacian: Laplacian) -> sparse.csr_array:
+        """The mass of each free point in the row of its component, (n_components, n_free)."""
+        labels, free = laplacian.component_labels[laplacian.free], laplacian.free
+        return sparse.csr_array((self.mass[free], (labels, np.arange(len(free)))))
 
     def save(self, path: str | Path) -> None:
         """Write everything to one versioned ``.npz`` file, whole or not at all.
@@ -420,8 +500,13 @@ class Spectrum(Rebuilt):
         """Return (eigenvalues, eigenvectors, mass) as new tensors; `dtype` float64 by default."""
         import torch
 
+        from spectra_kit.linalg.torch_device import check_device, check_float_dtype
+
+        place = check_device(device)
+        kind = torch.float64 if dtype is None else check_float_dtype(dtype)
+
         def tensor(a: Floats) -> Any:
-            return torch.tensor(np.array(a), device=device, dtype=dtype or torch.float64)
+            return torch.tensor(np.array(a), device=place, dtype=kind)
 
         return tensor(self.eigenvalues), tensor(self.eigenvectors), tensor(self.mass)
 
@@ -429,8 +514,10 @@ class Spectrum(Rebuilt):
         certified = "uncertified"
         if self.certificate is not None:
             worst = self.certificate.relative_residuals.max(initial=0.0)
-            verified = "verified, " if self.certificate.level == "verified" else ""
-            certified = f"{verified}relative residuals up to {worst:.1e}"
+            count = self.certificate.count
+            known = f"{count.verified} of {self.k} verified" if count else "not counted"
+            known = "verified" if self.certificate.level == "verified" else known
+            certified = f"{known}, relative residuals up to {worst:.1e}"
         return (
             f"Spectrum(n={self.n}, k={self.k}, eigenvalues {self.eigenvalues[:1].sum():.4g} to"
             f" {self.eigenvalues[-1:].sum():.4g}, {certified}, solver={self.provenance.solver})"
@@ -448,6 +535,7 @@ class Spectrum(Rebuilt):
             # Leading modes dropped on purpose are not missing from the kernel.
             kernel_dimension=max(old.kernel_dimension - start, 0),
             count=old.count and self._count_of(old.count, start, stop),
+            excess=None if old.excess is None else old.excess[columns],
         )
         return replace(
             self,
@@ -461,15 +549,27 @@ class Spectrum(Rebuilt):
         if stop < count.verified:  # the next mode is known to within the radius
             floor = float(self.eigenvalues[stop]) - count.radius
             count = replace(count, verified=stop, floor=floor)
-        reason = "" if count.verified == stop else count.reason
-        return replace(count, verified=max(count.verified - start, 0), reason=reason)
+        if count.verified == stop:
+            count = replace(count, missing=0, reason="")
+        return replace(count, verified=max(count.verified - start, 0))
+
+
+def _check_covers(certificate: Certificate | None, k: int) -> None:
+    if certificate is not None and len(certificate.residuals) != k:
+        raise InvalidSpectrumError(
+            f"`certificate` must cover {quantity(k, 'mode')}, got {len(certificate.residuals)}"
+        )
 
 
 def _plain(certificate: Certificate) -> dict[str, Any]:
-    """Return the fields of a certificate; an absent count is left out."""
+    """Return the fields of a certificate; an absent count or excess is left out."""
     record = dict(vars(certificate))
-    count = record.pop("count")
-    return {**record, "count": dict(vars(count))} if count else record
+    count, excess = record.pop("count"), record.pop("excess")
+    if count is not None:
+        record["count"] = dict(vars(count))
+    if excess is not None:
+        record["excess"] = excess.tolist()
+    return record
 
 
 def _restored(record: Mapping[str, Any]) -> Certificate:
@@ -485,6 +585,11 @@ def _as_columns(name: str, values: ArrayLike, rows: int) -> Floats:
         raise InvalidInputError(
             f"`{name}` must be real, of shape ({rows},) or ({rows}, c),"
             f" got {array.shape} of {array.dtype}"
+        )
+    if not np.isfinite(array).all():
+        raise InvalidInputError(
+            f"`{name}` must be finite, got"
+            f" {quantity((~np.isfinite(array)).sum(), 'NaN or infinite value')}"
         )
     return array.astype(np.float64, copy=False)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import dataclass
 from functools import cache
@@ -149,10 +150,34 @@ def ellipsoids(n, seed):
     return points, mass, np.linalg.qr(root * modes)[0] / root
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--damage",
+        type=int,
+        default=40,
+        metavar="N",
+        help="cases of each part of tests/damage (default 40; commands, which are slow, fewer)",
+    )
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Show what became of the damaged cases, those of other processes of pytest-xdist too."""
+    reports = [r for kind in ("passed", "failed") for r in terminalreporter.getreports(kind)]
+    told = [json.loads(v) for r in reports for key, v in r.user_properties if key == "damage"]
+    if told:
+        terminalreporter.section("damage")
+    for name, outcomes in sorted(told):
+        counts = ", ".join(f"{count:,} {outcome}" for outcome, count in sorted(outcomes.items()))
+        terminalreporter.line(f"{name}: {counts}")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the files that hold slow tests: processes that share the files end together."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+    for item in items:
+        if isinstance(item, pytest.DoctestItem):  # an example has what it imports, as if pasted
+            item.dtest.globs = {"__name__": "__main__"}
 
 
 @pytest.hookimpl(optionalhook=True)  # pytest-xdist may be away

@@ -18,7 +18,7 @@ POINTS = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
         ([[0, 0, 1], [-np.inf, 0, np.inf]], r"got 2 NaN .* the first at \(1, 0\)"),
         (np.empty((0, 3)), r"`points` must hold at least one point, got shape \(0, 3\)"),
         ([], r"`points` must have shape \(n, 3\), got \(0,\)"),
-        (None, r"`points` must have shape \(n, 3\), got \(\)"),
+        (None, "`points` must hold real numbers, got None"),
         ([1.0, 2.0, 3.0], r"must have shape \(n, 3\), got \(3,\)"),
         (np.zeros((5, 2)), r"must have shape \(n, 3\), got \(5, 2\)"),
         (np.zeros((3, 50)), r"got \(3, 50\); did you pass its transpose\?"),

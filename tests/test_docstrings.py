@@ -16,7 +16,7 @@ IGNORED = {"ES01", "SA01", "EX01", "PR01", "PR08", "RT04", "SS05"}
 
 def public_names() -> list[str]:
     """Dotted names of everything that a public package exports."""
-    names = [f"spectra_kit.{name}" for name in spectra_kit.__all__]
+    names = [f"spectra_kit.{name}" for name in dir(spectra_kit)]
     for module in pkgutil.iter_modules(spectra_kit.__path__, "spectra_kit."):
         if module.ispkg and not module.name.split(".")[-1].startswith("_"):
             exported = getattr(importlib.import_module(module.name), "__all__", [])

@@ -3,7 +3,7 @@ import pytest
 from conftest import two_parts
 from scipy.linalg import block_diag, expm
 
-from spectra_kit import AmbientFourier, RayleighRitz, eigensolve, robust_laplacian
+from spectra_kit import AmbientFourier, GivenBasis, RayleighRitz, eigensolve, robust_laplacian
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, sphere
 from spectra_kit.metrics import align_modes, compare_spectra, span_error, subspace_span_error
@@ -48,6 +48,27 @@ def test_a_spectrum_is_at_distance_zero_from_itself(exact):
     assert np.isnan(result.eigenvalue_error[0])
     assert result.mean_eigenvalue_error == 0
     assert (result.k, result.span_dimension, result.n_zero_modes) == (K, K, 1)
+
+
+@pytest.mark.parametrize("scale", [100.0, 0.1, np.nan])
+def test_modes_that_are_not_orthonormal_are_refused(exact, scale):
+    """Their length would pass for nearness: noise times 100 had no error at all."""
+    noise = np.random.default_rng(8).standard_normal((N, K))
+    wrong = exact.eigenvectors * scale if np.isnan(scale) else noise * scale
+    with pytest.raises(InvalidInputError, match="`eigenvectors` must hold M-orthonormal modes"):
+        span_error(exact.eigenvectors, exact.mass, wrong)
+    if np.isnan(scale):  # no Spectrum
+        return
+    spectrum = with_vectors(exact, wrong)
+    for pair, name in (((exact, spectrum), "predicted"), ((spectrum, exact), "exact")):
+        for measure in (compare_spectra, align_modes):
+            with pytest.raises(InvalidInputError, match=rf"`{name}` must hold M-orthonormal modes"):
+                measure(*pair)
+
+
+def test_modes_in_single_precision_are_orthonormal_enough(exact):
+    single = with_vectors(exact, exact.eigenvectors.astype(np.float32))
+    assert compare_spectra(exact, single).mean_span_error < 1e-6
 
 
 def test_signs_do_not_count(exact):
@@ -239,3 +260,15 @@ def test_bad_options_are_refused(exact):
         compare_spectra(exact, exact, basis=np.ones((3, 2)))
     with pytest.raises(InvalidInputError, match=r"`basis` must have shape \(60, columns\)"):
         span_error(np.ones((3, 2)), exact.mass, exact.eigenvectors)
+
+
+def test_columns_of_the_whole_are_compared_part_by_part() -> None:
+    """Given columns belong to the points: of several components, or beside fixed ones."""
+    parts = robust_laplacian(two_parts())
+    for laplacian in (parts, parts.dirichlet([3])):
+        exact = eigensolve(laplacian, 12)
+        columns = exact.eigenvectors[:, :8]
+        found = eigensolve(laplacian, 8, RayleighRitz(subspace=GivenBasis(columns)))
+        error, dimension = subspace_span_error(GivenBasis(columns), laplacian, exact, found)
+        np.testing.assert_allclose(error, np.repeat([0, 1], [8, 4]), atol=1e-9)
+        assert dimension == 8
