@@ -1,5 +1,7 @@
 """Meshes and clouds: derived quantities, diagnosis, repair, splitting, and unit size and back."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 import trimesh
@@ -19,6 +21,7 @@ from spectra_kit.geometry import (
     sphere,
     torus,
 )
+from spectra_kit.geometry.diagnose import _count_split_fans
 from spectra_kit.geometry.shapes import distinct_rows
 
 TRIANGLE = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]
@@ -52,6 +55,34 @@ def two_balls(ball, *, apart=5.0):
 
 
 # --- the two types ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("block", [1, 7, 100, 10**6])
+def test_fans_are_counted_alike_in_blocks_of_any_size(block):
+    """Two spheres that share a vertex, and an open book of three pages, hidden among faces."""
+    ball = sphere(subdivisions=2).geometry
+    faces = np.where(ball.faces == 0, 0, ball.faces + ball.n - 1)  # vertex 0 is that of the first
+    points = np.vstack([ball.points, ball.points[1:] + [9, 0, 0]])
+    pages = np.array([[5, 6, len(points) + i] for i in range(3)])
+    points = np.vstack([points, np.eye(3) + 20])
+    mesh = TriangleMesh(points, np.vstack([ball.faces, faces, pages]))
+    # The pages hang on vertices 5 and 6, which are no edge of the sphere, by fans of their own.
+    assert not ((ball.edges == [5, 6]).all(axis=1)).any()
+    assert _count_split_fans(mesh, block) == 3
+
+
+def test_diagnosis_takes_less_memory_than_an_operator():
+    """A few arrays as long as that of the corners, which are 48 bytes for each vertex."""
+    mesh = sphere(subdivisions=7).geometry
+    tracemalloc.start()
+    try:
+        found = diagnose(mesh)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert found.is_clean
+    assert found.euler_characteristic == 2
+    assert peak < 400 * mesh.n
 
 
 def test_arrays_are_read_only_copies():
@@ -325,3 +356,18 @@ def test_what_has_no_size_cannot_be_normalised(ball):
         Normalization([0, 0, 0], float("nan"))
     with pytest.raises(InvalidInputError, match="`centre` must be finite"):
         Normalization([0, 0, np.inf], 1.0)
+
+
+@pytest.mark.parametrize("exponent", [-1000, -600, 300, 1000])
+def test_areas_and_what_has_none_do_not_depend_on_the_unit(exponent: int) -> None:
+    ball = sphere(subdivisions=1).geometry
+    points = np.vstack([ball.points, 2 * ball.points + 5, [[9, 9, 9]]])
+    faces = np.vstack([ball.faces, ball.faces + ball.n, [[0, 1, 2 * ball.n]]])
+    points[-1] = points[0]  # a face of no area, beside the others
+    mesh = TriangleMesh(points, faces)
+    scaled = mesh.with_points(np.ldexp(points, exponent))
+    np.testing.assert_array_equal(scaled.degenerate_faces(), mesh.degenerate_faces())
+    larger = largest_component(mesh).vertex_index
+    np.testing.assert_array_equal(largest_component(scaled).vertex_index, larger)
+    if abs(exponent) == 300:
+        np.testing.assert_array_equal(scaled.face_areas, np.ldexp(mesh.face_areas, 2 * exponent))

@@ -174,3 +174,13 @@ def test_a_limb_inside_out_is_turned() -> None:
     votes = sparse.csr_array((1500, 1500))
     turned = turn_outwards(points, vectors, signs, np.zeros(1500, dtype=np.int64), votes)
     assert (turned == 1).mean() > 0.995
+
+
+@pytest.mark.parametrize("exponent", [-1000, -600, 600, 1000])
+def test_powers_of_two_change_no_bit(exponent: int) -> None:
+    points = ball(300)
+    normals = estimate_normals(PointCloud(points))
+    scaled = PointCloud(np.ldexp(points, exponent))
+    np.testing.assert_array_equal(estimate_normals(scaled), normals)
+    outwards = orient_normals(PointCloud(points), normals)
+    np.testing.assert_array_equal(orient_normals(scaled, normals), outwards)

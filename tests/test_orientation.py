@@ -315,3 +315,14 @@ def test_functions_of_other_points_are_refused() -> None:
         orientation_operator(oriented, np.ones((2, 42)), np.ones(42))
     with pytest.raises(InvalidInputError, match="`f` and `g` must have the same number of columns"):
         skew(oriented, np.ones(42), np.ones((42, 2)))
+
+
+def test_clouds_whose_parts_differ_in_size_are_turned_outwards() -> None:
+    ball = sphere(subdivisions=3).geometry.points
+    for size in (1e-20, 1e-3):
+        triangles = oriented_triangles(PointCloud(np.vstack([size * ball, ball + [5, 0, 0]])))
+        for part, unit in ((slice(None, len(ball)), size), (slice(len(ball), None), 1.0)):
+            faces = triangles.faces[np.isin(triangles.faces[:, 0], np.arange(2 * len(ball))[part])]
+            corners = np.vstack([ball, ball])[faces]
+            volumes = np.linalg.det(corners) / 6  # all three windings of each
+            assert volumes.sum() / 3 == pytest.approx(4 * np.pi / 3, rel=0.02), unit

@@ -7,6 +7,9 @@ from heapq import heapify, heappop, heappush
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.spatial import cKDTree
+
+from spectra_kit.geometry._units import box_unit
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -14,6 +17,7 @@ Ints = NDArray[np.int64]
 _OPEN = 0.25  # mean size of the winding number, below which a surface encloses nothing; 1/2 if all
 _PASSES = 3  # of winding numbers; the first turns nearly all that will be turned
 _ROUNDS = 5  # of votes
+_APART = 1e-9  # distance of the nearest points over their extent, below which nothing winds
 
 
 def symmetric_votes(n: int, i: Ints, j: Ints, votes: Floats) -> sparse.csr_array:
@@ -110,8 +114,11 @@ def turn_outwards(
     signs = signs.copy()
     groups = np.split(np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))[:-1])
     for group in groups:
-        p, v = points[group], vectors[group]
+        unit = box_unit(points[group])
+        p, v = (points[group] - points[group[0]]) / unit, vectors[group] / unit / unit
         signs[group] *= _outward(p, v, signs[group])
+        if len(group) > 1 and cKDTree(p).query(p, 2)[0][:, 1].min() < _APART:
+            continue  # libigl would halve boxes without end to tell such points apart, and crash
         for _ in range(_PASSES):
             winding = winding_numbers(p, v * signs[group, None])
             inside_out = winding < 0

@@ -7,14 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import frozen
+from spectra_kit._checked import checked
+from spectra_kit._validate import Brief, frozen
+from spectra_kit.geometry._units import box_unit
 from spectra_kit.geometry.shapes import TriangleMesh, check_mesh
 
 Ints = NDArray[np.int64]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
-class Component:
+class Component(Brief):
     """One connected part of a mesh.
 
     Parameters
@@ -32,6 +35,7 @@ class Component:
     face_index: Ints
 
 
+@checked
 def components(mesh: TriangleMesh) -> list[Component]:
     """Split `mesh` into connected components.
 
@@ -72,6 +76,7 @@ def components(mesh: TriangleMesh) -> list[Component]:
     return parts
 
 
+@checked
 def largest_component(mesh: TriangleMesh) -> Component:
     """Return the connected component of largest area.
 
@@ -85,4 +90,6 @@ def largest_component(mesh: TriangleMesh) -> Component:
     Component
         The first of the largest, if several are equal.
     """
-    return max(components(mesh), key=lambda part: part.mesh.area)
+    check_mesh("mesh", mesh)
+    areas = mesh.with_points(mesh.points / box_unit(mesh.points)).face_areas
+    return max(components(mesh), key=lambda part: float(areas[part.face_index].sum()))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count
 from spectra_kit.geometry._joints import Joint, bend, ramp
 from spectra_kit.geometry.implicit import Field, ellipsoid, limb, polygonize, smooth_union
@@ -30,6 +31,7 @@ _LIMITS = {
 _SOFT = {"knee": 0.12, "hip": 0.16, "neck": 0.2, "tail": 0.12, "spine": 0.35}
 
 
+@checked
 def creature(n_points: int = 8000, *, seed: int = 0, pose: int = 0) -> TriangleMesh:
     """Make a fox-like animal: one closed surface of genus 0, mid-stride and looking aside.
 
@@ -62,6 +64,7 @@ def creature(n_points: int = 8000, *, seed: int = 0, pose: int = 0) -> TriangleM
 
     Examples
     --------
+    >>> from spectra_kit.geometry import creature
     >>> mesh = creature(1000)
     >>> mesh.n, len(mesh.boundary_vertices), mesh.n - len(mesh.faces) // 2
     (1000, 0, 2)

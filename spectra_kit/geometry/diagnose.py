@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from spectra_kit._checked import checked
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh, distinct_rows
 
 Ints = NDArray[np.int64]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """What a geometry consists of, and what about it deserves attention.
@@ -122,6 +124,7 @@ class Diagnosis:
         return not self.problems
 
 
+@checked
 def diagnose(geometry: Geometry) -> Diagnosis:
     """Count what may be wrong with `geometry`.
 
@@ -190,22 +193,30 @@ def _face_counts(mesh: TriangleMesh) -> dict[str, int]:
     }
 
 
-def _count_split_fans(mesh: TriangleMesh) -> int:
-    """Count vertices whose faces are not connected through edges at that vertex."""
-    # Corner c = 3 * face + i is vertex faces[face, i]. Side s of a face has the corners c and
-    # c + 1 (cyclic). Two faces on one edge join their corners at each of its two vertices.
-    corner = np.arange(mesh.faces.size).reshape(-1, 3)
-    sides = np.stack([corner, np.roll(corner, -1, axis=1)], axis=2).reshape(-1, 2)
-    ends = mesh.faces.ravel()[sides]
-    sides = np.take_along_axis(sides, np.argsort(ends, axis=1), axis=1)
-    order = np.lexsort(mesh.edges.T)
-    same_edge = (np.diff(mesh.edges[order], axis=0) == 0).all(axis=1)
-    i, j = sides[order[:-1][same_edge]].ravel(), sides[order[1:][same_edge]].ravel()
-    graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(corner.size, corner.size))
-    _, fan = connected_components(graph, directed=False)
-    vertex_and_fan = np.column_stack([mesh.faces.ravel(), fan])
-    first, _ = distinct_rows(vertex_and_fan)
-    return int((np.bincount(vertex_and_fan[first, 0]) > 1).sum())
+def _count_split_fans(mesh: TriangleMesh, block: int = 1 << 16) -> int:
+    """Count vertices whose faces are not connected through edges at that vertex.
+
+    Vertices are taken a block of corners at a time: all at once take as much memory as an operator.
+    """
+    vertex = mesh.faces.ravel()  # of corner 3 * face + i
+    by_vertex = np.argsort(vertex, kind="stable")
+    starts = np.flatnonzero(np.diff(vertex[by_vertex], prepend=-1))
+    cuts = starts[np.searchsorted(starts, np.arange(block, len(vertex), block), side="right") - 1]
+    count = 0
+    for corners in filter(len, np.split(by_vertex, np.unique(cuts))):
+        # A corner has two edges at its vertex; corners on one edge belong to one fan.
+        face, i = np.divmod(corners, 3)
+        ends = mesh.faces[face[:, None], (i[:, None] + [1, 2]) % 3]
+        at = vertex[corners]
+        _, edge = np.unique((at[:, None] * mesh.n + ends).ravel(), return_inverse=True)
+        n = len(corners)
+        links = (np.repeat(np.arange(n), 2), n + edge)
+        size = n + int(edge.max()) + 1
+        graph = sparse.coo_array((np.ones(2 * n), links), shape=(size, size))
+        _, fan = connected_components(graph, directed=False)
+        fans = np.unique(at * size + fan[:n]) // size
+        count += int((np.diff(np.flatnonzero(np.diff(fans, prepend=-1, append=-1))) > 1).sum())
+    return count
 
 
 def _dimension(points: NDArray[np.float64]) -> int:

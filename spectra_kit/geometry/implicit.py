@@ -136,6 +136,7 @@ def polygonize(
 
     Examples
     --------
+    >>> from spectra_kit.geometry.implicit import polygonize, ring
     >>> points, faces = polygonize(ring([0, 0, 0], 1.0, 0.4), [-2] * 3, [2] * 3, n_cells=8000)
     >>> len(points) - len(faces) // 2  # Euler characteristic of a torus
     0

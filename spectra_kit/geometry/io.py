@@ -7,8 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
+from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry.formats import gltf, numpy_arrays, obj, off, ply, stl, xyz
 from spectra_kit.geometry.formats._arrays import Arrays
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
@@ -41,6 +42,7 @@ CLOUD_WRITERS: dict[str, Callable[[Any, Path], None]] = {
 }
 
 
+@checked
 def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None = None) -> Geometry:
     """Read a mesh or a point cloud, with vertices and faces in the order of the file.
 
@@ -63,6 +65,8 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
         If the file does not exist, is empty, cut short or of an unknown format, if it is not of
         the wanted `kind`, or if its content is no valid geometry (NaN, index out of range).
         The message begins with the path.
+    OutOfMemoryError
+        If the content does not fit into memory.
 
     Notes
     -----
@@ -79,9 +83,12 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
                   are ignored
     ============  ====================================================================
 
-    Polygons of four and more corners become triangles around their first corner. A text
-    file that was cut inside its very last number cannot be told from a whole one; neither can an
-    OBJ or XYZ file cut between two lines, as these do not say how long they are.
+    Polygons of four and more corners become triangles around their first corner. Whatever a
+    file says twice is compared: counts with lengths, the checksums of npz, the columns of each
+    line. What no format says twice cannot be: a digit of a coordinate outside npz, a text file
+    cut inside its very last number, an OBJ or XYZ file cut between two lines. glTF is read
+    without its skins and morph targets, and refused where it requires an extension, such as
+    compression, that is not known here.
 
     Examples
     --------
@@ -110,6 +117,11 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
         return _geometry(points, faces, kind)
     except InvalidInputError as error:
         raise InvalidInputError(f"{path}: {error}") from error
+    except MemoryError as error:
+        raise OutOfMemoryError(
+            f"{path}: reading these {path.stat().st_size:,} bytes needs more memory than there is;"
+            " simplify the shape or split the file"
+        ) from error
 
 
 def _geometry(points: Any, faces: Any, kind: str | None) -> Geometry:
@@ -120,6 +132,7 @@ def _geometry(points: Any, faces: Any, kind: str | None) -> Geometry:
     return PointCloud(points)
 
 
+@checked
 def write(geometry: Geometry, path: str | os.PathLike[str]) -> None:
     r"""Write a mesh or a point cloud; the file appears whole or not at all.
 

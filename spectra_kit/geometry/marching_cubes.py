@@ -81,6 +81,8 @@ def marching_cubes(values: Floats, nodes: Floats) -> tuple[Floats, Ints]:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.geometry.marching_cubes import marching_cubes
     >>> nodes = np.stack(np.meshgrid(*[np.arange(-2.0, 3.0)] * 3, indexing="ij")[::-1], axis=-1)
     >>> points, faces = marching_cubes(np.abs(nodes).sum(-1) - 1.5, nodes)
     >>> len(points), len(faces)

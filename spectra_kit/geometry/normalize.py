@@ -9,7 +9,8 @@ from typing import TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import check_points, check_positive, frozen, quantity
+from spectra_kit._checked import checked
+from spectra_kit._validate import Brief, check_points, check_positive, frozen, quantity, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh, check_mesh
 
@@ -17,8 +18,9 @@ Floats = NDArray[np.float64]
 Movable = TypeVar("Movable", bound=Floats | TriangleMesh | PointCloud)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
-class Normalization:
+class Normalization(Brief):
     """The map ``x -> (x - centre) / scale`` of points, and its inverse.
 
     Parameters
@@ -123,9 +125,16 @@ class Normalization:
 def _moved(geometry: Movable, move: Callable[[Floats], Floats]) -> Movable:
     if isinstance(geometry, TriangleMesh | PointCloud):
         return cast("Movable", geometry.with_points(move(geometry.points)))
-    return cast("Movable", move(geometry))
+    points = real_array("geometry", cast("Floats", geometry))
+    if points.shape[-1:] != (3,):
+        raise InvalidInputError(
+            "`geometry` must be a TriangleMesh, a PointCloud or points of shape (..., 3), got shape"
+            f" {points.shape}"
+        )
+    return cast("Movable", move(points))
 
 
+@checked
 def normalize(geometry: Geometry) -> tuple[Geometry, Normalization]:
     """Return the geometry in the unit box, and the map that took it there.
 

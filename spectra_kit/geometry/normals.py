@@ -6,15 +6,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry._signs import agree_on_signs, symmetric_votes, turn_outwards
+from spectra_kit.geometry._units import box_unit
 from spectra_kit.geometry.shapes import PointCloud
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+@checked
 def estimate_normals(cloud: PointCloud, *, n_neighbors: int = 12) -> Floats:
     """Fit a plane to the neighbours of each point.
 
@@ -37,7 +40,8 @@ def estimate_normals(cloud: PointCloud, *, n_neighbors: int = 12) -> Floats:
 
     Examples
     --------
-    >>> from spectra_kit.geometry import sphere
+    >>> import numpy as np
+    >>> from spectra_kit.geometry import estimate_normals, sphere
     >>> cloud = sphere(subdivisions=3).geometry.as_cloud()
     >>> normals = estimate_normals(cloud)
     >>> bool(np.allclose(np.abs(np.sum(normals * cloud.points, axis=1)), 1, atol=0.01))
@@ -51,6 +55,7 @@ def estimate_normals(cloud: PointCloud, *, n_neighbors: int = 12) -> Floats:
     return np.asarray(axes[:, :, 0])
 
 
+@checked
 def orient_normals(cloud: PointCloud, normals: ArrayLike, *, n_neighbors: int = 12) -> Floats:
     """Turn normals such that they agree with each other and point outwards.
 
@@ -83,7 +88,8 @@ def orient_normals(cloud: PointCloud, normals: ArrayLike, *, n_neighbors: int = 
 
     Examples
     --------
-    >>> from spectra_kit.geometry import torus
+    >>> import numpy as np
+    >>> from spectra_kit.geometry import estimate_normals, orient_normals, torus
     >>> cloud = torus(n=600).geometry.as_cloud()
     >>> normals = orient_normals(cloud, estimate_normals(cloud))
     >>> outer = np.hypot(*cloud.points[:, :2].T) > 1
@@ -116,7 +122,7 @@ def _check_cloud(cloud: object) -> Floats:
         )
     if cloud.n < 3:
         raise InvalidInputError(f"`cloud` must have at least 3 points, got {cloud.n}")
-    return cloud.points
+    return np.asarray(cloud.points / box_unit(cloud.points))
 
 
 def _neighbors(points: Floats, n_neighbors: int) -> tuple[Floats, Ints]:

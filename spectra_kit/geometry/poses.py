@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.creature import creature
@@ -17,6 +18,7 @@ Ints = NDArray[np.int64]
 Kind = TypeVar("Kind", TriangleMesh, PointCloud)
 
 
+@checked
 def creature_pair(
     n_source: int = 2000,
     n_target: int | None = None,
@@ -53,10 +55,15 @@ def creature_pair(
 
     Examples
     --------
+    >>> from spectra_kit.geometry import creature_pair
     >>> source, target, point_map = creature_pair(800, 600)
     >>> source.n, target.n, point_map.shape
     (800, 600, (600,))
     """
+    for name, n in (("n_source", n_source), ("n_target", n_target or n_source)):
+        check_count(name, n, low=500, high=5_000_000)
+    for pose in poses:
+        check_count("poses", pose, low=0)
     if n_target is None or n_target == n_source:
         source, target = (creature(n_source, seed=seed, pose=pose) for pose in poses)
         return source, target, frozen(np.arange(source.n))
@@ -69,6 +76,7 @@ def creature_pair(
     return source, target, frozen(np.asarray(nearest, dtype=np.int64))
 
 
+@checked
 def permuted(geometry: Kind, *, seed: int = 0) -> tuple[Kind, Ints]:
     """Renumber the points at random.
 
@@ -94,6 +102,7 @@ def permuted(geometry: Kind, *, seed: int = 0) -> tuple[Kind, Ints]:
 
     Examples
     --------
+    >>> from spectra_kit.geometry import creature, permuted
     >>> mesh = creature(600)
     >>> copy, point_map = permuted(mesh, seed=1)
     >>> bool((copy.points == mesh.points[point_map]).all())
@@ -108,6 +117,7 @@ def permuted(geometry: Kind, *, seed: int = 0) -> tuple[Kind, Ints]:
     return TriangleMesh(geometry.points[order], faces), frozen(order)
 
 
+@checked
 def mirrored(geometry: Kind, *, axis: int = 0) -> Kind:
     """Reflect a geometry; point i of the copy is the image of point i.
 
@@ -131,6 +141,7 @@ def mirrored(geometry: Kind, *, axis: int = 0) -> Kind:
 
     Examples
     --------
+    >>> from spectra_kit.geometry import creature, mirrored
     >>> mesh = creature(600)
     >>> bool(mirrored(mesh).area == mesh.area)
     True

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import jn_zeros, jnp_zeros
 
-from spectra_kit._validate import check_count, check_positive, frozen
+from spectra_kit._checked import checked
+from spectra_kit._validate import Brief, check_count, check_positive, frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
 
@@ -16,8 +17,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
-class Reference:
+class Reference(Brief):
     """A mesh and the exact spectrum of the smooth surface that it approximates.
 
     Parameters
@@ -57,6 +59,7 @@ class Reference:
         return np.diff(np.append(starts, len(self.eigenvalues)))
 
 
+@checked
 def sphere(*, subdivisions: int = 3, radius: float = 1.0, k: int = 100) -> Reference:
     """Sphere as a subdivided icosahedron, of 10 * 4^subdivisions + 2 vertices.
 
@@ -81,6 +84,7 @@ def sphere(*, subdivisions: int = 3, radius: float = 1.0, k: int = 100) -> Refer
 
     Examples
     --------
+    >>> from spectra_kit.geometry import sphere
     >>> sphere(k=9).eigenvalues
     array([0., 2., 2., 2., 6., 6., 6., 6., 6.])
     """
@@ -101,6 +105,7 @@ def sphere(*, subdivisions: int = 3, radius: float = 1.0, k: int = 100) -> Refer
     )
 
 
+@checked
 def rectangle(
     *, n: int = 1000, width: float = 1.0, height: float = (1 + 5**0.5) / 2, k: int = 100
 ) -> Reference:
@@ -128,6 +133,8 @@ def rectangle(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.geometry import rectangle
     >>> unit = rectangle(height=1.0, k=4)
     >>> unit.eigenvalues / np.pi**2
     array([0., 1., 1., 2.])
@@ -138,6 +145,11 @@ def rectangle(
     check_positive("width", width)
     check_positive("height", height)
     check_count("k", k, low=1)
+    if not 1 / n <= width / height <= n:
+        raise InvalidInputError(
+            f"`width` and `height` must differ by at most n = {n} times, got {width:g} and"
+            f" {height:g}"
+        )
     columns = max(2, round((n * width / height) ** 0.5))
     rows = max(2, round(n / columns))
     x, y = np.meshgrid(np.linspace(0, width, columns), np.linspace(0, height, rows), indexing="ij")
@@ -162,6 +174,7 @@ def rectangle(
     )
 
 
+@checked
 def disk(*, rings: int = 18, radius: float = 1.0, k: int = 100) -> Reference:
     """Flat disk in the plane z = 0, as rings of 6, 12, 18... vertices around the centre.
 
@@ -187,6 +200,7 @@ def disk(*, rings: int = 18, radius: float = 1.0, k: int = 100) -> Reference:
 
     Examples
     --------
+    >>> from spectra_kit.geometry import disk
     >>> disk(k=3).eigenvalues
     array([0.  , 3.39, 3.39])
     >>> disk(k=1).dirichlet
@@ -213,6 +227,7 @@ def disk(*, rings: int = 18, radius: float = 1.0, k: int = 100) -> Reference:
     )
 
 
+@checked
 def torus(*, n: int = 1800, major: float = 1.0, minor: float = 0.4, k: int = 100) -> Reference:
     """Torus of revolution around the z axis.
 
@@ -243,6 +258,7 @@ def torus(*, n: int = 1800, major: float = 1.0, minor: float = 0.4, k: int = 100
 
     Examples
     --------
+    >>> from spectra_kit.geometry import torus
     >>> torus(k=5).multiplicities
     array([1, 2, 2])
     """

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._validate import frozen, real_array
+from spectra_kit._checked import checked
+from spectra_kit._validate import Brief, frozen, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh, distinct_rows
 
@@ -15,6 +16,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class RepairReport:
     """How many of each were removed; all 0 where nothing was wrong.
@@ -37,8 +39,9 @@ class RepairReport:
     unreferenced_vertices: int = 0
 
 
+@checked
 @dataclass(frozen=True, eq=False)
-class Repaired:
+class Repaired(Brief):
     """A cleaned geometry and its relation to the original.
 
     Parameters
@@ -90,6 +93,7 @@ class Repaired:
         return restored
 
 
+@checked
 def repair(geometry: Geometry, *, merge: bool = True) -> Repaired:
     """Return a clean copy of `geometry`: each point and face once, every face with area.
 

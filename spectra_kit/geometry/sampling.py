@@ -8,14 +8,26 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._validate import check_count, check_points, check_positive, frozen, real_array
+from spectra_kit._checked import checked
+from spectra_kit._validate import (
+    Brief,
+    check_count,
+    check_points,
+    check_positive,
+    frozen,
+    real_array,
+)
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry._units import box_unit
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh, check_mesh
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_MOST = 2**48  # points; more than any memory holds, but their bytes can be counted
 
+
+@checked
 @dataclass(frozen=True, kw_only=True)
 class GaussianDensity:
     """Sampling density that falls off like a Gaussian around one point.
@@ -47,8 +59,9 @@ class GaussianDensity:
             check_points("centre", [self.centre])
 
 
+@checked
 @dataclass(frozen=True, eq=False)
-class Samples:
+class Samples(Brief):
     """Sampled points and the place on the mesh that each came from.
 
     Parameters
@@ -95,6 +108,7 @@ class Samples:
         return np.asarray(np.einsum("nc,nc...->n...", self.barycentric, array[self.corners]))
 
 
+@checked
 def sample(
     mesh: TriangleMesh,
     n: int,
@@ -137,6 +151,7 @@ def sample(
     return sample_with_origin(mesh, n, seed=seed, density=density).cloud
 
 
+@checked
 def sample_with_origin(
     mesh: TriangleMesh,
     n: int,
@@ -183,16 +198,18 @@ def sample_with_origin(
     True
     """
     check_mesh("mesh", mesh)
-    check_count("n", n, low=1)
+    check_count("n", n, low=1, high=_MOST)
     rng = np.random.default_rng(check_count("seed", seed, low=0))
-    weights = np.where(mesh.degenerate_faces(), 0.0, mesh.face_areas)
+    unit = box_unit(mesh.points)
+    scaled = mesh.with_points(mesh.points / unit)
+    weights = np.where(scaled.degenerate_faces(), 0.0, scaled.face_areas)
     if not weights.any():
         raise InvalidInputError(
             f"`mesh` must have area to be sampled, got {len(mesh.faces)} faces that are all"
             " degenerate; use `mesh.as_cloud()` for its vertices"
         )
     if isinstance(density, GaussianDensity):
-        weights = weights * _gaussian_factor(mesh, density, weights, rng)
+        weights = weights * _gaussian_factor(scaled, unit, density, weights, rng)
     elif density != "uniform":
         raise InvalidInputError(
             f'`density` must be "uniform" or a GaussianDensity, got {density!r}'
@@ -214,12 +231,20 @@ def _draw(mesh: TriangleMesh, n: int, weights: Floats, rng: np.random.Generator)
 
 
 def _gaussian_factor(
-    mesh: TriangleMesh, density: GaussianDensity, areas: Floats, rng: np.random.Generator
+    mesh: TriangleMesh,
+    unit: float,
+    density: GaussianDensity,
+    areas: Floats,
+    rng: np.random.Generator,
 ) -> Floats:
-    """Return ``exp(-0.5 (|x - c| / sigma)^2)`` at each face's centroid x, up to one factor."""
-    centre = density.centre
-    if centre is None:
+    """Return ``exp(-0.5 (|x - c| / sigma)^2)`` at each face's centroid x, up to one factor.
+
+    The mesh is in `unit`, the density is not.
+    """
+    if density.centre is None:
         centre = _draw(mesh, 1, areas, rng).cloud.points[0]
+    else:
+        centre = np.array(density.centre) / unit
     sigma = density.sigma * np.linalg.norm(np.ptp(mesh.points, axis=0))
     centroids = mesh.points[mesh.faces].mean(axis=1)
     squared = np.sum(((centroids - centre) / sigma) ** 2, axis=1)

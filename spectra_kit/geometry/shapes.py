@@ -10,13 +10,17 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, check_faces, check_points, frozen
 from spectra_kit.errors import InvalidInputError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_BLOCK = 1 << 16
 
+
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class PointCloud(Rebuilt):
     """Points sampled from a surface, in the order they came.
@@ -33,6 +37,7 @@ class PointCloud(Rebuilt):
 
     Examples
     --------
+    >>> from spectra_kit import PointCloud
     >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
     >>> cloud.n
     3
@@ -69,6 +74,7 @@ class PointCloud(Rebuilt):
         return PointCloud(self.points[first])
 
 
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class TriangleMesh(Rebuilt):
     """A triangle mesh: any topology, boundary and non-manifold edges allowed.
@@ -91,6 +97,7 @@ class TriangleMesh(Rebuilt):
 
     Examples
     --------
+    >>> from spectra_kit import TriangleMesh
     >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     >>> mesh.area
     0.5
@@ -116,8 +123,8 @@ class TriangleMesh(Rebuilt):
     @cached_property
     def face_areas(self) -> Floats:
         """Area of each triangle, shape (f,), in length^2."""
-        a, b, c = (self.points[self.faces[:, i]] for i in range(3))
-        return frozen(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+        areas, _, exponents = _measures(self.points, self.faces)
+        return frozen(np.ldexp(areas, 2 * exponents))
 
     @property
     def area(self) -> float:
@@ -127,14 +134,16 @@ class TriangleMesh(Rebuilt):
     @cached_property
     def edges(self) -> Ints:
         """Undirected edges, one row (smaller index, larger index) per side of a face: (3f, 2)."""
-        sides = self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-        return frozen(np.sort(sides, axis=1))
+        return frozen(np.sort(_half_edges(self.faces), axis=1))
 
     @cached_property
     def unique_edges(self) -> tuple[Ints, Ints]:
         """Distinct rows of `edges`, sorted, shape (e, 2), and how often each occurs, shape (e,)."""
-        low, high = self.edges.T
-        keys, counts = np.unique(low * self.n + high, return_counts=True)
+        i, j = _half_edges(self.faces).T
+        keys = np.minimum(i, j) * self.n
+        keys += np.maximum(i, j)
+        del i, j  # they are the largest of what this takes
+        keys, counts = np.unique(keys, return_counts=True)
         return frozen(np.column_stack(np.divmod(keys, self.n))), frozen(counts)
 
     @cached_property
@@ -151,7 +160,7 @@ class TriangleMesh(Rebuilt):
     @cached_property
     def component_labels(self) -> Ints:
         """Connected component of each vertex, shape (n,); an unreferenced vertex is its own."""
-        i, j = self.edges.T
+        i, j = self.unique_edges[0].T
         graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(self.n, self.n))
         return frozen(connected_components(graph, directed=False)[1].astype(np.int64))
 
@@ -185,11 +194,12 @@ class TriangleMesh(Rebuilt):
 
     def degenerate_faces(self, relative_area: float = 1e-12) -> NDArray[np.bool_]:
         """Mark faces with a repeated vertex or area <= relative_area * (longest side)^2."""
-        corners = self.points[self.faces]
-        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-        sorted_faces = np.sort(self.faces, axis=1)
-        repeated = (np.diff(sorted_faces, axis=1) == 0).any(axis=1)
-        return np.asarray(repeated | (self.face_areas <= relative_area * longest**2))
+        if not 0 <= relative_area < 1:
+            raise InvalidInputError(f"`relative_area` must be in [0, 1), got {relative_area!r}")
+        a, b, c = self.faces.T
+        repeated = (a == b) | (b == c) | (c == a)
+        areas, longest, _ = _measures(self.points, self.faces)
+        return np.asarray(repeated | (areas <= relative_area * longest**2))
 
     def without_duplicate_faces(self) -> TriangleMesh:
         """Return the mesh with one face per vertex triple (first kept, orientation ignored)."""
@@ -211,6 +221,29 @@ def check_mesh(name: str, value: object) -> TriangleMesh:
     if not isinstance(value, TriangleMesh):
         raise InvalidInputError(f"`{name}` must be a TriangleMesh, got a {type(value).__name__}")
     return value
+
+
+def _measures(points: Floats, faces: Ints) -> tuple[Floats, Floats, NDArray[np.int32]]:
+    """Area and longest side of each face, and its unit: two to the power of the third.
+
+    So no square of a side over- or underflows. Done in blocks of faces: all corners at once would
+    take more memory than all else that is counted of a mesh.
+    """
+    blocks = []
+    for start in range(0, len(faces), _BLOCK):
+        corners = points[faces[start : start + _BLOCK]]
+        sides = np.roll(corners, -1, axis=1) - corners
+        exponents = np.frexp(np.abs(sides).max(axis=(1, 2)))[1]
+        sides = np.ldexp(sides, -exponents[:, None, None])
+        areas = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 2]), axis=1)
+        blocks.append((areas, np.linalg.norm(sides, axis=2).max(axis=1), exponents))
+    areas, longest, exponents = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    return areas, longest, exponents
+
+
+def _half_edges(faces: Ints) -> Ints:
+    """From corner to corner of each face in turn, shape (3f, 2)."""
+    return faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
 
 
 def distinct_rows(rows: Floats | Ints) -> tuple[Ints, Ints]:

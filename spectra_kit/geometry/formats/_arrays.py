@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
 
 Arrays = tuple[ArrayLike, ArrayLike | None]
@@ -21,7 +22,8 @@ def text_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     """
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     begun = ""
-    for number, line in enumerate(text.splitlines(), start=1):
+    # Not `splitlines`, which ends a comment at separators that no editor shows as one.
+    for number, line in enumerate(text.split("\n"), start=1):
         if line.endswith("\\"):
             begun += line[:-1] + " "
             continue
@@ -29,6 +31,34 @@ def text_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
         words = (whole.partition("#")[0] if "#" in whole else whole).split()
         if words:
             yield number, words
+    if begun.split():
+        raise InvalidInputError(
+            f"ends in a backslash, after which line {number} must go on; the file may be cut short"
+        )
+
+
+def real(word: str) -> float:
+    """Return the number that `word` is in any program; Python alone reads ``1_0``."""
+    if "_" in word or not word.isascii():
+        raise ValueError(f"{word!r} is no number")
+    return float(word)
+
+
+def whole(word: str) -> int:
+    """Return the integer that `word` is in any program, if an index can be as large."""
+    if "_" in word or not word.isascii():
+        raise ValueError(f"{word!r} is no integer")
+    value = int(word)
+    if not -(2**63) <= value < 2**63:
+        raise ValueError(f"{word[:20]!r} has more than 64 bits")
+    return value
+
+
+def position(columns: list[str], width: int) -> list[float]:
+    """Return x, y, z, the first of `width` columns, of which all lines of a file have as many."""
+    if len(columns) != width:
+        raise ValueError(f"{quantity(len(columns), 'column')} where there must be {width}")
+    return [real(column.strip()) for column in columns[:3]]
 
 
 def triangle_fans(polygons: Sequence[Sequence[int]]) -> NDArray[np.int64]:

@@ -1,54 +1,301 @@
-"""glTF 2.0 as one file (glb) or as JSON (gltf), through trimesh."""
+"""glTF 2.0 as one file (glb) or as JSON (gltf); written through trimesh."""
 
 from __future__ import annotations
 
-import struct
+import base64
+import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from spectra_kit._validate import check_indices
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays
 from spectra_kit.geometry.shapes import TriangleMesh
+
+JSON, BIN = 0x4E4F534A, 0x004E4942
+TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+POINTS, LINES, TRIANGLES, STRIP, FAN = 0, (1, 2, 3), 4, 5, 6
+# Extensions that a file may require and that leave the geometry as it is, or as read here.
+HARMLESS = (
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "KHR_lights_",
+    "KHR_mesh_quantization",
+)
+
+# What may stand in an object: another word is one of these, damaged, which has a default perhaps.
+COMMON = {"name", "extensions", "extras"}
+NODE = COMMON | {"camera", "children", "skin", "matrix", "mesh", "weights"}
+NODE |= {"rotation", "scale", "translation"}
+PRIMITIVE = COMMON | {"attributes", "indices", "material", "mode", "targets"}
+ACCESSOR = COMMON | {"bufferView", "byteOffset", "componentType", "normalized", "count", "type"}
+ACCESSOR |= {"max", "min", "sparse"}
+VIEW = COMMON | {"buffer", "byteOffset", "byteLength", "byteStride", "target"}
+
+# What JSON of another form than the format's makes Python raise.
+BROKEN = (
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    OSError,
+)
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 def read(path: Path) -> Arrays:
     """Return every mesh of the scene, moved to its place and stacked into one.
 
-    Vertices stay in the order of the file, mesh after mesh. Curves, and point sets that stand next
+    Vertices stay in the order of the file, node after node. Curves, and point sets that stand next
     to meshes, are left out; a scene of point sets alone gives a cloud.
     """
-    import trimesh  # here, because it is slow to import and no other format needs it
-
     try:
-        parts = trimesh.load_scene(path, process=False, skip_materials=True).dump()
-    except (
-        ValueError,
-        LookupError,
-        TypeError,
-        AttributeError,
-        OSError,
-        NotImplementedError,
-        struct.error,
-    ) as error:
+        tree, binary = _split(path.read_bytes())
+        _check_readable(tree)
+        parts = list(_parts(tree, _buffers(tree, binary, path.parent)))
+    except InvalidInputError:
+        raise
+    except BROKEN as error:
         raise InvalidInputError(
             f"not a whole glTF file ({type(error).__name__}: {error})"
         ) from error
-    meshes = [part for part in parts if isinstance(part, trimesh.Trimesh)]
+    meshes = [(points, faces) for points, faces in parts if faces is not None]
+    if not parts:
+        raise InvalidInputError("holds neither a mesh nor a point set")
     if not meshes:
-        clouds = [part.vertices for part in parts if isinstance(part, trimesh.PointCloud)]
-        if not clouds:
-            raise InvalidInputError("holds neither a mesh nor a point set")
-        return np.vstack(clouds), None
-    offsets = np.cumsum([0] + [len(part.vertices) for part in meshes])
-    faces = [part.faces + offset for part, offset in zip(meshes, offsets, strict=False)]
-    return np.vstack([part.vertices for part in meshes]), np.vstack(faces)
+        return np.vstack([points for points, _ in parts]), None
+    starts = np.cumsum([0] + [len(points) for points, _ in meshes])
+    stacked = [faces + start for (_, faces), start in zip(meshes, starts, strict=False)]
+    return np.vstack([points for points, _ in meshes]), np.vstack(stacked)
+
+
+def _split(data: bytes) -> tuple[dict[str, Any], memoryview | None]:
+    """Return the JSON and, of a glb, the bytes behind it."""
+    binary = None
+    if data[:4] == b"glTF":
+        version, length = _words(data, 4)
+        if version != 2 or length > len(data) or data[length:].strip(b"\0 \t\r\n"):
+            raise InvalidInputError(
+                f"a glb must have version 2 and the {length} bytes that it announces, got version"
+                f" {version} and {len(data)} bytes; the file may be cut short"
+            )
+        chunks, start = [], 12
+        while start < length:
+            size, kind = _words(data, start)
+            chunks.append((kind, memoryview(data)[start + 8 : start + 8 + size]))
+            start += 8 + size
+        kinds = [kind for kind, _ in chunks[:2]]
+        if start != length or kinds[:1] != [JSON]:
+            raise InvalidInputError("its chunks do not fill the glb; the file may be damaged")
+        data, binary = bytes(chunks[0][1]), chunks[1][1] if kinds[1:] == [BIN] else None
+    return json.loads(data), binary
+
+
+def _check_readable(tree: dict[str, Any]) -> None:
+    """Refuse another version of the format, and extensions that would change the geometry."""
+    version = str(tree.get("asset", {}).get("version", "2.0"))
+    if version.split(".")[0] != "2":
+        raise InvalidInputError(f"the version must be 2, got {version[:20]!r}")
+    required = tree.get("extensionsRequired", [])
+    if unknown := [name for name in required if not name.startswith(HARMLESS)]:
+        raise InvalidInputError(
+            f"requires {', '.join(unknown)}, which is not read; export it without, uncompressed"
+        )
+
+
+def _words(data: bytes, start: int) -> tuple[int, int]:
+    """Return two 32-bit numbers; 0 behind the end, where `_split` finds what is missing."""
+    first, second = data[start : start + 4], data[start + 4 : start + 8]
+    return int.from_bytes(first, "little"), int.from_bytes(second, "little")
+
+
+def _buffers(tree: dict[str, Any], binary: memoryview | None, folder: Path) -> list[memoryview]:
+    found: list[memoryview] = []
+    for buffer in tree.get("buffers", []):
+        uri, data = buffer.get("uri"), binary
+        if uri is not None and uri.startswith("data:"):
+            data = memoryview(base64.b64decode(uri.partition(";base64,")[2], validate=True))
+        elif uri is not None:
+            if not (folder / unquote(uri)).is_file():
+                raise InvalidInputError(
+                    f"not a whole glTF file: {uri[:100]!r}, which holds its arrays, is no file of"
+                    " its folder; copy it there"
+                )
+            data = memoryview((folder / unquote(uri)).read_bytes())
+        elif found:
+            data = None  # only the first may be the one inside a glb
+        length = _natural(buffer["byteLength"])
+        if data is None or len(data) < length:
+            raise InvalidInputError(
+                f"buffer {len(found)} must have {length} bytes, got"
+                f" {'none' if data is None else len(data)}; the file may be cut short"
+            )
+        found.append(data[:length])
+    return found
+
+
+def _parts(tree: dict[str, Any], buffers: list[memoryview]) -> Iterator[tuple[Floats, Ints | None]]:
+    """Yield points and faces (None for a point set) of all that the scene shows, in its place."""
+    arrays = _Accessors(tree, buffers)
+    scene = _item(tree["scenes"], tree.get("scene", 0)) if "scenes" in tree else {}
+    waiting = [(root, np.eye(4)) for root in reversed(scene.get("nodes", []))]
+    seen = set()
+    while waiting:
+        index, above = waiting.pop()
+        node = _known(_item(tree.get("nodes", []), index), NODE)
+        if index in seen:
+            raise InvalidInputError(f"node {index} stands in the scene twice; it may be damaged")
+        seen.add(index)
+        place = above @ _placement(node)
+        waiting += [(child, place) for child in reversed(node.get("children", []))]
+        mesh = _item(tree["meshes"], node["mesh"]) if "mesh" in node else {"primitives": []}
+        for primitive in mesh["primitives"]:
+            mode = _known(primitive, PRIMITIVE).get("mode", TRIANGLES)
+            if mode in LINES:
+                continue
+            points = arrays.positions(primitive["attributes"]["POSITION"])
+            faces = None
+            if mode != POINTS:
+                corners = np.arange(len(points))
+                if "indices" in primitive:
+                    corners = arrays.indices(primitive["indices"], len(points))
+                faces = _triangles(corners, mode)
+                if np.linalg.det(place[:3, :3]) < 0:  # a mirror turns a surface inside out
+                    faces = faces[:, ::-1]
+            yield points @ place[:3, :3].T + place[:3, 3], faces
+
+
+def _placement(node: dict[str, Any]) -> Floats:
+    """Return the matrix that moves a node into its parent: a given one, or T R S."""
+    matrix = np.reshape(np.array(node.get("matrix", np.eye(4)), dtype=np.float64), (4, 4)).T
+    if (matrix[3] != [0, 0, 0, 1]).any():
+        raise InvalidInputError("the last row of a matrix must be 0 0 0 1; it may be damaged")
+    scale = np.reshape(np.array(node.get("scale", [1, 1, 1]), dtype=np.float64), 3)
+    moved = np.eye(4)
+    moved[:3, :3] = Rotation.from_quat(node.get("rotation", [0, 0, 0, 1])).as_matrix() * scale
+    moved[:3, 3] = np.reshape(node.get("translation", [0, 0, 0]), 3)
+    return np.asarray(matrix @ moved)
+
+
+def _triangles(corners: Ints, mode: int) -> Ints:
+    """Return faces (f, 3); those of strips keep their orientation."""
+    if mode == TRIANGLES and len(corners) % 3 == 0:
+        return corners.reshape(-1, 3)
+    if mode == FAN:
+        first = np.full(max(len(corners) - 2, 0), corners[0])
+        return np.column_stack([first, corners[1:-1], corners[2:]])
+    if mode == STRIP:
+        faces = np.column_stack([corners[:-2], corners[1:-1], corners[2:]])
+        faces[1::2] = faces[1::2, [1, 0, 2]]
+        # Strips are joined by triangles that repeat a corner, which are no part of the surface.
+        a, b, c = faces.T
+        return np.asarray(faces[(a != b) & (b != c) & (c != a)])
+    raise InvalidInputError(f"{len(corners)} corners in mode {mode} make no triangles")
+
+
+class _Accessors:
+    """The arrays of a file, each within what the file says of it."""
+
+    def __init__(self, tree: dict[str, Any], buffers: list[memoryview]) -> None:
+        self.accessors, self.views = tree.get("accessors", []), tree.get("bufferViews", [])
+        self.buffers = buffers
+        self.ends: dict[int, int] = {}  # where the last accessor of each view ends
+        for accessor in self.accessors:
+            if "bufferView" in _known(accessor, ACCESSOR):
+                index = accessor["bufferView"]
+                self.ends[index] = max(self.ends.get(index, 0), self._layout(accessor)[-1])
+
+    def positions(self, index: int) -> Floats:
+        """Return points (n, 3)."""
+        values = self._array(index, "VEC3", "fiu")
+        points = values.astype(np.float64)
+        if self.accessors[index].get("normalized") and values.dtype.kind != "f":
+            points = np.maximum(points / np.iinfo(str(values.dtype)).max, -1.0)
+        return points
+
+    def indices(self, index: int, n: int) -> Ints:
+        """Return indices into `n` points."""
+        return check_indices("indices", self._array(index, "SCALAR", "u")[:, 0], n)
+
+    def _layout(self, accessor: dict[str, Any]) -> tuple[np.dtype[np.generic], int, int, int]:
+        """Return type and columns, the distance of rows, and where the last one ends."""
+        view = _known(_item(self.views, accessor["bufferView"]), VIEW)
+        dtype = np.dtype(TYPES[accessor["componentType"]])
+        columns = COLUMNS[accessor["type"]]
+        stride = _natural(view.get("byteStride", dtype.itemsize * columns))
+        start, count = _natural(accessor.get("byteOffset", 0)), _natural(accessor["count"])
+        return dtype, columns, stride, start + (count - 1) * stride + dtype.itemsize * columns
+
+    def _array(self, index: int, kind: str, types: str) -> NDArray[np.generic]:
+        accessor = _item(self.accessors, index)
+        if "sparse" in accessor or "bufferView" not in accessor:
+            raise InvalidInputError(
+                f"accessor {index} must be a plain array, got a sparse or compressed one; export"
+                " the file without compression"
+            )
+        dtype, columns, stride, end = self._layout(accessor)
+        view = self.views[accessor["bufferView"]]
+        data = _item(self.buffers, view["buffer"])
+        first, length = _natural(view.get("byteOffset", 0)), _natural(view["byteLength"])
+        # What no accessor of the view describes may be padding, but no row.
+        surplus = length - self.ends[accessor["bufferView"]]
+        if (
+            accessor["type"] != kind
+            or dtype.kind not in types
+            or not (accessor["count"] and stride >= columns * dtype.itemsize)
+            or not (end <= length <= len(data) - first and surplus < max(4, stride))
+        ):
+            raise InvalidInputError(
+                f"accessor {index} must describe {kind} numbers that fill their view of {length}"
+                f" bytes, got {accessor['count']} of {accessor['type']} {dtype}, up to byte {end};"
+                " the file may be damaged"
+            )
+        offset = first + _natural(accessor.get("byteOffset", 0))
+        shape, strides = (accessor["count"], columns), (stride, dtype.itemsize)
+        return np.ndarray(shape, dtype, data, offset, strides)
+
+
+def _item(items: Any, index: Any) -> Any:
+    """Return an entry; Python alone counts negative ones from the end."""
+    if _natural(index) >= len(items):
+        raise InvalidInputError(f"there is no {index} among {len(items)}; the file may be damaged")
+    return items[index]
+
+
+def _known(found: dict[str, Any], keys: set[str]) -> dict[str, Any]:
+    """Return an object of the JSON if it holds nothing but what the format knows."""
+    if unknown := sorted(set(found) - keys):
+        raise InvalidInputError(
+            f"{unknown[0][:40]!r} is no property of glTF here, known are"
+            f" {', '.join(sorted(keys))}; the file may be damaged"
+        )
+    return found
+
+
+def _natural(value: Any) -> int:
+    if type(value) is not int or value < 0:
+        raise InvalidInputError(
+            f"counts, offsets and indices must be whole numbers from 0, got {value!r:.40}; the"
+            " file may be damaged"
+        )
+    return value
 
 
 def write(mesh: TriangleMesh, path: Path) -> None:
     """Write a scene of one mesh; coordinates are rounded to float32, the format knows no other."""
-    import trimesh
+    import trimesh  # here, because it is slow to import and nothing else needs it
 
     scene: Any = trimesh.Scene(trimesh.Trimesh(mesh.points, mesh.faces, process=False))
     if path.suffix.lower() == ".glb":

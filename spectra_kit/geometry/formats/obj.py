@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays, text_lines, triangle_fans
+from spectra_kit.geometry.formats._arrays import Arrays, real, text_lines, triangle_fans, whole
 from spectra_kit.geometry.shapes import TriangleMesh
+
+# All that a line may begin with: other words are damage, which may have taken a face.
+KEYWORDS = re.compile(
+    "v|f|vt|vn|vp|g|s|mg|o|p|l|curv|curv2|surf|fo|deg|bmat|step|cstype|parm|trim|hole|scrv|sp|end"
+    "|con|bevel|c_interp|d_interp|lod|usemtl|mtllib|usemap|maplib|shadow_obj|trace_obj|ctech|stech"
+    "|call|csh"
+)
 
 
 def read(path: Path) -> Arrays:
@@ -15,15 +23,20 @@ def read(path: Path) -> Arrays:
     points: list[list[float]] = []
     polygons: list[list[int]] = []
     for number, words in text_lines(path):
+        if not KEYWORDS.fullmatch(words[0]):
+            raise InvalidInputError(
+                f"line {number} must begin with a keyword of OBJ, got {words[0][:60]!r}; the file"
+                " may be damaged"
+            )
         try:
             if words[0] == "v":
-                x, y, z = words[1:4]
-                points.append([float(x), float(y), float(z)])
+                points.append(_position(words[1:]))
             elif words[0] == "f":
-                polygons.append([_index(corner, len(points)) for corner in words[1:]])
+                polygons.append(_corners(words[1:], len(points)))
         except ValueError as error:
             raise InvalidInputError(
-                f"line {number} is broken: {' '.join(words)[:60]!r}; the file may be cut short"
+                f"line {number} is broken: {' '.join(words)[:60]!r} ({error}); the file may be cut"
+                " short or damaged"
             ) from error
     if not polygons:
         raise InvalidInputError(
@@ -32,11 +45,23 @@ def read(path: Path) -> Arrays:
     return points, triangle_fans(polygons)
 
 
-def _index(corner: str, n_so_far: int) -> int:
-    """Return the 0-based vertex of a corner such as ``7``, ``7/1/3`` or ``-1`` (the last one)."""
-    index = int(corner.split("/", 1)[0])
+def _position(words: list[str]) -> list[float]:
+    """Return x, y, z of a vertex line, which may go on with a weight, a colour or both."""
+    values = [real(word) for word in words]
+    if len(values) not in (3, 4, 6, 7):
+        raise ValueError(f"a vertex has 3 numbers, perhaps 4, 6 or 7, not {len(values)}")
+    if len(values) == 4 and values[3] != 1:
+        raise ValueError(f"the weight of a vertex must be 1, not {words[3]}")
+    return values[:3]
+
+
+def _corners(words: list[str], n_so_far: int) -> list[int]:
+    """Return the 0-based vertices of corners like ``7``, ``7/1/3`` or ``-1`` (the last so far)."""
+    if len({word.count("/") for word in words}) > 1:
+        raise ValueError("its corners have different numbers of slashes")
+    indices = [whole(word.partition("/")[0]) for word in words]
     # The format counts from 1; 0 means nothing in it and becomes -1, out of range as it should be.
-    return index - 1 if index >= 0 else n_so_far + index
+    return [index - 1 if index >= 0 else n_so_far + index for index in indices]
 
 
 def write(mesh: TriangleMesh, path: Path) -> None:

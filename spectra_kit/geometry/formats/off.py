@@ -7,7 +7,14 @@ from pathlib import Path
 
 from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays, text_lines, triangle_fans
+from spectra_kit.geometry.formats._arrays import (
+    Arrays,
+    position,
+    real,
+    text_lines,
+    triangle_fans,
+    whole,
+)
 from spectra_kit.geometry.shapes import TriangleMesh
 
 
@@ -15,34 +22,42 @@ def read(path: Path) -> Arrays:
     """Return vertices and faces in file order; no faces where the header announces none."""
     lines = list(text_lines(path))
     n_points, n_faces, body = _header(lines)
-    if len(body) != n_points + n_faces:
+    if min(n_points, n_faces) < 0 or len(body) != n_points + n_faces:
         raise InvalidInputError(
             f"the header announces {quantity(n_points, 'vertex')} and {quantity(n_faces, 'face')},"
             f" followed by {quantity(len(body), 'line')}; the file may be cut short"
         )
     points: list[list[float]] = []
     polygons: list[list[int]] = []
+    colours: set[int] = set()
     for i, (number, words) in enumerate(body):
         try:
             if i < n_points:
-                x, y, z = words[:3]
-                points.append([float(x), float(y), float(z)])
+                points.append(position(words, max(len(body[0][1]), 3)))
             else:
-                polygons.append(_corners(words))
+                corners, colour = _corners(words)
+                polygons.append(corners)
+                colours.add(colour)
         except ValueError as error:
             raise InvalidInputError(
-                f"line {number} is broken: {' '.join(words)[:60]!r}; the file may be cut short"
+                f"line {number} is broken: {' '.join(words)[:60]!r} ({error}); the file may be cut"
+                " short or damaged"
             ) from error
+    if not colours <= {0, 3, 4} and colours != {1}:
+        raise InvalidInputError(
+            f"after its corners a face must have no number, 3 or 4 for a colour, or 1 in all, got"
+            f" {' or '.join(map(str, sorted(colours)))}; the file may be damaged"
+        )
     return points, triangle_fans(polygons) if polygons else None
 
 
-def _corners(words: list[str]) -> list[int]:
-    """Return the vertices of a face line: their number, the vertices, perhaps a colour."""
-    size = int(words[0])
-    corners = [int(word) for word in words[1 : size + 1]]
+def _corners(words: list[str]) -> tuple[list[int], int]:
+    """Return the vertices of a face line, behind their number, and how many numbers follow."""
+    size = whole(words[0])
+    corners = [whole(word) for word in words[1 : size + 1]]
     if len(corners) != size:
         raise ValueError(f"{quantity(len(corners), 'corner')} where {size} are announced")
-    return corners
+    return corners, len([real(word) for word in words[size + 1 :]])
 
 
 def _header(lines: list[tuple[int, list[str]]]) -> tuple[int, int, list[tuple[int, list[str]]]]:
@@ -58,7 +73,7 @@ def _header(lines: list[tuple[int, list[str]]]) -> tuple[int, int, list[tuple[in
     if not counts and body:
         counts, body = body[0][1], body[1:]
     try:
-        n_points, n_faces = (int(count) for count in counts[:2])
+        n_points, n_faces = (whole(count) for count in counts[:2])
     except ValueError as error:
         raise InvalidInputError(
             f"must announce its numbers of vertices and faces, got {' '.join(counts)[:60]!r}"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays, triangle_fans
+from spectra_kit.geometry.formats._arrays import Arrays, triangle_fans, whole
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 
 TYPES = {
@@ -26,6 +26,8 @@ TYPES = {
 } | {f"{kind}{8 * size}": f"{kind[0]}{size}" for kind in ("int", "uint") for size in (1, 2, 4, 8)}
 TYPES |= {"float32": "f4", "float64": "f8"}
 ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+CORNERS = ("vertex_indices", "vertex_index")
 
 Columns = dict[str, NDArray[np.generic] | list[NDArray[np.generic]]]
 
@@ -46,7 +48,7 @@ class _Element:
 
 def read(path: Path) -> Arrays:
     """Return vertices and faces in file order; no faces where the file announces none."""
-    elements, body = _split(path.read_bytes())
+    elements, body, lines = _split(path.read_bytes())
     columns: dict[str, Columns] = {}
     offset = 0
     for element in elements:
@@ -55,50 +57,87 @@ def read(path: Path) -> Arrays:
         raise InvalidInputError(
             f"holds {len(body) - offset} bytes more than its header announces; it may be damaged"
         )
-    if "tristrips" in columns:
-        raise InvalidInputError("stores triangle strips; convert it to a list of faces first")
+    # Where a number is torn in two, rows that follow may still add up to what is announced.
+    if lines and not np.isin(lines, _row_ends(elements, columns)).all():
+        raise InvalidInputError("a row must end where its line ends; the file may be damaged")
     try:
         points = np.column_stack([columns["vertex"][axis] for axis in "xyz"])
     except KeyError as error:
         raise InvalidInputError(f"has no vertices with x, y and z (missing {error})") from error
-    return points, _faces(columns.get("face", {}))
+    n_faces = sum(element.count for element in elements if element.name == "face")
+    return points, _faces(columns["face"]) if n_faces else None
 
 
-def _split(data: bytes) -> tuple[list[_Element], bytes]:
-    """Parse the header; return the announced elements and the bytes after it."""
+def _split(data: bytes) -> tuple[list[_Element], bytes, list[int]]:
+    """Return the announced elements, the bytes after the header, and where lines of numbers end."""
     end = re.search(rb"^end_header[ \t]*\r?$\n?", data, re.MULTILINE)
-    lines = [
-        line.split() for line in data[: end.start() if end else 0].decode("latin-1").splitlines()
-    ]
-    lines = [words for words in lines if words]
+    head = data[: end.start() if end else 0].split(b"\n")
+    lines = [[word.decode("latin-1") for word in line.split()] for line in head if line.split()]
     if not end or not lines or lines[0] != ["ply"]:
         raise InvalidInputError("must begin with a PLY header; the file may be cut short")
     body = data[end.end() :]
     encoding = next((" ".join(words[1:2]) for words in lines if words[0] == "format"), "")
     if encoding not in ORDERS:
         raise InvalidInputError(f"the format must be one of {', '.join(ORDERS)}, got {encoding!r}")
-    is_ascii, elements = encoding == "ascii", list[_Element]()
+    # ASCII bodies are turned into doubles below, so that one reader serves both.
+    types = dict.fromkeys(TYPES, "f8") if encoding == "ascii" else TYPES
+    elements: list[_Element] = []
     try:
         for words in lines[1:]:
-            if words[0] == "element":
-                elements.append(_Element(words[1], int(words[2]), []))
-            elif words[0] == "property":
-                types = [ORDERS[encoding] + TYPES[word] for word in words[1:-1] if word != "list"]
-                # ASCII bodies are turned into doubles below, so that one reader serves both.
-                dtypes = [np.dtype("<f8" if is_ascii else name) for name in types]
-                size = dtypes[0] if words[1] == "list" else None
-                elements[-1].properties.append(_Property(words[-1], dtypes[-1], size))
+            match words:
+                case ["element", name, count]:
+                    elements.append(_Element(name, whole(count), []))
+                case ["property", "list", size, kind, name] if TYPES[size][0] != "f":
+                    dtypes = [np.dtype(ORDERS[encoding] + types[word]) for word in (kind, size)]
+                    elements[-1].properties.append(_Property(name, *dtypes))
+                case ["property", kind, name]:
+                    dtype = np.dtype(ORDERS[encoding] + types[kind])
+                    elements[-1].properties.append(_Property(name, dtype, None))
+                case ["format" | "comment" | "obj_info", *_]:
+                    pass
+                case _:
+                    raise ValueError(f"{words[0]!r} begins no such line")  # noqa: TRY301
     except (ValueError, LookupError) as error:
         raise InvalidInputError(f"the header line {' '.join(words)!r} is broken") from error
+    _check(elements)
+    return (elements, *_doubles(body)) if encoding == "ascii" else (elements, body, [])
+
+
+def _check(elements: list[_Element]) -> None:
+    """Refuse headers that announce what this module cannot read, or nobody."""
     for element in elements:
         if element.count < 0:
             raise InvalidInputError(f"cannot hold {element.count} rows of {element.name!r}")
-    return elements, _doubles(body) if is_ascii else body
+        for p in element.properties:
+            is_corners, is_list = p.name in CORNERS, p.size_dtype is not None
+            if element.name != "face" and is_corners and element.count:
+                raise InvalidInputError(
+                    f"stores {p.name} of {element.name!r}, only those of 'face' are read; convert"
+                    " it to a list of faces first"
+                )
+            if (is_corners and not is_list) or (is_list and p.name in ("x", "y", "z")):
+                raise InvalidInputError(
+                    f"{p.name!r} must be a {'number' if is_list else 'list'}, got a"
+                    f" {'list' if is_list else 'number'}"
+                )
+    for names in (
+        [element.name for element in elements],
+        *([p.name for p in element.properties] for element in elements),
+    ):
+        if len(set(names)) < len(names):
+            raise InvalidInputError(f"the header must name each thing once, got {', '.join(names)}")
 
 
-def _doubles(text: bytes) -> bytes:
+def _doubles(body: bytes) -> tuple[bytes, list[int]]:
+    """Return the numbers of a text in binary, and how many there are up to the end of each line."""
+    words: list[str] = []
+    ends = []
+    # An underscore is what Python, and it alone, reads as part of a number.
     try:
-        return np.array(text.decode("latin-1").split(), dtype="<f8").tobytes()
+        for line in body.replace(b"_", b"\xff").decode("ascii").replace("\r", "\n").split("\n"):
+            words += line.split()
+            ends.append(len(words))
+        return np.array(words, dtype="<f8").tobytes(), ends
     except ValueError as error:
         raise InvalidInputError(f"must hold numbers only after its header ({error})") from error
 
@@ -131,28 +170,50 @@ def _read_rows(element: _Element, body: bytes, offset: int, count: int) -> tuple
             for p in element.properties:
                 size = 1
                 if p.size_dtype is not None:
-                    size = max(int(np.frombuffer(body, p.size_dtype, 1, offset)[0]), 0)
+                    (announced,) = np.frombuffer(body, p.size_dtype, 1, offset).tolist()
+                    if not 0 <= announced <= len(body) or announced != int(announced):
+                        raise ValueError(f"{p.name!r} cannot have {announced} entries")  # noqa: TRY301
+                    size = int(announced)
                     offset += p.size_dtype.itemsize
                 values = np.frombuffer(body, p.dtype, size, offset) if size else np.empty(0)
                 columns[p.name].append(values)
                 offset += values.nbytes
     except ValueError as error:
         raise InvalidInputError(
-            f"ends before the {element.count} rows of {element.name!r} that its header"
-            " announces; the file may be cut short"
+            f"ends before the {element.count} rows of {element.name!r} that its header announces"
+            f" ({error}); the file may be cut short or damaged"
         ) from error
     return dict(columns), offset
 
 
-def _faces(columns: Columns) -> NDArray[np.int64] | None:
-    if not columns:
-        return None
-    name = next((name for name in ("vertex_indices", "vertex_index") if name in columns), None)
+def _row_ends(elements: list[_Element], columns: dict[str, Columns]) -> NDArray[np.int64]:
+    """Return how many numbers there are up to the end of each row, and 0."""
+    widths = [np.zeros(1, dtype=np.int64)]
+    for element in elements:
+        if not columns[element.name]:
+            continue
+        widths.append(np.zeros(element.count, dtype=np.int64))
+        for p in element.properties:
+            lists = columns[element.name][p.name]
+            if p.size_dtype is None:
+                widths[-1] += 1
+            elif isinstance(lists, np.ndarray):
+                widths[-1] += 1 + lists.shape[1]
+            else:
+                widths[-1] += [1 + len(values) for values in lists]
+    return np.cumsum(np.concatenate(widths))
+
+
+def _faces(columns: Columns) -> NDArray[np.int64]:
+    name = next((name for name in CORNERS if name in columns), None)
     if name is None:
-        raise InvalidInputError(f"faces must have vertex_indices, got {', '.join(columns)}")
+        raise InvalidInputError(
+            f"faces must have vertex_indices, got {', '.join(columns) or 'nothing'}"
+        )
     corners = columns[name]
     flat = np.ravel(corners) if isinstance(corners, np.ndarray) else np.concatenate(corners)
-    if (flat != np.rint(flat.astype(np.float64))).any():
+    # Where a double holds every integer; NaN is in no range.
+    if flat.dtype.kind == "f" and not ((flat == np.rint(flat)) & (np.abs(flat) < 2**53)).all():
         raise InvalidInputError("faces must hold whole numbers")
     if isinstance(corners, np.ndarray) and corners.shape[1] == 3:
         return corners.astype(np.int64)

@@ -9,10 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays
+from spectra_kit.geometry.formats._arrays import Arrays, real
 from spectra_kit.geometry.shapes import TriangleMesh
 
 HEADER = 80
+WORDS = f"facet normal 0 0 0 outer loop {'vertex 0 0 0 ' * 3} endloop endfacet".split()
+PATTERN = np.array(WORDS, dtype=object)
+NUMBERS = PATTERN == "0"
+CORNERS = NUMBERS & (np.arange(len(PATTERN)) > 4)  # without the normal, of which nothing is asked
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -49,20 +53,27 @@ def _binary_corners(data: bytes) -> NDArray[np.float64]:
 
 def _ascii_corners(data: bytes) -> NDArray[np.float64]:
     text = data.decode("utf-8", errors="replace").lower()
-    keywords = re.findall(r"^\s*(solid|endsolid|facet|endfacet|vertex)\b(.*)$", text, re.MULTILINE)
-    counts = {key: sum(key == word for word, _ in keywords) for key, _ in keywords}
-    facets = counts.get("facet", 0)
-    if (
-        counts.get("endsolid") != counts.get("solid")
-        or counts.get("endfacet", 0) != facets
-        or counts.get("vertex", 0) != 3 * facets
-    ):
+    head, *rest = re.split(r"^[ \t]*((?:end)?solid)\b.*$", text, flags=re.MULTILINE)
+    marks, parts = rest[::2], rest[1::2]
+    outside = [head, *parts[1::2]]
+    if marks != ["solid", "endsolid"] * (len(marks) // 2) or any(map(str.split, outside)):
         raise InvalidInputError(
-            f"facets, vertices and end marks do not add up ({counts}); the file may be cut short"
+            "all facets must stand between a line `solid` and a line `endsolid`; the file may be"
+            " cut short"
+        )
+    words = np.array([word for part in parts[::2] for word in part.split()], dtype=object)
+    n_facets, surplus = divmod(len(words), len(PATTERN))
+    facets = words[: n_facets * len(PATTERN)].reshape(n_facets, len(PATTERN))
+    is_whole = (facets[:, ~NUMBERS] == PATTERN[~NUMBERS]).all(axis=1)
+    if surplus or not is_whole.all():
+        first = n_facets if is_whole.all() else int(is_whole.argmin())
+        found = " ".join(words[first * len(PATTERN) :][: len(PATTERN)])
+        raise InvalidInputError(
+            f"facet {first}, counted from 0, must be {' '.join(PATTERN)!r}, got {found[:200]!r};"
+            " the file may be cut short"
         )
     try:
-        rows = [rest.split() for word, rest in keywords if word == "vertex"]
-        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+        return np.array([real(word) for word in facets[:, CORNERS].ravel()]).reshape(-1, 3)
     except ValueError as error:
         raise InvalidInputError(f"a vertex line must hold three numbers ({error})") from error
 

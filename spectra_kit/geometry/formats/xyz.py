@@ -5,28 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays, text_lines
+from spectra_kit.geometry.formats._arrays import Arrays, position, text_lines
 from spectra_kit.geometry.shapes import PointCloud
 
 
 def read(path: Path) -> Arrays:
     """Return the first three columns; every line must have the same number of columns."""
     rows: list[list[float]] = []
-    width = 0
+    width, mark = 0, None
     for number, words in text_lines(path):
         line = " ".join(words)
-        columns = line.replace(",", " ").split()
-        width = width or len(columns)
-        message = (
-            f"line {number} is broken: {line[:60]!r}; expected {max(width, 3)} numbers,"
-            " the first three being x, y, z"
-        )
-        if len(columns) != max(width, 3):
-            raise InvalidInputError(message)
+        if not rows:  # what parts the columns of the first line parts all; other commas are decimal
+            mark = "," if "," in line else None
+            width = max(len(line.split(mark)), 3)
         try:
-            rows.append([float(column) for column in columns[:3]])
+            rows.append(position(line.split(mark), width))
         except ValueError as error:
-            raise InvalidInputError(message) from error
+            raise InvalidInputError(
+                f"line {number} is broken: {line[:60]!r} ({error}); expected {width} numbers, the"
+                " first three being x, y, z, parted by spaces or by commas, with decimal points"
+            ) from error
     return rows, None
 
 
