@@ -74,3 +74,32 @@ def test_without_a_component_solved_there_is_nothing_to_keep(bumpy_laplacian) ->
     with pytest.raises(OutOfMemoryError, match="5 modes on 642 points do not fit") as caught:
         eigensolve(bumpy_laplacian, 5, Greedy())
     assert caught.value.partial is None
+
+
+SMALL_ROOM = """
+import resource
+from spectra_kit import OutOfMemoryError, delaunay_laplacian, robust_laplacian
+from spectra_kit.geometry import sphere
+
+delaunay_laplacian(sphere(subdivisions=2).geometry)  # imports, compiles
+mesh = sphere(subdivisions=6).geometry
+pages = int(open("/proc/self/statm").read().split()[0])
+limit = pages * resource.getpagesize() + 150 * 2**20
+resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
+try:
+    robust_laplacian(mesh)
+except OutOfMemoryError as error:
+    print(error)
+print(delaunay_laplacian(mesh).area / mesh.area)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="counts memory as Linux does")
+def test_the_library_is_not_asked_where_it_would_end_the_process() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", SMALL_ROOM], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    of_mesh, ratio = done.stdout.splitlines()
+    assert "robust_laplacian needs up to 0.2 GB, more than there is; use delaunay" in of_mesh
+    assert float(ratio) == pytest.approx(1, rel=1e-12)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spectra_kit.linalg.compiled import compiled
 
 Singles = NDArray[np.float32]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32] | NDArray[np.int64]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def chebyshev_step(
     solved: Singles,
     correction: Singles,
@@ -44,7 +45,7 @@ def chebyshev_step(
             solved[i, j] = mass[i] * new
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def residual_rows(
     indptr: Ints,
     columns: Ints,

@@ -11,9 +11,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
+
+from spectra_kit.linalg.compiled import compiled
 
 Reals = NDArray[np.float64] | NDArray[np.float32]
 Floats = NDArray[np.float64]
@@ -32,7 +33,7 @@ def _inverted(pivot: float, scale: float, ends: bool) -> float:
     return np.nan
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def factor_level_zero(
     starts: Ints, columns: Ints, upper: Floats, diagonal: Floats, relaxation: float, inverse: Floats
 ) -> int:
@@ -68,7 +69,7 @@ def factor_level_zero(
     return -1
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def factor_threshold(
     starts: Ints,
     columns: Ints,
@@ -186,7 +187,7 @@ def _wider(values: NDArray[Any], size: int) -> NDArray[Any]:
     return wider
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def fill_quads(
     starts: Ints, columns: Ints, values: Floats, quads: Ints, out_columns: Ints, out_values: Reals
 ) -> None:
@@ -207,7 +208,7 @@ def fill_quads(
                 out_values[group, place] = 0.0
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def solve_factor(
     lower_quads: Ints,
     lower_columns: Ints,

@@ -8,14 +8,15 @@ the same bits however the work was cut.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spectra_kit.linalg.compiled import compiled
 
 Reals = NDArray[np.float64] | NDArray[np.float32]
 Ints = NDArray[np.int64] | NDArray[np.uint32]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def solve_column(
     starts: Ints,
     rows: Ints,
@@ -82,7 +83,7 @@ def solve_column(
         out[order[j]] = y[j]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def solve_columns(
     starts: Ints,
     rows: Ints,
@@ -169,7 +170,7 @@ def solve_columns(
             out[order[j], first + c] = y[j, c]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def multiply_rows(
     indptr: Ints, columns: Ints, values: Reals, dense: Reals, out: Reals, start: int, stop: int
 ) -> None:

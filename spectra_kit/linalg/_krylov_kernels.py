@@ -8,8 +8,9 @@ Within a range sums may be reassociated, for SIMD.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spectra_kit.linalg.compiled import compiled
 
 Reals = NDArray[np.float64] | NDArray[np.float32]
 Floats = NDArray[np.float64]
@@ -18,7 +19,7 @@ Ints = NDArray[np.uint32] | NDArray[np.uint64]
 FAST = {"reassoc", "contract", "nsz"}
 
 
-@njit(nogil=True, cache=True, fastmath={"contract"})  # rows are too short for SIMD
+@compiled(fastmath={"contract"})  # rows are too short for SIMD
 def multiply(
     starts: Ints, columns: Ints, values: Floats, p: Floats, q: Floats, start: int, stop: int
 ) -> float:
@@ -33,7 +34,7 @@ def multiply(
     return energy
 
 
-@njit(nogil=True, cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def advance(
     x: Floats, r: Floats, p: Floats, q: Floats, step: float, mean: float, start: int, stop: int
 ) -> tuple[float, float]:
@@ -47,7 +48,7 @@ def advance(
     return square, total
 
 
-@njit(nogil=True, cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def weigh(r: Floats, z: Floats, start: int, stop: int) -> tuple[float, float]:
     """Return ``r . z`` and the sum of z."""
     product, total = 0.0, 0.0
@@ -57,14 +58,14 @@ def weigh(r: Floats, z: Floats, start: int, stop: int) -> tuple[float, float]:
     return product, total
 
 
-@njit(nogil=True, cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def turn(p: Floats, z: Floats, mean: float, ratio: float, start: int, stop: int) -> None:
     """Write ``p = z - mean + ratio * p``."""
     for i in range(start, stop):
         p[i] = (z[i] - mean) + ratio * p[i]
 
 
-@njit(nogil=True, cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def restrict(basis: Reals, r: Floats, out: Reals, start: int, stop: int) -> None:
     """Write ``Y[start:stop].T @ r[start:stop]`` to `out` (k,), in its dtype."""
     k = basis.shape[1]
@@ -86,7 +87,7 @@ def restrict(basis: Reals, r: Floats, out: Reals, start: int, stop: int) -> None
         i += 1
 
 
-@njit(nogil=True, cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def prolong(basis: Reals, coefficients: Reals, out: Floats, start: int, stop: int) -> None:
     """Add ``Y[start:stop] @ coefficients`` to ``out[start:stop]``."""
     k = basis.shape[1]

@@ -22,6 +22,7 @@ _STALLED = 0.9  # an exact sweep has met rounding if it leaves more than this of
 _STILL = 1e-9  # and lowers the sum of the Ritz values by no more than this share
 _SAFETY = 3.0  # filter for residuals this much below the tolerance
 _DEGREES = (8, 4000)  # of one filter, at least and at most
+_PROBES = 8  # random columns that look for modes of which the start holds nothing; then twice these
 _CUT_GROWTH = 2.0  # of the lower end of the damped interval, per sweep
 
 
@@ -116,9 +117,16 @@ def chebyshev_eigenpairs(
     digit they are in float32, and of an A with more mass at the few points whose stiffness makes
     the top of the spectrum. The result is that of L and M in float64 all the same.
 
+    Residuals do not tell whether a mode is missing of which the start holds nothing. So converged
+    modes are tried: random columns, filtered twice and orthogonal to the block, join a last
+    Rayleigh-Ritz. If a Ritz value falls, the iteration goes on with these, and with twice as many
+    the next time. That makes it unlikely that a mode is missed; only a count can prove it.
+
     Examples
     --------
+    >>> import torch
     >>> from scipy import sparse
+    >>> from spectra_kit.linalg.chebyshev import chebyshev_eigenpairs
     >>> from spectra_kit.linalg.torch_device import sparse_tensor
     >>> diagonals, offsets = [2.0, -1, -1, -1, -1], [0, 1, -1, 99, -99]
     >>> ring = sparse.diags_array(diagonals, offsets=offsets, shape=(100, 100))
@@ -137,10 +145,20 @@ def chebyshev_eigenpairs(
     weights = mass.double().unsqueeze(1)
     operator = _Operator.quick(stiffness, mass, spacing * block)
     schedule = _Schedule(rtol, spacing, spacing * block)
+    probes, rng = _PROBES, np.random.default_rng(seed)
     while True:
         residuals = (stiffness @ X.contiguous()).sub_(weights * X * values)
         norms = (residuals / weights.sqrt()).norm(dim=0)
         schedule.look(values.tolist(), norms[:k].tolist())
+        if schedule.converged and len(X) > block + probes:
+            noise = torch.from_numpy(rng.standard_normal((len(X), probes))).to(X)
+            unseen = _unseen(operator, stiffness, weights, X, noise, schedule)
+            tried, joined, _ = leading_ritz_pairs(stiffness, mass, torch.cat([X, unseen], 1), block)
+            fall = (values - tried)[:k] / values[:k].clamp(min=spacing)
+            if float(fall.max()) > rtol:
+                values, X, probes = tried, joined, 2 * probes
+                schedule = schedule.anew()
+                continue
         if schedule.finished or schedule.sweeps == max_sweeps:
             break
         if schedule.careful and math.isfinite(operator.limit):
@@ -225,6 +243,20 @@ class _Schedule:
         """Whether there is no more to do, or no use in it."""
         return self.converged or self.stalled
 
+    def anew(self) -> _Schedule:
+        """Return the schedule of a block that more modes have joined."""
+        return _Schedule(
+            self.rtol, self.spacing, self.cut, sweeps=self.sweeps, products=self.products
+        )
+
+    def probe(self, operator: _Operator) -> _Sweep:
+        """Return the filter that brings up modes below the end of the block."""
+        low = min(1.01 * self._ritz[-1] + self.spacing / 2, 0.9 * operator.top)
+        degree = math.acosh(_GAIN) / _rate(0.0, low, operator.top)
+        degree = min(max(math.ceil(degree), _DEGREES[0]), _DEGREES[1])
+        self.products += 2 * degree
+        return _Sweep((low, operator.top), degree)
+
     def look(self, ritz: list[float], norms: list[float]) -> None:
         """Judge the last sweep by all Ritz values and the residual norms of the wanted ones."""
         k = len(norms)
@@ -263,6 +295,27 @@ class _Schedule:
         self._expected = 1 / math.cosh(min(degree * min(rates.values()), 700.0))
         self.sweeps, self.products = self.sweeps + 1, self.products + degree
         return _Sweep((low, top), degree)
+
+
+def _unseen(
+    operator: _Operator,
+    stiffness: Tensor,
+    weights: Tensor,
+    X: Tensor,
+    noise: Tensor,
+    schedule: _Schedule,
+) -> Tensor:
+    """Return the low modes in random columns, of unit norm and orthogonal to X."""
+    sweep = schedule.probe(operator)
+    for _ in range(2):  # once leaves too much of the top of the spectrum
+        for _ in range(2):  # once leaves what cancellation leaves
+            noise = noise - X @ (X.T @ (weights * noise))
+        noise = noise / (weights * noise**2).sum(dim=0).sqrt()
+        energy = stiffness @ noise.contiguous()
+        values = (noise * energy).sum(dim=0)
+        noise = _filtered(operator, noise, energy - weights * noise * values, values, sweep)
+    noise = noise - X @ (X.T @ (weights * noise))
+    return noise / (weights * noise**2).sum(dim=0).sqrt()
 
 
 def _rate(value: float, low: float, high: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 _WIDE = 32  # modes from which a range of rows is worth a thread
 
 
+@runtime_checkable
 class Preconditioner(Protocol):
     """Anything that applies a fixed symmetric positive (semi-)definite matrix near ``A^-1``.
 
@@ -28,6 +29,7 @@ class Preconditioner(Protocol):
     --------
     One's own, the inverse of the diagonal:
 
+    >>> from scipy import sparse
     >>> from spectra_kit.linalg import pcg
     >>> class Jacobi:
     ...     def __init__(self, matrix):
@@ -90,6 +92,9 @@ class CoarseSpace:
     --------
     On the path below, Y spans an eigenspace, in which Q inverts A:
 
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg import CoarseSpace
     >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
     >>> coarse = CoarseSpace(np.array([[1.0], [0.0], [-1.0]]), matrix=path)
     >>> coarse.solve(path @ np.array([5.0, 0.0, -5.0]))
@@ -211,7 +216,9 @@ class AdditiveTwoLevel:
 
     Examples
     --------
-    >>> from spectra_kit.linalg import IncompleteCholesky
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg import AdditiveTwoLevel, CoarseSpace, IncompleteCholesky
     >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
     >>> coarse = CoarseSpace(np.array([[1.0], [0.0], [-1.0]]), energies=[2.0])
     >>> base = IncompleteCholesky(path, reorder=False)
@@ -270,7 +277,9 @@ class ProjectedTwoLevel:
 
     Examples
     --------
-    >>> from spectra_kit.linalg import IncompleteCholesky, pcg
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg import CoarseSpace, IncompleteCholesky, ProjectedTwoLevel, pcg
     >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
     >>> coarse = CoarseSpace(np.array([[1.0], [0.0], [-1.0]]), matrix=path)
     >>> projected = ProjectedTwoLevel(IncompleteCholesky(path), coarse, path)

@@ -97,6 +97,9 @@ def pcg(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg import ConstantKernel, pcg
     >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
     >>> solution = pcg(path, np.array([1.0, 0.0, -1.0]), kernel=ConstantKernel([0, 0, 0]))
     >>> solution.x, solution.iterations

@@ -28,6 +28,8 @@ class ConstantKernel:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.linalg import ConstantKernel
     >>> kernel = ConstantKernel([0, 0, 1, 1, -1])
     >>> kernel.remove(np.array([1.0, 3.0, 5.0, 5.0, 7.0]))
     array([-1.,  1.,  0.,  0.,  7.])

@@ -43,7 +43,9 @@ def smoothed(
 
     Examples
     --------
+    >>> import torch
     >>> from scipy import sparse
+    >>> from spectra_kit.linalg.filters import smoothed
     >>> from spectra_kit.linalg.torch_device import sparse_tensor
     >>> path = sparse.csr_array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
     >>> mode = torch.tensor([[1.0], [0.0], [-1.0]]).double()
@@ -70,7 +72,7 @@ def smoothed(
         image.addcmul_(weights * correction, values, value=-1)
         direction.mul_(ratio * before).addcmul_(inverse, image, value=-2 * ratio / radius)
         correction.add_(direction)
-    return vectors + correction
+    return vectors + torch.where(correction.isfinite().all(dim=0), correction, 0.0)
 
 
 def spectral_bound(operator: Tensor) -> float:
@@ -83,6 +85,7 @@ def spectral_bound(operator: Tensor) -> float:
     Examples
     --------
     >>> from scipy import sparse
+    >>> from spectra_kit.linalg.filters import spectral_bound
     >>> from spectra_kit.linalg.torch_device import sparse_tensor
     >>> path = sparse_tensor(sparse.csr_array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]]))
     >>> round(spectral_bound(path), 4)  # 3 is attained

@@ -50,6 +50,9 @@ class GroundedCholesky:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg import ConstantKernel, GroundedCholesky
     >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
     >>> GroundedCholesky(path, ConstantKernel([0, 0, 0])).solve(np.array([1.0, 0.0, -1.0]))
     array([ 1.,  0., -1.])

@@ -80,6 +80,9 @@ class IncompleteCholesky:
     --------
     On a path nothing fills in, so that level 0 is exact:
 
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg import IncompleteCholesky
     >>> path = sparse.csr_array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
     >>> factor = IncompleteCholesky(path)
     >>> factor
@@ -205,6 +208,9 @@ def untidy(matrix: sparse.csr_array) -> bool:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg.incomplete_cholesky import untidy
     >>> path = sparse.eye_array(100, k=1, format="csr") + sparse.eye_array(100, k=-1, format="csr")
     >>> shuffle = np.random.default_rng(0).permutation(100)
     >>> untidy(path), untidy(path[shuffle][:, shuffle])

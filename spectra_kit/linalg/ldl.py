@@ -68,6 +68,9 @@ class SparseLDL:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg import SparseLDL
     >>> factor = SparseLDL(sparse.csr_array([[2.0, -1.0], [-1.0, 2.0]]))
     >>> factor.solve(np.array([1.0, 1.0]))
     array([1., 1.])

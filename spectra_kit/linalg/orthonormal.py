@@ -16,6 +16,14 @@ _SETTLED = 1e-13  # deviation of the Gram matrix from the identity that rounding
 _EPS = float(np.finfo(np.float64).eps)
 
 
+class RankError(InvalidInputError):
+    """Columns span fewer dimensions than are wanted: `rank` of them."""
+
+    def __init__(self, message: str, rank: int) -> None:
+        super().__init__(message)
+        self.rank = rank
+
+
 def orthonormalize(basis: NDArray[np.floating], mass: Floats, *, rank_tol: float = 1e-10) -> Floats:
     """Return an M-orthonormal basis Y of the numerical range of `basis`.
 
@@ -51,6 +59,7 @@ def orthonormalize(basis: NDArray[np.floating], mass: Floats, *, rank_tol: float
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit.linalg import orthonormalize
     >>> dependent = np.array([[1.0, 2.0], [1.0, 2.0], [1.0, 2.0]])
     >>> orthonormalize(dependent, np.ones(3)).shape
     (3, 1)
@@ -59,11 +68,12 @@ def orthonormalize(basis: NDArray[np.floating], mass: Floats, *, rank_tol: float
     q = root * basis
     norms = np.linalg.norm(q, axis=0)
     if not np.isfinite(norms).all() or not (norms > 0).any():
-        raise InvalidInputError(
+        message = (
             "`basis` must have finite columns that are not all zero, got"
             f" {quantity((~np.isfinite(norms)).sum(), 'column')} with NaN or infinite values"
             f" of {len(norms)}; look at the subspace that returned it"
         )
+        raise RankError(message, 0) if np.isfinite(norms).all() else InvalidInputError(message)
     q = q[:, norms > 0] / norms[norms > 0]
 
     triangle = np.eye(q.shape[1])  # the scaled columns are q @ triangle, throughout

@@ -46,6 +46,9 @@ def spmm(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg import spmm
     >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
     >>> spmm(path, np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]], dtype=np.float32))
     array([[ 0., -1.],

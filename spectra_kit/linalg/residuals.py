@@ -40,6 +40,9 @@ def residuals(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg.residuals import residuals
     >>> path = sparse.csr_array([[1.0, -1.0], [-1.0, 1.0]])
     >>> residuals(path, np.ones(2), np.array([0.0]), np.ones((2, 1)))[1]
     array([0.])
@@ -69,6 +72,9 @@ def residual_norms(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg.residuals import residual_norms
     >>> path = sparse.csr_array([[1.0, -1.0], [-1.0, 1.0]])
     >>> residual_norms(path, np.ones(2), np.array([0.0]), np.array([[0.0], [1.0]]))
     array([1.4142...])
@@ -76,7 +82,9 @@ def residual_norms(
     array([1.])
     """
     U = np.ascontiguousarray(vectors)
-    weights = 1 / mass
+    # In units of the largest entry of M^-1 L, squares neither overflow nor vanish.
+    unit = float((np.abs(stiffness.diagonal()) / mass).max(initial=0.0)) or 1.0
+    weights = 1 / (np.sqrt(mass) * unit)
     if left_out is not None:
         weights[left_out] = 0.0
     blocks = _blocks(len(U))
@@ -85,11 +93,12 @@ def residual_norms(
     def measure(i: int, start: int, stop: int) -> None:
         rows = slice(start, stop)
         r = stiffness[rows] @ U
-        r -= mass[rows, None] * (U[rows] * values)
-        squares[i] = np.einsum("ij,ij,i->j", r, r, weights[rows])
+        r -= mass[rows, None] * U[rows] * values
+        r *= weights[rows, None]
+        squares[i] = np.einsum("ij,ij->j", r, r)
 
     in_threads(measure, ((i, *ends) for i, ends in enumerate(blocks)))
-    return np.asarray(np.sqrt(squares.sum(axis=0)))
+    return np.asarray(unit * np.sqrt(squares.sum(axis=0)))
 
 
 def _blocks(n: int) -> list[tuple[int, int]]:

@@ -11,13 +11,14 @@ from scipy import sparse
 from scipy.linalg import eigh
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.orthonormal import orthonormalize
+from spectra_kit.linalg.orthonormal import RankError, orthonormalize
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas
 
 Floats = NDArray[np.float64]
 
 _ROWS = 4_096  # of one task: in the cache, and fixed, so that no sum depends on the threads
 _WELL_CONDITIONED = 1e-12  # of the Gram matrix: above it, one float64 Gram matrix tells all
+_WELL_SPREAD = 1e-3  # lowest eigenvalue of a scaled Gram matrix that needs no second round
 _ROUNDING = 1e-11  # deviation from M-orthonormality that is not worth a correction
 
 
@@ -80,15 +81,19 @@ def ritz_pairs(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg.ritz import ritz_pairs
     >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
     >>> ritz_pairs(path, np.ones(3), np.eye(3), 2).eigenvalues.round(6)
     array([0., 1.])
     """
     pairs = ritz_pairs_at_most(stiffness, mass, basis, k, rank_tol=rank_tol)
     if pairs.rank < k:
-        raise InvalidInputError(
+        raise RankError(
             f"`basis` must span at least k = {k} dimensions, got numerical rank {pairs.rank} of"
-            f" {basis.shape[1]} columns; ask for fewer modes or use a larger basis"
+            f" {basis.shape[1]} columns; ask for fewer modes or use a larger basis",
+            pairs.rank,
         )
     return pairs
 
@@ -158,15 +163,23 @@ def ritz_rotation(stiffness: sparse.csr_array, mass: Floats, X: Floats) -> tuple
         If the columns are dependent.
     """
     with single_threaded_blas():
-        inside, gram = projected(stiffness, X), weighted_gram(X, mass)
-        try:
-            values, rotation = eigh(inside, gram)
-        except np.linalg.LinAlgError as error:
-            raise InvalidInputError(
-                f"`X` must have columns that are far from dependent, got {X.shape[1]} with a"
-                f" Gram matrix that is not positive definite ({error}); use `ritz_pairs`"
-            ) from error
-    return values, lifted(X, rotation)
+        for _ in range(
+            2
+        ):  # rounding in a Gram matrix grows by the inverse of its lowest eigenvalue
+            inside, gram = projected(stiffness, X), weighted_gram(X, mass)
+            scale = np.sqrt(np.diag(gram))
+            try:
+                values, rotation = eigh(inside, gram)
+                lowest = np.linalg.eigvalsh(gram / scale / scale[:, None]).min(initial=1.0)
+            except np.linalg.LinAlgError as error:
+                raise InvalidInputError(
+                    f"`X` must have columns that are far from dependent, got {X.shape[1]} with a"
+                    f" Gram matrix that is not positive definite ({error}); use `ritz_pairs`"
+                ) from error
+            X = lifted(X, rotation)
+            if lowest > _WELL_SPREAD:
+                break
+    return values, X
 
 
 def weighted_gram(Y: Floats, mass: Floats) -> Floats:

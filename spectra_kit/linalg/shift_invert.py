@@ -14,20 +14,23 @@ from scipy import sparse
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.ldl import SparseLDL
+from spectra_kit.linalg.orthonormal import RankError
 from spectra_kit.linalg.residuals import residuals
 from spectra_kit.linalg.ritz import ritz_pairs_at_most, ritz_rotation
-from spectra_kit.linalg.threads import in_threads, thread_count
+from spectra_kit.linalg.threads import in_threads, single_threaded_blas, thread_count
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 _COLUMNS = 80  # filtered together, at most: bounds the temporaries
 _SHIFT = 1 / 8  # of the guard eigenvalue: strong on the last modes, kind to float32 on the first
-_STALLED = 0.7  # a sweep that leaves more than this of the residuals gains nothing,
+_STALLED = 0.7  # a sweep that leaves more than this of the best residuals gains nothing,
 _STILL = 1e-12  # unless it lowers the sum of the Ritz values by more than this share: a mode rises
-_RANK_TOL = 1e-6  # of what is to be iterated on: one Gram matrix tells, sweeps do the rest
+_RANK_TOL = 1e-6  # of a start: one Gram matrix tells, sweeps do the rest
+_FILTERED_TOL = 1e-12  # of what was filtered: what little is left of a mode far up is all there is
+_ZERO = 1e-8  # of the spacing: a block of Ritz values below it may be rounding, of any sign
 _PROBES = 8  # random columns that bring in modes of which the start has nothing
-_OUTGROWN = 1 / 4  # a shift this many times larger than wanted is worth a new factor
+_OUTGROWN = 1 / 4  # a shift this many times larger than wanted, or smaller, wants a new factor
 
 
 class Refinement(NamedTuple):
@@ -87,10 +90,11 @@ def shift_invert_iteration(
     k: int,
     *,
     tolerance: Callable[[Floats], Floats],
+    spacing: float,
     block: int,
     degree: int = 4,
     max_sweeps: int = 30,
-    least_rank: int = 1,
+    least_rank: int = 0,
     seed: int = 0,
 ) -> Refinement:
     """Drive the span of `start` to the k lowest eigenpairs of ``L u = lambda M u``.
@@ -107,13 +111,15 @@ def shift_invert_iteration(
         Wanted pairs.
     tolerance : callable
         Largest allowed residual norm of each Ritz value.
+    spacing : float
+        Typical gap between neighbouring eigenvalues; those far below it are taken for zero.
     block : int
         Ritz vectors to iterate on, k < block; those beyond k guard the last wanted ones.
     degree : int, default 4
         Of the filter: solves of each column in a sweep.
     max_sweeps : int, default 30
         Filters before giving up; one at least is applied, to whatever start.
-    least_rank : int, default 1
+    least_rank : int, default 0
         Rank below which a start is refused; random columns make up for what `block` lacks.
     seed : int, default 0
         Of all random columns.
@@ -126,7 +132,7 @@ def shift_invert_iteration(
     Raises
     ------
     InvalidInputError
-        If `start` holds NaN, infinity or only zeros, or its rank is below `least_rank`, or
+        If `start` holds NaN or infinity, or its rank is below `least_rank`, or
         `stiffness` is not semi-definite.
 
     Notes
@@ -148,28 +154,43 @@ def shift_invert_iteration(
     unit = float(mass.mean())
     mass = mass / unit
     shifted: ShiftedFactor | None = None
-    values, X, rank = ritz_pairs_at_most(stiffness, mass, start, block, rank_tol=_RANK_TOL)
-    if rank < least_rank:
-        raise InvalidInputError(
-            f"`start` must span at least {least_rank} dimensions, got numerical rank {rank} of"
-            f" {start.shape[1]} columns; ask for fewer modes or use a larger subspace"
-        )
     rng = np.random.default_rng(seed)
-    if X.shape[1] < block:
-        X = np.hstack([X, _noise(rng, mass, block - X.shape[1])])
-        values, X = ritz_rotation(stiffness, mass, X)
+
+    def ritz(columns: NDArray[np.floating], rank_tol: float) -> tuple[Floats, Floats, int]:
+        """Return the Ritz pairs of a whole block, and the rank before noise made up for the rest.
+
+        Where the eigenvalues jump within the block, the filter drowns columns in the modes below.
+        """
+        try:
+            values, X, rank = ritz_pairs_at_most(stiffness, mass, columns, block, rank_tol=rank_tol)
+        except RankError:  # zeros alone, such as columns that live on another component
+            X, rank = np.empty((len(mass), 0)), 0
+        if X.shape[1] < block:
+            X = np.hstack([X, _noise(rng, mass, block - X.shape[1])])
+            values, X = ritz_rotation(stiffness, mass, X)
+        return values, X, rank
+
+    values, X, rank = ritz(start, _RANK_TOL)
+    if rank < least_rank:
+        raise RankError(
+            f"`start` must span at least {least_rank} dimensions, got numerical rank {rank} of"
+            f" {start.shape[1]} columns; ask for fewer modes or use a larger subspace",
+            rank,
+        )
     clock.stage("rayleigh_ritz")
     R, norms = residuals(stiffness, mass, values, X)
     clock.stage("residuals")
-    solves, sweeps, idle = 0, 0, 0
+    best, solves, sweeps, idle = norms[:k], 0, 0, 0
     while True:
         open_modes = norms[:k] > unit * tolerance(values[:k] / unit)
         done = not open_modes.any() and sweeps > 0
         if done or sweeps == max(max_sweeps, 1) or idle == 2:
             break
         # A little above the last Ritz value: the cluster that it may belong to must grow.
-        guard = float(values[-1]) * (1 + 2 / block)
-        if shifted is None or -shifted.sigma * _OUTGROWN > _SHIFT * guard:
+        # And not among values that are zero to rounding: a shift must be below them all.
+        guard = max(float(values[-1]), _ZERO * unit * spacing) * (1 + 2 / block)
+        wanted = _SHIFT * guard
+        if shifted is None or not _OUTGROWN < wanted / -shifted.sigma < 1 / _OUTGROWN:
             shifted = factor_below(stiffness, mass, guard)
             clock.stage("factor")
         probes = _filtered_noise(shifted, mass, X, guard, degree, rng) if sweeps == 0 else None
@@ -178,20 +199,24 @@ def shift_invert_iteration(
         for part in np.array_split(active, -(-len(active) // _COLUMNS)):
             X[:, part] += _correction(shifted, mass, R[:, part], values[part], guard, degree)
         clock.stage("filter")
-        trace, before = values[:k].sum(), norms
-        if probes is None:
-            values, X = ritz_rotation(stiffness, mass, X)
-        else:  # they may lie in the corrected block up to little
-            values, X, _ = ritz_pairs_at_most(
-                stiffness, mass, np.hstack([X, probes]), block, rank_tol=_RANK_TOL
-            )
+        trace = values[:k].sum()
+        try:
+            if probes is not None:  # they may lie in the corrected block up to little
+                values, X, _ = ritz(np.hstack([X, probes]), _RANK_TOL)
+            else:
+                values, X = ritz_rotation(stiffness, mass, X)
+        except InvalidInputError:
+            values, X, _ = ritz(X, _FILTERED_TOL)
         clock.stage("rayleigh_ritz")
         R, norms = residuals(stiffness, mass, values, X)
         clock.stage("residuals")
         solves += degree * len(active) + (2 * degree * _PROBES if sweeps == 0 else 0)
         sweeps += 1
         fell = values[:k].sum() < (1 - _STILL) * trace
-        gained = (norms[:k][open_modes] <= _STALLED * before[:k][open_modes]).any()
+        # Against the best so far: where they are rounding, residuals fall as often as they rise.
+        gained = (norms[:k] <= _STALLED * best)[open_modes].any()
+        # Where the values fell, other modes may have moved into these places.
+        best = norms[:k] if fell else np.minimum(best, norms[:k])
         idle = 0 if fell or gained else idle + 1
     return Refinement(
         values[:k] / unit,
@@ -229,9 +254,10 @@ def _filtered_noise(
             solved = shifted.factor.solve(weights * new, dtype=np.float32)
             old, new = new, 2 * (gain * solved - new) - old
         columns = new.astype(np.float64)
-        for _ in range(2):  # once leaves what cancellation leaves
-            columns -= X @ (X.T @ (mass[:, None] * columns))
-        columns /= np.sqrt(mass @ columns**2)
+        with single_threaded_blas():
+            for _ in range(2):  # once leaves what cancellation leaves
+                columns -= X @ (X.T @ (mass[:, None] * columns))
+            columns /= np.sqrt(mass @ columns**2)
     return columns
 
 

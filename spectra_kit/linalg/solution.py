@@ -36,6 +36,7 @@ class LinearSolution:
 
     Examples
     --------
+    >>> import numpy as np
     >>> from scipy import sparse
     >>> from spectra_kit.linalg import pcg
     >>> solution = pcg(sparse.eye_array(3, format="csr"), np.array([1.0, 2.0, 2.0]))

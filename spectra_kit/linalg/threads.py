@@ -6,9 +6,12 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
 from typing import Any
+
+#: Entries of a block, 8 MiB: one core passes over fewer in a millisecond.
+WORTH_SHARING = 1 << 20
 
 
 def thread_count() -> int:
@@ -63,6 +66,16 @@ def single_threaded_blas() -> Iterator[None]:
             if _depth == 0:
                 _limit.restore_original_limits()
                 _limit = None
+
+
+def blas_threads_for(entries: int) -> AbstractContextManager[None]:
+    """Keep BLAS to one thread inside where the largest block has few `entries`.
+
+    Sharing such blocks out can gain little, and costs as much as the machine is busy, or has cores
+    that the process may not use: hundreds of times the work itself. Larger ones get the threads
+    that the environment asks for.
+    """
+    return nullcontext() if entries > WORTH_SHARING else single_threaded_blas()
 
 
 @cache

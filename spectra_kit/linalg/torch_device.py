@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 import warnings
 from collections.abc import Iterator
@@ -12,7 +13,27 @@ import torch
 from scipy import sparse
 from torch import Tensor
 
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.products import spmm
+from spectra_kit.linalg.threads import WORTH_SHARING
+
+
+@contextmanager
+def torch_threads_for(entries: int) -> Iterator[None]:
+    """Keep torch to one thread inside where the largest block has few `entries`.
+
+    See `linalg.threads.blas_threads_for`: beside other work a small product takes as long as the
+    slowest thread is kept waiting. The number is the process's, not that of a thread.
+    """
+    threads = torch.get_num_threads()
+    if entries > WORTH_SHARING or threads == 1:
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def sparse_tensor(csr: sparse.csr_array, device: str = "cpu") -> Tensor:
@@ -27,6 +48,8 @@ def sparse_tensor(csr: sparse.csr_array, device: str = "cpu") -> Tensor:
 
     Examples
     --------
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg.torch_device import sparse_tensor
     >>> sparse_tensor(sparse.csr_array([[0.0, 2.0], [0.0, 0.0]])).values()
     tensor([2.], dtype=torch.float64)
     """
@@ -93,6 +116,30 @@ def _csr_tensor(
             device=device,
             check_invariants=False,  # SciPy's arrays keep them
         )
+
+
+def check_device(name: str) -> torch.device:
+    """Return the device of this name, if torch can compute in float64 on it here."""
+    try:
+        device = torch.device(name)
+        torch.ones(1, dtype=torch.float64, device=device).cpu()
+    # Without CUDA torch raises AssertionError, for an unknown name RuntimeError, and TypeError
+    # where there is no float64.
+    except (RuntimeError, AssertionError, TypeError) as error:
+        reason = re.split(r"\n|\. ", str(error))[0]  # torch tells a whole page
+        raise InvalidInputError(
+            f"`device` must be one that torch can use here, got {name!r} ({reason}); try 'cpu'"
+        ) from error
+    return device
+
+
+def check_float_dtype(dtype: object) -> torch.dtype:
+    """Return `dtype` if it is one of torch's for real numbers."""
+    if not isinstance(dtype, torch.dtype) or not dtype.is_floating_point:
+        raise InvalidInputError(
+            f"`dtype` must be a torch.dtype of real numbers, such as torch.float32, got {dtype!r}"
+        )
+    return dtype
 
 
 @contextmanager

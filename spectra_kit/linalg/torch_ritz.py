@@ -19,6 +19,8 @@ _PASSES = 6  # three suffice down to rank_tol = 1e-14; more mean NaN
 _SETTLED = 1e-13  # deviation of the Gram matrix from the identity that rounding alone leaves
 # How much the inverse of a Gram matrix may amplify its rounding, in either precision.
 _SINGLE_LIMIT, _DOUBLE_LIMIT = 1e7, 1e12
+_SPREAD = 1e5  # the same for columns that need no second round
+_NOTHING = 1e-13  # share of the largest squared norm: orthonormal columns may be carried to nothing
 
 
 class RitzPairs(NamedTuple):
@@ -70,6 +72,8 @@ def orthonormalize(basis: Tensor, mass: Tensor, *, rank_tol: float = 1e-10) -> T
 
     Examples
     --------
+    >>> import torch
+    >>> from spectra_kit.linalg.torch_ritz import orthonormalize
     >>> basis = torch.tensor([[1.0, 2.0, 0.0], [1.0, 2.0, 1.0]])
     >>> orthonormalize(basis, torch.ones(2)).shape
     torch.Size([2, 2])
@@ -149,8 +153,10 @@ def rayleigh_ritz(
 
     Examples
     --------
+    >>> import torch
     >>> from scipy import sparse
     >>> from spectra_kit.linalg.torch_device import sparse_tensor
+    >>> from spectra_kit.linalg.torch_ritz import rayleigh_ritz
     >>> path = sparse.csr_array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
     >>> pairs = rayleigh_ritz(sparse_tensor(path), torch.ones(3), torch.eye(3), 2)
     >>> pairs.eigenvalues.abs()
@@ -188,8 +194,7 @@ def leading_ritz_pairs(
     if whitening is None:
         weights = mass if mass.ndim == 1 else torch.ones_like(basis[:, 0])
         basis = orthonormalize(basis, weights, rank_tol=rank_tol)
-        whitening = _whitening(_gram(basis, mass, torch.float64), math.inf)
-    assert whitening is not None
+        whitening = _resolved(_gram(basis, mass, torch.float64))
     clock.stage("orthonormalize")
     projected = _project(stiffness, basis, torch.float32 if single else torch.float64)
     clock.stage("project")
@@ -211,16 +216,20 @@ def ritz_rotation(
         If their Gram matrix is not positive definite.
     """
     clock = clock or Clock(columns.device)
-    whitening = _whitening(_gram(columns, mass, torch.float64), math.inf)
-    if whitening is None:
-        raise InvalidInputError(
-            f"`columns` must be finite and far from dependent, got {columns.shape[1]} whose Gram"
-            " matrix is not positive definite; smooth them less, or use `rayleigh_ritz`"
-        )
-    projected = _project(stiffness, columns, torch.float64)
-    values, vectors = _lift(projected, whitening, columns, columns.shape[1])
+    for _ in range(2):  # what rounding in an ill-conditioned Gram matrix left oblique is put right
+        gram = _gram(columns, mass, torch.float64)
+        whitening = _whitening(gram, math.inf)
+        if whitening is None:
+            raise InvalidInputError(
+                f"`columns` must be finite and far from dependent, got {columns.shape[1]} whose"
+                " Gram matrix is not positive definite; smooth them less, or use `rayleigh_ritz`"
+            )
+        projected = _project(stiffness, columns, torch.float64)
+        values, columns = _lift(projected, whitening, columns, columns.shape[1])
+        if _whitening(gram, _SPREAD) is not None:
+            break
     clock.stage("settle")
-    return RitzPairs(values, vectors, clock.seconds)
+    return RitzPairs(values, columns, clock.seconds)
 
 
 def _single_whitening(basis: Tensor, mass: Tensor) -> Tensor | None:
@@ -260,6 +269,14 @@ def _whitening(gram: Tensor, limit: float) -> Tensor | None:
     inverse = torch.linalg.solve_triangular(factor, identity, upper=True)
     good = (info == 0) & (inverse.square().sum() <= limit)
     return scale.unsqueeze(1) * inverse if bool(good) else None
+
+
+def _resolved(gram: Tensor) -> Tensor:
+    """Return W with ``W^T gram W = I`` on what of a semi-definite Gram matrix is not rounding."""
+    sizes, axes = torch.linalg.eigh(gram)
+    kept = sizes > _NOTHING * sizes[-1]
+    whitening: Tensor = axes[:, kept] / sizes[kept].sqrt()
+    return whitening
 
 
 def _project(stiffness: Tensor, basis: Tensor, dtype: torch.dtype) -> Tensor:

@@ -1,0 +1,90 @@
+"""Small problems leave the threads of BLAS asleep, whatever the environment asks for."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info
+
+from spectra_kit.linalg.threads import blas_threads_for, single_threaded_blas
+
+# What threads other than the main one ran for, in milliseconds: they spin while they wait.
+CODE = """
+import contextlib, glob, json, os, time
+import numpy as np, scipy.linalg
+import spectra_kit as sk
+from spectra_kit.descriptors import heat_kernel_signature, wave_kernel_signature
+
+def others():
+    total = 0
+    for f in glob.glob("/proc/self/task/*/schedstat"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # one that has just ended
+            total += int(open(f).read().split()[0]) * (f"/{os.getpid()}/s" not in f)
+    return total / 1e6
+
+def spun(call):
+    call()  # imports, compiles
+    before = others()
+    call()
+    time.sleep(0.1)  # they go on spinning for a while
+    return others() - before
+
+mesh = sk.geometry.creature(1500, seed=0)
+laplacian = sk.robust_laplacian(mesh)
+small = sk.robust_laplacian(sk.geometry.sphere(subdivisions=2).geometry)
+s = sk.eigensolve(laplacian, 30)
+jobs = {
+    "default": lambda: sk.eigensolve(laplacian, 30),
+    "default, tiny": lambda: sk.eigensolve(small, 30),
+    "Dense, tiny": lambda: sk.eigensolve(small, 30, sk.Dense()),
+    "Multilevel": lambda: sk.eigensolve(laplacian, 30, sk.Multilevel()),
+    "Refined": lambda: sk.eigensolve(laplacian, 30, sk.Refined()),
+    "Lobpcg": lambda: sk.eigensolve(laplacian, 30, sk.Lobpcg()),
+    "Polished": lambda: sk.eigensolve(laplacian, 30, sk.Polished()),
+    "Capped": lambda: sk.eigensolve(laplacian, 30, sk.Capped()),
+    "verify": lambda: sk.verify(s, laplacian),
+    "HeatGeodesics": lambda: sk.HeatGeodesics(mesh, s).distance(0),
+    "heat kernel": lambda: heat_kernel_signature(s),
+    "wave kernel": lambda: wave_kernel_signature(s),
+    "project": lambda: s.reconstruct(s.project(np.ones((mesh.n, 20)))),
+    "prepare": lambda: sk.prepare(s, mesh),
+    "match": lambda: sk.match(sk.prepare(s, mesh), sk.prepare(s, mesh)),
+}
+large = np.ones((600, 600))
+answer = {"product": spun(lambda: large @ large)}
+print(json.dumps(answer | {name: spun(job) for name, job in jobs.items()}))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="counts in /proc")
+def test_small_problems_wake_no_threads() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", CODE],
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "4"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    spun = json.loads(done.stdout)
+    if spun.pop("product") < 1:
+        pytest.skip("this BLAS has no threads that wait by spinning")
+    assert {name: round(ms) for name, ms in spun.items() if ms > 1} == {}
+
+
+def blas_threads() -> list[int]:
+    return [i["num_threads"] for i in threadpool_info() if i["user_api"] == "blas"]
+
+
+def test_large_blocks_keep_their_threads() -> None:
+    before = blas_threads()
+    with blas_threads_for(10**8):
+        assert blas_threads() == before
+    with single_threaded_blas(), blas_threads_for(10**8):  # nor is one limit lifted by another
+        assert set(blas_threads()) == {1}
+    with blas_threads_for(np.ones((100, 30)).size):
+        assert set(blas_threads()) == {1}
+    assert blas_threads() == before
