@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import robust_laplacian as library
 from scipy import sparse
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
@@ -10,6 +11,7 @@ from spectra_kit import (
     ConvergenceError,
     Dense,
     InvalidInputError,
+    Laplacian,
     PointCloud,
     TriangleMesh,
     cotan_laplacian,
@@ -18,7 +20,7 @@ from spectra_kit import (
 )
 from spectra_kit.geometry import rectangle, sphere, torus
 from spectra_kit.linalg import threads
-from spectra_kit.operators import _gluing, _stars, delaunay_laplacian
+from spectra_kit.operators import _gluing, _stars, delaunay_laplacian, oriented_triangles
 
 
 def ball(n: int, seed: int = 0) -> np.ndarray:
@@ -37,6 +39,12 @@ def grid(nx: int, ny: int) -> np.ndarray:
 
 def eigenvalues(points: np.ndarray, k: int = 26, build=delaunay_laplacian) -> np.ndarray:
     return eigensolve(build(PointCloud(points)), k).eigenvalues
+
+
+def tufted(cloud: PointCloud) -> Laplacian:
+    """The operator of the library robust_laplacian."""
+    stiffness, mass = library.point_cloud_laplacian(np.array(cloud.points))
+    return Laplacian(stiffness, mass, cloud.points)
 
 
 CLOUDS = {
@@ -116,8 +124,8 @@ def test_agrees_with_robust_laplacian_on_the_vertices_of_a_mesh() -> None:
     mesh = sphere(subdivisions=4).geometry
     cloud = eigenvalues(np.array(mesh.points), 25)[1:]
     assert cloud == pytest.approx(eigensolve(robust_laplacian(mesh), 25).eigenvalues[1:], rel=2e-3)
-    library = eigenvalues(np.array(mesh.points), 25, robust_laplacian)[1:]
-    assert cloud == pytest.approx(library, rel=0.02)
+    glued = eigenvalues(np.array(mesh.points), 25, tufted)[1:]
+    assert cloud == pytest.approx(glued, rel=0.02)
 
 
 def test_no_bias_from_pillows() -> None:
@@ -125,8 +133,17 @@ def test_no_bias_from_pillows() -> None:
     points = ball(4000)
     exact = sphere().eigenvalues[1:25]
     ours = np.abs(eigenvalues(points, 25)[1:] / exact - 1).mean()
-    library = np.abs(eigenvalues(points, 25, robust_laplacian)[1:] / exact - 1).mean()
-    assert ours < 0.25 * library
+    glued = np.abs(eigenvalues(points, 25, tufted)[1:] / exact - 1).mean()
+    assert ours < 0.25 * glued
+
+
+@pytest.mark.parametrize("n", [500, 2000, 8000])
+def test_what_clouds_get_converges_to_the_sphere(n: int) -> None:
+    points = np.random.default_rng(1).standard_normal((n, 3))
+    cloud = PointCloud(points / np.linalg.norm(points, axis=1, keepdims=True))
+    found = eigensolve(robust_laplacian(cloud), 16).eigenvalues
+    shells = [found[1:4].mean(), found[4:9].mean(), found[9:16].mean()]
+    assert shells == pytest.approx([2, 6, 12], rel=30 / n)  # in 1 / n: h^2
 
 
 def test_thin_sheets_ignore_each_other() -> None:
@@ -230,6 +247,17 @@ def test_bad_input(case: str) -> None:
     build, message = BAD[case]
     with pytest.raises(InvalidInputError, match=message):
         build()
+
+
+def test_points_too_near_to_calculate_with_are_refused() -> None:
+    cloud = PointCloud(
+        np.vstack([[[1e-170, 0, 0], [0, 1e-170, 0], [0, 0, 0]], ball(50) + [3, 0, 0]])
+    )
+    for build in (delaunay_laplacian, oriented_triangles):
+        with pytest.raises(
+            InvalidInputError, match="must have points further apart than 1e-150 of its extent"
+        ):
+            build(cloud)
 
 
 def test_flips_that_do_not_end_are_given_up(monkeypatch) -> None:

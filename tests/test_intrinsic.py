@@ -219,13 +219,13 @@ def test_each_triangle_once_where_the_mesh_is_closed_and_of_one_winding() -> Non
     assert (once.share, twice.share) == (1.0, 0.5)
     assert len(twice.corners) == 2 * len(once.corners) == 2 * len(ball().faces)
     assert abs(once.laplacian.stiffness - twice.laplacian.stiffness).max() < 1e-12
-    assert once.mean_edge_length == pytest.approx(twice.mean_edge_length, rel=1e-12)
+    assert once.spacings == pytest.approx(twice.spacings, rel=1e-12)
 
 
-def test_mean_edge_length_of_equilateral_triangles() -> None:
+def test_spacing_of_equilateral_triangles() -> None:
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     tetrahedron = TriangleMesh(corners, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
-    assert intrinsic_delaunay(tetrahedron).mean_edge_length == pytest.approx(8**0.5)
+    assert intrinsic_delaunay(tetrahedron).spacings == pytest.approx([8**0.5])
 
 
 def test_boundary_of_clouds() -> None:
@@ -303,7 +303,7 @@ def test_units(name: str, scale: float) -> None:
     assert abs(other.laplacian.stiffness - base.laplacian.stiffness).max() < 1e-6 * size
     assert other.laplacian.area == pytest.approx(scale**2 * base.laplacian.area, rel=1e-9)
     assert other.area == pytest.approx(scale**2 * base.area, rel=1e-9)
-    assert other.mean_edge_length == pytest.approx(scale * base.mean_edge_length, rel=1e-6)
+    assert other.spacings == pytest.approx(scale * base.spacings, rel=1e-6)
     assert other.boundary.tolist() == base.boundary.tolist()
     u = RNG(0).standard_normal(base.n)
     slopes = [np.sort(np.linalg.norm(t.gradient(u), axis=1)) for t in (base, other)]
@@ -438,6 +438,10 @@ BAD = {
     "mollify": (
         lambda: intrinsic_delaunay(MESH, mollify_factor=-1),
         "`mollify_factor` must be positive",
+    ),
+    "mollify all": (
+        lambda: intrinsic_delaunay(MESH, mollify_factor=1e200),
+        "`mollify_factor` must be at most 1, got 1e",
     ),
     "too little": (
         lambda: intrinsic_delaunay(

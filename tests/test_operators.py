@@ -10,12 +10,15 @@ from spectra_kit import (
     PointCloud,
     TriangleMesh,
     cotan_laplacian,
+    delaunay_laplacian,
+    eigensolve,
     knn_laplacian,
     robust_laplacian,
 )
 from spectra_kit.geometry import rectangle, sphere
 
 OPERATORS = [robust_laplacian, cotan_laplacian, knn_laplacian]
+MESH_OPERATORS = [robust_laplacian, cotan_laplacian, delaunay_laplacian]
 
 
 @pytest.mark.parametrize("build", OPERATORS)
@@ -133,6 +136,78 @@ def test_each_component_has_its_own_spacing() -> None:
     assert L.kernel_dimension == 2
 
 
+def parts_of(size: float, place: float) -> tuple[TriangleMesh, TriangleMesh]:
+    """A body, and it together with a copy of another size at another place."""
+    body = bumpy()
+    points = np.vstack([body.points, size * body.points + place])
+    return body, TriangleMesh(points, np.vstack([body.faces, body.faces + body.n]))
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-3, 1e6])
+@pytest.mark.parametrize("build", MESH_OPERATORS)
+def test_parts_of_any_size_have_the_operator_that_they_have_alone(build, size: float) -> None:
+    body, both = parts_of(size, 3 * max(1, size))
+    alone, L = build(body), build(both)
+    areas = np.bincount(np.repeat([0, 1], len(body.faces)), both.face_areas)
+    masses = np.bincount(np.repeat([0, 1], body.n), L.mass)
+    assert masses == pytest.approx(areas, rel=1e-7)  # of the coordinates far from the origin
+    for part, unit in ((slice(None, body.n), 1.0), (slice(body.n, None), size)):
+        assert abs(L.stiffness[part, part] - alone.stiffness).max() < 1e-7
+        assert L.mass[part] / unit**2 == pytest.approx(alone.mass, rel=1e-7)
+
+
+def test_spectra_of_parts_are_those_of_the_parts_alone() -> None:
+    body, both = parts_of(1e-3, 5.0)
+    alone = eigensolve(robust_laplacian(body), 6).eigenvalues
+    L = robust_laplacian(both)
+    small = L.restricted(np.arange(body.n, both.n))
+    assert eigensolve(small, 6).eigenvalues == pytest.approx(1e6 * alone, rel=1e-6)
+    assert eigensolve(L, 7).eigenvalues == pytest.approx([0, *alone], rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("build", MESH_OPERATORS)
+def test_a_tiny_part_at_the_origin_keeps_its_digits(build) -> None:
+    body = bumpy()
+    tiny = np.vstack([1e-12 * body.points, body.points + 5])
+    L = build(TriangleMesh(tiny, np.vstack([body.faces, body.faces + body.n])))
+    assert abs(L.stiffness[: body.n, : body.n] - build(body).stiffness).max() < 1e-7
+
+
+@pytest.mark.parametrize("exponent", [-420, 7, 420])
+@pytest.mark.parametrize("build", [*OPERATORS, delaunay_laplacian, "cloud"])
+def test_powers_of_two_change_no_bit(build, exponent: int) -> None:
+    body = bumpy()
+    scaled = body.with_points(np.ldexp(body.points, exponent))
+    if build == "cloud":
+        build, body, scaled = delaunay_laplacian, body.as_cloud(), scaled.as_cloud()
+    L, other = build(body), build(scaled)
+    np.testing.assert_array_equal(other.stiffness.toarray(), L.stiffness.toarray())
+    unit = 0 if build is knn_laplacian else 2 * exponent
+    np.testing.assert_array_equal(other.mass, np.ldexp(L.mass, unit))
+
+
+@pytest.mark.parametrize("scale", [1e-320, 1e-160, 1e160, 1e308])
+@pytest.mark.parametrize("cloud", [False, True])
+@pytest.mark.parametrize("build", [*OPERATORS, delaunay_laplacian])
+def test_units_in_which_areas_are_no_numbers_are_refused(build, cloud, scale: float) -> None:
+    body = bumpy()
+    geometry = body.with_points(scale * (body.points / np.abs(body.points).max()))
+    if cloud and build is cotan_laplacian:
+        return
+    with pytest.raises(InvalidInputError, match=r"`geometry` must have an extent between.*unit"):
+        build(geometry.as_cloud() if cloud else geometry)
+
+
+def test_components_so_small_that_their_area_is_no_number_are_refused() -> None:
+    body = bumpy()
+    points = np.vstack([1e-160 * body.points, body.points + 5])
+    both = TriangleMesh(points, np.vstack([body.faces, body.faces + body.n]))
+    with pytest.raises(
+        InvalidInputError, match=r"components of an extent above 1e-130, got one of about 3e-160"
+    ):
+        robust_laplacian(both)
+
+
 def path(n: int = 4) -> sparse.csr_array:
     L = np.diag([1.0] + [2.0] * (n - 2) + [1.0])
     return sparse.csr_array(L - np.eye(n, k=1) - np.eye(n, k=-1))
@@ -186,6 +261,10 @@ BAD = {
     ),
     "bare array": (lambda: robust_laplacian(POINTS), "must be a TriangleMesh or PointCloud"),
     "knn of a bare array": (lambda: knn_laplacian(POINTS), "wrap bare arrays"),
+    "all but coincident": (
+        lambda: delaunay_laplacian(PointCloud([*TRIANGLES, [1e-310, 0, 0]])),
+        "points further apart than 1e-150 of its extent, got two that are closer; drop one",
+    ),
     "knn with an outlier": (
         lambda: knn_laplacian(PointCloud([*bumpy().points, [1e4, 0, 0]])),
         "points without neighbours, such as 642",
@@ -219,6 +298,10 @@ BAD = {
     "few neighbours": (
         lambda: robust_laplacian(PointCloud(POINTS), n_neighbors=2),
         "`n_neighbors` must be at least 3",
+    ),
+    "knn of points too near": (
+        lambda: knn_laplacian(PointCloud([*(1e-170 * bumpy().points), [1, 0, 0]]), n_neighbors=5),
+        "must have neighbours at distances that can be squared, got a median of",
     ),
     "knn too few points": (
         lambda: knn_laplacian(PointCloud(POINTS), n_neighbors=4),

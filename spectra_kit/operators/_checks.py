@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import check_count, quantity
+from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
+from spectra_kit.geometry._units import component_units, power_of_two
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+
+_SMALLEST, _LARGEST = 1e-130, 1e130  # extents, of which squares and products are numbers
 
 
 def check_geometry(geometry: object) -> None:
@@ -15,6 +18,14 @@ def check_geometry(geometry: object) -> None:
         raise InvalidInputError(
             f"`geometry` must be a TriangleMesh or PointCloud, got {type(geometry).__name__};"
             " wrap bare arrays in one of them"
+        )
+
+
+def check_mollify_factor(value: float) -> None:
+    if check_positive("mollify_factor", value) > 1:
+        raise InvalidInputError(
+            f"`mollify_factor` must be at most 1, got {value:g}; 1e-5 is the default, and more"
+            " changes the geometry by as much"
         )
 
 
@@ -43,14 +54,44 @@ def check_cloud_usable(cloud: PointCloud, n_neighbors: int) -> int:
         raise InvalidInputError(
             f"`geometry` must have at least 4 points for a cloud Laplacian, got {cloud.n}"
         )
-    check_distinct(cloud.points)
-    spread = np.linalg.svd(cloud.points - cloud.points.mean(axis=0), compute_uv=False)
+    points = cloud.points / unit_of(cloud)
+    check_distinct(points)
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] <= 1e-9 * spread[0]:
         raise InvalidInputError(
             "`geometry` must be a surface, got points on one line"
             f" (second to first extent {spread[1]:.1e} : {spread[0]:.1e})"
         )
     return min(n_neighbors, cloud.n - 1)
+
+
+def unit_of(geometry: Geometry) -> float:
+    """Return about the longest side of the box around the points, whose square must be a number.
+
+    It is a power of two: coordinates in this unit are not rounded.
+    """
+    with np.errstate(over="ignore"):
+        extent = float(np.ptp(geometry.points, axis=0).max())
+    if not _SMALLEST < extent < _LARGEST:
+        raise InvalidInputError(
+            f"`geometry` must have an extent between {_SMALLEST:g} and {_LARGEST:g}, got"
+            f" {quantity(geometry.n, 'point')} within {extent:g}; choose another unit of length"
+        )
+    return float(power_of_two(extent))
+
+
+def units_of(mesh: TriangleMesh) -> NDArray[np.float64]:
+    """Return such a length for the connected component of each vertex, shape (n,).
+
+    A component that is no larger than a point takes that of the mesh.
+    """
+    unit, units = unit_of(mesh), component_units(mesh)
+    if ((units > 0) & (units <= _SMALLEST)).any():
+        raise InvalidInputError(
+            f"`geometry` must have components of an extent above {_SMALLEST:g}, got one of about"
+            f" {units[units > 0].min():.1g}; drop it, or choose another unit of length"
+        )
+    return np.where(units > 0, units, unit)
 
 
 def check_distinct(points: NDArray[np.float64]) -> None:

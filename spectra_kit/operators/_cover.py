@@ -11,9 +11,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
+
+from spectra_kit.linalg.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -25,7 +26,7 @@ _NONE, _PAIRED = -1, -2
 _AFTER, _BEFORE = (1, 2, 0), (2, 0, 1)  # corners of a triangle
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def side_lengths(points: Floats, triangles: Ints, mollify: float) -> Floats:
     """Return the length of each side ``c`` to ``c + 1`` of each triangle, shape (t, 3).
 
@@ -51,7 +52,7 @@ def side_lengths(points: Floats, triangles: Ints, mollify: float) -> Floats:
     return lengths
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def sides_by_corner(triangles: Ints, n: int) -> tuple[Longs, Ints, Ints]:
     """Sort the sides ``3 t + c`` by their lower corner; return their upper ones beside them.
 
@@ -74,7 +75,7 @@ def sides_by_corner(triangles: Ints, n: int) -> tuple[Longs, Ints, Ints]:
     return starts, sides, uppers
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def pair_sides(triangles: Ints, starts: Longs, sides: Ints, uppers: Ints, twins: Ints) -> bool:
     """Glue the two triangles at each edge; return whether there are two that may be, at all.
 
@@ -104,7 +105,7 @@ def pair_sides(triangles: Ints, starts: Longs, sides: Ints, uppers: Ints, twins:
     return True
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def glue(
     points: Floats,
     triangles: Ints,

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from spectra_kit.geometry._signs import agree_on_signs, symmetric_votes, turn_outwards
 from spectra_kit.geometry.shapes import PointCloud
-from spectra_kit.operators._checks import check_cloud_usable
+from spectra_kit.operators._checks import check_cloud_usable, unit_of
 from spectra_kit.operators._local_delaunay import local_triangles
 
 Floats = NDArray[np.float64]
@@ -28,8 +28,8 @@ def oriented_fans(cloud: PointCloud, n_neighbors: int) -> tuple[Ints, Floats, fl
     n_neighbors = check_cloud_usable(cloud, n_neighbors)
     # Neighbours in space become neighbours in memory; any unit of length becomes about 1.
     order = cKDTree(cloud.points).indices
-    unit = float(np.ptp(cloud.points, axis=0).max())
-    points = (cloud.points[order] - cloud.points.mean(axis=0)) / unit
+    unit = unit_of(cloud)
+    points = cloud.points[order] / unit
     faces = local_triangles(points, n_neighbors)[0].astype(np.int64)
     owners = faces[:, 0]
     a, b, c = (points[faces[:, i]] for i in range(3))

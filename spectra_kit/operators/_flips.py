@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
+
+from spectra_kit.linalg.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -19,7 +20,7 @@ Ints = NDArray[np.int32]
 _ROUNDING = 1e-9  # sums of cotangents this far below zero, relatively, are zero
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def flip_to_delaunay(tails: Ints, lengths: Floats, twins: Ints, most: int) -> bool:
     """Flip edges until the two angles opposite each sum to at most pi; return if all do.
 
@@ -82,7 +83,7 @@ def _flip(tails: Ints, lengths: Floats, twins: Ints, h: int, g: int) -> None:
         twins[new[j]], twins[other] = other, new[j]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def edge_weights(
     tails: Ints, lengths: Floats, twins: Ints, n: int
 ) -> tuple[Ints, Ints, Floats, Floats]:

@@ -11,8 +11,9 @@ from scipy.spatial import cKDTree
 
 from spectra_kit._validate import quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 from spectra_kit.linalg.threads import in_threads
+from spectra_kit.operators._checks import unit_of, units_of
 from spectra_kit.operators._local_delaunay import local_triangles
 
 Floats = NDArray[np.float64]
@@ -28,7 +29,6 @@ _CORNERS, _SIDES = [0, 1, 2, 0, 2, 1], [0, 1, 2, 2, 1, 0]  # of a front and its 
 # Circles through the corners of a triangle are no larger, for the distance of the 30th neighbour,
 # between random points on a sphere; along a boundary they are.
 _WIDE = 1.5
-_SMALLEST, _LARGEST = 1e-130, 1e130  # extents, of which squares and products are numbers
 
 
 class Glued(NamedTuple):
@@ -45,8 +45,8 @@ class Glued(NamedTuple):
 def glued_mesh(mesh: TriangleMesh, mollify_factor: float) -> Glued:
     from spectra_kit.operators._cover import pair_sides, side_lengths, sides_by_corner
 
-    unit = _extent(mesh)
-    points = (mesh.points - mesh.points.mean(axis=0)) / unit
+    unit = units_of(mesh)
+    points = mesh.points / unit[:, None]
     corners = mesh.faces.astype(np.int32)
     lengths = side_lengths(points, corners, mollify_factor)
     sides = sides_by_corner(corners, mesh.n)
@@ -57,7 +57,8 @@ def glued_mesh(mesh: TriangleMesh, mollify_factor: float) -> Glued:
         copies, boundary = 2, mesh.boundary_vertices
     _make_delaunay(corners, lengths, twins)
     stiffness, mass = _laplacian(corners, lengths, twins, mesh.n, copies)
-    return Glued(corners, lengths * unit, copies, boundary, stiffness, mass * unit**2)
+    lengths *= unit[corners[:, :1]]
+    return Glued(corners, lengths, copies, boundary, stiffness, mass * unit**2)
 
 
 def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> Glued:
@@ -65,8 +66,8 @@ def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> G
 
     # Neighbours in space become neighbours in memory; any unit of length becomes about 1.
     order = cKDTree(cloud.points).indices
-    unit = _extent(cloud)
-    points = (cloud.points[order] - cloud.points.mean(axis=0)) / unit
+    unit = unit_of(cloud)
+    points = cloud.points[order] / unit
     triangles, closed, reach = local_triangles(points, n_neighbors)
     lengths = side_lengths(points, triangles, mollify_factor)
     boundary = order[_is_boundary(triangles, lengths, closed, reach)]
@@ -147,14 +148,3 @@ def _is_boundary(triangles: Ints, lengths: Floats, closed: Bools, reach: Floats)
     radii = lengths.prod(axis=1) / (4 * areas(lengths))  # of the circles through the corners
     marked[owners[radii > _WIDE * reach[owners]]] = True
     return marked
-
-
-def _extent(geometry: Geometry) -> float:
-    """Return the longest side of the box around the points, if its square is a number, too."""
-    extent = float(np.ptp(geometry.points, axis=0).max())
-    if not _SMALLEST < extent < _LARGEST:
-        raise InvalidInputError(
-            f"`geometry` must have an extent between {_SMALLEST:g} and {_LARGEST:g}, got"
-            f" {quantity(geometry.n, 'point')} within {extent:g}; choose another unit of length"
-        )
-    return extent

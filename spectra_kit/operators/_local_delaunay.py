@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.threads import in_threads, thread_count
 
 Floats = NDArray[np.float64]
@@ -14,6 +15,7 @@ Bools = NDArray[np.bool_]
 
 _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
 _TIE = 1e-7  # weight of a point, of its squared distance to the nearest: decides between diagonals
+_SMALLEST = 1e-150  # distance of two points, in the unit of the cloud: its square must be a number
 
 
 def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools, Floats]:
@@ -33,6 +35,11 @@ def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools, Floa
     for b in blocks:
         distance, index = tree.query(points[b], n_neighbors + 1, workers=thread_count())
         nearest[b], farthest[b], neighbors[b] = distance[:, 1], distance[:, -1], index[:, 1:]
+    if nearest.min() < _SMALLEST:
+        raise InvalidInputError(
+            f"`geometry` must have points further apart than {_SMALLEST:g} of its extent, got two"
+            " that are closer; drop one of them"
+        )
     # Random but fixed: all stars decide alike between the diagonals of a square.
     ties = _TIE * nearest**2 * np.random.default_rng(0).random(n)
     links, sizes = np.empty_like(neighbors), np.empty(n, dtype=np.int32)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
+
+from spectra_kit.linalg.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -17,7 +18,7 @@ _STRAIGHT = 1e-5  # radians: a gap that close to pi is a boundary, as in robust_
 _PARALLEL = 1e-12  # radians: directions that differ by less are the same, but for rounding
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def stars(
     points: Floats,
     owners: Ints,
@@ -77,7 +78,7 @@ def stars(
             links[row, c] = near[hull[c]]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def triangles(owners: Ints, links: Ints, sizes: Ints, closed: Bools) -> Ints:
     """List the triangles (owner, corner, next corner) of all stars."""
     total = 0

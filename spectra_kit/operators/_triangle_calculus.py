@@ -9,15 +9,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
+
+from spectra_kit.linalg.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def areas(lengths: Floats) -> Floats:
     """Area of each triangle, shape (f,)."""
     found = np.empty(len(lengths))
@@ -26,7 +27,7 @@ def areas(lengths: Floats) -> Floats:
     return found
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def apexes(lengths: Floats) -> Floats:
     """Where corner 2 of each triangle is in its frame, shape (f, 2)."""
     found = np.empty((len(lengths), 2))
@@ -35,7 +36,7 @@ def apexes(lengths: Floats) -> Floats:
     return found
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def gradients(corners: Ints, lengths: Floats, values: Floats) -> Floats:
     """Gradient of the function with `values` at the points, in each triangle's frame."""
     found = np.empty((len(corners), 2))
@@ -47,7 +48,7 @@ def gradients(corners: Ints, lengths: Floats, values: Floats) -> Floats:
     return found
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def divergences(corners: Ints, lengths: Floats, vectors: Floats, n: int) -> Floats:
     """Adjoint of `gradients` for the areas: ``sum_t area <grad hat_i, vector>`` at each point i.
 

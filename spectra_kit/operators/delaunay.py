@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from spectra_kit._checked import checked
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
 
 
+@checked
 def delaunay_laplacian(
     geometry: Geometry, *, mollify_factor: float = 1e-5, n_neighbors: int = 30
 ) -> Laplacian:
@@ -34,6 +36,7 @@ def delaunay_laplacian(
 
     Examples
     --------
+    >>> from spectra_kit import delaunay_laplacian
     >>> from spectra_kit.geometry import sphere
     >>> mesh = sphere(subdivisions=3).geometry
     >>> round(delaunay_laplacian(mesh).area, 2), round(delaunay_laplacian(mesh.as_cloud()).area, 2)

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import (
     Rebuilt,
     check_indices,
@@ -23,6 +24,7 @@ from spectra_kit.operators._checks import (
     check_cloud_usable,
     check_faces_usable,
     check_geometry,
+    check_mollify_factor,
 )
 from spectra_kit.operators._gluing import glued_cloud, glued_mesh
 from spectra_kit.operators.laplacian import Laplacian
@@ -31,7 +33,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Corners = NDArray[np.int32]
 
+_MOST = 0.9  # share of the edges that longer ones do not outweigh
 
+
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class IntrinsicTriangulation(Rebuilt):
     """Triangles known by their corners and side lengths alone, and the Laplacian they make.
@@ -60,6 +65,7 @@ class IntrinsicTriangulation(Rebuilt):
 
     Examples
     --------
+    >>> from spectra_kit import intrinsic_delaunay
     >>> from spectra_kit.geometry import sphere
     >>> triangulation = intrinsic_delaunay(sphere(subdivisions=3).geometry)
     >>> height = triangulation.points[:, 2]
@@ -131,9 +137,17 @@ class IntrinsicTriangulation(Rebuilt):
         return self.share * float(self.face_areas.sum())
 
     @cached_property
-    def mean_edge_length(self) -> float:
-        """Mean length of the edges of the triangulation."""
-        return float(self.lengths.mean())  # without a boundary, each edge is two sides
+    def spacings(self) -> Floats:
+        """Typical length of the edges of each connected component, shape (n_components,).
+
+        Their mean; or, where a few long ones make that larger, what nine of ten do not exceed.
+        Components are those of `laplacian`.
+        """
+        labels = self.laplacian.component_labels[self.corners[:, 0]]
+        order = np.argsort(labels, kind="stable")
+        parts = np.split(self.lengths[order], np.cumsum(np.bincount(labels))[:-1])
+        # Without a boundary, each edge is two sides.
+        return frozen(np.array([min(part.mean(), np.quantile(part, _MOST)) for part in parts]))
 
     def gradient(self, values: ArrayLike) -> Floats:
         """Return the gradient of a piecewise linear function, constant in each triangle.
@@ -184,6 +198,7 @@ class IntrinsicTriangulation(Rebuilt):
         return np.asarray(self.share * divergences(self.corners, self.lengths, field, self.n))
 
 
+@checked
 def intrinsic_delaunay(
     geometry: Geometry, *, mollify_factor: float = 1e-5, n_neighbors: int = 30
 ) -> IntrinsicTriangulation:
@@ -226,12 +241,13 @@ def intrinsic_delaunay(
 
     Each point of a cloud contributes its star in the tangential Delaunay complex (Boissonnat and
     Ghosh, *Manifold reconstruction using tangential Delaunay complexes*, Discrete Comput. Geom.
-    2014), with a third of each triangle's energy and area. `robust_laplacian` glues the triangles
-    of an edge in cyclic order instead; equal ones, of which a consistent triangulation has three,
-    then become pillows that the flips deflate.
+    2014), with a third of each triangle's energy and area. Glued in cyclic order,
+    as by the library robust_laplacian, equal triangles, of which a consistent triangulation has
+    three, would become pillows that the flips deflate.
 
     Examples
     --------
+    >>> from spectra_kit import intrinsic_delaunay
     >>> from spectra_kit.geometry import rectangle
     >>> triangulation = intrinsic_delaunay(rectangle(n=100).geometry)
     >>> round(triangulation.area, 3), len(triangulation.boundary)
@@ -239,7 +255,7 @@ def intrinsic_delaunay(
     """
     start = time.perf_counter()
     check_geometry(geometry)
-    check_positive("mollify_factor", mollify_factor)
+    check_mollify_factor(mollify_factor)
     if isinstance(geometry, TriangleMesh):
         check_faces_usable(geometry)
         glued = glued_mesh(geometry, mollify_factor)

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, check_indices, check_mass, check_points, frozen
 from spectra_kit.errors import InvalidInputError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-#: Eigenvalues below this share of their component's `eigenvalue_spacing` are zero modes.
+#: Eigenvalues below this share of their component's `eigenvalue_spacing` count as zero.
 ZERO_MODE = 1e-8
 
+_ROUNDING = 32 * float(np.finfo(np.float64).eps)  # of a row's sum, relative to its magnitudes
 
+
+@checked
 @dataclass(frozen=True, eq=False)
 class Laplacian(Rebuilt):
     """A symmetric positive semi-definite stiffness matrix L and a lumped mass M on n points.
@@ -53,6 +57,7 @@ class Laplacian(Rebuilt):
     Examples
     --------
     >>> from scipy import sparse
+    >>> from spectra_kit import Laplacian
     >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
     >>> laplacian = Laplacian(path, [1, 1, 1], [[0, 0, 0], [1, 0, 0], [2, 0, 0]])
     >>> laplacian.n, laplacian.n_components
@@ -60,11 +65,13 @@ class Laplacian(Rebuilt):
     """
 
     stiffness: sparse.csr_array
-    mass: Floats
+    mass: Annotated[Floats, sparse.sparray]
     points: Floats
     operator: str = "user"
     seconds: float = 0.0
-    fixed: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    fixed: Annotated[Ints, NDArray[np.bool_]] = field(
+        default_factory=lambda: np.empty(0, dtype=np.int64)
+    )
 
     def __post_init__(self) -> None:
         points = check_points("points", self.points)
@@ -133,19 +140,30 @@ class Laplacian(Rebuilt):
         return int(self.component_labels.max()) + 1
 
     @cached_property
-    def kernel_dimension(self) -> int:
-        """Number of zero modes: components on which constants have no energy.
+    def constant_components(self) -> NDArray[np.bool_]:
+        """Components on which constants have no energy, shape (n_components,).
 
-        Neumann: one for each component. A component that touches a fixed point, or one whose
-        user-made L has a potential, has none. (In float32 the rounding of L looks like one.)
+        Neumann: all. One that touches a fixed point, or whose user-made L has a potential, has
+        none. What the rounding of a row of L can make up is no potential, however large needles
+        make its entries. (In float32 the rounding of L looks like one.)
         """
-        ones = np.zeros(self.n)
-        ones[self.free] = 1.0
-        energy = np.bincount(self.component_labels[self.free], (self.stiffness @ ones)[self.free])
-        areas = np.bincount(self.component_labels[self.free], self.mass[self.free])
-        return int((energy <= ZERO_MODE * self.component_spacings * areas).sum())
+        free, labels = self.free, self.component_labels[self.free]
+        sums = np.asarray(self.stiffness.sum(axis=1))[free]
+        rounding = _ROUNDING * np.asarray(abs(self.stiffness).sum(axis=1))[free]
+        energy = np.bincount(labels, np.sign(sums) * np.maximum(np.abs(sums) - rounding, 0.0))
+        areas = np.bincount(labels, self.mass[free])
+        found = energy <= ZERO_MODE * self.component_spacings * areas
+        if len(self.fixed):
+            beside = np.diff(self.stiffness[free][:, self.fixed].indptr) > 0
+            found[labels[beside]] = False
+        return frozen(found)
 
-    def dirichlet(self, vertices: ArrayLike) -> Laplacian:
+    @property
+    def kernel_dimension(self) -> int:
+        """Number of zero modes: of the `constant_components`, each has one."""
+        return int(self.constant_components.sum())
+
+    def dirichlet(self, vertices: Annotated[ArrayLike, NDArray[np.bool_]]) -> Laplacian:
         """Return the same operator with u = 0 at `vertices`: indices, or a mask of shape (n,).
 
         Examples
@@ -162,6 +180,11 @@ class Laplacian(Rebuilt):
 
     def restricted(self, indices: Ints) -> Laplacian:
         """Return the operator on the points `indices` alone, the others held at zero."""
+        indices = check_indices("indices", indices, self.n)
+        if indices.ndim != 1 or not len(indices):
+            raise InvalidInputError(
+                f"`indices` must be a vector of at least one point, got shape {indices.shape}"
+            )
         return Laplacian(
             sparse.csr_array(self.stiffness[indices][:, indices]),
             self.mass[indices],

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import (
     Rebuilt,
     check_count,
@@ -25,7 +26,7 @@ from spectra_kit._validate import (
 )
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.operators._checks import check_faces_usable, check_geometry
+from spectra_kit.operators._checks import check_faces_usable, check_geometry, units_of
 from spectra_kit.operators._fans import oriented_fans
 
 Floats = NDArray[np.float64]
@@ -37,6 +38,7 @@ _FLAT = 1e-9
 _OPEN = 0.005  # the same where there is a boundary, seen from the middle
 
 
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class OrientedTriangles(Rebuilt):
     """Triangles that all run counter-clockwise, seen from one side of the surface.
@@ -63,6 +65,7 @@ class OrientedTriangles(Rebuilt):
 
     Examples
     --------
+    >>> from spectra_kit.operators import OrientedTriangles
     >>> triangles = OrientedTriangles([[0, 1, 2]], [1.0], [0.5], 3)
     >>> triangles.reversed().faces
     array([[0, 2, 1]])
@@ -95,6 +98,7 @@ class OrientedTriangles(Rebuilt):
         return replace(self, faces=self.faces[:, [0, 2, 1]])
 
 
+@checked
 def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> OrientedTriangles:
     """Return triangles of a surface that all turn the same way round.
 
@@ -135,7 +139,9 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
 
     Examples
     --------
+    >>> from spectra_kit import TriangleMesh
     >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.operators import area_form, oriented_triangles
     >>> mesh = sphere(subdivisions=3).geometry
     >>> inside_out = TriangleMesh(mesh.points, mesh.faces[:, ::-1])
     >>> print(area_form(oriented_triangles(inside_out), mesh.points)[0, 1, 2])
@@ -153,8 +159,9 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
 def _of_mesh(mesh: TriangleMesh) -> OrientedTriangles:
     check_faces_usable(mesh)
     piece, closed = _pieces(mesh)
-    volume = np.bincount(piece, _signed_volumes(mesh.points, mesh.faces, piece))
-    area = np.bincount(piece, mesh.face_areas)
+    unit = units_of(mesh)
+    volume = np.bincount(piece, _signed_volumes(mesh.points / unit[:, None], mesh.faces, piece))
+    area = np.bincount(piece, mesh.face_areas / unit[mesh.faces[:, 0]] ** 2)
     inside = np.where(closed, _FLAT, _OPEN) * area**1.5
     turned = (volume < -inside)[piece]
     faces = np.where(turned[:, None], mesh.faces[:, [0, 2, 1]], mesh.faces)
@@ -199,6 +206,7 @@ def _signed_volumes(points: Floats, faces: Ints, piece: Ints) -> Floats:
     return np.asarray(np.einsum("fr,fr->f", a, np.cross(b, c)) / 6)
 
 
+@checked
 def area_form(oriented: OrientedTriangles, functions: ArrayLike) -> Floats:
     """Integrate ``f_a df_b ^ df_c`` for all triples of functions.
 
@@ -233,6 +241,7 @@ def area_form(oriented: OrientedTriangles, functions: ArrayLike) -> Floats:
     The volume of a body is the integral of x dy ^ dz over its surface:
 
     >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.operators import area_form, oriented_triangles
     >>> mesh = sphere(subdivisions=4).geometry
     >>> form = area_form(oriented_triangles(mesh), mesh.points)
     >>> print(form[0, 1, 2], form[0, 2, 1])
@@ -251,6 +260,7 @@ def area_form(oriented: OrientedTriangles, functions: ArrayLike) -> Floats:
     return form
 
 
+@checked
 def orientation_operator(
     oriented: OrientedTriangles, basis: ArrayLike, functions: ArrayLike
 ) -> Floats:
@@ -284,6 +294,7 @@ def orientation_operator(
     Examples
     --------
     >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.operators import orientation_operator, oriented_triangles
     >>> mesh = sphere(subdivisions=4).geometry
     >>> operators = orientation_operator(oriented_triangles(mesh), mesh.points, mesh.points)
     >>> operators[0].round(2) + 0.0
@@ -303,6 +314,7 @@ def orientation_operator(
     return operators
 
 
+@checked
 def skew(oriented: OrientedTriangles, f: ArrayLike, g: ArrayLike) -> Floats:
     """Return ``n · (grad f x grad g)`` at the points: it changes sign in a mirror.
 
@@ -328,6 +340,7 @@ def skew(oriented: OrientedTriangles, f: ArrayLike, g: ArrayLike) -> Floats:
     --------
     >>> import numpy as np
     >>> from spectra_kit.geometry import rectangle
+    >>> from spectra_kit.operators import oriented_triangles, skew
     >>> mesh = rectangle(n=100).geometry
     >>> x, y = mesh.points[:, 0], mesh.points[:, 1]
     >>> bool(np.allclose(skew(oriented_triangles(mesh), 2 * x, y), 2))
