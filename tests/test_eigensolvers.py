@@ -46,7 +46,6 @@ def test_contract(backend: Backend, any_laplacian: Laplacian) -> None:
     assert (s.n, s.k) == (any_laplacian.n, K)
     assert s.certificate.orthonormality_error < 1e-10
     assert s.certificate.relative_residuals.max() < backend.residual
-    assert s.certificate.kernel_is_complete(K)
     assert s.certificate.n_zero_modes == any_laplacian.kernel_dimension
     assert (s.eigenvectors[any_laplacian.fixed] == 0).all()
     assert s.residuals(any_laplacian) == pytest.approx(s.certificate.residuals)
@@ -227,7 +226,6 @@ def test_very_different_strengths() -> None:
 def test_fewer_modes_than_components() -> None:
     s = eigensolve(robust_laplacian(two_parts()), 1)
     assert (s.k, s.n_zero_modes) == (1, 1)
-    assert s.certificate.kernel_is_complete(1)
 
 
 @pytest.mark.parametrize("k", [41, 42])
@@ -264,7 +262,7 @@ def test_k_counts_free_points() -> None:
 
 @pytest.mark.parametrize("solver", [Arpack, "arpack", None])
 def test_not_a_solver(solver, bumpy_laplacian: Laplacian) -> None:
-    with pytest.raises(InvalidInputError, match=r"`solver` must have a method eigenpairs"):
+    with pytest.raises(InvalidInputError, match="`solver` must be an Eigensolver, got"):
         eigensolve(bumpy_laplacian, 4, solver)
 
 
@@ -277,7 +275,7 @@ def test_indefinite_matrices_are_named() -> None:
 
 
 def test_not_a_laplacian() -> None:
-    with pytest.raises(InvalidInputError, match="must be a Laplacian, got TriangleMesh"):
+    with pytest.raises(InvalidInputError, match="must be a Laplacian, got a TriangleMesh"):
         eigensolve(bumpy(), 4)  # type: ignore[arg-type]
 
 
@@ -401,13 +399,16 @@ def test_dense_refuses_what_would_not_fit(bumpy_laplacian: Laplacian) -> None:
     [
         (lambda: Arpack(shift=0), "`shift` must be positive"),
         (lambda: Arpack(tol=-1), r"`tol` must be a number in \[0, 1\)"),
-        (lambda: Arpack(tol="tight"), r"`tol` must be a number in \[0, 1\), got 'tight'"),
+        (lambda: Arpack(tol="tight"), "`tol` must be a number, got 'tight'"),
         (lambda: Arpack(seed=None), "`seed` must be an integer, got None"),
         (lambda: Lobpcg(seed=-1), "`seed` must be at least 0"),
         (lambda: AmbientFourier(seed=-1), "`seed` must be at least 0"),
         (lambda: Dense(max_points=0), "`max_points` must be at least 1"),
-        (lambda: RayleighRitz(subspace=None), "`subspace` must be a function"),
-        (lambda: Union(3), "`parts` must hold at least one subspace"),
+        (
+            lambda: RayleighRitz(subspace=None),
+            "`subspace` must be a Subspace, .* no function of points",
+        ),
+        (lambda: Union(3), "`parts` must be a Subspace, got 3"),
         (lambda: Arpack(max_restarts=0), "`max_restarts` must be at least 1"),
         (lambda: Lobpcg(rtol=0), "`rtol` must be positive"),
         (lambda: Lobpcg(preconditioner="ilu"), "`preconditioner` must be 'cholesky' or 'amg'"),
@@ -442,6 +443,7 @@ def test_rayleigh_ritz_of_an_exact_span_is_exact(bumpy_laplacian: Laplacian) -> 
     assert s.certificate.relative_residuals.max() < 1e-7
 
 
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_a_larger_subspace_lowers_every_ritz_value(bumpy_laplacian: Laplacian) -> None:
     basis = AmbientFourier(m=200, bandwidth=4.0)(bumpy_laplacian.points, bumpy_laplacian.mass)
     values = [
@@ -568,6 +570,7 @@ def test_more_poses_lower_every_ritz_value() -> None:
     assert error[2] < 0.5 * error[0]
 
 
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_neo_joined_with_plane_waves_beats_both() -> None:
     laplacian = robust_laplacian(creature(3000, seed=0))
     exact = eigensolve(laplacian, 60).eigenvalues[1:]
@@ -586,7 +589,7 @@ def test_neo_joined_with_plane_waves_beats_both() -> None:
 
 
 def test_neo_refuses_unknown_weights_and_options() -> None:
-    with pytest.raises(WeightsError, match="weights must be one of"):
+    with pytest.raises(WeightsError, match="must be one of"):
         Neo(weights="huge")
     with pytest.raises(InvalidInputError, match="`poses` must be 1, 2 or 4"):
         Neo(poses=3)  # type: ignore[arg-type]

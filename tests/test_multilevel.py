@@ -173,7 +173,7 @@ def test_capped_checks_what_its_subspace_returns(laplacian):
 
 def test_capped_refuses_options(laplacian):
     for options, match in (
-        ({"subspace": 3}, "`subspace` must be a function"),
+        ({"subspace": 3}, "`subspace` must be a Subspace or None, .* no function of points"),
         ({"n_points": 1}, "n_points"),
         ({"sweeps": -1}, "sweeps"),
         ({"smoothing": -1}, "smoothing"),

@@ -169,6 +169,7 @@ def test_short_of_the_tolerance(laplacian, method: str) -> None:
     partial = e.value.partial
     assert partial.k == K
     made_it = (partial.certificate.relative_residuals <= 1e-8).sum()
+    assert e.value.n_converged == made_it
     assert f"{made_it} of 40 modes reached rtol = 1e-08 in 2 sweeps" in str(e.value)
     assert partial.provenance.iterations == 2
 
@@ -179,6 +180,13 @@ def test_tolerance_below_rounding(laplacian, exact) -> None:
     partial = e.value.partial
     assert partial.certificate.relative_residuals.max() < 1e-10
     assert partial.eigenvalues == pytest.approx(exact.eigenvalues[:K], rel=1e-11, abs=1e-11)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rounding_is_recognised_however_it_falls(bumpy_laplacian, seed: int) -> None:
+    """Residuals that are rounding fall as often as they rise: that is no progress."""
+    with pytest.raises(ConvergenceError, match="rounding stops them; loosen `rtol`"):
+        eigensolve(bumpy_laplacian, K, Refined(rtol=1e-14, seed=seed))
 
 
 @pytest.mark.parametrize(
@@ -226,6 +234,7 @@ def test_indefinite_operator(laplacian) -> None:
         factor_below(-laplacian.stiffness, laplacian.mass, 1.0)
 
 
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_polish_gains_with_each_sweep_and_degree(laplacian, exact) -> None:
     start = AmbientFourier(m=100, bandwidth=4.0)
 
@@ -253,6 +262,7 @@ def test_sweeps_converge_at_the_rate_of_chebyshev(laplacian, exact) -> None:
             AmbientFourier(m=60, bandwidth=4.0)(laplacian.points, laplacian.mass),
             K,
             tolerance=np.zeros_like,
+            spacing=laplacian.eigenvalue_spacing,
             block=block,
             degree=degree,
             max_sweeps=sweeps,

@@ -10,13 +10,15 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
+from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigsh
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, check_positive, quantity
-from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError
+from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg import SparseCholesky
+from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
 
 Floats = NDArray[np.float64]
@@ -26,6 +28,7 @@ Factor = TypeVar("Factor")
 _DENSE_RATIO = 3
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Arpack:
     """Implicitly restarted Lanczos (ARPACK) in shift-invert mode, exact to rounding.
@@ -41,7 +44,7 @@ class Arpack:
         sigma = -shift * `Laplacian.eigenvalue_spacing`: below the spectrum, and the same
         for a shape in millimetres or metres, at any resolution.
     seed : int, default 0
-        Of the start vector: same input, same output.
+        Of the start vector: same input and number of threads, same output.
     max_restarts : int, default 1000
         Lanczos restarts before giving up.
 
@@ -59,7 +62,7 @@ class Arpack:
 
     Examples
     --------
-    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit import Arpack, eigensolve, robust_laplacian
     >>> from spectra_kit.geometry import sphere
     >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
     >>> eigensolve(laplacian, 4, Arpack()).eigenvalues[1:].round(2)
@@ -70,6 +73,11 @@ class Arpack:
     shift: float = 0.1
     seed: int = 0
     max_restarts: int = 1000
+
+    @property
+    def accuracy(self) -> Accuracy:
+        """See `Eigensolver`."""
+        return "to tolerance" if self.tol else "exact"
 
     def __post_init__(self) -> None:
         check_positive("shift", self.shift)
@@ -97,22 +105,29 @@ class Arpack:
             dtype=np.float64,
         )
         v0 = np.random.default_rng(self.seed).standard_normal(laplacian.n)
+        ncv = min(laplacian.n, max(2 * k, k + 20)) if k < 40 else k + k // 2 + 10
         try:
-            values, vectors = eigsh(
-                inverse,
-                k,
-                which="LA",
-                v0=v0,
-                ncv=min(laplacian.n, max(2 * k, k + 20)) if k < 40 else k + k // 2 + 10,
-                tol=self.tol,
-                maxiter=self.max_restarts,
-            )
+            with blas_threads_for(laplacian.n * ncv):
+                values, vectors = eigsh(
+                    inverse,
+                    k,
+                    which="LA",
+                    v0=v0,
+                    ncv=ncv,
+                    tol=self.tol,
+                    maxiter=self.max_restarts,
+                )
         except ArpackNoConvergence as error:
             pairs = Eigenpairs(unit / error.eigenvalues + sigma, error.eigenvectors / root[:, None])
             raise NotConvergedError(
                 f"ARPACK found {len(error.eigenvalues)} of {quantity(k, 'mode')} in"
                 f" {quantity(self.max_restarts, 'restart')}; raise `max_restarts`, or loosen `tol`",
                 pairs,
+            ) from error
+        except ArpackError as error:  # such as no shift that it could apply, within a wide cluster
+            raise NotConvergedError(
+                f"{error}; more equal eigenvalues than Lanczos has room for do this: ask for more"
+                " modes, or use Multilevel or Refined"
             ) from error
         return Eigenpairs(
             unit / values + sigma,

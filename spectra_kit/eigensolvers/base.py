@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from spectra_kit.operators.laplacian import Laplacian
 
 Floats = NDArray[np.float64]
+
+#: What a backend goes on for: until rounding, until the residuals asked for, or so much work.
+Accuracy = Literal["exact", "to tolerance", "approximate"]
 
 
 class Eigenpairs(NamedTuple):
@@ -34,12 +37,17 @@ class Eigenpairs(NamedTuple):
     iterations: int | None = None
 
 
+@runtime_checkable
 class Eigensolver(Protocol):
     """A backend: a frozen dataclass of its hyper-parameters with this one method.
 
     Only `eigensolve` calls it: with a Neumann-like `Laplacian` that is connected (or, where points
     were fixed, one connected part of the free points), and 1 <= k <= n. It then checks, sorts and
     certifies what comes back, so a backend does none of that.
+
+    A backend may have two more attributes. ``accuracy`` says what its answers are (`Accuracy`):
+    where they are to be exact or to a tolerance, `eigensolve` counts the eigenvalues and completes
+    what was missed, unless ``factor_free`` is true, for backends that are taken to avoid a factor.
     """
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs | tuple[Floats, Floats]:
@@ -48,15 +56,23 @@ class Eigensolver(Protocol):
         Raises
         ------
         NotConvergedError
-            With the pairs that did converge; `eigensolve` certifies them and raises
-            `ConvergenceError`.
+            With the pairs there are; `eigensolve` certifies them and raises `ConvergenceError`.
         """
         ...
 
 
 class NotConvergedError(Exception):
-    """A backend stopped short; carries the `Eigenpairs` that it trusts (possibly none)."""
+    """A backend stopped short; carries the `Eigenpairs` that it has (possibly none).
 
-    def __init__(self, message: str, pairs: Eigenpairs | None = None) -> None:
+    `converged` says which of them reached the tolerance, (k,) of bool; all do without it.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        pairs: Eigenpairs | None = None,
+        converged: NDArray[np.bool_] | None = None,
+    ) -> None:
         super().__init__(message)
         self.pairs = pairs
+        self.converged = converged

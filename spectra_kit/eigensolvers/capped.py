@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count
-from spectra_kit.eigensolvers.base import Eigenpairs
+from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz, basis_with_kernel
 from spectra_kit.eigensolvers.refined import Polished, plane_waves
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels import coarse_iteration, coarse_ritz, coarsen, smoothed
 from spectra_kit.linalg.products import spmm
-from spectra_kit.linalg.ritz import ritz_rotation
+from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import Subspace, restricted
 
 _GUARD = 0.5  # columns that are swept beyond k, relative to k
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Capped:
     """Evaluate a subspace on a well-spread subset, solve there, and carry the modes to all points.
@@ -58,7 +61,7 @@ class Capped:
 
     Examples
     --------
-    >>> from spectra_kit import Arpack, eigensolve, robust_laplacian
+    >>> from spectra_kit import Arpack, Capped, eigensolve, robust_laplacian
     >>> from spectra_kit.geometry import creature
     >>> laplacian = robust_laplacian(creature(6000, seed=0))
     >>> exact, capped = (eigensolve(laplacian, 40, s) for s in (Arpack(), Capped(n_points=2000)))
@@ -66,6 +69,7 @@ class Capped:
     True
     """
 
+    accuracy: ClassVar[Accuracy] = "approximate"
     subspace: Subspace | None = None
     n_points: int = 4096
     sweeps: int = 1
@@ -99,8 +103,12 @@ class Capped:
         values = pairs.eigenvalues[:k]
         vectors = np.asarray(spmm(level.prolongation, pairs.eigenvectors[:, :k]))
         if self.smoothing:
-            vectors = smoothed(laplacian, values, vectors, degree=self.smoothing)
-            values, vectors = ritz_rotation(laplacian.stiffness, laplacian.mass, vectors)
+            smooth = smoothed(laplacian, values, vectors, degree=self.smoothing)
+            L, mass = laplacian.stiffness, laplacian.mass
+            try:
+                values, vectors = ritz_rotation(L, mass, smooth)
+            except InvalidInputError:  # what they had beyond others was rough
+                values, vectors, _ = ritz_pairs(L, mass, np.hstack([smooth, vectors]), k)
         return Eigenpairs(
             values,
             vectors,

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import eigh
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count
-from spectra_kit.eigensolvers.base import Eigenpairs
+from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Dense:
     """LAPACK on the dense ``M^-1/2 L M^-1/2``: O(n^3) time, 8 n^2 bytes.
@@ -30,13 +34,14 @@ class Dense:
 
     Examples
     --------
-    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit import Dense, eigensolve, robust_laplacian
     >>> from spectra_kit.geometry import sphere
     >>> laplacian = robust_laplacian(sphere(subdivisions=2).geometry)
     >>> eigensolve(laplacian, 4, Dense()).eigenvalues[1:].round(1)
     array([2., 2., 2.])
     """
 
+    accuracy: ClassVar[Accuracy] = "exact"
     max_points: int = 20_000
 
     def __post_init__(self) -> None:
@@ -52,6 +57,7 @@ class Dense:
         start = time.perf_counter()
         root = np.sqrt(laplacian.mass)
         standard = laplacian.stiffness.toarray() / root / root[:, None]
-        values, vectors = eigh(standard, subset_by_index=[0, k - 1], overwrite_a=True)
+        with blas_threads_for(standard.size):
+            values, vectors = eigh(standard, subset_by_index=[0, k - 1], overwrite_a=True)
         pairs = values, vectors / root[:, None]
         return Eigenpairs(*pairs, {"dense": time.perf_counter() - start})

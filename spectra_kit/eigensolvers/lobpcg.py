@@ -5,28 +5,32 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.arpack import shifted_factor
-from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError
+from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.rayleigh_ritz import basis_with_kernel
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.linalg import SparseLDL, orthonormalize
+from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import Subspace, restricted
 
 Floats = NDArray[np.float64]
 
 _DENSE_RATIO = 5  # below this multiple of the block the trial space is most of the whole space
+_NEXT = 1e-2  # relative residual by which the mode after the wanted ones is known not to be lower
 _GUARD = 0.15  # extra vectors relative to k: the last wanted modes converge at their gap to these
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Lobpcg:
     """LOBPCG with a Cholesky or an algebraic multigrid preconditioner.
@@ -42,7 +46,9 @@ class Lobpcg:
         A sparse factor of the shifted operator, or smoothed aggregation (needs pyamg), whose
         memory grows only linearly.
     start : Subspace, optional
-        Where to start from, such as a `NeoSubspace`; random (seeded) without it.
+        Where to start from, such as a `NeoSubspace`; random (seeded) without it. Random columns
+        join it, for modes of which it holds nothing; under "amg", where nothing is counted, until
+        they find no lower one.
     shift : float, default 0.1
         Of the preconditioner, as in `Arpack`.
     seed : int, default 0
@@ -63,13 +69,14 @@ class Lobpcg:
 
     Examples
     --------
-    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit import Lobpcg, eigensolve, robust_laplacian
     >>> from spectra_kit.geometry import sphere
     >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
     >>> eigensolve(laplacian, 4, Lobpcg()).eigenvalues[1:].round(2)
     array([2., 2., 2.])
     """
 
+    accuracy: ClassVar[Accuracy] = "to tolerance"
     rtol: float = 1e-8
     max_steps: int = 200
     preconditioner: Literal["cholesky", "amg"] = "cholesky"
@@ -87,11 +94,20 @@ class Lobpcg:
                 f"`preconditioner` must be 'cholesky' or 'amg', got {self.preconditioner!r}"
             )
 
+    @property
+    def factor_free(self) -> bool:
+        """See `Eigensolver`."""
+        return self.preconditioner == "amg"
+
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
         block = k + max(4, round(_GUARD * k))
         if _DENSE_RATIO * block >= laplacian.n:
             return Dense().eigenpairs(laplacian, k)
+        with blas_threads_for(3 * block * laplacian.n):
+            return self._iterated(laplacian, k, block)
+
+    def _iterated(self, laplacian: Laplacian, k: int, block: int) -> Eigenpairs:
         begin = time.perf_counter()
         # The standard form: orthonormality is Euclidean, and the residual is that of `Certificate`.
         root = np.sqrt(laplacian.mass)
@@ -100,14 +116,28 @@ class Lobpcg:
         precondition = self._preconditioner(laplacian, root)
         prepared = time.perf_counter()
         spacing = laplacian.eigenvalue_spacing
-        values, vectors, residual, steps = lobpcg(
-            standard,
-            orthonormalize(root[:, None] * self._start(laplacian, block), np.ones(laplacian.n)),
-            precondition,
-            tolerance=lambda values: self.rtol * np.maximum(values, spacing),
-            k=k,
-            max_steps=self.max_steps,
-        )
+        known = self._predicted(laplacian, k)
+        searching = self.factor_free and self.start is not None
+        noise, steps, before = np.random.default_rng(self.seed), 0, np.inf
+        while True:
+            guards = noise.standard_normal((laplacian.n, block - known.shape[1]))
+            columns = orthonormalize(root[:, None] * np.hstack([known, guards]), np.ones(len(root)))
+            values, vectors, residual, taken = lobpcg(
+                standard,
+                columns,
+                precondition,
+                tolerance=self._tolerance(k, spacing),
+                k=k + 1 if searching else k,
+                max_steps=self.max_steps - steps,
+            )
+            steps += taken
+            trace = float(values[:k].sum())
+            # Random columns hold some of every mode; what was predicted may lack some. Where no
+            # count will tell, new random columns must not find any that is lower.
+            if not searching or steps == self.max_steps or trace >= before * (1 - self.rtol):
+                break
+            known, before = vectors[:, :k] / root[:, None], trace
+        values, vectors, residual = values[:k], vectors[:, :k], residual[:k]
         relative = residual / np.maximum(values, spacing)
         good = relative <= self.rtol
         pairs = Eigenpairs(
@@ -129,15 +159,23 @@ class Lobpcg:
         """Return this solver for the points `rows` of its Laplacian alone."""
         return self if self.start is None else replace(self, start=restricted(self.start, rows))
 
-    def _start(self, laplacian: Laplacian, block: int) -> Floats:
-        """Return `block` M-orthonormal start vectors."""
-        x = np.random.default_rng(self.seed).standard_normal((laplacian.n, block))
+    def _tolerance(self, k: int, spacing: float) -> Callable[[Floats], Floats]:
+        """Return how large the residual norm of each Ritz value may be."""
+        beyond = max(self.rtol, _NEXT) if self.factor_free else self.rtol
+
+        def tolerance(values: Floats) -> Floats:
+            share = np.where(np.arange(len(values)) < k, self.rtol, beyond)
+            return np.asarray(share * np.maximum(values, spacing))
+
+        return tolerance
+
+    def _predicted(self, laplacian: Laplacian, k: int) -> Floats:
+        """Return the k lowest Ritz vectors of the start, or all there are; none without a start."""
         if self.start is None:
-            return x
+            return np.empty((laplacian.n, 0))
         Y = orthonormalize(basis_with_kernel(self.start, laplacian), laplacian.mass)
         projected = Y.T @ (laplacian.stiffness @ Y)
-        ritz = Y @ np.linalg.eigh((projected + projected.T) / 2)[1][:, :block]
-        return np.hstack([ritz, x[:, ritz.shape[1] :]])
+        return np.asarray(Y @ np.linalg.eigh((projected + projected.T) / 2)[1][:, :k])
 
     def _preconditioner(self, laplacian: Laplacian, root: Floats) -> Callable[[Floats], Floats]:
         """Return an approximate inverse of the shifted operator, in the standard form."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, check_positive
-from spectra_kit.eigensolvers.base import Eigenpairs
+from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.eigensolvers.refined import Refined, block_size
 from spectra_kit.levels import Coarse, CoarsePairs, coarse_iteration, coarse_ritz, coarsen
 from spectra_kit.linalg.products import spmm
@@ -22,6 +24,7 @@ _ROOM = 4  # points of a level, relative to the block: with fewer it has no low 
 _SETTLED = 0.01  # change of the coarsest Ritz values in the last sweep; the next gains nothing
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Multilevel:
     """Solve on a small subset of the points, carry the modes to more points, and refine them.
@@ -51,8 +54,8 @@ class Multilevel:
     InvalidInputError
         If a parameter is out of range.
     ConvergenceError
-        (from `eigensolve`) if the tolerance was not reached; ``partial`` holds the modes that
-        reached it.
+        (from `eigensolve`) if the tolerance was not reached; ``partial`` holds all k modes as they
+        are, and ``n_converged`` says how many reached it.
 
     Notes
     -----
@@ -64,7 +67,7 @@ class Multilevel:
 
     Examples
     --------
-    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit import Multilevel, eigensolve, robust_laplacian
     >>> from spectra_kit.geometry import sphere
     >>> laplacian = robust_laplacian(sphere(subdivisions=4).geometry)
     >>> spectrum = eigensolve(laplacian, 25, Multilevel())
@@ -72,6 +75,7 @@ class Multilevel:
     True
     """
 
+    accuracy: ClassVar[Accuracy] = "to tolerance"
     rtol: float = 1e-6
     coarsest: int = 2048
     ratio: int = 12
@@ -141,6 +145,7 @@ def level_sizes(n: int, block: int, *, coarsest: int, ratio: int) -> list[int]:
 
     Examples
     --------
+    >>> from spectra_kit.eigensolvers.multilevel import level_sizes
     >>> level_sizes(600_000, 144, coarsest=2048, ratio=12)
     [24576, 2048]
     """
@@ -167,10 +172,13 @@ def coarse_start(levels: list[Coarse], k: int, block: int, *, seed: int) -> Floa
     """
     bottom = levels[-1]
     noise = np.random.default_rng(seed).standard_normal((bottom.n, block))
-    pairs = coarse_iteration(bottom, coarse_ritz(bottom, noise, block), k, rtol=_SETTLED)
+    pairs = coarse_ritz(bottom, noise, 1, guard=block - 1)  # what the level has room for
+    pairs = coarse_iteration(bottom, pairs, k, rtol=_SETTLED, least=1)
     start = np.asarray(spmm(bottom.prolongation, pairs.eigenvectors))
     for level in levels[-2::-1]:
         # Ritz values and orthonormality carry over: the levels are nested.
-        pairs = coarse_iteration(level, CoarsePairs(pairs.eigenvalues, start), k, max_sweeps=1)
+        pairs = coarse_iteration(
+            level, CoarsePairs(pairs.eigenvalues, start), k, max_sweeps=1, least=1
+        )
         start = np.asarray(spmm(level.prolongation, pairs.eigenvectors))
     return start

@@ -6,12 +6,13 @@ import os
 import time
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, check_count, check_positive
-from spectra_kit.eigensolvers.base import Eigenpairs
+from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.operators.laplacian import Laplacian
 
@@ -19,13 +20,15 @@ if TYPE_CHECKING:
     from spectra_kit.neo import NeoSubspace
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Neo(Rebuilt):
     """The Neural Eigenspace Operator: predicts a subspace, then Rayleigh-Ritz on the same device.
 
-    Approximate; the certificate says by how much. Every connected component is predicted on its
-    own, in its own canonical frame. Components with at most twice as many points as the subspace
-    has functions are solved exactly by LAPACK.
+    Approximate; the certificate says by how much, but not whether a mode was passed over of which
+    the basis holds nothing, as on plates far thinner than long (`verify` shows it). Every connected
+    component is predicted on its own, in its own canonical frame. Components with at most twice as
+    many points as the subspace has functions are solved exactly by LAPACK.
 
     Parameters
     ----------
@@ -63,7 +66,7 @@ class Neo(Rebuilt):
 
     Examples
     --------
-    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit import Neo, eigensolve, robust_laplacian
     >>> from spectra_kit.geometry import creature
     >>> laplacian = robust_laplacian(creature(3000, seed=0))
     >>> exact, predicted = eigensolve(laplacian, 96), eigensolve(laplacian, 96, Neo())
@@ -71,6 +74,7 @@ class Neo(Rebuilt):
     True
     """
 
+    accuracy: ClassVar[Accuracy] = "approximate"
     weights: str | os.PathLike[str] = "small"
     poses: Literal[1, 2, 4] = 1
     device: str = "cpu"

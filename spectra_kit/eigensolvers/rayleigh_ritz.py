@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_positive
-from spectra_kit.eigensolvers.base import Eigenpairs
+from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels import Coarse
@@ -20,6 +22,7 @@ from spectra_kit.subspaces import AmbientFourier, Subspace, restricted
 Floats = NDArray[np.float64]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class RayleighRitz:
     """Turn a subspace into an eigensolver; approximate, and certified like any other.
@@ -46,9 +49,13 @@ class RayleighRitz:
     constants have no energy the constant function is added to the basis, so that the zero
     mode is exact.
 
+    Nothing is promised beyond that. A mode of which the subspace holds nothing is passed over, and
+    the residuals of the others do not tell: plane waves hardly vary across a plate that is thin
+    beside their wavelength, so modes odd across it are missing. `verify` shows it.
+
     Examples
     --------
-    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit import RayleighRitz, eigensolve, robust_laplacian
     >>> from spectra_kit.geometry import sphere
     >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
     >>> from spectra_kit.subspaces import AmbientFourier
@@ -57,6 +64,7 @@ class RayleighRitz:
     array([2., 2., 2.])
     """
 
+    accuracy: ClassVar[Accuracy] = "approximate"
     subspace: Subspace = field(default_factory=AmbientFourier)
     rank_tol: float = 1e-10
 

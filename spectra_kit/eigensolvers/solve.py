@@ -6,40 +6,55 @@ import hashlib
 import math
 import time
 import traceback
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import check_count
+from spectra_kit._checked import checked
+from spectra_kit._validate import check_count, quantity
 from spectra_kit._version import VERSION
+from spectra_kit.eigensolvers._units import Units
 from spectra_kit.eigensolvers.arpack import Arpack
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
+from spectra_kit.eigensolvers.doubts import warn_of_doubts, with_excess
+from spectra_kit.eigensolvers.refined import Refined
+from spectra_kit.eigensolvers.verification import count_modes, verify
 from spectra_kit.errors import (
     ConvergenceError,
     InvalidInputError,
     InvalidSpectrumError,
     OutOfMemoryError,
 )
+from spectra_kit.linalg.orthonormal import RankError
+from spectra_kit.linalg.ritz import ritz_rotation
+from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.spectrum import Provenance, Spectrum
-from spectra_kit.subspaces import restricted
+from spectra_kit.subspaces import GivenBasis, RandomBasis, Union, restricted
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _ORTHONORMAL = 1e-6  # a spectrum further from M-orthonormal is refused
 _NEGATIVE = 1e-6  # eigenvalues down to -this times the spacing are rounding, and become 0
-_CONSTANT = 1e-6  # a first mode this close to the constant is the constant, up to rounding
+_CONSTANT = 1e-6  # modes that span the constant but for this share of it span it, up to rounding
+_ROUNDS = 8  # counts, with a search for what is missing between them; two are enough as a rule
+_BEST = 1e-13  # relative residuals not to ask for less than
+_NEAR = 10  # modes that complete an exact spectrum may have residuals so many times those it has
 
 
+@checked
 def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> Spectrum:  # noqa: B008
     """Compute the k lowest modes of a Laplacian with the backend of your choice, and certify them.
 
     Each connected component is solved on its own and the modes are merged: as many exact zero
     modes as components, however different their sizes, no coupling through rounding, and a learned
-    backend sees the single surfaces it knows. Where constants have no energy, a first mode that is
-    constant up to rounding is replaced by the constant itself, with eigenvalue 0.
+    backend sees the single surfaces it knows. Where constants have no energy and the modes span
+    them up to rounding, the first mode is the constant itself, with eigenvalue 0.
+
+    A shape beyond 1e9 or below 1e-9 in size is measured in a unit of its own, a power of two, which
+    changes no digit; what is a function of the points sees them in it.
 
     Parameters
     ----------
@@ -48,8 +63,8 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
     k : int
         Number of modes, zero modes included; at most the number of free points.
     solver : Eigensolver, default Arpack()
-        `Arpack`, `Multilevel`, `Refined`, `Lobpcg`, `Dense`; approximate: `Neo`, `Polished`,
-        `RayleighRitz`; or your own.
+        `Arpack`, `Multilevel`, `Refined`, `Lobpcg`, `Dense`; approximate: `Neo`, `Capped`,
+        `Polished`, `RayleighRitz`; or your own.
 
     Returns
     -------
@@ -61,13 +76,20 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
     InvalidInputError
         If `k` is not an integer in [1, n_free].
     ConvergenceError
-        If an iterative backend stopped short; ``partial`` holds the certified modes it had, and
-        those of the components solved before. Modes may be missing between them.
+        If an iterative backend stopped short; ``partial`` holds the certified modes it had, of
+        which ``n_converged`` had converged, and those of the components solved before. Modes may
+        be missing between them.
     InvalidSpectrumError
         If the backend returned pairs of the wrong shape, not M-orthonormal, or negative.
     OutOfMemoryError
         If the backend needs more memory than there is; ``partial`` holds the certified modes of
         the components solved before.
+
+    Warns
+    -----
+    DoubtfulSpectrumWarning
+        If eigenvalues of an approximate backend are proved to be more than 10 % too high, by
+        smoothing its modes (`Certificate.excess`). No warning is no proof that they are not.
 
     Examples
     --------
@@ -79,22 +101,14 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
     >>> bool(spectrum.certificate.relative_residuals.max() < 1e-8)
     True
     """
-    if isinstance(solver, type) or not callable(getattr(solver, "eigenpairs", None)):
-        raise InvalidInputError(
-            f"`solver` must have a method eigenpairs(laplacian, k), got {solver!r};"
-            " pass an instance, such as Arpack()"
-        )
-    if not isinstance(laplacian, Laplacian):
-        raise InvalidInputError(
-            f"`laplacian` must be a Laplacian, got {type(laplacian).__name__};"
-            " build one with robust_laplacian(geometry)"
-        )
     n_free = len(laplacian.free)
     if check_count("k", k, low=1) > n_free:
         raise InvalidInputError(
             f"`k` must be at most the number of free points, {n_free}, got {k}; ask for fewer modes"
             " or sample more points"
         )
+    if any(units := Units.of(laplacian)):
+        return _in_units(units, laplacian, k, solver)
     start = time.perf_counter()
     name = repr(solver)  # before the work: a name that can't be told must not cost the result
     tally = _Tally()
@@ -102,7 +116,10 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
         pairs = _solve_components(laplacian, k, solver, tally)
     except NotConvergedError as error:
         partial = _rescued(laplacian, k, solver, name, tally, start)
-        raise ConvergenceError(f"{name}: {error}", partial=partial) from error
+        n_converged = 0 if partial is None else partial.k - _open_modes(error, partial)
+        raise ConvergenceError(
+            f"{name}: {error}", partial=partial, n_converged=n_converged
+        ) from error
     except MemoryError as error:
         traceback.clear_frames(error.__traceback__)  # its arrays make room for what is rescued
         try:
@@ -115,7 +132,74 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
             " Refined(method='chebyshev') or Lobpcg(preconditioner='amg')",
             partial=partial,
         ) from error
-    return _pack(laplacian, pairs, solver, name, tally, start)
+    spectrum = _pack(laplacian, pairs, solver, name, tally, start)
+    promised = spectrum.provenance.accuracy in ("exact", "to tolerance")
+    if not promised or getattr(solver, "factor_free", False):
+        warn_of_doubts(spectrum)
+        return spectrum
+    return _complete(spectrum, laplacian, solver, name, tally, start)
+
+
+def _in_units(units: Units, laplacian: Laplacian, k: int, solver: Eigensolver) -> Spectrum:
+    """Solve in units of the shape's own: beyond 1e9 and below 1e-9, squares leave float32."""
+
+    def given(spectrum: Spectrum) -> Spectrum:
+        spectrum = units.given_to(spectrum)
+        provenance = replace(spectrum.provenance, input_hash=_fingerprint(laplacian))
+        return spectrum.described(spectrum.certificate, provenance)
+
+    try:
+        return given(eigensolve(units.taken_from(laplacian), k, solver))
+    except (ConvergenceError, OutOfMemoryError) as error:
+        error.partial = error.partial and given(error.partial)
+        raise
+
+
+def _complete(
+    spectrum: Spectrum,
+    laplacian: Laplacian,
+    solver: Eigensolver,
+    name: str,
+    tally: _Tally,
+    start: float,
+) -> Spectrum:
+    """Count the eigenvalues, and go on from what was found until none is missing.
+
+    Lanczos from one vector and blocks from a start that lacks something converge to true modes
+    and may pass over others: copies of an eigenvalue, odd modes of a start that is even.
+    """
+    k, added, why = spectrum.k, 0, "use another solver"
+    for seed in range(_ROUNDS):
+        begin = time.perf_counter()
+        count = replace(count_modes(spectrum, laplacian), added=added)
+        tally.book("count", time.perf_counter() - begin)
+        assert spectrum.certificate is not None
+        counted = spectrum.described(
+            replace(spectrum.certificate, count=count),
+            replace(spectrum.provenance, seconds=_seconds(laplacian, tally, start)),
+        )
+        if not count.missing:
+            return counted
+        room = _NEAR if spectrum.provenance.accuracy == "exact" else 1
+        rtol = float(room * spectrum.certificate.relative_residuals.max())
+        found = Union(GivenBasis(spectrum.eigenvectors), RandomBasis(m=count.missing, seed=seed))
+        refined = Refined(start=found, rtol=min(max(rtol, _BEST), 0.1), seed=seed)
+        # More than wanted: what is missing may first come up just above the last one found.
+        wider = min(k + 2 * count.missing, len(laplacian.free))
+        try:
+            pairs = _solve_components(laplacian, wider, refined, tally)
+        except (NotConvergedError, MemoryError) as error:
+            why = str(error) or "out of memory"
+            break
+        added = max(added, count.missing)
+        pairs = Eigenpairs(pairs.eigenvalues[:k], pairs.eigenvectors[:, :k])
+        spectrum = _pack(laplacian, pairs, solver, name, tally, start)
+    raise ConvergenceError(
+        f"{name}: at least {quantity(count.missing, 'mode')} of the lowest {k} were passed over"
+        f" ({count.reason}), and could not be found: {why}",
+        partial=verify(counted, laplacian),
+        n_converged=k,
+    )
 
 
 @dataclass
@@ -127,10 +211,14 @@ class _Tally:
     seconds: dict[str, float] = field(default_factory=dict)
     iterations: int | None = None
 
+    def book(self, stage: str, seconds: float) -> None:
+        """Add wall time to a stage."""
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+
     def add(self, pairs: Eigenpairs, seconds: float) -> None:
         """Count one component, which took so many `seconds` where its solver does not say."""
         for stage, spent in (pairs.seconds or {"solve": seconds}).items():
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + spent
+            self.book(stage, spent)
         if pairs.iterations is not None:
             self.iterations = (self.iterations or 0) + pairs.iterations
 
@@ -142,12 +230,14 @@ def _solve_components(
     whole = laplacian.n_components == 1 and not len(laplacian.fixed)
     parts = tally.parts = [laplacian.free] if whole else _component_indices(laplacian)
     areas = np.array([laplacian.mass[part].sum() for part in parts])
+    most = [min(len(part), k) for part in parts]
     # Weyl: a component's share of the low modes is about its share of the area.
     wanted = [
-        min(len(part), k, math.ceil(1.1 * k * share) + 6)
-        for part, share in zip(parts, areas / areas.sum(), strict=True)
+        min(room, math.ceil(1.1 * k * share) + 6)
+        for room, share in zip(most, areas / areas.sum(), strict=True)
     ]
     due = list(range(len(parts)))
+    lacking: RankError | None = None
     while due:
         for i in due:
             part = laplacian if whole else laplacian.restricted(parts[i])
@@ -158,16 +248,28 @@ def _solve_components(
                 if error.pairs is not None:
                     tally.solved[i] = error.pairs
                 raise
+            except RankError as error:  # columns of all parts together may have few on this one
+                if len(parts) == 1 or getattr(solver, "accuracy", "") != "approximate":
+                    raise
+                lacking, most[i] = error, min(error.rank, wanted[i] - 1)
+                wanted[i] = most[i]
+                tally.solved[i] = _solve_connected(part, wanted[i], own, tally)
         found = [tally.solved[i].eigenvalues for i in range(len(parts))]
         cut = np.sort(np.concatenate(found))[k - 1 : k]
         # A component whose last mode is below the cut may hold more modes below it: ask for more.
         due = [
             i
             for i, values in enumerate(found)
-            if wanted[i] < min(len(parts[i]), k) and (not len(cut) or values.max() < cut[0])
+            if wanted[i] < most[i] and (not len(cut) or values.max() < cut[0])
         ]
         for i in due:
-            wanted[i] = min(len(parts[i]), k, 2 * wanted[i])
+            wanted[i] = min(most[i], 2 * wanted[i])
+    if lacking is not None and not len(cut):
+        raise InvalidInputError(
+            f"the basis of {solver!r} must span at least k = {k} dimensions on all"
+            f" {quantity(len(parts), 'component')} together, got"
+            f" {sum(len(values) for values in found)}; ask for fewer modes or use a larger basis"
+        ) from lacking
     merged = tally.solved[0] if whole else _merge(tally, laplacian.n, k)
     tally.solved.clear()  # gigabytes, while the merged ones are certified
     return merged
@@ -189,7 +291,7 @@ def _merge(tally: _Tally, n: int, k: int) -> Eigenpairs:
     values = np.concatenate([p.eigenvalues for p in pairs])
     owner = np.repeat(np.arange(len(pairs)), [len(p.eigenvalues) for p in pairs])
     column = np.concatenate([np.arange(len(p.eigenvalues)) for p in pairs])
-    lowest = np.argsort(values, kind="stable")[:k]
+    lowest = np.lexsort((column, values))[:k]  # where values are equal, constants come first
     vectors = np.zeros((n, len(lowest)))
     for j, source in enumerate(lowest):
         part = owner[source]
@@ -205,11 +307,21 @@ def _rescued(
     return _pack(laplacian, pairs, solver, name, tally, start) if len(pairs.eigenvalues) else None
 
 
+def _open_modes(error: NotConvergedError, partial: Spectrum) -> int:
+    """How many of the modes rescued are among those that had not converged."""
+    if error.pairs is None or error.converged is None:
+        return 0
+    values = np.asarray(error.pairs.eigenvalues)[~error.converged]
+    return int((values <= partial.eigenvalues[-1]).sum())
+
+
 def _solve_connected(
     laplacian: Laplacian, k: int, solver: Eigensolver, tally: _Tally
 ) -> Eigenpairs:
     """Call the backend on one component, check the form of its answer, and sort it."""
     start = time.perf_counter()
+    if k == 0:
+        return Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)))
     if laplacian.n == 1:  # an isolated point: nothing to solve
         value = laplacian.stiffness.diagonal() / laplacian.mass
         return Eigenpairs(value, 1 / np.sqrt(laplacian.mass)[:, None])
@@ -224,6 +336,10 @@ def _solve_connected(
         raise InvalidSpectrumError(
             f"{solver!r} must return shapes ({k},) and ({laplacian.n}, {k}),"
             f" got {values.shape} and {vectors.shape}"
+        )
+    if values.dtype.kind not in "fiu" or vectors.dtype.kind not in "fiu":
+        raise InvalidSpectrumError(
+            f"{solver!r} must return real numbers, got {values.dtype} and {vectors.dtype}"
         )
     tally.add(pairs, time.perf_counter() - start)
     order = np.argsort(values, kind="stable")
@@ -241,13 +357,26 @@ def _with_exact_constant(laplacian: Laplacian, values: Floats, vectors: Floats) 
     """Take the rounding out of the zero mode of a connected Neumann operator.
 
     Its error is relative to the largest eigenvalue, which beside a much larger component would
-    make it look like a mode of its own.
+    make it look like a mode of its own. Where further eigenvalues are as good as zero, rounding
+    mixes their modes with the constant: these are turned until one of them is the constant, the
+    others solved for once more.
     """
     constant = 1 / np.sqrt(laplacian.area)
-    cosine = constant * (laplacian.mass @ vectors[:, 0])
-    if laplacian.kernel_dimension and abs(abs(cosine) - 1) < _CONSTANT:
-        values, vectors = values.copy(), vectors.copy()
-        values[0], vectors[:, 0] = 0.0, np.sign(cosine) * constant
+    with blas_threads_for(vectors.size):
+        cosines = constant * (laplacian.mass @ vectors)
+    if not laplacian.kernel_dimension or not abs(cosines @ cosines - 1) <= _CONSTANT:
+        return Eigenpairs(values, vectors)
+    near = np.abs(cosines) >= min(_CONSTANT, np.abs(cosines).max())
+    values, vectors = values.copy(), vectors - constant * cosines
+    # The first axis goes to the constant, the others span what else these modes span.
+    axes = np.linalg.qr(cosines[near, None], mode="complete")[0]
+    others = ritz_rotation(laplacian.stiffness, laplacian.mass, vectors[:, near] @ axes[:, 1:])
+    values[near] = np.append(-1.0, np.maximum(others[0], 0.0))  # the constant comes first
+    vectors[:, near] = np.column_stack([np.full(laplacian.n, constant), others[1]])
+    order = np.argsort(values, kind="stable")
+    if not np.array_equal(order, np.arange(len(order))):
+        values, vectors = values[order], vectors[:, order]
+    values[0] = 0.0
     return Eigenpairs(values, vectors)
 
 
@@ -272,25 +401,25 @@ def _pack(
         raise InvalidSpectrumError(
             f"{name} returned modes that are not M-orthonormal: |U^T M U - I| is {error:.2e}"
         )
-    certified = time.perf_counter()
-    other = max(solved - start - sum(tally.seconds.values()), 0.0)
+    spectrum = with_excess(spectrum, laplacian)
+    tally.book("certify", time.perf_counter() - solved)
     provenance = Provenance(
         solver=name,
         operator=laplacian.operator,
         seed=None if (seed := getattr(solver, "seed", None)) is None else int(seed),
-        seconds={
-            "assembly": laplacian.seconds,
-            **tally.seconds,
-            "other": other,
-            "certify": certified - solved,
-        },
+        seconds=_seconds(laplacian, tally, start),
         input_hash=_fingerprint(laplacian),
         version=VERSION,
         iterations=tally.iterations,
+        accuracy=getattr(solver, "accuracy", ""),
     )
-    return Spectrum(
-        spectrum.eigenvalues, spectrum.eigenvectors, spectrum.mass, spectrum.certificate, provenance
-    )
+    return spectrum.described(spectrum.certificate, provenance)
+
+
+def _seconds(laplacian: Laplacian, tally: _Tally, start: float) -> dict[str, float]:
+    """Wall time by stage, what is in none of them included."""
+    other = time.perf_counter() - start - sum(tally.seconds.values())
+    return {"assembly": laplacian.seconds, **tally.seconds, "other": max(other, 0.0)}
 
 
 def _fingerprint(laplacian: Laplacian) -> str:

@@ -10,21 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from spectra_kit._checked import checked
+from spectra_kit.eigensolvers.doubts import with_excess
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg import SparseLDL
+from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.spectrum import ModeCount, Spectrum
 
 Floats = NDArray[np.float64]
 
 _EPS = float(np.finfo(np.float64).eps)
-# How far above a mode to put a shift, in units of `Laplacian.eigenvalue_spacing`: as close as the
-# rounding of the factor allows, for what is missing may be close as well.
+# How far from a mode to put a shift, in units of the eigenvalue or the spacing, whatever is less:
+# as close as the rounding of the factor allows, for what is missing may be close as well.
 _ABOVE = (1e-3, 1e-2, 1e-1)
 _APART = 1e-2  # modes whose radius exceeds this many spacings need a wider gap above them
 _INSIDE = 0.1  # that gap must be wider than the radius by 1 / this
+_CLUSTER = 1e-2  # modes within this share of them are as good as one eigenvalue, which k may cut
 
 
+@checked
 def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     """Return `spectrum` with a certificate of which modes are the lowest, none missed.
 
@@ -43,8 +48,8 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     Spectrum
         With ``certificate.level == "verified"`` if every mode is proved to be the one it is taken
         for. Otherwise ``certificate.count`` tells how many leading modes are, and why not more: a
-        mode was missed, k cuts a cluster of eigenvalues, or the residuals are too wide (as those
-        of a prediction are) to tell one eigenvalue from the next.
+        mode was missed, or the residuals are too wide (as those of a prediction are) to tell one
+        eigenvalue from the next. A cluster that k cuts counts as verified, to within its width.
 
         Zero modes belong to the lowest: verify first, then drop them by `Spectrum.nonzero`.
 
@@ -68,7 +73,7 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
 
     Examples
     --------
-    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit import eigensolve, robust_laplacian, verify
     >>> from spectra_kit.geometry import sphere
     >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
     >>> verified = verify(eigensolve(laplacian, 9), laplacian)
@@ -86,29 +91,72 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     1
     """
     start = time.perf_counter()
-    certified = spectrum.certify(laplacian)
+    certified = with_excess(spectrum.certify(laplacian), laplacian)
     assert certified.certificate is not None
-    count = _Prover.of(spectrum, laplacian).prove()
-    lacking = min(laplacian.kernel_dimension, spectrum.k) - certified.certificate.n_zero_modes
-    if count.reason and lacking > 0:
-        reason = (
-            f"{lacking} of {laplacian.kernel_dimension} zero modes are not in this spectrum (if"
-            f" `nonzero` dropped them: verify first, then drop them); {count.reason}"
-        )
-        count = replace(count, reason=reason)
+    count = _counted(certified, laplacian, thorough=True)
+    if spectrum.certificate is not None and spectrum.certificate.count is not None:
+        count = replace(count, added=spectrum.certificate.count.added)
     seconds = {**spectrum.provenance.seconds, "verify": time.perf_counter() - start}
+    return certified.described(
+        replace(certified.certificate, count=count), replace(spectrum.provenance, seconds=seconds)
+    )
+
+
+def count_modes(spectrum: Spectrum, laplacian: Laplacian) -> ModeCount:
+    """Return what one or two counts prove, as `eigensolve` makes them of what is to be exact.
+
+    Where a factor does not fit into memory nothing is proved, and the reason says so.
+    """
+    try:
+        return _counted(spectrum, laplacian, thorough=False)
+    except MemoryError as error:  # the modes are there, and must not be lost for it
+        reason = f"not counted: {str(error) or 'out of memory'}"
+        return ModeCount(verified=0, radius=0.0, floor=0.0, reason=reason)
+
+
+def _counted(spectrum: Spectrum, laplacian: Laplacian, *, thorough: bool) -> ModeCount:
+    """Return what counts prove of a certified spectrum, zero modes included."""
+    count = _Prover.of(spectrum, laplacian).prove(thorough=thorough)
+    certificate = spectrum.certificate
+    assert certificate is not None
+    lacking = min(certificate.kernel_dimension, spectrum.k) - certificate.n_zero_modes
+    if lacking <= 0:
+        return count
+    reason = (
+        f"{lacking} of {certificate.kernel_dimension} zero modes are not in this spectrum (if"
+        " `nonzero` dropped them: verify first, then drop them)"
+    )
     return replace(
-        certified,
-        certificate=replace(certified.certificate, count=count),
-        provenance=replace(spectrum.provenance, seconds=seconds),
+        count,
+        verified=min(count.verified, certificate.n_zero_modes),
+        missing=max(count.missing, lacking),
+        reason=f"{reason}; {count.reason}" if count.reason else reason,
     )
 
 
 class _Below(NamedTuple):
-    """At most `number` eigenvalues lie below `floor`."""
+    """At most `number` eigenvalues lie below `floor`, and `certain` ones below `ceiling`."""
 
     number: int
     floor: float
+    certain: int
+    ceiling: float
+
+
+class _Proof(NamedTuple):
+    """The first `verified` modes are the lowest to within `radius`, the others above `floor`."""
+
+    verified: int = 0
+    radius: float = 0.0
+    floor: float = 0.0
+
+
+class _Refuted(NamedTuple):
+    """More than `at` eigenvalues may lie `below`; of the lowest, so many are certainly missing."""
+
+    at: int = 0
+    below: _Below | None = None
+    missing: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +175,8 @@ class _Prover:
         The eigenvalues found, ascending, in 1/length^2.
     radii : ndarray of shape (k,)
         The first j + 1 of them are within ``radii[j]`` of as many true ones, in 1/length^2.
+    zeros : int, default 0
+        So many leading modes are in the kernel, below which there is nothing.
     """
 
     stiffness: sparse.csr_array
@@ -134,10 +184,13 @@ class _Prover:
     spacing: float
     values: Floats
     radii: Floats
+    zeros: int = 0
 
     @classmethod
     def of(cls, spectrum: Spectrum, laplacian: Laplacian) -> _Prover:
-        free = laplacian.free
+        """Of a certified spectrum."""
+        free, certificate = laplacian.free, spectrum.certificate
+        assert certificate is not None
         if len(laplacian.fixed):
             vectors = spectrum.eigenvectors[free]
             spectrum = Spectrum(spectrum.eigenvalues, vectors, spectrum.mass[free])
@@ -147,65 +200,114 @@ class _Prover:
             laplacian.mass,
             laplacian.eigenvalue_spacing,
             spectrum.eigenvalues,
-            _radii(spectrum, laplacian),
+            _radii(spectrum, laplacian, certificate.residuals),
+            certificate.n_zero_modes,
         )
 
-    def prove(self) -> ModeCount:
-        """Find the largest number of leading modes that a count confirms."""
+    def prove(self, *, thorough: bool = True) -> ModeCount:
+        """Find the largest number of leading modes that a count confirms.
+
+        Without `thorough`, stop after the counts that settle it where nothing is missing: above
+        the last mode and, where k cuts a cluster, below this cluster.
+        """
+        k = len(self.values)
+        if 0 < k <= self.zeros:
+            return ModeCount(verified=k, radius=float(self.radii[-1]), floor=0.0)
         candidates = self._candidates()
-        proved, radius, floor = 0, 0.0, 0.0
-        refuted: _Below | None = None
-        refuted_at = 0
-        # What was missed below a shift was missed below every higher one: bisect, but look at the
-        # last two first. They are all there is to do where nothing, or only a cluster cut by k,
-        # is missing.
-        low, high = -1, len(candidates)
+        count, refuted = _Proof(), _Refuted()
+        if candidates and candidates[-1] == k:
+            count, refuted = self._settle(k, count, refuted)
+            candidates.pop()
+        if count.verified < k:
+            # Where nothing is missing, only the last cluster may be cut by k: look below it, and
+            # close to it, for what is missing lies lower.
+            tail = candidates[-1] if candidates else 0
+            count, refuted = self._settle(tail, count, refuted, below_next=True)
+        # What was missed below a shift was missed below every higher one.
+        low, high = -1, len(candidates) if thorough and count.verified < k else 0
         while low < high - 1:
-            probe = high - 1 if high > len(candidates) - 2 else (low + high) // 2
+            probe = (low + high) // 2
             j = candidates[probe]
-            below = self._count(j)
-            if below is not None and below.number == j:
-                low, proved, radius, floor = probe, j, float(self.radii[j - 1]), below.floor
-            else:
-                high = probe
-                if below is not None:
-                    refuted, refuted_at = below, j
-        reason = "" if proved == len(self.values) else self._reason(proved, refuted, refuted_at)
-        return ModeCount(verified=proved, radius=radius, floor=floor, reason=reason)
+            if count.verified < j:
+                count, refuted = self._settle(j, count, refuted)
+            low, high = (probe, high) if count.verified >= j else (low, probe)
+        reason = "" if count.verified == k else self._reason(count.verified, refuted)
+        return ModeCount(
+            verified=count.verified,
+            radius=count.radius,
+            floor=count.floor,
+            missing=refuted.missing,
+            reason=reason,
+        )
+
+    def _settle(
+        self, j: int, proof: _Proof, refuted: _Refuted, *, below_next: bool = False
+    ) -> tuple[_Proof, _Refuted]:
+        """Count the eigenvalues between mode j and the next, and draw the conclusion."""
+        k = len(self.values)
+        below = self._count(j, below_next=below_next)
+        if below is None:
+            return proof, refuted
+        if below.number == j:
+            radius = float(self.radii[j - 1]) if j else 0.0
+            # All that come later are at least the floor, and at most what was found: where that
+            # leaves no room to speak of, they are the next ones too, whatever else is up there.
+            width = float(self.values[-1] + self.radii[-1] - below.floor)
+            if j < k and width <= _CLUSTER * self.values[-1]:
+                return _Proof(k, max(radius, width), below.floor), refuted
+            return max(proof, _Proof(j, radius, below.floor)), refuted
+        surplus = below.certain - j if j < k and below.ceiling < self.values[j] else 0
+        return proof, _Refuted(j, below, max(surplus, refuted.missing))
 
     def _candidates(self) -> list[int]:
         """Return all j so that the first j modes are well apart from the next; k, if it may be."""
-        gap = np.append(np.diff(self.values), _APART / _INSIDE * self.spacing)
-        apart = (gap > 2 * _ABOVE[0] * self.spacing) & (self.radii < _INSIDE * gap)
+        units = np.array([self._unit(j) for j in range(1, len(self.values) + 1)])
+        gap = np.append(np.diff(self.values), _APART / _INSIDE * units[-1:])
+        apart = (gap > 2 * _ABOVE[0] * units) & (self.radii < _INSIDE * gap)
         return [int(j) for j in np.flatnonzero(apart) + 1]
 
-    def _count(self, j: int) -> _Below | None:
-        """Count the eigenvalues below the first shift that rounding leaves above j modes."""
-        mode, radius = self.values[j - 1], self.radii[j - 1]
-        ceiling = self.values[j] if j < len(self.values) else np.inf
-        for above in _ABOVE:
-            sigma = float(mode + max(above * self.spacing, 2 * radius))
-            if sigma >= ceiling:
-                break
+    def _count(self, j: int, *, below_next: bool = False) -> _Below | None:
+        """Count the eigenvalues below the first shift that rounding leaves between j modes."""
+        lowest = float(self.values[j - 1] + self.radii[j - 1]) if j else -np.inf
+        highest = float(self.values[j]) if j < len(self.values) else np.inf
+        for sigma in self._shifts(j, below_next):
+            if not lowest < sigma < highest:
+                continue
             try:
                 shifted = sparse.csr_array(self.stiffness - sigma * sparse.diags_array(self.mass))
                 factor = SparseLDL(shifted, definite=False)
             except InvalidInputError:  # a zero pivot: this shift is as good as an eigenvalue
                 continue
-            floor = float(sigma - factor.backward_error(self.mass) - _rounding(self, sigma))
-            if floor > mode + radius:
+            error = factor.backward_error(self.mass) + _rounding(self, sigma)
+            if sigma - error > lowest:
                 # What counts as zero may be negative: no more than both lie below.
-                return _Below(factor.inertia.negative + factor.inertia.zero, floor)
+                negative, zero, _ = factor.inertia
+                return _Below(negative + zero, sigma - error, negative, sigma + error)
         return None
 
-    def _reason(self, proved: int, refuted: _Below | None, at: int) -> str:
+    def _shifts(self, j: int, below_next: bool) -> list[float]:
+        """Return where to count, close above the first j modes or close below the next."""
+        i, sign = (j, -1) if below_next else (j - 1, 1)
+        steps = np.maximum(self._unit(j) * np.array(_ABOVE), 2 * self.radii[i])
+        return list(dict.fromkeys((self.values[i] + sign * steps).tolist()))
+
+    def _unit(self, j: int) -> float:
+        """Return what is small between mode j - 1 and mode j, in 1/length^2.
+
+        Low eigenvalues of long shapes, of parts that hardly touch and beside steep potentials lie
+        far below the spacing, which the operator has as a whole.
+        """
+        value = float(self.values[min(j, len(self.values) - 1)])
+        return min(self.spacing, value) if value > 0 else self.spacing
+
+    def _reason(self, proved: int, refuted: _Refuted) -> str:
         """Say why no more than `proved` modes are verified."""
-        k = len(self.values)
-        if refuted is not None and refuted.number > at:
-            cut = ", or k cuts a cluster (ask for a few more)" if at == k else ""
+        at, below = refuted.at, refuted.below
+        if below is not None:
+            cut = ", or k cuts a cluster (ask for a few more)" if at == len(self.values) else ""
             return (
-                f"{refuted.number} eigenvalues were counted below {refuted.floor:.6g}, where the"
-                f" spectrum has {at} modes: some beyond the first {proved} are missing{cut}"
+                f"{below.number} eigenvalues were counted where the spectrum has {at} modes: some"
+                f" beyond the first {proved} are missing{cut}"
             )
         wide = np.flatnonzero(self.radii > _APART * self.spacing)
         if np.isinf(self.radii).any():
@@ -216,7 +318,8 @@ class _Prover:
         if len(wide):
             return (
                 f"from mode {wide[0]} on, the residuals and the error of orthonormality add up to"
-                f" {self.radii[wide[0]]:.3g}, too wide to tell an eigenvalue from the next;"
+                f" {self.radii[wide[0]] / self.spacing:.3g} times the typical gap between"
+                " eigenvalues, too wide to tell one from the next;"
                 " refine the modes (if they are exact, degenerate faces make rounding this large)"
             )
         return "rounding in the factor of L - sigma M was too large for every shift tried"
@@ -227,14 +330,15 @@ def _rounding(prover: _Prover, sigma: float) -> float:
     return float(_EPS * (sigma + np.abs(prover.stiffness.diagonal() / prover.mass).max()))
 
 
-def _radii(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
+def _radii(spectrum: Spectrum, laplacian: Laplacian, residuals: Floats) -> Floats:
     """Return, for each j, how far the first j + 1 eigenvalues can be from true ones; (k,).
 
     Infinite from the first mode on that is not orthonormal to those before it.
     """
     U, mass = spectrum.eigenvectors, laplacian.mass
     k = spectrum.k
-    squared = (U.T @ (mass[:, None] * U) - np.eye(k)) ** 2
+    with blas_threads_for(U.size):
+        squared = (U.T @ (mass[:, None] * U) - np.eye(k)) ** 2
     # Of each leading block of U^T M U - I, the Frobenius norm; with the rounding of the sums of
     # n products: at most (n + 1) eps in each entry, and j + 1 times that in the norm of a block.
     rounded = (len(mass) + 1) * _EPS * np.arange(1, k + 1)
@@ -245,7 +349,7 @@ def _radii(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
     asymmetry = scale @ abs(laplacian.stiffness - laplacian.stiffness.T) @ scale
     longest = int(np.diff(laplacian.stiffness.indptr).max())
     rounding = (longest + 4) * _EPS * magnitude.sum(axis=1).max() + asymmetry.sum(axis=1).max()
-    residual = np.sqrt(np.cumsum((spectrum.residuals(laplacian) + rounding) ** 2))
+    residual = np.sqrt(np.cumsum((residuals + rounding) ** 2))
     # With Q = U (U^T M U)^-1/2 in place of U, commuting with Lambda costs at most lambda * skew.
     radii = (1 + skew) ** 2 * (residual + spectrum.eigenvalues * skew)
     return np.where(skew < 0.5, radii, np.inf)

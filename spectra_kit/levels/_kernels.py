@@ -8,9 +8,10 @@ are not distorted by the edges.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
+
+from spectra_kit.linalg.compiled import compiled
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -18,7 +19,7 @@ Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def cover(starts: Ints, neighbours: Ints, points: Floats, radius: float) -> Ints:
     """Return centres whose connected balls of `radius` cover all points.
 
@@ -67,7 +68,7 @@ def cover(starts: Ints, neighbours: Ints, points: Floats, radius: float) -> Ints
     return centres[:count].copy()
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def balls(
     starts: Ints, neighbours: Ints, points: Floats, centres: Longs, radius: float
 ) -> tuple[Longs, Ints]:
@@ -107,7 +108,7 @@ def balls(
     return ends, members[:total].copy()
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def transposed(ends: Longs, members: Ints, n: int) -> tuple[Longs, Ints]:
     """Return the `n` columns of the sparse matrix that `balls` makes, each ascending."""
     starts = np.zeros(n + 1, np.int64)
@@ -125,7 +126,7 @@ def transposed(ends: Longs, members: Ints, n: int) -> tuple[Longs, Ints]:
     return starts, rows
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def interpolate(
     points: Floats,
     centres: Floats,
@@ -222,7 +223,7 @@ def _diagonalize(matrix: Floats, axes: Floats) -> None:
                     axes[a, p], axes[a, q] = c * x - s * y, s * x + c * y
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def residual_rows(
     starts: Ints,
     neighbours: Ints,
@@ -248,7 +249,7 @@ def residual_rows(
             out[i, c] = row[c]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def smoothing_step(
     starts: Ints,
     neighbours: Ints,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from spectra_kit._validate import Brief
 from spectra_kit.levels.interpolation import prolongation
 from spectra_kit.levels.subset import Subset, well_spread
 from spectra_kit.operators.laplacian import Laplacian
@@ -16,7 +17,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Coarse:
+class Coarse(Brief):
     """An operator restricted to functions that a subset of its points determines.
 
     A function u on the subset stands for ``prolongation @ u`` on all points: energies and inner
@@ -91,8 +92,10 @@ def coarsen(operator: Laplacian | Coarse, n_points: int) -> Coarse:
 
     Examples
     --------
+    >>> import numpy as np
     >>> from spectra_kit import robust_laplacian
     >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.levels import coarsen
     >>> laplacian = robust_laplacian(sphere(subdivisions=4).geometry)
     >>> level = coarsen(laplacian, 500)
     >>> bool(np.isclose(level.mass.sum(), laplacian.area))

@@ -50,7 +50,7 @@ def prolongation(operator: Operator, subset: Subset) -> sparse.csr_array:
     --------
     >>> from spectra_kit import robust_laplacian
     >>> from spectra_kit.geometry import sphere
-    >>> from spectra_kit.levels import well_spread
+    >>> from spectra_kit.levels import prolongation, well_spread
     >>> laplacian = robust_laplacian(sphere(subdivisions=4).geometry)
     >>> subset = well_spread(laplacian, 500)
     >>> carried = prolongation(laplacian, subset) @ laplacian.points[subset.indices]

@@ -45,6 +45,7 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
     --------
     >>> from spectra_kit import eigensolve, robust_laplacian
     >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.levels import smoothed
     >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
     >>> exact = eigensolve(laplacian, 4)
     >>> u = smoothed(laplacian, exact.eigenvalues, exact.eigenvectors)
@@ -82,4 +83,6 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
             ((*fixed, old, direction, new, keep, step, *rows) for rows in pairwise(cuts)),
         )
         old, new = new, old
+    # Of a mode far above the frequencies that are damped, steps may grow until they overflow.
+    old[:, ~np.isfinite(old).all(axis=0)] = 0.0
     return np.asarray(vectors + old)

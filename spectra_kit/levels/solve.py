@@ -7,17 +7,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.linalg import eigh
 
-from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels.coarse import Coarse
 from spectra_kit.linalg.ldl import SparseLDL
-from spectra_kit.linalg.orthonormal import orthonormalize
+from spectra_kit.linalg.orthonormal import RankError, orthonormalize
 from spectra_kit.linalg.products import spmm
 from spectra_kit.linalg.threads import single_threaded_blas
 
 Floats = NDArray[np.float64]
 
+_NOTHING = 1e-13  # share of the largest squared norm: what has less is carried to nothing
+_RIDGE = 1e-13  # of the diagonal, added to it in the factor, for what is carried to nothing
 _SHIFT = 1 / 8  # of the guard eigenvalue, below the spectrum
 
 
@@ -68,15 +68,20 @@ def coarse_ritz(
 
 def _ritz(level: Coarse, basis: NDArray[np.floating], k: int, guard: int) -> CoarsePairs:
     Y = orthonormalize(basis, level.lumped)  # nearly so in the mass of the level, too
-    if Y.shape[1] < k:
-        raise InvalidInputError(
-            f"`basis` must span at least k = {k} dimensions, got numerical rank {Y.shape[1]} of"
-            f" {basis.shape[1]} columns on {level.n} points; ask for fewer modes, or use a larger"
-            " basis or more points"
-        )
     inside, gram = (Y.T @ spmm(matrix, Y) for matrix in (level.stiffness, level.mass))
-    values, rotation = eigh((inside + inside.T) / 2, (gram + gram.T) / 2)
-    return CoarsePairs(values[: k + guard], Y @ rotation[:, : k + guard])
+    # But where two sheets meet, different columns may be carried to the same function.
+    sizes, axes = np.linalg.eigh((gram + gram.T) / 2)
+    kept = sizes > _NOTHING * sizes[-1]
+    whitener = axes[:, kept] / np.sqrt(sizes[kept])
+    if whitener.shape[1] < k:
+        raise RankError(
+            f"`basis` must span at least k = {k} dimensions, got numerical rank"
+            f" {whitener.shape[1]} of {basis.shape[1]} columns on {level.n} points; ask for fewer"
+            " modes, or use a larger basis or more points",
+            whitener.shape[1],
+        )
+    values, rotation = np.linalg.eigh(whitener.T @ ((inside + inside.T) / 2) @ whitener)
+    return CoarsePairs(values[: k + guard], Y @ (whitener @ rotation[:, : k + guard]))
 
 
 def coarse_iteration(
@@ -87,6 +92,7 @@ def coarse_iteration(
     rtol: float = 0.0,
     max_sweeps: int = 20,
     degree: int = 4,
+    least: int | None = None,
 ) -> CoarsePairs:
     """Drive Ritz pairs of a coarse level towards its lowest eigenpairs.
 
@@ -105,6 +111,8 @@ def coarse_iteration(
         Stop after so many in any case.
     degree : int, default 4
         Of the filter: solves of each column in a sweep.
+    least : int, optional
+        Rank to which a sweep may fall, k without it: a start for more sweeps needs none.
 
     Returns
     -------
@@ -118,6 +126,7 @@ def coarse_iteration(
     a diagonal mass.
     """
     block = len(start.eigenvalues)
+    least = k if least is None else least
     pairs = start
     factor: SparseLDL | None = None
     sigma = 0.0
@@ -126,12 +135,15 @@ def coarse_iteration(
         if factor is None or -sigma > 4 * _SHIFT * guard:
             # The Ritz values of a random start say nothing: not above what Weyl's law suggests.
             sigma = -_SHIFT * min(guard, 2 * block * level.eigenvalue_spacing)
-            factor = SparseLDL(sparse.csr_array(level.stiffness - sigma * level.mass))
+            shifted = level.stiffness - sigma * level.mass
+            ridge = sparse.diags_array(_RIDGE * shifted.diagonal())
+            factor = SparseLDL(sparse.csr_array(shifted + ridge))
         filtered = _filtered(level, factor, pairs.eigenvectors, guard - sigma, degree)
         before = pairs.eigenvalues[:k]
-        pairs = coarse_ritz(level, filtered, k, guard=block - k)
-        values = np.maximum(pairs.eigenvalues[:k], level.eigenvalue_spacing)
-        if (np.abs(pairs.eigenvalues[:k] - before) <= rtol * values).all():
+        pairs = coarse_ritz(level, filtered, least, guard=block - least)
+        values = pairs.eigenvalues[:k]
+        change = np.abs(values - before[: len(values)])
+        if (change <= rtol * np.maximum(values, level.eigenvalue_spacing)).all():
             break
     return pairs
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ _ROUNDS = 6  # of correction of the radius
 _FEWEST = 0.9  # of the points asked for that are near enough
 
 
+@runtime_checkable
 class Operator(Protocol):
     """What a level is made from: a `Laplacian`, or a `Coarse` one."""
 
@@ -91,6 +92,7 @@ def well_spread(operator: Operator, n_points: int) -> Subset:
     --------
     >>> from spectra_kit import robust_laplacian
     >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.levels import well_spread
     >>> subset = well_spread(robust_laplacian(sphere(subdivisions=4).geometry), 100)
     >>> 85 <= len(subset.indices) <= 100
     True

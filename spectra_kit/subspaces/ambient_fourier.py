@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, check_positive
-from spectra_kit.linalg.threads import in_threads
+from spectra_kit.linalg.threads import in_threads, single_threaded_blas
 from spectra_kit.subspaces.frame import canonical_frame
 
 Floats = NDArray[np.float64]
@@ -16,6 +17,7 @@ Floats = NDArray[np.float64]
 _ROWS = 4_096  # evaluated at a time: stays in the cache, and each thread takes the next
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class AmbientFourier:
     """Constant, coordinates, cosines and sines of random plane waves in the canonical frame.
@@ -47,6 +49,7 @@ class AmbientFourier:
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit import AmbientFourier
     >>> points = np.random.default_rng(0).standard_normal((100, 3))
     >>> AmbientFourier(m=64)(points, np.ones(100)).shape
     (100, 64)
@@ -76,5 +79,7 @@ class AmbientFourier:
             np.cos(phase, out=basis[rows, 4 : 4 + n_cosines])
             np.sin(phase[:, :n_sines], out=basis[rows, 4 + n_cosines :])
 
-        in_threads(fill, ((slice(start, start + _ROWS),) for start in range(0, len(posed), _ROWS)))
+        blocks = ((slice(start, start + _ROWS),) for start in range(0, len(posed), _ROWS))
+        with single_threaded_blas():
+            in_threads(fill, blocks)
         return basis

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.subspaces.given import restricted
 
 Floats = NDArray[np.float64]
 
 
+@runtime_checkable
 class Subspace(Protocol):
     """A function of points and mass whose columns span a guess at the low eigenfunctions.
 
@@ -26,6 +28,7 @@ class Subspace(Protocol):
         ...
 
 
+@checked
 @dataclass(frozen=True, init=False)
 class Union:
     """The sum of several subspaces: their bases side by side.
@@ -43,6 +46,7 @@ class Union:
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit import Union
     >>> from spectra_kit.subspaces import AmbientFourier
     >>> points = np.random.default_rng(0).standard_normal((50, 3))
     >>> both = Union(AmbientFourier(m=10, seed=0), AmbientFourier(m=12, seed=1))

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_mass, check_points, quantity
 from spectra_kit.errors import InvalidInputError
 
@@ -41,6 +42,7 @@ class Frame(NamedTuple):
         return np.asarray((points - self.centre) @ self.rotation / self.scale)
 
 
+@checked
 def canonical_frame(points: ArrayLike, mass: ArrayLike) -> Frame:
     """Return the principal frame of a weighted cloud.
 
@@ -71,6 +73,7 @@ def canonical_frame(points: ArrayLike, mass: ArrayLike) -> Frame:
 
     Examples
     --------
+    >>> from spectra_kit.subspaces import canonical_frame
     >>> points = [[0, 0, 0], [4, 0, 0], [0, 2, 0], [0, 0, 1]]
     >>> frame = canonical_frame(points, [1, 1, 1, 1])
     >>> frame.centre

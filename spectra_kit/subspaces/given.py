@@ -9,7 +9,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._validate import Rebuilt, check_count, frozen, real_array
+from spectra_kit._checked import checked
+from spectra_kit._validate import Rebuilt, check_count, check_indices, frozen, real_array
 from spectra_kit.errors import InvalidInputError
 
 Floats = NDArray[np.float64]
@@ -17,6 +18,7 @@ Ints = NDArray[np.int64]
 Solver = TypeVar("Solver")
 
 
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class GivenBasis(Rebuilt):
     """Columns on known points: the modes of a previous frame of an animation, a coarse solve.
@@ -35,6 +37,7 @@ class GivenBasis(Rebuilt):
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit import GivenBasis
     >>> GivenBasis(np.eye(4))(np.zeros((4, 3)), np.ones(4)).shape
     (4, 4)
     """
@@ -62,9 +65,15 @@ class GivenBasis(Rebuilt):
 
     def restricted(self, rows: Ints) -> GivenBasis:
         """Return the columns on the points `rows` alone."""
-        return GivenBasis(self.columns[rows])
+        indices = check_indices("rows", rows, len(self.columns))
+        if indices.ndim != 1 or not len(indices):
+            raise InvalidInputError(
+                f"`rows` must be a vector of at least one point, got shape {indices.shape}"
+            )
+        return GivenBasis(self.columns[indices])
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class RandomBasis:
     """White noise: the start that knows nothing.
@@ -84,6 +93,7 @@ class RandomBasis:
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit import RandomBasis
     >>> RandomBasis(m=5)(np.zeros((9, 3)), np.ones(9)).shape
     (9, 5)
     """
@@ -100,6 +110,7 @@ class RandomBasis:
         return np.random.default_rng(self.seed).standard_normal((len(points), self.m))
 
 
+@checked
 def restricted(part: Solver, rows: Ints) -> Solver:
     """Return `part` (a subspace or a solver) for the points `rows` alone.
 
@@ -118,6 +129,9 @@ def restricted(part: Solver, rows: Ints) -> Solver:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit import GivenBasis
+    >>> from spectra_kit.subspaces import restricted
     >>> restricted(GivenBasis(np.eye(4)), np.array([2, 3])).columns.shape
     (2, 4)
     """

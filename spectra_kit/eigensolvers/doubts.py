@@ -1,0 +1,107 @@
+"""Tell where a prediction is bad: prove by smoothing that its eigenvalues are too high."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._validate import quantity, warn
+from spectra_kit.errors import DoubtfulSpectrumWarning
+from spectra_kit.levels import smoothed
+from spectra_kit.linalg.ritz import ritz_pairs_at_most
+from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.spectrum import Spectrum
+
+Floats = NDArray[np.float64]
+
+#: Eigenvalues that are too high by more than this, relative to the true ones, are told.
+DOUBTFUL = 0.1
+_DEGREE = 12  # sparse products; twice as many prove hardly more
+_COLUMNS = 32  # smoothed at a time, for the sake of memory
+
+
+def with_excess(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
+    """Return a certified spectrum with `Certificate.excess`, where its residuals leave doubts."""
+    certificate = spectrum.certificate
+    assert certificate is not None
+    # Some true eigenvalue lies within the residual of each: smaller ones leave nothing to prove.
+    if not (certificate.relative_residuals > DOUBTFUL).any():
+        return spectrum
+    excess = proved_excess(spectrum, laplacian)
+    return spectrum.described(replace(certificate, excess=excess), spectrum.provenance)
+
+
+def proved_excess(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
+    """Return by how much each eigenvalue is too high at least, relative to the true one.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        Of approximate modes.
+    laplacian : Laplacian
+        Their operator.
+
+    Returns
+    -------
+    ndarray of shape (k,)
+        At least 0; 0 for zero modes.
+
+    Notes
+    -----
+    The j-th Ritz value of *any* functions is at least the j-th eigenvalue (Courant and Fischer).
+    So where those of the smoothed modes are lower, the modes were too high by the difference, if
+    not by more: what smoothing does not find, such as a mode that is missing altogether, is not
+    proved.
+
+    Examples
+    --------
+    >>> from spectra_kit import AmbientFourier, RayleighRitz, eigensolve, robust_laplacian
+    >>> from spectra_kit.eigensolvers.doubts import proved_excess
+    >>> from spectra_kit.geometry import sphere
+    >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
+    >>> rough = RayleighRitz(subspace=AmbientFourier(m=40, bandwidth=2.0, seed=1))
+    >>> spectrum = eigensolve(laplacian, 4, rough)
+    >>> bool((proved_excess(spectrum, laplacian)[1:] <= spectrum.eigenvalues[1:] / 1.99 - 1).all())
+    True
+    """
+    values, vectors = spectrum.eigenvalues, spectrum.eigenvectors
+    if len(laplacian.fixed):
+        vectors = vectors[laplacian.free]
+        laplacian = laplacian.restricted(laplacian.free)
+    smooth = np.empty(vectors.shape)
+    for start in range(0, spectrum.k, _COLUMNS):
+        block = slice(start, start + _COLUMNS)
+        smooth[:, block] = smoothed(laplacian, values[block], vectors[:, block], degree=_DEGREE)
+    lower = ritz_pairs_at_most(laplacian.stiffness, laplacian.mass, smooth, spectrum.k).eigenvalues
+    excess = np.zeros(spectrum.k)
+    told = slice(laplacian.kernel_dimension, len(lower))
+    excess[told] = np.maximum(values[told] / lower[told] - 1, 0.0)
+    return excess
+
+
+def verdict(spectrum: Spectrum) -> str:
+    """Say in a line which eigenvalues are proved to be far too high; nothing if none is."""
+    certificate = spectrum.certificate
+    if certificate is None or certificate.excess is None:
+        return ""
+    high = certificate.excess > DOUBTFUL
+    if not high.any():
+        return ""
+    worst = int(certificate.excess.argmax())
+    return (
+        f"proved to be more than {DOUBTFUL:.0%} too high: {high.sum()} of"
+        f" {quantity(spectrum.k, 'eigenvalue')}, that of mode {worst} by"
+        f" {certificate.excess[worst]:.0%} or more"
+    )
+
+
+def warn_of_doubts(spectrum: Spectrum) -> None:
+    """Warn the caller of `eigensolve` where `verdict` has something to say."""
+    if told := verdict(spectrum):
+        warn(
+            f"{told}; take Polished or Refined with this subspace as `start`, or an exact solver"
+            " such as Arpack()",
+            DoubtfulSpectrumWarning,
+        )

@@ -1,0 +1,279 @@
+"""No mode is passed over: symmetric shapes at every k, against LAPACK."""
+
+from functools import cache, partial
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import bumpy
+from scipy import sparse
+
+from spectra_kit import (
+    AmbientFourier,
+    Arpack,
+    ConvergenceError,
+    Dense,
+    Laplacian,
+    Lobpcg,
+    Multilevel,
+    Neo,
+    RayleighRitz,
+    Refined,
+    Spectrum,
+    TriangleMesh,
+    cotan_laplacian,
+    eigensolve,
+    robust_laplacian,
+    verify,
+)
+from spectra_kit.eigensolvers import Eigenpairs, solve, verification
+from spectra_kit.geometry import rectangle, sphere, torus
+
+
+def refined(solid: trimesh.Trimesh, times: int) -> TriangleMesh:
+    """Split every triangle into four, so many times."""
+    for _ in range(times):
+        solid = solid.subdivide()
+    solid.merge_vertices()
+    return TriangleMesh(np.array(solid.vertices), np.array(solid.faces))
+
+
+def octahedron() -> trimesh.Trimesh:
+    return trimesh.convex.convex_hull(np.vstack([np.eye(3), -np.eye(3)]))
+
+
+def side_by_side(part: TriangleMesh, copies: int) -> TriangleMesh:
+    points = [part.points + [5.0 * i, 0, 0] for i in range(copies)]
+    return TriangleMesh(
+        np.vstack(points), np.vstack([part.faces + part.n * i for i in range(copies)])
+    )
+
+
+def two_sheets(n: int, apart: float = 0.0) -> TriangleMesh:
+    """Two sheets, joined along their boundary: half of all modes are odd across them."""
+    sheet = rectangle(n=n).geometry
+    inner = np.setdiff1d(range(sheet.n), sheet.boundary_vertices)
+    back = np.arange(sheet.n)
+    back[inner] = sheet.n + np.arange(len(inner))
+    points = np.vstack([sheet.points, sheet.points[inner] + [0, 0, apart]])
+    return TriangleMesh(points, np.vstack([sheet.faces, back[sheet.faces][:, ::-1]]))
+
+
+SHAPES = {
+    "sphere of 162": lambda: robust_laplacian(sphere(subdivisions=2).geometry),
+    "sphere of 162, cotan": lambda: cotan_laplacian(sphere(subdivisions=2).geometry),
+    "sphere of 642": lambda: robust_laplacian(sphere(subdivisions=3).geometry),
+    "sphere of 642, cotan": lambda: cotan_laplacian(sphere(subdivisions=3).geometry),
+    "cube": lambda: robust_laplacian(refined(trimesh.creation.box(), 3)),
+    "octahedron": lambda: robust_laplacian(refined(octahedron(), 4)),
+    "prism": lambda: robust_laplacian(refined(trimesh.creation.cylinder(1, 1, sections=6), 3)),
+    "torus": lambda: robust_laplacian(torus(n=500).geometry),
+    "coincident sheets": lambda: robust_laplacian(two_sheets(400)),
+    "thin sheets": lambda: robust_laplacian(two_sheets(400, 1e-4)),
+    "twelve spheres": lambda: robust_laplacian(side_by_side(sphere(subdivisions=1).geometry, 12)),
+}
+OTHERS = [
+    Dense(),
+    Multilevel(),
+    Refined(),
+    Refined(method="chebyshev"),
+    Refined(method="lobpcg", max_sweeps=200),
+    Lobpcg(),
+    Lobpcg(preconditioner="amg"),
+    Lobpcg(preconditioner="amg", start=AmbientFourier(m=200)),
+]
+
+
+@cache
+def shape(name: str) -> tuple[Laplacian, np.ndarray]:
+    laplacian = SHAPES[name]()
+    root = 1 / np.sqrt(laplacian.mass)
+    return laplacian, np.linalg.eigvalsh(root[:, None] * laplacian.stiffness.toarray() * root)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_default_solver_misses_no_mode(name: str) -> None:
+    laplacian, exact = shape(name)
+    for k in range(1, 101):
+        spectrum = eigensolve(laplacian, k)
+        assert spectrum.eigenvalues == pytest.approx(exact[:k], rel=1e-9, abs=1e-9 * exact[-1]), k
+        assert spectrum.certificate.level == "verified", (k, spectrum.certificate.count)
+        assert np.abs(spectrum.eigenvalues - exact[:k]).max() <= (
+            spectrum.certificate.count.radius + 1e-12 * exact[-1]
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", OTHERS, ids=repr)
+@pytest.mark.parametrize("name", SHAPES)
+def test_no_exact_solver_misses_a_mode(name: str, solver) -> None:
+    """At four numbers of modes, others for each shape and solver."""
+    laplacian, exact = shape(name)
+    offset = (7 * list(SHAPES).index(name) + 3 * OTHERS.index(solver)) % 25
+    for k in range(2 + offset, 101, 25):
+        spectrum = eigensolve(laplacian, k, solver)
+        assert spectrum.eigenvalues == pytest.approx(exact[:k], rel=1e-5, abs=1e-9 * exact[-1]), k
+        free = getattr(solver, "factor_free", False)
+        assert spectrum.certificate.level == ("residuals" if free else "verified"), k
+        assert ("not counted" in repr(spectrum)) == free
+
+
+@pytest.mark.parametrize("k", [7, 30, 90])
+@pytest.mark.parametrize(
+    "solver",
+    [
+        Refined(method="chebyshev"),
+        Lobpcg(preconditioner="amg", start=AmbientFourier(m=300)),
+        Refined(method="lobpcg", max_sweeps=200),
+    ],
+    ids=repr,
+)
+def test_modes_of_which_the_start_holds_nothing(solver, k: int) -> None:
+    """Functions of the points alone are even across coincident sheets: half of the modes."""
+    laplacian, exact = shape("coincident sheets")
+    assert eigensolve(laplacian, k, solver).eigenvalues == pytest.approx(exact[:k], abs=1e-6)
+    even = eigensolve(laplacian, 30, RayleighRitz(subspace=AmbientFourier(m=200)))
+    assert abs(even.eigenvalues / np.maximum(exact[:30], 1e-9) - 1)[1:].max() > 0.5
+
+
+class Forgetful:
+    """An exact backend that passes over modes, as Lanczos may those that occur more than once."""
+
+    def __init__(self, *missed: int, accuracy: str = "exact") -> None:
+        self.missed, self.accuracy = missed, accuracy
+
+    def __repr__(self) -> str:
+        return f"Forgetful{self.missed}"
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
+        pairs = Dense().eigenpairs(laplacian, min(k + len(self.missed), laplacian.n))
+        keep = [i for i in range(len(pairs.eigenvalues)) if i not in self.missed][:k]
+        return Eigenpairs(pairs.eigenvalues[keep], pairs.eigenvectors[:, keep])
+
+
+@pytest.mark.parametrize("missed", [(0,), (4,), (2, 9, 19), tuple(range(5, 15))])
+def test_what_a_solver_passed_over_is_found_and_told(missed: tuple[int, ...]) -> None:
+    laplacian = robust_laplacian(bumpy())
+    exact = eigensolve(laplacian, 20)
+    completed = eigensolve(laplacian, 20, Forgetful(*missed))
+    assert completed.eigenvalues == pytest.approx(exact.eigenvalues, rel=1e-10, abs=1e-10)
+    count = completed.certificate.count
+    assert (completed.certificate.level, count.added) == ("verified", len(missed))
+    assert "that the solver had passed over added" in completed.certificate.completeness
+    assert completed.certificate.relative_residuals.max() < 1e-11
+    assert completed.provenance.seconds["count"] > 0
+    # What does not claim to be exact is left as it is, and not called complete.
+    left = eigensolve(laplacian, 20, Forgetful(*missed, accuracy="approximate")).certificate
+    assert (left.level, left.count) == ("residuals", None)
+    assert left.completeness == "not counted: modes may be missing between these"
+
+
+def test_parts_are_completed_one_by_one() -> None:
+    body = bumpy()
+    small = TriangleMesh(body.points * 0.5 + [9, 0, 0], body.faces)
+    both = TriangleMesh(
+        np.vstack([body.points, small.points]), np.vstack([body.faces, small.faces + body.n])
+    )
+    laplacian = robust_laplacian(both)
+    exact = eigensolve(laplacian, 20).eigenvalues
+    completed = eigensolve(laplacian, 20, Forgetful(3))
+    assert completed.eigenvalues == pytest.approx(exact, rel=1e-10, abs=1e-10)
+    assert completed.certificate.level == "verified"
+
+
+def test_what_cannot_be_completed_is_an_error(monkeypatch) -> None:
+    """The modes found are handed over, and the certificate says that some are missing."""
+    monkeypatch.setattr(solve, "Refined", partial(Refined, max_sweeps=1))
+    with pytest.raises(ConvergenceError, match="at least 10 modes of the lowest 20 were") as error:
+        eigensolve(robust_laplacian(bumpy()), 20, Forgetful(*range(5, 15)))
+    certificate = error.value.partial.certificate
+    assert (certificate.level, certificate.count.missing) == ("residuals", 10)
+    assert certificate.completeness.startswith("the first 5 of 20; ")
+
+
+def test_accuracy_is_a_fact_of_the_solver() -> None:
+    laplacian = robust_laplacian(bumpy())
+    facts = {
+        s: eigensolve(laplacian, 8, s).provenance.accuracy
+        for s in (Arpack(), Arpack(tol=1e-3), Refined(), RayleighRitz(), Neo())
+    }
+    assert list(facts.values()) == [
+        "exact",
+        "to tolerance",
+        "to tolerance",
+        "approximate",
+        "approximate",
+    ]
+
+
+def test_modes_are_kept_where_the_count_does_not_fit_into_memory(monkeypatch) -> None:
+    def no_room(*matrix: object, **options: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(verification, "SparseLDL", no_room)
+    certificate = eigensolve(robust_laplacian(bumpy()), 20).certificate
+    assert (certificate.level, certificate.n_verified) == ("residuals", 0)
+    assert certificate.completeness == "the first 0 of 20; not counted: out of memory"
+
+
+def strip() -> Laplacian:
+    """Long and narrow: low eigenvalues far below the typical gap of the operator."""
+    x, y = np.meshgrid(np.linspace(0, 1000, 200), [0, 0.1, 0.2], indexing="ij")
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    i = np.arange(600).reshape(200, 3)[:-1, :-1].ravel()
+    faces = np.vstack([np.column_stack([i, i + 3, i + 4]), np.column_stack([i, i + 4, i + 1])])
+    return robust_laplacian(TriangleMesh(points, faces))
+
+
+def well() -> Laplacian:
+    """A potential on most of a sphere, which the typical gap of the operator is full of."""
+    ball = robust_laplacian(sphere(subdivisions=3).geometry)
+    height = np.where(ball.points[:, 2] <= 0.6, 1e6, 0.0)
+    return Laplacian(
+        ball.stiffness + sparse.diags_array(height * ball.mass), ball.mass, ball.points
+    )
+
+
+def chain() -> Laplacian:
+    """Six spheres that hardly touch."""
+    parts = robust_laplacian(side_by_side(sphere(subdivisions=1).geometry, 6))
+    bonds = parts.stiffness.tolil()
+    for i in range(0, 5 * 42, 42):
+        for a, b in ((i, i + 42), (i + 42, i)):
+            bonds[a, b] = -1e-3
+            bonds[a, a] += 1e-3
+    return Laplacian(sparse.csr_array(bonds), parts.mass, parts.points)
+
+
+@pytest.mark.parametrize("build", [strip, well, chain])
+@pytest.mark.parametrize("missed", [(1,), (1, 3), (0, 2)])
+def test_low_modes_far_below_the_typical_gap_are_counted(build, missed) -> None:
+    laplacian = build()
+    root = 1 / np.sqrt(laplacian.mass)
+    exact = np.linalg.eigvalsh(root[:, None] * laplacian.stiffness.toarray() * root)
+    kernel = laplacian.kernel_dimension
+    for k in (4, 5):
+        pairs = Forgetful(*missed).eigenpairs(laplacian, k)
+        lacking = Spectrum(np.maximum(pairs.eigenvalues, 0), pairs.eigenvectors, laplacian.mass)
+        count = verify(lacking, laplacian).certificate.count
+        assert count.verified <= missed[0]
+        found = eigensolve(laplacian, k, Forgetful(*missed))
+        assert found.certificate.count.verified in (0, k)  # rounding may leave it open
+        assert found.eigenvalues[kernel:] == pytest.approx(exact[kernel:k], rel=1e-6)
+
+
+def test_zero_modes_that_are_missing_leave_nothing_verified() -> None:
+    """However close to zero the modes are that stand in their place."""
+    laplacian = chain()
+    pairs = Dense().eigenpairs(laplacian, 6)
+    without = Spectrum(pairs.eigenvalues[1:], pairs.eigenvectors[:, 1:], laplacian.mass)
+    count = verify(without, laplacian).certificate.count
+    assert (count.verified, count.missing) == (0, 1)
+    assert "1 of 1 zero modes are not in this spectrum" in count.reason
+
+
+def test_zero_modes_alone_are_the_lowest() -> None:
+    spectrum = eigensolve(shape("twelve spheres")[0], 7)
+    assert spectrum.certificate.level == "verified"
+    assert spectrum.certificate.completeness == "all 7, none missed"
