@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +106,26 @@ def test_nothing_is_done_twice_and_more_joins_the_report(run, report, capsys):
 def test_another_protocol_is_refused(run, report, capsys):
     assert run("--only", "plain", samples=40) == 1
     assert "was trained under another protocol" in capsys.readouterr().err
+
+
+def test_other_files_under_the_same_names_are_other_files(run, report, capsys):
+    mesh = run.out.parent / "meshes" / "animal.ply"
+    before = mesh.read_bytes()
+    write(creature(600, seed=1), mesh)
+    assert run("--only", "plain") == 0
+    spans = json.loads((run.out / "plain" / "errors.json").read_text())["errors"]["real"]
+    assert spans["animal"]["span"] != report["variants"]["plain"]["span"]["real"]["mean"]
+    mesh.write_bytes(before)
+    assert run("--only", "plain") == 0  # as it was, for the tests after this one
+    shards = run.out.parent / "train"
+    kept = shards.rename(run.out.parent / "kept")
+    write_shard(shards, 0, *ellipsoids(16, 7), {"family": np.zeros(16)})
+    try:
+        assert run("--only", "plain") == 1
+    finally:
+        shutil.rmtree(shards)
+        kept.rename(shards)
+    assert "was trained under another protocol, or on other samples" in capsys.readouterr().err
 
 
 def test_backbones_are_drop_ins(run, report):

@@ -3,6 +3,7 @@
 import csv
 import sys
 
+import numpy as np
 import pytest
 import torch
 
@@ -64,6 +65,37 @@ def test_missing_parts_are_told(tmp_path):
         read_parts(tmp_path)
     write_parts(tmp_path, CONTENT, limit=2000)[-1].unlink()
     with pytest.raises(InvalidInputError, match=r"found \d in .*; copy the rest"):
+        read_parts(tmp_path)
+
+
+def test_damaged_checkpoints_are_refused(tmp_path):
+    """Each bit counts: PyTorch itself reads most flipped ones without a word."""
+    with Writer(tmp_path) as writer:
+        writer.write(CONTENT)
+    path = tmp_path / "checkpoint.pt"
+    whole = path.read_bytes()
+    random = np.random.default_rng(0)
+    for at in random.integers(len(whole), size=100):
+        flipped = bytearray(whole)
+        flipped[at] ^= 1 << random.integers(8)
+        for damaged in (bytes(flipped), whole[:at], whole + whole[:at] + b"."):
+            path.write_bytes(damaged)
+            with pytest.raises(InvalidInputError, match=r"must end in the sha256 .* begin the run"):
+                read(tmp_path)
+    path.write_bytes(whole)
+    assert read(tmp_path)["state"] == CONTENT["state"]
+
+
+def test_damaged_parts_are_refused(tmp_path):
+    first, second, *_ = write_parts(tmp_path, CONTENT, limit=2000)
+    content = second.read_bytes()
+    second.write_bytes(content[:-1] + b"?")
+    with pytest.raises(InvalidInputError, match="copy all its parts there again"):
+        read_parts(tmp_path)
+    second.write_bytes(content)
+    assert read_parts(tmp_path)["state"] == CONTENT["state"]
+    first.write_bytes(b"")
+    with pytest.raises(InvalidInputError, match="must end in the sha256"):
         read_parts(tmp_path)
 
 

@@ -302,6 +302,13 @@ def test_another_configuration_is_refused(folder):
     assert json.loads((folder / "corpus.json").read_text())["seed"] == 3
 
 
+@pytest.mark.parametrize("record", [b"{", b"[1]", b"null", b"\xff", b"[" * 100_000])
+def test_a_damaged_record_is_refused(tmp_path, record):
+    (tmp_path / "corpus.json").write_bytes(record)
+    with pytest.raises(InvalidInputError, match=r"corpus.json is not a whole record of a corpus"):
+        generate(tmp_path, 1, config=TINY)
+
+
 def test_another_length_of_the_last_shard_is_refused(folder):
     with pytest.raises(
         InvalidInputError, match=r"shard 2 of .* holds 2 samples where `n` asks for 4"

@@ -93,6 +93,13 @@ def test_better_weights_are_written_with_a_line_in_their_record(ended, capsys):
     assert "has ended; give another --out" in capsys.readouterr().err
 
 
+def test_a_damaged_record_is_refused(tmp_path):
+    for content in ("{", "[]", '{"config": {"network": {"planet": 1}}}'):
+        (tmp_path / "leg.json").write_text(content)
+        with pytest.raises(InvalidInputError, match=r"leg.json is not a whole record of a leg"):
+            Leg.read(tmp_path)
+
+
 @pytest.mark.slow
 def test_worse_weights_are_not_written(ended, tmp_path, capsys):
     better = ended[0] / "out" / "weights.safetensors"
@@ -187,7 +194,8 @@ BARE = """
 import importlib.metadata as metadata, re, sys
 from importlib.machinery import PathFinder
 
-allowed, queue = set(), ["torch", "numpy", "scipy", "robust_laplacian", "cholespy", "trimesh"]
+allowed, queue = set(), ["torch", "numpy", "scipy", "numba", "cholespy", "qdldl"]
+queue += ["threadpoolctl", "trimesh"]
 while queue:
     name = re.split(r"[^\\w.-]", queue.pop())[0]
     name = re.sub(r"[-_.]+", "-", name).lower()
@@ -215,7 +223,7 @@ sys.meta_path[sys.meta_path.index(PathFinder)] = Bare
 
 
 @pytest.mark.slow
-def test_training_imports_the_six_packages_alone(tmp_path, weights):
+def test_training_imports_what_it_needs_alone(tmp_path, weights):
     (tmp_path / "site").mkdir()
     (tmp_path / "site" / "sitecustomize.py").write_text(BARE)
     environment = {
@@ -289,9 +297,7 @@ def test_wheels_are_used_where_a_package_is_missing(tmp_path, monkeypatch):
 def test_a_failed_download_is_told(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
-    with pytest.raises(
-        MissingDependencyError, match=r"pip could not download robust_laplacian and"
-    ):
+    with pytest.raises(MissingDependencyError, match=r"pip could not download numba, llvmlite, "):
         download_wheels(tmp_path)
     folders = ["--wheels", str(tmp_path), "--packed", str(tmp_path / "packed")]
     assert main(["--pack", *folders]) == 1

@@ -162,7 +162,7 @@ def test_sizes_and_names_are_checked():
         NeoConfig(width=8, depth=0, heads=1, head_width=8, latents=4, m=8, k=4)
     with pytest.raises(InvalidInputError, match="must be positive with m >= k"):
         NeoConfig(width=8, depth=1, heads=1, head_width=8, latents=4, m=8, k=9)
-    with pytest.raises(InvalidInputError, match='`frame` must be "principal" or "none"'):
+    with pytest.raises(InvalidInputError, match="`frame` must be 'principal' or 'none'"):
         NeoConfig(width=8, depth=1, heads=1, head_width=8, latents=4, m=8, k=4, frame="up")
     with pytest.raises(InvalidInputError, match="`name` must be one of"):
         NeoConfig.named("huge")
@@ -242,7 +242,7 @@ def test_build_network_makes_what_the_configuration_says():
         ({"waves": 12}, r"`waves` must be in \[0, m / 2\), got 12"),
         ({"waves": -1}, "`waves` must be in"),
         ({"bandwidth": 0.0}, "`bandwidth` must be positive, got 0.0"),
-        ({"backbone": "mlp"}, "`backbone` must be in .*, got 'mlp'"),
+        ({"backbone": "mlp"}, "`backbone` must be 'neo', .* or 'point-transformer', got 'mlp'"),
     ],
 )
 def test_options_of_the_head_and_backbone_are_checked(changes, message):

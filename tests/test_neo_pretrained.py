@@ -103,7 +103,7 @@ def test_tensors_must_fit_the_configuration(path):
 def test_foreign_and_broken_metadata_are_refused(path):
     tensors = load_file(path)
     save_file(tensors, path)
-    with pytest.raises(WeightsError, match=r"'spectra_kit.neo', got \[\]; was it written by"):
+    with pytest.raises(WeightsError, match=r"'spectra_kit.neo' alone, got \[\]; was it written by"):
         load_pretrained(path)
     for content in ('{"config": {"width": 16}, "record": {}}', '{"record": {}}', "no json"):
         save_file(tensors, path, metadata={"spectra_kit.neo": content})

@@ -68,3 +68,26 @@ def test_bad_shards_are_refused(tmp_path):
     write_shard(tmp_path, 1, points, mass, modes[..., :5], {})
     with pytest.raises(InvalidInputError, match=r"must have the same \(points, modes\)"):
         open_shards(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("damage", "match"),
+    [
+        (lambda shard: (shard / "mass.npy").unlink(), "not a whole shard .*No such file"),
+        (lambda shard: cut(shard / "points.npy"), "not a whole shard .*; delete it, and generate"),
+        (lambda shard: cut(shard / "labels.npz"), "not a whole shard"),
+        (lambda shard: np.save(shard / "mass.npy", np.ones((2, 64))), "mass must be float32, got"),
+        (lambda shard: np.save(shard / "points.npy", np.ones((2, 9, 3), "f4")), "shard_0000: `poi"),
+        (lambda shard: np.savez(shard / "labels.npz", a=[0.5, 1]), "label a must be int64, got"),
+        (lambda shard: np.savez(shard / "labels.npz", a=[1]), "one integer for each of 2 samples"),
+    ],
+)
+def test_damaged_shards_are_refused(tmp_path, damage, match):
+    shard = write_shard(tmp_path, 0, *random_samples(2, 0), {"seed": [0, 1]})
+    damage(shard)
+    with pytest.raises(InvalidInputError, match=match):
+        open_shards(tmp_path)
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[:-100])

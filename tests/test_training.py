@@ -3,6 +3,7 @@
 import csv
 import importlib.util
 import os
+import re
 import signal
 import threading
 import time
@@ -319,16 +320,26 @@ def test_command_line_end_to_end(tmp_path, capsys):
     rng = np.random.default_rng(0)
     for name in ("train", "validation"):
         points = rng.standard_normal((2, 300, 3))
-        modes = rng.standard_normal((2, 300, 96))
+        modes = rng.standard_normal((2, 300, 64))  # as many as the corpus has
         mass = np.full((2, 300), 1 / 300)
         write_shard(tmp_path / name, 0, points, mass, modes, {})
     out = tmp_path / "run"
     train_folder = str(tmp_path / "train")
     argv = [train_folder, train_folder, "--validation", str(tmp_path / "validation")]
-    argv += ["--out", str(out), "--steps", "1", "--batch", "2", "--points", "270"]
-    assert train_neo.main(argv) == 0
+    argv += ["--steps", "1", "--batch", "2", "--points", "270"]
+    assert train_neo.main([*argv, "--out", str(out), "--frame", "none"]) == 0
     printed = capsys.readouterr().out
     loaded = load_pretrained(out / "weights.safetensors")
     assert loaded.record["steps"] == 1
+    assert (loaded.config.k, loaded.config.frame) == (64, "none")
+    # No terminal: a line for each validation instead of a bar.
+    assert re.search(r"^step 1, 0\.\d min: loss [\d.]+, span error [\d.]+$", printed, re.MULTILINE)
     assert loaded.record["corpus"]["samples"] == 4
     assert loaded.sha256 in printed
+
+    weights = out / "weights.safetensors"
+    tuned = [*argv, "--out", str(tmp_path / "tuned"), "--weights", str(weights), "--lr", "1e-9"]
+    assert train_neo.main(tuned) == 0
+    before = float(re.search(r", before: ([\d.]+)$", capsys.readouterr().out, re.MULTILINE)[1])
+    assert before == pytest.approx(loaded.record["span_error"], abs=2e-5)
+    assert load_pretrained(tmp_path / "tuned" / "weights.safetensors").config == loaded.config

@@ -54,21 +54,14 @@ def span_loss(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -> Ten
 
     Examples
     --------
+    >>> import torch
+    >>> from spectra_kit.neo.loss import span_loss
     >>> F = torch.eye(5)[None, :, :3]
     >>> U = torch.eye(5)[None, :, 1:4]
     >>> span_loss(F, torch.ones(1, 5), U).item()
     0.3333
     """
     return mode_residuals(F, mass, U, ridge=ridge).mean()
-
-
-def span_loss_qr(F: Tensor, mass: Tensor, U: Tensor) -> Tensor:
-    """Return `span_loss` by the paper's route, a weighted QR: the slow, readable reference."""
-    root = mass.sqrt().unsqueeze(-1)
-    Q, _ = torch.linalg.qr(root * F)
-    V = functional.normalize(root * U, dim=-2)
-    loss: Tensor = 1 - (Q.mT @ V).square().sum(-2).mean()
-    return loss
 
 
 def ortho_loss(F: Tensor, mass: Tensor) -> Tensor:
@@ -88,6 +81,8 @@ def ortho_loss(F: Tensor, mass: Tensor) -> Tensor:
 
     Examples
     --------
+    >>> import torch
+    >>> from spectra_kit.neo.loss import ortho_loss
     >>> ortho_loss(torch.full((1, 5, 1), 2.0), torch.ones(1, 5)).item()
     9.0
     """

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from spectra_kit._checked import checked
 from spectra_kit.errors import InvalidInputError
 
 _EXPONENTS = torch.linspace(-2, 6, 24)  # frequencies 2^-2 ... 2^6 half-turns per unit of length
@@ -24,6 +25,7 @@ _BACKBONES = ("neo", "pointnet++", "point-transformer")
 _ENCODED = 3 + 2 * 3 * len(_EXPONENTS)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class NeoConfig:
     """The hyper-parameters that a weights file carries.
@@ -63,6 +65,7 @@ class NeoConfig:
 
     Examples
     --------
+    >>> from spectra_kit.neo import NeoConfig
     >>> NeoConfig.named("base").m
     256
     """
@@ -371,12 +374,15 @@ class NeoNetwork(nn.Module):
 
     Examples
     --------
+    >>> import torch
+    >>> from spectra_kit.neo import NeoConfig, NeoNetwork
     >>> network = NeoNetwork(NeoConfig.named("small"))
     >>> points = torch.rand(2, 50, 3) - 0.5
     >>> network(points, torch.ones(2, 50)).shape
     torch.Size([2, 50, 256])
     """
 
+    @checked
     def __init__(self, config: NeoConfig) -> None:
         super().__init__()
         self.config = config
@@ -469,6 +475,7 @@ class NeoNetwork(nn.Module):
         return (mass / mass.mean(dim=-1, keepdim=True)).log()
 
 
+@checked
 def build_network(config: NeoConfig) -> NeoNetwork:
     """Return the network that a configuration describes, with random weights.
 
@@ -489,6 +496,7 @@ def build_network(config: NeoConfig) -> NeoNetwork:
 
     Examples
     --------
+    >>> from spectra_kit.neo import NeoConfig, build_network
     >>> build_network(NeoConfig.named("small")).config.backbone
     'neo'
     """

@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 
 import torch
 
+from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError, WeightsError
+from spectra_kit.linalg.torch_device import check_device, check_float_dtype
 from spectra_kit.neo.model import NeoConfig, NeoNetwork, build_network
 from spectra_kit.neo.safetensors_file import pack, unpack
 
@@ -52,6 +54,7 @@ class Pretrained(NamedTuple):
     record: dict[str, Any]
 
 
+@checked
 def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -> Pretrained:
     """Load a shipped network by its name, or any weights file by its path.
 
@@ -77,12 +80,14 @@ def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -
     Examples
     --------
     >>> import tempfile
+    >>> from spectra_kit.neo import NeoConfig, NeoNetwork, load_pretrained, save_weights
     >>> network = NeoNetwork(NeoConfig.named("small"))
     >>> path = tempfile.mkdtemp() + "/mine.safetensors"
     >>> digest = save_weights(path, network, {"steps": 0})
     >>> load_pretrained(path).config.m
     256
     """
+    place = check_device(device)
     path, digest = find_weights(name_or_path)
     arrived = _sha256(path)
     if arrived != digest:
@@ -95,23 +100,24 @@ def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -
     except WeightsError as error:
         raise WeightsError(f"{path} is no complete safetensors file ({error})") from error
     tensors = {key: tensor.float() for key, tensor in halves.items()}
-    if _KEY not in metadata:
+    if metadata.keys() != {_KEY}:  # also where damage to its name hides the digest
         raise WeightsError(
-            f"{path} must have the metadata {_KEY!r}, got {sorted(metadata)};"
+            f"{path} must have the metadata {_KEY!r} alone, got {sorted(metadata)};"
             " was it written by `save_weights`?"
         )
     try:
         content = json.loads(metadata[_KEY])
         config, record = NeoConfig(**content["config"]), content["record"]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise WeightsError(f"{path} has unreadable metadata ({error!r})") from error
     network = build_network(config)
     _check_tensors(path, network, tensors)
     network.load_state_dict(tensors, strict=True)
-    network.requires_grad_(False).eval().to(device)
+    network.requires_grad_(False).eval().to(place)
     return Pretrained(network, config, os.fspath(name_or_path), digest, record)
 
 
+@checked
 def save_weights(
     path: str | os.PathLike[str],
     network: NeoNetwork,
@@ -142,6 +148,7 @@ def save_weights(
     InvalidInputError
         If the record is no JSON, or the folder does not exist.
     """
+    check_float_dtype(dtype)
     try:
         content = json.dumps({"config": asdict(network.config), "record": record})
     except TypeError as error:
@@ -179,7 +186,7 @@ def find_weights(name_or_path: str | os.PathLike[str]) -> WeightsFile:
     path = Path(name_or_path)
     if path.suffix != ".safetensors":
         raise WeightsError(
-            f"weights must be one of {sorted(WEIGHTS)} or the path of a .safetensors file,"
+            f"`name_or_path` must be one of {sorted(WEIGHTS)} or the path of a .safetensors file,"
             f" got {os.fspath(name_or_path)!r}"
         )
     if not path.is_file():

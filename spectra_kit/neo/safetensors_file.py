@@ -1,11 +1,14 @@
 """The safetensors format: a length, a JSON header, and the bytes of the tensors.
 
+Ours have a digest of everything among the metadata; files without one are read too.
+
 The library of that name does the same; training must run where it is not installed, and two
 readers of one format would be one too many. A test exchanges files with it.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Mapping
@@ -27,6 +30,7 @@ _DTYPES = {
     "U8": torch.uint8,
     "BOOL": torch.bool,
 }
+_DIGEST = "spectra_kit.sha256"  # among the metadata
 _NAMES = {dtype: name for name, dtype in _DTYPES.items()}
 
 
@@ -35,11 +39,13 @@ def pack(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> bytes:
 
     Examples
     --------
+    >>> import torch
+    >>> from spectra_kit.neo.safetensors_file import pack, unpack
     >>> tensors, metadata = unpack(pack({"a": torch.ones(2)}, {"unit": "m"}))
     >>> tensors["a"], metadata
     (tensor([1., 1.]), {'unit': 'm'})
     """
-    header: dict[str, Any] = {"__metadata__": dict(metadata)} if metadata else {}
+    header: dict[str, Any] = {}
     chunks, end = [], 0
     # Wide types first, as the format asks for, so that every tensor starts aligned.
     for name in sorted(tensors, key=lambda name: (-tensors[name].element_size(), name)):
@@ -51,9 +57,11 @@ def pack(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> bytes:
             "shape": list(tensor.shape),
             "data_offsets": [start, end],
         }
+    body = b"".join(chunks)
+    header["__metadata__"] = {**metadata, _DIGEST: _digest(header, metadata, body)}
     text = json.dumps(header, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 8)
-    return len(text).to_bytes(8, "little") + text + b"".join(chunks)
+    return len(text).to_bytes(8, "little") + text + body
 
 
 def unpack(content: bytes) -> tuple[dict[str, Tensor], dict[str, str]]:
@@ -62,29 +70,56 @@ def unpack(content: bytes) -> tuple[dict[str, Tensor], dict[str, str]]:
     Raises
     ------
     WeightsError
-        If the content is cut short or no safetensors at all.
+        If the content is cut short, changed (where it holds a digest, as that of `pack` does), or
+        no safetensors at all.
     """
     start = 8 + int.from_bytes(content[:8], "little")
     try:
         header = json.loads(content[8:start]) if 8 < start <= len(content) else None
         if not isinstance(header, dict):
             raise WeightsError(f"its header of {start - 8} bytes is not there")
-        metadata = header.pop("__metadata__", {})
         body = np.frombuffer(content, dtype=np.uint8)[start:].copy()
+        metadata = header.pop("__metadata__", {})
+        if not isinstance(metadata, dict) or not all(isinstance(v, str) for v in metadata.values()):
+            raise WeightsError(f"its metadata must map names to texts, got {metadata!r:.80}")
+        _check_ranges([tuple(entry["data_offsets"]) for entry in header.values()], len(body))
+        digest = metadata.pop(_DIGEST, None)
+        if digest not in (None, _digest(header, metadata, body.data)):
+            raise WeightsError(f"its content must have the sha256 {digest}, and has another")
         tensors = {name: _tensor(body, **entry) for name, entry in header.items()}
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise WeightsError(f"its header cannot be read: {error!r}") from error
-    if sum(tensor.nbytes for tensor in tensors.values()) != len(body):
-        raise WeightsError(f"its tensors and its {len(body)} bytes of data do not match")
     return tensors, metadata
+
+
+def _digest(
+    header: Mapping[str, Any], metadata: Mapping[str, str], body: bytes | memoryview
+) -> str:
+    """Return the sha256 of all that a file says: the format itself has no checksum."""
+    told = hashlib.sha256(json.dumps([header, dict(metadata)]).encode())
+    told.update(body)
+    return told.hexdigest()
+
+
+def _check_ranges(ranges: list[tuple[int, int]], size: int) -> None:
+    """Refuse tensors that do not lie one after the other from the first byte to the last."""
+    end = 0
+    for start, stop in sorted(ranges):
+        if start != end or stop < start:
+            raise WeightsError(f"a tensor must begin at byte {end} of the data, got {start}")
+        end = stop
+    if end != size:
+        raise WeightsError(f"its tensors and its {size} bytes of data do not match")
 
 
 def _tensor(
     body: np.ndarray[Any, Any], *, dtype: str, shape: list[int], data_offsets: list[int]
 ) -> Tensor:
     a, b = data_offsets
-    if not 0 <= a <= b <= len(body) or b - a != math.prod(shape) * _DTYPES[dtype].itemsize:
-        raise WeightsError(f"its tensor of shape {shape} does not lie within the file")
+    if not all(type(side) is int and side >= 0 for side in shape):
+        raise WeightsError(f"a shape must be of whole numbers, got {shape}")
+    if b - a != math.prod(shape) * _DTYPES[dtype].itemsize:
+        raise WeightsError(f"its tensor of shape {shape} does not have {b - a} bytes")
     tensor = torch.empty(shape, dtype=_DTYPES[dtype])
     tensor.view(-1).view(torch.uint8).copy_(torch.from_numpy(body[a:b]))
     return tensor

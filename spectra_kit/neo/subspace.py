@@ -13,11 +13,12 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, check_count, check_mass, check_points
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels import coarsen
 from spectra_kit.linalg.filters import smoothed
-from spectra_kit.linalg.torch_device import Clock, device_memory, sparse_tensor
+from spectra_kit.linalg.torch_device import Clock, check_device, device_memory, sparse_tensor
 from spectra_kit.linalg.torch_ritz import RitzPairs, rayleigh_ritz, ritz_rotation
 from spectra_kit.neo.model import NeoNetwork
 from spectra_kit.neo.pretrained import find_weights, load_pretrained
@@ -27,6 +28,7 @@ from spectra_kit.subspaces.frame import POSES, Frame, canonical_frame
 _DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
 
+@checked
 @dataclass(frozen=True, repr=False)
 class NeoSubspace(Rebuilt):
     """A function of (points, mass) that returns the basis a network predicts.
@@ -59,7 +61,8 @@ class NeoSubspace(Rebuilt):
 
     Examples
     --------
-    >>> from spectra_kit.neo import NeoConfig
+    >>> import numpy as np
+    >>> from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace
     >>> subspace = NeoSubspace(NeoNetwork(NeoConfig.named("small")), poses=2)
     >>> points = np.random.default_rng(0).normal(size=(500, 3))
     >>> subspace(points, np.ones(500)).shape
@@ -78,7 +81,7 @@ class NeoSubspace(Rebuilt):
         if self.dtype not in _DTYPES:
             raise InvalidInputError(f"`dtype` must be one of {sorted(_DTYPES)}, got {self.dtype!r}")
         check_count("chunk", self.chunk, low=1)
-        _check_device(self.device)
+        check_device(self.device)
         if not isinstance(self.network, NeoNetwork):
             find_weights(self.network)
 
@@ -101,8 +104,6 @@ class NeoSubspace(Rebuilt):
 
     def tensor(self, points: ArrayLike, mass: ArrayLike) -> torch.Tensor:
         """Return the same basis as a tensor that stays on `device`."""
-        points = check_points("points", points)
-        mass = check_mass("mass", mass, len(points))
         return self.predict(points, mass, self.frame(points, mass))
 
     def __repr__(self) -> str:
@@ -118,18 +119,20 @@ class NeoSubspace(Rebuilt):
         """Number of columns of the basis: the constant, and m for each pose."""
         return 1 + self.poses * self._model.config.m
 
-    def frame(self, points: NDArray[np.float64], mass: NDArray[np.float64]) -> Frame:
+    def frame(self, points: ArrayLike, mass: ArrayLike) -> Frame:
         """Return the similarity transform that the network expects."""
+        points = check_points("points", points)
+        mass = check_mass("mass", mass, len(points))
         if self._model.config.frame == "principal":
             return canonical_frame(points, mass)
         centre = mass @ points / mass.sum()
         return Frame(centre, np.eye(3), float(np.abs(points - centre).max()))
 
     @torch.no_grad()
-    def predict(
-        self, points: NDArray[np.float64], mass: NDArray[np.float64], frame: Frame
-    ) -> torch.Tensor:
+    def predict(self, points: ArrayLike, mass: ArrayLike, frame: Frame) -> torch.Tensor:
         """Return the basis as a float32 tensor of shape (n, 1 + poses * m) on `device`."""
+        points = check_points("points", points)
+        mass = check_mass("mass", mass, len(points))
         n, m, model = len(points), self._model.config.m, self._model
         basis = torch.ones(n, 1 + self.poses * m, device=self.device)
         weights = torch.from_numpy(mass / mass.mean()).float().to(self.device)
@@ -152,18 +155,7 @@ class NeoSubspace(Rebuilt):
         return model.eval().to(self.device, _DTYPES[self.dtype])
 
 
-def _check_device(name: str) -> None:
-    """Refuse a device that this machine or this build of torch does not have."""
-    try:
-        device = torch.device(name)
-        torch.empty(0, device=device)
-    # Without CUDA torch raises AssertionError, for an unknown name RuntimeError.
-    except (RuntimeError, AssertionError, TypeError) as error:
-        raise InvalidInputError(
-            f"`device` must be one that torch can use here, got {name!r} ({error}); try 'cpu'"
-        ) from error
-
-
+@checked
 def neo_eigenpairs(
     subspace: NeoSubspace,
     laplacian: Laplacian,
@@ -206,6 +198,9 @@ def neo_eigenpairs(
     MemoryError
         If the device has too little memory.
     """
+    if cap is not None:
+        check_count("cap", cap, low=1)
+    check_count("smoothing", smoothing, low=0)
     clock = Clock(torch.device(subspace.device))
     with device_memory():
         if cap is None or laplacian.n < 2 * cap:

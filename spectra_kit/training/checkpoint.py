@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError
 
 NAME = "checkpoint.pt"
+_DIGEST = hashlib.sha256().digest_size
 _PARTS = "checkpoint.[0-9][0-9]of[0-9][0-9]"
 
 
@@ -61,15 +63,39 @@ class Writer:
 
     def _write(self, content: dict[str, Any]) -> None:
         with atomic_path(self._path) as path:
-            torch.save(content, path)
+            path.write_bytes(_packed(content))
 
 
 def read(folder: Path) -> dict[str, Any] | None:
-    """Return the content of the checkpoint in a folder; None where there is none."""
+    """Return the content of the checkpoint in a folder; None where there is none.
+
+    Raises
+    ------
+    InvalidInputError
+        If it is damaged.
+    """
     path = folder / NAME
     if not path.is_file():
         return None
-    content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    return _unpacked(path.read_bytes(), path, "begin the run again, or put a copy of it there")
+
+
+def _packed(content: dict[str, Any]) -> bytes:
+    """Return the bytes of a checkpoint: as PyTorch writes it, then the sha256 of that."""
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
+    return buffer.getvalue() + hashlib.sha256(buffer.getbuffer()).digest()
+
+
+def _unpacked(data: bytes, path: Path, remedy: str) -> dict[str, Any]:
+    """Return the content of a checkpoint; PyTorch, which compares no checksum, sees whole ones."""
+    body, digest = data[:-_DIGEST], data[-_DIGEST:]
+    if hashlib.sha256(body).digest() != digest:
+        raise InvalidInputError(
+            f"{path} must end in the sha256 of its {len(body)} bytes, and does not: it was"
+            f" damaged, or written by an older version; {remedy}"
+        )
+    content: dict[str, Any] = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
     return content
 
 
@@ -112,9 +138,7 @@ def write_parts(folder: Path, content: dict[str, Any], *, limit: int = 15 * 2**2
         "average": {},
         "optimizers": [_without_momentum(saved) for saved in content["optimizers"]],
     }
-    buffer = io.BytesIO()
-    torch.save(small, buffer)
-    data = buffer.getvalue()
+    data = _packed(small)
     for old in folder.glob(_PARTS):
         old.unlink()
     total, paths = -(-len(data) // limit), []
@@ -131,7 +155,7 @@ def read_parts(folder: str | os.PathLike[str]) -> dict[str, Any]:
     Raises
     ------
     InvalidInputError
-        If there are no parts, or not all of them.
+        If there are no parts, not all of them, or damaged ones.
     """
     paths = sorted(Path(folder).glob(_PARTS))
     total = int(paths[0].name[-2:]) if paths else 1
@@ -141,7 +165,7 @@ def read_parts(folder: str | os.PathLike[str]) -> dict[str, Any]:
             " copy the rest there, and nothing older"
         )
     data = b"".join(path.read_bytes() for path in paths)
-    content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    content = _unpacked(data, Path(folder) / NAME, "copy all its parts there again")
     whole: dict[str, Any] = mapped(content, lambda t: t.float() if t.is_floating_point() else t)
     return {**whole, "average": whole["network"]}
 

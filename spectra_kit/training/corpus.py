@@ -18,11 +18,12 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spectra_kit._files import atomic_path
+from spectra_kit._files import atomic_path, parsing
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.training.families import FAMILIES
@@ -116,6 +117,7 @@ def generate(
     Examples
     --------
     >>> import tempfile
+    >>> from spectra_kit.training.corpus import CorpusConfig, generate
     >>> config = CorpusConfig(seed=1, n_points=128, k=4, shard_size=2)
     >>> generate(tempfile.mkdtemp(), 3, config=config).samples
     3
@@ -174,7 +176,7 @@ def claim(root: Path, config: CorpusConfig) -> None:
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(ours, indent=1))
         return
-    theirs = json.loads(path.read_text())
+    theirs = read_fingerprint(path)
     differing = sorted(key for key in ours if ours[key] != theirs.get(key))
     if differing:
         raise InvalidInputError(
@@ -183,11 +185,18 @@ def claim(root: Path, config: CorpusConfig) -> None:
         )
 
 
+def read_fingerprint(path: Path) -> dict[str, Any]:
+    """Return what `claim` wrote."""
+    with parsing(path, "record of a corpus", remedy="restore it, or begin another folder"):
+        return dict(json.loads(path.read_text()))
+
+
 def _is_there(root: Path, index: int, size: int) -> bool:
     path = root / f"shard_{index:04d}" / "mass.npy"
     if not path.exists():
         return False
-    there = len(np.load(path, mmap_mode="r"))
+    with parsing(path, "shard", remedy=f"delete {path.parent}, which is made again then"):
+        there = len(np.load(path, mmap_mode="r"))
     if there != size:
         raise InvalidInputError(
             f"shard {index} of {root} holds {there} samples where `n` asks for {size};"
@@ -240,6 +249,7 @@ def produced(
 
     Examples
     --------
+    >>> from spectra_kit.training.corpus import CorpusConfig, produced
     >>> config = CorpusConfig(seed=1, n_points=128, k=4)
     >>> with produced(config, [3, 1], 1) as samples:
     ...     [sample.labels["index"] for sample in samples]

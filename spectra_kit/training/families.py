@@ -185,6 +185,8 @@ def make_mesh(family: str, seed: int | tuple[int, ...]) -> TriangleMesh:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.training.families import make_mesh
     >>> mesh = make_mesh("tube", 0)
     >>> len(np.unique(mesh.component_labels))
     1

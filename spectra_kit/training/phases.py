@@ -14,7 +14,7 @@ from typing import Any
 
 import torch
 
-from spectra_kit._files import atomic_path
+from spectra_kit._files import atomic_path, parsing
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.model import NeoConfig, NeoNetwork, build_network
 from spectra_kit.neo.pretrained import WEIGHTS, Pretrained, load_pretrained, save_weights
@@ -86,10 +86,11 @@ class Leg:
         path = folder / "leg.json"
         if not path.is_file():
             return None
-        content = json.loads(path.read_text())
-        config = content.pop("config")
-        config["network"] = NeoConfig(**config["network"])
-        return cls(**content, config=TrainConfig(**config))
+        with parsing(path, "record of a leg", remedy="copy the state there again"):
+            content = json.loads(path.read_text())
+            config = content.pop("config")
+            config["network"] = NeoConfig(**config["network"])
+            return cls(**content, config=TrainConfig(**config))
 
 
 @dataclass(frozen=True)

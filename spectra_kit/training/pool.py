@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._files import atomic_path
+from spectra_kit._files import atomic_path, parsing
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
@@ -75,7 +75,7 @@ class MeshPool:
 
 
 def open_pool(path: str | os.PathLike[str], split: str) -> MeshPool:
-    """Read the meshes of one split; a second call with the same arguments reads nothing.
+    """Read the meshes of one split; a second call reads nothing unless files have changed.
 
     Parameters
     ----------
@@ -97,18 +97,24 @@ def open_pool(path: str | os.PathLike[str], split: str) -> MeshPool:
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> from spectra_kit.training.pool import open_pool
     >>> file = Path(tempfile.mkdtemp()) / "pool.npz"
     >>> arrays = {"V": np.eye(3), "F": [[0, 1, 2]], "voff": [0, 3], "foff": [0, 1]}
     >>> np.savez(file, **arrays, ids=["triangle"], split="train")
     >>> open_pool(file, "train").mesh(0).area
     0.87
     """
-    return _open(os.fspath(path), split)
+    root = Path(path)
+    files = [*sorted(root.glob("pool_*.npz")), root / "manifest.csv"] if root.is_dir() else [root]
+    stats = {file.name: file.stat() for file in files if file.is_file()}
+    stamps = tuple((name, stat.st_size, stat.st_mtime_ns) for name, stat in stats.items())
+    return _open(root, split, stamps)
 
 
 @lru_cache(maxsize=4)
-def _open(path: str, split: str) -> MeshPool:
-    root = Path(path)
+def _open(root: Path, split: str, stamps: tuple[tuple[str, int, int], ...]) -> MeshPool:
     if root.is_dir():
         chunks = [_read(file) for file in sorted(root.glob("pool_*.npz"))]
         if not chunks or not (root / "manifest.csv").is_file():
@@ -175,13 +181,12 @@ def pack_pool(path: str | os.PathLike[str], target: str | os.PathLike[str], spli
 
 
 def _read(path: Path) -> dict[str, NDArray[np.generic]]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            chunk = dict(file.items())
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise InvalidInputError(
-            f"`path` must be a mesh pool, cannot read {path}: {error}"
-        ) from error
+    with (
+        parsing(path, "mesh pool", remedy="copy it there again"),
+        path.open("rb") as raw,  # which np.load would not close if it cannot read it
+        np.load(raw, allow_pickle=False) as file,
+    ):
+        chunk = dict(file.items())
     if missing := [key for key in _KEYS if key not in chunk]:
         raise InvalidInputError(f"`path` must be a mesh pool, but {path} lacks {missing}")
     return chunk

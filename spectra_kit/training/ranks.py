@@ -47,6 +47,7 @@ class Ranks:
 
         Examples
         --------
+        >>> from spectra_kit.training.ranks import Ranks
         >>> [Ranks(rank, 3).share(8) for rank in range(3)]
         [slice(0, 2, None), slice(2, 5, None), slice(5, 8, None)]
         """

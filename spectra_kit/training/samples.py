@@ -18,7 +18,7 @@ from spectra_kit.eigensolvers import Arpack, eigensolve
 from spectra_kit.errors import ConvergenceError, InvalidInputError, InvalidSpectrumError
 from spectra_kit.geometry.sampling import GaussianDensity, sample
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
-from spectra_kit.operators import robust_laplacian
+from spectra_kit.operators import delaunay_laplacian
 from spectra_kit.training.families import FAMILIES, draw_family, make_mesh
 from spectra_kit.training.pool import open_pool, varied
 
@@ -90,7 +90,7 @@ class CorpusConfig:
         path, split = values.pop("pool"), values.pop("pool_split")
         values["pool"] = open_pool(path, split).digest if self.pool_share else None
         weights = {name: weight for name, (_, weight) in FAMILIES.items()}
-        return {"format": 3, **values, "families": weights if self.pool_share < 1 else {}}
+        return {"format": 4, **values, "families": weights if self.pool_share < 1 else {}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,13 +134,17 @@ def make_sample(config: CorpusConfig, index: int) -> Sample:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.training.samples import CorpusConfig, make_sample
     >>> cloud = make_sample(CorpusConfig(seed=0, n_points=256, k=8), 3)
     >>> gram = cloud.eigenvectors.T @ (cloud.mass[:, None] * cloud.eigenvectors)
     >>> bool(np.allclose(gram, np.eye(8), atol=1e-9))
     True
     """
     rejected = dict.fromkeys(REASONS, 0)
-    for attempt in itertools.count():
+    attempts = itertools.count()
+    while True:
+        attempt = next(attempts)
         source = draw_source(config, index, attempt)
         drawn = _draw_cloud(config, source, index, attempt)
         if drawn is None:
@@ -160,7 +164,6 @@ def make_sample(config: CorpusConfig, index: int) -> Sample:
         labels |= {f"rejected_{reason}": count for reason, count in rejected.items()}
         area = mass.sum()
         return Sample(points, mass / area, eigenvectors * np.sqrt(area), labels)
-    raise AssertionError("itertools.count ended")
 
 
 def sample_mesh(config: CorpusConfig, labels: Mapping[str, int]) -> TriangleMesh:
@@ -180,6 +183,7 @@ def sample_mesh(config: CorpusConfig, labels: Mapping[str, int]) -> TriangleMesh
 
     Examples
     --------
+    >>> from spectra_kit.training.samples import CorpusConfig, make_sample, sample_mesh
     >>> config = CorpusConfig(seed=0, n_points=256, k=8)
     >>> mesh = sample_mesh(config, make_sample(config, 3).labels)
     >>> bool(mesh.area > 0)
@@ -206,6 +210,7 @@ def draw_source(config: CorpusConfig, index: int, attempt: int) -> dict[str, int
 
     Examples
     --------
+    >>> from spectra_kit.training.samples import CorpusConfig, draw_source
     >>> config = CorpusConfig(seed=0)
     >>> draw_source(config, 3, 0) == draw_source(config, 3, 1)  # rejections come in fours
     True
@@ -245,6 +250,7 @@ def make_surface(
 
     Examples
     --------
+    >>> from spectra_kit.training.samples import CorpusConfig, draw_source, make_surface
     >>> config = CorpusConfig(seed=0)
     >>> bool(make_surface(config, draw_source(config, 3, 0), 3, 0).area > 0)
     True
@@ -279,7 +285,7 @@ def _draw_cloud(
 
 def _modes(points: Floats, k: int) -> tuple[Floats, Floats] | None:
     """Mass and exact eigenvectors of a cloud; None if its Laplacian has several components."""
-    laplacian = robust_laplacian(PointCloud(points))
+    laplacian = delaunay_laplacian(PointCloud(points))
     if laplacian.n_components > 1:
         return None
     spectrum = eigensolve(laplacian, k, Arpack(tol=_TOLERANCE))

@@ -16,8 +16,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,8 +23,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._files import parsing, temporary_folder
 from spectra_kit.errors import InvalidInputError
 
+_DTYPES = {"points": np.float32, "mass": np.float32, "eigenvectors": np.float16}
 _NAME = re.compile(r"shard_\d{4,}")
 
 
@@ -128,7 +128,9 @@ def write_shard(
 
     Examples
     --------
-    >>> import numpy as np, tempfile
+    >>> import tempfile
+    >>> import numpy as np
+    >>> from spectra_kit.training.shards import open_shards, write_shard
     >>> corpus = tempfile.mkdtemp()
     >>> mass = np.full((2, 5), 0.2)
     >>> points, modes = np.zeros((2, 5, 3)), np.ones((2, 5, 1))
@@ -145,8 +147,7 @@ def write_shard(
     _check(arrays, names)
     path = Path(folder) / f"shard_{index:04d}"
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=".writing_", dir=path.parent))
-    try:
+    with temporary_folder(path.parent) as temporary:
         for name, array in arrays.items():
             np.save(temporary / f"{name}.npy", array)
         np.savez(temporary / "labels.npz", allow_pickle=False, **names)
@@ -156,8 +157,6 @@ def write_shard(
             raise InvalidInputError(
                 f"shard {index} of {folder} exists; delete {path} or take another index"
             ) from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
     return path
 
 
@@ -177,7 +176,8 @@ def open_shards(folder: str | os.PathLike[str]) -> Corpus:
     Raises
     ------
     InvalidInputError
-        If there is no shard, or shards differ in points or modes per sample.
+        If there is no shard, a file of one is missing, cut short or of another shape, or shards
+        differ in points or modes per sample.
     """
     root = Path(folder)
     entries = root.iterdir() if root.is_dir() else iter(())
@@ -191,10 +191,9 @@ def open_shards(folder: str | os.PathLike[str]) -> Corpus:
         )
     shards, labels = [], []
     for path in paths:
-        names = ("points", "mass", "eigenvectors")
-        shards.append(Batch(*(np.load(path / f"{name}.npy", mmap_mode="r") for name in names)))
-        with np.load(path / "labels.npz", allow_pickle=False) as file:
-            labels.append({name: file[name] for name in file.files})
+        shard, label = _open_shard(path)
+        shards.append(shard)
+        labels.append(label)
     sizes = {shard.eigenvectors.shape[1:] for shard in shards}
     if len(sizes) > 1:
         raise InvalidInputError(
@@ -206,27 +205,55 @@ def open_shards(folder: str | os.PathLike[str]) -> Corpus:
     return Corpus(tuple(shards), joined)
 
 
+def _open_shard(path: Path) -> tuple[Batch, dict[str, NDArray[np.int64]]]:
+    """Map the arrays of one shard; their values are not read, and damage to them is not seen."""
+    with parsing(path, "shard", remedy="delete it, and generate the corpus again: it is replaced"):
+        arrays = {name: np.load(path / f"{name}.npy", mmap_mode="r") for name in _DTYPES}
+        with (path / "labels.npz").open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            labels = {name: file[name] for name in file.files}
+        for name, dtype in _DTYPES.items():
+            if arrays[name].dtype != dtype:
+                raise TypeError(f"{name} must be {np.dtype(dtype)}, got {arrays[name].dtype}")
+        for name, label in labels.items():
+            if label.dtype != np.int64:
+                raise TypeError(f"label {name} must be int64, got {label.dtype}")
+        _check_shapes(arrays, labels, where=f"{path}: ")
+    return Batch(**arrays), labels
+
+
 def _check(
     arrays: Mapping[str, NDArray[np.floating]], labels: Mapping[str, NDArray[np.int64]]
 ) -> None:
-    points, mass, eigenvectors = arrays["points"], arrays["mass"], arrays["eigenvectors"]
-    s, n = mass.shape if mass.ndim == 2 else (0, 0)
-    if s == 0 or points.shape != (s, n, 3) or eigenvectors.shape[:-1] != (s, n):
-        raise InvalidInputError(
-            "`points`, `mass` and `eigenvectors` must have shapes (s, n, 3), (s, n) and (s, n, k)"
-            f" with s >= 1, got {points.shape}, {mass.shape} and {eigenvectors.shape}"
-        )
-    for name, label in labels.items():
-        if label.shape != (s,):
-            raise InvalidInputError(
-                f"label `{name}` must have one integer for each of {s} samples, got {label.shape}"
-            )
+    _check_shapes(arrays, labels)
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise InvalidInputError(f"`{name}` must be finite in the precision that is stored")
+    mass = arrays["mass"]
     sums = mass.sum(axis=1, dtype=np.float64)
     if not ((mass > 0).all() and np.allclose(sums, 1, atol=1e-4)):
         raise InvalidInputError(
             f"`mass` must be positive with rows that sum to 1, got sums in [{sums.min():.6g},"
             f" {sums.max():.6g}]; divide by the sum and multiply the eigenvectors by its root"
         )
+
+
+def _check_shapes(
+    arrays: Mapping[str, NDArray[np.floating]],
+    labels: Mapping[str, NDArray[np.int64]],
+    *,
+    where: str = "",
+) -> None:
+    points, mass, eigenvectors = arrays["points"], arrays["mass"], arrays["eigenvectors"]
+    s, n = mass.shape if mass.ndim == 2 else (0, 0)
+    whole = eigenvectors.ndim == 3 and eigenvectors.shape[:2] == (s, n)
+    if s == 0 or points.shape != (s, n, 3) or not whole:
+        raise InvalidInputError(
+            f"{where}`points`, `mass` and `eigenvectors` must have shapes (s, n, 3), (s, n) and"
+            f" (s, n, k) with s >= 1, got {points.shape}, {mass.shape} and {eigenvectors.shape}"
+        )
+    for name, label in labels.items():
+        if label.shape != (s,):
+            raise InvalidInputError(
+                f"{where}label `{name}` must have one integer for each of {s} samples,"
+                f" got {label.shape}"
+            )

@@ -76,6 +76,8 @@ class SampleStream:
 
     Examples
     --------
+    >>> from spectra_kit.training.samples import CorpusConfig
+    >>> from spectra_kit.training.stream import SampleStream
     >>> config = CorpusConfig(seed=0, n_points=128, k=4)
     >>> with SampleStream(config, workers=1, capacity=64) as stream:
     ...     enough = stream.ready(3, timeout=60)

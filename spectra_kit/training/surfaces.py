@@ -18,6 +18,8 @@ def grid_mesh(points: Floats, *, wrap_v: bool = False) -> TriangleMesh:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.training.surfaces import grid_mesh
     >>> u, v = np.meshgrid(np.arange(3.0), np.arange(4.0), indexing="ij")
     >>> grid_mesh(np.stack([u, v, 0 * u], axis=-1)).area
     6.0
@@ -35,6 +37,8 @@ def join(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
 
     Examples
     --------
+    >>> from spectra_kit import TriangleMesh
+    >>> from spectra_kit.training.surfaces import join
     >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     >>> join([mesh, mesh]).faces
     array([[0, 1, 2], [3, 4, 5]])
@@ -51,6 +55,8 @@ def largest_part(mesh: TriangleMesh) -> TriangleMesh:
 
     Examples
     --------
+    >>> from spectra_kit import TriangleMesh
+    >>> from spectra_kit.training.surfaces import join, largest_part
     >>> small = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     >>> largest_part(join([small, small.with_points(3 * small.points)])).area
     4.5
@@ -81,6 +87,8 @@ def superquadric(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.training.surfaces import superquadric
     >>> float(superquadric((1.0, 1.0), [1, 1, 1]).area / (4 * np.pi)).__round__(2)
     1.0
     """
@@ -103,6 +111,8 @@ def revolve(profile: Floats, *, n_v: int = 64) -> TriangleMesh:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.training.surfaces import revolve
     >>> revolve(np.array([[1.0, 0.0], [1.0, 1.0]])).area / np.pi
     2.00
     """
@@ -133,6 +143,8 @@ def sweep(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.training.surfaces import sweep
     >>> t = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     >>> circle = np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
     >>> sweep(circle, 0.25, closed=True).area / (np.pi**2)
@@ -230,6 +242,8 @@ def bisected(mesh: TriangleMesh, longest: float) -> TriangleMesh:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.training.surfaces import bisected, grid_mesh
     >>> square = grid_mesh(np.array([[[0.0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]]))
     >>> fine = bisected(square, 0.5)
     >>> len(fine.faces), fine.area

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +12,8 @@ from numpy.typing import NDArray
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
-from spectra_kit.operators import robust_laplacian
-from spectra_kit.training.corpus import CorpusReport, claim, count
+from spectra_kit.operators import delaunay_laplacian
+from spectra_kit.training.corpus import CorpusReport, claim, count, read_fingerprint
 from spectra_kit.training.samples import CorpusConfig, sample_mesh
 from spectra_kit.training.shards import open_shards
 
@@ -49,6 +48,7 @@ def topology(mesh: TriangleMesh) -> Topology:
     Examples
     --------
     >>> from spectra_kit.geometry import torus
+    >>> from spectra_kit.training.survey import topology
     >>> topology(torus().geometry)
     Topology(parts=1, closed=True, boundary=False, genus=1)
     """
@@ -143,6 +143,8 @@ def survey(
     --------
     >>> import tempfile
     >>> from spectra_kit.training.corpus import generate
+    >>> from spectra_kit.training.samples import CorpusConfig
+    >>> from spectra_kit.training.survey import survey
     >>> folder = tempfile.mkdtemp()
     >>> counts = generate(folder, 2, config=CorpusConfig(seed=1, n_points=128, k=4))
     >>> survey(folder).eigenvalues.shape
@@ -177,7 +179,7 @@ def read_config(
     path = Path(folder) / "corpus.json"
     if not path.is_file():
         raise InvalidInputError(f"`folder` must hold a corpus with its corpus.json, got {folder}")
-    stored = json.loads(path.read_text())
+    stored = read_fingerprint(path)
     names = ("seed", "n_points", "k", "shard_size", "nonuniform", "pool_share")
     values = {name: stored[name] for name in names if name in stored}
     config = CorpusConfig(pool=pool, pool_split=pool_split, **values)
@@ -187,7 +189,7 @@ def read_config(
 
 def _eigenvalues(points: Floats, modes: Floats) -> Floats:
     """Eigenvalues (k,) times area of a cloud whose modes (n, k) are known."""
-    laplacian = robust_laplacian(PointCloud(points))
+    laplacian = delaunay_laplacian(PointCloud(points))
     energy = np.sum(modes * (laplacian.stiffness @ modes), axis=0)
     norm = np.sum(modes * (laplacian.mass[:, None] * modes), axis=0)
     return np.asarray(energy / norm * laplacian.area)

@@ -15,7 +15,7 @@ from pathlib import Path
 from spectra_kit.errors import MissingDependencyError
 
 #: What training needs beside torch, NumPy and SciPy, which such machines have.
-NEEDED = ("robust_laplacian", "cholespy")
+NEEDED = ("numba", "llvmlite", "cholespy", "qdldl", "threadpoolctl")
 _GLIBCS = ("2_28", "2_27", "2_24", "2_17")
 
 
@@ -24,6 +24,7 @@ def fits(wheel: str, *, python: tuple[int, int], machine: str) -> bool:
 
     Examples
     --------
+    >>> from spectra_kit.training.wheels import fits
     >>> fits("a-1.0-cp312-cp312-manylinux_2_17_x86_64.whl", python=(3, 12), machine="x86_64")
     True
     >>> fits("a-1.0-cp311-cp311-manylinux_2_17_x86_64.whl", python=(3, 12), machine="x86_64")
@@ -115,7 +116,7 @@ def download_wheels(
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise MissingDependencyError(
-            f"pip could not download {' and '.join(NEEDED)} for Python {python} on {machine}:"
+            f"pip could not download {', '.join(NEEDED)} for Python {python} on {machine}:"
             f" {done.stderr.strip()}"
         )
     return sorted(Path(folder).glob("*.whl"))
