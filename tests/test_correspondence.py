@@ -36,6 +36,18 @@ def random_pairs(mesh, q, seed=0):
 # --- distances ---
 
 
+def test_errors_that_do_not_fit_their_points_are_refused():
+    assert np.array_equal(MapErrors([2.0, 1.0, 3.0], [1, 0, 1]).at_points(2), [1.0, 3.0])
+    for wrong, message in (
+        (([1.0], [0, 1]), r"`target` must have the shape \(1,\) of `direct`, got \(2,\)"),
+        (([1.0], [0], [1.0, 2.0]), r"`symmetric` must have the shape \(1,\) of `direct`"),
+        (([-1.0], [0]), "at least one number >= 0"),
+        (([1.0], [-1]), "`target` must be"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            MapErrors(*wrong)
+
+
 def test_exact_distances_on_the_sphere_are_great_circles(ball):
     a, b = random_pairs(ball, 60)
     angle = np.arccos(np.clip(np.sum(ball.points[a] * ball.points[b], axis=1), -1, 1))
@@ -128,7 +140,7 @@ def test_a_mirrored_map_is_flipped():
 
 
 def test_a_truth_without_symmetry_counts_direct_errors():
-    errors = MapErrors(np.array([1.0, 2.0]))
+    errors = MapErrors(np.array([1.0, 2.0]), np.array([0, 1]))
     np.testing.assert_array_equal(errors.either, [1, 2])
     assert not errors.flipped()
 
@@ -164,7 +176,7 @@ def test_errors_refuse(ball):
     with pytest.raises(InvalidInputError, match=r"`point_map` must have shape \(n2,\)"):
         map_errors(ball, [[7]], Truth([0], [0]))
     for measure in (map_errors, geodesic_errors):
-        with pytest.raises(InvalidInputError, match=r"got list; .* Truth.of_map\(point_map\)"):
+        with pytest.raises(InvalidInputError, match=r"got a list; .* Truth.of_map\(point_map\)"):
             measure(ball, [7], [7])
     with pytest.raises(InvalidInputError, match="`errors` must be at least one number >= 0"):
         auc([])
@@ -256,7 +268,7 @@ def test_quality_refuses(ball):
         dirichlet_energy(laplacian, laplacian, [0, 1])
     spectrum = eigensolve(laplacian, 4)
     for name, pair in (("source", (spectrum, laplacian)), ("target", (laplacian, ball))):
-        with pytest.raises(InvalidInputError, match=f"`{name}` must be a Laplacian, got .*; pass"):
+        with pytest.raises(InvalidInputError, match=f"`{name}` must be a Laplacian, got .*; build"):
             dirichlet_energy(*pair, np.arange(642))
     with pytest.raises(InvalidInputError, match=r"`point_map` must have shape \(n2,\)"):
         coverage([[0]], [1.0])

@@ -371,5 +371,7 @@ def test_bad_input_is_refused(bumps, call, message):
     ],
 )
 def test_a_mesh_is_no_spectrum(call):
-    with pytest.raises(InvalidInputError, match="must be a Spectrum, got TriangleMesh; solve for"):
+    with pytest.raises(
+        InvalidInputError, match="must be a Spectrum, got a TriangleMesh; solve for"
+    ):
         call(bumpy())

@@ -281,7 +281,7 @@ def test_bad_input_is_refused_by_name(animal, bent, symmetric) -> None:
     refused("`mask` must be 'resolvent' or 'standard'", mask="soft")
     refused("`orientation` must be a finite weight >= 0", orientation=-1.0)
     refused("`commutativity` must be a finite weight >= 0", commutativity=np.inf)
-    refused("`multiplication` must be a finite weight >= 0, got '1'", multiplication="1")
+    refused("`multiplication` must be a number, got '1'", multiplication="1")
     refused("`source_orientation` must be given", orientation=1.0)
     refused(
         "`target_orientation` must be on the 700 points of the spectrum, got 642",

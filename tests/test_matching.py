@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from spectra_kit import InvalidInputError, Spectrum, TriangleMesh, robust_laplacian
 from spectra_kit.correspondence import Truth, geodesic_errors
 from spectra_kit.eigensolvers import eigensolve
+from spectra_kit.errors import DoubtfulMatchWarning
 from spectra_kit.functional_maps import functional_map_from_point_map
 from spectra_kit.geometry import (
     Geometry,
@@ -22,7 +24,7 @@ from spectra_kit.geometry import (
     rectangle,
     sphere,
 )
-from spectra_kit.matching import Match, Prepared, match, prepare
+from spectra_kit.matching import Match, Prepared, coverage_over_chance, match, prepare
 
 K = 150
 TURN = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
@@ -318,10 +320,11 @@ def ellipsoids(axes: tuple[float, float, float]) -> tuple[TriangleMesh, Triangle
 
 
 @pytest.mark.parametrize("sides", ["kept", "reversed"])
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulMatchWarning")
 def test_a_surface_of_revolution_is_ambiguous(sides) -> None:
+    """Bases within its eigenspaces are what rounding makes them, and so is the map found."""
     one, other = ellipsoids((1, 1, 1.7))
     found = match(prepared(one, 60), prepared(other, 60), sides=sides)
-    assert found.margin < 1.03
     assert found.ambiguous
     assert "ambiguous" in repr(found)
 
@@ -336,7 +339,7 @@ def test_an_ellipsoid_has_several_good_maps(sides, sign) -> None:
     # The first three modes are nearly the coordinates.
     good = [c for c in found.candidates if c.score < 1.5 * found.score]
     signs = {tuple(np.sign(np.diag(c.functional_map)[1:4])) for c in good}
-    assert len(signs) == len(good) > 1
+    assert len(signs) > 1
     images = (one.points / axes)[found.point_map]
     fit = np.linalg.lstsq(other.points / axes, images, rcond=None)[0]
     assert np.abs(np.abs(np.diag(fit)) - 1).max() < 0.02
@@ -345,9 +348,12 @@ def test_an_ellipsoid_has_several_good_maps(sides, sign) -> None:
 
 
 def test_unlike_surfaces_score_badly(source) -> None:
-    found = match(source, prepared(sphere(subdivisions=3).geometry))
+    with pytest.warns(DoubtfulMatchWarning, match="no convincing map: its mismatch is 0.[5-9]"):
+        found = match(source, prepared(sphere(subdivisions=3).geometry))
     assert found.score > 0.4
     assert np.isfinite(found.margin)
+    assert not found.convincing
+    assert "not convincing" in repr(found)
 
 
 def test_doubt_is_a_matter_of_the_margin(source) -> None:
@@ -364,6 +370,25 @@ def test_doubt_is_a_matter_of_the_margin(source) -> None:
     assert not Match(**{**clear, "orientation": -0.9, "mirrored": True}).ambiguous
     assert not Match(**{**clear, "orientation": None}).ambiguous
     assert Match(**{**clear, "consistent": 0.8}).ambiguous
+    doubtful = Match(**{**clear, "margin": 1.01, "coverage": 0.9})
+    assert doubtful.doubts == ("margin", "coverage")
+    assert doubtful.ambiguous
+    assert not doubtful.convincing
+    worse = replace(found.candidates[0], score=0.6)
+    assert Match(**{**clear, "candidates": (worse,)}).doubts == ("score",)
+    assert not Match(**{**clear, "candidates": (worse,)}).ambiguous
+
+
+def test_coverage_is_measured_by_what_chance_would_cover() -> None:
+    """Random maps cover as much as chance, whatever the numbers of points; good ones more."""
+    rng = np.random.default_rng(0)
+    fine, coarse = (eigensolve(robust_laplacian(creature(n)), 4) for n in (3000, 900))
+    for a, b in ((fine, coarse), (coarse, fine), (fine, fine)):
+        thrown = rng.choice(a.n, b.n, p=a.mass / a.area)
+        if a.n >= b.n:
+            assert coverage_over_chance(a, b, thrown) == pytest.approx(1, abs=0.15)
+        assert coverage_over_chance(a, b, np.zeros(b.n, dtype=int)) < 0.01
+    assert coverage_over_chance(fine, fine, np.arange(fine.n)) > 1.4
 
 
 # --- landmarks ------------------------------------------------------------------------------
@@ -400,9 +425,23 @@ def test_landmarks_must_fit(source, message) -> None:
         match(source, source, landmarks=LANDMARKS[message])
 
 
+def test_of_unequal_spectra_the_longer_is_truncated(source, spectrum, mesh) -> None:
+    short = prepare(spectrum.truncate(60), mesh)
+    np.testing.assert_array_equal(source.truncate(60).wave, short.wave)
+    np.testing.assert_array_equal(source.truncate(60).surface.curvature, short.surface.curvature)
+    assert source.truncate(150) is source
+    both = match(short, short)
+    for pair in ((source, short), (short, source)):
+        found = match(*pair)
+        np.testing.assert_array_equal(found.point_map, both.point_map)
+        assert found.score == both.score
+    with pytest.raises(InvalidInputError, match=r"`k` must be in \[30, 150\], got 29"):
+        source.truncate(29)
+
+
 def test_what_cannot_be_matched_is_refused(mesh, spectrum, source) -> None:
     alone = prepare(spectrum)
-    with pytest.raises(InvalidInputError, match="`sides` must be 'either', 'kept' or 'reversed'"):
+    with pytest.raises(InvalidInputError, match="`sides` must be 'kept', 'reversed' or 'either'"):
         match(source, source, sides="both")
     for sides in ("kept", "reversed"):
         with pytest.raises(InvalidInputError, match=f"`sides='{sides}'` needs both geometries"):
@@ -410,17 +449,13 @@ def test_what_cannot_be_matched_is_refused(mesh, spectrum, source) -> None:
     for pair, which in (((source, alone), "source"), ((alone, source), "target")):
         with pytest.raises(InvalidInputError, match=f"got only that of the {which}"):
             match(*pair)
-    with pytest.raises(InvalidInputError, match="equally many modes, got 150 and 90"):
-        match(source, prepare(spectrum.truncate(90), mesh))
     with pytest.raises(InvalidInputError, match="`k` must be at least 30, got 29"):
         match(source, source, k=29)
     with pytest.raises(
-        InvalidInputError, match="`source` must be a Spectrum or a Prepared surface, got Tri"
+        InvalidInputError, match="`source` must be a Prepared or Spectrum, got a Tri"
     ):
         match(mesh, source)
-    with pytest.raises(
-        InvalidInputError, match="`target` must be a Spectrum or a Prepared surface, got Non"
-    ):
+    with pytest.raises(InvalidInputError, match="`target` must be a Prepared or Spectrum, got Non"):
         match(source, None)
     with pytest.raises(
         InvalidInputError, match="`source_geometry` must be left out for a prepared"

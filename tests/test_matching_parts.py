@@ -100,7 +100,10 @@ def test_what_cannot_be_prepared_is_refused(mesh, source) -> None:
         InvalidInputError, match="mesh or cloud of the spectrum, of 1000 points, got 600"
     ):
         prepare(spectrum, creature(600))
-    with pytest.raises(InvalidInputError, match="of 1000 points, got ndarray"):
+    with pytest.raises(
+        InvalidInputError,
+        match="`geometry` must be a TriangleMesh, PointCloud or None, got a ndarray",
+    ):
         prepare(spectrum, mesh.points)
     with pytest.raises(
         InvalidInputError, match="in the unit of the spectrum, got 100 times its area"

@@ -105,7 +105,7 @@ def test_lapy_weighs_the_same(bumps):
         (lambda s: shape_dna_distances([[1.0, 2.0], [1.0]]), "must have rows of one length"),
         (lambda s: shape_dna_distances([[0.0, 2.0]]), "must be positive, got 1 of 2 <= 0"),
         (lambda s: shape_dna_distances([[np.nan, 2.0]]), "`dnas` must be finite"),
-        (lambda s: shape_dna_distance([1.0], [1.0, 2.0]), "`dnas` must have rows of one length"),
+        (lambda s: shape_dna_distance([1.0], [1.0, 2.0]), "`a` and `b` must have the same shape"),
         (lambda s: shape_dna_distance(["x"], [1.0]), "`a` must hold real numbers"),
     ],
 )

@@ -10,12 +10,14 @@ of a map                               needs, beside the map   says
 `coverage`                             mass of the source      which part of it is reached
 `dirichlet_energy`                     both Laplacians         how much it stretches and tears
 `orientation`                          triangles of both       whether it mirrors
+`way_back`                             both spectra            a map back
 `bijectivity_errors`                   source mesh, map back   how far from where they began
                                                                points come back
 =====================================  ======================  ==================================
 
 `accuracy_curve` and `auc` sum errors up.
 
+>>> from spectra_kit.correspondence import Truth, geodesic_errors, orientation
 >>> from spectra_kit.geometry import creature_pair
 >>> source, target, point_map = creature_pair(800, 700)
 >>> float(geodesic_errors(source, point_map, Truth.of_map(point_map)).max())
@@ -39,6 +41,7 @@ from spectra_kit.correspondence.quality import (
     coverage,
     dirichlet_energy,
     orientation,
+    way_back,
 )
 
 __all__ = [
@@ -55,4 +58,5 @@ __all__ = [
     "geodesic_errors",
     "map_errors",
     "orientation",
+    "way_back",
 ]

@@ -8,14 +8,15 @@ from __future__ import annotations
 from heapq import heappop, heappush
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spectra_kit.linalg.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64] | NDArray[np.int32]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def shortest_paths(
     first_edge: Ints,
     neighbors: Ints,

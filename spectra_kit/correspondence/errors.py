@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, check_indices, check_positive, frozen, real_array
 from spectra_kit.correspondence.geodesic import geodesic_distances
 from spectra_kit.errors import InvalidInputError
@@ -20,6 +21,7 @@ Ints = NDArray[np.int64]
 FLIP_MARGIN = 1.0
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Truth(Rebuilt):
     """Known correspondences: target point ``target[i]`` is source point ``source[i]``.
@@ -38,6 +40,7 @@ class Truth(Rebuilt):
 
     Examples
     --------
+    >>> from spectra_kit.correspondence import Truth
     >>> Truth([4, 2], [0, 1]).swapped().source
     array([0, 1])
     """
@@ -63,27 +66,68 @@ class Truth(Rebuilt):
     @classmethod
     def of_map(cls, point_map: ArrayLike) -> Truth:
         """Return the truth that a whole true point map of shape (n2,) states."""
-        return cls(np.asarray(point_map), np.arange(len(np.asarray(point_map))))
+        source = check_indices("point_map", point_map, np.iinfo(np.int64).max)
+        if source.ndim != 1 or not len(source):
+            raise InvalidInputError(f"`point_map` must have shape (n2,), got {source.shape}")
+        return cls(source, np.arange(len(source)))
 
     def swapped(self) -> Truth:
         """Return the truth from target to source; its symmetric one is not known."""
         return Truth(self.target, self.source)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
-class MapErrors:
-    """Geodesic errors of a point map, in hundredths of the root of the source's area.
+class MapErrors(Rebuilt):
+    """Errors of a point map, in hundredths of the root of the source's area, and where they are.
 
-    Attributes
+    Parameters
     ----------
-    direct : ndarray of shape (c,)
-        Against the truth.
-    symmetric : ndarray of shape (c,) or None
-        Against its mirror image.
+    direct : array_like of shape (c,)
+        Against the truth, >= 0.
+    target : array_like of shape (c,), integers
+        The target point of each: the order is that of the truth, not of the points.
+    symmetric : array_like of shape (c,), optional
+        Against the mirror image of the truth.
+
+    Raises
+    ------
+    InvalidInputError
+        If the arrays differ in shape, an error is negative or NaN, or `target` holds no indices.
+
+    Examples
+    --------
+    >>> from spectra_kit.correspondence import MapErrors
+    >>> MapErrors([0.5, 2.0], [3, 1]).at_points(4)
+    array([nan, 2. , nan, 0.5])
     """
 
     direct: Floats
+    target: Ints
     symmetric: Floats | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "direct", frozen(_errors("direct", self.direct)))
+        target = check_indices("target", self.target, np.iinfo(np.int64).max)
+        object.__setattr__(self, "target", frozen(target.copy()))
+        if self.symmetric is not None:
+            object.__setattr__(self, "symmetric", frozen(_errors("symmetric", self.symmetric)))
+        for name in ("target", "symmetric"):
+            if (values := getattr(self, name)) is not None and values.shape != self.direct.shape:
+                raise InvalidInputError(
+                    f"`{name}` must have the shape {self.direct.shape} of `direct`, got"
+                    f" {values.shape}"
+                )
+
+    def at_points(self, n: int) -> Floats:
+        """Return the direct errors at each of n target points: (n,).
+
+        NaN where none is known, the largest where there are several.
+        """
+        check_indices("target", self.target, n)
+        at = np.full(n, np.nan)
+        np.fmax.at(at, self.target, self.direct)
+        return at
 
     @property
     def either(self) -> Floats:
@@ -97,6 +141,7 @@ class MapErrors:
         return bool(self.symmetric.mean() < self.direct.mean() - margin)
 
 
+@checked
 def map_errors(
     mesh: TriangleMesh,
     point_map: ArrayLike,
@@ -121,7 +166,7 @@ def map_errors(
     -------
     MapErrors
         ``100 d(point_map[truth.target], truth.source) / sqrt(area)``, d on the source; infinite
-        where a point went to another component.
+        where a point went to another component. In the order of the truth.
 
     Raises
     ------
@@ -136,6 +181,7 @@ def map_errors(
 
     Examples
     --------
+    >>> from spectra_kit.correspondence import Truth, map_errors
     >>> from spectra_kit.geometry import sphere
     >>> mesh = sphere(subdivisions=2).geometry
     >>> float(map_errors(mesh, range(mesh.n), Truth.of_map(range(mesh.n))).direct.max())
@@ -151,9 +197,10 @@ def map_errors(
         mesh, np.tile(p[at], len(goals)), np.concatenate(goals), method=method
     )
     scaled = 100 * found.reshape(len(goals), -1) / np.sqrt(mesh.area)
-    return MapErrors(*(frozen(row) for row in scaled))
+    return MapErrors(scaled[0], at, *scaled[1:])
 
 
+@checked
 def geodesic_errors(
     mesh: TriangleMesh,
     point_map: ArrayLike,
@@ -177,10 +224,12 @@ def geodesic_errors(
     Returns
     -------
     ndarray of shape (c,)
-        The direct errors of `map_errors`, in hundredths of the root of the source's area.
+        The direct errors of `map_errors`, in hundredths of the root of the source's area, and in
+        the order of the truth; pictures want `map_errors` itself, which knows the points.
 
     Examples
     --------
+    >>> from spectra_kit.correspondence import Truth, geodesic_errors
     >>> from spectra_kit.geometry import sphere
     >>> mesh = sphere(subdivisions=2).geometry
     >>> geodesic_errors(mesh, [0, 1], Truth([0, 1], [0, 1]))
@@ -190,6 +239,7 @@ def geodesic_errors(
     return map_errors(mesh, point_map, Truth(truth.source, truth.target), method=method).direct
 
 
+@checked
 def accuracy_curve(errors: ArrayLike, thresholds: ArrayLike) -> Floats:
     """Return the share of errors at or below each threshold.
 
@@ -207,14 +257,16 @@ def accuracy_curve(errors: ArrayLike, thresholds: ArrayLike) -> Floats:
 
     Examples
     --------
+    >>> from spectra_kit.correspondence import accuracy_curve
     >>> accuracy_curve([0.0, 1.0, 5.0, 5.0], [0.0, 1.0, 10.0])
     array([0.25, 0.5 , 1.  ])
     """
-    values = np.sort(_errors(errors))
+    values = np.sort(_errors("errors", errors))
     at = real_array("thresholds", thresholds)
     return np.asarray(np.searchsorted(values, at, side="right") / len(values))
 
 
+@checked
 def auc(errors: ArrayLike, *, limit: float = 10.0) -> float:
     """Return the area under the accuracy curve up to `limit`, relative to a perfect one's.
 
@@ -232,11 +284,12 @@ def auc(errors: ArrayLike, *, limit: float = 10.0) -> float:
 
     Examples
     --------
+    >>> from spectra_kit.correspondence import auc
     >>> auc([0.0, 5.0, 20.0, 0.0])
     0.625
     """
     limit = check_positive("limit", limit)
-    return float(np.mean(1 - np.minimum(_errors(errors), limit) / limit))
+    return float(np.mean(1 - np.minimum(_errors("errors", errors), limit) / limit))
 
 
 def _check_truth(truth: Truth) -> None:
@@ -247,12 +300,12 @@ def _check_truth(truth: Truth) -> None:
         )
 
 
-def _errors(values: ArrayLike) -> Floats:
+def _errors(name: str, values: ArrayLike) -> Floats:
     """Return errors as a flat array: at least one, none negative or NaN."""
     array = np.asarray(values, dtype=np.float64)
     if array.ndim != 1 or not len(array) or not (array >= 0).all():
         raise InvalidInputError(
-            f"`errors` must be at least one number >= 0 in a row, got shape {array.shape}"
+            f"`{name}` must be at least one number >= 0 in a row, got shape {array.shape}"
             f" with {int((~(array >= 0)).sum())} negative or NaN"
         )
     return array

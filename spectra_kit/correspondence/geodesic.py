@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_indices
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import exact_distances
@@ -17,6 +18,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+@checked
 def geodesic_distances(
     mesh: TriangleMesh,
     starts: ArrayLike,
@@ -62,6 +64,7 @@ def geodesic_distances(
     --------
     From pole to pole of the unit sphere:
 
+    >>> from spectra_kit.correspondence import geodesic_distances
     >>> from spectra_kit.geometry import sphere
     >>> mesh = sphere(subdivisions=3).geometry
     >>> z = mesh.points[:, 2]
@@ -88,6 +91,7 @@ def geodesic_distances(
     return _along_edges(mesh, a, b)
 
 
+@checked
 def edge_graph(mesh: TriangleMesh) -> sparse.csr_array:
     """Return the edges with their lengths as a sparse matrix.
 
@@ -103,6 +107,7 @@ def edge_graph(mesh: TriangleMesh) -> sparse.csr_array:
 
     Examples
     --------
+    >>> from spectra_kit.correspondence import edge_graph
     >>> from spectra_kit.geometry import sphere
     >>> graph = edge_graph(sphere(subdivisions=1).geometry)
     >>> graph.shape, graph.nnz

@@ -5,16 +5,25 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_faces, check_indices, check_mass, check_points
 from spectra_kit.correspondence.geodesic import geodesic_distances
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.functional_maps import (
+    functional_map_from_point_map,
+    point_map_from_functional_map,
+)
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators import Laplacian
+from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_WAY_BACK = 100  # modes of the functional map whose transpose leads back
 
+
+@checked
 def coverage(point_map: ArrayLike, mass: ArrayLike) -> float:
     """Return the share of the source's area whose points are the image of some target point.
 
@@ -33,6 +42,7 @@ def coverage(point_map: ArrayLike, mass: ArrayLike) -> float:
 
     Examples
     --------
+    >>> from spectra_kit.correspondence import coverage
     >>> coverage([0, 0, 1], [1.0, 1.0, 2.0])
     0.5
     """
@@ -41,6 +51,7 @@ def coverage(point_map: ArrayLike, mass: ArrayLike) -> float:
     return float(weights[np.unique(p)].sum() / weights.sum())
 
 
+@checked
 def dirichlet_energy(source: Laplacian, target: Laplacian, point_map: ArrayLike) -> float:
     """Return the Dirichlet energy of a point map relative to the area of the source.
 
@@ -76,6 +87,7 @@ def dirichlet_energy(source: Laplacian, target: Laplacian, point_map: ArrayLike)
     Examples
     --------
     >>> from spectra_kit import robust_laplacian
+    >>> from spectra_kit.correspondence import dirichlet_energy
     >>> from spectra_kit.geometry import sphere
     >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
     >>> round(dirichlet_energy(laplacian, laplacian, range(laplacian.n)), 6)
@@ -92,6 +104,7 @@ def dirichlet_energy(source: Laplacian, target: Laplacian, point_map: ArrayLike)
     return float(np.sum(X * (target.stiffness @ X)) / (2 * source.area))
 
 
+@checked
 def bijectivity_errors(mesh: TriangleMesh, point_map: ArrayLike, back: ArrayLike) -> Floats:
     """Measure how far each source vertex is from where it comes back to.
 
@@ -112,6 +125,8 @@ def bijectivity_errors(mesh: TriangleMesh, point_map: ArrayLike, back: ArrayLike
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.correspondence import bijectivity_errors
     >>> from spectra_kit.geometry import sphere
     >>> mesh = sphere(subdivisions=2).geometry
     >>> there = np.roll(np.arange(mesh.n), 5)
@@ -129,6 +144,41 @@ def bijectivity_errors(mesh: TriangleMesh, point_map: ArrayLike, back: ArrayLike
     return np.asarray(100 * found / np.sqrt(mesh.area))
 
 
+@checked
+def way_back(source: Spectrum, target: Spectrum, point_map: ArrayLike) -> Ints:
+    """Return the target point of each source point, by the transpose of the functional map.
+
+    Of a bijection that keeps areas the functional map is orthogonal, and its transpose leads back.
+
+    Parameters
+    ----------
+    source, target : Spectrum
+        With n1 and n2 points; of each the first 100 modes count, or as many as both have.
+    point_map : array_like of shape (n2,), integers
+        Source point of each target point.
+
+    Returns
+    -------
+    ndarray of shape (n1,)
+        Target points, for `bijectivity_errors`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit.correspondence import way_back
+    >>> from spectra_kit.geometry import creature
+    >>> spectrum = eigensolve(robust_laplacian(creature(600)), 40)
+    >>> bool((way_back(spectrum, spectrum, range(600)) == np.arange(600)).all())
+    True
+    """
+    k = min(_WAY_BACK, source.k, target.k)
+    p = _checked(point_map, source.n, target.n)
+    C = functional_map_from_point_map(source, target, p, k=k)
+    return point_map_from_functional_map(target, source, C.T)
+
+
+@checked
 def orientation(
     source_points: ArrayLike, source_faces: ArrayLike, target_faces: ArrayLike, point_map: ArrayLike
 ) -> float:
@@ -159,6 +209,8 @@ def orientation(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.correspondence import orientation
     >>> from spectra_kit.geometry import sphere
     >>> mesh = sphere(subdivisions=2).geometry
     >>> same = np.arange(mesh.n)

@@ -27,6 +27,7 @@ a gap.
 
 >>> import spectra_kit as sk
 >>> from spectra_kit.descriptors import biharmonic_distances, heat_kernel_signature
+>>> from spectra_kit.descriptors import wave_energies, wave_kernel_signature
 >>> laplacian = sk.robust_laplacian(sk.geometry.creature(1000))
 >>> spectrum = sk.eigensolve(laplacian, 50)
 >>> heat_kernel_signature(spectrum).shape

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import real_array
 from spectra_kit.descriptors._checks import check_spectrum
 from spectra_kit.errors import InvalidInputError
@@ -13,6 +14,7 @@ from spectra_kit.spectrum import Spectrum
 Floats = NDArray[np.float64]
 
 
+@checked
 def normalize_descriptors(
     spectrum: Spectrum, descriptors: ArrayLike, *, center: bool = False
 ) -> Floats:
@@ -43,6 +45,8 @@ def normalize_descriptors(
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.descriptors import normalize_descriptors
     >>> spectrum = Spectrum(np.zeros(1), np.full((2, 1), 0.5), np.full(2, 2.0))
     >>> normalize_descriptors(spectrum, [[3.0], [1.0]], center=True)
     array([[ 1.],

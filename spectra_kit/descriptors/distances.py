@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_positive
 from spectra_kit.descriptors._checks import check_sources, outside_kernel
 from spectra_kit.spectrum import Spectrum
@@ -14,6 +15,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+@checked
 def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) -> Floats:
     """Difference of the heat that spreads from two points, a time after.
 
@@ -50,6 +52,9 @@ def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) 
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.descriptors import diffusion_distances
     >>> spectrum = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
     >>> diffusion_distances(spectrum, [0], time=20.0)
     array([[0., 1.]])
@@ -60,6 +65,7 @@ def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) 
     return np.asarray(cdist(embedding[sources], embedding))
 
 
+@checked
 def biharmonic_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     """Biharmonic distances: smooth, without a parameter, and local as well as global.
 
@@ -95,6 +101,7 @@ def biharmonic_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     Examples
     --------
     >>> import spectra_kit as sk
+    >>> from spectra_kit.descriptors import biharmonic_distances
     >>> ball = sk.geometry.sphere(subdivisions=3).geometry
     >>> spectrum = sk.eigensolve(sk.robust_laplacian(ball), 100)
     >>> south = ball.points[:, 2].argmin()
@@ -108,6 +115,7 @@ def biharmonic_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     return _infinite_between(kernel_labels(spectrum), sources, distances)
 
 
+@checked
 def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     """Roots of the time a random walk takes, on average, to a point and back.
 
@@ -149,6 +157,9 @@ def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     --------
     Two points of mass 1, joined by a conductance of 1/2: the resistance is 2, the area too.
 
+    >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.descriptors import commute_time_distances
     >>> U = np.array([[1.0, 1.0], [1.0, -1.0]]) / 2**0.5
     >>> commute_time_distances(Spectrum(np.array([0.0, 1.0]), U, np.ones(2)), [0])
     array([[0., 2.]])

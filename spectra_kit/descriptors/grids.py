@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.descriptors._checks import outside_kernel
 from spectra_kit.errors import InvalidInputError
@@ -16,6 +17,7 @@ _DAMPED = 4 * np.log(10)  # exp(-_DAMPED) = 1e-4
 _WIDTH = 0.07  # of the range of log eigenvalues: 7 of the 100 steps of Aubry et al.
 
 
+@checked
 def heat_times(spectrum: Spectrum, count: int = 16) -> Floats:
     """Times over which the heat kernel signature changes, as far as k modes can tell.
 
@@ -51,6 +53,8 @@ def heat_times(spectrum: Spectrum, count: int = 16) -> Floats:
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.descriptors import heat_times
     >>> spectrum = Spectrum(np.array([0.0, 1.0, 100.0]), np.eye(3), np.ones(3))
     >>> heat_times(spectrum, 3) / np.log(10)
     array([0.04, 0.4 , 4.  ])
@@ -60,6 +64,7 @@ def heat_times(spectrum: Spectrum, count: int = 16) -> Floats:
     return np.geomspace(_DAMPED / values[-1], _DAMPED / values[0], count)
 
 
+@checked
 def wave_energies(
     spectrum: Spectrum, count: int = 100, *, width: float | None = None
 ) -> tuple[Floats, float]:
@@ -103,6 +108,8 @@ def wave_energies(
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.descriptors import wave_energies
     >>> spectrum = Spectrum(np.exp([0.0, 1.0, 2.0]), np.eye(3), np.ones(3))
     >>> wave_energies(spectrum, 3)
     (array([0.28, 1.  , 1.72]), 0.14)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit.descriptors._checks import check_sources, check_spectrum, check_times
 from spectra_kit.descriptors.grids import heat_times
+from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
 
 
+@checked
 def heat_kernel(spectrum: Spectrum, sources: ArrayLike, times: ArrayLike) -> Floats:
     """Heat at every point, some times after a unit of it was put on a source.
 
@@ -44,6 +47,8 @@ def heat_kernel(spectrum: Spectrum, sources: ArrayLike, times: ArrayLike) -> Flo
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.descriptors import heat_kernel
     >>> spectrum = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
     >>> heat_kernel(spectrum, [1], [1.0])[0, :, 0]
     array([0.   , 0.367...])
@@ -54,6 +59,7 @@ def heat_kernel(spectrum: Spectrum, sources: ArrayLike, times: ArrayLike) -> Flo
     return np.moveaxis(columns, 0, 1)
 
 
+@checked
 def heat_kernel_signature(
     spectrum: Spectrum, times: ArrayLike | None = None, *, count: int = 16, scaled: bool = False
 ) -> Floats:
@@ -97,6 +103,7 @@ def heat_kernel_signature(
     On the unit sphere all points are alike, and all heat is spread over 4 pi in the end:
 
     >>> import spectra_kit as sk
+    >>> from spectra_kit.descriptors import heat_kernel_signature
     >>> laplacian = sk.robust_laplacian(sk.geometry.sphere(subdivisions=3).geometry)
     >>> spectrum = sk.eigensolve(laplacian, 25)
     >>> hks = heat_kernel_signature(spectrum, [0.25, 10.0])
@@ -106,9 +113,11 @@ def heat_kernel_signature(
     check_spectrum(spectrum)
     times = heat_times(spectrum, count) if times is None else check_times(times)
     weights = heat_weights(spectrum, times, scaled=scaled)
-    return np.asarray(spectrum.eigenvectors**2 @ weights.T)
+    with blas_threads_for(spectrum.eigenvectors.size):
+        return np.asarray(spectrum.eigenvectors**2 @ weights.T)
 
 
+@checked
 def landmark_heat_kernel_signature(
     spectrum: Spectrum,
     landmarks: ArrayLike,
@@ -149,6 +158,8 @@ def landmark_heat_kernel_signature(
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.descriptors import landmark_heat_kernel_signature
     >>> spectrum = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
     >>> landmark_heat_kernel_signature(spectrum, [0, 1], [1.0])
     array([[1.   , 0.   ],
@@ -176,4 +187,6 @@ def seen_from(spectrum: Spectrum, points: NDArray[np.int64], weights: Floats) ->
     """Return ``sum_i w_i u_i(x) u_i(p)``, shape (n, points, w), for weights of shape (w, k)."""
     U = spectrum.eigenvectors
     filtered = (U[points, None, :] * weights).reshape(-1, spectrum.k)
-    return np.asarray(U @ filtered.T).reshape(spectrum.n, len(points), len(weights))
+    with blas_threads_for(U.size):
+        seen = U @ filtered.T
+    return np.asarray(seen).reshape(spectrum.n, len(points), len(weights))

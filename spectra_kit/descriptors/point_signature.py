@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count
 from spectra_kit.descriptors._checks import outside_kernel
 from spectra_kit.spectrum import Spectrum
@@ -12,6 +13,7 @@ from spectra_kit.spectrum import Spectrum
 Floats = NDArray[np.float64]
 
 
+@checked
 def global_point_signature(spectrum: Spectrum, count: int | None = None) -> Floats:
     """Each point as its values in the first modes, over the roots of their eigenvalues (GPS).
 
@@ -47,6 +49,8 @@ def global_point_signature(spectrum: Spectrum, count: int | None = None) -> Floa
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.descriptors import global_point_signature
     >>> spectrum = Spectrum(np.array([0.0, 4.0, 25.0]), np.eye(3), np.ones(3))
     >>> global_point_signature(spectrum)
     array([[0. , 0. ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count
 from spectra_kit.descriptors._checks import check_spectrum
 from spectra_kit.descriptors.distances import biharmonic_embedding, kernel_labels
@@ -13,6 +14,7 @@ from spectra_kit.spectrum import Spectrum
 Ints = NDArray[np.int64]
 
 
+@checked
 def farthest_points(spectrum: Spectrum, count: int, *, start: int | None = None) -> Ints:
     """Pick points one after the other, each as far as possible from those before.
 
@@ -50,6 +52,7 @@ def farthest_points(spectrum: Spectrum, count: int, *, start: int | None = None)
     Examples
     --------
     >>> import spectra_kit as sk
+    >>> from spectra_kit.descriptors import farthest_points
     >>> laplacian = sk.robust_laplacian(sk.geometry.rectangle(height=1.0, n=100).geometry)
     >>> farthest_points(sk.eigensolve(laplacian, 30), 2, start=0)  # opposite corners
     array([ 0, 99])

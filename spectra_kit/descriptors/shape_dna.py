@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import pdist, squareform
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.descriptors._checks import outside_kernel
 from spectra_kit.errors import InvalidInputError
@@ -18,6 +19,7 @@ Normalization = Literal["area", "weyl", "first"]
 Weighting = Literal["index", "inverse"]
 
 
+@checked
 def shape_dna(
     spectrum: Spectrum, count: int | None = None, *, normalize: Normalization | None = "area"
 ) -> Floats:
@@ -62,6 +64,9 @@ def shape_dna(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.descriptors import shape_dna
     >>> spectrum = Spectrum(np.array([0.0, 1.0, 2.0]), np.eye(3), np.full(3, 2.0))
     >>> shape_dna(spectrum)
     array([ 6., 12.])
@@ -83,6 +88,7 @@ def shape_dna(
     return values / values[0] if normalize == "first" else values.copy()
 
 
+@checked
 def shape_dna_distance(a: ArrayLike, b: ArrayLike, *, weight: Weighting | None = "index") -> float:
     """Distance of two surfaces by their ShapeDNA; see `shape_dna_distances`.
 
@@ -105,12 +111,19 @@ def shape_dna_distance(a: ArrayLike, b: ArrayLike, *, weight: Weighting | None =
 
     Examples
     --------
+    >>> from spectra_kit.descriptors import shape_dna_distance
     >>> shape_dna_distance([1.0, 2.0], [1.0, 4.0])
     1.0
     """
-    return float(shape_dna_distances([real_array("a", a), real_array("b", b)], weight=weight)[0, 1])
+    first, second = _positive("a", a), _positive("b", b)
+    if first.ndim != 1 or first.shape != second.shape:
+        raise InvalidInputError(
+            f"`a` and `b` must have the same shape (count,), got {first.shape} and {second.shape}"
+        )
+    return float(shape_dna_distances([first, second], weight=weight)[0, 1])
 
 
+@checked
 def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") -> Floats:
     """Distance of every surface of a collection to every other, by their ShapeDNA.
 
@@ -152,26 +165,30 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
 
     Examples
     --------
+    >>> from spectra_kit.descriptors import shape_dna_distances
     >>> shape_dna_distances([[1.0, 2.0], [1.0, 4.0], [4.0, 2.0]], weight=None)
     array([[0.  , 2.  , 3.  ],
            [2.  , 0.  , 3.6...],
            [3.  , 3.6..., 0.  ]])
     """
-    if weight is not None and weight not in get_args(Weighting):
-        raise InvalidInputError(f"`weight` must be 'index', 'inverse' or None, got {weight!r}")
-    rows = real_array("dnas", dnas)
+    rows = _positive("dnas", dnas)
     if rows.ndim != 2 or rows.shape[1] == 0:
         raise InvalidInputError(
             f"`dnas` must have shape (s, count), count >= 1, got {rows.shape};"
             " give one row for each surface"
-        )
-    if not (rows > 0).all():
-        raise InvalidInputError(
-            f"`dnas` must be positive, got {int((rows <= 0).sum())} of {rows.size} <= 0;"
-            " `shape_dna` leaves out zero modes"
         )
     if weight == "index":
         rows = rows / np.arange(1, rows.shape[1] + 1)
     if weight == "inverse":
         rows = 1 / rows
     return np.asarray(squareform(pdist(rows)))
+
+
+def _positive(name: str, values: ArrayLike) -> Floats:
+    array = real_array(name, values)
+    if not (array > 0).all():
+        raise InvalidInputError(
+            f"`{name}` must be positive, got {int((array <= 0).sum())} of {array.size} <= 0;"
+            " `shape_dna` leaves out zero modes"
+        )
+    return array

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_positive
 from spectra_kit.descriptors._checks import check_energies, check_sources, outside_kernel
 from spectra_kit.descriptors.grids import default_width, wave_energies
 from spectra_kit.descriptors.heat import seen_from, shares
+from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
 
 
+@checked
 def wave_kernel_signature(
     spectrum: Spectrum,
-    energies: ArrayLike | None = None,
+    energies: Annotated[ArrayLike | None, tuple] = None,
     *,
     count: int = 100,
     width: float | None = None,
@@ -62,6 +67,7 @@ def wave_kernel_signature(
     Examples
     --------
     >>> import spectra_kit as sk
+    >>> from spectra_kit.descriptors import wave_kernel_signature
     >>> laplacian = sk.robust_laplacian(sk.geometry.creature(1000))
     >>> spectrum = sk.eigensolve(laplacian, 50)
     >>> wks = wave_kernel_signature(spectrum)
@@ -69,13 +75,15 @@ def wave_kernel_signature(
     ((1000, 100), 1.0)
     """
     modes, weights = _bands(spectrum, energies, count, width)
-    return np.asarray(modes.eigenvectors**2 @ weights.T)
+    with blas_threads_for(modes.eigenvectors.size):
+        return np.asarray(modes.eigenvectors**2 @ weights.T)
 
 
+@checked
 def landmark_wave_kernel_signature(
     spectrum: Spectrum,
     landmarks: ArrayLike,
-    energies: ArrayLike | None = None,
+    energies: Annotated[ArrayLike | None, tuple] = None,
     *,
     count: int = 100,
     width: float | None = None,
@@ -115,6 +123,8 @@ def landmark_wave_kernel_signature(
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.descriptors import landmark_wave_kernel_signature
     >>> spectrum = Spectrum(np.array([1.0, 2.0]), np.eye(2), np.ones(2))
     >>> landmark_wave_kernel_signature(spectrum, [0, 1], [0.0, 0.7]).shape
     (2, 4)
@@ -125,7 +135,10 @@ def landmark_wave_kernel_signature(
 
 
 def _bands(
-    spectrum: Spectrum, energies: ArrayLike | None, count: int, width: float | None
+    spectrum: Spectrum,
+    energies: Annotated[ArrayLike | None, tuple],
+    count: int,
+    width: float | None,
 ) -> tuple[Spectrum, Floats]:
     """Return the modes outside the kernel and the weight of each in every band, (e, k)."""
     if energies is None:

@@ -27,6 +27,7 @@ A fit may be flipped, and no refinement turns it round; `spectra_kit.matching` s
 
 >>> import spectra_kit as sk
 >>> from spectra_kit.descriptors import wave_kernel_signature
+>>> from spectra_kit.functional_maps import fit_functional_map, zoomout
 >>> mesh = sk.geometry.creature(600)
 >>> copy, truth = sk.geometry.permuted(mesh)
 >>> source, target = (sk.eigensolve(sk.robust_laplacian(m), 40) for m in (mesh, copy))

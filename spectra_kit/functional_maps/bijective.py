@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._checks import checked_pair, starting_map
@@ -16,6 +17,7 @@ from spectra_kit.spectrum import Spectrum
 Floats = NDArray[np.float64]
 
 
+@checked
 def bijective_zoomout(
     source: Spectrum,
     target: Spectrum,
@@ -66,7 +68,9 @@ def bijective_zoomout(
 
     Examples
     --------
+    >>> import numpy as np
     >>> from spectra_kit.eigensolvers import eigensolve
+    >>> from spectra_kit.functional_maps import bijective_zoomout
     >>> from spectra_kit.geometry import creature
     >>> from spectra_kit.operators import robust_laplacian
     >>> s = eigensolve(robust_laplacian(creature(500)), 30)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, frozen
 from spectra_kit.functional_maps._checks import (
     at_unit_area,
@@ -21,6 +22,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class Correspondence(Rebuilt):
     """A point map with the functional map that it induces.
@@ -45,6 +47,7 @@ class Correspondence(Rebuilt):
         return f"Correspondence({len(self.point_map)} points, functional map {k2} x {k1})"
 
 
+@checked
 def functional_map_from_point_map(
     source: Spectrum,
     target: Spectrum,
@@ -77,6 +80,7 @@ def functional_map_from_point_map(
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit.functional_maps import functional_map_from_point_map
     >>> from spectra_kit.spectrum import Spectrum
     >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
     >>> functional_map_from_point_map(s, s, [1, 0])
@@ -88,6 +92,7 @@ def functional_map_from_point_map(
     return induced(at_unit_area(source), at_unit_area(target), point_map, k1, k2)
 
 
+@checked
 def point_map_from_functional_map(
     source: Spectrum, target: Spectrum, functional_map: ArrayLike, *, adjoint: bool = False
 ) -> Ints:
@@ -121,6 +126,7 @@ def point_map_from_functional_map(
     Examples
     --------
     >>> import numpy as np
+    >>> from spectra_kit.functional_maps import point_map_from_functional_map
     >>> from spectra_kit.spectrum import Spectrum
     >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
     >>> point_map_from_functional_map(s, s, [[0.0, 1.0], [1.0, 0.0]])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_indices, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._checks import at_unit_area, check_components, check_sizes
@@ -27,6 +28,7 @@ _RIDGE = 1e-12  # of |C|^2, where all else is of order 1: decides what nothing e
 Landmarks = tuple[ArrayLike, ArrayLike]
 
 
+@checked
 def fit_functional_map(
     source: Spectrum,
     target: Spectrum,
@@ -112,6 +114,7 @@ def fit_functional_map(
     --------
     >>> import numpy as np
     >>> from spectra_kit.eigensolvers import eigensolve
+    >>> from spectra_kit.functional_maps import fit_functional_map
     >>> from spectra_kit.geometry import creature
     >>> from spectra_kit.operators import robust_laplacian
     >>> mesh = creature(800)

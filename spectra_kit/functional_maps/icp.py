@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count
 from spectra_kit.functional_maps._checks import (
     at_unit_area,
@@ -16,6 +17,7 @@ from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.spectrum import Spectrum
 
 
+@checked
 def icp(
     source: Spectrum, target: Spectrum, functional_map: ArrayLike, *, iterations: int = 10
 ) -> Correspondence:
@@ -49,7 +51,9 @@ def icp(
 
     Examples
     --------
+    >>> import numpy as np
     >>> from spectra_kit.eigensolvers import eigensolve
+    >>> from spectra_kit.functional_maps import icp
     >>> from spectra_kit.geometry import creature
     >>> from spectra_kit.operators import robust_laplacian
     >>> s = eigensolve(robust_laplacian(creature(500)), 20)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._device import checked_device
@@ -22,6 +23,7 @@ _BLOCK = 2**19  # scores at a time and thread: 2 MB of float32, which stays in t
 _DEVICE_BLOCK = 2**26  # 256 MB of float32 on another device
 
 
+@checked
 def nearest_rows(
     queries: ArrayLike, points: ArrayLike, *, exact: bool = True, device: str = "cpu"
 ) -> Ints:
@@ -62,6 +64,7 @@ def nearest_rows(
 
     Examples
     --------
+    >>> from spectra_kit.functional_maps import nearest_rows
     >>> nearest_rows([[0.1, 0.0], [0.9, 0.2]], [[0.0, 0.0], [1.0, 0.0]])
     array([0, 1])
     """

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_faces, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._checks import at_unit_area, check_functional_map, check_sizes
@@ -16,6 +17,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+@checked
 def precise_map(
     source: Spectrum, target: Spectrum, functional_map: ArrayLike, faces: ArrayLike
 ) -> sparse.csr_array:
@@ -49,7 +51,9 @@ def precise_map(
 
     Examples
     --------
+    >>> import numpy as np
     >>> from spectra_kit.eigensolvers import eigensolve
+    >>> from spectra_kit.functional_maps import precise_map
     >>> from spectra_kit.geometry import creature
     >>> from spectra_kit.operators import robust_laplacian
     >>> mesh = creature(500)
@@ -85,6 +89,7 @@ def precise_map(
     return result
 
 
+@checked
 def functional_map_from_precise_map(
     source: Spectrum,
     target: Spectrum,
@@ -116,6 +121,10 @@ def functional_map_from_precise_map(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.functional_maps import functional_map_from_precise_map
     >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
     >>> functional_map_from_precise_map(s, s, sparse.csr_array([[0.0, 1.0], [0.5, 0.5]]))
     array([[0. , 1. ],

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._checks import checked_pair, checked_samples, starting_map
@@ -23,6 +24,7 @@ Ints = NDArray[np.int64]
 _CHUNK = 2**20  # scores of `zoomout_many` held at a time: 4 MB of float32
 
 
+@checked
 def zoomout(
     source: Spectrum,
     target: Spectrum,
@@ -81,7 +83,9 @@ def zoomout(
 
     Examples
     --------
+    >>> import numpy as np
     >>> from spectra_kit.eigensolvers import eigensolve
+    >>> from spectra_kit.functional_maps import zoomout
     >>> from spectra_kit.geometry import creature
     >>> from spectra_kit.operators import robust_laplacian
     >>> s = eigensolve(robust_laplacian(creature(500)), 30)
@@ -157,6 +161,7 @@ def _solve_torch(R: Any, Y: Any) -> Any:
 _NUMPY = _Tools(nearest, np.linalg.qr, solve_triangular)
 
 
+@checked
 def zoomout_many(
     source_rows: ArrayLike,
     target_rows: ArrayLike,
@@ -199,6 +204,8 @@ def zoomout_many(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.functional_maps import zoomout_many
     >>> rows = np.random.default_rng(0).normal(size=(50, 10))
     >>> maps, point_maps = zoomout_many(rows, rows, np.eye(4)[None], k_final=10)
     >>> bool((point_maps[0] == np.arange(50)).all())

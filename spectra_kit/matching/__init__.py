@@ -3,12 +3,18 @@
 from spectra_kit.matching.match import match
 from spectra_kit.matching.prepare import Prepared, prepare
 from spectra_kit.matching.result import Candidate, Match
-from spectra_kit.matching.score import mismatches, orientation_of, score_of
+from spectra_kit.matching.score import (
+    coverage_over_chance,
+    mismatches,
+    orientation_of,
+    score_of,
+)
 
 __all__ = [
     "Candidate",
     "Match",
     "Prepared",
+    "coverage_over_chance",
     "match",
     "mismatches",
     "orientation_of",

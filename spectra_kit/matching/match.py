@@ -7,9 +7,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import check_count
+from spectra_kit._checked import checked
+from spectra_kit._validate import check_count, warn
 from spectra_kit.descriptors import landmark_wave_kernel_signature, normalize_descriptors
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.functional_maps import (
     bijective_zoomout,
     fit_functional_map,
@@ -24,7 +25,12 @@ from spectra_kit.matching.candidates import GROWN, sign_candidates
 from spectra_kit.matching.elastic import elastic_point_map
 from spectra_kit.matching.prepare import LOWEST_K, Prepared, curvatures, prepare
 from spectra_kit.matching.result import Candidate, Match
-from spectra_kit.matching.score import mismatches, orientation_of, score_of
+from spectra_kit.matching.score import (
+    coverage_over_chance,
+    mismatches,
+    orientation_of,
+    score_of,
+)
 from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
@@ -43,6 +49,7 @@ _CURVATURE = 2.0  # scale of each curvature in those steps: it counts like four 
 _MIRRORED = 1.5  # how many times better a mirroring map must be to be believed
 
 
+@checked
 def match(
     source: Prepared | Spectrum,
     target: Prepared | Spectrum,
@@ -71,7 +78,8 @@ def match(
         mirroring one is 1.5 times better: as a mirrored copy is, but not one that is bent as well
         and looks much like its mirror image. Say ``reversed`` where that is known.
     k : int, default 150
-        Modes to end with; fewer where the spectra have fewer.
+        Modes to end with; fewer where a spectrum has fewer. Of the longer one the modes beyond
+        the shorter are left out, as descriptors depend on all modes.
     elastic : bool, default True
         Whether to bend the source onto the target in the end, where both geometries are given.
 
@@ -87,8 +95,15 @@ def match(
         sides are asked for without both geometries, or landmarks are empty, unpaired or out of
         range.
 
+    Warns
+    -----
+    DoubtfulMatchWarning
+        If the map is not `Match.convincing`.
+
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit import match, prepare
     >>> from spectra_kit.eigensolvers import eigensolve
     >>> from spectra_kit.geometry import creature, mirrored
     >>> from spectra_kit.operators import robust_laplacian
@@ -103,13 +118,7 @@ def match(
     b = _prepared("target", target, target_geometry)
     if sides not in ("either", "kept", "reversed"):
         raise InvalidInputError(f"`sides` must be 'either', 'kept' or 'reversed', got {sides!r}")
-    if a.spectrum.k != b.spectrum.k:
-        raise InvalidInputError(
-            "`source` and `target` must have equally many modes, got"
-            f" {a.spectrum.k} and {b.spectrum.k}; truncate the longer spectrum, as their"
-            " descriptors depend on all modes"
-        )
-    k = min(check_count("k", k, low=LOWEST_K), a.spectrum.k)
+    k = min(check_count("k", k, low=LOWEST_K), a.spectrum.k, b.spectrum.k)
     has_sides = a.surface is not None
     if has_sides != (b.surface is not None):
         raise InvalidInputError(
@@ -123,6 +132,8 @@ def match(
         )
     ways = {"either": (False, True), "kept": (False,), "reversed": (True,)}[sides]
     pairs = None if landmarks is None else check_landmarks(landmarks, a.spectrum.n, b.spectrum.n)
+    fewer = min(a.spectrum.k, b.spectrum.k)
+    a, b = a.truncate(fewer), b.truncate(fewer)
     with single_threaded_blas():  # small products: the threads are ours
         found = _both_ways(a, b, ways if has_sides else (False,), pairs)
         if len(found) == 2 and found[1][0].score * _MIRRORED < found[0][0].score:
@@ -131,7 +142,7 @@ def match(
         point_map, functional_map = _refined(a, b, chosen, k, elastic)
     opposite = [c.score for c in found[-1]] if len(found) == 2 else []
     rivals = [c.score for c in found[0][1:] if _apart(c, chosen) > _RIVAL]
-    return Match(
+    made = Match(
         point_map=point_map,
         functional_map=functional_map,
         mirrored=chosen.reversing,
@@ -141,8 +152,18 @@ def match(
         consistent=min(
             1.0 if side.surface is None else side.surface.oriented.consistent for side in (a, b)
         ),
+        coverage=coverage_over_chance(a.spectrum, b.spectrum, point_map),
         candidates=tuple(c for way in found for c in way),
     )
+    if not made.convincing:
+        warn(
+            f"no convincing map: its mismatch is {made.score:.2f} (right maps: below 0.47), and it"
+            f" covers {made.coverage:.2f} times as much as chance would (right maps: 1.1 and more);"
+            " the surfaces may not correspond; look at the map, give `landmarks`, or try another"
+            " `k` (150 match best)",
+            DoubtfulMatchWarning,
+        )
+    return made
 
 
 def _refined(

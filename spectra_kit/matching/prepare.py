@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, check_count, frozen
 from spectra_kit.descriptors import farthest_points, wave_kernel_signature
 from spectra_kit.errors import InvalidInputError
@@ -54,6 +55,7 @@ class Surface(Rebuilt):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
+@checked
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Prepared(Rebuilt):
     """A surface, ready to be matched; `prepare` makes it. All at unit area.
@@ -79,11 +81,31 @@ class Prepared(Rebuilt):
         for name in ("samples", "wave"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
+    def truncate(self, k: int) -> Prepared:
+        """Return the surface prepared with its first k modes alone.
+
+        Parameters
+        ----------
+        k : int
+            At least 30, and at most as many as there are.
+
+        Returns
+        -------
+        Prepared
+            As if it had been made of a truncated spectrum.
+        """
+        if check_count("k", k, low=LOWEST_K, high=self.spectrum.k) == self.spectrum.k:
+            return self
+        surface = self.surface
+        placed = None if surface is None else (surface.points, surface.oriented)
+        return _gathered(self.spectrum.truncate(k), placed, len(self.samples))
+
     def __repr__(self) -> str:
         seen = "spectrum alone" if self.surface is None else "spectrum and geometry"
         return f"Prepared(n={self.spectrum.n}, k={self.spectrum.k}, from {seen})"
 
 
+@checked
 def prepare(
     spectrum: Spectrum, geometry: Geometry | None = None, *, n_samples: int = 600
 ) -> Prepared:
@@ -113,6 +135,7 @@ def prepare(
 
     Examples
     --------
+    >>> from spectra_kit import prepare
     >>> from spectra_kit.eigensolvers import eigensolve
     >>> from spectra_kit.geometry import creature
     >>> from spectra_kit.operators import robust_laplacian
@@ -144,16 +167,24 @@ def prepare(
         )
     scale = spectrum.area**-0.5
     unit = spectrum.rescale(scale)
+    placed = None if geometry is None else _placed(unit, geometry, scale)
+    return _gathered(unit, placed, min(n_samples, unit.n))
+
+
+def _gathered(
+    unit: Spectrum, placed: tuple[Floats, OrientedTriangles] | None, n_samples: int
+) -> Prepared:
+    """Return a surface at unit area with all that depends on its modes."""
     return Prepared(
         spectrum=unit,
-        samples=farthest_points(unit, min(n_samples, unit.n)),
+        samples=farthest_points(unit, n_samples),
         wave=wave_kernel_signature(unit, count=60),
-        surface=None if geometry is None else _surface(unit, geometry, scale),
+        surface=None if placed is None else _surface(unit, *placed),
     )
 
 
-def _surface(unit: Spectrum, geometry: Geometry, scale: float) -> Surface:
-    """Return what the geometry adds to the spectrum."""
+def _placed(unit: Spectrum, geometry: Geometry, scale: float) -> tuple[Floats, OrientedTriangles]:
+    """Return the points of a geometry at unit area, and which side is out."""
     if not isinstance(geometry, TriangleMesh | PointCloud) or geometry.n != unit.n:
         arrived = getattr(geometry, "n", type(geometry).__name__)
         raise InvalidInputError(
@@ -167,7 +198,11 @@ def _surface(unit: Spectrum, geometry: Geometry, scale: float) -> Surface:
             "`geometry` must be in the unit of the spectrum, got"
             f" {area:.3g} times its area; pass the geometry that the spectrum was computed of"
         )
-    points = geometry.points * scale
+    return geometry.points * scale, oriented
+
+
+def _surface(unit: Spectrum, points: Floats, oriented: OrientedTriangles) -> Surface:
+    """Return what the geometry adds to the spectrum."""
     curvature = smoothed_mean_curvature(
         unit, points, oriented, tuple(min(mode, unit.k - 1) for mode in _CURVATURES)
     )

@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
+from spectra_kit._validate import check_indices, real_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.functional_maps._checks import check_point_map
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.matching.prepare import Prepared, curvatures
 from spectra_kit.spectrum import Spectrum
@@ -27,6 +31,7 @@ WEIGHTS = {
 }
 
 
+@checked
 def mismatches(
     source: Prepared,
     target: Prepared,
@@ -64,6 +69,7 @@ def mismatches(
         square of the source.
     """
     a, b = source.spectrum, target.spectrum
+    functional_map = _square(functional_map, source, target)
     k = len(functional_map)
     every1, every2 = np.arange(a.n), np.arange(b.n)
     pool1, pool2 = (source.samples, target.samples) if rough else (every1, every2)
@@ -79,7 +85,10 @@ def mismatches(
         "wave": waves / 2,
     }
     if landmarks is not None:
-        on_source, on_target = landmarks
+        on_source, on_target = (
+            check_indices("landmarks", points, spectrum.n)
+            for points, spectrum in zip(landmarks, (a, b), strict=True)
+        )
         found = nearest(b.eigenvectors[on_target, :k], rows1)
         values["landmarks"] = _biharmonic(a, pool1[found], on_source)
     curved = curvatures(source, target)
@@ -95,6 +104,7 @@ def mismatches(
     return values
 
 
+@checked
 def score_of(values: dict[str, float]) -> float:
     """Return the weighted geometric mean of `mismatches`: the lower, the better.
 
@@ -110,14 +120,21 @@ def score_of(values: dict[str, float]) -> float:
 
     Examples
     --------
+    >>> from spectra_kit.matching import score_of
     >>> print(score_of({"curvature": 0.5, "wave": 0.1}))
     0.363
     """
+    if not values or not set(values) <= set(WEIGHTS):
+        raise InvalidInputError(
+            f"`values` must hold some of {sorted(WEIGHTS)}, as `mismatches` returns them, got"
+            f" {sorted(values)}"
+        )
     total = sum(WEIGHTS[name] for name in values)
     logs = sum(WEIGHTS[name] * np.log(max(value, 0.0) + _LEAST) for name, value in values.items())
     return float(np.exp(logs / total))
 
 
+@checked
 def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -> float | None:
     """Return the turning of a map: near 1 if it keeps the sides, near -1 for a mirror image.
 
@@ -140,9 +157,10 @@ def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -
 
     Examples
     --------
+    >>> import numpy as np
     >>> from spectra_kit.eigensolvers import eigensolve
     >>> from spectra_kit.geometry import creature, mirrored
-    >>> from spectra_kit.matching import prepare
+    >>> from spectra_kit.matching import orientation_of, prepare
     >>> from spectra_kit.operators import robust_laplacian
     >>> animal = creature(600)
     >>> spectrum = eigensolve(robust_laplacian(animal), 30)
@@ -150,6 +168,7 @@ def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -
     >>> print(orientation_of(a, a, np.eye(30)), orientation_of(a, b, np.eye(30)))
     1.0 -1.0
     """
+    functional_map = _square(functional_map, source, target)
     if source.surface is None or target.surface is None:
         return None
     form1, form2 = source.surface.form, target.surface.form
@@ -158,6 +177,59 @@ def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -
     carried = np.einsum("ia,jb,kc,abc->ijk", C, C, C, form1[:m, :m, :m], optimize=True)
     form = form2[:m, :m, :m]
     return float(np.vdot(carried, form) / (np.linalg.norm(carried) * np.linalg.norm(form)))
+
+
+@checked
+def coverage_over_chance(source: Spectrum, target: Spectrum, point_map: Ints) -> float:
+    """Return the area that a map reaches, over what as many random points would reach.
+
+    Parameters
+    ----------
+    source, target : Spectrum
+        With n1 and n2 points.
+    point_map : ndarray of shape (n2,)
+        Source point of each target point.
+
+    Returns
+    -------
+    float
+        Above 1 for maps that spread the target over the source.
+
+    Notes
+    -----
+    Of N points thrown at an area of 1, a share ``1 - exp(-N m)`` of the vertices with area m is
+    hit. Target points that crowd in one place count as the ``1 / sum(m^2)`` that they amount to,
+    and as no more than the source's, all of which many more would hit.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.matching import coverage_over_chance
+    >>> ball = eigensolve(robust_laplacian(sphere(subdivisions=3).geometry), 4)
+    >>> every, one = np.arange(ball.n), np.zeros(ball.n, dtype=int)
+    >>> print(coverage_over_chance(ball, ball, every), coverage_over_chance(ball, ball, one))
+    1.58 0.00
+    """
+    point_map = check_point_map("point_map", point_map, source.n, target.n)
+    share1, share2 = source.mass / source.area, target.mass / target.area
+    thrown = min(1 / (share2 @ share2), 1 / (share1 @ share1))
+    chance = float(share1 @ -np.expm1(-thrown * share1))
+    return float(share1[np.unique(point_map)].sum()) / chance
+
+
+def _square(functional_map: Floats, source: Prepared, target: Prepared) -> Floats:
+    """Return the map as a finite array of shape (k, k), k within the modes of both."""
+    array, most = (
+        real_array("functional_map", functional_map),
+        min(source.spectrum.k, target.spectrum.k),
+    )
+    if array.ndim != 2 or array.shape[0] != array.shape[1] or not 1 <= len(array) <= most:
+        raise InvalidInputError(
+            f"`functional_map` must have shape (k, k), 1 <= k <= {most}, got {array.shape}"
+        )
+    return array
 
 
 def _biharmonic(spectrum: Spectrum, found: Ints, wanted: Ints) -> float:
