@@ -137,6 +137,36 @@ def test_they_do_not_depend_on_direction_order_or_unit():
     np.testing.assert_allclose(found, 1e120 * exact_distances(mesh, 7)[order], rtol=1e-9)
 
 
+@pytest.mark.parametrize("exponent", [-1060, -900, -500, 500, 900, 1020])
+def test_powers_of_two_change_no_bit(exponent):
+    mesh = creature(500, seed=1)
+    lattice = np.round(mesh.points * 2**10) / 2**10  # numbers that are small enough stay whole
+    one, other = (mesh.with_points(np.ldexp(lattice, e)) for e in (0, exponent))
+    expected = np.ldexp(exact_distances(one, 7), exponent)
+    np.testing.assert_array_equal(exact_distances(other, 7), expected)
+
+
+def test_parts_of_any_size_have_the_distances_that_they_have_alone():
+    mesh = creature(500, seed=1)
+    alone = exact_distances(mesh, 7)
+    for size in (1e-200, 1e-14, 1e200):
+        both = joined(mesh, mesh.with_points(size * mesh.points))
+        found = exact_distances(both, [7, mesh.n + 7])
+        np.testing.assert_allclose(found[: mesh.n], alone, rtol=1e-12)
+        np.testing.assert_allclose(found[mesh.n :] / size, alone, rtol=1e-12)
+
+
+def test_where_all_points_coincide_they_are_zero():
+    mesh = square()
+    for place in (0.0, 0.3, 1e160):
+        point = mesh.with_points(np.full((mesh.n, 3), place))
+        assert (exact_distances(point, 3) == 0).all()
+        found = exact_distances(joined(mesh, point), [3, mesh.n + 3])
+        np.testing.assert_array_equal(found[: mesh.n], exact_distances(mesh, 3))
+        assert (found[mesh.n :] == 0).all()
+        assert np.isinf(exact_distances(joined(point, mesh), 3)[mesh.n :]).all()
+
+
 # --- sources and targets ---
 
 
@@ -261,6 +291,10 @@ def test_they_refuse():
     lone = TriangleMesh(np.concatenate([mesh.points, [[9, 9, 9]]]), mesh.faces)
     with pytest.raises(InvalidInputError, match="got vertex 64, which no face uses"):
         exact_distances(lone, 64)
+    ball = sphere(subdivisions=1).geometry
+    wide = ball.with_points(1.7e308 * ball.points)  # a diameter is no number either
+    with pytest.raises(InvalidInputError, match=r"that are numbers, got some above 1.8e\+308"):
+        exact_distances(wide, 0)
     line = TriangleMesh(mesh.points, np.concatenate([mesh.faces, [[0, 1, 1]]]))
     with pytest.raises(
         InvalidInputError, match=f"1 face with a vertex twice.*is {len(mesh.faces)}"

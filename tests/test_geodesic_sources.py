@@ -179,10 +179,10 @@ def test_checked_sources_belong_to_their_geometry(ball):
 @pytest.mark.parametrize(
     ("face", "barycentric", "message"),
     [
-        (0, [0.5, 0.5], r"shape \(3,\), got \(2,\)"),
+        (0, [0.5, 0.5], r"must be a tuple of 3 numbers, got \[0.5, 0.5\]"),
         (0, [0.5, 0.4, 0.2], "sum to 1"),
         (0, [1.5, -0.5, 0.0], "non-negative"),
-        (0, [np.nan, 1.0, 0.0], "finite"),
+        (0, [np.nan, 1.0, 0.0], "must be a tuple of 3 numbers"),
         (-1, [1.0, 0.0, 0.0], "`face` must be at least 0, got -1"),
         (0.0, [1.0, 0.0, 0.0], "`face` must be an integer"),
     ],
@@ -206,3 +206,14 @@ def test_bad_coordinates_are_refused(ball):
 def test_points_of_a_cloud_are_finite_already():
     with pytest.raises(InvalidInputError, match="finite"):
         PointCloud([[np.nan, 0, 0]])
+
+
+@pytest.mark.parametrize("exponent", [-1000, -600, 600, 1000])
+def test_the_nearest_source_is_the_same_in_any_unit(exponent):
+    mesh = creature(500, seed=1)
+    place = 0.8 * mesh.points[17] + 0.1 * mesh.points[3]
+    scaled = mesh.with_points(np.ldexp(mesh.points, exponent))
+    one, other = nearest_source(mesh, place), nearest_source(scaled, np.ldexp(place, exponent))
+    assert one == other
+    cloud = nearest_source(scaled.as_cloud(), np.ldexp(place, exponent))
+    assert cloud == nearest_source(mesh.as_cloud(), place)

@@ -53,6 +53,7 @@ def test_solvers_agree(real_shapes, name) -> None:
 
 
 @pytest.mark.parametrize("name", LARGE)
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_modes_save_two_thirds_of_the_iterations(real_shapes, name) -> None:
     triangulation = intrinsic_delaunay(load(real_shapes, name))
     wanted = HeatGeodesics(triangulation, solver=Direct()).distance(100).distance

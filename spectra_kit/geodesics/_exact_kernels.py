@@ -14,9 +14,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
+
+from spectra_kit.linalg.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -117,7 +118,7 @@ def _doubled(front: Front) -> Front:
     return front._replace(**{k: np.concatenate([v, np.empty_like(v)]) for k, v in old.items()})
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def start_from(front: Front, sources: Ints) -> None:
     """Put the sources into the heap."""
     for v in sources:
@@ -125,7 +126,7 @@ def start_from(front: Front, sources: Ints) -> None:
         _push(front.keys, front.items, front.size, 0.0, -1 - v)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def advance(soup: Soup, front: Front, targets: Ints, most: int, margin: int) -> bool:
     """Go on until there is nothing left to do, or return that there is no room left."""
     d, keys, size = front.d, front.keys, front.size

@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
+
+from spectra_kit.linalg.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32] | NDArray[np.int64]
@@ -27,7 +28,7 @@ def _power(exponent: int) -> float:
     return float(_POWERS[min(max(exponent, -1074), _MOST) + 1074])
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def edge_costs(
     starts: Ints, columns: Ints, entries: Floats, diagonal: Floats, points: Floats, decay: float
 ) -> Floats:
@@ -55,7 +56,7 @@ def edge_costs(
     return found
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def scaled_entries(
     starts: Ints, columns: Ints, entries: Floats, exponents: Ints, forward: Floats, backward: Floats
 ) -> None:
@@ -67,7 +68,7 @@ def scaled_entries(
             backward[p] = entries[p] * _power(-shift)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def residual(
     starts: Ints, columns: Ints, entries: Floats, rhs: Floats, x: Floats, out: Floats
 ) -> float:
@@ -88,7 +89,7 @@ def residual(
     return worst
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def solve_scaled(
     starts: Ints,
     columns: Ints,
@@ -117,7 +118,7 @@ def solve_scaled(
             out[columns[p]] -= backward[p] * value
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def divergence_of_directions(
     corners: Ints,
     lengths: Floats,

@@ -9,10 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_indices, quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
 from spectra_kit.geometry import TriangleMesh
+from spectra_kit.geometry._units import component_units
 from spectra_kit.geometry.shapes import check_mesh
 
 if TYPE_CHECKING:
@@ -23,7 +25,7 @@ Ints = NDArray[np.int64]
 
 # A vertex is a saddle where its angles exceed a full turn by more than their rounding.
 _SADDLE = 1e-9
-# Least side, as a share of the mean one of the mesh, and least height over a side.
+# Least side, as a share of the mean one of its component, and least height over a side.
 _FLAT = 1e-12
 # Windows for each face and vertex before giving up; the bunny needs 38.
 _WINDOWS = 3000
@@ -32,6 +34,7 @@ _WINDOWS = 3000
 _NEEDLE = 1e-8
 
 
+@checked
 def exact_distances(
     mesh: TriangleMesh, sources: SourcesLike, *, targets: ArrayLike | None = None
 ) -> Floats:
@@ -58,7 +61,8 @@ def exact_distances(
     ------
     InvalidInputError
         If `mesh` is a cloud or has faces that name a vertex twice, there is no source, one is out
-        of range, at a vertex that no face uses or inside a face, or a target is out of range.
+        of range, at a vertex that no face uses or inside a face, a target is out of range, or a
+        distance is.
     ConvergenceError
         If paths would go round and round triangles that are extremely thin; `partial` then holds
         distances that may be too long.
@@ -89,6 +93,7 @@ def exact_distances(
     --------
     Over the faces of a cube to the opposite corner, a path crosses two unfolded squares:
 
+    >>> from spectra_kit.geodesics import exact_distances
     >>> from spectra_kit.geometry import TriangleMesh
     >>> points = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
     >>> faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
@@ -111,18 +116,30 @@ def exact_distances(
     label = mesh.component_labels
     reachable = ends[np.isin(label[ends], label[checked.vertices])]
     soup, unit = _soup(mesh)
+    unit = unit[ends]
     most = _WINDOWS * (len(mesh.faces) + mesh.n)
     if propagate(soup, np.array(checked.vertices), np.unique(reachable), distances, most) > most:
         raise ConvergenceError(
             f"exact paths need more than {most} windows; `mesh` has triangles so thin that they"
             " go round and round: remesh, or take geodesic_distance(mesh, sources)",
-            partial=distances[ends] * unit,
+            partial=_in_unit(distances[ends], unit),
         )
-    return distances[ends] * unit
+    return _in_unit(distances[ends], unit)
 
 
-def _soup(mesh: TriangleMesh) -> tuple[Soup, float]:
-    """Return what `propagate` needs to know of the triangles, and the length it counts as 1."""
+def _in_unit(distances: Floats, unit: Floats) -> Floats:
+    with np.errstate(over="ignore", invalid="ignore"):  # unreached and of no size: inf * 0
+        found = np.where(np.isfinite(distances), distances * unit, np.inf)
+    if (np.isfinite(distances) & ~np.isfinite(found)).any():
+        raise InvalidInputError(
+            "`mesh` must have distances that are numbers, got some above"
+            f" {np.finfo(float).max:.1e}; choose another unit of length"
+        )
+    return found
+
+
+def _soup(mesh: TriangleMesh) -> tuple[Soup, Floats]:
+    """Return what `propagate` needs to know of the triangles, and what counts as 1 (n,)."""
     from spectra_kit.geodesics._exact_kernels import Soup
 
     repeated = (mesh.faces == np.roll(mesh.faces, 1, axis=1)).any(axis=1)
@@ -133,10 +150,13 @@ def _soup(mesh: TriangleMesh) -> tuple[Soup, float]:
         )
     faces = mesh.faces
     tails, heads = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    unit = float(np.ptp(mesh.points, axis=0).max()) or 1.0  # no power of a length overflows
-    points = mesh.points / unit
+    # In units of each component, no power of a length overflows.
+    unit, label = component_units(mesh), mesh.component_labels[faces[:, 0]]
+    points = mesh.points / np.where(unit > 0, unit, 1.0)[:, None]
     lengths = np.linalg.norm(points[heads] - points[tails], axis=1).reshape(-1, 3)
-    lengths = np.maximum(lengths, _FLAT * lengths.mean())
+    lengths[unit[faces[:, 0]] == 0] = 1.0  # times 0: all points coincide
+    mean = np.bincount(label, lengths.sum(axis=1)) / np.maximum(3 * np.bincount(label), 1)
+    lengths = np.maximum(lengths, _FLAT * mean[label, None])
     x, y, angles = _triangles(lengths)
 
     # Sides on one edge, linked in a ring.

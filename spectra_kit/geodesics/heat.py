@@ -11,8 +11,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._validate import check_positive
-from spectra_kit.errors import ConvergenceError, InvalidInputError
+from spectra_kit._checked import checked
+from spectra_kit._validate import check_positive, frozen, warn
+from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat_step import Heat, HeatStep
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import (
@@ -25,7 +26,7 @@ from spectra_kit.geodesics.solvers import (
     Solver,
 )
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
-from spectra_kit.geodesics.system import System
+from spectra_kit.geodesics.system import COARSER, System
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.linalg.constant_kernel import ConstantKernel
 from spectra_kit.linalg.solution import LinearSolution
@@ -36,16 +37,22 @@ from spectra_kit.spectrum import Spectrum
 Floats = NDArray[np.float64]
 Boundary = Literal["neumann", "dirichlet", "average"]
 
+# Share of the points nearer to a source than sqrt(t) that deserves a warning, and how many of them
+# are few for each source.
+_BLURRED, _NEAR = 0.25, 20
+_LONGEST = 1e30  # coefficient of a time with which one can calculate
+
 
 @dataclass(frozen=True, eq=False)
 class _Ready:
     """What one choice of solvers needs before any source is known, and the time it took."""
 
-    steps: Mapping[Boundary, HeatStep]
+    steps: Mapping[int, Mapping[Boundary, HeatStep]]  # by `System.sizes`
     poisson: PoissonSolver
     seconds: float
 
 
+@checked
 class HeatGeodesics:
     """Distances to any sources on one geometry; what they have in common is computed once.
 
@@ -60,8 +67,8 @@ class HeatGeodesics:
         How linear systems are solved. For more than a few sources say so beforehand
         (``Automatic(n_sources=100)``) or use `distances`: complete factors then pay.
     time_coefficient : float, default 1.0
-        The time of the heat step is this times the square of the mean edge. Larger ones give
-        smoother, less exact distances.
+        The time of the heat step is this times the square of the typical edge of each component
+        (`IntrinsicTriangulation.spacings`). Larger ones give smoother, less exact distances.
     boundary : {"neumann", "dirichlet", "average"}, default "neumann"
         Of the heat step: no heat leaves through the boundary, the boundary is kept at zero, or
         the mean of both heats. Isolines meet the boundary at right angles, run along it, or
@@ -71,8 +78,8 @@ class HeatGeodesics:
     ----------
     triangulation : IntrinsicTriangulation
         What the distances are measured on.
-    time_step : float
-        In length^2.
+    time_steps : ndarray of shape (n_components,)
+        Of each component of `triangulation`, in length^2.
 
     Raises
     ------
@@ -86,8 +93,13 @@ class HeatGeodesics:
     down its gradient; the distance is the function whose gradient is nearest to X,
     ``L phi = div X``, and zero at the sources. Where both systems are solved iteratively, the
     modes serve the second one; the first has no slow modes. Not an upper bound of the true
-    distance, nor a lower one. The mean edge sets the time: where edges of very different length
-    meet, lower `time_coefficient` for details, or remesh.
+    distance, nor a lower one.
+
+    Where triangles are much larger than ``sqrt(t)``, heat does not tell the direction: it falls
+    too steeply along their short sides. Those with a side of more than 8 typical edges take X from
+    the heat of 64 t, those of more than 64 edges from that of 64^2 t, and so on. A mesh without
+    such triangles needs one step. Details much smaller than a typical edge are blurred, and a
+    warning says so if there are many: cut them out, or lower `time_coefficient`.
 
     References
     ----------
@@ -99,6 +111,7 @@ class HeatGeodesics:
     From pole to pole of the unit sphere:
 
     >>> import numpy as np
+    >>> from spectra_kit import HeatGeodesics
     >>> from spectra_kit.geometry import sphere
     >>> mesh = sphere(subdivisions=4).geometry
     >>> north, south = mesh.points[:, 2].argmax(), mesh.points[:, 2].argmin()
@@ -125,7 +138,11 @@ class HeatGeodesics:
             raise InvalidInputError(
                 f"`boundary` must be 'neumann', 'dirichlet' or 'average', got {boundary!r}"
             )
-        check_positive("time_coefficient", time_coefficient)
+        if not 1 / _LONGEST <= check_positive("time_coefficient", time_coefficient) <= _LONGEST:
+            raise InvalidInputError(
+                f"`time_coefficient` must be in [{1 / _LONGEST:g}, {_LONGEST:g}], got"
+                f" {time_coefficient:g}; 1 is the default"
+            )
         if isinstance(geometry, IntrinsicTriangulation):
             self.triangulation = geometry
         else:
@@ -141,13 +158,14 @@ class HeatGeodesics:
             )
         self._geometry, self._spectrum, self._solver = geometry, spectrum, solver
         self._boundary: Boundary = boundary
-        self.time_step = time_coefficient * self.triangulation.mean_edge_length**2
+        self.time_steps = frozen(time_coefficient * self.triangulation.spacings**2)
+        self._time_coefficient = time_coefficient
         self._asked = 0
         self._ready: dict[Direct | Iterative, _Ready] = {}
 
     def __repr__(self) -> str:
         return (
-            f"HeatGeodesics(n={self.triangulation.n}, time_step={self.time_step:.3g},"
+            f"HeatGeodesics(n={self.triangulation.n}, time_coefficient={self._time_coefficient:g},"
             f" boundary={self._boundary!r}, solver={self._solver!r})"
         )
 
@@ -202,35 +220,47 @@ class HeatGeodesics:
         ready = self._prepare(options)
         system, choice = self._system, f"{ready.poisson.name}: {why}"
         self._asked += 1
-        heat = self._heat(ready.steps, system.inwards(sources.right_hand_side()))
+        heated = system.inwards(sources.right_hand_side())
+        heats = {size: self._heat(steps, heated) for size, steps in ready.steps.items()}
+        heat, labels = heats[0], self.triangulation.laplacian.component_labels
         start = time.perf_counter()
-        flow = system.flow(heat, sources)
+        flow = system.flow(heats, sources)
         directions = time.perf_counter() - start
 
         def field(solution: LinearSolution) -> DistanceField:
-            potential = system.outwards(solution.x)
+            potential = system.outwards(system.unit * solution.x)
             return DistanceField(
                 distance=system.distance(potential, sources),
                 sources=sources,
-                time_step=self.time_step,
+                time_step=float(self.time_steps[labels[sources.vertices[0]]]),
                 choice=choice,
                 heat=heat.moved(system.outwards),
                 poisson=replace(solution, x=potential),
                 seconds={
                     "triangulation": self.triangulation.seconds,
                     "setup": ready.seconds,
-                    "heat": heat.seconds,
+                    "heat": sum(one.seconds for one in heats.values()),
                     "directions": directions,
                     "poisson": solution.seconds,
                 },
             )
 
         try:
-            return field(ready.poisson.solution(flow))
+            found = field(ready.poisson.solution(flow))
         except ConvergenceError as error:
             if not isinstance(error.partial, LinearSolution):
                 raise
             raise ConvergenceError(str(error), partial=field(error.partial)) from error
+        blurred = int((found.distance < np.sqrt(self.time_steps)[labels]).sum())
+        if blurred > max(_BLURRED * found.reached.sum(), _NEAR * len(sources.vertices)):
+            warn(
+                f"{blurred} of {found.reached.sum()} points are nearer to a source than the typical"
+                f" edge (of {np.sqrt(found.time_step / self._time_coefficient):.3g}) that sets the"
+                " time of the heat step, so their distances are blurred: separate parts of very"
+                " different size, or lower `time_coefficient`",
+                DoubtfulDistanceWarning,
+            )
+        return found
 
     @cached_property
     def _system(self) -> System:
@@ -241,7 +271,7 @@ class HeatGeodesics:
         if options not in self._ready:
             start = time.perf_counter()
             _ = self._system
-            steps: dict[Boundary, HeatStep] = {}
+            steps: dict[int, Mapping[Boundary, HeatStep]] = {}
             poisson: list[PoissonSolver] = []
             in_threads(
                 lambda task: task(),
@@ -253,8 +283,8 @@ class HeatGeodesics:
             self._ready[options] = _Ready(steps, poisson[0], time.perf_counter() - start)
         return self._ready[options]
 
-    def _heat_steps(self, options: Direct | Iterative) -> dict[Boundary, HeatStep]:
-        """Return the heat step of each boundary condition that takes part."""
+    def _heat_steps(self, options: Direct | Iterative) -> dict[int, Mapping[Boundary, HeatStep]]:
+        """Return for each size of triangles the step of each boundary condition that takes part."""
         wanted: tuple[Boundary, ...] = (self._boundary,)
         if self._boundary == "average":
             wanted = ("neumann", "dirichlet")
@@ -264,13 +294,16 @@ class HeatGeodesics:
         elif not inside.any():
             wanted = tuple(condition for condition in wanted if condition == "neumann")
         return {
-            condition: HeatStep(
-                self._system,
-                duration=self.time_step,
-                inside=inside if condition == "dirichlet" else None,
-                direct=isinstance(options, Direct),
-            )
-            for condition in wanted
+            size: {
+                condition: HeatStep(
+                    self._system,
+                    duration=self._time_coefficient * float(COARSER) ** (2 * size),
+                    inside=inside if condition == "dirichlet" else None,
+                    direct=isinstance(options, Direct),
+                )
+                for condition in wanted
+            }
+            for size in np.union1d(0, self._system.sizes).tolist()
         }
 
     def _poisson(self, options: Direct | Iterative) -> PoissonSolver:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from spectra_kit._checked import checked
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.linalg.cholesky import SparseCholesky
 from spectra_kit.linalg.incomplete_cholesky import incomplete_factor
@@ -30,6 +31,7 @@ _LIFT = 1000  # a direct solution is at most 2**1000, and may fall to
 _FLOOR = 1e-290  # before digits are lost
 
 
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class Heat:
     """Heat at n points, after one step: ``values * 2**exponents``, which float64 may not hold.
@@ -70,6 +72,12 @@ class Heat:
 
     def spread(self, inside: NDArray[np.bool_]) -> Heat:
         """Return the same on all points, of which these are those `inside`; the others are cold."""
+        inside = np.asarray(inside, dtype=bool)
+        if inside.ndim != 1 or inside.sum() != len(self.values):
+            raise InvalidInputError(
+                f"`inside` must be a vector with {len(self.values)} points in it, got"
+                f" {int(inside.sum())} of shape {inside.shape}"
+            )
 
         def move(values: NDArray[Any]) -> NDArray[Any]:
             every = np.zeros(len(inside), values.dtype)

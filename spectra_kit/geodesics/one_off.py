@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
+from spectra_kit._checked import checked
 from spectra_kit.geodesics.heat import Boundary, HeatGeodesics
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import Automatic, Solver
@@ -13,6 +14,7 @@ from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 from spectra_kit.spectrum import Spectrum
 
 
+@checked
 def geodesic_distance(
     geometry: Geometry | IntrinsicTriangulation,
     sources: SourcesLike,
@@ -38,7 +40,7 @@ def geodesic_distance(
     solver : Direct, Iterative or Automatic, default Automatic()
         How linear systems are solved.
     time_coefficient : float, default 1.0
-        Time of the heat step over the square of the mean edge.
+        Time of the heat step over the square of the typical edge.
     boundary : {"neumann", "dirichlet", "average"}, default "neumann"
         Of the heat step; all as in `HeatGeodesics`.
 
@@ -60,6 +62,7 @@ def geodesic_distance(
 
     Examples
     --------
+    >>> from spectra_kit import geodesic_distance
     >>> from spectra_kit.geometry import rectangle
     >>> field = geodesic_distance(rectangle(n=1000).geometry, 0)
     >>> field.choice

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, frozen
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.sources import Sources
@@ -18,6 +19,7 @@ from spectra_kit.linalg.solution import LinearSolution
 Floats = NDArray[np.float64]
 
 
+@checked
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class DistanceField(Rebuilt):
     """The distance of each point to the nearest source, by the heat method.
@@ -31,7 +33,7 @@ class DistanceField(Rebuilt):
     sources : Sources
         Where it is measured from.
     time_step : float
-        t of the heat step, in length^2.
+        t of the heat step on the component of the first source, in length^2.
     choice : str
         Which solver was used, and why.
     heat : Heat
@@ -44,6 +46,7 @@ class DistanceField(Rebuilt):
 
     Examples
     --------
+    >>> import numpy as np
     >>> from spectra_kit.geodesics import geodesic_distance
     >>> from spectra_kit.geometry import sphere
     >>> field = geodesic_distance(sphere(subdivisions=3).geometry, 0)

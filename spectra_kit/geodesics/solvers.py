@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.coarse_space import (
@@ -33,19 +34,21 @@ _DROP, _RELAXATION = 5e-3, 0.9
 _RITZ = 0.1  # relative error of the energies up to which they serve a preconditioner
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Direct:
     """Complete Cholesky factors of both systems: slow to set up, then milliseconds a source.
 
     Examples
     --------
-    >>> from spectra_kit.geodesics import geodesic_distance
+    >>> from spectra_kit.geodesics import Direct, geodesic_distance
     >>> from spectra_kit.geometry import sphere
     >>> geodesic_distance(sphere(subdivisions=3).geometry, 0, solver=Direct()).poisson.method
     'Cholesky'
     """
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Iterative:
     """Conjugate gradients with an incomplete factor, and with the modes of a spectrum beside it.
@@ -75,7 +78,7 @@ class Iterative:
 
     Examples
     --------
-    >>> from spectra_kit.geodesics import geodesic_distance
+    >>> from spectra_kit.geodesics import Iterative, geodesic_distance
     >>> from spectra_kit.geometry import sphere
     >>> paper = Iterative(coarse="none", drop=None, relaxation=0.0)
     >>> mesh = sphere(subdivisions=4).geometry
@@ -105,6 +108,7 @@ class Iterative:
             check_count("max_iterations", self.max_iterations, low=1)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Automatic:
     """`Direct` for small geometries and many sources, `Iterative` for few, or little memory.
@@ -123,6 +127,7 @@ class Automatic:
 
     Examples
     --------
+    >>> from spectra_kit.geodesics import Automatic
     >>> Automatic().choose(100_000, 20)[1]
     '20 sources pay for factors of 100000 points'
     """

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, check_indices, frozen, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.geometry._units import box_unit
 from spectra_kit.operators._checks import check_geometry
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_FAR = 1e6  # times the largest coordinate of the points
 #: What rounding may do to barycentric coordinates.
 _ROUNDING = 1e-9
 
 
+@checked
 @dataclass(frozen=True)
 class FacePoint:
     """A point of a face of a mesh.
@@ -49,6 +53,8 @@ class FacePoint:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.geodesics import FacePoint
     >>> from spectra_kit.geometry import TriangleMesh, sphere
     >>> mesh, point = sphere(subdivisions=2).geometry, FacePoint(7, [0.5, 0.25, 0.25])
     >>> point
@@ -106,6 +112,7 @@ class FacePoint:
         return np.asarray(np.array(self.barycentric) @ mesh.points[_corners(self, mesh)])
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Sources:
     """Heat at vertices, and how far each is from the nearest source: what `check_sources` makes.
@@ -123,6 +130,7 @@ class Sources:
 
     Examples
     --------
+    >>> from spectra_kit.geodesics import check_sources
     >>> from spectra_kit.geometry import PointCloud
     >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
     >>> check_sources([2, 0], cloud).vertices
@@ -144,6 +152,7 @@ class Sources:
 
         Examples
         --------
+        >>> from spectra_kit.geodesics import check_sources
         >>> from spectra_kit.geometry import PointCloud
         >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
         >>> check_sources(2, cloud).right_hand_side()
@@ -154,6 +163,7 @@ class Sources:
         return heat
 
 
+@runtime_checkable
 class HasPoints(Protocol):
     """A geometry, or what was made of one and has kept its points: a triangulation, a spectrum."""
 
@@ -166,6 +176,7 @@ class HasPoints(Protocol):
 SourcesLike = Sources | FacePoint | int | Sequence[int | FacePoint] | NDArray[np.integer | np.bool_]
 
 
+@checked
 def check_sources(
     sources: SourcesLike, geometry: HasPoints, weights: ArrayLike | None = None
 ) -> Sources:
@@ -196,6 +207,7 @@ def check_sources(
 
     Examples
     --------
+    >>> from spectra_kit.geodesics import FacePoint, check_sources
     >>> from spectra_kit.geometry import TriangleMesh
     >>> mesh = TriangleMesh([[0, 0, 0], [3, 0, 0], [0, 4, 0]], [[0, 1, 2]])
     >>> found = check_sources([0, FacePoint(0, [0, 0.5, 0.5])], mesh)
@@ -222,6 +234,7 @@ def check_sources(
     return Sources(geometry.n, frozen(vertices), frozen(heat), frozen(offsets))
 
 
+@checked
 def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint:
     """Find the source nearest to a point of space.
 
@@ -245,6 +258,7 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
 
     Examples
     --------
+    >>> from spectra_kit.geodesics import nearest_source
     >>> from spectra_kit.geometry import TriangleMesh
     >>> mesh = TriangleMesh([[0, 0, 0], [3, 0, 0], [0, 4, 0]], [[0, 1, 2]])
     >>> nearest_source(mesh, [0.0, 1.0, 5.0])
@@ -256,8 +270,17 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
     target = real_array("coordinate", coordinate)
     if target.shape != (3,):
         raise InvalidInputError(f"`coordinate` must have shape (3,), got {target.shape}")
+    low, high = geometry.points.min(axis=0), geometry.points.max(axis=0)
+    size, away = np.abs([low, high]).max(), np.abs(target).max()
+    if away > _FAR * size > 0:
+        raise InvalidInputError(
+            f"`coordinate` must lie nearer: at {away:.3g}, where the points reach {size:.3g},"
+            " rounding decides which of them is the nearest; is the unit the same?"
+        )
+    unit = box_unit(geometry.points)
+    points, target = geometry.points / unit, target / unit
     if not isinstance(geometry, TriangleMesh):
-        return int(np.argmin(np.sum((geometry.points - target) ** 2, axis=1)))
+        return int(np.argmin(np.sum((points - target) ** 2, axis=1)))
     import igl
 
     # A face of no area has no coordinates of its own; its sides belong to others too.
@@ -267,8 +290,8 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
             f"`geometry` must have a face of positive area, got {len(geometry.faces)} without"
         )
     faces = np.array(geometry.faces[proper])
-    _, face, closest = igl.point_mesh_squared_distance(target[None], geometry.points, faces)
-    a, b, c = geometry.points[faces[face[0]]]
+    _, face, closest = igl.point_mesh_squared_distance(target[None], points, faces)
+    a, b, c = points[faces[face[0]]]
     sides = np.column_stack([b - a, c - a])
     beta, gamma = np.linalg.lstsq(sides, closest[0] - a)[0]
     weights = np.array([1 - beta - gamma, beta, gamma])

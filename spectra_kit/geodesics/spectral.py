@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import check_positive, quantity
-from spectra_kit.errors import InvalidInputError
+from spectra_kit._checked import checked
+from spectra_kit._validate import check_positive, quantity, warn
+from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 from spectra_kit.spectrum import Spectrum
@@ -21,6 +20,7 @@ _NEGATIVE = 0.01  # share of the surface that truncation may cool below zero
 _SAMPLE = 4096  # points that stand for all of them in the search for a time
 
 
+@checked
 def spectral_heat(
     spectrum: Spectrum, sources: SourcesLike, time: float, *, flow: bool = True
 ) -> Floats:
@@ -58,6 +58,9 @@ def spectral_heat(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.geodesics import spectral_heat
     >>> spectrum = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
     >>> spectral_heat(spectrum, [0, 1], 1.0)
     array([1.   , 0.367...])
@@ -70,6 +73,7 @@ def spectral_heat(
     return np.asarray(spectrum.eigenvectors @ (gain * seen))
 
 
+@checked
 def smallest_spectral_time(spectrum: Spectrum, sources: SourcesLike) -> float:
     """Shortest time at which the modes resolve the heat of some sources wherever it gets to.
 
@@ -101,6 +105,7 @@ def smallest_spectral_time(spectrum: Spectrum, sources: SourcesLike) -> float:
     Examples
     --------
     >>> import spectra_kit as sk
+    >>> from spectra_kit.geodesics import smallest_spectral_time
     >>> ball = sk.geometry.sphere(subdivisions=3).geometry
     >>> spectrum = sk.eigensolve(sk.robust_laplacian(ball), 100)
     >>> time = smallest_spectral_time(spectrum, 0)
@@ -112,6 +117,7 @@ def smallest_spectral_time(spectrum: Spectrum, sources: SourcesLike) -> float:
     return _smallest_time(spectrum, checked, _reached(spectrum, checked))
 
 
+@checked
 def spectral_distance(
     spectrum: Spectrum,
     triangulation: IntrinsicTriangulation,
@@ -148,7 +154,7 @@ def spectral_distance(
 
     Warns
     -----
-    UserWarning
+    DoubtfulDistanceWarning
         If `time` is too short for the modes.
 
     See Also
@@ -190,7 +196,9 @@ def spectral_distance(
     --------
     On the unit sphere, where distances are 1.6 on average:
 
+    >>> import numpy as np
     >>> import spectra_kit as sk
+    >>> from spectra_kit.geodesics import spectral_distance
     >>> ball = sk.geometry.sphere(subdivisions=3).geometry
     >>> triangulation = sk.operators.intrinsic_delaunay(ball)
     >>> spectrum = sk.eigensolve(triangulation.laplacian, 100)
@@ -222,11 +230,11 @@ def spectral_distance(
         found = offset + _from_vertex(spectrum, triangulation, vertex, heat)
         distance[here] = np.minimum(distance, found)[here]
     if time is not None and coldest > _NEGATIVE:
-        warnings.warn(
+        warn(
             f"`time` {time:.3g} is too short for {spectrum.k} modes: their heat is negative on"
             f" {100 * coldest:.0f} % of the surface, where distances are wrong; leave `time` out,"
             " or use more modes",
-            stacklevel=2,
+            DoubtfulDistanceWarning,
         )
     return distance
 

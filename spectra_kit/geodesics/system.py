@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from spectra_kit._validate import warn
+from spectra_kit.errors import DoubtfulDistanceWarning
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.sources import Sources
 from spectra_kit.linalg.incomplete_cholesky import untidy
@@ -21,6 +23,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 _FLAT = 1e-9  # relative differences of heat in a triangle that are no direction, but rounding
+COARSER = 8  # times the length of a step: larger triangles take the next one
 _LEVEL = 0.05  # share of such triangles that deserves a warning; a few lie at any source's antipode
 
 
@@ -44,6 +47,8 @@ class System:
         How much each counts.
     inside : ndarray of shape (n,), bool
         Points that are not on the boundary.
+    unit : ndarray of shape (n,)
+        The length that counts as 1 in all of these: the spacing of the component of each point.
     """
 
     order: NDArray[np.int64]
@@ -55,6 +60,7 @@ class System:
     lengths: Floats
     share: float
     inside: NDArray[np.bool_]
+    unit: Floats
 
     @staticmethod
     def of(triangulation: IntrinsicTriangulation) -> System:
@@ -71,17 +77,26 @@ class System:
             corners = place[corners]
         inside = np.ones(n, dtype=bool)
         inside[triangulation.boundary] = False
+        labels = laplacian.component_labels[order]
+        unit = triangulation.spacings[labels]
         return System(
             order,
             stiffness,
-            laplacian.mass[order],
-            laplacian.points[order],
-            laplacian.component_labels[order],
+            laplacian.mass[order] / unit**2,
+            laplacian.points[order] / unit[:, None],
+            labels,
             corners,
-            triangulation.lengths,
+            triangulation.lengths / unit[corners[:, :1]],
             triangulation.share,
             inside[order],
+            unit,
         )
+
+    @cached_property
+    def sizes(self) -> NDArray[np.int64]:
+        """Of each triangle, k for which its longest side is at most ``8**(k + 1)``, shape (f,)."""
+        steps = np.log(self.lengths.max(axis=1, initial=1.0)) / np.log(COARSER)
+        return np.asarray(np.ceil(steps - 1).clip(0), dtype=np.int64)
 
     @cached_property
     def _apexes(self) -> Floats:
@@ -99,26 +114,33 @@ class System:
         found[self.order] = values
         return found
 
-    def flow(self, heat: Heat, sources: Sources) -> Floats:
-        """Return the integrated divergence of the unit vectors in which heat flows, shape (n,)."""
+    def flow(self, heats: Mapping[int, Heat], sources: Sources) -> Floats:
+        """Return the integrated divergence of the unit vectors in which heat flows, shape (n,).
+
+        Through triangles of one of `sizes` flows the heat of its step.
+        """
         from spectra_kit.geodesics._kernels import divergence_of_directions
 
         at_zero = np.zeros(len(self.order), dtype=bool)
         at_zero[sources.vertices[sources.offsets == 0]] = True
-        found, level = divergence_of_directions(
-            self.corners,
-            self.lengths,
-            self._apexes,
-            heat.values,
-            heat.exponents,
-            _FLAT,
-            at_zero[self.order],
-        )
+        found, level = np.zeros(len(self.order)), 0
+        for size, heat in heats.items():
+            here = self.sizes == size
+            part, still = divergence_of_directions(
+                self.corners[here],
+                self.lengths[here],
+                self._apexes[here],
+                heat.values,
+                heat.exponents,
+                _FLAT,
+                at_zero[self.order],
+            )
+            found, level = found + part, level + still
         if level > _LEVEL * len(self.corners) + 4:
-            warnings.warn(
+            warn(
                 f"heat is the same all over {level} of {len(self.corners)} triangles, where no"
                 " distance can be told from it: lower `time_coefficient`",
-                stacklevel=4,
+                DoubtfulDistanceWarning,
             )
         return np.multiply(self.share, found)
 
@@ -126,8 +148,11 @@ class System:
         """Shift a potential to zero at the sources of each component; both in the input's order."""
         labels = self.outwards(self.labels)
         at = labels[sources.vertices]
-        heat = np.bincount(at, sources.heat, minlength=labels.max() + 1)
-        ahead = sources.heat * (potential[sources.vertices] - sources.offsets)
+        most = np.zeros(labels.max() + 1)
+        np.maximum.at(most, at, sources.heat)
+        share = sources.heat / most[at]
+        heat = np.bincount(at, share, minlength=len(most))
+        ahead = share * (potential[sources.vertices] - sources.offsets)
         level = np.full(len(heat), -np.inf)  # nothing reached is infinitely far
         level[heat > 0] = np.bincount(at, ahead, minlength=len(heat))[heat > 0] / heat[heat > 0]
         distance: Floats = np.maximum(potential - level[labels], 0.0)
