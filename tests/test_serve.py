@@ -31,7 +31,7 @@ COMMAND = [
 def sheet():
     mesh = rectangle(n=200).geometry
     laplacian = robust_laplacian(mesh)
-    guess = eigensolve(laplacian, 6, RayleighRitz(subspace=AmbientFourier(m=40)))
+    guess = eigensolve(laplacian, 6, RayleighRitz(subspace=AmbientFourier(m=60, bandwidth=4.0)))
     return mesh, eigensolve(laplacian, 6), guess
 
 
@@ -149,6 +149,50 @@ def test_a_browser_shows_the_modes_and_the_slider_changes_them(server, page):
     assert {url.split("/")[2] for url in page.asked if url.startswith(("http", "ws"))} == {
         told["url"].split("/")[2]
     }
+
+
+def status(port, request, **headers):
+    """The status line and the body that come back over a socket."""
+    lines = [f"{request} HTTP/1.1", *(f"{name}: {value}" for name, value in headers.items())]
+    with socket.create_connection(("127.0.0.1", port), timeout=5) as connection:
+        connection.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
+        answer = connection.recv(65536).decode(errors="replace")
+    return int(answer.split()[1]), answer
+
+
+HANDSHAKE = {
+    "Connection": "Upgrade",
+    "Upgrade": "websocket",
+    "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+}
+
+
+def test_pages_from_elsewhere_get_nothing(server):
+    _, told = server
+    port = int(told["url"].rsplit(":", 1)[1].strip("/"))
+    here = f"127.0.0.1:{port}"
+    ask = {"Content-Length": 0}
+    for host in (here, f"localhost:{port}", f"LOCALHOST:{port}"):
+        code, answer = status(port, "POST /paraview/", Host=host, Origin=f"http://{host}", **ask)
+        assert (code, "secret" in answer) == (200, True)
+    assert status(port, "GET /ws", Host=here, Origin=f"http://{here}", **HANDSHAKE)[0] == 101
+    # A name of elsewhere that leads to this machine, another port, and no name at all.
+    for host in ("evil.example", f"evil.example:{port}", "127.0.0.1", f"127.0.0.1:{port - 1}", ""):
+        for request in ("POST /paraview/", "GET /", "GET /index.html", "GET /no.such"):
+            code, answer = status(port, request, Host=host, **ask)
+            assert (code, "secret" in answer) == (403, False)
+        assert status(port, "GET /ws", Host=host, Origin=f"http://{host}", **HANDSHAKE)[0] == 403
+    # A page of elsewhere that asks this machine by its name.
+    for origin in (
+        "http://evil.example",
+        f"https://{here}",
+        f"http://127.0.0.1:{port - 1}",
+        "null",
+    ):
+        code, answer = status(port, "POST /paraview/", Host=here, Origin=origin, **ask)
+        assert (code, "secret" in answer) == (403, False)
+        assert status(port, "GET /ws", Host=here, Origin=origin, **HANDSHAKE)[0] == 403
 
 
 def test_it_listens_to_this_machine_alone_and_ends_by_ctrl_c(server):

@@ -199,8 +199,8 @@ def test_wide_geometries_stand_in_rows_tall_ones_in_columns(tmp_path):
             tmp_path / "x.png",
             PointCloud(points),
             [[panel] * 3] * 5,
-            rows_named="12345",
-            columns_named="abc",
+            rows_named=[*"12345"],
+            columns_named=[*"abc"],
             dpi=20,
         )
         with Image.open(tmp_path / "x.png") as page:
@@ -220,7 +220,7 @@ def test_short_numbers(value, text):
 
 def one_panel(path, geometry, values, **options):
     panel = Panel(values=values, limit=1.0)
-    plot_panels(path, geometry, [[panel]], rows_named="r", columns_named="c", dpi=20, **options)
+    plot_panels(path, geometry, [[panel]], rows_named=["r"], columns_named=["c"], dpi=20, **options)
 
 
 def test_bad_input_is_refused(tmp_path, ball):
@@ -238,7 +238,7 @@ def test_bad_input_is_refused(tmp_path, ball):
     panel = Panel(values=good, limit=1.0)
     for rows, names in (([], "a"), ([[panel]], "ab"), ([[]], "")):
         with pytest.raises(InvalidInputError, match=r"`rows` must be a table of \d columns"):
-            plot_panels(tmp_path / "x.png", ball, rows, rows_named="r", columns_named=names)
+            plot_panels(tmp_path / "x.png", ball, rows, rows_named=["r"], columns_named=[*names])
 
 
 def test_modes_out_of_range_are_refused(tmp_path, ball):

@@ -13,8 +13,9 @@ from PIL import Image
 
 from spectra_kit import Dense, eigensolve, robust_laplacian
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
-from spectra_kit.geometry import PointCloud, sphere
+from spectra_kit.geometry import PointCloud, creature, sphere
 from spectra_kit.viz import animate_modes
+from spectra_kit.viz.animation import _inner_radii, _shifts
 
 SIZE = {"width": 72, "fps": 8.0}  # 16 frames in two seconds
 CAPTION = 6  # rows of such a frame
@@ -210,6 +211,29 @@ animate_modes("modes.mp4", mesh, eigensolve(robust_laplacian(mesh), 4, Dense()))
     assert "MissingDependencyError: MP4 needs imageio-ffmpeg" in run.stderr
     assert "pip install spectra_kit[video]; or write a .gif" in run.stderr
     assert os.listdir(tmp_path) == []
+
+
+def test_thin_parts_do_not_turn_inside_out():
+    mesh = creature(4000, seed=0)
+    spectrum = eigensolve(robust_laplacian(mesh), 7)
+    functions = [u / np.abs(u).max() for u in spectrum.eigenvectors.T[1:]]
+    resting = np.cross(*np.diff(mesh.points[mesh.faces], axis=1).swapaxes(0, 1))
+    for shift in _shifts(mesh, functions, 0.01):
+        for swing in (1, -1):
+            moved = (mesh.points + swing * shift)[mesh.faces]
+            faces = np.cross(*np.diff(moved, axis=1).swapaxes(0, 1))
+            assert (np.einsum("ij,ij->i", faces, resting) > 0).all()
+    assert np.abs(shift).max() > 0.005  # the trunk moves as far as it was asked to
+
+
+def test_balls_inside_are_as_large_as_there_is_room():
+    ball = sphere(radius=2.0, subdivisions=4).geometry
+    np.testing.assert_allclose(_inner_radii(ball.points, ball.points / 2, 10.0), 2.0, rtol=1e-6)
+    thin = ball.points * [1, 1, 0.05]  # at its poles the radius of curvature is 40, half of it 0.1
+    normals = ball.points / [1, 1, 0.05]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    pole = np.abs(ball.points[:, 2]) > 1.99
+    np.testing.assert_allclose(_inner_radii(thin, normals, 10.0)[pole], 0.1, rtol=0.05)
 
 
 def test_bad_input_is_refused(ball, modes, tmp_path):

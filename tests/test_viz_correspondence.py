@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from spectra_kit.correspondence import MapErrors, Truth, map_errors
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.geometry import creature_pair, sphere
 from spectra_kit.viz import (
@@ -141,7 +142,7 @@ def test_a_constant_map_gives_one_colour(tmp_path, pair):
 def test_pages_keep_their_margins_and_leave_nothing_else(tmp_path, pair):
     source, target, point_map = pair
     errors = np.linspace(0, 10, target.n)
-    errors[:9] = np.nan
+    errors = MapErrors(errors[9:], np.arange(9, target.n))
     several = [
         MatchedPair(source=source, target=target, point_map=point_map, name="best of all pairs"),
         MatchedPair(source=source, target=target, point_map=point_map, errors=errors, name="worst"),
@@ -176,13 +177,37 @@ def test_diagrams(tmp_path):
     assert sorted(os.listdir(tmp_path)) == ["c.png", "d.png"]
 
 
+def test_errors_are_drawn_where_they_are_whatever_the_order_of_the_truth(pair):
+    """As many truths as points, in an order of their own: once drawn as noise."""
+    source, target, truth = pair
+    wrong = np.roll(truth, 7)
+    order = np.random.default_rng(0).permutation(target.n)
+    drawn = [
+        MatchedPair(source=source, target=target, point_map=wrong, errors=errors).checked_errors()
+        for errors in (
+            map_errors(source, wrong, Truth.of_map(truth)),
+            map_errors(source, wrong, Truth(truth[order], order)),
+        )
+    ]
+    np.testing.assert_array_equal(*drawn)
+    some = map_errors(source, wrong, Truth(truth[[5, 3, 5]], [5, 3, 5])).at_points(target.n)
+    assert np.flatnonzero(~np.isnan(some)).tolist() == [3, 5]
+    np.testing.assert_array_equal(some[[3, 5]], drawn[0][[3, 5]])
+
+
 def test_bad_input_is_refused(tmp_path, ball):
     good, path = np.arange(ball.n), tmp_path / "x.png"
     for options, message in (
         ({"point_map": good[:5]}, r"`point_map` must have shape \(162,\).*exchanged"),
         ({"point_map": good + 1}, r"`point_map` must be in \[0, 162\)"),
-        ({"point_map": good, "errors": -np.ones(ball.n)}, r"`errors` must .* 162 negative"),
-        ({"point_map": good, "errors": [1.0]}, r"`errors` must have shape \(162,\)"),
+        (
+            {"point_map": good, "errors": np.ones(ball.n)},
+            r"`errors` must be a MapErrors or None, .* does not say at which points .*map_errors",
+        ),
+        (
+            {"point_map": good, "errors": MapErrors([1.0], [162])},
+            r"`target` must be in \[0, 162\)",
+        ),
         ({"point_map": good, "up": "w"}, r"`up` must be 'x', 'y', 'z' or None, got 'w'"),
         ({"point_map": good, "limit": 0.0}, r"`limit` must be positive"),
         (

@@ -196,7 +196,7 @@ def test_what_is_no_spectrum_is_refused(exact, ball, tmp_path):
         plot_spectrum(path, {"a": ball})
     with pytest.raises(InvalidInputError, match="`spectra` must have modes, got none in 'empty'"):
         plot_spectrum(path, {"empty": exact.truncate(1).nonzero()})
-    with pytest.raises(InvalidInputError, match="`free_boundary` must be a finite length, got nan"):
+    with pytest.raises(InvalidInputError, match="`free_boundary` must be a number, got nan"):
         plot_spectrum(path, exact, free_boundary=np.nan)
     larger = {"one": exact, "two": exact.rescale(2.0)}
     with pytest.raises(InvalidInputError, match=r"must be of one surface, got 1 .* draw them one"):

@@ -40,8 +40,8 @@ def found():
         lambda to, s, **o: plot_fields(f"{to}.png", BALL, {"one": ONES}, **o),
         lambda to, s, **o: plot_panels(
             *(f"{to}.png", BALL, [[Panel(values=ONES, limit=1.0)]]),
-            rows_named="a",
-            columns_named="b",
+            rows_named=["a"],
+            columns_named=["b"],
             **o,
         ),
         lambda to, s, **o: plot_distance(f"{to}.png", BALL, ONES, **o),
@@ -56,6 +56,6 @@ def found():
     ],
 )
 def test_a_turn_reaches_the_camera(tmp_path, found, draw):
-    with pytest.raises(InvalidInputError, match="`turn` must be a finite number of degrees, got"):
+    with pytest.raises(InvalidInputError, match="`turn` must be a number, got"):
         draw(tmp_path / "x", found, turn=np.nan)
     assert not list(tmp_path.iterdir())

@@ -24,7 +24,8 @@ def spectrum_facts(spectrum: Spectrum, modes: NDArray[np.int64]) -> dict[str, An
         "eigenvalues": numbers(spectrum.eigenvalues[modes]),
         "residuals": certificate and numbers(certificate.residuals[modes]),
         "relative": certificate and numbers(certificate.relative_residuals[modes]),
-        "verified": int(spectrum.certificate.n_verified) if spectrum.certificate else 0,
+        "verified": int(certificate.n_verified) if certificate else 0,
+        "completeness": certificate and certificate.completeness,
         "solver": spectrum.provenance.solver,
     }
 

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path, check_target
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
@@ -46,6 +47,7 @@ Floats = NDArray[np.float64]
 _BOX = 65535  # positions are this many steps along the longest side
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Explorer:
     """A page that was written, and how faithful it is.
@@ -76,6 +78,7 @@ class Explorer:
     decimated: bool
 
 
+@checked
 def write_explorer(
     path: str | os.PathLike[str],
     geometry: Geometry,
@@ -141,6 +144,7 @@ def write_explorer(
     >>> from pathlib import Path
     >>> from tempfile import TemporaryDirectory
     >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> from spectra_kit.explorer import write_explorer
     >>> from spectra_kit.geometry import sphere
     >>> ball = sphere(subdivisions=2).geometry
     >>> spectrum = eigensolve(robust_laplacian(ball), 4)
@@ -177,7 +181,7 @@ def write_explorer(
         "decimated": display.decimated,
         "palette": _palette(),
         **_view(geometry, up),
-        "exact": spectrum_facts(exact, np.arange(k)),
+        "exact": spectrum_facts(exact.truncate(k), np.arange(k)),
         "colours": colour_facts(functions[0], functions[1] if predicted else None, shown),
     }
     if predicted is not None and comparison is not None:

@@ -105,6 +105,31 @@ def serve(
     _run(scene, modes, first, title, port, open_browser, ready)
 
 
+def _only_this_server() -> Any:
+    """Return a middleware of aiohttp that answers to nothing but pages of this server.
+
+    A page from elsewhere may have its name resolved to this machine, and then counts as one of
+    this server to the browser: but its requests name it. To a websocket any page may connect.
+    """
+    from aiohttp import web
+
+    @web.middleware
+    async def check(request: web.Request, handler: Any) -> Any:
+        assert request.transport is not None
+        port = request.transport.get_extra_info("sockname")[1]
+        hosts = {f"{name}:{port}" for name in (_HOST, "localhost")}
+        if port == 80:  # which browsers leave out
+            hosts |= {_HOST, "localhost"}
+        host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
+        if host.lower() not in hosts:
+            raise web.HTTPForbidden(text=f"open http://{_HOST}:{port}/, got host {host!r}")
+        if origin is not None and origin.lower() not in {f"http://{name}" for name in hosts}:
+            raise web.HTTPForbidden(text=f"only pages of this server connect, got {origin!r}")
+        return await handler(request)
+
+    return check
+
+
 def _run(
     scene: Scene,
     modes: Modes,
@@ -180,7 +205,9 @@ def _run(
             server.js_call("scene", "setCamera", scene.camera())
 
     def _bind(wslink: Any) -> None:
-        # The page asks for the way to its data; only a page of this server can read the answer.
+        wslink.app.middlewares.append(_only_this_server())
+
+        # The page asks for the way to its data.
         async def answer(_: web.Request) -> web.Response:
             return web.json_response({"sessionURL": "ws://USE_HOST/ws", "secret": options.authKey})
 

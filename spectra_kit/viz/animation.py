@@ -10,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path, check_target
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
@@ -31,14 +33,17 @@ from spectra_kit.viz.signs import display_signs
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-_MODES = 4  # by default
+_MOST_FRAMES = 20_000  # some quarter of an hour, and gigabytes while they are drawn
+_MODES = 6  # by default
 _CAPTION = 0.075  # of the width: height of the line above the picture
+_SHRINKINGS = 8  # of balls: half of them is enough nearly everywhere
 _LINE = 1 / 300  # of the width: that of a nodal line
 _SAMPLED = 12  # frames that the colours of a GIF are chosen from
 _DITHER = 6.0  # steps of 255, hardly more than between two of those colours
 _BAYER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 16 - 15 / 32
 
 
+@checked
 def animate_modes(
     path: str | os.PathLike[str],
     geometry: Geometry,
@@ -65,10 +70,10 @@ def animate_modes(
     spectrum : Spectrum
         Its k modes.
     modes : sequence of int, optional
-        Which ones, counted from 0; by default the first four that are not constant.
+        Which ones, counted from 0; by default the first six that are not constant.
     amplitude : float, default 0.01
         The farthest that a point moves, as part of the diagonal of the bounding box; 0 for colours
-        alone. Parts thinner than twice as much turn inside out.
+        alone. Where the surface is thin it moves less, at most a quarter of its thickness.
     seconds_per_mode : float, default 2
         Of one swing there and back.
     fps : float, default 20
@@ -100,16 +105,20 @@ def animate_modes(
 
     Notes
     -----
-    ``x(t) = x + a u(x) / max|u| cos(omega t) n(x)`` with the outward normals n, those of clouds
-    estimated; the colours follow ``u cos(omega t)``, with the same limits in all frames. (Of max|u|
-    only the 99th percentile counts, and what exceeds it is cut off.) The film begins at the largest
-    swing of the first mode. Every mode begins and ends at rest, so that each flows into the next,
-    and the last into the first.
+    ``x(t) = x + s(x) cos(omega t) n(x)`` with the outward normals n, those of clouds estimated, and
+    ``s = w / sqrt(1 + (2 w / r)^2)``, ``w = a u(x) / max|u|``, where r is the radius of the largest
+    ball inside that touches the surface at x: no part turns inside out. The colours follow
+    ``u cos(omega t)``, with the same limits in all frames. (Of max|u| only the 99th percentile
+    counts, and what exceeds it is cut off.) The film begins at the largest swing of the first mode.
+    Every mode begins and ends at rest, so that each flows into the next, and the last into the
+    first.
 
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
     >>> import spectra_kit as sk
+    >>> from spectra_kit.viz import animate_modes
     >>> mesh = sk.geometry.sphere(subdivisions=2).geometry
     >>> spectrum = sk.eigensolve(sk.robust_laplacian(mesh), 5)
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -126,6 +135,11 @@ def animate_modes(
     rate = check_positive("fps", fps)
     quarter = max(round(check_positive("seconds_per_mode", seconds_per_mode) * rate / 4), 1)
     count = 4 * quarter
+    if count * len(chosen) > _MOST_FRAMES:
+        raise InvalidInputError(
+            f"`fps` and `seconds_per_mode` must make at most {_MOST_FRAMES:,} frames, got"
+            f" {fps:g} in a second and {seconds_per_mode:g} seconds for each of {len(chosen)} modes"
+        )
     swings = np.round(np.sin(2 * np.pi * np.arange(count) / count), 12)
     distinct, number = np.unique(swings, return_inverse=True)
     vectors = spectrum.eigenvectors[:, chosen]
@@ -133,8 +147,6 @@ def animate_modes(
         np.clip(column / symmetric_limit(column), -1.0, 1.0)
         for column in (vectors * display_signs(vectors)).T
     ]
-    reach = amplitude * float(np.linalg.norm(np.ptp(geometry.points, axis=0)))
-    normals = _normals(geometry) if reach else np.zeros((geometry.n, 3))
     with atomic_path(path) as part:
         scene = Scene(
             geometry=geometry,
@@ -142,7 +154,7 @@ def animate_modes(
             rotation=choose_view(geometry, up=up, turn=turn),
             width=width,
             colours=diverging_colours(np.linspace(-1.0, 1.0, 256)),
-            shifts=[reach * function[:, None] * normals for function in functions],
+            shifts=_shifts(geometry, functions, amplitude),
             swings=distinct.tolist(),
             lines=_nodal_lines(geometry, functions) if nodal_lines else None,
             line_width=max(_LINE * width, 1.5),
@@ -187,6 +199,34 @@ def _check_modes(
             f" {spectrum.n_zero_modes} of them zero modes"
         )
     return [check_count("modes", mode, low=0, high=spectrum.k - 1) for mode in modes]
+
+
+def _shifts(geometry: Geometry, functions: Sequence[Floats], amplitude: float) -> list[Floats]:
+    """How far the points move, (n, 3) for each function; see the notes of `animate_modes`."""
+    diagonal = float(np.linalg.norm(np.ptp(geometry.points, axis=0)))
+    if not amplitude * diagonal:
+        return [np.zeros((geometry.n, 3)) for _ in functions]
+    normals = _normals(geometry)
+    radii = _inner_radii(geometry.points, normals, diagonal)
+    swings = (amplitude * diagonal * function for function in functions)
+    return [(w / np.hypot(1, 2 * w / radii))[:, None] * normals for w in swings]
+
+
+def _inner_radii(points: Floats, normals: Floats, largest: float) -> Floats:
+    """Radii of the largest balls inside that touch the surface at the points, (n,).
+
+    Balls shrink until they hold no other point: Ma, Bae and Choi, *3D medial axis point
+    approximation using nearest neighbors and the normal field*, 2012.
+    """
+    tree = cKDTree(points)
+    radii = np.full(len(points), largest)
+    for _ in range(_SHRINKINGS):
+        _, nearest = tree.query(points - radii[:, None] * normals)
+        apart = points - points[nearest]
+        behind = np.einsum("ij,ij->i", apart, normals)
+        through = np.einsum("ij,ij->i", apart, apart) / (2 * np.where(behind > 0, behind, 1))
+        radii = np.where(behind > 0, np.minimum(radii, through), radii)
+    return np.asarray(np.maximum(radii, np.finfo(np.float64).tiny))
 
 
 def _normals(geometry: Geometry) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -33,10 +34,9 @@ def choose_view(geometry: Geometry, *, up: Up | None = None, turn: float = 0.0) 
     From there the geometry is turned by `turn` degrees about the axis that points up, its front to
     the right.
     """
-    if up not in (None, "x", "y", "z"):
-        raise InvalidInputError(f"`up` must be 'x', 'y', 'z' or None, got {up!r}")
     if not np.isfinite(turn):
         raise InvalidInputError(f"`turn` must be a finite number of degrees, got {turn!r}")
+    turn = math.fmod(turn, 360)
     if isinstance(geometry, TriangleMesh) and geometry.area > 0:
         points = sample(geometry, 4000, seed=0).points
     else:

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.sheet import (
     LINE_COLOURS,
-    check_picture_path,
+    check_picture,
     head,
     line_style,
     new_figure,
@@ -35,6 +36,7 @@ _FLOOR = 1e-16  # of relative residuals in the picture: below it there is only r
 _ROW = 0.27  # inches of one bar
 
 
+@checked
 def plot_convergence(
     path: str | os.PathLike[str],
     runs: Sequence[SolverRun],
@@ -81,13 +83,15 @@ def plot_convergence(
     Examples
     --------
     >>> import tempfile
+    >>> import numpy as np
+    >>> from spectra_kit.viz import SolverRun, plot_convergence
     >>> times, residuals = np.array([0.0, 0.1, 0.2]), np.array([1.0, 1e-4, 1e-9])
     >>> run = SolverRun(name="CG", stages={"setup": 0.1}, times=times, residuals=residuals)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     plot_convergence(f"{folder}/convergence.png", [run], dpi=40).path.name
     'convergence.png'
     """
-    check_picture_path(path)
+    check_picture(path, dpi)
     if not runs:
         raise InvalidInputError("`runs` must hold at least one SolverRun, got none")
     check_positive("rtol", rtol)

@@ -9,7 +9,9 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_positive
+from spectra_kit.correspondence import MapErrors
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import Up, choose_view, fitting_size
@@ -18,7 +20,7 @@ from spectra_kit.viz.matched_pair import MatchedPair
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.render import Scene, render
 from spectra_kit.viz.rows import Row, set_rows
-from spectra_kit.viz.sheet import check_picture_path, save
+from spectra_kit.viz.sheet import check_picture, save
 from spectra_kit.viz.texture import texture_colours
 
 Floats = NDArray[np.float64]
@@ -32,13 +34,14 @@ _HEADS = ("source", "target")
 _PERCENTILE = 99.0  # a lone outlier must not bleach the rest
 
 
+@checked
 def plot_correspondence(
     path: str | os.PathLike[str],
     source: Geometry,
     target: Geometry,
     point_map: ArrayLike,
     *,
-    errors: ArrayLike | None = None,
+    errors: MapErrors | None = None,
     transfer: Transfer = "colours",
     up: Up | None = None,
     turn: float = 0.0,
@@ -61,8 +64,9 @@ def plot_correspondence(
         With n1 and n2 points. A cloud is drawn as balls that overlap a little.
     point_map : array_like of shape (n2,), integers
         The source point of each target point.
-    errors : array_like of shape (n2,), optional
-        Of the map at each target point, >= 0, drawn in a third column; NaN where not known.
+    errors : MapErrors, optional
+        Of the map, drawn in a third column at the target points that they are of; those of a mesh
+        are made by `correspondence.map_errors`.
     transfer : {"colours", "texture"}, default "colours"
         What the map carries: gradual colours, or a chart of named squares.
     up : {"x", "y", "z"}, optional
@@ -107,6 +111,7 @@ def plot_correspondence(
     --------
     >>> import tempfile
     >>> from spectra_kit.geometry import creature_pair
+    >>> from spectra_kit.viz import plot_correspondence
     >>> source, target, point_map = creature_pair(600)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     plot_correspondence(f"{folder}/map.png", source, target, point_map, dpi=30).path.name
@@ -118,6 +123,7 @@ def plot_correspondence(
     return _draw(path, [pair], True, transfer, up, turn, limit, error_label, title, subtitle, dpi)
 
 
+@checked
 def plot_correspondences(
     path: str | os.PathLike[str],
     pairs: Sequence[MatchedPair],
@@ -168,6 +174,7 @@ def plot_correspondences(
     --------
     >>> import tempfile
     >>> from spectra_kit.geometry import creature_pair
+    >>> from spectra_kit.viz import MatchedPair, plot_correspondences
     >>> source, target, point_map = creature_pair(600)
     >>> pair = MatchedPair(source=source, target=target, point_map=point_map, name="truth")
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -193,7 +200,7 @@ def _draw(
     dpi: int,
 ) -> Picture:
     """Check everything, draw the pictures of each row, set the page."""
-    check_picture_path(path)
+    check_picture(path, dpi)
     if transfer not in get_args(Transfer):
         raise InvalidInputError(f"`transfer` must be 'colours' or 'texture', got {transfer!r}")
     maps = [pair.checked_map() for pair in pairs]

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
@@ -17,7 +18,7 @@ from spectra_kit.viz.distance_scale import round_number
 from spectra_kit.viz.page import plot_gallery
 from spectra_kit.viz.panels import Panel, sequential_limits, symmetric_limit
 from spectra_kit.viz.picture import Picture
-from spectra_kit.viz.sheet import check_picture_path
+from spectra_kit.viz.sheet import check_picture
 
 Floats = NDArray[np.float64]
 Lines = Literal["none", "nodal", "levels"]
@@ -25,6 +26,7 @@ Lines = Literal["none", "nodal", "levels"]
 _LEVELS = 14  # lines from one end of the colours to the other, about
 
 
+@checked
 def plot_fields(
     path: str | os.PathLike[str],
     geometry: Geometry,
@@ -91,16 +93,24 @@ def plot_fields(
     --------
     >>> import tempfile
     >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.viz import plot_fields
     >>> ball = sphere(subdivisions=2).geometry
     >>> fields = {"height": ball.points[:, 2], "squared": ball.points[:, 2] ** 2}
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     plot_fields(f"{folder}/fields.svg", ball, fields, lines="nodal", dpi=30).path.name
     'fields.svg'
     """
-    check_picture_path(path)
+    check_picture(path, dpi)
     if lines not in get_args(Lines):
         raise InvalidInputError(f"`lines` must be 'none', 'nodal' or 'levels', got {lines!r}")
-    pairs = list(fields.items() if isinstance(fields, Mapping) else fields)
+    pairs = list(fields.items()) if isinstance(fields, Mapping) else fields
+    if not isinstance(pairs, list | tuple) or not all(
+        isinstance(pair, list | tuple) and len(pair) == 2 for pair in pairs
+    ):
+        raise InvalidInputError(
+            "`fields` must be a mapping of names to values, or a list of pairs of both, got a"
+            f" {type(fields).__name__}; write {{'name': values}}"
+        )
     if not pairs:
         raise InvalidInputError("`fields` must hold at least one function, got none")
     if columns is not None:

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class ParetoPoint:
     """One run of one method: its seconds, and its error.
@@ -46,6 +48,7 @@ class ParetoPoint:
             raise InvalidInputError(f"`error` must be finite and >= 0, got {self.error!r}")
 
 
+@checked
 def pareto_front(points: Sequence[ParetoPoint], *, floor: float = 0.0) -> list[ParetoPoint]:
     """Return the points that no other one beats in both time and error.
 
@@ -63,6 +66,7 @@ def pareto_front(points: Sequence[ParetoPoint], *, floor: float = 0.0) -> list[P
 
     Examples
     --------
+    >>> from spectra_kit.viz import ParetoPoint, pareto_front
     >>> runs = [
     ...     ParetoPoint(name=name, group="", seconds=seconds, error=error)
     ...     for name, seconds, error in (("a", 1, 0.1), ("b", 2, 0.2), ("c", 3, 0.01))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_points
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
@@ -17,7 +18,7 @@ from spectra_kit.viz.marks import with_balls
 from spectra_kit.viz.pen import Pen
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.render import Scene, render
-from spectra_kit.viz.sheet import MARGIN, check_picture_path, head, new_figure, save
+from spectra_kit.viz.sheet import MARGIN, check_picture, head, new_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,6 +33,7 @@ _WIDEST, _TALLEST = 4.6, 4.6
 _GAP, _BAR, _THICKNESS = 0.3, 0.75, 0.13
 
 
+@checked
 def plot_distance(
     path: str | os.PathLike[str],
     geometry: Geometry,
@@ -93,14 +95,16 @@ def plot_distance(
     Examples
     --------
     >>> import tempfile
+    >>> import numpy as np
     >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.viz import plot_distance
     >>> ball = sphere(subdivisions=2).geometry
     >>> distance = np.arccos(np.clip(ball.points @ ball.points[0], -1, 1))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     plot_distance(f"{folder}/distance.png", ball, distance, dpi=30).path.name
     'distance.png'
     """
-    check_picture_path(path)
+    check_picture(path, dpi)
     values = _check_distance(distance, geometry.n)
     marks = np.empty((0, 3)) if sources is None else check_points("sources", sources)
     rotation = choose_view(geometry, up=up, turn=turn)

@@ -8,14 +8,16 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_positive, real_array
 from spectra_kit.correspondence import accuracy_curve, auc
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.viz.colours import diverging_colours
 from spectra_kit.viz.picture import Picture
-from spectra_kit.viz.sheet import check_picture_path, head, line_style, new_figure, save, tidy
+from spectra_kit.viz.sheet import check_picture, head, line_style, new_figure, save, tidy
 
 
+@checked
 def plot_functional_map(
     path: str | os.PathLike[str],
     functional_map: ArrayLike,
@@ -56,13 +58,15 @@ def plot_functional_map(
     Examples
     --------
     >>> import tempfile
+    >>> import numpy as np
+    >>> from spectra_kit.viz import plot_functional_map
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     plot_functional_map(f"{folder}/map.png", np.eye(20), dpi=40).path.name
     'map.png'
     """
     from matplotlib.colors import ListedColormap
 
-    check_picture_path(path)
+    check_picture(path, dpi)
     matrix = real_array("functional_map", functional_map)
     if matrix.ndim != 2 or not matrix.size:
         raise InvalidInputError(f"`functional_map` must have shape (k2, k1), got {matrix.shape}")
@@ -77,6 +81,7 @@ def plot_functional_map(
     return save(figure, path, dpi)
 
 
+@checked
 def plot_error_curves(
     path: str | os.PathLike[str],
     errors: Mapping[str, ArrayLike],
@@ -122,11 +127,12 @@ def plot_error_curves(
     Examples
     --------
     >>> import tempfile
+    >>> from spectra_kit.viz import plot_error_curves
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     plot_error_curves(f"{folder}/curves.svg", {"a": [0.0, 2.5], "b": [8.0]}).path.name
     'curves.svg'
     """
-    check_picture_path(path)
+    check_picture(path, dpi)
     limit = check_positive("limit", limit)
     if not errors:
         raise InvalidInputError("`errors` must hold at least one method, got none")

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._validate import check_indices
+from spectra_kit._checked import checked
+from spectra_kit._validate import Brief, check_indices
+from spectra_kit.correspondence import MapErrors
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 
@@ -15,8 +17,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+@checked
 @dataclass(frozen=True, eq=False, kw_only=True)
-class MatchedPair:
+class MatchedPair(Brief):
     """Two geometries, a map between them, and what to write beside their pictures.
 
     Attributes
@@ -25,8 +28,8 @@ class MatchedPair:
         With n1 and n2 points.
     point_map : array_like of shape (n2,), integers
         The source point of each target point.
-    errors : array_like of shape (n2,), optional
-        Of the map at each target point, >= 0; NaN where not known.
+    errors : MapErrors, optional
+        Of the map, which say at which target points they are.
     name : str
         Set beside the row, reading upwards.
     names : tuple of str
@@ -36,7 +39,7 @@ class MatchedPair:
     source: Geometry
     target: Geometry
     point_map: ArrayLike
-    errors: ArrayLike | None = None
+    errors: MapErrors | None = None
     name: str = ""
     names: tuple[str, str] = ("source", "target")
 
@@ -51,14 +54,5 @@ class MatchedPair:
         return check_indices("point_map", self.point_map, self.source.n)
 
     def checked_errors(self) -> Floats | None:
-        """Return the errors if they fit the target."""
-        if self.errors is None:
-            return None
-        n = self.target.n
-        errors = np.asarray(self.errors, dtype=np.float64)
-        if errors.shape != (n,) or (errors < 0).any():
-            raise InvalidInputError(
-                f"`errors` must have shape ({n},), one number >= 0 or NaN for each target"
-                f" point, got shape {errors.shape} with {int((errors < 0).sum())} negative"
-            )
-        return errors
+        """Return the errors at each target point, (n2,), NaN where not known."""
+        return None if self.errors is None else self.errors.at_points(self.target.n)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
@@ -18,7 +19,7 @@ from spectra_kit.viz.page import plot_gallery, plot_panels
 from spectra_kit.viz.panels import Panel, symmetric_limit
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import Picture
-from spectra_kit.viz.sheet import check_picture_path
+from spectra_kit.viz.sheet import check_picture
 from spectra_kit.viz.signs import display_signs
 
 Floats = NDArray[np.float64]
@@ -27,6 +28,7 @@ _SHOWN = 12  # modes of a gallery
 _FAINT = 1e-4  # differences below this part of the mode stay white
 
 
+@checked
 def plot_modes(
     path: str | os.PathLike[str],
     geometry: Geometry,
@@ -90,13 +92,14 @@ def plot_modes(
     >>> import tempfile
     >>> from spectra_kit import eigensolve, robust_laplacian
     >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.viz import plot_modes
     >>> ball = sphere(subdivisions=2).geometry
     >>> spectrum = eigensolve(robust_laplacian(ball), 4)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     plot_modes(f"{folder}/modes.png", ball, spectrum, dpi=30).path.name
     'modes.png'
     """
-    check_picture_path(path)
+    check_picture(path, dpi)
     _check_points(geometry, spectrum)
     if modes is None:
         first = min(spectrum.n_zero_modes, spectrum.k - 1)
@@ -120,6 +123,7 @@ def plot_modes(
     )
 
 
+@checked
 def plot_comparison(
     path: str | os.PathLike[str],
     geometry: Geometry,
@@ -181,9 +185,11 @@ def plot_comparison(
     inside a cluster of near-equal eigenvalues, are chosen to look alike. The largest value of an
     exact mode is positive, as in `plot_modes`.
     """
-    check_picture_path(path)
+    check_picture(path, dpi)
     _check_points(geometry, exact)
     chosen = [check_count("modes", mode, low=0, high=comparison.k - 1) for mode in modes]
+    if not chosen:
+        raise InvalidInputError("`modes` must hold at least one mode, got none")
     aligned = align_modes(exact, predicted, comparison)
     levels = (0.0,) if nodal_lines else ()
     return plot_panels(

@@ -11,13 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import Up, choose_view
 from spectra_kit.viz.panels import Panel, draw_panels
 from spectra_kit.viz.pen import Pen
 from spectra_kit.viz.picture import Picture
-from spectra_kit.viz.sheet import MARGIN, check_picture_path, head, new_figure, save
+from spectra_kit.viz.sheet import MARGIN, check_picture, head, new_figure, save
 
 Floats = NDArray[np.float64]
 
@@ -29,6 +30,7 @@ _EMPTY = 0.5  # what a place left empty counts against a misfit of the page
 _TABLE, _GALLERY = 1.0, 1.4  # the wanted aspect of a page, width over height
 
 
+@checked
 def plot_panels(
     path: str | os.PathLike[str],
     geometry: Geometry,
@@ -78,6 +80,7 @@ def plot_panels(
     --------
     >>> import tempfile
     >>> from spectra_kit.geometry import TriangleMesh
+    >>> from spectra_kit.viz import Panel, plot_panels
     >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     >>> panel = Panel(values=mesh.points[:, 0], limit=1.0, lines=("x",))
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -87,11 +90,15 @@ def plot_panels(
     >>> picture.path.name
     'x.png'
     """
-    check_picture_path(path)
+    check_picture(path, dpi)
     if not rows or {len(row) for row in rows} != {len(columns_named)} or not columns_named:
         raise InvalidInputError(
-            f"`rows` must be a table of {len(columns_named)} columns,"
-            f" got rows of {[len(row) for row in rows]}"
+            f"`rows` must be a table of {len(columns_named)} columns, one for each of"
+            f" `columns_named`, got rows of {[len(row) for row in rows]}"
+        )
+    if len(rows_named) != len(rows):
+        raise InvalidInputError(
+            f"`rows_named` must be {len(rows)} names, one for each of `rows`, got {len(rows_named)}"
         )
     table, across, down = [list(row) for row in rows], list(columns_named), list(rows_named)
     rotation = choose_view(geometry, up=up, turn=turn)

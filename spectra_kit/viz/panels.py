@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import real_array
+from spectra_kit._checked import checked
+from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.colours import diverging_colours, sequential_colours
@@ -24,6 +25,7 @@ _PERCENTILE = 99.0  # a lone spike must not bleach the rest
 _CONSTANT = 1e-12  # of the values: smaller differences are rounding
 
 
+@checked
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Panel:
     """One picture: a function on the geometry, its colour limits, and two lines of text.
@@ -68,6 +70,7 @@ class Panel:
 
     def colours(self, count: int) -> Bytes:
         """Colours (count, 3) from one end to the other."""
+        check_count("count", count, low=1, high=65_536)
         if self.low is None:
             return diverging_colours(np.linspace(-1.0, 1.0, count))
         ends = (0.5, 0.5) if self.low == self.limit else (0.0, 1.0)

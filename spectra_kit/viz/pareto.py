@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.viz.front import ParetoPoint, pareto_front
@@ -16,7 +17,7 @@ from spectra_kit.viz.labels import log_ticks, place_labels
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.sheet import (
     LINE_COLOURS,
-    check_picture_path,
+    check_picture,
     head,
     new_figure,
     save,
@@ -35,6 +36,7 @@ _INK: dict[str, Any] = {"fontsize": 8, "color": "0.2"}
 _LINED = 14.0  # names further than this from their dot, in points, are tied to it by a line
 
 
+@checked
 def plot_pareto(
     path: str | os.PathLike[str],
     points: Sequence[ParetoPoint],
@@ -84,6 +86,7 @@ def plot_pareto(
     Examples
     --------
     >>> import tempfile
+    >>> from spectra_kit.viz import ParetoPoint, plot_pareto
     >>> runs = [
     ...     ParetoPoint(name="quick", group="ours", seconds=0.1, error=1e-2),
     ...     ParetoPoint(name="exact", group="theirs", seconds=2.0, error=1e-9),
@@ -92,7 +95,7 @@ def plot_pareto(
     ...     plot_pareto(f"{folder}/pareto.png", runs, dpi=40).path.exists()
     True
     """
-    check_picture_path(path)
+    check_picture(path, dpi)
     if not points:
         raise InvalidInputError("`points` must hold at least one ParetoPoint, got none")
     check_positive("floor", floor)

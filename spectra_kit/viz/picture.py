@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from spectra_kit._checked import checked
+
 _TYPES = {".png": "image/png", ".gif": "image/gif", ".svg": "image/svg+xml"}
 
 
+@checked
 @dataclass(frozen=True)
 class Picture:
     """A picture on disk. A notebook shows it where it is the last line of a cell.
@@ -22,6 +25,7 @@ class Picture:
     Examples
     --------
     >>> from pathlib import Path
+    >>> from spectra_kit.viz import Picture
     >>> Picture(Path("modes.png")).path.name
     'modes.png'
     """

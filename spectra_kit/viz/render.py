@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from spectra_kit._files import cleaned, temporary_folder
 from spectra_kit.errors import MissingDependencyError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.viz.contours import triangles_of
@@ -108,18 +109,18 @@ def render(
     """
     if importlib.util.find_spec("pyvista") is None:
         raise MissingDependencyError("pictures need PyVista: pip install pyvista")
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         total = sum(scene.n_pictures for scene in scenes)
         for i, scene in enumerate(scenes):
-            np.savez(Path(folder) / f"request{i}.npz", **_request(scene))
+            np.savez(folder / f"request{i}.npz", **_request(scene))
         error: Exception | None = None
         for environment in _environments():
             # -P: the folder of the worker must not shadow other modules.
-            command = [sys.executable, "-P", str(_WORKER), folder, str(len(scenes))]
+            command = [sys.executable, "-P", str(_WORKER), str(folder), str(len(scenes))]
             code, complaints = _run(command, environment, progress, total)
             if code == 0:
-                return [np.load(Path(folder) / f"pictures{i}.npy") for i in range(len(scenes))]
-            if (raised := Path(folder) / "error.pickle").exists():
+                return [np.load(folder / f"pictures{i}.npy") for i in range(len(scenes))]
+            if (raised := folder / "error.pickle").exists():
                 error = pickle.loads(raised.read_bytes())
                 error.add_note(f"It was raised in the process that draws:\n{complaints}")
                 raised.unlink()
@@ -145,6 +146,7 @@ def _run(
         subprocess.Popen(
             command, env=environment, stdout=subprocess.PIPE, stderr=complaints, text=True
         ) as process,
+        cleaned(process.kill),
     ):
         assert process.stdout is not None  # it is a pipe
         try:

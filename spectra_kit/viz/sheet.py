@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spectra_kit._files import atomic_path, check_target
-from spectra_kit._validate import check_positive
+from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.viz.pen import Pen
 from spectra_kit.viz.picture import Picture
@@ -20,6 +20,7 @@ Dashes = str | tuple[int, tuple[float, float]]
 
 SUFFIXES = (".png", ".pdf", ".svg")
 MARGIN = 0.15  # inches
+_COARSEST, _FINEST = 10, 2400  # pixels per inch
 _TITLE, _SUBTITLE = 0.36, 0.26  # inches of the lines at the head
 
 # Okabe and Ito's colours and two more: told apart with every kind of colour blindness. Dashes let
@@ -36,11 +37,12 @@ def line_style(i: int) -> tuple[str, Dashes]:
     return LINE_COLOURS[i % len(LINE_COLOURS)], DASHES[i % len(DASHES)]
 
 
-def check_picture_path(path: str | os.PathLike[str]) -> Path:
-    """Return `path` if a picture can be written there: to be asked before the work."""
+def check_picture(path: str | os.PathLike[str], dpi: int) -> Path:
+    """Return `path` if a picture can be written there, so fine: to be asked before the work."""
     if Path(path).suffix.lower() not in SUFFIXES:
         raise InvalidInputError(f"`path` must end in .png, .pdf or .svg, got {str(path)!r}")
     check_target(path)
+    check_count("dpi", dpi, low=_COARSEST, high=_FINEST)
     return Path(path)
 
 
@@ -67,7 +69,6 @@ def new_figure(
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    check_positive("dpi", dpi)
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
     pen, room = Pen(figure), width - 2 * MARGIN

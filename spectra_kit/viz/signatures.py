@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_indices, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
@@ -22,7 +23,7 @@ from spectra_kit.viz.render import Scene, ball_diameter, render
 from spectra_kit.viz.sheet import (
     LINE_COLOURS,
     MARGIN,
-    check_picture_path,
+    check_picture,
     head,
     line_style,
     new_figure,
@@ -47,6 +48,7 @@ _WIDEST, _TALLEST, _CAPTION, _BAR, _GAP = 2.7, 2.6, 0.28, 0.28, 0.3
 _NARROWEST = 1.8  # of a picture with its caption
 
 
+@checked
 def plot_signatures(
     path: str | os.PathLike[str],
     geometry: Geometry,
@@ -114,6 +116,7 @@ def plot_signatures(
     --------
     >>> import tempfile
     >>> import spectra_kit as sk
+    >>> from spectra_kit.viz import plot_signatures
     >>> mesh = sk.geometry.sphere(subdivisions=2).geometry
     >>> spectrum = sk.eigensolve(sk.robust_laplacian(mesh), 9)
     >>> times = sk.descriptors.heat_times(spectrum, 8)
@@ -123,7 +126,7 @@ def plot_signatures(
     ...     plot.path.exists()
     True
     """
-    check_picture_path(path)
+    check_picture(path, dpi)
     if kind not in get_args(Kind):
         raise InvalidInputError(f"`kind` must be 'heat' or 'wave', got {kind!r}")
     at = _check_scales(scales, kind)

@@ -27,6 +27,8 @@ def display_signs(eigenvectors: Floats) -> Floats:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.viz.signs import display_signs
     >>> display_signs(np.array([[1.0, -1.0, 0.5], [0.5, 0.0, 1.0], [-2.0, 1.0, -1.0]]))
     array([-1., -1.,  1.])
     """

@@ -8,14 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._validate import frozen, real_array
+from spectra_kit._checked import checked
+from spectra_kit._validate import Brief, frozen, real_array
 from spectra_kit.errors import InvalidInputError
 
 Floats = NDArray[np.float64]
 
 
+@checked
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SolverRun:
+class SolverRun(Brief):
     """One solver at work: what it did before its first iteration, and its residuals since.
 
     Attributes

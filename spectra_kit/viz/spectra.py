@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._checked import checked
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectrum import Spectrum
 from spectra_kit.viz.labels import log_ticks
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import Picture
-from spectra_kit.viz.sheet import LINE_COLOURS, check_picture_path, head, new_figure, save, tidy
+from spectra_kit.viz.sheet import LINE_COLOURS, check_picture, head, new_figure, save, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,6 +32,7 @@ _MARKERS = (("o", 3.2), ("s", 5.6), ("D", 7.0), ("^", 9.0), ("v", 10.5), ("p", 1
 _MANY = 120  # modes: more than so many get smaller markers
 
 
+@checked
 def plot_spectrum(
     path: str | os.PathLike[str],
     spectra: Spectrum | Mapping[str, Spectrum],
@@ -100,14 +102,20 @@ def plot_spectrum(
     --------
     >>> import tempfile
     >>> import spectra_kit as sk
+    >>> from spectra_kit.viz import plot_spectrum
     >>> laplacian = sk.robust_laplacian(sk.geometry.sphere(subdivisions=2).geometry)
     >>> exact = sk.eigensolve(laplacian, 9)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     plot_spectrum(f"{folder}/spectrum.png", exact, dpi=40).path.exists()
     True
     """
-    check_picture_path(path)
-    named = {"": spectra} if isinstance(spectra, Spectrum) else dict(spectra)
+    check_picture(path, dpi)
+    named = {"": spectra} if isinstance(spectra, Spectrum) else spectra
+    if not isinstance(named, Mapping):
+        raise InvalidInputError(
+            "`spectra` must be a Spectrum or a mapping of names to several, got a"
+            f" {type(spectra).__name__}; write {{'name': spectrum}}"
+        )
     if not named:
         raise InvalidInputError("`spectra` must hold at least one Spectrum, got none")
     for name, spectrum in named.items():

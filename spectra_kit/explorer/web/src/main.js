@@ -53,6 +53,8 @@ function head(facts) {
     notes.push(`Differences below ${short((8 / 32767) * 100, 2)} % of a mode are not shown.`);
   if (facts.predicted)
     notes.push(`Signs, and bases within clusters of near-equal λ, of “${facts.names[1]}” chosen to look like “${facts.names[0]}”.`);
+  for (const [i, modes] of [facts.exact, facts.predicted].entries())
+    if (modes?.completeness) notes.push(`Modes of “${facts.names[i]}”: ${modes.completeness}.`);
   $("note").textContent = notes.join(" ");
 }
 
