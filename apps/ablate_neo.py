@@ -10,10 +10,12 @@ and .png. What is trained or measured already is not done again: an interrupted 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
 import sys
 import time
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
@@ -32,11 +34,12 @@ from spectra_kit import (
     SpectraKitError,
     Spectrum,
     TriangleMesh,
+    delaunay_laplacian,
     eigensolve,
     read,
-    robust_laplacian,
 )
-from spectra_kit._files import atomic_path
+from spectra_kit._files import atomic_path, parsing
+from spectra_kit.errors import DoubtfulSpectrumWarning
 from spectra_kit.geometry import GaussianDensity, repair, sample
 from spectra_kit.geometry.io import READERS
 from spectra_kit.metrics import compare_spectra, span_error, subspace_span_error
@@ -83,6 +86,19 @@ CLOUDS = {"held-out": "held-out samples", "real": "real meshes", "crowded": "rea
 Errors = dict[str, dict[str, float]]  # cloud -> span, and where there are exact eigenvalues more
 
 
+def file_digest(path: Path) -> str:
+    """Return a hash of a file."""
+    return hashlib.blake2b(path.read_bytes(), digest_size=12).hexdigest()
+
+
+def corpus_digest(corpus: Corpus) -> str:
+    """Return a hash of the masses: no two samples have the same."""
+    digest = hashlib.blake2b(digest_size=12)
+    for shard in corpus.shards:
+        digest.update(np.ascontiguousarray(shard.mass).data)
+    return digest.hexdigest()
+
+
 class Trial(NamedTuple):
     """One variant: its network, its folder, and what both are trained with."""
 
@@ -97,12 +113,14 @@ class Trial(NamedTuple):
 
     def train(self, corpus: Corpus, validation: Corpus) -> bool:
         """Train and save, unless that is done; return False if Ctrl-C came in between."""
+        samples = [corpus_digest(corpus), corpus_digest(validation)]
         if self.weights.is_file():
-            trained = load_pretrained(self.weights).record["config"]
-            if trained != json.loads(json.dumps(asdict(self.config))):
+            record = load_pretrained(self.weights).record
+            wanted = [json.loads(json.dumps(asdict(self.config))), samples]
+            if [record["config"], record.get("digests")] != wanted:
                 raise InvalidInputError(
-                    f"{self.weights} was trained under another protocol; give that one again,"
-                    " or another --out"
+                    f"{self.weights} was trained under another protocol, or on other samples; give"
+                    " those again, or another --out"
                 )
             return True
         began, resume = time.process_time(), (self.folder / "checkpoint.pt").is_file()
@@ -117,13 +135,15 @@ class Trial(NamedTuple):
             )
         if result.finished:
             spent = None if resume else round(time.process_time() - began, 1)
-            save_weights(self.weights, result.network, {**result.record, "cpu_seconds": spent})
+            record = {**result.record, "cpu_seconds": spent, "digests": samples}
+            save_weights(self.weights, result.network, record)
         return result.finished
 
     def errors(self, bench: Bench) -> dict[str, Errors]:
         """Measure on every set of clouds, unless that is done."""
         path, digest = self.folder / "errors.json", load_pretrained(self.weights).sha256
-        known = json.loads(path.read_text()) if path.is_file() else {}
+        with parsing(path, "measurement", remedy="delete it"):
+            known = dict(json.loads(path.read_text())) if path.is_file() else {}
         if known.get("weights") != digest or known.get("clouds") != bench.key:
             known = {"weights": digest, "clouds": bench.key, "errors": bench.measure(self.weights)}
             with atomic_path(path) as part:
@@ -140,8 +160,15 @@ class Bench:
     ) -> None:
         self.validation, self.meshes, self.points, self.k = validation, meshes, points, k
         self.held_out = range(min(held_out, len(validation)))
-        names = [path.name for path in meshes]
-        self.key = {"held-out": len(self.held_out), "meshes": names, "points": points, "k": k}
+        self.key = {
+            "held-out": len(self.held_out),
+            "meshes": [path.name for path in meshes],
+            "points": points,
+            "operator": "delaunay",
+            "k": k,
+            # Files may change under their names.
+            "digests": [*map(file_digest, meshes), corpus_digest(validation)],
+        }
 
     @cached_property
     def real(self) -> dict[str, dict[str, tuple[Laplacian, Spectrum]]]:
@@ -151,7 +178,7 @@ class Bench:
             mesh = repair(read(path, kind="mesh")).geometry
             assert isinstance(mesh, TriangleMesh)
             for name, density in (("real", "uniform"), ("crowded", GaussianDensity())):
-                laplacian = robust_laplacian(sample(mesh, self.points, seed=0, density=density))
+                laplacian = delaunay_laplacian(sample(mesh, self.points, seed=0, density=density))
                 exact = eigensolve(laplacian, self.k)
                 solved.setdefault(name, {})[path.stem] = laplacian, exact
         return solved
@@ -163,14 +190,16 @@ class Bench:
         clouds = zip(batch.points, batch.mass, batch.eigenvectors, strict=True)
         errors: dict[str, Errors] = {"held-out": {}}
         for i, (points, mass, modes) in enumerate(clouds):
-            U = modes.astype(np.float64)
-            U /= np.sqrt(mass @ U**2)  # float16 has 3 digits
+            root = np.sqrt(mass.astype(np.float64))[:, None]
+            U = np.linalg.qr(root * modes)[0] / root  # float16 has 3 digits
             span = span_error(subspace(points, mass), mass.astype(np.float64), U)
             errors["held-out"][str(i)] = {"span": float(span.mean())}
         for name, solved in self.real.items():
             errors[name] = {}
             for mesh, (laplacian, exact) in solved.items():
-                predicted = eigensolve(laplacian, self.k, solver)
+                with warnings.catch_warnings():  # how wrong it is, is what is measured here
+                    warnings.simplefilter("ignore", DoubtfulSpectrumWarning)
+                    predicted = eigensolve(laplacian, self.k, solver)
                 span, _ = subspace_span_error(solver.subspace, laplacian, exact, predicted)
                 comparison = compare_spectra(exact, predicted)
                 errors[name][mesh] = {

@@ -27,7 +27,7 @@ from pathlib import Path
 
 from spectra_kit.benchmarks import METHODS, Settings, measure, summarize, write_report
 from spectra_kit.benchmarks.methods import QUICK
-from spectra_kit.benchmarks.problems import KINDS, OPERATORS
+from spectra_kit.benchmarks.problems import KINDS
 from spectra_kit.errors import SpectraKitError
 
 DEFAULTS = Settings(machine="", commit="")
@@ -45,12 +45,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--sizes", type=int, nargs="+", default=list(DEFAULTS.sizes), metavar="N", help="points")
     add("-k", type=int, default=DEFAULTS.k, help="modes (%(default)s)")
     add("--geometry", nargs="+", choices=KINDS, default=list(KINDS), help="default: both")
-    add(
-        "--cloud-operator",
-        choices=list(OPERATORS),
-        default=DEFAULTS.cloud_operator,
-        help="of clouds (%(default)s); meshes have the robust one",
-    )
     which = parser.add_mutually_exclusive_group()
     which.add_argument(
         "--methods",
@@ -104,7 +98,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             methods=tuple(name for name in METHODS if name in args.methods),
             kinds=tuple(args.geometry),
             file=str(args.file or ""),
-            cloud_operator=args.cloud_operator,
             devices=tuple(args.device),
             repeats=args.repeats,
             time_limit=args.time_limit,

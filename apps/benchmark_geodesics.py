@@ -4,10 +4,10 @@
     python apps/benchmark_geodesics.py OUT --meshes igea amo      # of SPECTRA_KIT_DATA/ood_public
     python apps/benchmark_geodesics.py OUT --meshes my.obj --sources 50
 
-OUT gets NAME.json for each mesh, sphere.json and report.md. A mesh is not measured again with the
-same settings and code: delete its file for that. Exact distances and spectra are kept apart, in
-OUT/exact and OUT/work, and serve again, whatever the code. Nothing else should run on the machine
-meanwhile.
+OUT gets NAME.json for each mesh, sphere.json and report.md. A mesh is not measured again on the
+same machine with the same settings and code: delete its file for that. Exact distances, which take
+longest, are kept apart in OUT/exact, and serve until the code changes that computes them. Nothing
+else should run on the machine meanwhile.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from spectra_kit._files import atomic_path, parsing
+from spectra_kit.benchmarks.code import code_digest
 from spectra_kit.benchmarks.geodesics import (
     Settings,
-    code_digest,
     measure_ball,
     measure_mesh,
     problems_named,
@@ -86,12 +87,14 @@ def _ball(subdivisions: list[int], path: Path) -> dict[str, object]:
     """Measure errors on spheres, or read what the same code measured."""
     code = code_digest()
     if path.exists():
-        known: dict[str, object] = json.loads(path.read_text())
+        with parsing(path, "measurement", remedy="delete it"):
+            known: dict[str, object] = dict(json.loads(path.read_text()))
         if known.get("code") == code and known["subdivisions"] == subdivisions:
             return known
     _say("spheres")
     record = {"code": code, "subdivisions": subdivisions, **measure_ball(subdivisions)}
-    path.write_text(json.dumps(record, indent=1))
+    with atomic_path(path) as part:
+        part.write_text(json.dumps(record, indent=1))
     return record
 
 

@@ -70,6 +70,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 nonlocal made
                 made, bar.total = done, total
                 bar.update()
+                if bar.disable and (done % config.shard_size == 0 or done == total):
+                    print(f"{done} of {total} samples", flush=True)
 
             counts = generate(
                 options.folder,

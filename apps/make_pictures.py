@@ -3,8 +3,11 @@
     python apps/make_pictures.py                  # all, into docs/pictures
     python apps/make_pictures.py hero modes       # some
     python apps/make_pictures.py --out OUT --dpi 100
+    python apps/make_pictures.py --data DATA real_modes real_comparison real_distance
 
-Everything is computed here, from procedural surfaces; nothing is read. The two of the explorer are
+Everything is computed here, from procedural surfaces; only those of `real_...` are of shapes that
+people made, and are left out unless --data (or SPECTRA_KIT_DATA) names the folder that has them:
+ood_public/koala.npz, spot.npz and hammer.npz, whose licences allow it. The two of the explorer are
 screenshots and need Chromium and Playwright (extra `dev`); `convergence` and `pareto` show the
 seconds of this machine. Needs the extra `dev`, and a few minutes.
 """
@@ -47,10 +50,19 @@ class Studio:
 
     out: Path
     dpi: int
+    data: Path | None = None
 
     def path(self, name: str) -> Path:
         """Where a picture goes."""
         return self.out / name
+
+    def shape(self, name: str) -> sk.TriangleMesh:
+        """A mesh that somebody made."""
+        if self.data is None:
+            raise sk.InvalidInputError("name the folder of real shapes with --data")
+        mesh = sk.read(self.data / "ood_public" / f"{name}.npz", kind="mesh")
+        assert isinstance(mesh, sk.TriangleMesh)
+        return mesh
 
     @cached_property
     def animal(self) -> sk.TriangleMesh:
@@ -200,6 +212,52 @@ def animation(studio: Studio) -> None:
     )
 
 
+def real_modes(studio: Studio) -> None:
+    """A gallery of modes of a toy."""
+    mesh = studio.shape("koala")
+    viz.plot_modes(
+        studio.path("real_modes.png"),
+        mesh,
+        sk.eigensolve(sk.robust_laplacian(mesh), 40, sk.Multilevel()),
+        modes=(1, 5, 12, 33),
+        columns=4,
+        title="Modes of a koala of 49,999 vertices",
+        dpi=studio.dpi,
+    )
+
+
+def real_comparison(studio: Studio) -> None:
+    """Exact, predicted, difference, of a cow that the network has not seen."""
+    mesh = studio.shape("spot")
+    laplacian = sk.robust_laplacian(mesh)
+    exact, predicted = (sk.eigensolve(laplacian, 40, s) for s in (sk.Arpack(), sk.Neo()))
+    viz.plot_comparison(
+        studio.path("real_comparison.png"),
+        mesh,
+        exact,
+        predicted,
+        compare_spectra(exact, predicted),
+        modes=(20,),
+        turn=150,
+        names=("exact: Arpack()", "predicted: Neo()"),
+        dpi=studio.dpi,
+    )
+
+
+def real_distance(studio: Studio) -> None:
+    """Geodesic distances on a tool that was scanned."""
+    mesh = studio.shape("hammer")
+    source = int(mesh.points[:, 1].argmax())
+    viz.plot_distance(
+        studio.path("real_distance.png"),
+        mesh,
+        sk.HeatGeodesics(mesh).distance(source).distance,
+        sources=mesh.points[[source]],
+        title="Distances on a scanned hammer",
+        dpi=studio.dpi,
+    )
+
+
 def convergence(studio: Studio) -> None:
     """How the solvers of the heat method's Poisson step converge."""
     with tempfile.TemporaryDirectory() as folder:
@@ -306,6 +364,9 @@ PICTURES: dict[str, Callable[[Studio], None]] = {
         distance,
         match,
         animation,
+        real_modes,
+        real_comparison,
+        real_distance,
         convergence,
         pareto,
         explorer,
@@ -326,13 +387,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "pictures", help="%(default)s")
     parser.add_argument("--dpi", type=int, default=120, help="of the pages (%(default)s)")
+    root = os.environ.get("SPECTRA_KIT_DATA")
+    parser.add_argument("--data", type=Path, default=root, help="folder of real shapes")
     options = parser.parse_args(argv)
     if unknown := sorted(set(options.names) - set(PICTURES)):
         parser.error(f"no pictures {', '.join(unknown)}; there are {', '.join(PICTURES)}")
     options.out.mkdir(parents=True, exist_ok=True)
-    studio = Studio(options.out, options.dpi)
+    studio = Studio(options.out, options.dpi, options.data)
     for name in options.names or PICTURES:
         start = time.perf_counter()
+        if not options.names and name.startswith("real_") and studio.data is None:
+            print(f"{name}: left out, name the folder of real shapes with --data", file=sys.stderr)
+            continue
         PICTURES[name](studio)
         print(f"{name}: {time.perf_counter() - start:.1f} s", file=sys.stderr)
     return 0

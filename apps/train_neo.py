@@ -19,7 +19,7 @@ from spectra_kit.training.feed import join
 from spectra_kit.training.log import Row
 from spectra_kit.training.ranks import Ranks, process_group
 from spectra_kit.training.shards import open_shards
-from spectra_kit.training.train import TrainResult, train
+from spectra_kit.training.train import TrainResult, train, validate
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -32,7 +32,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--validation", type=Path, required=True, help="folder of shards, other samples")
     add("--out", type=Path, required=True, help="folder for checkpoint, log and weights")
     add("--config", default="small", help="a name that NeoConfig.named knows")
-    add("--frame", default="principal", choices=["principal", "none"])
+    add("--frame", choices=["principal", "none"], help="(default: that of the weights; principal)")
     add("--weights", help="begin with these weights, a name or a file, and their configuration")
     add("--steps", type=int, default=100_000, help="length of the schedule")
     add("--minutes", type=float, help="end the schedule by the clock instead")
@@ -59,18 +59,22 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(args: argparse.Namespace, device: str) -> TrainResult:
+    corpus, validation = join([open_shards(f) for f in args.corpus]), open_shards(args.validation)
     initial = load_pretrained(args.weights).network if args.weights else None
     network = initial.config if initial else NeoConfig.named(args.config)
-    network = dataclasses.replace(network, frame=args.frame)
+    network = dataclasses.replace(network, frame=args.frame or network.frame, k=corpus.k)
     same = ("steps", "minutes", "batch", "points", "lr", "warmup", "decay", "ema", "alpha")
     same += ("flips", "precision", "every", "log", "save", "workers", "compile", "seed")
     rest = {name: getattr(args, name) for name in same}
     config = TrainConfig(network=network, validation=args.validate, **rest)
+    if initial is not None and not args.resume and Ranks.here().first:
+        before = validate(initial.to(device).eval(), validation, config)
+        print(f"span error on held-out samples, before: {before:.5f}", flush=True)
     quiet = True if Ranks.here().rank else None
     with tqdm(total=args.steps, unit="step", disable=quiet) as bar:
         return train(
-            join([open_shards(folder) for folder in args.corpus]),
-            open_shards(args.validation),
+            corpus,
+            validation,
             config,
             out=args.out,
             resume=args.resume,
@@ -83,6 +87,14 @@ def _run(args: argparse.Namespace, device: str) -> TrainResult:
 
 def _shown(bar: tqdm) -> Callable[[Row], None]:
     def show(row: Row) -> None:
+        if bar.disable:  # no terminal: a line for each validation
+            if "validation" in row:
+                print(
+                    f"step {row['step']}, {row['seconds'] / 60:.1f} min: loss {row['loss']:.5f},"
+                    f" span error {row['validation']:.5f}",
+                    flush=True,
+                )
+            return
         bar.update(int(row["step"]) - bar.n)
         bar.set_postfix(
             {name: f"{row[name]:.4f}" for name in ("loss", "validation") if name in row}

@@ -15,8 +15,9 @@ import pytest
 
 from spectra_kit import eigensolve, robust_laplacian
 from spectra_kit.cli import main, run
-from spectra_kit.cli.folder import together
+from spectra_kit.cli.folder import check_folder, together
 from spectra_kit.cli.story import COMMANDS
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, creature, sphere, write
 
 NAMES = [command.name for command in COMMANDS if command.name != "completion"]
@@ -156,21 +157,194 @@ def test_a_full_disk_behind_stdout(folder):
     assert (done.returncode, done.stderr) == (2, "error: no space left on device\n")
 
 
+@pytest.mark.skipif(os.name != "posix", reason="streams are closed by a POSIX shell")
+@pytest.mark.parametrize(
+    ("command", "code", "out", "err"),
+    [
+        ("info ball.off >&-", 0, "", ""),
+        ("info none.off 2>&-", 2, "", ""),
+        ("info none.off <&- >&-", 2, "", "error: none.off: there is no such file; looked from"),
+        ("modes --help >/dev/full", 2, "", "error: no space left on device"),
+        ("info none.off 2>/dev/full", 2, "", ""),
+    ],
+)
+def test_closed_and_full_streams(folder, command, code, out, err):
+    if "/dev/full" in command and not os.path.exists("/dev/full"):
+        pytest.skip("there is no /dev/full here")
+    program = f"{sys.executable} -m spectra_kit {command}"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    done = subprocess.run(
+        ["sh", "-c", program], cwd=folder, env=environment, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout) == (code, out)
+    assert done.stderr.startswith(err)
+    assert len(done.stderr.splitlines()) == bool(err)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are any bytes on Linux alone")
+@pytest.mark.parametrize(
+    ("command", "output"),
+    [("spectrum", "--picture=a.svg"), ("explore", "-o=a.html"), ("geodesic", "-o=a")],
+)
+def test_names_of_files_may_be_any_bytes(
+    command, output, folder, tmp_path, monkeypatch, capsysbinary
+):
+    monkeypatch.chdir(tmp_path)
+    name = os.fsdecode(b"b\xff\xfel.off")
+    Path(name).write_bytes((folder / "ball.off").read_bytes())
+    options = ["--source", "0"] if command == "geodesic" else ["-k", "4"]
+    monkeypatch.setattr(sys, "argv", ["spectra-kit", command, name, *options, output])
+    assert main() == 0
+    assert b"b\xff\xfel.off: mesh" in capsysbinary.readouterr().out
+    shown = {"a.svg": "b\\xff\\xfel, 162 points", "a.html": r"b\\xff\\xfel"}
+    for file, title in shown.items():
+        if Path(file).exists():
+            assert title in Path(file).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("modes", "-k", "4", "-o", "x.png", "--dpi", "0"), "`--dpi` must be in [10, 2400], got 0"),
+        (
+            ("modes", "-k", "4", "-o", "x.png", "--dpi", "99999999"),
+            "`--dpi` must be in [10, 2400], got 99",
+        ),
+        (("geodesic", "--at", "1e300", "0", "0"), "`coordinate` must lie nearer: at 1e+300, where"),
+        (("geodesic", "--source", str(10**30)), f"`--source` must be in [0, 162), got {10**30}"),
+        (("compare", "--solver", "neo", "--device", "meta", "-k", "4"), "torch can use here, got"),
+        (("info", "--cloud", str(10**30)), "`--cloud` must fit into 64 bits, got 1000"),
+    ],
+)
+def test_numbers_beyond_all_sense_are_refused(arguments, message, folder, capsys, tmp_path):
+    name, *options = arguments
+    place = ["-o", tmp_path / "d"] if name == "geodesic" else []
+    assert message in refused(capsys, name, folder / "ball.off", *options, *place)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("spectrum", "--device", "cuda"), "--device has no effect without the network; choose it"),
+        (("spectrum", "--solver", "dense", "--poses", "2"), "--poses has no effect without"),
+        (("modes", "--dtype", "float16"), "--dtype has no effect without the network"),
+        (("match", "--weights", "mine.safetensors"), "--weights has no effect without the network"),
+        (("compare", "--solver", "fourier", "--device", "cuda"), "--device has no effect without"),
+        (("modes", "--spectrum", "x.npz", "--rtol", "1e-9"), "--rtol has no effect on modes of"),
+        (("animate", "--spectrum", "x.npz", "--solver", "dense"), "--solver has no effect on"),
+        (("compare", "--spectrum", "x.npz", "--against", "dense"), "--against has no effect on"),
+        (("geodesic", "--source", "0", "--weights", "x"), "--weights has no effect without"),
+        (("geodesic", "--source", "0", "--solver", "direct", "--rtol", "1e-9"), "--rtol has no"),
+        (("explore", "--port", "8000"), "--port has no effect without --serve"),
+        (("explore", "--no-browser"), "--no-browser has no effect without --serve"),
+    ],
+)
+def test_options_without_an_effect_are_refused(arguments, message, folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    name, *options = arguments
+    files = ["ball.off"] * (2 if name == "match" else 1)
+    assert message in refused(capsys, name, *files, *options)
+
+
+NUMBERS = {
+    **dict.fromkeys(("spectrum", "modes", "animate", "compare", "explore", "match"), ("-k",)),
+    "info": ("--cloud",),
+    "geodesic": ("--farthest", "--modes"),
+}
+REALS = {
+    "modes": ("--turn",),
+    "spectrum": ("--solver=refined", "--rtol"),
+    "animate": ("--seconds", "--turn"),
+    "geodesic": ("--solver=plain", "--rtol", "--time-coefficient", "--spacing"),
+}
+
+
+@pytest.mark.parametrize("wrong", ["nan", "inf", "-1", "1e30", "", str(10**30), "2.5", "spam"])
+@pytest.mark.parametrize("name", NUMBERS)
+def test_numbers_without_sense_are_refused(name, wrong, folder, capsys, tmp_path, monkeypatch):
+    """With the name of the option, as the library or argparse tells it."""
+    monkeypatch.chdir(tmp_path)
+    files = [str(folder / "ball.off")] * (2 if name == "match" else 1)
+    source = ["--source", "0"] if name == "geodesic" else []
+    reals = [option for option in REALS.get(name, ()) if "=" not in option]
+    besides = [option for option in REALS.get(name, ()) if "=" in option]
+    for option in (*NUMBERS[name], *(reals if wrong in ("nan", "inf", "", "spam") else ())):
+        with contextlib.suppress(SystemExit):  # of argparse, which has told the option
+            assert main([name, *files, *source, *besides, option, wrong]) == 2
+        error = capsys.readouterr().err
+        told = option.strip("-").replace("-", "_")
+        assert option in error or f"`{told}" in error or f"`n_{told}" in error, error
+        assert not list(tmp_path.rglob("*.p*"))
+
+
+def open_again(results):
+    return together(results, report="report.json", replacing=["picture.png"])
+
+
 def test_files_of_a_folder_appear_together_or_not_at_all(tmp_path):
     results = tmp_path / "results"
-    with together(results, replacing=()) as part:
+    with together(results, report="report.json", replacing=()) as part:
         (part / "numbers.txt").write_text("old")
         assert not results.exists()
     (results / "picture.png").write_text("of the old numbers")
-    with pytest.raises(KeyboardInterrupt), together(results, replacing=["picture.png"]) as part:
+    with pytest.raises(KeyboardInterrupt), open_again(results) as part:
         raise (part / "numbers.txt").write_text("new") and KeyboardInterrupt
     assert (results / "numbers.txt").read_text() == "old"
     assert sorted(os.listdir(results)) == ["numbers.txt", "picture.png"]
-    with together(results, replacing=["picture.png"]) as part:
+    with open_again(results) as part:
         (part / "numbers.txt").write_text("new")
     assert (results / "numbers.txt").read_text() == "new"
     assert os.listdir(results) == ["numbers.txt"]
     assert os.listdir(tmp_path) == ["results"]
+
+
+@pytest.mark.parametrize("renames", [0, 1, 2])
+def test_a_report_never_stands_beside_numbers_of_another_run(tmp_path, monkeypatch, renames):
+    """Whatever rename is the last before the power fails; signals wait until all are done."""
+    results, real, done = tmp_path / "results", os.replace, []
+
+    def write_result(run):
+        with together(results, report="report.json", replacing=["picture.png"]) as part:
+            for name in ("report.json", "a.npy", "z.npy"):  # wherever it stands in the alphabet
+                (part / name).write_text(run)
+
+    def fails(source, target):
+        if len(done) == renames:
+            raise OSError("the power fails")
+        done.append(real(source, target))
+
+    write_result("old")
+    (results / "picture.png").write_text("old")
+    monkeypatch.setattr(os, "replace", fails)
+    with pytest.raises(OSError, match="the power fails"):
+        write_result("new")
+    left = {path.name: path.read_text() for path in results.iterdir()}
+    assert "report.json" not in left
+    assert "picture.png" not in left
+    monkeypatch.setattr(os, "replace", real)
+    monkeypatch.setattr(Path, "mkdir", interrupting(Path.mkdir))
+    with pytest.raises(KeyboardInterrupt):
+        write_result("newer")
+    assert {path.read_text() for path in results.iterdir()} == {"newer"}
+    assert len(os.listdir(results)) == 3
+
+
+def interrupting(function):
+    """Return `function`, with a Ctrl-C as it is called for the folder of the results."""
+
+    def wrapped(path, *arguments, **options):
+        if path.name == "results":
+            signal.raise_signal(signal.SIGINT)
+        return function(path, *arguments, **options)
+
+    return wrapped
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
+def test_a_folder_with_a_pipe_in_place_of_an_output_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "report.json")
+    with pytest.raises(InvalidInputError, match=r"got a pipe or a device as report.json; name"):
+        check_folder(tmp_path, ["report.json"], ["report.json"], [])
 
 
 def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_path):

@@ -16,6 +16,7 @@ import pytest
 from conftest import bumpy
 
 from spectra_kit import Arpack, Neo, Polished, Refined, TriangleMesh, eigensolve
+from spectra_kit.correspondence import geodesic_errors, way_back
 from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
 from spectra_kit.evaluation.matching import (
     METHODS,
@@ -38,7 +39,6 @@ from spectra_kit.evaluation.matching import (
     truth_between,
     write_matching_report,
 )
-from spectra_kit.evaluation.matching.measure import way_back
 from spectra_kit.evaluation.matching.oracle import best_candidate
 from spectra_kit.evaluation.matching.runner import Run
 from spectra_kit.evaluation.matching.spectra import make_solver, operator_of
@@ -100,7 +100,7 @@ def test_subjects_refuse(tmp_path):
     with pytest.raises(InvalidInputError, match=r"`folder` must hold .npz files with V, F, corres"):
         subjects_in(tmp_path)
     (tmp_path / "cat0.npz").write_bytes(b"PK nothing")
-    with pytest.raises(InvalidInputError, match=r"cannot read .*cat0.npz"):
+    with pytest.raises(InvalidInputError, match=r"cat0.npz is not a whole subject"):
         subjects_in(tmp_path)
     with pytest.raises(InvalidInputError, match=r"`landmarks of a` must be in \[0, 642\)"):
         Subject("a", mesh, [642])
@@ -335,6 +335,31 @@ def test_a_run_is_remembered(settings, monkeypatch):
         )
     with pytest.raises(AssertionError, match="matched again"):  # other inputs, other results
         run_tasks(tasks, replace(settings, k=K + 1))
+
+
+def test_maps_in_a_folder_are_those_of_their_results(settings):
+    [task] = make_tasks(PAIR, methods=PLAIN)
+    few, many = settings, replace(settings, k=2 * K)
+    maps = {}
+    for one in (few, many):
+        run_tasks([task], one)
+        maps[one.k] = np.load(one.map_path(task))
+    assert (maps[few.k] != maps[many.k]).any()
+    [again] = run_tasks([task], few).results.values()
+    point_map = np.load(few.map_path(task))
+    np.testing.assert_array_equal(point_map, maps[few.k])
+    truth = truth_between(*(settings.subjects[name] for name in PAIR[0]))
+    mesh = settings.subjects[task.source].mesh
+    errors = geodesic_errors(mesh, point_map, truth)
+    assert errors.mean() == pytest.approx(again.direct, rel=1e-5)
+    few.map_path(task).unlink()  # a result without its map is no result
+    run_tasks([task], few)
+    np.testing.assert_array_equal(np.load(few.map_path(task)), point_map)
+
+
+def test_another_python_may_have_another_pyfm(settings):
+    [task] = make_tasks(PAIR, methods=["pyfm"])
+    assert replace(settings, pyfm_python="/other").digest(task) != settings.digest(task)
 
 
 @pytest.mark.parametrize("before", [None, "7"])

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from test_apps import load
 
 from spectra_kit.cli import main
-from spectra_kit.cli.quality import doubts_of
+from spectra_kit.cli.quality import Side, doubts_of, quality_of
+from spectra_kit.correspondence import bijectivity_errors, way_back
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.geometry import (
     creature,
@@ -80,7 +81,9 @@ def test_a_permuted_copy_gives_the_permutation(app, files, tmp_path, capsys):
     assert np.load(tmp_path / "out" / "functional_map.npy").shape == (150, 150)
     match = result["match"]
     assert match["mean_error"] == match["way_back_error"] == 0
-    assert match["orientation"] == match["coverage"] == match["auc_to_10"] == 1
+    assert match["point_map_orientation"] == match["coverage"] == match["auc_to_10"] == 1
+    assert match["orientation"] > 0.99
+    assert match["convincing"]
     assert match["dirichlet_energy"] == pytest.approx(1, rel=1e-3)
     assert match["mirrored"] is match["ambiguous"] is False
     assert match["other_side"] > 1
@@ -149,6 +152,21 @@ def test_the_demo_draws_its_pictures(app, tmp_path, capsys):
         assert f"written: {folder / name}" in out
 
 
+def test_the_way_back_is_that_of_the_library():
+    """By as many modes as elsewhere: 100 where there are so many, not fewer."""
+    mesh = creature(900)
+    laplacian = robust_laplacian(mesh)
+    side = Side("x", mesh, laplacian, eigensolve(laplacian, 110))
+    rolled = np.roll(np.arange(mesh.n), 3)
+    back = way_back(side.spectrum, side.spectrum, rolled)
+    expected = bijectivity_errors(mesh, rolled, back).mean()
+    assert quality_of(side, side, rolled)["way_back_error"] == expected
+    fewer = side.spectrum.truncate(60)
+    assert (way_back(fewer, fewer, rolled) != back).any()
+    cut = side.spectrum.truncate(100)
+    np.testing.assert_array_equal(way_back(cut, cut, rolled), back)
+
+
 def test_every_doubt_is_told(files):
     mesh = creature(600)
     spectrum = eigensolve(robust_laplacian(mesh), 40)
@@ -159,6 +177,11 @@ def test_every_doubt_is_told(files):
         ({"other_side": 0.5}, "one that mirrors scores better"),
         ({"orientation": 0.1}, "its orientation is not that of a whole map"),
         ({"orientation": None, "consistent": 0.5}, "it is in doubt which side of a cloud is out"),
+        ({"coverage": 0.8}, "it covers hardly more of the source than chance would"),
+        (
+            {"candidates": (replace(found.candidates[0], score=0.6),)},
+            "the surfaces look no more alike than unrelated ones",
+        ),
         (
             {"mirrored": True, "orientation": -1.0, "other_side": 0.5, "margin": 1.0},
             "another map scores nearly as well, one that does not mirror scores better",
@@ -215,6 +238,9 @@ def test_bad_input_is_refused_before_the_work(app, files, tmp_path, capsys):
     words.write_text("nose ear\n")
     ragged.write_text("1 2 # nose\n3\n")
     single.write_text("1\n2\n")
+    large, marked = tmp_path / "large.txt", tmp_path / "marked.txt"
+    large.write_text(f"1 {10**30}\n")
+    marked.write_text("1 1_0\n")
     swapped = tmp_path / "swapped.txt"
     swapped.write_text("5 950\n")
     (tmp_path / "broken.npy").write_bytes(b"\x93NUMPY")
@@ -224,7 +250,13 @@ def test_bad_input_is_refused_before_the_work(app, files, tmp_path, capsys):
         (("--landmarks", empty), "must hold lines of two integers"),
         (("--landmarks", words), "must hold lines of two integers"),
         (("--landmarks", ragged), "must hold lines of two integers"),
-        (("--landmarks", single), "got an array of shape (2, 1)"),
+        (
+            ("--landmarks", single),
+            "two integers, on the source and on the target, got '1' in line 1",
+        ),
+        (("--landmarks", files / "truth.npy"), "must hold lines of two integers"),
+        (("--landmarks", large), "must hold lines of two integers"),
+        (("--landmarks", marked), "must hold lines of two integers"),
         (("--landmarks", swapped), "are the columns exchanged?"),
         (("--landmarks", tmp_path / "none.txt"), "none.txt"),
         (("--truth", tmp_path / "broken.npy"), "not a whole npy file"),

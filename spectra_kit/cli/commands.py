@@ -48,9 +48,11 @@ def spectrum(arguments: argparse.Namespace) -> None:
         if output and error.partial is not None:
             rescued = output.with_suffix(".partial.npz")
             error.partial.save(rescued)
-            say(f"the {quantity(error.partial.k, 'mode')} that converged: {rescued}")
+            k = error.partial.k
+            reached = error.n_converged if isinstance(error, ConvergenceError) else k
+            say(f"{quantity(k, 'mode')}, of which {reached} converged: {rescued}")
         raise
-    if arguments.verify:
+    if arguments.verify and (result.certificate is None or result.certificate.level != "verified"):
         with step("counting eigenvalues"):
             result = verify(result, laplacian)
     if output:
@@ -109,6 +111,7 @@ def compare(arguments: argparse.Namespace) -> None:
                 shown_modes(arguments.modes, (*_SHOWN, k - 1), k),
             ),
             tables.comparison_lines(pair.names, pair.reference, pair.predicted, comparison),
+            f"verdict: {pair.verdict}",
             *([pair.caution] if pair.caution else []),
         )
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import errno
+import io
 import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 from spectra_kit.cli.progress import telling
 from spectra_kit.cli.story import build_parser
@@ -21,13 +24,15 @@ from spectra_kit.errors import (
 _BUG, _BAD_INPUT, _SOLVER_FAILED, _INTERRUPTED = 1, 2, 3, 130
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None, *, ready: Callable[[], object] = lambda: None) -> int:
     """Run ``spectra-kit``.
 
     Parameters
     ----------
     argv : sequence of str, optional
         Arguments; by default those of the process.
+    ready : callable, optional
+        Called once everything is imported, before the command begins.
 
     Returns
     -------
@@ -36,14 +41,29 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Examples
     --------
+    >>> from spectra_kit.cli import main
     >>> main(["spectrum", "demo", "--points", "600", "-k", "4", "--modes", "1"])
     demo: mesh, 600 vertices, 1,196 faces...
     0
     """
-    arguments, unknown = build_parser().parse_known_args(argv)
-    if unknown:  # refused by the command's own parser, which knows what may have been meant
-        arguments.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
-    return run(arguments.command, arguments)
+    if argv is None:
+        _prepare_streams()
+    try:
+        arguments, unknown = build_parser().parse_known_args(argv)
+        if unknown:  # refused by the command's own parser, which knows what may have been meant
+            arguments.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+    except SystemExit:  # the help was asked for, or the usage was wrong
+        if code := _flushed():
+            return code
+        raise
+    except BrokenPipeError:  # whoever read the help has seen enough
+        _drop_stdout()
+        return 0
+    except OSError as error:
+        return _tell(error)
+    command = arguments.load()
+    ready()
+    return run(command, arguments)
 
 
 def run(command: Callable[[argparse.Namespace], None], arguments: argparse.Namespace) -> int:
@@ -64,21 +84,38 @@ def run(command: Callable[[argparse.Namespace], None], arguments: argparse.Names
     try:
         with telling(quiet=arguments.quiet):
             command(arguments)
-        sys.stdout.flush()
-    except BrokenPipeError:  # the reader, such as `head`, has seen enough
-        _drop_stdout()
+        return _flushed()
+    except BrokenPipeError as error:
+        if error.filename is not None:  # a pipe that was to hold a file
+            return _tell(error)
+        _drop_stdout()  # its reader, such as `head`, has seen enough
         return 0
     except KeyboardInterrupt:
-        sys.stderr.write("interrupted\n")
+        _complain("interrupted")
         return _INTERRUPTED
     except Exception as error:  # noqa: BLE001  # a person reads this: a line, not a traceback
         if arguments.debug:
             traceback.print_exc()
-        code, message = _told(error)
-        _flush_stdout()
-        sys.stderr.write(f"error: {message}\n")
-        return code
+        return _tell(error)
+
+
+def _flushed() -> int:
+    """Return the exit code once stdout has taken everything, or takes no more."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _drop_stdout()
+    except OSError as error:
+        return _tell(error)
     return 0
+
+
+def _tell(error: Exception) -> int:
+    """Write the line that an error deserves; return its exit code."""
+    code, message = _told(error)
+    _flush_stdout()
+    _complain(f"error: {message}")
+    return code
 
 
 def _told(error: Exception) -> tuple[int, str]:
@@ -98,12 +135,35 @@ def _told(error: Exception) -> tuple[int, str]:
     )
 
 
+def _complain(text: str) -> None:
+    """Write a line to stderr; where that is full, the exit code has to do."""
+    with suppress(OSError):
+        sys.stderr.write(f"{text}\n")
+
+
 def _flush_stdout() -> None:
     """Show what was printed before an error; a stdout that takes no more is dropped."""
     try:
         sys.stdout.flush()
     except OSError:
         _drop_stdout()
+
+
+def _prepare_streams() -> None:
+    """Let whatever is printed go somewhere: a closed stream nowhere, odd characters as they can."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.write(number, b"") if number else os.read(number, 0)
+            closed = getattr(sys, name) is None
+        except OSError as error:  # the number may be that of a file that Python reads now
+            closed = error.errno == errno.EBADF
+        if closed:  # else some output would get the number, and what is printed
+            descriptor = os.open(os.devnull, os.O_RDWR)
+            setattr(sys, name, os.fdopen(descriptor, "r" if number == 0 else "w"))
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # Names of files are any bytes; other encodings than UTF-8 lack most letters.
+        unicode = sys.stdout.encoding.lower().startswith("utf")
+        sys.stdout.reconfigure(errors="surrogateescape" if unicode else "backslashreplace")
 
 
 def _drop_stdout() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli import tables
+from spectra_kit.cli.inputs import refuse_given
 from spectra_kit.cli.options import up_of
 from spectra_kit.cli.output import check_output, print_blocks, print_json
 from spectra_kit.cli.progress import counted, say
@@ -19,6 +20,7 @@ from spectra_kit.cli.solving import (
     prepare,
     reference_modes,
 )
+from spectra_kit.cli.words import stem
 from spectra_kit.explorer import Explorer, write_explorer
 from spectra_kit.geometry import Geometry
 from spectra_kit.operators import Laplacian
@@ -29,6 +31,7 @@ def explore(arguments: argparse.Namespace) -> None:
     """Write the page, or serve it until Ctrl-C."""
     page: Path = arguments.html or Path(Path(arguments.file).stem + ".html")
     if not arguments.serve:
+        refuse_given(arguments, {"port": 0, "no_browser": False}, "without --serve; add it")
         inputs = [arguments.file, *filter(None, [arguments.spectrum])]
         check_output(page, (".html", ".htm"), inputs)
     k = check_count("k", arguments.k, low=1)
@@ -54,7 +57,7 @@ def explore(arguments: argparse.Namespace) -> None:
             pair.predicted if pair else None,
             comparison=pair.comparison if pair else None,
             names=names,
-            title=Path(arguments.file).stem,  # the page itself counts the points
+            title=stem(arguments.file),  # the page itself counts the points
             max_points=arguments.max_points,
             up=up_of(arguments),
             progress=tell,
@@ -80,7 +83,8 @@ def _serve(
         if arguments.json:
             print_json(**_record(arguments, geometry, reference, pair), explorer=None, url=url)
         else:
-            print_blocks(f"serving {arguments.file} to this machine alone: {url}")
+            verdict = [f"verdict: {pair.verdict}"] if pair else []
+            print_blocks(*verdict, f"serving {arguments.file} to this machine alone: {url}")
             say("Ctrl-C ends it")
 
     serve(
@@ -118,7 +122,8 @@ def _tables(
     head = tables.headline(arguments.file, geometry, laplacian)
     if pair is None:
         return [head, tables.certificate_lines(reference)]
-    return [head, tables.comparison_line(pair.comparison), *filter(None, [pair.caution])]
+    lines = [tables.comparison_line(pair.comparison), f"verdict: {pair.verdict}"]
+    return [head, "\n".join(lines), *filter(None, [pair.caution])]
 
 
 def _next(written: Explorer) -> str:

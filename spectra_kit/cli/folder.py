@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from spectra_kit._files import naming
+from spectra_kit._files import is_special, naming, replace, temporary_folder, undivided
 from spectra_kit.cli.progress import say, step
 from spectra_kit.errors import InvalidInputError
 
@@ -26,6 +24,11 @@ def check_folder(
         )
     if folder.exists() and not folder.is_dir():
         raise InvalidInputError(f"cannot make the folder {str(folder)!r}: a file has that name")
+    if odd := [name for name in files if is_special(folder / name)]:
+        raise InvalidInputError(
+            f"{str(folder)!r} must hold plain files where the output goes, got a pipe or a device"
+            f" as {', '.join(odd)}; name another folder with --output"
+        )
     read = {path.resolve() for path in inputs}
     if taken := [name for name in files if (folder / name).resolve() in read]:
         raise InvalidInputError(
@@ -71,19 +74,23 @@ def _state(path: Path) -> tuple[int, int] | None:
 
 
 @contextmanager
-def together(folder: Path, *, replacing: Iterable[str]) -> Iterator[Path]:
+def together(folder: Path, *, report: str, replacing: Iterable[str]) -> Iterator[Path]:
     """Yield an empty folder, whose files move into `folder` when the block ends well.
 
     So what is interrupted leaves nothing, or the whole result of an earlier run. The pictures of
     that run, `replacing`, go in the same moment: they would show another result than the numbers.
+    No signal comes between; should the process be killed there, or the power fail, then `report`
+    is missing, which goes first and comes last: it never stands beside numbers of another run.
     """
     beside = folder if folder.is_dir() else folder.parent
-    with naming(folder):
-        unfinished = tempfile.TemporaryDirectory(dir=beside, prefix=".unfinished-")
-    with unfinished as name:
-        yield Path(name)
-        folder.mkdir(exist_ok=True)
-        for old in replacing:
-            (folder / old).unlink(missing_ok=True)
-        for path in sorted(Path(name).iterdir()):
-            os.replace(path, folder / path.name)
+    with ExitStack() as stack:
+        with naming(folder):
+            part = stack.enter_context(temporary_folder(beside))
+        yield part
+        done = sorted(part.iterdir(), key=lambda path: path.name == report)
+        with undivided():
+            folder.mkdir(exist_ok=True)
+            for old in (report, *replacing):
+                (folder / old).unlink(missing_ok=True)
+            for path in done:
+                replace(path, folder / path.name)

@@ -31,6 +31,7 @@ from spectra_kit.cli.inputs import load
 from spectra_kit.cli.options import DEMO, up_of
 from spectra_kit.cli.output import as_json, print_blocks, print_json
 from spectra_kit.cli.progress import step
+from spectra_kit.cli.words import stem
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import DistanceField, HeatGeodesics, Iterative
 from spectra_kit.geodesics.sources import check_sources
@@ -193,7 +194,7 @@ def _facts(record: tables.Record) -> dict[str, object]:
 def _write(folder: Path, geometry: Geometry, distance: Floats, record: tables.Record) -> list[Path]:
     """The distances, the coloured geometry and the report, all or none."""
     numbers, coloured, report = _NUMBERS
-    with together(folder, replacing=(_FIELD, _CONVERGENCE)) as part:
+    with together(folder, report=report, replacing=(_FIELD, _CONVERGENCE)) as part:
         np.save(part / numbers, distance)
         colours = dict(zip(("red", "green", "blue"), distance_colours(distance).T, strict=True))
         ply.write(geometry, part / coloured, {**colours, "quality": distance})  # as MeshLab says
@@ -210,7 +211,7 @@ def _draw(
 ) -> list[Path]:
     from spectra_kit.viz import plot_convergence, plot_distance
 
-    folder, name, dpi = arguments.output, Path(arguments.file).stem, arguments.dpi
+    folder, name, dpi = arguments.output, stem(arguments.file), arguments.dpi
     size = f"{geometry.n:,} points"
     plot_distance(
         folder / _FIELD,

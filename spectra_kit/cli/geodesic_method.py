@@ -9,6 +9,7 @@ from typing import Literal
 
 from spectra_kit._validate import quantity
 from spectra_kit.cli.geodesic_options import SPECTRA
+from spectra_kit.cli.inputs import refuse_given
 from spectra_kit.cli.options import listed
 from spectra_kit.cli.progress import step
 from spectra_kit.eigensolvers import Arpack, Eigensolver, Polished, eigensolve
@@ -58,6 +59,10 @@ def check_spectrum(arguments: argparse.Namespace) -> None:
             f"--spectrum must be {listed(SPECTRA)} or an npz file, got {name!r}, and there is no"
             " such file"
         )
+    if not name.startswith("neo") and not arguments.compare:
+        refuse_given(arguments, {"weights": "small"}, "without the network; add --spectrum neo")
+    if solver == "direct" and not arguments.compare:
+        refuse_given(arguments, {"rtol": 1e-8}, "on a direct solver; choose another by --solver")
     if solver == "projected" and name == "none":
         raise InvalidInputError("--solver projected needs modes; choose some by --spectrum")
     if solver in ("direct", "plain") and name != "none" and not arguments.compare:

@@ -43,8 +43,8 @@ def check_named(arguments: argparse.Namespace) -> None:
 def named_sources(arguments: argparse.Namespace, geometry: Geometry) -> list[Source]:
     """Return the points that --source, --at and --face name."""
     check_count("--farthest", arguments.farthest, low=0, high=geometry.n)
-    indices = np.array(arguments.source, dtype=np.int64)
-    found: list[Source] = check_indices("--source", indices, geometry.n).tolist()
+    named = arguments.source or np.empty(0, dtype=np.int64)  # of nothing NumPy makes floats
+    found: list[Source] = check_indices("--source", named, geometry.n).tolist()
     found += [nearest_source(geometry, place) for place in arguments.at]
     return found + [FacePoint(int(face), (a, b, c)) for face, a, b, c in arguments.face]
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from spectra_kit._validate import check_count, quantity
-from spectra_kit.cli.options import DEMO, FORMATS, TAKERS, listed
+from spectra_kit.cli.options import DEMO, FORMATS, NETWORK, TAKERS, listed
 from spectra_kit.cli.parser import did_you_mean
 from spectra_kit.cli.progress import say, step
 from spectra_kit.eigensolvers import (
@@ -77,6 +77,8 @@ SOLVERS: dict[str, Callable[[argparse.Namespace], Eigensolver]] = {
 
 def solvers_named(arguments: argparse.Namespace, *names: str) -> list[Eigensolver]:
     """Return the solvers of these names; refuse options that none of them takes."""
+    if "neo" not in names and arguments.start != "neo":
+        refuse_given(arguments, NETWORK, "without the network; choose it by --solver neo")
     for option, takers in TAKERS.items():
         if getattr(arguments, option) is not None and not set(names) & set(takers):
             raise InvalidInputError(
@@ -84,6 +86,15 @@ def solvers_named(arguments: argparse.Namespace, *names: str) -> list[Eigensolve
                 " of those by --solver, or leave it out"
             )
     return [SOLVERS[name](arguments) for name in names]
+
+
+def refuse_given(arguments: argparse.Namespace, defaults: Mapping[str, object], why: str) -> None:
+    """Refuse options that have no effect as things are, where they differ from their defaults."""
+    for option, default in defaults.items():
+        if getattr(arguments, option) != default:
+            raise InvalidInputError(
+                f"--{option.replace('_', '-')} has no effect {why}, or leave it out"
+            )
 
 
 def load(arguments: argparse.Namespace) -> Geometry:
@@ -138,8 +149,6 @@ def assemble(arguments: argparse.Namespace, geometry: Geometry) -> Laplacian:
     elif chosen == "knn":
         laplacian = knn_laplacian(geometry)
     elif chosen == "delaunay":
-        if isinstance(geometry, TriangleMesh):
-            raise InvalidInputError("--operator delaunay needs points; sample the mesh by --cloud")
         laplacian = delaunay_laplacian(geometry)
     elif isinstance(geometry, TriangleMesh):
         laplacian = cotan_laplacian(geometry)

@@ -18,9 +18,11 @@ from spectra_kit.cli.output import as_json, print_blocks, print_json
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.quality import Errors, Side, doubts_of, errors_of, quality_of
 from spectra_kit.cli.solving import solve
+from spectra_kit.cli.words import stem
 from spectra_kit.eigensolvers import Eigensolver
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, creature_pair, write
+from spectra_kit.geometry.formats._arrays import text_lines, whole
 from spectra_kit.geometry.formats.numpy_arrays import read_npy
 from spectra_kit.matching import Match, match, prepare
 from spectra_kit.matching.match import Sides
@@ -141,32 +143,37 @@ def _matched(
     return found, {
         "prepare_seconds": middle - start,
         "match_seconds": time.perf_counter() - middle,
+        "convincing": found.convincing,
         "ambiguous": found.ambiguous,
-        **({"doubts": doubts_of(found)} if found.ambiguous else {}),
+        **({"doubts": doubts_of(found)} if found.doubts else {}),
         "margin": found.margin,
         "other_side": found.other_side,
         "score": found.score,
         "candidates": len(found.candidates),
         "mirrored": found.mirrored,
+        "orientation": found.orientation,
+        "coverage_over_chance": found.coverage,
     }
 
 
 def _read_landmarks(path: Path, n_source: int, n_target: int) -> tuple[Ints, Ints]:
     """Two columns of numbers: on the source, on the target."""
-    lines = [line.split("#")[0].split() for line in path.read_text().splitlines()]
-    try:
-        rows = np.array([[int(word) for word in line] for line in lines if line])
-    except ValueError as error:
-        raise InvalidInputError(f"{path}: must hold lines of two integers ({error})") from error
-    if rows.ndim != 2 or rows.shape[1] != 2:
-        raise InvalidInputError(
-            f"{path}: must hold lines of two integers, on the source and on the target, got an"
-            f" array of shape {rows.shape}"
-        )
+    rows = []
+    for number, words in text_lines(path):
+        try:
+            source, target = map(whole, words)
+        except ValueError as error:
+            raise InvalidInputError(
+                f"{path}: must hold lines of two integers, on the source and on the target, got"
+                f" {' '.join(words)[:60]!r} in line {number}"
+            ) from error
+        rows.append((source, target))
+    if not rows:
+        raise InvalidInputError(f"{path}: must hold lines of two integers, got none")
     try:
         return (
-            check_indices("source landmarks", rows[:, 0], n_source),
-            check_indices("target landmarks", rows[:, 1], n_target),
+            check_indices("source landmarks", [source for source, _ in rows], n_source),
+            check_indices("target landmarks", [target for _, target in rows], n_target),
         )
     except InvalidInputError as error:
         raise InvalidInputError(f"{path}: {error}; are the columns exchanged?") from error
@@ -205,7 +212,7 @@ def _write(
 ) -> list[Path]:
     """The two maps, the report, and the shapes they belong to, all or none."""
     points, functions, report = _MAPS
-    with together(folder, replacing=_PICTURES) as part:
+    with together(folder, report=report, replacing=_PICTURES) as part:
         np.save(part / points, found.point_map)
         np.save(part / functions, found.functional_map)
         (part / report).write_text(as_json(record))
@@ -229,14 +236,14 @@ def _draw(
 
     folder, dpi = arguments.output, arguments.dpi
     paths = _pictures(folder, errors)
-    names = tuple(Path(side.name).stem for side in (source, target))
+    names = tuple(stem(side.name) for side in (source, target))
     title = " to ".join(names)
     plot_correspondence(
         paths[0],
         source.geometry,
         target.geometry,
         found.point_map,
-        errors=None if errors is None else errors.at_points,
+        errors=None if errors is None else errors.known,
         error_label=errors.label if errors else "",
         up=up_of(arguments, source.name),
         turn=arguments.turn,
@@ -248,7 +255,7 @@ def _draw(
     plot_functional_map(paths[1], found.functional_map, title=title, dpi=dpi)
     if errors is not None:
         plot_error_curves(
-            paths[2], {title: errors.known}, error_label=errors.label, title=title, dpi=dpi
+            paths[2], {title: errors.known.direct}, error_label=errors.label, title=title, dpi=dpi
         )
     return paths
 

@@ -28,6 +28,8 @@ TAKERS = {
     "rtol": ("refined", "multilevel", "lobpcg"),
     "start": ("refined", "polished", "capped"),
 }
+# Options of the network, and their defaults.
+NETWORK = {"weights": "small", "poses": 1, "dtype": "float32", "device": "cpu"}
 Up = Literal["x", "y", "z"]
 PICTURES = (".png", ".pdf", ".svg")
 DEFAULT = "(default: %(default)s)"
@@ -101,13 +103,14 @@ def add_reading(group: argparse._ArgumentGroup) -> None:
     )
 
 
-def add_operator(parser: argparse.ArgumentParser) -> None:
-    """Add the choice of the Laplacian."""
+def add_operator(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
+    """Add the choice of the Laplacian; by default its kind depends on that of the geometry."""
     group = parser.add_argument_group("operator")
     group.add_argument(
         "--operator",
         choices=OPERATORS,
-        help="Laplacian (default: robust for meshes, delaunay for clouds)",
+        default=default,
+        help=f"Laplacian (default: {default or 'robust for meshes, delaunay for clouds'})",
     )
     group.add_argument(
         "--boundary",

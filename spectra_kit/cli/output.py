@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from spectra_kit._files import is_special
 from spectra_kit.errors import InvalidInputError
 
 
@@ -24,10 +25,10 @@ def check_output(path: Path, suffixes: Sequence[str], inputs: Iterable[str | Pat
         )
     if path.is_dir():
         raise InvalidInputError(f"cannot write {str(path)!r}: a folder has that name")
-    if not os.access(path.parent, os.W_OK):
+    if not os.access(path if is_special(path) else path.parent, os.W_OK):
+        what = "it" if is_special(path) else f"the folder {str(path.parent)!r}"
         raise InvalidInputError(
-            f"cannot write {str(path)!r}: the folder {str(path.parent)!r} is not yours to write"
-            " to; name another place"
+            f"cannot write {str(path)!r}: {what} is not yours to write to; name another place"
         )
     if path.resolve() in {Path(name).resolve() for name in inputs}:
         raise InvalidInputError(
@@ -50,6 +51,8 @@ def as_json(record: object) -> str:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from spectra_kit.cli.output import as_json
     >>> print(as_json({"k": 2, "eigenvalues": np.array([0.0, 2.5])}), end="")
     {
       "k": 2,

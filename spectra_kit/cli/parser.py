@@ -6,8 +6,9 @@ import argparse
 import difflib
 import re
 import shutil
+import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 WIDTH = 80  # lines of help are at most this long, and shorter on a narrower terminal
 _OPTION_COLUMN = 24
@@ -55,6 +56,10 @@ class Parser(argparse.ArgumentParser):
         more = f"see {self.prog} --help"
         self.exit(2, f"{self.format_usage()}error: {message.removesuffix('.')}; {hint or more}\n")
 
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Print; argparse's own would keep a full disk behind the stream to itself."""
+        (file or sys.stderr).write(message)
+
 
 class _Formatter(argparse.RawDescriptionHelpFormatter):
     """Paragraphs as they are written, options in two columns."""
@@ -69,15 +74,18 @@ def meant(message: str, help_text: str) -> str:
 
     Examples
     --------
+    >>> from spectra_kit.cli.parser import meant
     >>> meant("argument --solver: invalid choice: 'apack' (choose from 'arpack', 'neo')", "")
     "did you mean 'arpack'?"
     >>> meant("unrecognized arguments: --sovler", "--solver NAME  what solves")
     "did you mean '--solver'?"
+    >>> meant("unrecognized arguments: --ks 5", "-k K  number of modes, --seed N  of all")
+    "did you mean '-k'?"
     """
     if choice := re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)", message):
         wrong, known = choice[1], re.findall(r"[\w-]+", choice[2])
     elif option := re.search(r"unrecognized arguments: (--[\w-]+)", message):
-        wrong, known = option[1], re.findall(r"--[\w-]+", help_text)
+        wrong, known = option[1], re.findall(r"(?<![\w-])--?[a-z][\w-]*", help_text)
     else:
         return ""
     return did_you_mean(wrong, known)

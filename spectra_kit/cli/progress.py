@@ -9,8 +9,10 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+
+from spectra_kit.cli.words import in_options
 
 _TICK = 0.1  # seconds
 _LONG = 1.0  # seconds; a step that took less leaves no line behind
@@ -22,7 +24,7 @@ def telling(*, quiet: bool) -> Iterator[None]:
     """Show progress inside the block, or do not; and warnings as lines of their own."""
     token = _QUIET.set(quiet)
     told = warnings.showwarning
-    warnings.showwarning = lambda message, *_: say(f"warning: {message}")
+    warnings.showwarning = lambda message, *_: say(f"warning: {in_options(str(message))}")
     try:
         yield
     finally:
@@ -81,10 +83,11 @@ def counted(text: str, unit: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def say(text: str) -> None:
-    """Write a line to stderr, also in the midst of a step."""
-    if sys.stderr.isatty():
-        _show("")
-    sys.stderr.write(text + "\n")
+    """Write a line to stderr, also in the midst of a step; where that is full, to nobody."""
+    with suppress(OSError):
+        if sys.stderr.isatty():
+            _show("")
+        sys.stderr.write(text + "\n")
 
 
 def _seen() -> bool:

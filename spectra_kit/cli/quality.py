@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit.correspondence import (
+    MapErrors,
     Truth,
     auc,
     bijectivity_errors,
     coverage,
     dirichlet_energy,
-    geodesic_errors,
+    map_errors,
     orientation,
+    way_back,
 )
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.functional_maps import (
-    functional_map_from_point_map,
-    point_map_from_functional_map,
-)
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.matching import Match
+from spectra_kit.matching.result import Doubt
 from spectra_kit.operators import Laplacian
 from spectra_kit.operators.orientation import oriented_triangles
 from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-_WAY_BACK = 60  # modes that lead from source to target
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,27 +42,14 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Errors of a point map where the truth is known.
+    """Errors of a point map where the truth is known, and what they are."""
 
-    Attributes
-    ----------
-    at_points : ndarray of shape (n2,)
-        In hundredths of the root of the source's area; NaN where the truth is not known.
-    label : str
-        What they are.
-    """
-
-    at_points: Floats
+    known: MapErrors
     label: str
-
-    @property
-    def known(self) -> Floats:
-        """Those that are known, in a row."""
-        return self.at_points[~np.isnan(self.at_points)]
 
     def summary(self) -> dict[str, object]:
         """Mean, median, share and area under the curve."""
-        known = self.known
+        known = self.known.direct
         return {
             "error": self.label,
             "mean_error": float(known.mean()),
@@ -77,41 +60,35 @@ class Errors:
 
 
 def doubts_of(found: Match) -> str:
-    """Say why a match is ambiguous; nothing if it is not."""
-    clear = {
-        "margin": math.inf,
-        "other_side": math.inf,
-        "orientation": -1.0 if found.mirrored else 1.0,
-        "consistent": 1.0,
-    }
+    """Say what speaks against a match; nothing if nothing does."""
     other = "does not mirror" if found.mirrored else "mirrors"
-    told = {
+    told: dict[Doubt, str] = {
         "margin": "another map scores nearly as well",
         "other_side": f"one that {other} scores better",
         "orientation": "its orientation is not that of a whole map",
         "consistent": "it is in doubt which side of a cloud is out",
+        "coverage": "it covers hardly more of the source than chance would",
+        "score": "the surfaces look no more alike than unrelated ones",
     }
-    alone = {name: clear | {name: getattr(found, name)} for name in clear}  # one doubt at a time
-    return ", ".join(why for name, why in told.items() if replace(found, **alone[name]).ambiguous)
+    return ", ".join(told[name] for name in found.doubts)
 
 
 def errors_of(source: Side, point_map: Ints, truth: Ints) -> Errors:
     """Measure a point map (n2,) against the true one, which is negative where it is not known."""
     known = np.flatnonzero(truth >= 0)
-    errors = np.full(len(truth), np.nan)
     if isinstance(source.geometry, TriangleMesh):
-        errors[known] = geodesic_errors(source.geometry, point_map, Truth(truth[known], known))
+        errors = map_errors(source.geometry, point_map, Truth(truth[known], known))
         return Errors(errors, "geodesic error, 100 / √area")
     points = source.geometry.points
     straight = np.linalg.norm(points[point_map[known]] - points[truth[known]], axis=1)
-    errors[known] = 100 * straight / np.sqrt(source.laplacian.area)
-    return Errors(errors, "straight-line error, 100 / √area")
+    scaled = 100 * straight / np.sqrt(source.laplacian.area)
+    return Errors(MapErrors(scaled, known), "straight-line error, 100 / √area")
 
 
 def quality_of(source: Side, target: Side, point_map: Ints) -> dict[str, object]:
     """Judge a point map by itself; None stands for what cannot be measured on these shapes."""
     return {
-        "orientation": _orientation(source, target, point_map),
+        "point_map_orientation": _orientation(source, target, point_map),
         "coverage": coverage(point_map, source.spectrum.mass),
         "dirichlet_energy": dirichlet_energy(source.laplacian, target.laplacian, point_map),
         "way_back_error": _way_back(source, target, point_map),
@@ -130,8 +107,5 @@ def _way_back(source: Side, target: Side, point_map: Ints) -> float | None:
     """Mean distance between a source point and where the map takes its image."""
     if not isinstance(source.geometry, TriangleMesh):
         return None
-    k = min(_WAY_BACK, source.spectrum.k, target.spectrum.k)
-    there = functional_map_from_point_map(source.spectrum, target.spectrum, point_map, k=k)
-    # Of a bijection that keeps areas the map is orthogonal, and its transpose leads back.
-    back = point_map_from_functional_map(target.spectrum, source.spectrum, there.T)
+    back = way_back(source.spectrum, target.spectrum, point_map)
     return float(bijectivity_errors(source.geometry, point_map, back).mean())

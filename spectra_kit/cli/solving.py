@@ -7,17 +7,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from spectra_kit._validate import check_count, quantity
-from spectra_kit.cli.inputs import EXTRA, assemble, load, solvers_named
-from spectra_kit.cli.options import SOLVERS
-from spectra_kit.cli.progress import step
-from spectra_kit.cli.tables import Record, comparison_record, spectrum_record
-from spectra_kit.eigensolvers import Eigensolver, eigensolve
+from spectra_kit.cli.inputs import EXTRA, assemble, load, refuse_given, solvers_named
+from spectra_kit.cli.options import NETWORK, SOLVERS
+from spectra_kit.cli.progress import say, step
+from spectra_kit.cli.tables import (
+    Record,
+    comparison_record,
+    comparison_verdict,
+    spectrum_record,
+)
+from spectra_kit.eigensolvers import Eigensolver, RayleighRitz, eigensolve
+from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry
 from spectra_kit.metrics import Comparison, compare_spectra, subspace_span_error
 from spectra_kit.operators import Laplacian
 from spectra_kit.spectrum import Spectrum
+from spectra_kit.subspaces import Subspace
 
 # Those that stop when the residuals are small; the others stop after so much work.
 EXACT = ("arpack", "multilevel", "refined", "lobpcg", "dense")
@@ -30,7 +39,16 @@ def prepare(arguments: argparse.Namespace) -> tuple[Geometry, Laplacian]:
     """Read the geometry and assemble its operator."""
     geometry = load(arguments)
     with step(f"assembling the Laplacian of {geometry.n:,} points"):
-        return geometry, assemble(arguments, geometry)
+        laplacian = assemble(arguments, geometry)
+    if laplacian.n_components > 1:
+        # Corners that are not joined make a part of every face: each mode then lives on one.
+        joined = geometry.n - len(np.unique(geometry.points, axis=0))
+        if joined:
+            say(
+                f"warning: {quantity(joined, 'point')} lie exactly on earlier ones, and the surface"
+                f" has {laplacian.n_components:,} parts; --repair joins such points"
+            )
+    return geometry, laplacian
 
 
 def solve(laplacian: Laplacian, k: int, name: str, solver: Eigensolver) -> Spectrum:
@@ -86,6 +104,9 @@ def to_show(arguments: argparse.Namespace, usual: int) -> Shown:
         check_count("k", arguments.k, low=1)
     for mode in arguments.modes or ():
         check_count("modes", mode, low=0)
+    if arguments.spectrum:
+        given = {"solver": "arpack", "rtol": None, "start": None, **NETWORK}
+        refuse_given(arguments, given, "on modes of a file; leave --spectrum out")
     (solver,) = solvers_named(arguments, arguments.solver)
     geometry, laplacian = prepare(arguments)
     if arguments.spectrum:
@@ -126,19 +147,30 @@ class Compared:
             return f"errors are those of the {self.names[0]}: the other side is {self.names[1]}"
         return f"errors are against the {self.names[0]}, not against exact modes"
 
+    @property
+    def verdict(self) -> str:
+        """Whether eigenvalues are far off, in a line."""
+        return comparison_verdict(self.comparison)
+
     def record(self) -> Record:
         """Everything, as JSON has it."""
         return {
             "reference": named_record(self.names[0], self.reference),
             "predicted": named_record(self.names[1], self.predicted),
             "comparison": comparison_record(self.comparison),
+            "verdict": self.verdict,
         }
 
 
 def alone_record(spectrum: Spectrum) -> Record:
     """Return the same of modes that are compared with none."""
     reference = named_record(name_of(spectrum), spectrum)
-    return {"reference": reference, "predicted": None, "comparison": None}
+    return {
+        "reference": reference,
+        "predicted": None,
+        "comparison": None,
+        "verdict": reference["verdict"],
+    }
 
 
 def named_record(name: str, spectrum: Spectrum) -> Record:
@@ -148,6 +180,9 @@ def named_record(name: str, spectrum: Spectrum) -> Record:
 
 def named_pair(arguments: argparse.Namespace) -> dict[str, Eigensolver]:
     """Return the solvers of the reference, unless it is saved, and of the prediction, if any."""
+    if arguments.spectrum:
+        given = {"against": "arpack"}
+        refuse_given(arguments, given, "on modes of a file; leave --spectrum out")
     names = [] if arguments.spectrum else [arguments.against]
     if arguments.solver != "none":
         names.append(arguments.solver or default_predictor())
@@ -204,6 +239,16 @@ def solver_of(spectrum: Spectrum) -> str:
     return "" if name == "user" else name
 
 
+def _ritz_subspace(solver: Eigensolver) -> Subspace | None:
+    """Return the subspace whose Ritz vectors on all points a solver returns, if it does so.
+
+    `Capped` evaluates its own on a few points: what it spans on all of them was never used.
+    """
+    if isinstance(solver, RayleighRitz) or (isinstance(solver, Neo) and solver.cap is None):
+        return solver.subspace
+    return None
+
+
 def compared(
     arguments: argparse.Namespace,
     laplacian: Laplacian,
@@ -216,7 +261,7 @@ def compared(
     predicted = solve(laplacian, wanted, predictor, solvers[predictor])
     with step("comparing"):
         comparison = compare_spectra(reference, predicted, k=k)
-        subspace = getattr(solvers[predictor], "subspace", None)
+        subspace = _ritz_subspace(solvers[predictor])
         if subspace is not None:
             error, dimension = subspace_span_error(subspace, laplacian, reference, predicted)
             comparison = replace(comparison, span_error=error[:k], span_dimension=dimension)

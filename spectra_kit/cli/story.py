@@ -5,14 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 
 from spectra_kit._version import VERSION
-from spectra_kit.cli import arguments, commands, pictures
-from spectra_kit.cli.completion import completion
-from spectra_kit.cli.explore import explore
-from spectra_kit.cli.geodesic import geodesic_distances
+from spectra_kit.cli import arguments
 from spectra_kit.cli.geodesic_options import add_geodesic_arguments
-from spectra_kit.cli.match import match_shapes
 from spectra_kit.cli.options import DEMO, FORMATS
 from spectra_kit.cli.parser import Parser
 
@@ -35,8 +32,8 @@ class Command:
         Of the object that ``--json`` prints.
     add_arguments : callable
         Fills a parser.
-    run : callable
-        Takes the parsed arguments.
+    run : str
+        The module of this package, and in it the function that takes the parsed arguments.
     """
 
     name: str
@@ -45,7 +42,14 @@ class Command:
     examples: tuple[str, ...]
     keys: str
     add_arguments: Callable[[argparse.ArgumentParser], None]
-    run: Callable[[argparse.Namespace], None]
+    run: str
+
+    def load(self) -> Callable[[argparse.Namespace], None]:
+        """Import what the command needs, and return its function."""
+        module, _, function = self.run.partition(".")
+        run: Callable[[argparse.Namespace], None]
+        run = getattr(import_module(f"spectra_kit.cli.{module}"), function)
+        return run
 
     @property
     def notes(self) -> str:
@@ -61,7 +65,7 @@ COMMANDS = (
         ("info bunny.obj", "info scan.ply --repair", "info bunny.obj --json"),
         "input, kind, diagnosis, problems, operator",
         arguments.add_info_arguments,
-        commands.info,
+        "commands.info",
     ),
     Command(
         "spectrum",
@@ -73,9 +77,9 @@ COMMANDS = (
             "spectrum bunny.obj --solver multilevel --rtol 1e-8 --verify",
             f"spectrum {DEMO} -k 24 --picture spectrum.png",
         ),
-        "input, geometry, eigenvalues, certificate, provenance, output, picture",
+        "input, geometry, eigenvalues, certificate, provenance, verdict,\n  output, picture",
         arguments.add_spectrum_arguments,
-        commands.spectrum,
+        "commands.spectrum",
     ),
     Command(
         "modes",
@@ -86,9 +90,9 @@ COMMANDS = (
             "modes bunny.obj --spectrum bunny.npz --modes 1,5,20",
             f"modes {DEMO} -o modes.pdf --dpi 600",
         ),
-        "input, geometry, eigenvalues, certificate, provenance, modes, picture",
+        "input, geometry, eigenvalues, certificate, provenance, verdict,\n  modes, picture",
         arguments.add_modes_arguments,
-        pictures.modes,
+        "pictures.modes",
     ),
     Command(
         "animate",
@@ -99,9 +103,9 @@ COMMANDS = (
             "animate bunny.obj --spectrum bunny.npz --modes 7",
             f"animate {DEMO} -o modes.mp4 --width 720 --fps 30",
         ),
-        "input, geometry, eigenvalues, certificate, provenance, modes, animation",
+        "input, geometry, eigenvalues, certificate, provenance, verdict,\n  modes, animation",
         arguments.add_animate_arguments,
-        pictures.animate,
+        "pictures.animate",
     ),
     Command(
         "compare",
@@ -112,9 +116,9 @@ COMMANDS = (
             "compare bunny.obj --spectrum bunny.npz --solver polished",
             f"compare {DEMO} --cloud 8000 --json",
         ),
-        "input, geometry, reference, predicted, comparison, picture",
+        "input, geometry, reference, predicted, comparison, verdict, picture",
         arguments.add_compare_arguments,
-        commands.compare,
+        "commands.compare",
     ),
     Command(
         "explore",
@@ -125,9 +129,9 @@ COMMANDS = (
             "explore bunny.obj --serve",
             f"explore {DEMO} -k 24 --solver none",
         ),
-        "input, geometry, reference, predicted, comparison, explorer, url",
+        "input, geometry, reference, predicted, comparison, verdict, explorer, url",
         arguments.add_explore_arguments,
-        explore,
+        "explore.explore",
     ),
     Command(
         "match",
@@ -140,7 +144,7 @@ COMMANDS = (
         ),
         "source, target, landmarks, match, written",
         arguments.add_match_arguments,
-        match_shapes,
+        "match.match_shapes",
     ),
     Command(
         "geodesic",
@@ -157,7 +161,7 @@ COMMANDS = (
         "  seconds, spectrum, largest_distance, mean_distance, points_not_reached,\n"
         "  spectrum_unused, comparison, written",
         add_geodesic_arguments,
-        geodesic_distances,
+        "geodesic.geodesic_distances",
     ),
     Command(
         "completion",
@@ -170,7 +174,7 @@ COMMANDS = (
         ),
         "shell, script",
         arguments.add_completion_arguments,
-        completion,
+        "completion.completion",
     ),
 )
 
@@ -212,7 +216,7 @@ def build_parser() -> StoryParser:
             notes=c.notes,
         )
         c.add_arguments(subparser)
-        subparser.set_defaults(command=c.run, root=parser, parser=subparser)
+        subparser.set_defaults(load=c.load, root=parser, parser=subparser)
     return parser
 
 

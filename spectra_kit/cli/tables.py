@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from spectra_kit._validate import quantity
-from spectra_kit.cli.words import in_options
+from spectra_kit.cli.words import in_options, stem
+from spectra_kit.eigensolvers.doubts import DOUBTFUL, verdict
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Diagnosis, Geometry, TriangleMesh
 from spectra_kit.metrics import Comparison
@@ -35,7 +35,7 @@ def headline(name: str, geometry: Geometry, laplacian: Laplacian) -> str:
 
 def title(name: str, geometry: Geometry) -> str:
     """What a picture is of."""
-    return f"{Path(name).stem}, {quantity(geometry.n, 'point')}"
+    return f"{stem(name)}, {quantity(geometry.n, 'point')}"
 
 
 def modes_table(spectrum: Spectrum, modes: Sequence[int]) -> str:
@@ -63,7 +63,8 @@ def certificate_lines(spectrum: Spectrum) -> str:
             "largest relative residual": _worst(spectrum),
             "orthonormality error": f"{_certificate(spectrum).orthonormality_error:.1e}",
             "zero modes": _kernel(spectrum),
-            **_verified(spectrum),
+            "lowest modes": _certificate(spectrum).completeness,
+            **_doubted(spectrum),
             "seconds": _seconds(spectrum),
         }
     )
@@ -153,6 +154,24 @@ def comparison_line(comparison: Comparison) -> str:
     )
 
 
+def comparison_verdict(comparison: Comparison) -> str:
+    """Say in a line whether eigenvalues are far off, and which is the farthest."""
+    off = comparison.eigenvalue_error
+    if not np.isfinite(off).any():
+        return "no mode outside the kernel to compare"
+    far, worst = int((off > DOUBTFUL).sum()), int(np.nanargmax(off))
+    change = comparison.predicted_eigenvalues[worst] / comparison.eigenvalues[worst] - 1
+    which = f"mode {worst} by {100 * change:+,.{0 if far else 2}f} %"
+    if not far:
+        return f"every eigenvalue is within {DOUBTFUL:.0%}; the farthest off is that of {which}"
+    if comparison.match[worst] != worst:
+        which += f" (it resembles mode {comparison.match[worst]} of the other side most)"
+    return (
+        f"doubtful: {far} of {quantity(comparison.k, 'eigenvalue')} are off by more than"
+        f" {DOUBTFUL:.0%}, that of {which}"
+    )
+
+
 def diagnosis_lines(name: str, geometry: Geometry, diagnosis: Diagnosis) -> str:
     """What a file holds, and the problems that were found."""
     lower, upper = np.array(diagnosis.lower), np.array(diagnosis.upper)
@@ -195,6 +214,7 @@ def spectrum_record(spectrum: Spectrum) -> Record:
         "certificate": vars(certificate)
         | {"level": certificate.level, "count": certificate.count and vars(certificate.count)},
         "provenance": vars(provenance) | {"seconds": dict(provenance.seconds)},
+        "verdict": verdict(spectrum),
     }
 
 
@@ -247,15 +267,12 @@ def _kernel(spectrum: Spectrum) -> str:
     return f"{certificate.n_zero_modes} of {expected}"
 
 
-def _verified(spectrum: Spectrum) -> dict[str, str]:
-    """How many modes are proved to be the lowest, and why not all, where that was asked."""
-    certificate = _certificate(spectrum)
-    count = certificate.count
-    if count is None:
+def _doubted(spectrum: Spectrum) -> dict[str, str]:
+    """What is proved of eigenvalues that are too high, where residuals left doubts."""
+    if _certificate(spectrum).excess is None:
         return {}
-    if certificate.level == "verified":
-        return {"verified": f"all {spectrum.k} modes, none missed below {count.floor:.6g}"}
-    return {"verified": f"the first {count.verified} of {spectrum.k} modes; {count.reason}"}
+    nothing = f"no eigenvalue is proved to be more than {DOUBTFUL:.0%} too high"
+    return {"verdict": verdict(spectrum) or nothing}
 
 
 def _seconds(spectrum: Spectrum) -> str:

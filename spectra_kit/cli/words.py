@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+from pathlib import Path
 
 _OPTIONS = {
     "k": "-k",
@@ -12,6 +14,7 @@ _OPTIONS = {
     "seed": "--seed",
     "dpi": "--dpi",
     "turn": "--turn",
+    "name_or_path": "--weights",
 }
 # Longest first; the advice of two methods that are one option is given once.
 _ADVICE = (
@@ -19,10 +22,28 @@ _ADVICE = (
     (r"`?(mesh|cloud)\.(without_\w+|with_merged_vertices)\(\)`?", "--repair"),
     (r"\bdrop them with --repair", "--repair drops them"),
     (r"\bdrop such vertices with --repair", "--repair drops such vertices"),
-    (r"\buse robust_laplacian\b", "use --operator robust"),
+    (r"\buse robust_laplacian\b", "use --operator robust, the default for spectra"),
+    (r"\buse delaunay_laplacian\b", "use --operator delaunay"),
     (r"\buse Arpack\b", "use --solver arpack"),
     (r"\bloosen `rtol`", "loosen --rtol"),
+    (r"\bgive `landmarks`, or try another `k`", "give --landmarks, or try another -k"),
+    (
+        r"\btake Polished or Refined .* such as Arpack\(\)",
+        "take --solver polished or refined, or an exact one such as --solver arpack",
+    ),
 )
+
+
+def stem(file: str) -> str:
+    r"""Return the name of a file for a title: no folder, no ending, bytes of no text as such.
+
+    Examples
+    --------
+    >>> from spectra_kit.cli.words import stem
+    >>> print(stem("cats/b\udcffb.off"))
+    b\xffb
+    """
+    return os.fsencode(Path(file).stem).decode(errors="backslashreplace")
 
 
 def in_options(message: str) -> str:
@@ -31,7 +52,7 @@ def in_options(message: str) -> str:
     Parameters
     ----------
     message : str
-        Of an error, or of `Diagnosis.problems`.
+        Of an error, a warning, or of `Diagnosis.problems`.
 
     Returns
     -------
@@ -40,6 +61,7 @@ def in_options(message: str) -> str:
 
     Examples
     --------
+    >>> from spectra_kit.cli.words import in_options
     >>> in_options("`k` must be at least 1, got 0")
     '`-k` must be at least 1, got 0'
     >>> in_options("2 vertices have no face: mesh.without_unreferenced()")
