@@ -3,22 +3,25 @@
 import importlib.util
 import json
 import re
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
-from spectra_kit import PointCloud
+from spectra_kit import Neo, PointCloud, Spectrum
+from spectra_kit._version import VERSION
+from spectra_kit.benchmarks.code import code_digest
 from spectra_kit.benchmarks.geodesics import (
     CONTENDERS,
     ExactCache,
     NamedMesh,
     Settings,
-    code_digest,
     measure_ball,
     measure_mesh,
+    problems,
     problems_named,
+    truth,
 )
 from spectra_kit.benchmarks.geodesics.contenders import AUTOMATIC, DIRECT, ICPCG, ROBUST, UNAIDED
 from spectra_kit.benchmarks.geodesics.markdown import table
@@ -36,6 +39,7 @@ from spectra_kit.benchmarks.geodesics.truth import relative_errors
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import exact_distances, geodesic_distance
 from spectra_kit.geometry import creature, sphere, write
+from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 
 APP = Path(__file__).parents[1] / "apps" / "benchmark_geodesics.py"
 QUICK = ["--quick", "--repeats", "1", "--sources", "2", "--exact-sources", "2", "--warm", "2"]
@@ -152,7 +156,7 @@ def test_a_finished_mesh_is_not_measured_again(app, measurement, animal, capsys)
     assert json.loads((out / "animal.json").read_text()) == record
 
 
-@pytest.mark.parametrize("changed", ["mesh", "code"])
+@pytest.mark.parametrize("changed", ["mesh", "code", "solvers", "machine"])
 def test_another_mesh_of_that_name_or_another_code_is_measured(
     measurement, animal, tmp_path, changed
 ):
@@ -161,7 +165,7 @@ def test_another_mesh_of_that_name_or_another_code_is_measured(
     if changed == "mesh":
         model = NamedMesh("animal", model.mesh.with_points(2 * model.mesh.points))
     else:
-        record = {**record, "code": "0.0.0+0"}
+        record = {**record, changed: "another"}
     (tmp_path / "animal.json").write_text(json.dumps(record))
     said = []
     # It ends at the first step, once it is clear that it goes on.
@@ -170,8 +174,29 @@ def test_another_mesh_of_that_name_or_another_code_is_measured(
     assert said == ["animal: exact modes"]
 
 
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
+def test_other_weights_have_other_modes(tmp_path, monkeypatch):
+    weights = tmp_path / "weights.safetensors"
+    monkeypatch.setitem(problems.EIGENSOLVERS, "neo", lambda: Neo(weights=weights))
+    model = NamedMesh("ball", sphere(subdivisions=3).geometry)
+    found = []
+    for seed in range(2):
+        torch.manual_seed(seed)
+        save_weights(weights, NeoNetwork(NeoConfig.named("small")), {"steps": 0})
+        found.append(Spectrum.load(problems.spectrum_path(model, "neo", tmp_path)))
+    assert np.abs(found[0].eigenvalues - found[1].eigenvalues).max() > 1e-3
+
+
+def test_exact_distances_are_those_of_the_code(tmp_path, monkeypatch):
+    mesh = sphere(subdivisions=1).geometry
+    right = ExactCache(tmp_path).distances(mesh, 0)
+    monkeypatch.setattr(truth, "code_digest", lambda **options: "another")
+    monkeypatch.setattr(truth, "exact_distances", lambda mesh, source: 2 * right)
+    np.testing.assert_array_equal(ExactCache(tmp_path).distances(mesh, 0), 2 * right)
+
+
 def test_the_code_is_that_of_the_sources(tmp_path):
-    for package in ("geodesics", "linalg", "operators", "viz"):
+    for package in ("geodesics", "linalg", "neo", "operators", "viz"):
         (tmp_path / package).mkdir()
         (tmp_path / package / "a.py").write_text("1")
     first = code_digest(tmp_path)
@@ -180,8 +205,10 @@ def test_the_code_is_that_of_the_sources(tmp_path):
     (tmp_path / "linalg" / "a.py").write_text("2")
     second = code_digest(tmp_path)
     (tmp_path / "linalg" / "a.py").rename(tmp_path / "linalg" / "b.py")
-    assert len({first, second, code_digest(tmp_path), code_digest()}) == 4
-    assert code_digest().startswith(version("spectra_kit") + "+")
+    third = code_digest(tmp_path)
+    (tmp_path / "neo" / "a.py").write_text("2")
+    assert len({first, second, third, code_digest(tmp_path), code_digest()}) == 5
+    assert code_digest().startswith(f"{VERSION}+")
 
 
 def _interrupting(said):

@@ -3,6 +3,7 @@ import importlib.util
 import json
 import math
 import re
+import sys
 import tempfile
 from pathlib import Path
 
@@ -10,8 +11,9 @@ import numpy as np
 import pytest
 from conftest import bumpy
 
-from spectra_kit import Arpack, eigensolve, robust_laplacian
+from spectra_kit import Arpack, Provenance, Spectrum, eigensolve, robust_laplacian
 from spectra_kit.benchmarks import METHODS, Result, Settings, fit_exponent, measure
+from spectra_kit.benchmarks.journal import Journal
 from spectra_kit.benchmarks.methods import QUICK
 from spectra_kit.benchmarks.peers import ScipyEigsh
 from spectra_kit.benchmarks.problems import Problem, read_operator, write_operator
@@ -20,6 +22,7 @@ from spectra_kit.benchmarks.report import markdown
 from spectra_kit.benchmarks.results import summarize
 from spectra_kit.benchmarks.worker import Runner, assemble, refer
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.evaluation import Bench, Case, demo_models, fourier
 from spectra_kit.geometry import sphere, write
 from spectra_kit.metrics import compare_spectra
 from spectra_kit.neo import NeoSubspace
@@ -205,6 +208,53 @@ def test_a_method_with_other_options_is_measured_anew(tmp_path, monkeypatch):
     assert len((tmp_path / "measurements.jsonl").read_text().splitlines()) == 2
 
 
+def test_operators_and_exact_modes_are_those_of_the_code(tmp_path, monkeypatch):
+    settings = Settings(sizes=(600,), k=4, methods=("eigsh",), kinds=("mesh",), repeats=1)
+    measure(settings, tmp_path)
+    module = sys.modules["spectra_kit.benchmarks.measure"]  # its name is the function's, too
+    monkeypatch.setattr(module, "code_digest", lambda: "another")
+    (tmp_path / "measurements.jsonl").unlink()
+    measure(settings, tmp_path)
+    parts = [path.stem.split("-")[1] for path in (tmp_path / "cache").iterdir()]
+    assert sorted(parts) == ["exact", "exact", "operator", "operator"]
+
+
+def test_a_journal_that_was_cut_short_anywhere_goes_on(tmp_path, monkeypatch):
+    path = tmp_path / "journal.jsonl"
+    for n in range(2):
+        Journal(path).add({"n": n}, {"status": "ok"})
+    whole = path.read_text()
+    for end in range(whole.index("\n") + 1, len(whole)):  # the last one lacks the newline alone
+        path.write_text(whole[:end])
+        Journal(path).add({"n": 2}, {"status": "ok"})
+        journal = Journal(path)
+        assert [journal.get({"n": n}) is not None for n in range(3)] == [True, False, True]
+
+    def full(file, text):
+        raise OSError(28, "No space left on device")
+
+    path.write_text(whole[:-1])
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(OSError, match="No space"):
+        Journal(path)
+    assert path.read_text() == whole[:-1]
+
+
+def test_seconds_mean_the_same_in_both_benchmarks(tmp_path):
+    stages = {"assembly": 1.0, "solve": 2.0, "other": 4.0, "certify": 8.0, "verify": 16.0}
+    assert Provenance(seconds=stages).solving_seconds == 6.0
+    case = Case(model=demo_models()[0], points=400)
+    bench = Bench(tmp_path, k=4)
+    [found] = bench.run([(case, fourier(50, 3.0))])
+    [exact] = (Spectrum.load(path) for path in (tmp_path / "exact").iterdir())
+    assert found.exact_seconds == exact.provenance.solving_seconds
+    operator, reference = str(tmp_path / "operator.npz"), str(tmp_path / "exact.npz")
+    assemble({"kind": "mesh", "points": 600, "operator": "robust"}, operator)
+    refer(operator, reference, 4)
+    solved = Runner("arpack", "cpu", operator, reference, 4).solve(keep=False)
+    assert solved["seconds"] == Provenance(seconds=solved["stages"]).solving_seconds
+
+
 def test_modes_are_dropped_when_they_are_compared(tmp_path):
     recipe = {"kind": "mesh", "points": 600, "operator": "robust"}
     operator, exact = str(tmp_path / "operator.npz"), str(tmp_path / "exact.npz")
@@ -251,8 +301,6 @@ def test_clouds_have_the_delaunay_operator_and_meshes_the_robust_one(tmp_path):
     settings = Settings(sizes=(600,), k=4)
     assert settings.operators == {"mesh": "robust", "cloud": "delaunay"}
     assert [p.operator for p in settings.problems()] == ["robust", "delaunay"]
-    chosen = Settings(sizes=(600,), k=4, cloud_operator="robust")
-    assert [p.operator for p in chosen.problems()] == ["robust", "robust"]
     names = [p.assemble().operator.split("(")[0] for p in settings.problems()]
     assert names == ["robust_laplacian", "delaunay_laplacian"]
 
@@ -336,7 +384,6 @@ def test_no_operator_no_solve(tmp_path):
         ({"methods": ("magic",)}, "`methods` must be among fourier"),
         ({"devices": ("tpu",)}, "`devices` must be cpu or cuda, got tpu"),
         ({"kinds": ("volume",)}, "`kind` must be one of"),
-        ({"cloud_operator": "magic"}, "`operator` must be one of"),
         ({"alone_from": 0}, "`alone_from` must be at least 1"),
         ({"sizes": (10,)}, "`sizes` must be at least 500"),
         ({"time_limit": 0.0}, "`time_limit` must be positive"),
@@ -349,7 +396,7 @@ def test_wrong_settings(wrong, message):
 
 
 def test_the_operator_of_clouds_is_not_for_meshes():
-    with pytest.raises(InvalidInputError, match="`operator` delaunay is for clouds"):
+    with pytest.raises(InvalidInputError, match="of a mesh must be robust, got delaunay"):
         Problem(kind="mesh", points=600, operator="delaunay")
 
 

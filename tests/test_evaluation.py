@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from conftest import bumpy, two_parts
 
 from spectra_kit import Neo, RayleighRitz, TriangleMesh, eigensolve
@@ -86,6 +87,24 @@ def test_the_bench_finds_what_the_solvers_find(bench, mesh, method):
     assert found.dimension == dimension
     assert found.mean("value") == pytest.approx(comparison.mean_eigenvalue_error, rel=1e-4)
     assert 0 < found.seconds < 60
+
+
+def test_what_is_timed_is_what_the_solver_does(bench, animal):
+    case = Case(model=animal, points=1200)
+    solved = eigensolve(case.laplacian(), 10, Neo())
+    timed, _ = bench.compare(case, neo(SMALL))[1:]
+    np.testing.assert_array_equal(timed.eigenvalues, solved.eigenvalues)
+    np.testing.assert_array_equal(timed.eigenvectors, solved.eigenvectors)
+    stages = [dict(s.provenance.seconds) for s in (timed, solved)]
+    assert stages[0].keys() - {"subspace"} == stages[1].keys() - {"frame", "forward"}
+
+
+def test_seconds_of_other_threads_are_others(bench, animal, monkeypatch):
+    pair = Case(model=animal, points=400), fourier(50, 3.0)
+    bench.run([pair])
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 99)
+    bench.run([pair])
+    assert len(list((bench.folder / "measurements").iterdir())) == 2
 
 
 def test_a_component_without_room_for_the_subspace_is_exact(bench):
@@ -227,7 +246,7 @@ def test_a_damaged_file_is_told(bench, animal):
     bench.run([pair])
     [path] = (bench.folder / "measurements").iterdir()
     path.write_text("{}")
-    with pytest.raises(InvalidInputError, match=r"must hold a measurement.*delete it"):
+    with pytest.raises(InvalidInputError, match=r"is not a whole measurement.*delete it"):
         bench.run([pair])
 
 

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError
 
 Record = dict[str, Any]
@@ -25,11 +26,13 @@ class Journal:
     Raises
     ------
     InvalidInputError
-        If another line is no record.
+        If a whole line is no record.
 
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
+    >>> from spectra_kit.benchmarks.journal import Journal
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "journal.jsonl"
     ...     record = Journal(path).add({"n": 3}, {"status": "ok"})
@@ -40,20 +43,21 @@ class Journal:
     def __init__(self, path: Path, *, retry: bool = False) -> None:
         self._path = path
         self._records: dict[str, Record] = {}
-        lines = path.read_text().splitlines() if path.exists() else []
-        for number, line in enumerate(lines, start=1):
+        text = path.read_text(errors="replace") if path.exists() else ""
+        if text and not text.endswith("\n"):  # cut short by a crash: measured again
+            text = text[: text.rfind("\n") + 1]
+            with atomic_path(path) as part:
+                part.write_text(text)
+        for number, line in enumerate(text.splitlines(), start=1):
             try:
                 record = json.loads(line)
-                key = record.pop("key")
-            except (ValueError, KeyError, AttributeError) as error:
-                if number == len(lines):  # cut short by a crash: measured again
-                    path.write_text("".join(f"{whole}\n" for whole in lines[:-1]))
-                    break
+                key, good = record.pop("key"), record["status"] == "ok"
+            except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
                 raise InvalidInputError(
                     f"line {number} of {path} must be a measurement, got something else"
                     f" ({error}); remove the line"
                 ) from error
-            if record["status"] == "ok" or not retry:
+            if good or not retry:
                 self._records[_digest(key)] = record
 
     def get(self, key: Record) -> Record | None:

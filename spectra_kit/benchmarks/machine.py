@@ -27,6 +27,7 @@ def describe_machine(*, devices: tuple[str, ...] = ("cpu",)) -> dict[str, object
 
     Examples
     --------
+    >>> from spectra_kit.benchmarks import describe_machine
     >>> sorted(describe_machine())
     ['accelerator', 'cores', 'memory_bytes', 'processor', 'python', 'system', 'versions']
     """

@@ -14,10 +14,11 @@ from typing import IO
 from tqdm import tqdm
 
 from spectra_kit._validate import check_count, check_positive
+from spectra_kit.benchmarks.code import code_digest
 from spectra_kit.benchmarks.journal import Journal, Record
 from spectra_kit.benchmarks.machine import available_memory, current_commit
 from spectra_kit.benchmarks.methods import METHODS
-from spectra_kit.benchmarks.problems import MESH_OPERATOR, Problem
+from spectra_kit.benchmarks.problems import KINDS, Problem
 from spectra_kit.benchmarks.process import StoppedError, Worker
 from spectra_kit.errors import InvalidInputError
 
@@ -43,8 +44,6 @@ class Settings:
         Geometries.
     file : str
         A mesh instead of the demo animal.
-    cloud_operator : str
-        A name in `problems.OPERATORS`, for clouds; meshes have `problems.MESH_OPERATOR`.
     devices : tuple of {"cpu", "cuda"}
         A method that does not know a device is left out there.
     repeats : int
@@ -75,7 +74,6 @@ class Settings:
     methods: tuple[str, ...] = tuple(METHODS)
     kinds: tuple[str, ...] = ("mesh", "cloud")
     file: str = ""
-    cloud_operator: str = "delaunay"
     devices: tuple[str, ...] = ("cpu",)
     repeats: int = 3
     time_limit: float = 300.0
@@ -105,9 +103,7 @@ class Settings:
     @property
     def operators(self) -> dict[str, str]:
         """From each kind of geometry to the name of its operator."""
-        return {
-            kind: self.cloud_operator if kind == "cloud" else MESH_OPERATOR for kind in self.kinds
-        }
+        return {kind: KINDS.get(kind, "") for kind in self.kinds}
 
     def problems(self) -> list[Problem]:
         """Problems, smallest first within each kind; a file's own mesh has one size."""
@@ -137,8 +133,8 @@ def measure(settings: Settings, folder: Path, *, progress: bool = False) -> list
     folder : Path
         Made if missing. ``measurements.jsonl`` gets a line for each solve as soon as it ends, also
         for those that fail; ``cache`` holds operators and exact modes (n * k numbers for each
-        problem) and may be deleted. Measurements made at other commits are kept, those of a method
-        with other options are not.
+        problem, made anew by other code) and may be deleted. Measurements made at other commits are
+        kept, those of a method with other options are not.
     progress : bool, default False
         Show a bar on a terminal.
 
@@ -164,6 +160,8 @@ def measure(settings: Settings, folder: Path, *, progress: bool = False) -> list
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
+    >>> from spectra_kit.benchmarks import Settings, measure
     >>> settings = Settings(sizes=(600,), k=6, methods=("arpack",), kinds=("mesh",), repeats=1)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     [record] = measure(settings, Path(folder))
@@ -221,7 +219,8 @@ class _Stand:
     def __init__(self, problem: Problem, settings: Settings, folder: Path, log: IO[bytes]) -> None:
         self.problem, self.settings, self.log = problem, settings, log
         self.key = {"schema": SCHEMA, **problem.key(), "k": settings.k}
-        name = hashlib.sha256(json.dumps(self.key, sort_keys=True).encode()).hexdigest()[:24]
+        made_by = {**self.key, "code": code_digest()}
+        name = hashlib.sha256(json.dumps(made_by, sort_keys=True).encode()).hexdigest()[:24]
         self._files = {
             part: str(folder / "cache" / f"{name}-{part}.npz") for part in ("operator", "exact")
         }

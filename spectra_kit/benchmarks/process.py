@@ -36,8 +36,9 @@ class Worker:
     Examples
     --------
     >>> import tempfile
+    >>> from spectra_kit.benchmarks.process import Worker
     >>> with tempfile.TemporaryFile() as log, Worker(threads=1, log=log) as worker:
-    ...     worker.ask({"do": "solve", "compare": False, "unknown": 0}, seconds=0.0)
+    ...     worker.ask({"do": "solve", "keep": False}, seconds=0.0)
     Traceback (most recent call last):
     spectra_kit.benchmarks.process.StoppedError: took more than 0 s
     """

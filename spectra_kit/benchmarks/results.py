@@ -182,6 +182,7 @@ def fit_exponent(n: Sequence[float], seconds: Sequence[float]) -> float:
 
     Examples
     --------
+    >>> from spectra_kit.benchmarks import fit_exponent
     >>> fit_exponent([1000, 10_000, 100_000], [0.02, 0.2, 2.0])
     1.0
     """

@@ -31,7 +31,7 @@ class Case:
         Width of the spot around which the samples crowd, as a share of the diagonal of the
         bounding box (see `geometry.GaussianDensity`); None samples uniformly.
     operator : {"robust", "cotan", "knn"}
-        Which Laplacian. The second needs ``points=None``.
+        Which Laplacian; the first is the Delaunay one on sampled points, where there is no second.
     rotation : int or None
         Seed of a random rotation of the points. Stiffness and mass are left alone, so the exact
         modes are those of the case without it.
@@ -45,7 +45,7 @@ class Case:
 
     Examples
     --------
-    >>> from spectra_kit.evaluation import demo_models
+    >>> from spectra_kit.evaluation import Case, demo_models
     >>> case = Case(model=demo_models()[0], points=500, rotation=3)
     >>> case.laplacian().n, case.n
     (500, 500)
@@ -71,13 +71,18 @@ class Case:
         """Number of points."""
         return self.model.mesh.n if self.points is None else self.points
 
+    @property
+    def _is_delaunay(self) -> bool:
+        return self.operator == "robust" and self.points is not None
+
     def key(self) -> dict[str, object]:
         """Everything that decides the eigenproblem, as JSON."""
         return {
             "model": self.model.digest,
             "points": self.points,
             "sigma": self.sigma,
-            "operator": self.operator,
+            # As records of the tufted operator, which sampled points had once, say "robust".
+            "operator": "delaunay" if self._is_delaunay else self.operator,
             "rotation": self.rotation,
             # Vertices are not drawn.
             "seed": None if self.points is None else self.seed,

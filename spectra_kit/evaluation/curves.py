@@ -65,6 +65,7 @@ def training_curve(weights: Weights) -> Curve:
 
     Examples
     --------
+    >>> from spectra_kit.evaluation import Weights, training_curve
     >>> curve = training_curve(Weights("small"))
     >>> bool(curve.errors[-1] < curve.errors[0])
     True

@@ -200,11 +200,11 @@ def sampling_findings(rows: Sequence[Row]) -> list[Finding]:
 
 
 def operator_findings(rows: Sequence[Row]) -> list[Finding]:
-    """Every operator against the robust Laplacian of a cloud."""
+    """Every operator against the Delaunay Laplacian of a cloud."""
     found = []
     for row in rows:
         for other in _beside(rows, row):
-            if other.labels["operator"] == "cloud, robust" and other is not row:
+            if other.labels["operator"] == "cloud, Delaunay" and other is not row:
                 text = f"{row.place()}, {row.labels['operator']}: times the error on clouds"
                 found.append(Finding(text, row.mean() / other.mean()))
     return found

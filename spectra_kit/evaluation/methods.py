@@ -157,6 +157,7 @@ def neo(
 
     Examples
     --------
+    >>> from spectra_kit.evaluation import Weights, neo
     >>> method = neo(Weights("small"), poses=2)
     >>> method.name, method.columns
     ('neo small, 2 poses', 513)
@@ -192,6 +193,7 @@ def fourier(m: int, bandwidth: float, *, device: str = "cpu") -> Method:
 
     Examples
     --------
+    >>> from spectra_kit.evaluation import fourier
     >>> fourier(193, 7.0).name
     'fourier m=193, bandwidth 7'
     """
@@ -219,6 +221,7 @@ def joined(parts: Sequence[Method]) -> Method:
 
     Examples
     --------
+    >>> from spectra_kit.evaluation import fourier, joined
     >>> joined([fourier(40, 5.0), fourier(60, 9.0)]).columns
     100
     """

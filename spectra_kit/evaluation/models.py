@@ -91,6 +91,7 @@ def procedural_models(n: int, *, seed: int) -> tuple[Model, ...]:
 
     Examples
     --------
+    >>> from spectra_kit.evaluation import procedural_models
     >>> len(procedural_models(2, seed=3))
     2
     """
@@ -116,14 +117,15 @@ def demo_models(n: int = 1) -> tuple[Model, ...]:
 
 
 def _procedural(config: CorpusConfig, index: int) -> Model:
-    for attempt in itertools.count():
+    attempts = itertools.count()
+    while True:
+        attempt = next(attempts)
         source = draw_source(config, index, attempt)
         try:
             mesh = _clean(make_surface(config, source, index, attempt))
         except InvalidInputError:  # an empty surface: documented, rare, and not a sample either
             continue
         return Model(f"{list(FAMILIES)[source['family']]} {index}", mesh)
-    raise AssertionError("itertools.count ended")
 
 
 def _clean(mesh: object) -> TriangleMesh:

@@ -90,6 +90,7 @@ def write_training(weights: Sequence[Weights], folder: str | os.PathLike[str]) -
     Examples
     --------
     >>> import tempfile
+    >>> from spectra_kit.evaluation import Weights, write_training
     >>> print(write_training([Weights("small")], tempfile.mkdtemp()).name)
     training.md
     """

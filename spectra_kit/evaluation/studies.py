@@ -264,7 +264,7 @@ def _sampling(settings: Settings) -> Iterator[Line]:
 
 def _operators(settings: Settings) -> Iterator[Line]:
     recipes: dict[str, dict[str, Any]] = {
-        "cloud, robust": {"points": settings.focus},
+        "cloud, Delaunay": {"points": settings.focus},
         "cloud, k-NN graph": {"points": settings.focus, "operator": "knn"},
         "mesh, robust": {"points": None},
         "mesh, cotangent": {"points": None, "operator": "cotan"},
@@ -334,7 +334,7 @@ STUDIES: dict[str, Study] = {
     ),
     "operators": Study(
         "Transfer to other Laplacians",
-        "The network saw robust Laplacians of clouds in training. Meshes enter with their vertices"
+        "The network saw Laplacians of clouds in training. Meshes enter with their vertices"
         " as points. Each operator has its own exact modes.",
         _operators,
         operator_findings,

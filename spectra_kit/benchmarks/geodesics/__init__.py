@@ -6,7 +6,6 @@ kept on disk) and `ball` (rates on the sphere) -> `report`.
 """
 
 from spectra_kit.benchmarks.geodesics.ball import measure_ball
-from spectra_kit.benchmarks.geodesics.code import code_digest
 from spectra_kit.benchmarks.geodesics.contenders import CONTENDERS
 from spectra_kit.benchmarks.geodesics.measure import Settings, measure_mesh
 from spectra_kit.benchmarks.geodesics.problems import NamedMesh, problems_named
@@ -18,7 +17,6 @@ __all__ = [
     "ExactCache",
     "NamedMesh",
     "Settings",
-    "code_digest",
     "measure_ball",
     "measure_mesh",
     "problems_named",

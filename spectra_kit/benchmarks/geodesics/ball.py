@@ -36,6 +36,7 @@ def measure_ball(subdivisions: Sequence[int] = (3, 4, 5, 6), *, seed: int = 0) -
 
     Examples
     --------
+    >>> from spectra_kit.benchmarks.geodesics import measure_ball
     >>> errors = measure_ball([2, 3])["mesh"]["direct"]["mean"]
     >>> errors[1] < 0.6 * errors[0]
     True

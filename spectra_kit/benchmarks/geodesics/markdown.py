@@ -24,6 +24,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
     Examples
     --------
+    >>> from spectra_kit.benchmarks.geodesics.markdown import table
     >>> print(table(["mesh", "n"], [["bunny", "7"]]))
     | mesh  |  n |
     | :---- | -: |

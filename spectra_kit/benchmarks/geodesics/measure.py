@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import platform
 import statistics
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -11,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from spectra_kit._files import atomic_path
+from spectra_kit._files import atomic_path, parsing
 from spectra_kit._validate import check_count
-from spectra_kit.benchmarks.geodesics.code import code_digest
+from spectra_kit.benchmarks.code import code_digest
 from spectra_kit.benchmarks.geodesics.contenders import (
     CONTENDERS,
     DIRECT,
@@ -92,7 +93,7 @@ class Settings:
 
 
 def measure_mesh(model: NamedMesh, settings: Settings, folder: Path, *, say: Say) -> Record:
-    """Measure one mesh, or read what the same code measured with the same settings.
+    """Measure one mesh, or read what the same code measured here with the same settings.
 
     Parameters
     ----------
@@ -120,11 +121,14 @@ def measure_mesh(model: NamedMesh, settings: Settings, folder: Path, *, say: Say
         "name": model.name,
         "digest": model.digest,
         "code": code_digest(),
+        "solvers": {kind: repr(make()) for kind, make in EIGENSOLVERS.items()},
+        "machine": platform.node(),
         "settings": asdict(settings),
     }
     path = folder / f"{model.name}.json"
     if path.exists():
-        known: Record = json.loads(path.read_text())
+        with parsing(path, "measurement", remedy="delete it"):
+            known: Record = dict(json.loads(path.read_text()))
         if all(known.get(key) == value for key, value in record.items()):
             say(f"{model.name}: measured before")
             return known

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from spectra_kit._files import atomic_path
+from spectra_kit.benchmarks.code import code_digest
 from spectra_kit.benchmarks.geodesics.contenders import MODES
 from spectra_kit.benchmarks.geodesics.truth import ExactCache
 from spectra_kit.eigensolvers import Arpack, Eigensolver, Polished, eigensolve
@@ -120,7 +121,7 @@ def choose_sources(model: NamedMesh, count: int, truth: ExactCache, *, seed: int
 
 
 def spectrum_path(model: NamedMesh, kind: str, folder: Path) -> Path:
-    """Solve for the modes of a mesh into a file, if they are not there.
+    """Solve for the modes of a mesh into a file, if the same solver and code have not done so.
 
     Parameters
     ----------
@@ -136,11 +137,14 @@ def spectrum_path(model: NamedMesh, kind: str, folder: Path) -> Path:
     Path
         Of a `Spectrum` with `MODES` modes beyond the kernel, as far as there are.
     """
-    path = folder / f"{model.name}-{model.digest[:12]}-{kind}.npz"
+    solver = EIGENSOLVERS[kind]()  # its representation holds the hash of the weights
+    key = f"{model.digest} {MODES} {solver!r} {code_digest()}"
+    digest = hashlib.blake2b(key.encode(), digest_size=12).hexdigest()
+    path = folder / f"{model.name}-{kind}-{digest}.npz"
     if not path.exists():
         laplacian = intrinsic_delaunay(model.mesh).laplacian
         k = min(MODES + laplacian.kernel_dimension, laplacian.n - 1)
-        spectrum = eigensolve(laplacian, k, EIGENSOLVERS[kind]())
+        spectrum = eigensolve(laplacian, k, solver)
         with atomic_path(path) as part:
             spectrum.save(part)
     return path

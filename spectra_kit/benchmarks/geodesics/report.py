@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from spectra_kit._files import atomic_path
+from spectra_kit._version import VERSION
 from spectra_kit.benchmarks.geodesics.contenders import (
     AUTOMATIC,
     CONTENDERS,
@@ -32,7 +33,7 @@ from spectra_kit.benchmarks.geodesics.records import (
 from spectra_kit.benchmarks.geodesics.summary import summary_table
 from spectra_kit.benchmarks.machine import describe_machine
 
-_PACKAGES = ("spectra_kit", "potpourri3d", "libigl", "numpy", "scipy", "numba", "cholespy")
+_PACKAGES = ("potpourri3d", "libigl", "numpy", "scipy", "numba", "cholespy")
 
 
 def write_geodesic_report(records: Sequence[Record], ball: Record, path: Path) -> str:
@@ -54,7 +55,8 @@ def write_geodesic_report(records: Sequence[Record], ball: Record, path: Path) -
     """
     settings = records[0]["settings"]
     machine = describe_machine()
-    versions = ", ".join(f"{name} {version(name)}" for name in _PACKAGES)
+    others = (f"{name} {version(name)}" for name in _PACKAGES)
+    versions = ", ".join([f"spectra_kit {VERSION}", *others])
     parts = [
         "# Geodesic distances",
         f"{machine['processor']}, {machine['cores']} cores, {settings['threads']} threads;"

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spectra_kit.correspondence import geodesic_errors
+from spectra_kit.correspondence import MapErrors, geodesic_errors
 from spectra_kit.evaluation.matching.measure import THRESHOLDS
 from spectra_kit.evaluation.matching.protocols import Protocol
 from spectra_kit.evaluation.matching.runner import Run, Settings
@@ -19,9 +19,6 @@ from spectra_kit.evaluation.matching.summaries import BAD, Name, Summary, counte
 from spectra_kit.evaluation.matching.table import Task
 from spectra_kit.viz import MatchedPair, plot_correspondences
 from spectra_kit.viz.sheet import LINE_COLOURS, save
-
-if TYPE_CHECKING:
-    pass
 
 Floats = NDArray[np.float64]
 
@@ -125,10 +122,10 @@ def _drawn(settings: Settings, task: Task, name: str) -> MatchedPair:
     )
 
 
-def _spread(source: Subject, target: Subject, point_map: NDArray[np.int64]) -> Floats:
+def _spread(source: Subject, target: Subject, point_map: NDArray[np.int64]) -> MapErrors:
     """Direct errors along edges on all target points: each has that of the nearest landmark."""
     truth = truth_between(source, target)
     errors = geodesic_errors(source.mesh, point_map, truth)
     points = target.mesh.points
     _, nearest = cKDTree(points[truth.target]).query(points)
-    return np.asarray(errors[nearest])
+    return MapErrors(errors[nearest], np.arange(len(points)))

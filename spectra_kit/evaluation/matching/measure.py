@@ -22,14 +22,9 @@ from spectra_kit.correspondence import (
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.evaluation.matching.methods import Outcome
 from spectra_kit.evaluation.matching.subjects import Subject, truth_between
-from spectra_kit.functional_maps import (
-    functional_map_from_point_map,
-    point_map_from_functional_map,
-)
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators import robust_laplacian
 from spectra_kit.operators.orientation import oriented_triangles
-from spectra_kit.spectrum import Spectrum
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -37,7 +32,6 @@ Geodesics = Literal["edges", "exact"]
 
 #: Where accuracy curves are taken, in hundredths of the root of the area.
 THRESHOLDS = frozen(np.linspace(0, 10, 41))
-_WAY_BACK = 100  # modes of the functional map whose transpose leads back
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -109,7 +103,7 @@ def measure_pair(
     outcome : Outcome
         Of a method; its map is between vertices.
     back : array_like of shape (n1,), integers
-        Target vertex of each source vertex; see `way_back`.
+        Target vertex of each source vertex; see `correspondence.way_back`.
     best : array_like of shape (n2,), integers, optional
         Map of the candidate that is best by the truth, if another than the chosen one.
     geodesics : {"edges", "exact"}, default "edges"
@@ -147,28 +141,6 @@ def measure_pair(
         accuracy=accuracy_curve(errors.direct, THRESHOLDS),
         accuracy_either=accuracy_curve(errors.either, THRESHOLDS),
     )
-
-
-def way_back(source: Spectrum, target: Spectrum, point_map: Ints) -> Ints:
-    """Return the target point of each source point, by the transpose of the functional map.
-
-    Of a bijection that keeps areas the functional map is orthogonal, and its transpose leads back.
-
-    Parameters
-    ----------
-    source, target : Spectrum
-        With n1 and n2 points.
-    point_map : ndarray of shape (n2,)
-        Source point of each target point.
-
-    Returns
-    -------
-    ndarray of shape (n1,)
-        Target points.
-    """
-    k = min(_WAY_BACK, source.k, target.k)
-    C = functional_map_from_point_map(source, target, point_map, k=k)
-    return point_map_from_functional_map(target, source, C.T)
 
 
 def _orientation(source: TriangleMesh, target: TriangleMesh, point_map: Ints) -> float:

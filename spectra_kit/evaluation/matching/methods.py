@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._files import temporary_folder
 from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
 from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
 from spectra_kit.evaluation.matching import pyfm_peer
@@ -160,8 +159,8 @@ def match_pyfm(source: Side, target: Side, *, python: str = sys.executable) -> O
         target.geometry, TriangleMesh
     ):
         raise InvalidInputError("`source` and `target` must be meshes: pyFM knows no clouds")
-    with tempfile.TemporaryDirectory() as folder:
-        given, answer = Path(folder) / "in.npz", Path(folder) / "out.npz"
+    with temporary_folder() as folder:
+        given, answer = folder / "in.npz", folder / "out.npz"
         np.savez(
             given,
             V1=source.geometry.points,

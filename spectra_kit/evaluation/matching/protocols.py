@@ -80,7 +80,7 @@ def make_protocol(
 
     Examples
     --------
-    >>> from spectra_kit.evaluation.matching import demo_subjects
+    >>> from spectra_kit.evaluation.matching import demo_subjects, make_protocol
     >>> subjects = demo_subjects(500, poses=3).values()
     >>> make_protocol("random", subjects, count=2, seed=1).pairs
     (('creature...', 'creature...'), ('creature...', 'creature...'))

@@ -13,8 +13,9 @@ import numpy as np
 
 from spectra_kit._files import atomic_path
 from spectra_kit._validate import check_count
+from spectra_kit.correspondence import way_back
 from spectra_kit.errors import InvalidInputError, SpectraKitError
-from spectra_kit.evaluation.matching.measure import Geodesics, PairResult, measure_pair, way_back
+from spectra_kit.evaluation.matching.measure import Geodesics, PairResult, measure_pair
 from spectra_kit.evaluation.matching.methods import METHODS, Side, match_pyfm
 from spectra_kit.evaluation.matching.oracle import best_candidate
 from spectra_kit.evaluation.matching.processes import done, workers
@@ -74,9 +75,10 @@ class Settings:
         )
 
     def map_path(self, task: Task) -> Path:
-        """Return where the point map of a task lies."""
+        """Return where the point map of a task lies: named by what its result is remembered by."""
         run = f"{task.kind}-{task.backend}-{task.method}"
-        return self.folder / "maps" / run / f"{task.source}--{task.target}.npy"
+        name = f"{task.source}--{task.target}--{self.digest(task)}.npy"
+        return self.folder / "maps" / run / name
 
     def digest(self, task: Task) -> str:
         """Hash of what a result is remembered by: the inputs and how they are measured.
@@ -90,6 +92,8 @@ class Settings:
             digest.update(self.spectrum_path(name, task.kind, task.backend).name.encode())
         if self.geodesics != "edges":
             digest.update(self.geodesics.encode())
+        if task.method == "pyfm" and self.pyfm_python:
+            digest.update(self.pyfm_python.encode())
         return digest.hexdigest()
 
 
@@ -137,6 +141,7 @@ def make_tasks(
 
     Examples
     --------
+    >>> from spectra_kit.evaluation.matching import make_tasks
     >>> len(make_tasks([("a", "b"), ("b", "a")], kinds=["mesh", "cloud"]))
     4
 
@@ -165,7 +170,7 @@ def make_tasks(
 def run_tasks(
     tasks: Sequence[Task], settings: Settings, *, jobs: int = 1, progress: bool = False
 ) -> Run:
-    """Match every pair that has not been matched before.
+    """Match every pair whose result or map is missing.
 
     Parameters
     ----------
@@ -189,7 +194,11 @@ def run_tasks(
     (settings.folder / "spectra").mkdir(parents=True, exist_ok=True)
     table = PairTable(settings.folder / "pairs.csv")
     digests = {task: settings.digest(task) for task in tasks}
-    missing = [task for task in tasks if table.get(task, digests[task]) is None]
+    missing = [
+        task
+        for task in tasks
+        if table.get(task, digests[task]) is None or not settings.map_path(task).exists()
+    ]
     run = Run()
     if missing:
         for path in {settings.map_path(task).parent for task in missing}:

@@ -35,6 +35,7 @@ def make_solver(backend: str, weights: str = "small") -> Eigensolver:
 
     Examples
     --------
+    >>> from spectra_kit.evaluation.matching.spectra import make_solver
     >>> make_solver("exact")
     Arpack(...)
     """

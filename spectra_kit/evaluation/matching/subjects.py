@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import zipfile
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._files import parsing
 from spectra_kit._validate import Rebuilt, check_count, check_indices, frozen
 from spectra_kit.correspondence import Truth
 from spectra_kit.errors import InvalidInputError
@@ -148,6 +148,7 @@ def demo_subjects(n_points: int = 1000, *, poses: int = 4) -> dict[str, Subject]
 
     Examples
     --------
+    >>> from spectra_kit.evaluation.matching import demo_subjects
     >>> list(demo_subjects(600, poses=2))
     ['creature0', 'creature1']
     """
@@ -160,12 +161,13 @@ def demo_subjects(n_points: int = 1000, *, poses: int = 4) -> dict[str, Subject]
 
 
 def _read(path: Path) -> Subject | None:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            if not set(_KEYS) <= set(file.files):
-                return None
-            arrays = dict(file.items())
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InvalidInputError(f"cannot read {path}: {error}") from error
-    mesh = TriangleMesh(arrays["V"].astype(np.float64), arrays["F"].astype(np.int64))
-    return Subject(path.stem, mesh, arrays["corres"], arrays.get("corres_sym"))
+    with (
+        parsing(path, "subject", remedy="copy it there again"),
+        path.open("rb") as raw,  # which np.load would not close if it cannot read it
+        np.load(raw, allow_pickle=False) as file,
+    ):
+        if not set(_KEYS) <= set(file.files):
+            return None
+        arrays = dict(file.items())
+        mesh = TriangleMesh(arrays["V"].astype(np.float64), arrays["F"].astype(np.int64))
+        return Subject(path.stem, mesh, arrays["corres"], arrays.get("corres_sym"))

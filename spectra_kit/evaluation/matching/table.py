@@ -59,6 +59,8 @@ class PairTable:
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
+    >>> from spectra_kit.evaluation.matching import PairTable, Task
     >>> path = Path(tempfile.mkdtemp()) / "pairs.csv"
     >>> PairTable(path).get(Task("a", "b", "mesh", "exact", "wks-zoomout"), "0") is None
     True
