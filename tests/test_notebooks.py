@@ -5,6 +5,8 @@ Set ``SPECTRA_KIT_EXECUTED_NOTEBOOKS`` to a folder to keep the executed copies.
 
 import os
 import re
+import shutil
+import subprocess
 from pathlib import Path
 
 import nbformat
@@ -76,6 +78,27 @@ def test_notebook_reads_like_a_lecture(path: Path) -> None:
     kinds = [cell.cell_type for cell in rest]
     assert kinds.count("markdown") >= kinds.count("code") / 2
     assert max(cell.source.count("\n") for cell in rest) < 25
+
+
+def test_git_ignores_what_notebooks_write(tmp_path: Path) -> None:
+    git = shutil.which("git") or pytest.skip("git is not installed")
+    shutil.copy(NOTEBOOKS[0].parents[1] / ".gitignore", tmp_path)
+    folder = tmp_path / "notebooks"
+    folder.mkdir()
+    code = "".join(c.source for path in NOTEBOOKS for c in read(path).cells)
+    written = re.findall(r'"([\w.]+\.(?:png|gif|npz|html|safetensors))"', code)
+    assert len(written) > 9
+    for name in (*written, "another.ipynb"):
+        (folder / name).touch()
+    subprocess.run([git, "init", "-q", str(tmp_path)], check=True)
+    status = subprocess.run(
+        [git, "-C", str(tmp_path), "status", "--porcelain", "-uall"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "?? notebooks/another.ipynb" in status.stdout
+    assert status.stdout.count("notebooks/") == 1
 
 
 def test_the_course_is_complete() -> None:
