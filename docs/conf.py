@@ -3,6 +3,7 @@
 Nothing is fetched, neither while the pages are built nor when they are read.
 """
 
+import os
 import sys
 from pathlib import Path
 
@@ -43,11 +44,16 @@ numpydoc_class_members_toctree = False
 DEFAULT_LINKS.clear()  # to the pages of Python and NumPy, which need a network
 numpydoc_xref_param_type = True
 numpydoc_xref_ignore = "all"
-numpydoc_xref_aliases = {name: f"sk.{name}" for name in spectra_kit.__all__ if name[0].isupper()}
+numpydoc_xref_aliases = {name: f"sk.{name}" for name in dir(spectra_kit) if name[0].isupper()}
 
 myst_heading_anchors = 3
 myst_enable_extensions = ["attrs_block", "colon_fence"]
-nb_execution_mode = "off"  # a test executes the notebooks and leaves the copies to show
+# Notebooks are committed without outputs: they are run once, and again when their code changes.
+# Where a test has run them, the copies that it left are shown as they are.
+nb_execution_mode = "off" if os.environ.get("SPECTRA_KIT_EXECUTED_NOTEBOOKS") else "cache"
+nb_execution_in_temp = True  # for what they write
+nb_execution_timeout = 300  # seconds of one cell
+nb_execution_raise_on_error = True
 nb_merge_streams = True
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True

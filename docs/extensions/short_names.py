@@ -21,7 +21,8 @@ def resolve(
         return None
     target = node["reftarget"].removeprefix("sk.")
     # A word alone is more often an argument: `count`, `geometry`, `laplacian`.
-    if target.isalpha() and target.islower() and target not in spectra_kit.__all__:
+    word = target.isalpha() and target.islower()
+    if word and not callable(getattr(spectra_kit, target, None)):
         return None
     kinds = (*_KINDS, "method", "property", "attribute") if "." in target else _KINDS
     found = {
