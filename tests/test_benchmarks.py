@@ -153,10 +153,16 @@ def test_peers_agree_with_arpack(name):
 def test_eigsh_is_measured_at_our_tolerance_too():
     loose = METHODS["eigsh-1e-6"].make("cpu")
     assert loose == dataclasses.replace(METHODS["eigsh"].make("cpu"), tol=1e-6)
-    laplacian = robust_laplacian(sphere(subdivisions=4).geometry)
-    exact, loosened = (eigensolve(laplacian, 25, METHODS[m].make("cpu")) for m in PEERS[:2])
-    residuals = [s.certificate.relative_residuals.max() for s in (exact, loosened)]
-    assert residuals[0] < 1e-9 < residuals[1] < 1e-4
+    laplacian = robust_laplacian(bumpy())
+    # Lanczos stops at a restart: with one number of modes it may have more digits than asked for.
+    residuals = {
+        m: max(
+            eigensolve(laplacian, k, METHODS[m].make("cpu")).certificate.relative_residuals.max()
+            for k in (8, 12, 20, 25, 40)
+        )
+        for m in PEERS[:2]
+    }
+    assert residuals["eigsh"] < 1e-9 < residuals["eigsh-1e-6"] < 1e-4
 
 
 def test_the_tolerance_of_each_method_is_the_one_told():
