@@ -190,7 +190,6 @@ def map_errors(
     p = check_indices("point_map", point_map, mesh.n)
     if p.ndim != 1:
         raise InvalidInputError(f"`point_map` must have shape (n2,), got {p.shape}")
-    _check_truth(truth)
     at = check_indices("truth.target", truth.target, len(p))
     goals = [truth.source] if truth.symmetric is None else [truth.source, truth.symmetric]
     found = geodesic_distances(
@@ -235,7 +234,6 @@ def geodesic_errors(
     >>> geodesic_errors(mesh, [0, 1], Truth([0, 1], [0, 1]))
     array([0., 0.])
     """
-    _check_truth(truth)
     return map_errors(mesh, point_map, Truth(truth.source, truth.target), method=method).direct
 
 
@@ -290,14 +288,6 @@ def auc(errors: ArrayLike, *, limit: float = 10.0) -> float:
     """
     limit = check_positive("limit", limit)
     return float(np.mean(1 - np.minimum(_errors("errors", errors), limit) / limit))
-
-
-def _check_truth(truth: Truth) -> None:
-    if not isinstance(truth, Truth):
-        raise InvalidInputError(
-            f"`truth` must be a Truth, got {type(truth).__name__}; of a true point map it is"
-            " Truth.of_map(point_map)"
-        )
 
 
 def _errors(name: str, values: ArrayLike) -> Floats:

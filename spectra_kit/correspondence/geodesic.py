@@ -71,13 +71,6 @@ def geodesic_distances(
     >>> geodesic_distances(mesh, [z.argmax()], [z.argmin()], method="exact")
     array([3.13...])
     """
-    if method not in ("edges", "exact"):
-        raise InvalidInputError(f"`method` must be 'edges' or 'exact', got {method!r}")
-    if not isinstance(mesh, TriangleMesh):
-        raise InvalidInputError(
-            f"`mesh` must be a TriangleMesh, got a {type(mesh).__name__}; distances along a"
-            " surface need its triangles"
-        )
     a = check_indices("starts", starts, mesh.n)
     b = check_indices("ends", ends, mesh.n)
     if a.ndim != 1 or a.shape != b.shape:

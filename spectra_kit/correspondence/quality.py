@@ -93,12 +93,6 @@ def dirichlet_energy(source: Laplacian, target: Laplacian, point_map: ArrayLike)
     >>> round(dirichlet_energy(laplacian, laplacian, range(laplacian.n)), 6)
     1.0
     """
-    for name, side in (("source", source), ("target", target)):
-        if not isinstance(side, Laplacian):
-            raise InvalidInputError(
-                f"`{name}` must be a Laplacian, got {type(side).__name__};"
-                " pass robust_laplacian(geometry)"
-            )
     p = _checked(point_map, source.n, target.n)
     X = source.points[p]
     return float(np.sum(X * (target.stiffness @ X)) / (2 * source.area))

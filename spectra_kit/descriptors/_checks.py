@@ -13,18 +13,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def check_spectrum(spectrum: Spectrum) -> None:
-    """Refuse what is no spectrum, such as the mesh itself."""
-    if not isinstance(spectrum, Spectrum):
-        raise InvalidInputError(
-            f"`spectrum` must be a Spectrum, got {type(spectrum).__name__};"
-            " solve for one: eigensolve(robust_laplacian(mesh), 50)"
-        )
-
-
 def outside_kernel(spectrum: Spectrum) -> Spectrum:
     """Return the modes outside the kernel, of which there must be at least one."""
-    check_spectrum(spectrum)
     modes = spectrum.nonzero()
     if modes.k == 0:
         raise InvalidInputError(
@@ -68,7 +58,6 @@ def check_times(values: ArrayLike) -> Floats:
 
 def check_sources(name: str, values: ArrayLike, spectrum: Spectrum) -> Ints:
     """Return `values` as a vector of at least one index of a point."""
-    check_spectrum(spectrum)
     if np.shape(values) == (0,):  # before the dtype: an empty list is one of floats to NumPy
         raise InvalidInputError(f"`{name}` must name at least one point, got none")
     indices = check_indices(name, values, spectrum.n)

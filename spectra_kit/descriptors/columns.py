@@ -7,7 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._checked import checked
 from spectra_kit._validate import real_array
-from spectra_kit.descriptors._checks import check_spectrum
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectrum import Spectrum
 
@@ -52,7 +51,6 @@ def normalize_descriptors(
     array([[ 1.],
            [-1.]])
     """
-    check_spectrum(spectrum)
     columns = real_array("descriptors", descriptors)
     if columns.ndim != 2 or len(columns) != spectrum.n:
         raise InvalidInputError(

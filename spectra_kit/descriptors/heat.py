@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._checked import checked
-from spectra_kit.descriptors._checks import check_sources, check_spectrum, check_times
+from spectra_kit.descriptors._checks import check_sources, check_times
 from spectra_kit.descriptors.grids import heat_times
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.spectrum import Spectrum
@@ -110,7 +110,6 @@ def heat_kernel_signature(
     >>> hks[0] * 4 * 3.14159
     array([4.366..., 1.005...])
     """
-    check_spectrum(spectrum)
     times = heat_times(spectrum, count) if times is None else check_times(times)
     weights = heat_weights(spectrum, times, scaled=scaled)
     with blas_threads_for(spectrum.eigenvectors.size):

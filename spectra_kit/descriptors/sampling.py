@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
 from spectra_kit._validate import check_count
-from spectra_kit.descriptors._checks import check_spectrum
 from spectra_kit.descriptors.distances import biharmonic_embedding, kernel_labels
 from spectra_kit.spectrum import Spectrum
 
@@ -57,7 +56,6 @@ def farthest_points(spectrum: Spectrum, count: int, *, start: int | None = None)
     >>> farthest_points(sk.eigensolve(laplacian, 30), 2, start=0)  # opposite corners
     array([ 0, 99])
     """
-    check_spectrum(spectrum)
     check_count("count", count, low=1, high=spectrum.n)
     embedding, labels = biharmonic_embedding(spectrum), kernel_labels(spectrum)
     from_middle = np.sum(embedding**2, axis=1)  # squared, as all that follows

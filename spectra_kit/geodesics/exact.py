@@ -15,7 +15,6 @@ from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.geometry._units import component_units
-from spectra_kit.geometry.shapes import check_mesh
 
 if TYPE_CHECKING:
     from spectra_kit.geodesics._exact_kernels import Soup
@@ -101,7 +100,6 @@ def exact_distances(
     >>> exact_distances(TriangleMesh(points, faces), 0)[[1, 3, 7]]
     array([1.    , 1.4142, 2.2360])
     """
-    check_mesh("mesh", mesh)
     checked = check_sources(sources, mesh)
     if checked.offsets.any():
         raise InvalidInputError(

@@ -129,15 +129,6 @@ class HeatGeodesics:
         time_coefficient: float = 1.0,
         boundary: Boundary = "neumann",
     ) -> None:
-        if not isinstance(solver, Direct | Iterative | Automatic):
-            raise InvalidInputError(
-                "`solver` must be Direct(), Iterative() or Automatic(),"
-                f" got {type(solver).__name__}"
-            )
-        if boundary not in ("neumann", "dirichlet", "average"):
-            raise InvalidInputError(
-                f"`boundary` must be 'neumann', 'dirichlet' or 'average', got {boundary!r}"
-            )
         if not 1 / _LONGEST <= check_positive("time_coefficient", time_coefficient) <= _LONGEST:
             raise InvalidInputError(
                 f"`time_coefficient` must be in [{1 / _LONGEST:g}, {_LONGEST:g}], got"
@@ -147,10 +138,6 @@ class HeatGeodesics:
             self.triangulation = geometry
         else:
             self.triangulation = intrinsic_delaunay(geometry)
-        if spectrum is not None and not isinstance(spectrum, Spectrum):
-            raise InvalidInputError(
-                f"`spectrum` must be a Spectrum, got {type(spectrum).__name__}; see `eigensolve`"
-            )
         if spectrum is not None and spectrum.n != self.triangulation.n:
             raise InvalidInputError(
                 f"`spectrum` must have the {self.triangulation.n} points of `geometry`, got one of"

@@ -14,7 +14,6 @@ from spectra_kit._validate import check_count, check_indices, frozen, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.geometry._units import box_unit
-from spectra_kit.operators._checks import check_geometry
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -266,7 +265,6 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
     >>> nearest_source(mesh.as_cloud(), [0.0, 1.0, 5.0])
     0
     """
-    check_geometry(geometry)
     target = real_array("coordinate", coordinate)
     if target.shape != (3,):
         raise InvalidInputError(f"`coordinate` must have shape (3,), got {target.shape}")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from spectra_kit._checked import checked
 from spectra_kit._validate import Brief, frozen
 from spectra_kit.geometry._units import box_unit
-from spectra_kit.geometry.shapes import TriangleMesh, check_mesh
+from spectra_kit.geometry.shapes import TriangleMesh
 
 Ints = NDArray[np.int64]
 
@@ -65,7 +65,7 @@ def components(mesh: TriangleMesh) -> list[Component]:
     >>> [part.vertex_index.tolist() for part in parts]
     [[3, 4, 5], [0, 1, 2]]
     """
-    labels = check_mesh("mesh", mesh).component_labels[mesh.faces[:, 0]]
+    labels = mesh.component_labels[mesh.faces[:, 0]]
     order = np.argsort(labels, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
     parts = []
@@ -90,6 +90,5 @@ def largest_component(mesh: TriangleMesh) -> Component:
     Component
         The first of the largest, if several are equal.
     """
-    check_mesh("mesh", mesh)
     areas = mesh.with_points(mesh.points / box_unit(mesh.points)).face_areas
     return max(components(mesh), key=lambda part: float(areas[part.face_index].sum()))

@@ -166,10 +166,6 @@ def write(geometry: Geometry, path: str | os.PathLike[str]) -> None:
     '0.1 0.2 0.3\n'
     """
     path = Path(path)
-    if not isinstance(geometry, TriangleMesh | PointCloud):
-        raise InvalidInputError(
-            f"`geometry` must be a TriangleMesh or PointCloud, got a {type(geometry).__name__}"
-        )
     writers = MESH_WRITERS if isinstance(geometry, TriangleMesh) else CLOUD_WRITERS
     writer = _lookup(writers, path, f"write a {type(geometry).__name__} to")
     with atomic_path(path) as part:

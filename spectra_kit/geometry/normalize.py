@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from spectra_kit._checked import checked
 from spectra_kit._validate import Brief, check_points, check_positive, frozen, quantity, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh, check_mesh
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
 Floats = NDArray[np.float64]
 Movable = TypeVar("Movable", bound=Floats | TriangleMesh | PointCloud)
@@ -107,7 +107,7 @@ class Normalization(Brief):
         InvalidInputError
             If `mesh` is a cloud or all its faces are degenerate.
         """
-        if check_mesh("mesh", mesh).area == 0:
+        if mesh.area == 0:
             raise InvalidInputError("`mesh` must have area, got only degenerate faces")
         weights = mesh.face_areas / mesh.area
         centroids = mesh.points[mesh.faces].mean(axis=1)

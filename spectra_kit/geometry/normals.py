@@ -114,12 +114,7 @@ def orient_normals(cloud: PointCloud, normals: ArrayLike, *, n_neighbors: int = 
     return vectors * turn_outwards(points, vectors * areas, signs, labels, votes)[:, None]
 
 
-def _check_cloud(cloud: object) -> Floats:
-    if not isinstance(cloud, PointCloud):
-        raise InvalidInputError(
-            f"`cloud` must be a PointCloud, got {type(cloud).__name__}; the faces of a mesh have"
-            " normals of their own, or take `mesh.as_cloud()`"
-        )
+def _check_cloud(cloud: PointCloud) -> Floats:
     if cloud.n < 3:
         raise InvalidInputError(f"`cloud` must have at least 3 points, got {cloud.n}")
     return np.asarray(cloud.points / box_unit(cloud.points))

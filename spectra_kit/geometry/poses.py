@@ -10,9 +10,8 @@ from scipy.spatial import cKDTree
 
 from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, frozen
-from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.creature import creature
-from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 
 Ints = NDArray[np.int64]
 Kind = TypeVar("Kind", TriangleMesh, PointCloud)
@@ -108,7 +107,6 @@ def permuted(geometry: Kind, *, seed: int = 0) -> tuple[Kind, Ints]:
     >>> bool((copy.points == mesh.points[point_map]).all())
     True
     """
-    _check(geometry)
     rng = np.random.default_rng(check_count("seed", seed, low=0))
     order = rng.permutation(geometry.n)
     if isinstance(geometry, PointCloud):
@@ -146,16 +144,8 @@ def mirrored(geometry: Kind, *, axis: int = 0) -> Kind:
     >>> bool(mirrored(mesh).area == mesh.area)
     True
     """
-    _check(geometry)
     signs = np.ones(3)
     signs[check_count("axis", axis, low=0, high=2)] = -1.0
     if isinstance(geometry, PointCloud):
         return PointCloud(geometry.points * signs)
     return TriangleMesh(geometry.points * signs, geometry.faces[:, ::-1])
-
-
-def _check(geometry: Geometry) -> None:
-    if not isinstance(geometry, TriangleMesh | PointCloud):
-        raise InvalidInputError(
-            f"`geometry` must be a TriangleMesh or PointCloud, got a {type(geometry).__name__}"
-        )

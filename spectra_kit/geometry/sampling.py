@@ -19,7 +19,7 @@ from spectra_kit._validate import (
 )
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry._units import box_unit
-from spectra_kit.geometry.shapes import PointCloud, TriangleMesh, check_mesh
+from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -197,7 +197,6 @@ def sample_with_origin(
     >>> bool(np.allclose(samples.interpolate(mesh.points), samples.cloud.points))
     True
     """
-    check_mesh("mesh", mesh)
     check_count("n", n, low=1, high=_MOST)
     rng = np.random.default_rng(check_count("seed", seed, low=0))
     unit = box_unit(mesh.points)

@@ -216,13 +216,6 @@ class TriangleMesh(Rebuilt):
         return TriangleMesh(self.points[first], label[self.faces])
 
 
-def check_mesh(name: str, value: object) -> TriangleMesh:
-    """Return `value` if it is a mesh; say what it is if not."""
-    if not isinstance(value, TriangleMesh):
-        raise InvalidInputError(f"`{name}` must be a TriangleMesh, got a {type(value).__name__}")
-    return value
-
-
 def _measures(points: Floats, faces: Ints) -> tuple[Floats, Floats, NDArray[np.int32]]:
     """Area and longest side of each face, and its unit: two to the power of the third.
 

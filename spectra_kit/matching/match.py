@@ -277,9 +277,4 @@ def _prepared(name: str, side: Prepared | Spectrum, geometry: Geometry | None) -
                 " pass it to prepare"
             )
         return side
-    if not isinstance(side, Spectrum):
-        raise InvalidInputError(
-            f"`{name}` must be a Spectrum or a Prepared surface, got {type(side).__name__};"
-            " solve for one: eigensolve(robust_laplacian(mesh), 150)"
-        )
     return prepare(side, geometry)

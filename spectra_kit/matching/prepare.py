@@ -144,11 +144,6 @@ def prepare(
     Prepared(n=1000, k=60, from spectrum and geometry)
     """
     check_count("n_samples", n_samples, low=200)
-    if not isinstance(spectrum, Spectrum):
-        raise InvalidInputError(
-            f"`spectrum` must be a Spectrum, got {type(spectrum).__name__};"
-            " solve for one: eigensolve(robust_laplacian(mesh), 150)"
-        )
     if spectrum.k < LOWEST_K:
         raise InvalidInputError(
             f"`spectrum` must have at least {LOWEST_K} modes to be matched, got {spectrum.k};"

@@ -13,14 +13,6 @@ from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 _SMALLEST, _LARGEST = 1e-130, 1e130  # extents, of which squares and products are numbers
 
 
-def check_geometry(geometry: object) -> None:
-    if not isinstance(geometry, TriangleMesh | PointCloud):
-        raise InvalidInputError(
-            f"`geometry` must be a TriangleMesh or PointCloud, got {type(geometry).__name__};"
-            " wrap bare arrays in one of them"
-        )
-
-
 def check_mollify_factor(value: float) -> None:
     if check_positive("mollify_factor", value) > 1:
         raise InvalidInputError(

@@ -16,7 +16,6 @@ from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators._checks import (
     check_distinct,
     check_faces_usable,
-    check_geometry,
     check_mollify_factor,
     unit_of,
     units_of,
@@ -155,11 +154,6 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     """
     import igl  # here: training runs where no libigl is installed
 
-    if not isinstance(mesh, TriangleMesh):
-        raise InvalidInputError(
-            f"`mesh` must be a TriangleMesh, got {type(mesh).__name__};"
-            " for clouds use robust_laplacian or knn_laplacian"
-        )
     start = time.perf_counter()
     check_faces_usable(mesh)
     unit = units_of(mesh)
@@ -223,7 +217,6 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     1
     """
     start = time.perf_counter()
-    check_geometry(geometry)
     points = geometry.points / unit_of(geometry)
     n = len(points)
     check_count("n_neighbors", n_neighbors, low=1, high=n - 1)

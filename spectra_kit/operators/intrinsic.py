@@ -23,7 +23,6 @@ from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators._checks import (
     check_cloud_usable,
     check_faces_usable,
-    check_geometry,
     check_mollify_factor,
 )
 from spectra_kit.operators._gluing import glued_cloud, glued_mesh
@@ -254,7 +253,6 @@ def intrinsic_delaunay(
     (1.618, 36)
     """
     start = time.perf_counter()
-    check_geometry(geometry)
     check_mollify_factor(mollify_factor)
     if isinstance(geometry, TriangleMesh):
         check_faces_usable(geometry)

@@ -26,7 +26,7 @@ from spectra_kit._validate import (
 )
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.operators._checks import check_faces_usable, check_geometry, units_of
+from spectra_kit.operators._checks import check_faces_usable, units_of
 from spectra_kit.operators._fans import oriented_fans
 
 Floats = NDArray[np.float64]
@@ -149,7 +149,6 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
     >>> print(area_form(oriented_triangles(mesh.as_cloud()), mesh.points)[0, 1, 2])
     4.15
     """
-    check_geometry(geometry)
     if isinstance(geometry, TriangleMesh):
         return _of_mesh(geometry)
     faces, areas, consistent = oriented_fans(geometry, n_neighbors)
