@@ -66,11 +66,15 @@ if TYPE_CHECKING:
     from spectra_kit.eigensolvers import eigensolve as eigensolve
     from spectra_kit.eigensolvers import verify as verify
     from spectra_kit.errors import ConvergenceError as ConvergenceError
+    from spectra_kit.errors import DoubtfulDistanceWarning as DoubtfulDistanceWarning
+    from spectra_kit.errors import DoubtfulMatchWarning as DoubtfulMatchWarning
+    from spectra_kit.errors import DoubtfulSpectrumWarning as DoubtfulSpectrumWarning
     from spectra_kit.errors import InvalidInputError as InvalidInputError
     from spectra_kit.errors import InvalidSpectrumError as InvalidSpectrumError
     from spectra_kit.errors import MissingDependencyError as MissingDependencyError
     from spectra_kit.errors import OutOfMemoryError as OutOfMemoryError
     from spectra_kit.errors import SpectraKitError as SpectraKitError
+    from spectra_kit.errors import SpectraKitWarning as SpectraKitWarning
     from spectra_kit.errors import WeightsError as WeightsError
     from spectra_kit.geodesics import HeatGeodesics as HeatGeodesics
     from spectra_kit.geodesics import geodesic_distance as geodesic_distance
@@ -104,8 +108,9 @@ _NAMES = {
         "Arpack Capped Dense Lobpcg Multilevel Neo Polished RayleighRitz Refined eigensolve verify"
     ),
     "errors": (
-        "ConvergenceError InvalidInputError InvalidSpectrumError MissingDependencyError "
-        "OutOfMemoryError SpectraKitError WeightsError"
+        "ConvergenceError DoubtfulDistanceWarning DoubtfulMatchWarning DoubtfulSpectrumWarning "
+        "InvalidInputError InvalidSpectrumError MissingDependencyError OutOfMemoryError "
+        "SpectraKitError SpectraKitWarning WeightsError"
     ),
     "geodesics": "HeatGeodesics geodesic_distance",
     "geometry": "PointCloud TriangleMesh read write",

@@ -214,6 +214,7 @@ def test_names_of_files_may_be_any_bytes(
         (("geodesic", "--source", str(10**30)), f"`--source` must be in [0, 162), got {10**30}"),
         (("compare", "--solver", "neo", "--device", "meta", "-k", "4"), "torch can use here, got"),
         (("info", "--cloud", str(10**30)), "`--cloud` must fit into 64 bits, got 1000"),
+        (("geodesic", "--source", "0", "--turn", "nan"), "`--turn` must be a finite number of"),
     ],
 )
 def test_numbers_beyond_all_sense_are_refused(arguments, message, folder, capsys, tmp_path):
@@ -237,6 +238,11 @@ def test_numbers_beyond_all_sense_are_refused(arguments, message, folder, capsys
         (("geodesic", "--source", "0", "--solver", "direct", "--rtol", "1e-9"), "--rtol has no"),
         (("explore", "--port", "8000"), "--port has no effect without --serve"),
         (("explore", "--no-browser"), "--no-browser has no effect without --serve"),
+        (("info", "--points", "900"), "--points has no effect on files; name 'demo' instead"),
+        (("match", "--points", "900"), "--points has no effect on files"),
+        (("spectrum", "--dpi", "600"), "--dpi has no effect without a picture; name one by"),
+        (("compare", "--turn", "90"), "--turn has no effect without a picture"),
+        (("geodesic", "--source", "0", "--no-pictures", "--up", "y"), "--up has no effect with"),
     ],
 )
 def test_options_without_an_effect_are_refused(arguments, message, folder, capsys, monkeypatch):
@@ -378,7 +384,7 @@ def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_p
     ("command", "key"),
     [
         (("spectrum", "--picture", "x.png", "--dpi", "0"), "eigenvalues"),
-        (("compare", "--solver", "dense", "-o", "x.png", "--turn", "nan"), "comparison"),
+        (("compare", "--solver", "dense", "-o", "x.png", "--dpi", "0"), "comparison"),
     ],
 )
 def test_a_drawing_that_fails_keeps_the_numbers(

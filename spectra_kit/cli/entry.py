@@ -13,6 +13,7 @@ from contextlib import suppress
 
 from spectra_kit.cli.progress import telling
 from spectra_kit.cli.story import build_parser
+from spectra_kit.cli.unused import refuse_unused
 from spectra_kit.cli.words import in_options
 from spectra_kit.errors import (
     ConvergenceError,
@@ -83,6 +84,7 @@ def run(command: Callable[[argparse.Namespace], None], arguments: argparse.Names
     """
     try:
         with telling(quiet=arguments.quiet):
+            refuse_unused(arguments)
             command(arguments)
         return _flushed()
     except BrokenPipeError as error:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli import tables
-from spectra_kit.cli.inputs import refuse_given
 from spectra_kit.cli.options import up_of
 from spectra_kit.cli.output import check_output, print_blocks, print_json
 from spectra_kit.cli.progress import counted, say
@@ -20,6 +19,7 @@ from spectra_kit.cli.solving import (
     prepare,
     reference_modes,
 )
+from spectra_kit.cli.unused import refuse_given
 from spectra_kit.cli.words import stem
 from spectra_kit.explorer import Explorer, write_explorer
 from spectra_kit.geometry import Geometry

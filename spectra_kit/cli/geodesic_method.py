@@ -9,9 +9,9 @@ from typing import Literal
 
 from spectra_kit._validate import quantity
 from spectra_kit.cli.geodesic_options import SPECTRA
-from spectra_kit.cli.inputs import refuse_given
 from spectra_kit.cli.options import listed
 from spectra_kit.cli.progress import step
+from spectra_kit.cli.unused import refuse_given
 from spectra_kit.eigensolvers import Arpack, Eigensolver, Polished, eigensolve
 from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.errors import InvalidInputError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli.options import DEMO, FORMATS, NETWORK, TAKERS, listed
 from spectra_kit.cli.parser import did_you_mean
 from spectra_kit.cli.progress import say, step
+from spectra_kit.cli.unused import refuse_given
 from spectra_kit.eigensolvers import (
     Arpack,
     Capped,
@@ -86,15 +87,6 @@ def solvers_named(arguments: argparse.Namespace, *names: str) -> list[Eigensolve
                 " of those by --solver, or leave it out"
             )
     return [SOLVERS[name](arguments) for name in names]
-
-
-def refuse_given(arguments: argparse.Namespace, defaults: Mapping[str, object], why: str) -> None:
-    """Refuse options that have no effect as things are, where they differ from their defaults."""
-    for option, default in defaults.items():
-        if getattr(arguments, option) != default:
-            raise InvalidInputError(
-                f"--{option.replace('_', '-')} has no effect {why}, or leave it out"
-            )
 
 
 def load(arguments: argparse.Namespace) -> Geometry:

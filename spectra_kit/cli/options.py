@@ -30,6 +30,9 @@ TAKERS = {
 }
 # Options of the network, and their defaults.
 NETWORK = {"weights": "small", "poses": 1, "dtype": "float32", "device": "cpu"}
+# Options of the demo, and of pictures.
+MAKING = {"points": 8000}
+DRAWING = {"dpi": 200, "up": None, "turn": 0.0}
 Up = Literal["x", "y", "z"]
 PICTURES = (".png", ".pdf", ".svg")
 DEFAULT = "(default: %(default)s)"
@@ -86,7 +89,7 @@ def add_reading(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--points",
         type=int,
-        default=8000,
+        default=MAKING["points"],
         metavar="N",
         help=f"vertices of the demo, 500 or more {DEFAULT}",
     )
@@ -228,7 +231,7 @@ def add_dpi(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--dpi",
         type=int,
-        default=200,
+        default=DRAWING["dpi"],
         metavar="N",
         help=f"pixels per inch, 600 for print {DEFAULT}",
     )
@@ -247,7 +250,7 @@ def add_drawing(group: argparse._ArgumentGroup, *, dpi: bool = True, turn: bool 
         group.add_argument(
             "--turn",
             type=float,
-            default=0.0,
+            default=DRAWING["turn"],
             metavar="DEGREES",
             help="turn it about that axis, its front to the right; 180 shows the other side"
             " (default: %(default)g)",

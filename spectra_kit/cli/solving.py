@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from spectra_kit._validate import check_count, quantity
-from spectra_kit.cli.inputs import EXTRA, assemble, load, refuse_given, solvers_named
+from spectra_kit.cli.inputs import EXTRA, assemble, load, solvers_named
 from spectra_kit.cli.options import NETWORK, SOLVERS
 from spectra_kit.cli.progress import say, step
 from spectra_kit.cli.tables import (
@@ -19,6 +19,7 @@ from spectra_kit.cli.tables import (
     comparison_verdict,
     spectrum_record,
 )
+from spectra_kit.cli.unused import refuse_given
 from spectra_kit.eigensolvers import Eigensolver, RayleighRitz, eigensolve
 from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.errors import InvalidInputError
