@@ -177,7 +177,9 @@ def run_part(chosen: Part, count: int, folder: Path) -> Iterator[tuple[int, str,
                 stdin=subprocess.DEVNULL,
             )
             try:
-                for line in _lines(worker, chosen.seconds):
+                lines = _lines(worker, chosen.seconds)
+                next(lines, None)  # it is there
+                for line in lines:
                     yield number, *json.loads(line)
                     number += 1
                 if number < count:
@@ -212,9 +214,11 @@ def tally(outcomes: Mapping[str, int]) -> str:
 
 
 def _work(chosen: Part, first: int, count: int) -> None:
-    """Answer on stdout, a line a case; what the library prints goes to stderr."""
+    """Answer on stdout, a line to begin with and one a case; what is printed goes to stderr."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
+    answers.write("\n")
+    answers.flush()
     for number in range(first, count):
         with tempfile.TemporaryDirectory(prefix="damage-") as folder:
             answer = outcome_of(chosen.function, case_of(chosen, number, Path(folder)))
