@@ -1,5 +1,8 @@
 import os
+import signal
+import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ from spectra_kit import eigensolve, robust_laplacian
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
 from spectra_kit.metrics import compare_spectra
-from spectra_kit.viz import Panel, plot_comparison, plot_panels
+from spectra_kit.viz import Panel, drawer, plot_comparison, plot_panels
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.render import Scene, ball_diameter, render
@@ -48,6 +51,7 @@ def without(fake, tmp_path, monkeypatch):
     """Put a `pyvista` in front of the real one, for new processes only."""
     (tmp_path / "pyvista.py").write_text(fake)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    drawer.end_drawing()
 
 
 @pytest.mark.parametrize("as_cloud", [False, True])
@@ -302,6 +306,43 @@ class Plotter:
     assert note.startswith("It was raised in the process that draws:\nTraceback")
     assert "in Color" in note
     assert not (tmp_path / "x.png").exists()
+
+
+def test_one_process_draws_all_pictures_until_it_dies(ball, tmp_path, monkeypatch):
+    processes = []
+
+    class Recorded(subprocess.Popen):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            processes.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Recorded)
+    drawer.end_drawing()
+    first, again = (draw(ball)[0] for _ in range(2))
+    assert np.array_equal(first, again)
+    assert len(processes) == 1
+    processes[0].kill()
+    assert np.array_equal(draw(ball)[0], first)
+
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    by_x = [ball.points[:, 0]]
+    scene = Scene(
+        geometry=ball, functions=by_x * 9, rotation=np.eye(3), width=60, colours=BLUE_TO_RED
+    )
+    with pytest.raises(KeyboardInterrupt):
+        render([scene], progress=interrupt)
+    assert processes[-1].wait(10) == -signal.SIGKILL
+    assert np.array_equal(draw(ball)[0], first)
+    n = len(processes)
+    with pytest.raises(IndexError, match="out of bounds") as caught:
+        render([replace(scene, functions=[np.zeros(5)])])
+    assert len(processes) == n  # no other way to draw was tried
+    assert "in the process that draws" in caught.value.__notes__[0]
+    assert np.array_equal(draw(ball)[0], first)
+    drawer.end_drawing()
+    assert [process.poll() is None for process in processes] == [False] * len(processes)
 
 
 def test_a_machine_without_pyvista_gets_an_error(ball, tmp_path, monkeypatch):

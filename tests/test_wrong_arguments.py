@@ -757,7 +757,7 @@ def here(tmp_path, monkeypatch):
         raise DrawnError
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("spectra_kit.viz.render._run", drawn)
+    monkeypatch.setattr("spectra_kit.viz.render.draw_requests", drawn)
     monkeypatch.setattr("matplotlib.figure.Figure", drawn)
     geometry.write(example()["mesh"], "mesh.obj")
     example()["spectrum"].save("spectrum.npz")

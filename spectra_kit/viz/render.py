@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import importlib.util
-import os
-import pickle
-import subprocess
-import sys
-import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from spectra_kit._files import cleaned, temporary_folder
+from spectra_kit._files import temporary_folder
 from spectra_kit.errors import MissingDependencyError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.viz.contours import triangles_of
+from spectra_kit.viz.drawer import draw_requests
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-_WORKER = Path(__file__).with_name("worker.py")
 _MARGIN = 4  # pixels around the geometry
 _LARGEST_BALL = 0.12  # of the longest side
 
@@ -86,7 +80,7 @@ class Scene:
 def render(
     scenes: Sequence[Scene], *, progress: Callable[[int, int], None] | None = None
 ) -> list[Bytes]:
-    """Draw scenes, all in one process: to start it takes longer than to draw.
+    """Draw scenes, in a process of its own that stays for the next ones.
 
     Parameters
     ----------
@@ -113,53 +107,8 @@ def render(
         total = sum(scene.n_pictures for scene in scenes)
         for i, scene in enumerate(scenes):
             np.savez(folder / f"request{i}.npz", **_request(scene))
-        error: Exception | None = None
-        for environment in _environments():
-            # -P: the folder of the worker must not shadow other modules.
-            command = [sys.executable, "-P", str(_WORKER), str(folder), str(len(scenes))]
-            code, complaints = _run(command, environment, progress, total)
-            if code == 0:
-                return [np.load(folder / f"pictures{i}.npy") for i in range(len(scenes))]
-            if (raised := folder / "error.pickle").exists():
-                error = pickle.loads(raised.read_bytes())
-                error.add_note(f"It was raised in the process that draws:\n{complaints}")
-                raised.unlink()
-    if error is not None:
-        raise error
-    # Libraries that are not there cannot be imported; VTK without a window dies by a signal.
-    reason = complaints.split("\n")[-1] if code == 1 else "it crashed"
-    raise MissingDependencyError(
-        f"PyVista could not draw ({reason}); it needs an OpenGL library but no display,"
-        " on Debian or Ubuntu: apt-get install libegl1 libgl1"
-    )
-
-
-def _run(
-    command: Sequence[str],
-    environment: Mapping[str, str],
-    progress: Callable[[int, int], None] | None,
-    total: int,
-) -> tuple[int, str]:
-    """Run the worker; return its exit code, and what it had to complain of."""
-    with (
-        tempfile.TemporaryFile("w+") as complaints,
-        subprocess.Popen(
-            command, env=environment, stdout=subprocess.PIPE, stderr=complaints, text=True
-        ) as process,
-        cleaned(process.kill),
-    ):
-        assert process.stdout is not None  # it is a pipe
-        try:
-            for done, _ in enumerate(process.stdout, start=1):
-                if progress is not None:
-                    progress(done, total)
-            code = process.wait()
-        except BaseException:  # also Ctrl-C: nobody waits for the pictures any more
-            process.kill()
-            process.wait()  # on Ctrl-C `Popen` itself would wait for a quarter of a second only
-            raise
-        complaints.seek(0)
-        return code, complaints.read().strip()
+        draw_requests(folder, len(scenes), lambda done: progress and progress(done, total))
+        return [np.load(folder / f"pictures{i}.npy") for i in range(len(scenes))]
 
 
 def _request(scene: Scene) -> dict[str, Any]:
@@ -197,14 +146,6 @@ def _request(scene: Scene) -> dict[str, Any]:
 
 def _ends(swings: Sequence[float]) -> tuple[float, float]:
     return min(swings), max(swings)
-
-
-def _environments() -> list[Mapping[str, str]]:
-    """What to try: on Linux first a context without a display, then whatever VTK prefers."""
-    own = dict(os.environ)
-    if not sys.platform.startswith("linux") or "VTK_DEFAULT_OPENGL_WINDOW" in own:
-        return [own]
-    return [own | {"VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"}, own]
 
 
 def ball_diameter(geometry: Geometry) -> float:

@@ -1,14 +1,20 @@
 """The process that draws: reads requests, writes the pictures, and may crash alone.
 
-Run by path from `spectra_kit.viz.render`, never imported. VTK ends the whole process where it finds
+Run by path from `spectra_kit.viz.drawer`, never imported. VTK ends the whole process where it finds
 no OpenGL, and talks to stderr about every driver it tries; in a process of its own both are
-contained. It needs NumPy and PyVista only.
+contained. It needs NumPy and PyVista only. On stdin come lines, ``[folder, count]``; on stdout a
+line for each picture, and "done" or "error" after the last.
 """
 
 from __future__ import annotations
 
+import json
+import os
 import pickle
+import signal
 import sys
+import threading
+import traceback
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +22,7 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 
+IDLE = 60.0  # seconds without a request, after which it ends
 OVERSAMPLE = 2  # samples per pixel side: smooth edges whatever the driver can do
 LINE = (48, 48, 54)
 BEFORE = (
@@ -26,16 +33,41 @@ SHARP = 75.0
 LIGHTS = (((-0.5, 0.75, 1.0), 0.52), ((0.9, 0.1, 0.8), 0.24))  # (direction, strength)
 
 
-def main(folder: str, count: str) -> None:
-    """Answer every request in the folder; leave an error of Python's there for who waits."""
+def main() -> None:
+    """Answer until nobody asks any more, or not for a while."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who waits, and ends this process
+    while line := _asked():
+        folder, count = json.loads(line)
+        _tell(_answer(Path(folder), count))
+
+
+def _asked() -> str:
+    """Return the next line; nothing where there will be none."""
+    idle = threading.Timer(IDLE, os._exit, [0])
+    idle.daemon = True
+    idle.start()
+    line = sys.stdin.readline()
+    idle.cancel()
+    return line
+
+
+def _answer(folder: Path, count: int) -> str:
+    """Draw every request in the folder; leave an error of Python's there for who waits."""
     try:
-        for i in range(int(count)):
-            with np.load(Path(folder) / f"request{i}.npz") as file:
+        for i in range(count):
+            with np.load(folder / f"request{i}.npz") as file:
                 request = {name: file[name] for name in file.files}
-            np.save(Path(folder) / f"pictures{i}.npy", draw(request))
-    except Exception as error:
-        (Path(folder) / "error.pickle").write_bytes(_portable(error))
-        raise
+            np.save(folder / f"pictures{i}.npy", draw(request))
+    except Exception as error:  # noqa: BLE001  # whatever it is: it is told
+        traceback.print_exc()
+        (folder / "error.pickle").write_bytes(_portable(error))
+        return "error"
+    return "done"
+
+
+def _tell(word: str) -> None:
+    sys.stdout.write(f"{word}\n")
+    sys.stdout.flush()
 
 
 def _portable(error: Exception) -> bytes:
@@ -111,8 +143,7 @@ def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
                 picture = plotter.screenshot(return_img=True)
                 assert picture is not None  # it was asked for
                 pictures.append(_shrink(np.asarray(picture)))
-                sys.stdout.write("picture\n")  # who waits counts them
-                sys.stdout.flush()
+                _tell("picture")  # who waits counts them
     plotter.close()
     return np.stack(pictures)
 
@@ -205,4 +236,4 @@ def _shrink(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()
