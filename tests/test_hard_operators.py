@@ -310,3 +310,13 @@ def test_residuals_of_a_tiny_shape_are_not_taken_for_zero() -> None:
     ]
     np.testing.assert_allclose(of_noise[1], of_noise[0], rtol=1e-12)
     assert of_noise[1].min() > 1
+
+
+def test_a_filter_of_modes_far_up_beside_a_potential():
+    """Ritz values above the top of a nearby operator, where its polynomial is beyond all bounds."""
+    beside = np.random.default_rng(0).random(BALL.n) < 0.3
+    height = sparse.diags_array(np.where(beside, 1e6, 0.0) * BALL.mass)
+    laplacian = Laplacian(BALL.stiffness + height, BALL.mass, BALL.points)
+    exact = eigensolve(laplacian, 60, Dense()).eigenvalues
+    filtered = eigensolve(laplacian, 60, Refined(method="chebyshev")).eigenvalues
+    assert filtered == pytest.approx(exact, rel=1e-8)
