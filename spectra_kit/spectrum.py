@@ -18,7 +18,7 @@ from spectra_kit._validate import Rebuilt, check_count, check_positive, frozen, 
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
 from spectra_kit.linalg.residuals import residual_norms
 from spectra_kit.linalg.threads import blas_threads_for
-from spectra_kit.operators.laplacian import ZERO_MODE, Laplacian
+from spectra_kit.operators.laplacian import Laplacian
 
 if TYPE_CHECKING:
     import torch
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 _FOREIGN_MASS = 1e-5  # relative; float32 copies of the same mass differ by less
+_ZERO_MODE = 1e-7  # eigenvalues below this over the area count as zero where no operator can tell
 
 
 @checked
@@ -286,10 +287,10 @@ class Spectrum(Rebuilt):
 
     @property
     def n_zero_modes(self) -> int:
-        """Number of modes in the kernel: certified where possible, else lambda * area < 1.3e-7."""
+        """Number of modes in the kernel: certified where possible, else lambda * area < 1e-7."""
         if self.certificate is not None:
             return self.certificate.n_zero_modes
-        return int((self.eigenvalues <= ZERO_MODE * 4 * np.pi / self.area).sum())
+        return int((self.eigenvalues * self.area <= _ZERO_MODE).sum())
 
     def truncate(self, k: int) -> Spectrum:
         """Return the first `k` modes, 1 <= k <= self.k."""

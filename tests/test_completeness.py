@@ -235,15 +235,68 @@ def well() -> Laplacian:
     )
 
 
+def bonded(bond: float, *potentials: float) -> Laplacian:
+    """Spheres of 42 points that hardly touch, each with a potential of its own."""
+    parts = robust_laplacian(side_by_side(sphere(subdivisions=1).geometry, len(potentials)))
+    stiffness = (
+        parts.stiffness + sparse.diags_array(np.repeat(potentials, 42) * parts.mass)
+    ).tolil()
+    for a in range(0, 42 * (len(potentials) - 1), 42):
+        b = a + 42
+        stiffness[a, b] = stiffness[b, a] = -bond
+        stiffness[a, a] += bond
+        stiffness[b, b] += bond
+    return Laplacian(sparse.csr_array(stiffness), parts.mass, parts.points)
+
+
 def chain() -> Laplacian:
-    """Six spheres that hardly touch."""
-    parts = robust_laplacian(side_by_side(sphere(subdivisions=1).geometry, 6))
-    bonds = parts.stiffness.tolil()
-    for i in range(0, 5 * 42, 42):
-        for a, b in ((i, i + 42), (i + 42, i)):
-            bonds[a, b] = -1e-3
-            bonds[a, a] += 1e-3
-    return Laplacian(sparse.csr_array(bonds), parts.mass, parts.points)
+    return bonded(1e-3, 0, 0, 0, 0, 0, 0)
+
+
+def every_pair(laplacian: Laplacian) -> tuple[np.ndarray, np.ndarray]:
+    """All eigenvalues and modes, by LAPACK."""
+    root = 1 / np.sqrt(laplacian.mass)
+    values, vectors = np.linalg.eigh(root[:, None] * laplacian.stiffness.toarray() * root)
+    return np.maximum(values, 0), vectors * root[:, None]
+
+
+@pytest.mark.parametrize(
+    "potentials", [(0, 2e-9), (1e-10, 2e-10, 3e-10, 4e-10), (0, 1e-9, 1e-9), (0, 4e-10, 5e-10)]
+)
+def test_potentials_of_almost_nothing_are_no_zero_modes(potentials) -> None:
+    laplacian = bonded(1e-13, *potentials)
+    assert laplacian.kernel_dimension == 0
+    exact, modes = every_pair(laplacian)
+    for k in range(1, len(potentials) + 1):
+        for solver in (Arpack(), Dense()):
+            spectrum = eigensolve(laplacian, k, solver)
+            count = spectrum.certificate.count
+            assert (count.verified, count.added) == (k, 0)
+            assert spectrum.eigenvalues == pytest.approx(exact[:k], rel=1e-3, abs=1e-12)
+    above = Spectrum(exact[1:2], modes[:, 1:2], laplacian.mass)
+    count = verify(above, laplacian).certificate.count
+    assert (count.verified, count.missing) == (0, 1)
+
+
+@pytest.mark.parametrize(("value", "norm"), [(100.0, 1.0), (0.0, 2.0)])
+def test_a_constant_of_another_eigenvalue_or_norm_proves_nothing(value, norm) -> None:
+    ball = robust_laplacian(sphere(subdivisions=2).geometry)
+    constant = Spectrum([value], np.full((ball.n, 1), norm / np.sqrt(ball.area)), ball.mass)
+    assert verify(constant, ball).certificate.level == "residuals"
+
+
+def test_lapack_is_asked_again_where_it_loses_orthogonality() -> None:
+    """Its quicker way does so on this path, which three bonds of almost nothing cut."""
+    bonds = np.ones(113)
+    bonds[[5, 95, 100]] = 1.13919819e-15
+    graph = sparse.diags_array([bonds, bonds], offsets=[1, -1])
+    stiffness = sparse.csr_array(sparse.diags_array(graph.sum(axis=1)) - graph)
+    points = np.column_stack([np.arange(114.0), np.zeros((114, 2))])
+    laplacian = Laplacian(stiffness, np.ones(114), points)
+    for k in (113, 114):
+        spectrum = eigensolve(laplacian, k, Dense())
+        assert spectrum.certificate.orthonormality_error < 1e-12
+        assert spectrum.eigenvalues == pytest.approx(every_pair(laplacian)[0][:k], abs=1e-12)
 
 
 @pytest.mark.parametrize("build", [strip, well, chain])

@@ -188,7 +188,7 @@ def _complete(
         wider = min(k + 2 * count.missing, len(laplacian.free))
         try:
             pairs = _solve_components(laplacian, wider, refined, tally)
-        except (NotConvergedError, MemoryError) as error:
+        except (NotConvergedError, MemoryError, InvalidInputError, InvalidSpectrumError) as error:
             why = str(error) or "out of memory"
             break
         added = max(added, count.missing)
@@ -348,7 +348,7 @@ def _solve_connected(
     if values[0] < -_NEGATIVE * laplacian.eigenvalue_spacing:
         raise InvalidSpectrumError(
             f"{solver!r} returned a negative eigenvalue ({values[0]:.3e}); is the stiffness"
-            " positive semi-definite?"
+            " positive semi-definite? (Where entries spread over many decades, so does rounding.)"
         )
     return _with_exact_constant(laplacian, np.maximum(values, 0.0), vectors)
 

@@ -26,6 +26,7 @@ _EPS = float(np.finfo(np.float64).eps)
 _ABOVE = (1e-3, 1e-2, 1e-1)
 _APART = 1e-2  # modes whose radius exceeds this many spacings need a wider gap above them
 _INSIDE = 0.1  # that gap must be wider than the radius by 1 / this
+_ZERO = 1e-8  # in spacings: modes that are as good as zero
 _CLUSTER = 1e-2  # modes within this share of them are as good as one eigenvalue, which k may cut
 
 
@@ -120,18 +121,13 @@ def _counted(spectrum: Spectrum, laplacian: Laplacian, *, thorough: bool) -> Mod
     certificate = spectrum.certificate
     assert certificate is not None
     lacking = min(certificate.kernel_dimension, spectrum.k) - certificate.n_zero_modes
-    if lacking <= 0:
+    if lacking <= 0 or count.verified == spectrum.k:
         return count
     reason = (
         f"{lacking} of {certificate.kernel_dimension} zero modes are not in this spectrum (if"
         " `nonzero` dropped them: verify first, then drop them)"
     )
-    return replace(
-        count,
-        verified=min(count.verified, certificate.n_zero_modes),
-        missing=max(count.missing, lacking),
-        reason=f"{reason}; {count.reason}" if count.reason else reason,
-    )
+    return replace(count, reason=f"{reason}; {count.reason}")
 
 
 class _Below(NamedTuple):
@@ -175,8 +171,6 @@ class _Prover:
         The eigenvalues found, ascending, in 1/length^2.
     radii : ndarray of shape (k,)
         The first j + 1 of them are within ``radii[j]`` of as many true ones, in 1/length^2.
-    zeros : int, default 0
-        So many leading modes are in the kernel, below which there is nothing.
     """
 
     stiffness: sparse.csr_array
@@ -184,7 +178,6 @@ class _Prover:
     spacing: float
     values: Floats
     radii: Floats
-    zeros: int = 0
 
     @classmethod
     def of(cls, spectrum: Spectrum, laplacian: Laplacian) -> _Prover:
@@ -201,7 +194,6 @@ class _Prover:
             laplacian.eigenvalue_spacing,
             spectrum.eigenvalues,
             _radii(spectrum, laplacian, certificate.residuals),
-            certificate.n_zero_modes,
         )
 
     def prove(self, *, thorough: bool = True) -> ModeCount:
@@ -211,8 +203,10 @@ class _Prover:
         the last mode and, where k cuts a cluster, below this cluster.
         """
         k = len(self.values)
-        if 0 < k <= self.zeros:
-            return ModeCount(verified=k, radius=float(self.radii[-1]), floor=0.0)
+        if k and self.values[-1] <= self.radii[-1] <= _ZERO * self.spacing:
+            # As many are as good as zero, and no eigenvalue is lower: nothing is there to count.
+            radius = float(self.values[-1] + self.radii[-1])
+            return ModeCount(verified=k, radius=radius, floor=0.0)
         candidates = self._candidates()
         count, refuted = _Proof(), _Refuted()
         if candidates and candidates[-1] == k:
@@ -270,6 +264,7 @@ class _Prover:
         """Count the eigenvalues below the first shift that rounding leaves between j modes."""
         lowest = float(self.values[j - 1] + self.radii[j - 1]) if j else -np.inf
         highest = float(self.values[j]) if j < len(self.values) else np.inf
+        found = None
         for sigma in self._shifts(j, below_next):
             if not lowest < sigma < highest:
                 continue
@@ -282,8 +277,11 @@ class _Prover:
             if sigma - error > lowest:
                 # What counts as zero may be negative: no more than both lie below.
                 negative, zero, _ = factor.inertia
-                return _Below(negative + zero, sigma - error, negative, sigma + error)
-        return None
+                found = _Below(negative + zero, sigma - error, negative, sigma + error)
+                # More of them are certainly missing only if rounding keeps clear of the next mode.
+                if not below_next or found.number == j or found.ceiling < highest:
+                    break
+        return found
 
     def _shifts(self, j: int, below_next: bool) -> list[float]:
         """Return where to count, close above the first j modes or close below the next."""
@@ -309,7 +307,7 @@ class _Prover:
                 f"{below.number} eigenvalues were counted where the spectrum has {at} modes: some"
                 f" beyond the first {proved} are missing{cut}"
             )
-        wide = np.flatnonzero(self.radii > _APART * self.spacing)
+        wide = proved + np.flatnonzero(self.radii[proved:] > _APART * self.spacing)
         if np.isinf(self.radii).any():
             return (
                 f"mode {int(np.isinf(self.radii).argmax())} is far from M-orthonormal to those"

@@ -98,6 +98,8 @@ def robust_laplacian(
     _check_room(len(geometry.faces) * _BYTES_PER_FACE)
     unit, faces = _mean_edges(geometry), np.array(geometry.faces)
     stiffness, mass = rl.mesh_laplacian(geometry.points / unit[:, None], faces, mollify_factor)
+    # Beside needles its rows sum to thousands of times their rounding; those of constants are zero.
+    stiffness.setdiag(stiffness.diagonal() - np.asarray(stiffness.sum(axis=1)).ravel())
     return Laplacian(
         stiffness,
         mass.diagonal() * unit**2,

@@ -18,10 +18,7 @@ from spectra_kit.errors import InvalidInputError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-#: Eigenvalues below this share of their component's `eigenvalue_spacing` count as zero.
-ZERO_MODE = 1e-8
-
-_ROUNDING = 32 * float(np.finfo(np.float64).eps)  # of a row's sum, relative to its magnitudes
+_ROUNDING = 32 * float(np.finfo(np.float64).eps)  # of the sums of rows, relative to magnitudes
 
 
 @checked
@@ -144,15 +141,13 @@ class Laplacian(Rebuilt):
         """Components on which constants have no energy, shape (n_components,).
 
         Neumann: all. One that touches a fixed point, or whose user-made L has a potential, has
-        none. What the rounding of a row of L can make up is no potential, however large needles
-        make its entries. (In float32 the rounding of L looks like one.)
+        none. What the rounding of L can make up is no potential, however large needles make its
+        entries. (In float32 the rounding of L looks like one.)
         """
         free, labels = self.free, self.component_labels[self.free]
-        sums = np.asarray(self.stiffness.sum(axis=1))[free]
-        rounding = _ROUNDING * np.asarray(abs(self.stiffness).sum(axis=1))[free]
-        energy = np.bincount(labels, np.sign(sums) * np.maximum(np.abs(sums) - rounding, 0.0))
-        areas = np.bincount(labels, self.mass[free])
-        found = energy <= ZERO_MODE * self.component_spacings * areas
+        sums = np.bincount(labels, np.abs(self.stiffness.sum(axis=1))[free])
+        magnitudes = np.bincount(labels, np.asarray(abs(self.stiffness).sum(axis=1))[free])
+        found = sums <= _ROUNDING * magnitudes
         if len(self.fixed):
             beside = np.diff(self.stiffness[free][:, self.fixed].indptr) > 0
             found[labels[beside]] = False
