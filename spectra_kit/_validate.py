@@ -62,7 +62,7 @@ def real_array(name: str, values: ArrayLike) -> Floats:
         first = tuple(int(i) for i in np.argwhere(bad)[0])
         raise InvalidInputError(
             f"`{name}` must be finite, got {quantity(bad.sum(), 'NaN or infinite value')},"
-            f" the first at {first}; remove or repair those rows"
+            f" the first at {first}" + ("; leave such rows out" if floats.ndim == 2 else "")
         )
     return floats
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 _FOREIGN_MASS = 1e-5  # relative; float32 copies of the same mass differ by less
+_LARGEST_FACTOR = 1e150  # to change the unit of length by
 _ZERO_MODE = 1e-7  # eigenvalues below this over the area count as zero where no operator can tell
 
 
@@ -305,7 +306,12 @@ class Spectrum(Rebuilt):
 
         Its provenance has no input hash: no solver has seen the scaled surface.
         """
-        square = check_positive("factor", factor) ** 2
+        if not 1 / _LARGEST_FACTOR <= check_positive("factor", factor) <= _LARGEST_FACTOR:
+            raise InvalidInputError(
+                f"`factor` must be in [{1 / _LARGEST_FACTOR:g}, {_LARGEST_FACTOR:g}], whose squares"
+                f" are numbers, got {factor:g}"
+            )
+        square = factor**2
         certificate = self.certificate
         if certificate is not None:
             certificate = replace(

@@ -210,7 +210,7 @@ def test_names_of_files_may_be_any_bytes(
             ("modes", "-k", "4", "-o", "x.png", "--dpi", "99999999"),
             "`--dpi` must be in [10, 2400], got 99",
         ),
-        (("geodesic", "--at", "1e300", "0", "0"), "`coordinate` must lie nearer: at 1e+300, where"),
+        (("geodesic", "--at", "1e300", "0", "0"), "`--at` must lie nearer: at 1e+300, where"),
         (("geodesic", "--source", str(10**30)), f"`--source` must be in [0, 162), got {10**30}"),
         (("compare", "--solver", "neo", "--device", "meta", "-k", "4"), "torch can use here, got"),
         (("info", "--cloud", str(10**30)), "`--cloud` must fit into 64 bits, got 1000"),

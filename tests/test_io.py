@@ -391,7 +391,7 @@ FACET = "facet normal 0 0 1\nouter loop\nvertex {}\nvertex 1 0 0\nvertex 0 1 0\n
         ("a.obj", "v 0 0\nf 1 1 1\n", "line 1 is broken: 'v 0 0'"),
         ("a.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", r"finite, got 1 .* first at \(0, 2\)"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", r"`faces` must be in \[0, 3\), got 3"),
-        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n", r"`faces` must be in \[0, 3\), got -1"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n", "vertices count from 1, and 0 is none"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nf 1 2\n", "a face must have at least 3 corners"),
         ("a.off", "ply\n", "must start with the keyword OFF, got 'ply'"),
         ("a.off", "# only a comment\n", "must start with the keyword OFF, got ''"),

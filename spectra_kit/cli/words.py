@@ -15,6 +15,7 @@ _OPTIONS = {
     "dpi": "--dpi",
     "turn": "--turn",
     "name_or_path": "--weights",
+    "coordinate": "--at",
 }
 # Longest first; the advice of two methods that are one option is given once.
 _ADVICE = (

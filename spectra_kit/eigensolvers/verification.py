@@ -26,7 +26,7 @@ _EPS = float(np.finfo(np.float64).eps)
 _ABOVE = (1e-3, 1e-2, 1e-1)
 _APART = 1e-2  # modes whose radius exceeds this many spacings need a wider gap above them
 _INSIDE = 0.1  # that gap must be wider than the radius by 1 / this
-_ZERO = 1e-8  # in spacings: modes that are as good as zero
+_ZERO = 1e-6  # in spacings: modes that are as good as zero
 _CLUSTER = 1e-2  # modes within this share of them are as good as one eigenvalue, which k may cut
 
 

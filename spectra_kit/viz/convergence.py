@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from spectra_kit._checked import checked
 from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.sheet import (
     LINE_COLOURS,
@@ -202,7 +203,7 @@ def _draw_bars(
         for seconds, colour in pieces:
             panel.barh(row, seconds, left=left, height=0.66, color=colour)
             left += seconds
-        panel.text(left, row, f" {left:.2f} s", fontsize=8, color="0.3", va="center")
+        panel.text(left, row, f" {short(left)} s", fontsize=8, color="0.3", va="center")
     most = max(run.seconds + (run.spectrum_seconds if counted else 0.0) for run in runs)
     panel.set(xlim=(0, 1.16 * most), xlabel="seconds")
     panel.set_ylim(len(runs) - 0.4, -0.6)

@@ -211,8 +211,7 @@ def draw_residuals(panel: Axes, spectra: Mapping[str, Spectrum]) -> None:
     panel.set(yscale="log", ylabel="relative residual")
     log_ticks(panel.yaxis)
     if any(s.certificate is not None and s.certificate.n_verified for s in spectra.values()):
-        where: dict[str, Any] = {"transform": panel.transAxes, "ha": "right", "va": "top"}
-        panel.text(0.995, 0.97, "full: verified, open: not", fontsize=8, color="0.35", **where)
+        panel.set_title("full: verified, open: not", loc="right", fontsize=8, color="0.35", pad=3)
 
 
 def draw_differences(panel: Axes, spectra: Mapping[str, Spectrum]) -> None:

@@ -60,7 +60,8 @@ def _corners(words: list[str], n_so_far: int) -> list[int]:
     if len({word.count("/") for word in words}) > 1:
         raise ValueError("its corners have different numbers of slashes")
     indices = [whole(word.partition("/")[0]) for word in words]
-    # The format counts from 1; 0 means nothing in it and becomes -1, out of range as it should be.
+    if 0 in indices:
+        raise ValueError("vertices count from 1, and 0 is none")
     return [index - 1 if index >= 0 else n_so_far + index for index in indices]
 
 
