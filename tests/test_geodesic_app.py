@@ -334,7 +334,7 @@ def test_bad_input_is_refused(app, files, tmp_path, capsys):
         ((ball, "--face", "nan", 1, 0, 0), "--face must begin with the number of a face"),
         ((ball, "--face", 5000, 1, 0, 0), "must be in [0, 1280), got 5000"),
         ((ball, "--face", 0, 1, 1, 0), "must be non-negative and sum to 1"),
-        ((ball, "--at", "nan", 0, 0), "`coordinate` must be finite"),
+        ((ball, "--at", "nan", 0, 0), "`--at` must be finite"),
         ((files / "cloud.ply", "--face", 0, 1, 0, 0), "FacePoint"),
         ((ball, "--farthest", -1), "`--farthest` must be at least 0, got -1"),
         ((ball, "--farthest", 643), "`--farthest` must be in [0, 642], got 643"),

@@ -21,7 +21,7 @@ from spectra_kit.operators._checks import (
     units_of,
 )
 from spectra_kit.operators.delaunay import delaunay_laplacian
-from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.operators.laplacian import Laplacian, with_zero_sums
 
 Floats = NDArray[np.float64]
 
@@ -98,8 +98,7 @@ def robust_laplacian(
     _check_room(len(geometry.faces) * _BYTES_PER_FACE)
     unit, faces = _mean_edges(geometry), np.array(geometry.faces)
     stiffness, mass = rl.mesh_laplacian(geometry.points / unit[:, None], faces, mollify_factor)
-    # Beside needles its rows sum to thousands of times their rounding; those of constants are zero.
-    stiffness.setdiag(stiffness.diagonal() - np.asarray(stiffness.sum(axis=1)).ravel())
+    stiffness = with_zero_sums(stiffness)
     return Laplacian(
         stiffness,
         mass.diagonal() * unit**2,

@@ -145,9 +145,8 @@ class Laplacian(Rebuilt):
         entries. (In float32 the rounding of L looks like one.)
         """
         free, labels = self.free, self.component_labels[self.free]
-        sums = np.bincount(labels, np.abs(self.stiffness.sum(axis=1))[free])
-        magnitudes = np.bincount(labels, np.asarray(abs(self.stiffness).sum(axis=1))[free])
-        found = sums <= _ROUNDING * magnitudes
+        sums, rounding = _row_sums(self.stiffness)
+        found = np.bincount(labels, np.abs(sums)[free]) <= np.bincount(labels, rounding[free])
         if len(self.fixed):
             beside = np.diff(self.stiffness[free][:, self.fixed].indptr) > 0
             found[labels[beside]] = False
@@ -245,3 +244,19 @@ def _check_stiffness(matrix: Any, n: int) -> sparse.csr_array:
             " sign: pass -L"
         )
     return stiffness
+
+
+def with_zero_sums(stiffness: sparse.sparray) -> sparse.csr_array:
+    """Return L with the rows that sum to more than rounding corrected on the diagonal.
+
+    Beside needles, those of the library robust_laplacian sum to thousands of times their rounding.
+    """
+    matrix = sparse.csr_array(stiffness)
+    sums, rounding = _row_sums(matrix)
+    return sparse.csr_array(matrix - sparse.diags_array(np.where(np.abs(sums) > rounding, sums, 0)))
+
+
+def _row_sums(stiffness: sparse.csr_array) -> tuple[Floats, Floats]:
+    """Return the sum of each row, and what rounding can make of one that is zero."""
+    magnitudes = np.asarray(abs(stiffness).sum(axis=1))
+    return np.asarray(stiffness.sum(axis=1)), _ROUNDING * magnitudes
