@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 import spectra_kit as sk
 from spectra_kit.descriptors import heat_kernel_signature, heat_times
@@ -19,8 +18,6 @@ from spectra_kit.viz.render import Scene, render
 from spectra_kit.viz.sheet import MARGIN, new_figure, save, tidy
 from spectra_kit.viz.signs import display_signs
 from spectra_kit.viz.spectra import draw_eigenvalues
-
-Floats = NDArray[np.float64]
 
 MODE = 33
 COLUMNS, CELL, TALL, GAP, CAPTION = 4, 2.75, 2.05, 0.22, 0.56  # inches

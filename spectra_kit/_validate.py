@@ -12,10 +12,9 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit.errors import InvalidInputError, SpectraKitWarning
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Array = TypeVar("Array", bound=NDArray[np.generic])
 
 

@@ -13,15 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Brief, check_count, check_mass, frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.orthonormal import orthonormalize
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.spectrum import Spectrum
 from spectra_kit.subspaces import Subspace, restricted
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Moving one place in the order must win this much squared cosine: modes that nothing
 # resembles stay where they are.

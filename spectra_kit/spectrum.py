@@ -14,6 +14,7 @@ from scipy import sparse
 
 from spectra_kit._checked import checked
 from spectra_kit._spectrum_file import read_spectrum_file, write_spectrum_file
+from spectra_kit._types import Floats
 from spectra_kit._validate import Rebuilt, check_count, check_positive, frozen, quantity, real_array
 from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
 from spectra_kit.linalg.residuals import residual_norms
@@ -23,7 +24,6 @@ from spectra_kit.operators.laplacian import Laplacian
 if TYPE_CHECKING:
     import torch
 
-Floats = NDArray[np.float64]
 
 _FOREIGN_MASS = 1e-5  # relative; float32 copies of the same mass differ by less
 _LARGEST_FACTOR = 1e150  # to change the unit of length by

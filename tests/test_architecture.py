@@ -9,6 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1] / "spectra_kit"
 LAYERS = [
+    "_types",
     "errors _validate _checked _files _version",
     "geometry linalg",
     "operators",

@@ -11,13 +11,12 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import eigsh, lobpcg
 
+from spectra_kit._types import Floats
 from spectra_kit.operators import Laplacian
 
-Floats = NDArray[np.float64]
 Pairs = tuple[Floats, Floats]
 
 

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.cli import tables
 from spectra_kit.cli.folder import check_folder, drawing, together
@@ -40,8 +40,6 @@ from spectra_kit.geometry.formats import ply
 from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.spectrum import Spectrum
 from spectra_kit.viz.distance_scale import distance_colours
-
-Floats = NDArray[np.float64]
 
 _NUMBERS = ("distance.npy", "distance.ply", "report.json")
 _FIELD, _CONVERGENCE = "field.png", "convergence.png"

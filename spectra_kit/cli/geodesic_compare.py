@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit.cli import tables
 from spectra_kit.cli.geodesic_method import spectrum_named
 from spectra_kit.cli.geodesic_options import COMPARED_MODES
@@ -21,8 +21,6 @@ from spectra_kit.geometry import Geometry, TriangleMesh, sphere
 from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.spectrum import Spectrum
 from spectra_kit.viz import SolverRun
-
-Floats = NDArray[np.float64]
 
 _REPEATS = 2  # of everything, one after the other; the faster run of each counts
 _SPECTRA = {"exact": "exact modes", "neo": "NEO modes", "neo-polished": "NEO modes, polished"}

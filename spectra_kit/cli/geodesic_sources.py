@@ -6,15 +6,14 @@ import argparse
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_indices
 from spectra_kit.cli.options import DEMO
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.sources import FacePoint, nearest_source
 from spectra_kit.geometry import Geometry, TriangleMesh
 
-Floats = NDArray[np.float64]
 Source = int | FacePoint
 
 

@@ -7,8 +7,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Ints
 from spectra_kit._validate import check_indices
 from spectra_kit.cli import tables
 from spectra_kit.cli.folder import check_folder, drawing, together
@@ -26,8 +26,6 @@ from spectra_kit.geometry.formats._arrays import text_lines, whole
 from spectra_kit.geometry.formats.numpy_arrays import read_npy
 from spectra_kit.matching import Match, match, prepare
 from spectra_kit.matching.match import Sides
-
-Ints = NDArray[np.int64]
 
 _MAPS = ("point_map.npy", "functional_map.npy", "report.json")
 _SIDES = ("source.npz", "target.npz")

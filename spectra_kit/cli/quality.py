@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Ints
 from spectra_kit.correspondence import (
     MapErrors,
     Truth,
@@ -25,9 +25,6 @@ from spectra_kit.matching.result import Doubt
 from spectra_kit.operators import Laplacian
 from spectra_kit.operators.orientation import oriented_triangles
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

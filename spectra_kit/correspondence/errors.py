@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt, check_indices, check_positive, frozen, real_array
 from spectra_kit.correspondence.geodesic import geodesic_distances
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 #: A map is flipped if its mean symmetric error is lower than its direct one by more than this.
 FLIP_MARGIN = 1.0

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_faces, check_indices, check_mass, check_points
 from spectra_kit.correspondence.geodesic import geodesic_distances
 from spectra_kit.errors import InvalidInputError
@@ -16,9 +17,6 @@ from spectra_kit.functional_maps import (
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators import Laplacian
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _WAY_BACK = 100  # modes of the functional map whose transpose leads back
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_indices, quantity, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def outside_kernel(spectrum: Spectrum) -> Spectrum:

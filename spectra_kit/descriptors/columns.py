@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
 
 
 @checked

@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit.descriptors._checks import check_sources, check_times
 from spectra_kit.descriptors.grids import heat_times
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
 
 
 @checked

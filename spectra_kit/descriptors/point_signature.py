@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.descriptors._checks import outside_kernel
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
 
 
 @checked

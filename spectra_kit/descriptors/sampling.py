@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Ints
 from spectra_kit._validate import check_count
 from spectra_kit.descriptors.distances import biharmonic_embedding, kernel_labels
 from spectra_kit.spectrum import Spectrum
-
-Ints = NDArray[np.int64]
 
 
 @checked

@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.distance import pdist, squareform
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.descriptors._checks import outside_kernel
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectrum import Spectrum
 
-Floats = NDArray[np.float64]
 Normalization = Literal["area", "weyl", "first"]
 Weighting = Literal["index", "inverse"]
 

@@ -5,17 +5,16 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_positive
 from spectra_kit.descriptors._checks import check_energies, check_sources, outside_kernel
 from spectra_kit.descriptors.grids import default_width, wave_energies
 from spectra_kit.descriptors.heat import seen_from, shares
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
 
 
 @checked

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigsh
 
@@ -21,7 +20,6 @@ from spectra_kit.linalg import SparseCholesky
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
 
-Floats = NDArray[np.float64]
 Factor = TypeVar("Factor")
 
 # Lanczos needs a subspace well above k; below this multiple of it the dense solver is as fast.

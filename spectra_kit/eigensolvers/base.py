@@ -8,9 +8,8 @@ from typing import Literal, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit.operators.laplacian import Laplacian
-
-Floats = NDArray[np.float64]
 
 #: What a backend goes on for: until rounding, until the residuals asked for, or so much work.
 Accuracy = Literal["exact", "to tolerance", "approximate"]

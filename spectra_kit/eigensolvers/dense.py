@@ -8,18 +8,16 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import eigh
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
-
-Floats = NDArray[np.float64]
 
 _ORTHONORMAL = 1e-10  # LAPACK's is far better where it is right
 

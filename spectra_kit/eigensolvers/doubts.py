@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import quantity, warn
 from spectra_kit.errors import DoubtfulSpectrumWarning
 from spectra_kit.levels import smoothed
 from spectra_kit.linalg.ritz import ritz_pairs_at_most
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
 
 #: Eigenvalues that are too high by more than this, relative to the true ones, are told.
 DOUBTFUL = 0.1

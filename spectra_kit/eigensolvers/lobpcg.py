@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.arpack import shifted_factor
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs, NotConvergedError
@@ -22,8 +23,6 @@ from spectra_kit.linalg import SparseLDL, orthonormalize
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import Subspace, restricted
-
-Floats = NDArray[np.float64]
 
 _DENSE_RATIO = 5  # below this multiple of the block the trial space is most of the whole space
 _NEXT = 1e-2  # relative residual by which the mode after the wanted ones is known not to be lower

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.eigensolvers.refined import Refined, block_size
@@ -17,8 +17,6 @@ from spectra_kit.levels import Coarse, CoarsePairs, coarse_iteration, coarse_rit
 from spectra_kit.linalg.products import spmm
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import GivenBasis, RandomBasis
-
-Floats = NDArray[np.float64]
 
 _ROOM = 4  # points of a level, relative to the block: with fewer it has no low modes of its own
 _SETTLED = 0.01  # change of the coarsest Ritz values in the last sweep; the next gains nothing

@@ -19,8 +19,6 @@ from spectra_kit.linalg.ritz import ritz_pairs
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import AmbientFourier, Subspace, restricted
 
-Floats = NDArray[np.float64]
-
 
 @checked
 @dataclass(frozen=True, kw_only=True)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
@@ -20,8 +20,6 @@ from spectra_kit.linalg.shift_invert import Refinement, shift_invert_iteration
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import AmbientFourier, Subspace, restricted
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Method = Literal["shift-invert", "chebyshev", "lobpcg"]
 
 _DENSE_RATIO = 5  # below this multiple of the block the trial space is most of the whole space

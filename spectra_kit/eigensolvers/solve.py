@@ -9,9 +9,9 @@ import traceback
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, quantity
 from spectra_kit._version import VERSION
 from spectra_kit.eigensolvers._units import Units
@@ -32,9 +32,6 @@ from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.spectrum import Provenance, Spectrum
 from spectra_kit.subspaces import GivenBasis, RandomBasis, Union, restricted
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _ORTHONORMAL = 1e-6  # a spectrum further from M-orthonormal is refused
 _NEGATIVE = 1e-6  # eigenvalues down to -this times the spacing are rounding, and become 0

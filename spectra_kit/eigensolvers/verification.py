@@ -7,18 +7,16 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit.eigensolvers.doubts import with_excess
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg import SparseLDL
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.spectrum import ModeCount, Spectrum
-
-Floats = NDArray[np.float64]
 
 _EPS = float(np.finfo(np.float64).eps)
 # How far from a mode to put a shift, in units of the eigenvalue or the spacing, whatever is less:

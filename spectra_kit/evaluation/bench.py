@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from spectra_kit._files import atomic_path, parsing
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, frozen
 from spectra_kit._version import VERSION
 from spectra_kit.eigensolvers import Dense, eigensolve
@@ -32,8 +32,6 @@ from spectra_kit.linalg.torch_ritz import orthonormalize, rayleigh_ritz
 from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.operators import Laplacian
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
 
 #: Functions for each point above which a subspace says nothing: it fills the space of the points.
 ROOM = 0.6

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.evaluation.methods import Weights
 from spectra_kit.neo.pretrained import load_pretrained
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit.evaluation.bench import Measurement
 from spectra_kit.evaluation.cases import Case
 from spectra_kit.evaluation.methods import Method
 from spectra_kit.evaluation.models import Model
-
-Floats = NDArray[np.float64]
 
 _REFERENCE_POINTS = 8192
 # Mean span error in one pose, and how many times less than plane waves: with CPU training

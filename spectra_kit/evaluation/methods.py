@@ -13,12 +13,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo import NeoSubspace
 from spectra_kit.neo.pretrained import load_pretrained
 from spectra_kit.subspaces import AmbientFourier, Subspace, Union
 
-Floats = NDArray[np.float64]
 Precision = Literal["float32", "bfloat16", "float16"]
 
 

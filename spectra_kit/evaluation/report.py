@@ -13,10 +13,11 @@ import numpy as np
 import torch
 
 from spectra_kit._files import atomic_path
+from spectra_kit._types import Floats
 from spectra_kit._version import VERSION
 from spectra_kit.evaluation.curves import Curve, training_curve
 from spectra_kit.evaluation.figures import draw, draw_curves
-from spectra_kit.evaluation.findings import Finding, Floats, Row, undominated
+from spectra_kit.evaluation.findings import Finding, Row, undominated
 from spectra_kit.evaluation.methods import Weights, check_names
 from spectra_kit.evaluation.studies import Answer
 

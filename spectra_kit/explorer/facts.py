@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit.explorer.payload import LEVELS, Quantised
 from spectra_kit.metrics import Comparison
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
 
 PERCENTILE = 99.0  # a lone spike must not bleach the rest
 FLOOR = 8  # steps of 16 bits; below, a difference would show its rounding

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path, check_target
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.explorer.display import (
@@ -41,8 +42,6 @@ from spectra_kit.viz.boundary import free_boundary
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.colours import diverging_colours
 from spectra_kit.viz.render import ball_diameter
-
-Floats = NDArray[np.float64]
 
 _BOX = 65535  # positions are this many steps along the longest side
 

@@ -18,10 +18,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components, depth_first_order
 from scipy.spatial import cKDTree
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LEVELS = 32767  # of the positive half of a signed 16-bit number
 _NEIGHBOURS = 8  # of a point of a cloud, to walk along

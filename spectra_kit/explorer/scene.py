@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit.explorer.display import for_display, functions_of
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.metrics import Comparison
@@ -21,8 +21,6 @@ from spectra_kit.spectrum import Spectrum
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.colours import diverging_colours
 from spectra_kit.viz.pen import short
-
-Floats = NDArray[np.float64]
 
 _PERCENTILE = 99.0  # a lone spike must not bleach the rest
 _FAINT = 1e-4  # differences below this part of the mode stay white

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, check_indices, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _START = 20  # modes with which a point map starts: enough to tell the limbs of a body apart
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
+from spectra_kit._types import Floats
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.functional_maps._terms import Commuting, Preserved
-
-Floats = NDArray[np.float64]
 
 _DENSE = 2500  # unknowns up to which one Cholesky factor is quicker than conjugate gradients
 _RTOL = 1e-10  # of the residual, in the norm of the preconditioner

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectrum import Spectrum
 
-Floats = NDArray[np.float64]
 Mask = Literal["resolvent", "standard"]
 
 _VOID = 1e-12  # relative: operators that commute with every map, but for rounding

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._checks import checked_pair, starting_map
@@ -13,8 +14,6 @@ from spectra_kit.functional_maps.convert import Correspondence, induced
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.functional_maps.zoomout import schedule
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
 
 
 @checked

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt, frozen
 from spectra_kit.functional_maps._checks import (
     at_unit_area,
@@ -17,9 +18,6 @@ from spectra_kit.functional_maps._checks import (
 )
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @checked

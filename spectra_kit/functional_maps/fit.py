@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_indices, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._checks import at_unit_area, check_components, check_sizes
@@ -21,8 +22,6 @@ from spectra_kit.functional_maps._terms import (
 from spectra_kit.operators.orientation import OrientedTriangles, orientation_operator
 from spectra_kit.spectrum import Spectrum
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _RIDGE = 1e-12  # of |C|^2, where all else is of order 1: decides what nothing else does
 
 Landmarks = tuple[ArrayLike, ArrayLike]

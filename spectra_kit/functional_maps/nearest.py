@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._device import checked_device
@@ -16,8 +17,6 @@ from spectra_kit.linalg.threads import in_threads, single_threaded_blas, thread_
 if TYPE_CHECKING:
     import torch
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _BLOCK = 2**19  # scores at a time and thread: 2 MB of float32, which stays in the cache
 _DEVICE_BLOCK = 2**26  # 256 MB of float32 on another device

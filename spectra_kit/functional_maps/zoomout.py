@@ -6,10 +6,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._checks import checked_pair, checked_samples, starting_map
@@ -17,9 +18,6 @@ from spectra_kit.functional_maps._device import checked_device
 from spectra_kit.functional_maps.convert import Correspondence
 from spectra_kit.functional_maps.nearest import check_rows, nearest, nearest_torch
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _CHUNK = 2**20  # scores of `zoomout_many` held at a time: 4 MB of float32
 

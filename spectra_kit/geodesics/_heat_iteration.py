@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-Floats = NDArray[np.float64]
+from spectra_kit._types import Floats
+
 Ints = NDArray[np.int32]
 
 _RISE = 16  # iterations that suffice unless triangles differ much in size

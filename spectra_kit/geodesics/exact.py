@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_indices, quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
@@ -19,8 +20,6 @@ from spectra_kit.geometry._units import component_units
 if TYPE_CHECKING:
     from spectra_kit.geodesics._exact_kernels import Soup
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # A vertex is a saddle where its angles exceed a full turn by more than their rounding.
 _SADDLE = 1e-9

@@ -9,9 +9,10 @@ from functools import cached_property, reduce
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_positive, frozen, warn
 from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat_step import Heat, HeatStep
@@ -34,7 +35,6 @@ from spectra_kit.linalg.threads import in_threads
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.spectrum import Spectrum
 
-Floats = NDArray[np.float64]
 Boundary = Literal["neumann", "dirichlet", "average"]
 
 # Share of the points nearer to a source than sqrt(t) that deserves a warning, and how many of them

@@ -14,6 +14,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.linalg.cholesky import SparseCholesky
 from spectra_kit.linalg.incomplete_cholesky import incomplete_factor
@@ -21,7 +22,6 @@ from spectra_kit.linalg.incomplete_cholesky import incomplete_factor
 if TYPE_CHECKING:
     from spectra_kit.geodesics.system import System
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 _DROP = 1e-4  # of the incomplete factor: some 13 iterations, and three times the entries of L

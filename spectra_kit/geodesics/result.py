@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import Rebuilt, frozen
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.sources import Sources
 from spectra_kit.linalg.solution import LinearSolution
-
-Floats = NDArray[np.float64]
 
 
 @checked

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.coarse_space import (
@@ -24,8 +25,6 @@ from spectra_kit.linalg.grounded import GroundedCholesky
 from spectra_kit.linalg.incomplete_cholesky import IncompleteCholesky
 from spectra_kit.linalg.solution import LinearSolution
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
 
 _SMALL = 10_000  # points, of which a complete factor takes less than a tenth of a second
 _FEW = 4  # sources: for more, complete factors pay; see `benchmark_geodesics.py`

@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_positive, quantity, warn
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 from spectra_kit.spectrum import Spectrum
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _NEGATIVE = 0.01  # share of the surface that truncation may cool below zero

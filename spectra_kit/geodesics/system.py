@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import warn
 from spectra_kit.errors import DoubtfulDistanceWarning
 from spectra_kit.geodesics.heat_step import Heat
@@ -19,7 +20,6 @@ from spectra_kit.geodesics.sources import Sources
 from spectra_kit.linalg.incomplete_cholesky import untidy
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 _FLAT = 1e-9  # relative differences of heat in a triangle that are no direction, but rounding

@@ -5,14 +5,11 @@ from __future__ import annotations
 from heapq import heapify, heappop, heappush
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit.geometry._units import box_unit
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _OPEN = 0.25  # mean size of the winding number, below which a surface encloses nothing; 1/2 if all
 _PASSES = 3  # of winding numbers; the first turns nearly all that will be turned

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit.geometry.shapes import TriangleMesh
-
-Floats = NDArray[np.float64]
 
 
 def power_of_two(length: float | Floats) -> Floats:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Ints
 from spectra_kit._validate import Brief, frozen
 from spectra_kit.geometry._units import box_unit
 from spectra_kit.geometry.shapes import TriangleMesh
-
-Ints = NDArray[np.int64]
 
 
 @checked

@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.geometry._joints import Joint, bend, ramp
 from spectra_kit.geometry.implicit import Field, ellipsoid, limb, polygonize, smooth_union
 from spectra_kit.geometry.shapes import TriangleMesh
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _LOW, _HIGH = np.array([-1.75, -0.85, -1.05]), np.array([1.65, 0.85, 1.35])
 _COARSE = 10_000  # vertices that marching cubes and decimation make; subdivision makes the rest

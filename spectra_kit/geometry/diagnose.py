@@ -12,8 +12,6 @@ from scipy.sparse.csgraph import connected_components
 from spectra_kit._checked import checked
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh, distinct_rows
 
-Ints = NDArray[np.int64]
-
 
 @checked
 @dataclass(frozen=True, kw_only=True)

@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit.geometry.marching_cubes import marching_cubes
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Field = Callable[[Floats], Floats]
 
 

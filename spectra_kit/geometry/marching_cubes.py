@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from spectra_kit._types import Floats, Ints
 
 # Corners of a cell as (x, y, z), and its edges as pairs of corners.
 _CORNERS = np.array(

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import Brief, check_points, check_positive, frozen, quantity, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
-Floats = NDArray[np.float64]
 Movable = TypeVar("Movable", bound=Floats | TriangleMesh | PointCloud)
 
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry._signs import agree_on_signs, symmetric_votes, turn_outwards
 from spectra_kit.geometry._units import box_unit
 from spectra_kit.geometry.shapes import PointCloud
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @checked

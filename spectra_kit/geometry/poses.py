@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Ints
 from spectra_kit._validate import check_count, frozen
 from spectra_kit.geometry.creature import creature
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 
-Ints = NDArray[np.int64]
 Kind = TypeVar("Kind", TriangleMesh, PointCloud)
 
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Brief, frozen, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh, distinct_rows
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @checked

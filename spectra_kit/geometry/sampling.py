@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import (
     Brief,
     check_count,
@@ -20,9 +21,6 @@ from spectra_kit._validate import (
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry._units import box_unit
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _MOST = 2**48  # points; more than any memory holds, but their bytes can be counted
 

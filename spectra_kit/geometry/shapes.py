@@ -11,11 +11,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt, check_faces, check_points, frozen
 from spectra_kit.errors import InvalidInputError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _BLOCK = 1 << 16
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import Brief
 from spectra_kit.levels.interpolation import prolongation
 from spectra_kit.levels.subset import Subset, well_spread
 from spectra_kit.operators.laplacian import Laplacian
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,13 +5,11 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import frozen
 from spectra_kit.linalg.threads import in_threads, thread_count
 from spectra_kit.operators.laplacian import Laplacian
-
-Floats = NDArray[np.float64]
 
 _FLOOR = 1e-3  # of the median diagonal entry: smaller ones would take steps of any length
 

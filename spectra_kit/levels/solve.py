@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from spectra_kit._types import Floats
 from spectra_kit.levels.coarse import Coarse
 from spectra_kit.linalg.ldl import SparseLDL
 from spectra_kit.linalg.orthonormal import RankError, orthonormalize
 from spectra_kit.linalg.products import spmm
 from spectra_kit.linalg.threads import single_threaded_blas
-
-Floats = NDArray[np.float64]
 
 _NOTHING = 1e-13  # share of the largest squared norm: what has less is carried to nothing
 _RIDGE = 1e-13  # of the diagonal, added to it in the factor, for what is carried to nothing

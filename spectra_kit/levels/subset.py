@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, frozen
 from spectra_kit.errors import InvalidInputError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Radius of the balls, where the subset has one point per unit of area and all points `c` times as
 # many: 0.99 - 0.37 / sqrt(c). Measured on meshes; the first guess is the last one there.

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import quantity, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.constant_kernel import ConstantKernel
-
-Floats = NDArray[np.float64]
 
 #: Share of the sum of magnitudes below which a sum counts as zero: rounding of n terms.
 _ROUNDING = 1e-9

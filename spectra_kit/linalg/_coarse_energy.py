@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.products import spmm
-
-Floats = NDArray[np.float64]
 
 _DEPENDENT = 1e-10  # share of the largest eigenvalue of the Gram matrix below which columns depend
 _KERNEL = 1e-12  # share of the largest diagonal entry of A below which an energy is zero

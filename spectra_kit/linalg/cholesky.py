@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
-
-Floats = NDArray[np.float64]
 
 _MAX_ENTRIES = 2**31 - 1  # cholespy indexes with 32-bit integers
 

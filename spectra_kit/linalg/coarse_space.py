@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 from scipy import sparse
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_mass
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg._checks import check_matrix, check_vector
 from spectra_kit.linalg._coarse_energy import check_basis, inverse_energy
 from spectra_kit.linalg._team import Call, ranges, side_by_side
 from spectra_kit.linalg.products import real_dtype
-
-Floats = NDArray[np.float64]
 
 _WIDE = 32  # modes from which a range of rows is worth a thread
 

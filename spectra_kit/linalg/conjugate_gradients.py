@@ -7,9 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.linalg._checks import (
@@ -24,8 +25,6 @@ from spectra_kit.linalg.coarse_space import Preconditioner
 from spectra_kit.linalg.constant_kernel import ConstantKernel
 from spectra_kit.linalg.solution import LinearSolution
 from spectra_kit.linalg.threads import single_threaded_blas
-
-Floats = NDArray[np.float64]
 
 _MOST_ITERATIONS = 10_000
 _PROGRESS = 0.5  # factor by which a restart must have reduced the true residual

@@ -5,16 +5,15 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
+from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg._checks import check_kernel, check_matrix, check_rhs, check_symmetric
 from spectra_kit.linalg.cholesky import SparseCholesky
 from spectra_kit.linalg.constant_kernel import ConstantKernel
 from spectra_kit.linalg.solution import LinearSolution
-
-Floats = NDArray[np.float64]
 
 _ACCURATE = 1e-7  # relative residual up to which a direct solution is one
 

@@ -9,12 +9,11 @@ from numpy.typing import DTypeLike, NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg._checks import check_matrix, check_vector
 from spectra_kit.linalg.products import real_dtype
-
-Floats = NDArray[np.float64]
 
 _FIRST_SHIFT = 1e-3
 _GROWTH = 4.0

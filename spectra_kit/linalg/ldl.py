@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from scipy import sparse
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.linalg.products import real_dtype
 from spectra_kit.linalg.threads import in_threads, thread_count
-
-Floats = NDArray[np.float64]
 
 _WIDE = 64  # columns solved together: more gain nothing, and cost memory in each thread
 _NARROW = 8  # fewer than these are not worth a thread of their own

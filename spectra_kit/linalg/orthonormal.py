@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
-
-Floats = NDArray[np.float64]
 
 _ROWS = 65_536  # rows handled at once: bounds the temporaries, not the result
 _PASSES = 6  # three suffice down to rank_tol = 1e-14; more mean a bug or NaN

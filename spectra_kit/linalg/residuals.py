@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from spectra_kit._types import Floats, Singles
 from spectra_kit.linalg.threads import in_threads
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 _ROWS = 8_192  # of one task
 

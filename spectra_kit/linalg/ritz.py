@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import eigh
 
+from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.orthonormal import RankError, orthonormalize
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas
-
-Floats = NDArray[np.float64]
 
 _ROWS = 4_096  # of one task: in the cache, and fixed, so that no sum depends on the threads
 _WELL_CONDITIONED = 1e-12  # of the Gram matrix: above it, one float64 Gram matrix tells all

@@ -12,15 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from spectra_kit._types import Floats, Singles
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.ldl import SparseLDL
 from spectra_kit.linalg.orthonormal import RankError
 from spectra_kit.linalg.residuals import residuals
 from spectra_kit.linalg.ritz import ritz_pairs_at_most, ritz_rotation
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas, thread_count
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 _COLUMNS = 80  # filtered together, at most: bounds the temporaries
 _SHIFT = 1 / 8  # of the guard eigenvalue: strong on the last modes, kind to float32 on the first

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-Floats = NDArray[np.float64]
+from spectra_kit._types import Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)

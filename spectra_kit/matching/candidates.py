@@ -19,14 +19,11 @@ from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit.matching.prepare import Prepared, curvatures
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _SIGNED = 7  # modes whose signs are tried, the constant aside: 2^6 candidates
 _ORDERS = 32  # likeliest orders of these modes that are tried: 2048 candidates

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit.operators.orientation import OrientedTriangles
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
 
 
 def outward_normals(points: Floats, oriented: OrientedTriangles) -> Floats:

@@ -9,18 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit.linalg.cholesky import SparseCholesky
 from spectra_kit.linalg.threads import in_threads
 from spectra_kit.matching.curvature import outward_normals
 from spectra_kit.matching.prepare import Surface
 from spectra_kit.operators.orientation import OrientedTriangles
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _PULL = 400.0  # weight of the target, in 1/area: rigid below lengths of 1/20 of the root of it
 _NORMAL = 0.05  # length that a turn of the normal by one radian counts like

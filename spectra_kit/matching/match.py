@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, warn
 from spectra_kit.descriptors import landmark_wave_kernel_signature, normalize_descriptors
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
@@ -32,9 +32,6 @@ from spectra_kit.matching.score import (
     score_of,
 )
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 Pairs = tuple[Ints, Ints]
 Sides = Literal["kept", "reversed", "either"]

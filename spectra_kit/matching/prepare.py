@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt, check_count, frozen
 from spectra_kit.descriptors import farthest_points, wave_kernel_signature
 from spectra_kit.errors import InvalidInputError
@@ -15,9 +15,6 @@ from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh
 from spectra_kit.matching.curvature import smoothed_mean_curvature
 from spectra_kit.operators.orientation import OrientedTriangles, area_form, oriented_triangles
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LOWEST_K = 30  # modes without which there is no matching
 FORM_K = 40  # modes of the area form

@@ -5,14 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt, frozen
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Measured on pairs of bodies (FAUST, 0-79): right matches had margins of 1.06 and more but for
 # three of 130, and orientations of 0.7 and more; the other side was up to 1.16 times better.

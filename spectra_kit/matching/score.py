@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_indices, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._checks import check_point_map
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.matching.prepare import Prepared, curvatures
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _FINE = slice(0, 2)  # of the smoothed curvatures
 _FEW = 200  # samples of a rough look

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from spectra_kit._types import Bools, Floats
 from spectra_kit._validate import quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
@@ -16,10 +17,8 @@ from spectra_kit.linalg.threads import in_threads
 from spectra_kit.operators._checks import unit_of, units_of
 from spectra_kit.operators._local_delaunay import local_triangles
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
 # Of a half-edge, before giving up. Clouds need 0.14 at most, but n slivers that fan out from one

@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from spectra_kit._types import Bools, Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.threads import in_threads, thread_count
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
-Bools = NDArray[np.bool_]
 
 _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the number of threads
 _TIE = 1e-7  # weight of a point, of its squared distance to the nearest: decides between diagonals

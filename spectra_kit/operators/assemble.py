@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
@@ -22,8 +22,6 @@ from spectra_kit.operators._checks import (
 )
 from spectra_kit.operators.delaunay import delaunay_laplacian
 from spectra_kit.operators.laplacian import Laplacian, with_zero_sums
-
-Floats = NDArray[np.float64]
 
 # What robust_laplacian 1.1 took of address space, on meshes of 2,000 to 400,000 faces (1,550 to
 # 2,540), and some more.

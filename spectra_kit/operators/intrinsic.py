@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import (
     Rebuilt,
     check_indices,
@@ -28,8 +29,6 @@ from spectra_kit.operators._checks import (
 from spectra_kit.operators._gluing import glued_cloud, glued_mesh
 from spectra_kit.operators.laplacian import Laplacian
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Corners = NDArray[np.int32]
 
 _MOST = 0.9  # share of the edges that longer ones do not outweigh

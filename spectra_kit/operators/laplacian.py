@@ -12,11 +12,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt, check_indices, check_mass, check_points, frozen
 from spectra_kit.errors import InvalidInputError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _ROUNDING = 32 * float(np.finfo(np.float64).eps)  # of the sums of rows, relative to magnitudes
 

@@ -15,6 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import (
     Rebuilt,
     check_count,
@@ -28,9 +29,6 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators._checks import check_faces_usable, units_of
 from spectra_kit.operators._fans import oriented_fans
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _BLOCK = 1024  # triangles
 # Volume over area^(3/2), 0.094 for a ball and 0.03 for a body; below it there is no inside.

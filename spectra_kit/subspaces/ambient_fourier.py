@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas
 from spectra_kit.subspaces.frame import canonical_frame
-
-Floats = NDArray[np.float64]
 
 _ROWS = 4_096  # evaluated at a time: stays in the cache, and each thread takes the next
 

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.subspaces.given import restricted
-
-Floats = NDArray[np.float64]
 
 
 @runtime_checkable

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_mass, check_points, quantity
 from spectra_kit.errors import InvalidInputError
-
-Floats = NDArray[np.float64]
 
 #: The four proper sign flips of a frame, shape (4, 3): multiply posed coordinates by a row.
 POSES: Floats = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])

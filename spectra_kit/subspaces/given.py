@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt, check_count, check_indices, frozen, real_array
 from spectra_kit.errors import InvalidInputError
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Solver = TypeVar("Solver")
 
 

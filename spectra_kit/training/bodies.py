@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import implicit as clay
 from spectra_kit.geometry.shapes import TriangleMesh
 from spectra_kit.training import surfaces as s
 
-Floats = NDArray[np.float64]
 Rng = np.random.Generator
 CELLS = 60_000  # marching cubes per implicit surface: finer than 2,048 samples resolve
 FEWEST = 400  # faces; a crumb left over by cuts shows the grid and not a shape

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import TriangleMesh
@@ -27,7 +26,6 @@ from spectra_kit.training.bodies import (
 from spectra_kit.training.kits import furniture, vehicle
 from spectra_kit.training.objects import assembly, machined, vessel
 
-Floats = NDArray[np.float64]
 Rng = np.random.Generator
 
 

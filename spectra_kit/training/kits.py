@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit.geometry.shapes import TriangleMesh
 from spectra_kit.training import surfaces as s
 
-Floats = NDArray[np.float64]
 Rng = np.random.Generator
 _CORNERS = [(x, y) for x in (-1, 1) for y in (-1, 1)]
 

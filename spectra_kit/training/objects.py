@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from spectra_kit._types import Floats
 from spectra_kit.geometry import implicit as clay
 from spectra_kit.geometry.shapes import TriangleMesh
 from spectra_kit.training import surfaces as s
 from spectra_kit.training.bodies import polygonized
 
-Floats = NDArray[np.float64]
 Rng = np.random.Generator
 
 

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers import Arpack, eigensolve
 from spectra_kit.errors import ConvergenceError, InvalidInputError, InvalidSpectrumError
@@ -22,7 +23,6 @@ from spectra_kit.operators import delaunay_laplacian
 from spectra_kit.training.families import FAMILIES, draw_family, make_mesh
 from spectra_kit.training.pool import open_pool, varied
 
-Floats = NDArray[np.float64]
 FROM_POOL = -1  # the label `family` of samples that are real meshes
 REASONS = ("mesh", "components", "solve")  # of rejection
 LABELS = ("family", "pool", "index", "nonuniform", *(f"rejected_{reason}" for reason in REASONS))

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from spectra_kit._types import Floats
 from spectra_kit.geometry.shapes import TriangleMesh
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def grid_mesh(points: Floats, *, wrap_v: bool = False) -> TriangleMesh:

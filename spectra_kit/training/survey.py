@@ -8,16 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 from spectra_kit.operators import delaunay_laplacian
 from spectra_kit.training.corpus import CorpusReport, claim, count, read_fingerprint
 from spectra_kit.training.samples import CorpusConfig, sample_mesh
 from spectra_kit.training.shards import open_shards
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

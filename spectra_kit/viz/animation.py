@@ -9,11 +9,11 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path, check_target
+from spectra_kit._types import Bytes, Floats
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.geometry import estimate_normals, orient_normals
@@ -29,9 +29,6 @@ from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.render import Scene, render
 from spectra_kit.viz.sheet import new_figure
 from spectra_kit.viz.signs import display_signs
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 _MOST_FRAMES = 20_000  # some quarter of an hour, and gigabytes while they are drawn
 _MODES = 6  # by default

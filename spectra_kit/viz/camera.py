@@ -6,14 +6,13 @@ import math
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.sampling import sample
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 
-Floats = NDArray[np.float64]
 Up = Literal["x", "y", "z"]
 
 _AZIMUTHS = np.deg2rad([30, -30, 60, -60, 150, -150, 120, -120])

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Bytes, Floats
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 # Ends of the diverging colours in Oklab: as far from white, as dark and as strong as each other.
 # Blue and vermilion stay apart for whoever lacks one kind of cone.

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from spectra_kit._types import Floats
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.integer]
 
 _PLATEAU = 1e-6  # of the range of values: what is nearer to a level lies on it

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_positive
 from spectra_kit.correspondence import MapErrors
 from spectra_kit.errors import InvalidInputError
@@ -23,9 +24,6 @@ from spectra_kit.viz.rows import Row, set_rows
 from spectra_kit.viz.sheet import check_picture, save
 from spectra_kit.viz.texture import texture_colours
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bytes = NDArray[np.uint8]
 Transfer = Literal["colours", "texture"]
 
 _WIDEST, _TALLEST = 3.4, 3.6  # inches of a picture

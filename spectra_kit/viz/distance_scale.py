@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Bytes, Floats
 from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.viz.colours import UNKNOWN, oklab_to_srgb
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 LINE = (45, 28, 58)
 MARK = (24, 24, 40)

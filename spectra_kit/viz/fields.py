@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
@@ -20,7 +21,6 @@ from spectra_kit.viz.panels import Panel, sequential_limits, symmetric_limit
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.sheet import check_picture
 
-Floats = NDArray[np.float64]
 Lines = Literal["none", "nodal", "levels"]
 
 _LEVELS = 14  # lines from one end of the colours to the other, about

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Bytes, Floats
 from spectra_kit._validate import check_points
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
@@ -23,8 +24,6 @@ from spectra_kit.viz.sheet import MARGIN, check_picture, head, new_figure, save
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 _BALL = 0.07  # radius of the mark of a source, inches
 

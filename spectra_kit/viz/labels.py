@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit.viz.pen import short
 
 if TYPE_CHECKING:
     from matplotlib.axis import Axis
 
-Floats = NDArray[np.float64]
 
 # Right and left first: read more easily than above and below.
 _ANGLES = np.deg2rad([0, 180, 20, -20, 160, 200, 40, -40, 140, 220, 90, -90, 65, -65, 115, 245])

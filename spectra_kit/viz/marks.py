@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit.geometry.reference import sphere
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def with_balls(geometry: Geometry, centres: Floats, radius: float) -> tuple[Geometry, Ints]:

@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Brief, check_indices
 from spectra_kit.correspondence import MapErrors
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @checked

@@ -6,9 +6,9 @@ import os
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
@@ -21,8 +21,6 @@ from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.sheet import check_picture
 from spectra_kit.viz.signs import display_signs
-
-Floats = NDArray[np.float64]
 
 _SHOWN = 12  # modes of a gallery
 _FAINT = 1e-4  # differences below this part of the mode stay white

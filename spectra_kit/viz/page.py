@@ -9,9 +9,9 @@ import os
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import Up, choose_view
@@ -19,8 +19,6 @@ from spectra_kit.viz.panels import Panel, draw_panels
 from spectra_kit.viz.pen import Pen
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.sheet import MARGIN, check_picture, head, new_figure, save
-
-Floats = NDArray[np.float64]
 
 # Inches.
 _WIDTH, _WIDEST_CELL, _GAP = 11.0, 4.5, 0.18

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Bytes, Floats
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
@@ -16,9 +16,6 @@ from spectra_kit.viz.colours import diverging_colours, sequential_colours
 from spectra_kit.viz.contours import level_lines, triangles_of
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.render import Scene, render
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 LINE_WIDTH = 0.75  # points (1/72 inch)
 _PERCENTILE = 99.0  # a lone spike must not bleach the rest

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.viz.front import ParetoPoint, pareto_front
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 
 _WIDTH, _HEIGHT = 8.4, 5.2  # inches
 _MARKERS = "osD^vP*Xp"

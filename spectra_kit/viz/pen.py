@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from spectra_kit._types import Bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Bytes = NDArray[np.uint8]
 
 
 class Pen:

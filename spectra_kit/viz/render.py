@@ -8,17 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from spectra_kit._files import temporary_folder
+from spectra_kit._types import Bytes, Floats
 from spectra_kit.errors import MissingDependencyError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.viz.contours import triangles_of
 from spectra_kit.viz.drawer import draw_requests
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 _MARGIN = 4  # pixels around the geometry
 _LARGEST_BALL = 0.12  # of the longest side

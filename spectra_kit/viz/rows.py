@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Bytes
 from spectra_kit.viz.colours import error_colours
 from spectra_kit.viz.pen import Pen, short
 from spectra_kit.viz.sheet import MARGIN, head, new_figure
@@ -15,7 +15,6 @@ from spectra_kit.viz.sheet import MARGIN, head, new_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Bytes = NDArray[np.uint8]
 
 # Inches.
 _GAP, _SIDE, _HEAD, _LINE, _BAR = 0.25, 0.3, 0.34, 0.19, 0.3

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Bytes, Floats, Ints
 from spectra_kit._validate import check_indices, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
@@ -34,9 +35,6 @@ from spectra_kit.viz.sheet import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bytes = NDArray[np.uint8]
 Kind = Literal["heat", "wave"]
 
 _PICTURES = 4  # by default

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from spectra_kit._types import Floats
 
 _TIED = 1e-6  # relative; differences below it may be rounding
 

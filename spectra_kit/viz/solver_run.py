@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit._validate import Brief, frozen, real_array
 from spectra_kit.errors import InvalidInputError
-
-Floats = NDArray[np.float64]
 
 
 @checked

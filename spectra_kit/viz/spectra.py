@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectrum import Spectrum
 from spectra_kit.viz.labels import log_ticks
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 
 _WIDTH = 8.0  # inches
 _FLOOR = 1e-17  # of relative numbers: below there is only rounding

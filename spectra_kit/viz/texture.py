@@ -6,12 +6,9 @@ from string import ascii_uppercase
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Bytes, Floats
 from spectra_kit.viz.colours import oklab_to_srgb
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 SQUARES = 9  # along the longer side
 _PIXELS = 96  # of the chart, along the side of a square

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spectra_kit._types import Floats
 from spectra_kit.benchmarks.geodesics.contenders import CONTENDERS, DIRECT, PLAIN, ROBUST
 from spectra_kit.benchmarks.geodesics.truth import relative_errors
 from spectra_kit.geometry import sphere
 
-Floats = NDArray[np.float64]
 Record = dict[str, Any]
 
 _SOURCES = 4

@@ -9,15 +9,12 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit.geodesics import Automatic, Direct, HeatGeodesics, Iterative
 from spectra_kit.geodesics.solvers import Solver
 from spectra_kit.geometry import PointCloud, TriangleMesh
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 #: Modes of the two-level solvers, as the paper takes them; that of `Iterative()` has its own.
 MODES = 96

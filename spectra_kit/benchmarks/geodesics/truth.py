@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._files import atomic_path, parsing
+from spectra_kit._types import Floats
 from spectra_kit.benchmarks.code import code_digest
 from spectra_kit.geodesics import exact_distances
 from spectra_kit.geometry import TriangleMesh
-
-Floats = NDArray[np.float64]
 
 
 class ExactCache:

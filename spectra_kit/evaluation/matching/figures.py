@@ -20,8 +20,6 @@ from spectra_kit.evaluation.matching.table import Task
 from spectra_kit.viz import MatchedPair, plot_correspondences
 from spectra_kit.viz.sheet import LINE_COLOURS, save
 
-Floats = NDArray[np.float64]
-
 _DASHES = ("-", "--", ":", "-.")
 _TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)  # less is drawn as the first
 _DPI = 150

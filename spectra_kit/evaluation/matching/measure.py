@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import frozen
 from spectra_kit.correspondence import (
     accuracy_curve,
@@ -26,8 +26,6 @@ from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators import robust_laplacian
 from spectra_kit.operators.orientation import oriented_triangles
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Geodesics = Literal["edges", "exact"]
 
 #: Where accuracy curves are taken, in hundredths of the root of the area.

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._files import temporary_folder
+from spectra_kit._types import Floats, Ints
 from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
 from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
 from spectra_kit.evaluation.matching import pyfm_peer
@@ -22,9 +22,6 @@ from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.matching import match, prepare
 from spectra_kit.operators.orientation import oriented_triangles
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _FITTED, _THINNED = 30, 4  # modes of a fitted map; of 100 signatures every fourth
 

@@ -9,15 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit.correspondence import geodesic_distances
 from spectra_kit.evaluation.matching.subjects import Subject, truth_between
 from spectra_kit.functional_maps import nearest_rows, zoomout
 from spectra_kit.spectrum import Spectrum
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _SCOUTS = 400  # correspondences that rank the candidates
 _STEP = 10  # modes of a step of the final refinement

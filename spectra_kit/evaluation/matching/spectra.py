@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spectra_kit._types import Ints
 from spectra_kit._version import VERSION
 from spectra_kit.eigensolvers import Arpack, Neo, Polished, Refined, eigensolve
 from spectra_kit.eigensolvers.base import Eigensolver
@@ -21,7 +21,6 @@ from spectra_kit.neo.pretrained import load_pretrained
 from spectra_kit.operators import Laplacian, delaunay_laplacian, robust_laplacian
 from spectra_kit.spectrum import Spectrum
 
-Ints = NDArray[np.int64]
 Kind = Literal["mesh", "cloud"]
 
 #: Backends by name: ARPACK, the network alone, polished once, and refined to the end.

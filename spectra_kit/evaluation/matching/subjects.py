@@ -9,15 +9,13 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._files import parsing
+from spectra_kit._types import Ints
 from spectra_kit._validate import Rebuilt, check_count, check_indices, frozen
 from spectra_kit.correspondence import Truth
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, creature
-
-Ints = NDArray[np.int64]
 
 _KEYS = ("V", "F", "corres")
 

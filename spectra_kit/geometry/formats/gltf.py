@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_indices
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays
@@ -50,9 +51,6 @@ BROKEN = (
     RecursionError,
     OSError,
 )
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def read(path: Path) -> Arrays:
