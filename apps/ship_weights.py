@@ -69,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SpectraKitError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    print(f"shipped {args.name} (sha256 {digest}); now run pytest tests/test_neo_shipped.py")
+    print(f"shipped {args.name} (sha256 {digest}); now run pytest tests/neo/test_neo_shipped.py")
     return 0
 
 

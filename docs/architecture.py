@@ -1,6 +1,6 @@
 """Draw the architecture: what flows through the toolkit, and which package may import which.
 
-The rows are those of ``tests/test_architecture.py``, so the picture shows what is enforced::
+The rows are those of ``tests/package/test_architecture.py``, so the picture shows what is enforced::
 
     python docs/architecture.py docs/pictures/architecture.svg
 """
@@ -25,7 +25,7 @@ PURPOSE = {
     "operators": ("input", "Laplacian: L, M"),
     "subspaces": ("solve", "plane waves,\ngiven columns"),
     "levels": ("solve", "coarse operators"),
-    "spectrum": ("solve", "Spectrum and its\ncertificate"),
+    "spectra": ("solve", "Spectrum and its\ncertificate"),
     "neo": ("solve", "the network and\nits weights"),
     "eigensolvers": ("solve", "eigensolve, verify,\nall solvers"),
     "metrics": ("study", "spectra compared"),
@@ -73,7 +73,7 @@ _WIDTH, _HEIGHT, _GAP = 1.8, 0.68, 0.17
 
 def layers() -> list[list[str]]:
     """Public packages and modules, lowest layer first, as the test of the imports has them."""
-    tree = ast.parse((ROOT / "tests" / "test_architecture.py").read_text())
+    tree = ast.parse((ROOT / "tests" / "package" / "test_architecture.py").read_text())
     rows = next(
         ast.literal_eval(node.value)
         for node in tree.body

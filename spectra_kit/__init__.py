@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from spectra_kit import metrics as metrics
     from spectra_kit import neo as neo
     from spectra_kit import operators as operators
-    from spectra_kit import spectrum as spectrum
+    from spectra_kit import spectra as spectra
     from spectra_kit import subspaces as subspaces
     from spectra_kit import training as training
     from spectra_kit import viz as viz
@@ -92,10 +92,10 @@ if TYPE_CHECKING:
     from spectra_kit.operators import intrinsic_delaunay as intrinsic_delaunay
     from spectra_kit.operators import knn_laplacian as knn_laplacian
     from spectra_kit.operators import robust_laplacian as robust_laplacian
-    from spectra_kit.spectrum import Certificate as Certificate
-    from spectra_kit.spectrum import ModeCount as ModeCount
-    from spectra_kit.spectrum import Provenance as Provenance
-    from spectra_kit.spectrum import Spectrum as Spectrum
+    from spectra_kit.spectra import Certificate as Certificate
+    from spectra_kit.spectra import ModeCount as ModeCount
+    from spectra_kit.spectra import Provenance as Provenance
+    from spectra_kit.spectra import Spectrum as Spectrum
     from spectra_kit.subspaces import AmbientFourier as AmbientFourier
     from spectra_kit.subspaces import GivenBasis as GivenBasis
     from spectra_kit.subspaces import RandomBasis as RandomBasis
@@ -119,7 +119,7 @@ _NAMES = {
         "Laplacian cotan_laplacian delaunay_laplacian intrinsic_delaunay knn_laplacian "
         "robust_laplacian"
     ),
-    "spectrum": "Certificate ModeCount Provenance Spectrum",
+    "spectra": "Certificate ModeCount Provenance Spectrum",
     "subspaces": "AmbientFourier GivenBasis RandomBasis Union",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}

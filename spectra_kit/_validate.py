@@ -182,7 +182,13 @@ def _rebuild(cls: type[Any], values: dict[str, Any]) -> Any:
     return cls(**values)
 
 
-def warn(message: str, category: type[SpectraKitWarning]) -> None:
+def warn(
+    message: str,
+    category: type[SpectraKitWarning],
+    *,
+    advice: str = "",
+    remedies: tuple[str, ...] = (),
+) -> None:
     """Warn at the line that called the package, however deep inside the reason was found.
 
     Examples
@@ -199,4 +205,5 @@ def warn(message: str, category: type[SpectraKitWarning]) -> None:
     level, frame = 1, sys._getframe()
     while frame.f_back and frame.f_globals["__name__"].partition(".")[0] == "spectra_kit":
         level, frame = level + 1, frame.f_back
-    warnings.warn(message, category, stacklevel=level)
+    told = category(message, advice=advice, remedies=remedies)
+    warnings.warn(told, stacklevel=level)

@@ -8,15 +8,97 @@ or makes them errors.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 
-class SpectraKitError(Exception):
-    """Base class of every error spectra_kit raises on purpose."""
+class _Advised(Exception):  # noqa: N818  # the part that errors and warnings share
+    """What was found, and what to do about it, apart: so that it can be told in other words."""
+
+    def __init__(self, *facts: object, advice: str = "", remedies: tuple[str, ...] = ()) -> None:
+        super().__init__(*facts)
+        self.advice, self.remedies = advice, remedies
+
+    def told(self, word: Callable[[str], str] = str) -> str:
+        """Return the message, with `word` applied to each argument and call that it names.
+
+        Parameters
+        ----------
+        word : callable, optional
+            Takes a name as Python has it and returns what its reader calls it, as the command line
+            does; by default it stays as it is.
+
+        Returns
+        -------
+        str
+            One line.
+        """
+        advice = self.advice.format(*map(word, self.remedies)) if self.remedies else self.advice
+        return "; ".join(filter(None, (self._finding(word), advice)))
+
+    def _finding(self, word: Callable[[str], str]) -> str:
+        return " ".join(map(str, self.args))
+
+    def __str__(self) -> str:
+        return self.told()
+
+
+class SpectraKitError(_Advised):
+    """Base class of every error spectra_kit raises on purpose.
+
+    Attributes
+    ----------
+    advice : str
+        What to do next; ``{}`` stands where each of the `remedies` is named.
+    remedies : tuple of str
+        The arguments and calls that the advice names, as Python has them.
+    """
 
 
 class InvalidInputError(SpectraKitError, ValueError):
-    """An argument, or the content of a file, has the wrong shape, type or values."""
+    """An argument, or the content of a file, has the wrong shape, type or values.
+
+    Parameters
+    ----------
+    argument : str
+        Its name; or, if nothing else is given, a sentence about what is no argument.
+    expected : str, optional
+        What it must be or do: "be positive", "have shape (n, 3)".
+    got : object, optional
+        What arrived, as it is to be shown.
+    advice, remedies
+        As in `SpectraKitError`.
+
+    Examples
+    --------
+    >>> from spectra_kit.errors import InvalidInputError
+    >>> error = InvalidInputError(
+    ...     "mass", "be positive", "3 entries <= 0", advice="drop them with {}",
+    ...     remedies=("mesh.without_unreferenced()",),
+    ... )
+    >>> print(error)
+    `mass` must be positive, got 3 entries <= 0; drop them with mesh.without_unreferenced()
+    >>> print(error.told({"mesh.without_unreferenced()": "--repair", "mass": "mass"}.get))
+    `mass` must be positive, got 3 entries <= 0; drop them with --repair
+    """
+
+    def __init__(
+        self,
+        argument: str,
+        expected: str = "",
+        got: object = "",
+        *,
+        advice: str = "",
+        remedies: tuple[str, ...] = (),
+    ) -> None:
+        super().__init__(argument, expected, got, advice=advice, remedies=remedies)
+        self.argument, self.expected, self.got = argument, expected, got
+
+    def _finding(self, word: Callable[[str], str]) -> str:
+        if not self.expected:
+            return self.argument
+        got = "" if self.got == "" else f", got {self.got}"
+        return f"`{word(self.argument)}` must {self.expected}{got}"
 
 
 class InvalidSpectrumError(SpectraKitError, RuntimeError):
@@ -29,8 +111,8 @@ class _PartialError(SpectraKitError):
     What that is depends on the solver, which its caller knows: hence `Any`.
     """
 
-    def __init__(self, message: str, *, partial: Any = None) -> None:
-        super().__init__(message)
+    def __init__(self, message: str, *, partial: Any = None, **advised: Any) -> None:
+        super().__init__(message, **advised)
         self.partial = partial
 
 
@@ -47,9 +129,9 @@ class ConvergenceError(_PartialError, RuntimeError):
     """
 
     def __init__(
-        self, message: str, *, partial: Any = None, n_converged: int | None = None
+        self, message: str, *, partial: Any = None, n_converged: int | None = None, **advised: Any
     ) -> None:
-        super().__init__(message, partial=partial)
+        super().__init__(message, partial=partial, **advised)
         self.n_converged = n_converged
 
 
@@ -72,8 +154,8 @@ class WeightsError(SpectraKitError, RuntimeError):
     """A weights file is missing, damaged, or does not fit the network."""
 
 
-class SpectraKitWarning(UserWarning):
-    """Base class of every warning spectra_kit gives on purpose."""
+class SpectraKitWarning(_Advised, UserWarning):
+    """Base class of every warning spectra_kit gives on purpose; with advice as errors have it."""
 
 
 class DoubtfulSpectrumWarning(SpectraKitWarning):

@@ -17,7 +17,7 @@ from spectra_kit._checked import checked
 from spectra_kit._validate import check_mass
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.operators.laplacian import Laplacian, lumped_diagonal
-from spectra_kit.spectrum import Provenance, Spectrum
+from spectra_kit.spectra import Provenance, Spectrum
 
 if TYPE_CHECKING:
     import torch

@@ -18,7 +18,7 @@ from spectra_kit._validate import Brief, check_count, check_mass, frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.orthonormal import orthonormalize
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 from spectra_kit.subspaces import Subspace, restricted
 
 # Moving one place in the order must win this much squared cosine: modes that nothing

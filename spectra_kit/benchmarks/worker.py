@@ -24,7 +24,7 @@ from spectra_kit.errors import ConvergenceError, SpectraKitError
 from spectra_kit.geometry import sphere
 from spectra_kit.metrics import compare_spectra
 from spectra_kit.operators import Laplacian, robust_laplacian
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 Answer = dict[str, Any]
 

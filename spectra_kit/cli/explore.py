@@ -24,7 +24,7 @@ from spectra_kit.cli.words import stem
 from spectra_kit.explorer import Explorer, write_explorer
 from spectra_kit.geometry import Geometry
 from spectra_kit.operators import Laplacian
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 
 def explore(arguments: argparse.Namespace) -> None:

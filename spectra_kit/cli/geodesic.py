@@ -38,7 +38,7 @@ from spectra_kit.geodesics.sources import check_sources
 from spectra_kit.geometry import Geometry
 from spectra_kit.geometry.formats import ply
 from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 from spectra_kit.viz.distance_scale import distance_colours
 
 _NUMBERS = ("distance.npy", "distance.ply", "report.json")

@@ -19,7 +19,7 @@ from spectra_kit.geodesics import Direct, HeatGeodesics, Iterative
 from spectra_kit.geodesics.sources import Sources, check_sources
 from spectra_kit.geometry import Geometry, TriangleMesh, sphere
 from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 from spectra_kit.viz import SolverRun
 
 _REPEATS = 2  # of everything, one after the other; the faster run of each counts

@@ -17,7 +17,7 @@ from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import Automatic, Direct, Iterative
 from spectra_kit.operators import Laplacian
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _COARSE: dict[str, Literal["additive", "projected", "none"]] = {
     "iterative": "additive",

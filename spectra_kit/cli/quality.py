@@ -24,7 +24,7 @@ from spectra_kit.matching import Match
 from spectra_kit.matching.result import Doubt
 from spectra_kit.operators import Laplacian
 from spectra_kit.operators.orientation import oriented_triangles
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry
 from spectra_kit.metrics import Comparison, compare_spectra, subspace_span_error
 from spectra_kit.operators import Laplacian
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 from spectra_kit.subspaces import Subspace
 
 # Those that stop when the residuals are small; the others stop after so much work.

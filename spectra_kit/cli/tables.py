@@ -14,7 +14,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Diagnosis, Geometry, TriangleMesh
 from spectra_kit.metrics import Comparison
 from spectra_kit.operators import Laplacian
-from spectra_kit.spectrum import Certificate, Spectrum
+from spectra_kit.spectra import Certificate, Spectrum
 
 Record = dict[str, Any]
 

@@ -16,7 +16,7 @@ from spectra_kit.functional_maps import (
 )
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators import Laplacian
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _WAY_BACK = 100  # modes of the functional map whose transpose leads back
 

@@ -9,7 +9,7 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 
 @checked

@@ -10,7 +10,7 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_positive
 from spectra_kit.descriptors._checks import check_sources, outside_kernel
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 
 @checked

@@ -9,7 +9,7 @@ from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.descriptors._checks import outside_kernel
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _DAMPED = 4 * np.log(10)  # exp(-_DAMPED) = 1e-4
 _WIDTH = 0.07  # of the range of log eigenvalues: 7 of the 100 steps of Aubry et al.

@@ -10,7 +10,7 @@ from spectra_kit._types import Floats
 from spectra_kit.descriptors._checks import check_sources, check_times
 from spectra_kit.descriptors.grids import heat_times
 from spectra_kit.linalg.threads import blas_threads_for
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 
 @checked

@@ -8,7 +8,7 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Ints
 from spectra_kit._validate import check_count
 from spectra_kit.descriptors.distances import biharmonic_embedding, kernel_labels
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 
 @checked

@@ -13,7 +13,7 @@ from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.descriptors._checks import outside_kernel
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 Normalization = Literal["area", "weyl", "first"]
 Weighting = Literal["index", "inverse"]

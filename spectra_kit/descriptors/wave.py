@@ -14,7 +14,7 @@ from spectra_kit.descriptors._checks import check_energies, check_sources, outsi
 from spectra_kit.descriptors.grids import default_width, wave_energies
 from spectra_kit.descriptors.heat import seen_from, shares
 from spectra_kit.linalg.threads import blas_threads_for
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 
 @checked

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _ORDINARY = 30  # powers of two from one within which sizes and energies need no other unit
 

@@ -12,7 +12,7 @@ from spectra_kit.errors import DoubtfulSpectrumWarning
 from spectra_kit.levels import smoothed
 from spectra_kit.linalg.ritz import ritz_pairs_at_most
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 #: Eigenvalues that are too high by more than this, relative to the true ones, are told.
 DOUBTFUL = 0.1

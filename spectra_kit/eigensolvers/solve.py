@@ -30,7 +30,7 @@ from spectra_kit.linalg.orthonormal import RankError
 from spectra_kit.linalg.ritz import ritz_rotation
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.spectrum import Provenance, Spectrum
+from spectra_kit.spectra import Provenance, Spectrum
 from spectra_kit.subspaces import GivenBasis, RandomBasis, Union, restricted
 
 _ORTHONORMAL = 1e-6  # a spectrum further from M-orthonormal is refused

@@ -16,7 +16,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg import SparseLDL
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.spectrum import ModeCount, Spectrum
+from spectra_kit.spectra import ModeCount, Spectrum
 
 _EPS = float(np.finfo(np.float64).eps)
 # How far from a mode to put a shift, in units of the eigenvalue or the spacing, whatever is less:

@@ -31,7 +31,7 @@ from spectra_kit.linalg.torch_device import Clock, sparse_tensor
 from spectra_kit.linalg.torch_ritz import orthonormalize, rayleigh_ritz
 from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.operators import Laplacian
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 #: Functions for each point above which a subspace says nothing: it fills the space of the points.
 ROOM = 0.6

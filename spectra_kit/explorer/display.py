@@ -12,7 +12,7 @@ from spectra_kit._types import Floats, Ints
 from spectra_kit.geometry.normals import estimate_normals, orient_normals
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 from spectra_kit.metrics import Comparison, align_modes
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 from spectra_kit.viz.contours import triangles_of
 from spectra_kit.viz.signs import display_signs
 

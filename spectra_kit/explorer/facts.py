@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from spectra_kit._types import Floats
 from spectra_kit.explorer.payload import LEVELS, Quantised
 from spectra_kit.metrics import Comparison
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 PERCENTILE = 99.0  # a lone spike must not bleach the rest
 FLOOR = 8  # steps of 16 bits; below, a difference would show its rounding

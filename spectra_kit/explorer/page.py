@@ -37,7 +37,7 @@ from spectra_kit.explorer.payload import (
 )
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.metrics import Comparison, compare_spectra
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 from spectra_kit.viz.boundary import free_boundary
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.colours import diverging_colours

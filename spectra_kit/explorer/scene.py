@@ -17,7 +17,7 @@ from spectra_kit._types import Floats
 from spectra_kit.explorer.display import for_display, functions_of
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.metrics import Comparison
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.colours import diverging_colours
 from spectra_kit.viz.pen import short

@@ -14,7 +14,7 @@ from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.explorer.scene import Modes, Scene
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.metrics import Comparison, compare_spectra
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _HOST = "127.0.0.1"
 _NAMES = itertools.count()  # trame keeps its servers by name

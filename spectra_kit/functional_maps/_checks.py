@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, check_indices, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _START = 20  # modes with which a point map starts: enough to tell the limbs of a body apart
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 Mask = Literal["resolvent", "standard"]
 

@@ -17,7 +17,7 @@ from spectra_kit.functional_maps._checks import (
     check_sizes,
 )
 from spectra_kit.functional_maps.nearest import nearest
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 
 @checked
@@ -79,7 +79,7 @@ def functional_map_from_point_map(
     --------
     >>> import numpy as np
     >>> from spectra_kit.functional_maps import functional_map_from_point_map
-    >>> from spectra_kit.spectrum import Spectrum
+    >>> from spectra_kit.spectra import Spectrum
     >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
     >>> functional_map_from_point_map(s, s, [1, 0])
     array([[0., 1.],
@@ -125,7 +125,7 @@ def point_map_from_functional_map(
     --------
     >>> import numpy as np
     >>> from spectra_kit.functional_maps import point_map_from_functional_map
-    >>> from spectra_kit.spectrum import Spectrum
+    >>> from spectra_kit.spectra import Spectrum
     >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
     >>> point_map_from_functional_map(s, s, [[0.0, 1.0], [1.0, 0.0]])
     array([1, 0])

@@ -20,7 +20,7 @@ from spectra_kit.functional_maps._terms import (
     preserved,
 )
 from spectra_kit.operators.orientation import OrientedTriangles, orientation_operator
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _RIDGE = 1e-12  # of |C|^2, where all else is of order 1: decides what nothing else does
 

@@ -14,7 +14,7 @@ from spectra_kit.functional_maps._checks import (
 )
 from spectra_kit.functional_maps.convert import Correspondence, induced
 from spectra_kit.functional_maps.nearest import nearest
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 
 @checked

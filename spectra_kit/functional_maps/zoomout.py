@@ -17,7 +17,7 @@ from spectra_kit.functional_maps._checks import checked_pair, checked_samples, s
 from spectra_kit.functional_maps._device import checked_device
 from spectra_kit.functional_maps.convert import Correspondence
 from spectra_kit.functional_maps.nearest import check_rows, nearest, nearest_torch
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _CHUNK = 2**20  # scores of `zoomout_many` held at a time: 4 MB of float32
 

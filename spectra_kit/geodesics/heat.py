@@ -33,7 +33,7 @@ from spectra_kit.linalg.constant_kernel import ConstantKernel
 from spectra_kit.linalg.solution import LinearSolution
 from spectra_kit.linalg.threads import in_threads
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 Boundary = Literal["neumann", "dirichlet", "average"]
 

@@ -11,7 +11,7 @@ from spectra_kit.geodesics.solvers import Automatic, Solver
 from spectra_kit.geodesics.sources import SourcesLike
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 
 @checked

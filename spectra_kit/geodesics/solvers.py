@@ -24,7 +24,7 @@ from spectra_kit.linalg.constant_kernel import ConstantKernel
 from spectra_kit.linalg.grounded import GroundedCholesky
 from spectra_kit.linalg.incomplete_cholesky import IncompleteCholesky
 from spectra_kit.linalg.solution import LinearSolution
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _SMALL = 10_000  # points, of which a complete factor takes less than a tenth of a second
 _FEW = 4  # sources: for more, complete factors pay; see `benchmark_geodesics.py`

@@ -11,7 +11,7 @@ from spectra_kit._validate import check_positive, quantity, warn
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 Mask = NDArray[np.bool_]
 

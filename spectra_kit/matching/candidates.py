@@ -23,7 +23,7 @@ from scipy.linalg import solve_triangular
 
 from spectra_kit._types import Floats, Ints
 from spectra_kit.matching.prepare import Prepared, curvatures
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _SIGNED = 7  # modes whose signs are tried, the constant aside: 2^6 candidates
 _ORDERS = 32  # likeliest orders of these modes that are tried: 2048 candidates

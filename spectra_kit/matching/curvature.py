@@ -6,7 +6,7 @@ import numpy as np
 
 from spectra_kit._types import Floats
 from spectra_kit.operators.orientation import OrientedTriangles
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 
 def outward_normals(points: Floats, oriented: OrientedTriangles) -> Floats:

@@ -31,7 +31,7 @@ from spectra_kit.matching.score import (
     orientation_of,
     score_of,
 )
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 Pairs = tuple[Ints, Ints]
 Sides = Literal["kept", "reversed", "either"]

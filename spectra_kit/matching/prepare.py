@@ -14,7 +14,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh
 from spectra_kit.matching.curvature import smoothed_mean_curvature
 from spectra_kit.operators.orientation import OrientedTriangles, area_form, oriented_triangles
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 LOWEST_K = 30  # modes without which there is no matching
 FORM_K = 40  # modes of the area form

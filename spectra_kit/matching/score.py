@@ -11,7 +11,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._checks import check_point_map
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.matching.prepare import Prepared, curvatures
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _FINE = slice(0, 2)  # of the smoothed curvatures
 _FEW = 200  # samples of a rough look

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 
 def free_boundary(geometry: Geometry, spectrum: Spectrum) -> float:

@@ -13,7 +13,7 @@ from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.metrics import Comparison, align_modes
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 from spectra_kit.viz.camera import Up
 from spectra_kit.viz.page import plot_gallery, plot_panels
 from spectra_kit.viz.panels import Panel, symmetric_limit

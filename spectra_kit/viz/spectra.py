@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 from spectra_kit.viz.labels import log_ticks
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import Picture

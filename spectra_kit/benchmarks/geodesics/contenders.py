@@ -14,7 +14,7 @@ from spectra_kit._types import Floats, Ints
 from spectra_kit.geodesics import Automatic, Direct, HeatGeodesics, Iterative
 from spectra_kit.geodesics.solvers import Solver
 from spectra_kit.geometry import PointCloud, TriangleMesh
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 #: Modes of the two-level solvers, as the paper takes them; that of `Iterative()` has its own.
 MODES = 96

@@ -20,7 +20,7 @@ from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, read
 from spectra_kit.operators import intrinsic_delaunay
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 #: How spectra are made.
 EIGENSOLVERS: Mapping[str, Callable[[], Eigensolver]] = {

@@ -20,7 +20,7 @@ from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.errors import SpectraKitError
 from spectra_kit.geometry import TriangleMesh, read, sphere
 from spectra_kit.operators import robust_laplacian
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 Answer = dict[str, Any]
 

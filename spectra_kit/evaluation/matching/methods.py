@@ -21,7 +21,7 @@ from spectra_kit.functional_maps.fit import fit_functional_map
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.matching import match, prepare
 from spectra_kit.operators.orientation import oriented_triangles
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _FITTED, _THINNED = 30, 4  # modes of a fitted map; of 100 signatures every fourth
 

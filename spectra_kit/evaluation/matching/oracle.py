@@ -14,7 +14,7 @@ from spectra_kit._types import Floats, Ints
 from spectra_kit.correspondence import geodesic_distances
 from spectra_kit.evaluation.matching.subjects import Subject, truth_between
 from spectra_kit.functional_maps import nearest_rows, zoomout
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _SCOUTS = 400  # correspondences that rank the candidates
 _STEP = 10  # modes of a step of the final refinement

@@ -31,7 +31,7 @@ from spectra_kit.evaluation.matching.spectra import (
 )
 from spectra_kit.evaluation.matching.subjects import Subject
 from spectra_kit.evaluation.matching.table import PairTable, Task
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 _HELD = 8  # spectra in the memory of a process
 

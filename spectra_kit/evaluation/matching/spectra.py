@@ -19,7 +19,7 @@ from spectra_kit.geometry.shapes import distinct_rows
 from spectra_kit.neo import NeoSubspace
 from spectra_kit.neo.pretrained import load_pretrained
 from spectra_kit.operators import Laplacian, delaunay_laplacian, robust_laplacian
-from spectra_kit.spectrum import Spectrum
+from spectra_kit.spectra import Spectrum
 
 Kind = Literal["mesh", "cloud"]
 

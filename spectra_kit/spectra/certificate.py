@@ -1,0 +1,142 @@
+"""What is known of the modes of a spectrum: residuals, and the proof that none was missed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from spectra_kit._checked import checked
+from spectra_kit._types import Floats
+from spectra_kit._validate import Rebuilt, check_count, frozen, quantity, real_array
+from spectra_kit.errors import InvalidInputError
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class ModeCount(Rebuilt):
+    """What counting the eigenvalues below a shift has proved; see `eigensolve` and `verify`.
+
+    The i-th eigenvalue is the i-th lowest of the operator for all i < `verified`, repeated ones
+    counted as often as they occur: none was missed. (Leading modes that `Spectrum.nonzero`
+    dropped on purpose are not missing.) Where k cuts a cluster of eigenvalues, this holds to within
+    the width of the cluster, which `radius` then covers.
+
+    Attributes
+    ----------
+    verified : int
+        Number of leading modes proved to be the lowest, with none missed between them.
+    radius : float
+        Each of their eigenvalues is exact to within this, in 1/length^2.
+    floor : float
+        Every eigenvalue beyond them is at least this, in 1/length^2.
+    missing : int
+        At least so many of the lowest modes are certainly not in the spectrum.
+    added : int
+        Modes that the solver had missed: the count told, and `eigensolve` found them.
+    reason : str
+        Why not all modes are verified; empty if they are.
+    """
+
+    verified: int
+    radius: float
+    floor: float
+    missing: int = 0
+    added: int = 0
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        check_count("verified", self.verified, low=0)
+
+    def rescaled(self, square: float) -> ModeCount:
+        """Return the same for eigenvalues divided by `square`."""
+        return replace(self, radius=self.radius / square, floor=self.floor / square)
+
+
+@checked
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Certificate(Rebuilt):
+    """What was checked about each mode, against the operator itself.
+
+    Attributes
+    ----------
+    residuals : ndarray of shape (k,)
+        ``||L u - lambda M u|| / ||u||`` in the M^-1 and M norms, in 1/length^2. Some true
+        eigenvalue lies within this distance of lambda (Weinstein's bound), whatever made the pair.
+    relative_residuals : ndarray of shape (k,)
+        ``residuals / max(lambda, spacing)``, with the typical gap between eigenvalues
+        (``Laplacian.component_spacings``) of the component on which the mode lives;
+        dimensionless, and meaningful for zero modes too.
+    orthonormality_error : float
+        Largest entry of ``|U^T M U - I|``.
+    n_zero_modes : int
+        Modes in the kernel of the operator: constant on components where that has no energy. A
+        small eigenvalue does not make one.
+    kernel_dimension : int
+        Zero modes that the operator has: `Laplacian.kernel_dimension`.
+    n_components : int
+        Connected components of the operator.
+    count : ModeCount, optional
+        The proof, by a count of the eigenvalues, that none was missed. `eigensolve` makes it for
+        solvers that are exact, or go on to a tolerance, by means of a factor; `verify` for any.
+    excess : ndarray of shape (k,), optional
+        By how much each eigenvalue is too high at least, relative to the true one; 0 where nothing
+        is proved. `eigensolve` adds it where a relative residual is above 0.1, as those of
+        predictions are.
+
+    Notes
+    -----
+    Residuals say that each pair is near *some* true pair. That none was skipped in between is not
+    implied; without `count`, the number of zero modes is the only completeness check.
+    """
+
+    residuals: Floats
+    relative_residuals: Floats
+    orthonormality_error: float
+    n_zero_modes: int
+    kernel_dimension: int
+    n_components: int
+    count: ModeCount | None = None
+    excess: Floats | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("residuals", "relative_residuals", "excess"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen(real_array(name, getattr(self, name))))
+        if self.residuals.ndim != 1 or self.relative_residuals.shape != self.residuals.shape:
+            raise InvalidInputError(
+                "`residuals` and `relative_residuals` must have the same shape (k,), got"
+                f" {self.residuals.shape} and {self.relative_residuals.shape}"
+            )
+        if self.excess is not None and self.excess.shape != self.residuals.shape:
+            raise InvalidInputError(
+                f"`excess` must have the shape {self.residuals.shape} of `residuals`, got"
+                f" {self.excess.shape}"
+            )
+        for name in ("n_zero_modes", "kernel_dimension", "n_components"):
+            check_count(name, getattr(self, name), low=0)
+
+    @property
+    def level(self) -> Literal["residuals", "verified"]:
+        """How much is certain: ``verified`` if every mode is known to be the one it is taken for.
+
+        With ``residuals`` alone, each mode is near a true one, and some may have been missed.
+        A spectrum of no modes has nothing to verify.
+        """
+        return "verified" if 0 < self.n_verified == len(self.residuals) else "residuals"
+
+    @property
+    def n_verified(self) -> int:
+        """Number of leading modes that are proved to be the lowest."""
+        return self.count.verified if self.count else 0
+
+    @property
+    def completeness(self) -> str:
+        """What is known of modes that were missed, in words."""
+        if self.count is None:
+            return "not counted: modes may be missing between these"
+        if self.level != "verified":
+            return f"the first {self.count.verified} of {len(self.residuals)}; {self.count.reason}"
+        added = quantity(self.count.added, "mode")
+        found = f"; {added} that the solver had passed over added" if self.count.added else ""
+        below = f" below {self.count.floor:.6g}" if self.count.floor > 0 else ""
+        return f"all {len(self.residuals)}, none missed{below}{found}"

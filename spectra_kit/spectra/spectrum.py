@@ -1,0 +1,446 @@
+"""`Spectrum`: the one object every eigensolver produces and every application consumes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from spectra_kit._checked import checked
+from spectra_kit._spectrum_file import read_spectrum_file, write_spectrum_file
+from spectra_kit._types import Floats
+from spectra_kit._validate import Rebuilt, check_count, check_positive, frozen, quantity
+from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
+from spectra_kit.linalg.residuals import residual_norms
+from spectra_kit.linalg.threads import blas_threads_for
+from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.spectra.certificate import Certificate, ModeCount
+from spectra_kit.spectra.provenance import Provenance
+
+if TYPE_CHECKING:
+    import torch
+
+
+_FOREIGN_MASS = 1e-5  # relative; float32 copies of the same mass differ by less
+_LARGEST_FACTOR = 1e150  # to change the unit of length by
+_ZERO_MODE = 1e-7  # eigenvalues below this over the area count as zero where no operator can tell
+_BY_THE_USER = Provenance()
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class Spectrum(Rebuilt):
+    """The k lowest eigenpairs of ``L u = lambda M u`` on n points.
+
+    Immutable. Signs, and bases inside an eigenspace, are unspecified and never "fixed". float64
+    arrays are viewed, not copied (they can be gigabytes): do not write to them afterwards.
+
+    Parameters
+    ----------
+    eigenvalues : array_like of shape (k,)
+        Ascending, >= 0, in 1/length^2.
+    eigenvectors : array_like of shape (n, k)
+        Columns, M-orthonormal: ``U.T @ (mass[:, None] * U) == I``; in 1/length.
+    mass : array_like of shape (n,)
+        Lumped mass, positive, in length^2.
+    certificate : Certificate, optional
+        Residuals and counts; `eigensolve` always fills it.
+    provenance : Provenance, optional
+        Solver, operator, seed, times, input hash.
+
+    Raises
+    ------
+    InvalidSpectrumError
+        If shapes disagree, a value is not finite, eigenvalues are negative or out of order, or
+        the mass is not positive. (`eigensolve` also checks orthonormality.)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> s = Spectrum(np.array([0.0]), np.full((4, 1), 0.5), np.ones(4))
+    >>> s.project(np.array([1.0, 2.0, 3.0, 4.0]))
+    array([5.])
+    """
+
+    eigenvalues: Floats
+    eigenvectors: Floats
+    mass: Floats
+    certificate: Certificate | None = None
+    provenance: Provenance = _BY_THE_USER
+
+    def __post_init__(self) -> None:
+        values, vectors, mass = (
+            _as_float64(name, getattr(self, name), ndim)
+            for name, ndim in (("eigenvalues", 1), ("eigenvectors", 2), ("mass", 1))
+        )
+        if vectors.shape != (len(mass), len(values)):
+            hint = "; transposed?" if vectors.shape == (len(values), len(mass)) else ""
+            raise InvalidSpectrumError(
+                f"`eigenvectors` must have shape ({len(mass)}, {len(values)}) for {len(mass)}"
+                f" masses and {quantity(len(values), 'eigenvalue')}, got {vectors.shape}{hint}"
+            )
+        if np.any(np.diff(values) < 0) or (len(values) and values[0] < 0):
+            raise InvalidSpectrumError(
+                "`eigenvalues` must be non-negative and ascending, got a smallest value of"
+                f" {values.min():.3g} and steps down to {np.diff(values).min(initial=0):.3g};"
+                " sort the pairs, and turn the sign of a negative Laplacian"
+            )
+        if not (mass > 0).all():
+            raise InvalidSpectrumError(
+                f"`mass` must be positive, got {quantity((mass <= 0).sum(), 'entry')} <= 0"
+            )
+        _check_covers(self.certificate, len(values))
+        for name, array in (("eigenvalues", values), ("eigenvectors", vectors), ("mass", mass)):
+            object.__setattr__(self, name, frozen(array))
+
+    @property
+    def k(self) -> int:
+        """Number of modes."""
+        return len(self.eigenvalues)
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+        return len(self.mass)
+
+    @property
+    def area(self) -> float:
+        """Total mass, in length^2."""
+        return float(self.mass.sum())
+
+    @property
+    def n_zero_modes(self) -> int:
+        """Number of modes in the kernel: certified where possible, else lambda * area < 1e-7."""
+        if self.certificate is not None:
+            return self.certificate.n_zero_modes
+        return int((self.eigenvalues * self.area <= _ZERO_MODE).sum())
+
+    def truncate(self, k: int) -> Spectrum:
+        """Return the first `k` modes, 1 <= k <= self.k."""
+        return self._modes(slice(0, check_count("k", k, low=1, high=self.k)))
+
+    def nonzero(self) -> Spectrum:
+        """Return the modes outside the kernel: what deflation, GPS and descriptors need."""
+        return self._modes(slice(self.n_zero_modes, self.k))
+
+    def rescale(self, factor: float) -> Spectrum:
+        """Return the spectrum of the same surface with lengths multiplied by `factor`.
+
+        Its provenance has no input hash: no solver has seen the scaled surface.
+        """
+        if not 1 / _LARGEST_FACTOR <= check_positive("factor", factor) <= _LARGEST_FACTOR:
+            raise InvalidInputError(
+                f"`factor` must be in [{1 / _LARGEST_FACTOR:g}, {_LARGEST_FACTOR:g}], whose squares"
+                f" are numbers, got {factor:g}"
+            )
+        square = factor**2
+        certificate = self.certificate
+        if certificate is not None:
+            certificate = replace(
+                certificate,
+                residuals=certificate.residuals / square,
+                count=certificate.count and certificate.count.rescaled(square),
+            )
+        return replace(
+            self,
+            eigenvalues=self.eigenvalues / square,
+            eigenvectors=self.eigenvectors / factor,
+            mass=self.mass * square,
+            certificate=certificate,
+            provenance=replace(self.provenance, input_hash=""),
+        )
+
+    def project(self, values: Annotated[ArrayLike, NDArray[np.bool_]]) -> Floats:
+        """Return the coefficients U^T M f of functions `values`: (n,) to (k,), (n, c) to (k, c)."""
+        f = _as_columns("values", values, self.n)
+        with blas_threads_for(self.eigenvectors.size):
+            return np.asarray(self.eigenvectors.T @ (self.mass * f.T).T)
+
+    def reconstruct(self, coefficients: ArrayLike) -> Floats:
+        """Return the functions U c with these `coefficients`: (k,) to (n,), (k, c) to (n, c)."""
+        c = _as_columns("coefficients", coefficients, self.k)
+        with blas_threads_for(self.eigenvectors.size):
+            return np.asarray(self.eigenvectors @ c)
+
+    def filter(self, response: Callable[[Floats], Floats], values: ArrayLike) -> Floats:
+        """Return U g(lambda) U^T M f: `values` with each mode multiplied by ``response(lambda)``.
+
+        Examples
+        --------
+        Heat diffusion for a time t (in length^2):
+
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> s.filter(lambda lam: np.exp(-0.5 * lam), np.array([1.0, 1.0]))
+        array([1.      , 0.6065...])
+        """
+        gain = np.asarray(response(self.eigenvalues), dtype=np.float64)
+        if gain.shape != (self.k,):
+            raise InvalidInputError(
+                f"`response` must return shape ({self.k},) for {quantity(self.k, 'eigenvalue')},"
+                f" got {gain.shape}"
+            )
+        return self.reconstruct((gain * self.project(values).T).T)
+
+    def residuals(self, laplacian: Laplacian) -> Floats:
+        """Return ``||L u - lambda M u|| / ||u||`` of each mode: (k,), in 1/length^2.
+
+        In the M^-1 and M norms. Rows of fixed (Dirichlet) points are left out: there u is
+        prescribed, not solved for.
+
+        Raises
+        ------
+        InvalidInputError
+            If `laplacian` lives on other points or has another mass, or a mode does not vanish
+            at its fixed points.
+        """
+        self._check_belongs_to(laplacian)
+        norms = residual_norms(
+            laplacian.stiffness,
+            laplacian.mass,
+            self.eigenvalues,
+            self.eigenvectors,
+            left_out=laplacian.fixed,
+        )
+        squared = self.mass @ self.eigenvectors**2
+        if not squared.all():
+            raise InvalidSpectrumError("`eigenvectors` must not hold a column of zeros")
+        return np.asarray(norms / np.sqrt(squared))
+
+    def _check_belongs_to(self, laplacian: Laplacian) -> None:
+        """Refuse to compare this spectrum with an operator that it cannot be of."""
+        if laplacian.n != self.n:
+            raise InvalidInputError(
+                f"`laplacian` must live on the {self.n} points of this spectrum, got {laplacian.n}"
+            )
+        if not np.allclose(laplacian.mass, self.mass, rtol=_FOREIGN_MASS, atol=0):
+            raise InvalidInputError(
+                "`laplacian` must have the mass of this spectrum, got entries between"
+                f" {(laplacian.mass / self.mass).min():.3g} and"
+                f" {(laplacian.mass / self.mass).max():.3g} times it; is the unit the same?"
+            )
+        held = np.abs(self.eigenvectors[laplacian.fixed]).max(initial=0.0)
+        if held > 1e-8 * np.abs(self.eigenvectors).max(initial=0.0):
+            raise InvalidInputError(
+                f"`laplacian` holds {quantity(len(laplacian.fixed), 'point')} at zero, where these"
+                f" modes reach {held:.3g}; they belong to another boundary condition"
+            )
+
+    def orthonormality_error(self) -> float:
+        """Return the largest entry of ``|U^T M U - I|``."""
+        with blas_threads_for(self.eigenvectors.size):
+            gram = self.eigenvectors.T @ (self.mass[:, None] * self.eigenvectors)
+        return float(np.abs(gram - np.eye(self.k)).max(initial=0.0))
+
+    def certify(self, laplacian: Laplacian) -> Spectrum:
+        """Return this spectrum with a `Certificate` against `laplacian`, whoever computed it."""
+        residuals = self.residuals(laplacian)
+        spacing = self._spacings(laplacian)
+        certificate = Certificate(
+            residuals=residuals,
+            relative_residuals=residuals / np.maximum(self.eigenvalues, spacing),
+            orthonormality_error=self.orthonormality_error(),
+            n_zero_modes=self._kernel_modes(laplacian),
+            kernel_dimension=laplacian.kernel_dimension,
+            n_components=laplacian.n_components,
+        )
+        return self.described(certificate, self.provenance)
+
+    def described(self, certificate: Certificate | None, provenance: Provenance) -> Spectrum:
+        """Return the same modes with these facts; the arrays, checked once, are not read again.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Provenance, Spectrum
+        >>> s = Spectrum(np.array([0.0]), np.full((4, 1), 0.5), np.ones(4))
+        >>> s.described(None, Provenance(solver="by hand")).provenance.solver
+        'by hand'
+        """
+        _check_covers(certificate, self.k)
+        spectrum = object.__new__(type(self))
+        vars(spectrum).update(vars(self), certificate=certificate, provenance=provenance)
+        return spectrum
+
+    def _spacings(self, laplacian: Laplacian) -> Floats:
+        """Eigenvalue spacing of the component on which each mode lives (weighted, if several)."""
+        if laplacian.n_components == 1:
+            return np.full(self.k, laplacian.component_spacings[0])
+        shares = self._by_component(laplacian) @ self.eigenvectors[laplacian.free] ** 2
+        return np.asarray(laplacian.component_spacings @ (shares / shares.sum(axis=0)))
+
+    def _kernel_modes(self, laplacian: Laplacian) -> int:
+        """How many modes lie in the kernel: the squared cosines between it and their span."""
+        if not laplacian.kernel_dimension:
+            return 0
+        member = self._by_component(laplacian)[laplacian.constant_components]
+        roots = np.sqrt(np.asarray(member.sum(axis=1)))
+        cosines = (member @ self.eigenvectors[laplacian.free]) / roots[:, None]
+        return min(round(float((cosines**2).sum())), laplacian.kernel_dimension)
+
+    def _by_component(self, laplacian: Laplacian) -> sparse.csr_array:
+        """The mass of each free point in the row of its component, (n_components, n_free)."""
+        labels, free = laplacian.component_labels[laplacian.free], laplacian.free
+        return sparse.csr_array((self.mass[free], (labels, np.arange(len(free)))))
+
+    def save(self, path: str | Path) -> None:
+        """Write everything to one versioned ``.npz`` file, whole or not at all.
+
+        float64, uncompressed and aligned, so `load` can map it; plain ``numpy.load`` reads it too.
+        """
+        write_spectrum_file(
+            Path(path),
+            {n: getattr(self, n) for n in ("eigenvalues", "eigenvectors", "mass")},
+            _plain(self.certificate) if self.certificate else None,
+            vars(self.provenance),
+        )
+
+    @classmethod
+    def load(cls, path: str | Path, *, mmap: bool = False) -> Spectrum:
+        """Read a spectrum written by `save`.
+
+        Parameters
+        ----------
+        path : str or Path
+            The ``.npz`` file.
+        mmap : bool, default False
+            Map the arrays instead of reading them: instant, paged in as they are used, and
+            without the checks (checksums, finite values) that reading makes.
+
+        Raises
+        ------
+        InvalidInputError
+            If the file is not a spectrum, is truncated, or has a newer format version.
+        """
+        arrays, certificate, provenance = read_spectrum_file(Path(path), mmap=mmap)
+        try:
+            return cls(
+                **arrays,
+                certificate=_restored(certificate) if certificate else None,
+                provenance=Provenance(**provenance),
+            )
+        except TypeError as error:
+            raise InvalidInputError(f"{path} has an unknown header ({error})") from error
+
+    def to_torch(
+        self, *, device: str = "cpu", dtype: torch.dtype | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return (eigenvalues, eigenvectors, mass) as new tensors; `dtype` float64 by default."""
+        import torch
+
+        from spectra_kit.linalg.torch_device import check_device, check_float_dtype
+
+        place = check_device(device)
+        kind = torch.float64 if dtype is None else check_float_dtype(dtype)
+
+        def tensor(a: Floats) -> Any:
+            return torch.tensor(np.array(a), device=place, dtype=kind)
+
+        return tensor(self.eigenvalues), tensor(self.eigenvectors), tensor(self.mass)
+
+    def __repr__(self) -> str:
+        certified = "uncertified"
+        if self.certificate is not None:
+            worst = self.certificate.relative_residuals.max(initial=0.0)
+            count = self.certificate.count
+            known = f"{count.verified} of {self.k} verified" if count else "not counted"
+            known = "verified" if self.certificate.level == "verified" else known
+            certified = f"{known}, relative residuals up to {worst:.1e}"
+        return (
+            f"Spectrum(n={self.n}, k={self.k}, eigenvalues {self.eigenvalues[:1].sum():.4g} to"
+            f" {self.eigenvalues[-1:].sum():.4g}, {certified}, solver={self.provenance.solver})"
+        )
+
+    def _modes(self, columns: slice) -> Spectrum:
+        """Return the modes in `columns`, certificate included."""
+        old = self.certificate
+        start, stop, _ = columns.indices(self.k)
+        certificate = old and replace(
+            old,
+            residuals=old.residuals[columns],
+            relative_residuals=old.relative_residuals[columns],
+            n_zero_modes=max(min(old.n_zero_modes, stop) - start, 0),
+            # Leading modes dropped on purpose are not missing from the kernel.
+            kernel_dimension=max(old.kernel_dimension - start, 0),
+            count=old.count and self._count_of(old.count, start, stop),
+            excess=None if old.excess is None else old.excess[columns],
+        )
+        return replace(
+            self,
+            eigenvalues=self.eigenvalues[columns],
+            eigenvectors=self.eigenvectors[:, columns],
+            certificate=certificate,
+        )
+
+    def _count_of(self, count: ModeCount, start: int, stop: int) -> ModeCount:
+        """Return what `count` says of the modes from `start` to `stop`."""
+        if stop < count.verified:  # the next mode is known to within the radius
+            floor = float(self.eigenvalues[stop]) - count.radius
+            count = replace(count, verified=stop, floor=floor)
+        if count.verified == stop:
+            count = replace(count, missing=0, reason="")
+        return replace(count, verified=max(count.verified - start, 0))
+
+
+def _check_covers(certificate: Certificate | None, k: int) -> None:
+    if certificate is not None and len(certificate.residuals) != k:
+        raise InvalidSpectrumError(
+            f"`certificate` must cover {quantity(k, 'mode')}, got {len(certificate.residuals)}"
+        )
+
+
+def _plain(certificate: Certificate) -> dict[str, Any]:
+    """Return the fields of a certificate; an absent count or excess is left out."""
+    record = dict(vars(certificate))
+    count, excess = record.pop("count"), record.pop("excess")
+    if count is not None:
+        record["count"] = dict(vars(count))
+    if excess is not None:
+        record["excess"] = excess.tolist()
+    return record
+
+
+def _restored(record: Mapping[str, Any]) -> Certificate:
+    """Return the certificate with these fields."""
+    count = record.get("count")
+    return Certificate(**{**record, "count": ModeCount(**count) if count else None})
+
+
+def _as_columns(name: str, values: ArrayLike, rows: int) -> Floats:
+    """Return `values` as float64 of shape (rows,) or (rows, c)."""
+    array = np.asarray(values)
+    if array.ndim not in (1, 2) or array.shape[0] != rows or array.dtype.kind not in "fiub":
+        raise InvalidInputError(
+            f"`{name}` must be real, of shape ({rows},) or ({rows}, c),"
+            f" got {array.shape} of {array.dtype}"
+        )
+    if not np.isfinite(array).all():
+        raise InvalidInputError(
+            f"`{name}` must be finite, got"
+            f" {quantity((~np.isfinite(array)).sum(), 'NaN or infinite value')}"
+        )
+    return array.astype(np.float64, copy=False)
+
+
+def _as_float64(name: str, values: ArrayLike, ndim: int) -> Floats:
+    """Return a finite float64 array of `ndim` dimensions, without a copy where possible."""
+    array = np.asarray(values)
+    if array.ndim != ndim or array.dtype.kind not in "fiu":
+        raise InvalidSpectrumError(
+            f"`{name}` must be a real array with {ndim} dimensions,"
+            f" got shape {array.shape} of {array.dtype}"
+        )
+    array = np.asarray(array, dtype=np.float64)
+    if not isinstance(values, np.memmap) and not np.isfinite(array).all():
+        raise InvalidSpectrumError(
+            f"`{name}` must be finite, got"
+            f" {quantity((~np.isfinite(array)).sum(), 'NaN or infinite value')}"
+        )
+    return array

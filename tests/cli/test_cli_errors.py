@@ -1,0 +1,457 @@
+"""Errors of the command line: a line that says what to do, an exit code, nothing half written."""
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spectra_kit import eigensolve, robust_laplacian
+from spectra_kit.cli import main, run
+from spectra_kit.cli.folder import check_folder, together
+from spectra_kit.cli.story import COMMANDS
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import TriangleMesh, creature, sphere, write
+
+NAMES = [command.name for command in COMMANDS if command.name != "completion"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    write(sphere(subdivisions=2).geometry, folder / "ball.off")
+    (folder / "empty.off").touch()
+    (folder / "text.docx").write_text("words")
+    (folder / "sub").mkdir()
+    return folder
+
+
+def refused(capsys, *arguments, code=2):
+    """Run a command that must be refused in one line; return it."""
+    assert main([*map(str, arguments)]) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    return err
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_command_refuses_bad_files_in_one_line(name, folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    before = sorted(os.listdir(folder))
+    second = ["ball.off"] if name == "match" else []
+    source = ["--source", "0"] if name == "geodesic" else []
+    for file, message in (
+        ("bal.off", "bal.off: there is no such file; did you mean 'ball.off'?"),
+        ("none.off", "none.off: there is no such file; looked from"),
+        ("sub", "sub: this is a folder, expected a file; name one that is in it"),
+        ("empty.off", "empty.off: the file is empty"),
+        ("-", "-: pipes are not read, expected a file whose name ends in its format (obj, off"),
+        ("/dev/stdin", "/dev/stdin: pipes are not read, expected a file"),
+        ("text.docx", "cannot read the format '.docx'; known are .glb, "),
+    ):
+        assert message in refused(capsys, name, file, *second, *source)
+    with pytest.raises(SystemExit, match=r"^2$"):
+        main([name])
+    assert "error: the following arguments are required" in capsys.readouterr().err
+    assert main([name, "none.off", *second, *source, "--debug"]) == 2
+    assert "Traceback (most recent call last)" in capsys.readouterr().err
+    assert sorted(os.listdir(folder)) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "suffix", "known"),
+    [
+        ("spectrum", "-o", ".npz", ".npz"),
+        ("spectrum", "--picture", ".png", ".png or .pdf or .svg"),
+        ("modes", "-o", ".png", ".png or .pdf or .svg"),
+        ("animate", "-o", ".gif", ".gif or .mp4"),
+        ("compare", "-o", ".png", ".png or .pdf or .svg"),
+        ("explore", "-o", ".html", ".html or .htm"),
+    ],
+)
+def test_outputs_are_checked_before_the_work(name, option, suffix, known, folder, capsys, tmp_path):
+    ball = folder / "ball.off"
+    bad = tmp_path / "out.doc"
+    assert f"must be a {known} file, got" in refused(capsys, name, ball, option, bad)
+    nowhere = tmp_path / "no" / f"out{suffix}"
+    assert "there is no folder" in refused(capsys, name, ball, option, nowhere)
+    (tmp_path / f"dir{suffix}").mkdir()
+    taken = tmp_path / f"dir{suffix}"
+    assert "a folder has that name" in refused(capsys, name, ball, option, taken)
+    assert os.listdir(tmp_path) == [f"dir{suffix}"]
+
+
+@pytest.mark.skipif(not hasattr(os, "setresuid"), reason="there are no such rights here")
+def test_a_folder_without_rights_is_told_before_the_work(capsys):
+    with tempfile.TemporaryDirectory() as name:  # not in a folder that only its owner may enter
+        closed = Path(name)
+        closed.chmod(0o555)
+        superuser = os.getuid() == 0
+        if superuser:  # who may write everywhere
+            os.setresuid(65534, 65534, 0)
+        try:
+            message = refused(capsys, "spectrum", "demo", "-o", closed / "out.npz")
+        finally:
+            if superuser:
+                os.setresuid(0, 0, 0)
+            closed.chmod(0o755)
+    assert "is not yours to write to; name another place" in message
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self"), reason="there is no /proc here")
+def test_a_file_that_cannot_be_made_has_its_own_name(folder, capsys):
+    """The superuser too cannot write there, though he has the right to."""
+    ball = folder / "ball.off"
+    for place, command in (
+        ("/proc/foo.npz", ("spectrum", ball, "-k", "4")),
+        ("/proc/foo", ("geodesic", ball, "--source", "0", "--no-pictures")),
+    ):
+        message = refused(capsys, *command, "-o", place)
+        assert message.startswith(f"error: {place}: ") or "is not yours to write" in message
+
+
+def test_an_output_never_replaces_an_input(capsys, tmp_path):
+    write(sphere(subdivisions=1).geometry, tmp_path / "ball.npz")
+    before = (tmp_path / "ball.npz").read_bytes()
+    again = ("spectrum", tmp_path / "ball.npz", "-k", 4, "-o", tmp_path / "ball.npz")
+    assert "the output must not replace an input, got" in refused(capsys, *again)
+    assert (tmp_path / "ball.npz").read_bytes() == before
+
+
+def test_an_existing_output_is_replaced(folder, capsys, tmp_path):
+    for k in (4, 6):
+        out = tmp_path / "modes.npz"
+        assert main(["spectrum", str(folder / "ball.off"), "-k", str(k), "-o", str(out)]) == 0
+    assert np.load(out)["eigenvalues"].shape == (6,)
+    assert os.listdir(tmp_path) == ["modes.npz"]
+
+
+def test_a_bug_is_called_one(capsys):
+    def breaks(_):
+        return [][1]
+
+    assert run(breaks, argparse.Namespace(debug=False, quiet=False)) == 1
+    err = capsys.readouterr().err
+    assert err == (
+        "error: this is a bug of spectra_kit: IndexError: list index out of range; please report it"
+        " with what --debug shows\n"
+    )
+    assert run(breaks, argparse.Namespace(debug=True, quiet=False)) == 1
+    assert "in breaks" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
+def test_a_full_disk_behind_stdout(folder):
+    command = [sys.executable, "-m", "spectra_kit", "info", str(folder / "ball.off")]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (2, "error: no space left on device\n")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="streams are closed by a POSIX shell")
+@pytest.mark.parametrize(
+    ("command", "code", "out", "err"),
+    [
+        ("info ball.off >&-", 0, "", ""),
+        ("info none.off 2>&-", 2, "", ""),
+        ("info none.off <&- >&-", 2, "", "error: none.off: there is no such file; looked from"),
+        ("modes --help >/dev/full", 2, "", "error: no space left on device"),
+        ("info none.off 2>/dev/full", 2, "", ""),
+    ],
+)
+def test_closed_and_full_streams(folder, command, code, out, err):
+    if "/dev/full" in command and not os.path.exists("/dev/full"):
+        pytest.skip("there is no /dev/full here")
+    program = f"{sys.executable} -m spectra_kit {command}"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run(
+        ["sh", "-c", program], cwd=folder, env=environment, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout) == (code, out)
+    assert done.stderr.startswith(err)
+    assert len(done.stderr.splitlines()) == bool(err)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are any bytes on Linux alone")
+@pytest.mark.parametrize(
+    ("command", "output"),
+    [("spectrum", "--picture=a.svg"), ("explore", "-o=a.html"), ("geodesic", "-o=a")],
+)
+def test_names_of_files_may_be_any_bytes(
+    command, output, folder, tmp_path, monkeypatch, capsysbinary
+):
+    monkeypatch.chdir(tmp_path)
+    name = os.fsdecode(b"b\xff\xfel.off")
+    Path(name).write_bytes((folder / "ball.off").read_bytes())
+    options = ["--source", "0"] if command == "geodesic" else ["-k", "4"]
+    monkeypatch.setattr(sys, "argv", ["spectra-kit", command, name, *options, output])
+    assert main() == 0
+    assert b"b\xff\xfel.off: mesh" in capsysbinary.readouterr().out
+    shown = {"a.svg": "b\\xff\\xfel, 162 points", "a.html": r"b\\xff\\xfel"}
+    for file, title in shown.items():
+        if Path(file).exists():
+            assert title in Path(file).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("modes", "-k", "4", "-o", "x.png", "--dpi", "0"), "`--dpi` must be in [10, 2400], got 0"),
+        (
+            ("modes", "-k", "4", "-o", "x.png", "--dpi", "99999999"),
+            "`--dpi` must be in [10, 2400], got 99",
+        ),
+        (("geodesic", "--at", "1e300", "0", "0"), "`--at` must lie nearer: at 1e+300, where"),
+        (("geodesic", "--source", str(10**30)), f"`--source` must be in [0, 162), got {10**30}"),
+        (("compare", "--solver", "neo", "--device", "meta", "-k", "4"), "torch can use here, got"),
+        (("info", "--cloud", str(10**30)), "`--cloud` must fit into 64 bits, got 1000"),
+        (("geodesic", "--source", "0", "--turn", "nan"), "`--turn` must be a finite number of"),
+    ],
+)
+def test_numbers_beyond_all_sense_are_refused(arguments, message, folder, capsys, tmp_path):
+    name, *options = arguments
+    place = ["-o", tmp_path / "d"] if name == "geodesic" else []
+    assert message in refused(capsys, name, folder / "ball.off", *options, *place)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("spectrum", "--device", "cuda"), "--device has no effect without the network; choose it"),
+        (("spectrum", "--solver", "dense", "--poses", "2"), "--poses has no effect without"),
+        (("modes", "--dtype", "float16"), "--dtype has no effect without the network"),
+        (("match", "--weights", "mine.safetensors"), "--weights has no effect without the network"),
+        (("compare", "--solver", "fourier", "--device", "cuda"), "--device has no effect without"),
+        (("modes", "--spectrum", "x.npz", "--rtol", "1e-9"), "--rtol has no effect on modes of"),
+        (("animate", "--spectrum", "x.npz", "--solver", "dense"), "--solver has no effect on"),
+        (("compare", "--spectrum", "x.npz", "--against", "dense"), "--against has no effect on"),
+        (("geodesic", "--source", "0", "--weights", "x"), "--weights has no effect without"),
+        (("geodesic", "--source", "0", "--solver", "direct", "--rtol", "1e-9"), "--rtol has no"),
+        (("explore", "--port", "8000"), "--port has no effect without --serve"),
+        (("explore", "--no-browser"), "--no-browser has no effect without --serve"),
+        (("info", "--points", "900"), "--points has no effect on files; name 'demo' instead"),
+        (("match", "--points", "900"), "--points has no effect on files"),
+        (("spectrum", "--dpi", "600"), "--dpi has no effect without a picture; name one by"),
+        (("compare", "--turn", "90"), "--turn has no effect without a picture"),
+        (("geodesic", "--source", "0", "--no-pictures", "--up", "y"), "--up has no effect with"),
+    ],
+)
+def test_options_without_an_effect_are_refused(arguments, message, folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    name, *options = arguments
+    files = ["ball.off"] * (2 if name == "match" else 1)
+    assert message in refused(capsys, name, *files, *options)
+
+
+NUMBERS = {
+    **dict.fromkeys(("spectrum", "modes", "animate", "compare", "explore", "match"), ("-k",)),
+    "info": ("--cloud",),
+    "geodesic": ("--farthest", "--modes"),
+}
+REALS = {
+    "modes": ("--turn",),
+    "spectrum": ("--solver=refined", "--rtol"),
+    "animate": ("--seconds", "--turn"),
+    "geodesic": ("--solver=plain", "--rtol", "--time-coefficient", "--spacing"),
+}
+
+
+@pytest.mark.parametrize("wrong", ["nan", "inf", "-1", "1e30", "", str(10**30), "2.5", "spam"])
+@pytest.mark.parametrize("name", NUMBERS)
+def test_numbers_without_sense_are_refused(name, wrong, folder, capsys, tmp_path, monkeypatch):
+    """With the name of the option, as the library or argparse tells it."""
+    monkeypatch.chdir(tmp_path)
+    files = [str(folder / "ball.off")] * (2 if name == "match" else 1)
+    source = ["--source", "0"] if name == "geodesic" else []
+    reals = [option for option in REALS.get(name, ()) if "=" not in option]
+    besides = [option for option in REALS.get(name, ()) if "=" in option]
+    for option in (*NUMBERS[name], *(reals if wrong in ("nan", "inf", "", "spam") else ())):
+        with contextlib.suppress(SystemExit):  # of argparse, which has told the option
+            assert main([name, *files, *source, *besides, option, wrong]) == 2
+        error = capsys.readouterr().err
+        told = option.strip("-").replace("-", "_")
+        assert option in error or f"`{told}" in error or f"`n_{told}" in error, error
+        assert not list(tmp_path.rglob("*.p*"))
+
+
+def open_again(results):
+    return together(results, report="report.json", replacing=["picture.png"])
+
+
+def test_files_of_a_folder_appear_together_or_not_at_all(tmp_path):
+    results = tmp_path / "results"
+    with together(results, report="report.json", replacing=()) as part:
+        (part / "numbers.txt").write_text("old")
+        assert not results.exists()
+    (results / "picture.png").write_text("of the old numbers")
+    with pytest.raises(KeyboardInterrupt), open_again(results) as part:
+        raise (part / "numbers.txt").write_text("new") and KeyboardInterrupt
+    assert (results / "numbers.txt").read_text() == "old"
+    assert sorted(os.listdir(results)) == ["numbers.txt", "picture.png"]
+    with open_again(results) as part:
+        (part / "numbers.txt").write_text("new")
+    assert (results / "numbers.txt").read_text() == "new"
+    assert os.listdir(results) == ["numbers.txt"]
+    assert os.listdir(tmp_path) == ["results"]
+
+
+@pytest.mark.parametrize("renames", [0, 1, 2])
+def test_a_report_never_stands_beside_numbers_of_another_run(tmp_path, monkeypatch, renames):
+    """Whatever rename is the last before the power fails; signals wait until all are done."""
+    results, real, done = tmp_path / "results", os.replace, []
+
+    def write_result(run):
+        with together(results, report="report.json", replacing=["picture.png"]) as part:
+            for name in ("report.json", "a.npy", "z.npy"):  # wherever it stands in the alphabet
+                (part / name).write_text(run)
+
+    def fails(source, target):
+        if len(done) == renames:
+            raise OSError("the power fails")
+        done.append(real(source, target))
+
+    write_result("old")
+    (results / "picture.png").write_text("old")
+    monkeypatch.setattr(os, "replace", fails)
+    with pytest.raises(OSError, match="the power fails"):
+        write_result("new")
+    left = {path.name: path.read_text() for path in results.iterdir()}
+    assert "report.json" not in left
+    assert "picture.png" not in left
+    monkeypatch.setattr(os, "replace", real)
+    monkeypatch.setattr(Path, "mkdir", interrupting(Path.mkdir))
+    with pytest.raises(KeyboardInterrupt):
+        write_result("newer")
+    assert {path.read_text() for path in results.iterdir()} == {"newer"}
+    assert len(os.listdir(results)) == 3
+
+
+def interrupting(function):
+    """Return `function`, with a Ctrl-C as it is called for the folder of the results."""
+
+    def wrapped(path, *arguments, **options):
+        if path.name == "results":
+            signal.raise_signal(signal.SIGINT)
+        return function(path, *arguments, **options)
+
+    return wrapped
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
+def test_a_folder_with_a_pipe_in_place_of_an_output_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "report.json")
+    with pytest.raises(InvalidInputError, match=r"got a pipe or a device as report.json; name"):
+        check_folder(tmp_path, ["report.json"], ["report.json"], [])
+
+
+def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_path):
+    ball, saved = folder / "ball.off", tmp_path / "ball.npz"
+    mesh = sphere(subdivisions=2).geometry
+    eigensolve(robust_laplacian(mesh), 6).save(saved)
+    page = tmp_path / "page.html"
+    command = ("--spectrum", saved, "--solver", "none", "-o", page)
+    assert main(["explore", str(ball), *map(str, command), "-k", "5"]) == 0
+    assert "5 modes on all 162 points" in capsys.readouterr().out
+    page.unlink()
+    other = tmp_path / "other.off"
+    write(creature(500), other)
+    message = refused(capsys, "explore", other, *command)
+    assert f"{saved} holds modes of something else: `laplacian` must live on the 162" in message
+    bent = TriangleMesh(mesh.points * [1, 1, 1.01], mesh.faces)
+    write(bent, other)
+    assert "holds modes of something else" in refused(capsys, "explore", other, *command)
+    knn = ("explore", ball, *command, "--operator", "knn")
+    assert "holds modes of something else" in refused(capsys, *knn)
+    assert "leave --spectrum out" in refused(capsys, *knn)
+    swapped = TriangleMesh(mesh.points[::-1], 161 - mesh.faces)  # the same, in another order
+    write(swapped, other)
+    assert "holds modes of something else" in refused(capsys, "explore", other, *command)
+    assert not page.exists()
+    assert "found no file" in refused(capsys, "modes", ball, "--spectrum", tmp_path / "none.npz")
+    assert "not a whole spectrum file" in refused(capsys, "modes", ball, "--spectrum", ball)
+
+
+@pytest.mark.parametrize(
+    ("command", "key"),
+    [
+        (("spectrum", "--picture", "x.png", "--dpi", "0"), "eigenvalues"),
+        (("compare", "--solver", "dense", "-o", "x.png", "--dpi", "0"), "comparison"),
+    ],
+)
+def test_a_drawing_that_fails_keeps_the_numbers(
+    command, key, folder, capsys, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    name, *options = command
+    for form in ((), ("--json",)):
+        assert main([name, str(folder / "ball.off"), "-k", "4", *options, *form]) == 2
+        out, err = capsys.readouterr()
+        assert err.startswith("the numbers are whole, but not drawn: x.png\nerror: `")
+        if form:
+            told = json.loads(out)
+            assert told[key]
+            assert told["picture"] is None
+        else:
+            assert "largest relative residual" in out
+            assert "picture" not in out
+    assert os.listdir() == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="there is no Ctrl-C for a process alone here")
+@pytest.mark.parametrize(
+    ("command", "numbers", "pictures"),
+    [
+        (
+            ("match", "demo", "demo", "-k", "30"),
+            ("functional_map.npy", "point_map.npy", "report.json", "source.npz", "target.npz"),
+            ("correspondence.png", "functional_map.png", "errors.png"),
+        ),
+        (("geodesic", "demo"), ("distance.npy", "distance.ply", "report.json"), ("field.png",)),
+        (
+            ("spectrum", "demo", "-k", "9", "--picture", "out/plot.png", "--dpi", "900"),
+            ("modes.npz",),
+            (),
+        ),
+    ],
+    ids=lambda part: part[0] if part else "",
+)
+def test_ctrl_c_while_drawing_keeps_the_numbers_and_names_what_is_missing(
+    command, numbers, pictures, tmp_path
+):
+    out = tmp_path / "out"
+    out.mkdir()
+    target = Path("out") if pictures else Path("out", "modes.npz")
+    screen, terminal = os.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "spectra_kit", *command, "--points", "500", "-o", str(target)],
+        stdout=subprocess.PIPE,
+        stderr=terminal,
+        text=True,
+        cwd=tmp_path,
+    )
+    os.close(terminal)
+    told = ""
+    while "drawing" not in told:  # on a terminal it says what it does
+        told += os.read(screen, 4096).decode(errors="replace")
+    process.send_signal(signal.SIGINT)
+    with contextlib.suppress(OSError):  # how a terminal says that its last writer has gone
+        while chunk := os.read(screen, 4096):
+            told += chunk.decode(errors="replace")
+    os.close(screen)
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert bool(said) == (not pictures)  # what has a folder of its own prints at the end
+    assert pictures or "largest relative residual" in said
+    assert sorted(os.listdir(out)) == list(numbers)
+    missing = ", ".join(f"out/{name}" for name in pictures or ["plot.png"])
+    kept = "the numbers in out are" if pictures else f"the spectrum {target} is"
+    assert told.endswith(f"{kept} whole, but not drawn: {missing}\r\ninterrupted\r\n")

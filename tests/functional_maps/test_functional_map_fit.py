@@ -1,0 +1,314 @@
+"""`fit_functional_map`: the minimum it finds, what the terms ask for, and what it refuses."""
+
+import numpy as np
+import pytest
+
+from spectra_kit import InvalidInputError, TriangleMesh, eigensolve, robust_laplacian
+from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
+from spectra_kit.errors import ConvergenceError
+from spectra_kit.functional_maps import _normal_equations as normal_equations
+from spectra_kit.functional_maps import (
+    fit_functional_map,
+    functional_map_from_point_map,
+    point_map_from_functional_map,
+)
+from spectra_kit.functional_maps._normal_equations import minimise
+from spectra_kit.functional_maps._terms import (
+    Commuting,
+    Preserved,
+    commuting,
+    few_combinations,
+    laplacian_mask,
+    multiplication_operators,
+    preserved,
+)
+from spectra_kit.geometry import creature, sphere
+from spectra_kit.operators.orientation import oriented_triangles
+from spectra_kit.spectra import Spectrum
+
+K = 12
+
+
+def wks(spectrum: Spectrum, count: int = 20) -> np.ndarray:
+    return normalize_descriptors(spectrum, wave_kernel_signature(spectrum, count=count))
+
+
+@pytest.fixture(scope="module")
+def animal() -> tuple[TriangleMesh, Spectrum]:
+    mesh = creature(700)
+    return mesh, eigensolve(robust_laplacian(mesh), 40)
+
+
+@pytest.fixture(scope="module")
+def bent() -> tuple[TriangleMesh, Spectrum]:
+    """The same animal in another pose, its points in the same order."""
+    mesh = creature(700, pose=1)
+    return mesh, eigensolve(robust_laplacian(mesh), 40)
+
+
+@pytest.fixture(scope="module")
+def symmetric() -> tuple[TriangleMesh, Spectrum, np.ndarray]:
+    """A body that is its own mirror image in y but has no other symmetry, and the mirror map."""
+    ball = sphere(subdivisions=3).geometry
+    x, y, z = ball.points.T
+    wave = 0.2 * np.sin(2 * x + 1) + 0.15 * np.cos(3 * y * y - z) + 0.1 * z**3
+    mesh = TriangleMesh(ball.points * (1 + wave[:, None]) * [1.0, 1.3, 1.7], ball.faces)
+    image = {tuple(p): i for i, p in enumerate(np.round(mesh.points, 9) + 0.0)}
+    mirror = [image[tuple(p)] for p in np.round(mesh.points * [1, -1, 1], 9) + 0.0]
+    return mesh, eigensolve(robust_laplacian(mesh), 40), np.array(mirror)
+
+
+# --- the minimum ------------------------------------------------------------------------------
+
+
+def random_energy(rng, k1, k2):
+    mask = rng.random((k2, k1))
+    data = [Preserved(rng.standard_normal((k1, 4)), rng.standard_normal((k2, 4)), 0.7)]
+    operators = [
+        Commuting(rng.standard_normal((3, k1, k1)), rng.standard_normal((3, k2, k2)), w)
+        for w in (0.5, 1.3)
+    ]
+    return mask, data, operators, (rng.standard_normal(k1), rng.standard_normal(k2))
+
+
+def by_lagrange_multipliers(mask, data, operators, constants):
+    k2, k1 = mask.shape
+    m = min(k1, k2)
+
+    def residual(C):
+        parts = [np.sqrt(mask) * C]
+        parts += [np.sqrt(t.weight) * (C @ t.a - t.b) for t in data]
+        parts += [np.sqrt(t.weight) * (C @ t.source - t.target @ C)[:, :m, :m] for t in operators]
+        return np.concatenate([part.ravel() for part in parts])
+
+    offset = residual(np.zeros((k2, k1)))
+    D = np.stack([residual(e.reshape(k2, k1)) - offset for e in np.eye(k1 * k2)], axis=1)
+    A = np.kron(np.eye(k2), constants[0])
+    system = np.block([[D.T @ D, A.T], [A, np.zeros((k2, k2))]])
+    solution = np.linalg.solve(system, np.r_[-D.T @ offset, constants[1]])
+    return solution[: k1 * k2].reshape(k2, k1)
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(5, 5), (4, 7), (7, 4)])
+@pytest.mark.parametrize("dense", [2500, 0])
+@pytest.mark.parametrize("with_operators", [True, False])
+def test_the_minimum_is_that_of_the_quadratic_program(k1, k2, dense, with_operators) -> None:
+    mask, data, operators, constants = random_energy(np.random.default_rng(k1), k1, k2)
+    operators = operators if with_operators else []
+    expected = by_lagrange_multipliers(mask, data, operators, constants)
+    got = minimise(mask, data, operators, constants, dense=dense)
+    assert np.allclose(got, expected, atol=1e-9)
+    assert np.allclose(got @ constants[0], constants[1], atol=1e-13)
+
+
+def test_a_map_of_constants_alone() -> None:
+    mask, data, operators, _ = random_energy(np.random.default_rng(0), 1, 3)
+    C = minimise(mask, data, operators, (np.array([-1.0]), np.array([1.0, 0, 0])))
+    assert np.allclose(C, [[-1], [0], [0]])
+
+
+def test_conjugate_gradients_that_do_not_converge_say_so(monkeypatch) -> None:
+    monkeypatch.setattr(normal_equations, "_MAX_STEPS", 1)
+    with pytest.raises(ConvergenceError, match=r"after 1 steps; raise `commutativity`"):
+        minimise(*random_energy(np.random.default_rng(0), 5, 6), dense=0)
+
+
+def test_each_term_counts_one_for_a_random_map() -> None:
+    rng = np.random.default_rng(0)
+    k1, k2 = 4, 6
+    maps = rng.standard_normal((20_000, k2, k1)) * np.sqrt(4 / (k1 * k2))
+    constants = np.eye(k1)[0], np.eye(k2)[0]
+    f, g = rng.standard_normal((k1, 3)), rng.standard_normal((k2, 3))
+    f[0], g[0] = 0, 0  # no constant part, which is left out of the mean
+    term = preserved("f", f, g, constants, 1.0)
+    energy = term.weight * np.sum((maps @ term.a - term.b) ** 2, axis=(1, 2))
+    assert energy.mean() == pytest.approx(1, rel=0.03)
+    pair = commuting("f", rng.random((2, k1, k1)), rng.random((2, k2, k2)), 1.0)
+    gaps = [
+        (maps @ a - b @ maps)[:, :k1, :k1] for a, b in zip(pair.source, pair.target, strict=True)
+    ]
+    energy = pair.weight * np.sum(np.square(gaps), axis=(0, 2, 3))
+    assert energy.mean() == pytest.approx(1, rel=0.03)
+    for kind in ("resolvent", "standard"):
+        mask = laplacian_mask(kind, np.arange(4.0), np.arange(6.0))
+        assert np.mean(np.sum(mask * maps**2, axis=(1, 2))) == pytest.approx(1, rel=0.03)
+
+
+@pytest.mark.parametrize("kind", ["resolvent", "standard"])
+def test_masks_vanish_at_equal_eigenvalues_and_have_no_unit(kind) -> None:
+    source, target = np.array([0.0, 1, 2, 5]), np.array([0.0, 2, 3])
+    mask = laplacian_mask(kind, source, target)
+    assert (mask == 0).sum() == 2
+    assert mask[0, 0] == mask[1, 2] == 0
+    assert np.allclose(laplacian_mask(kind, 1e6 * source, 1e6 * target), mask)
+
+
+def test_combined_descriptors_make_the_same_sums(animal, bent) -> None:
+    (_, one), (_, other) = animal, bent
+    f, g = wks(one), wks(other)
+    fewer = few_combinations(one, other, f, g)
+    assert fewer[0].shape[1] < f.shape[1]
+    sums = [
+        np.einsum(
+            "pij,pkl->ijkl",
+            multiplication_operators(one, 6, a),
+            multiplication_operators(other, 6, b),
+        )
+        for a, b in ((f, g), fewer)
+    ]
+    assert np.allclose(*sums, atol=1e-8 * np.abs(sums[0]).max())
+
+
+# --- what the terms ask for -------------------------------------------------------------------
+
+
+def test_a_permuted_copy_in_other_units_returns_the_permutation(animal) -> None:
+    _, spectrum = animal
+    order = np.random.default_rng(0).permutation(spectrum.n)
+    signs = np.random.default_rng(1).choice([-1.0, 1.0], spectrum.k)
+    copy = Spectrum(
+        spectrum.eigenvalues, spectrum.eigenvectors[order] * signs, spectrum.mass[order]
+    ).rescale(1000)
+    f = wks(spectrum, 60)
+    C = fit_functional_map(spectrum, copy, f, f[order], k=30)
+    assert np.allclose(C, np.diag(signs[:30]), atol=1e-6)
+    assert (point_map_from_functional_map(spectrum, copy, C) == order).all()
+
+
+@pytest.mark.parametrize("k", [(20, 14), (14, 20)])
+def test_rectangular_maps_between_poses_are_near_the_true_one(animal, bent, k) -> None:
+    (_, one), (_, other) = animal, bent
+    true = functional_map_from_point_map(one, other, np.arange(one.n), k=k)
+    for mask in ("resolvent", "standard"):
+        C = fit_functional_map(one, other, wks(one), wks(other), k=k, mask=mask)
+        assert C.shape == true.shape
+        assert np.linalg.norm(C - true) < 0.4 * np.linalg.norm(true)
+
+
+def test_constants_go_to_constants_whatever_the_weights(animal, bent) -> None:
+    (_, one), (_, other) = animal, bent
+    C = fit_functional_map(one, other, wks(one)[:, ::-1], wks(other), k=(K, K + 3))
+    sign = np.sign(one.eigenvectors[0, 0] * other.eigenvectors[0, 0])
+    assert np.allclose(C[:, 0], sign * np.eye(K + 3)[0], atol=1e-6)
+
+
+@pytest.mark.parametrize("reversing", [False, True])
+def test_orientation_decides_between_left_and_right(symmetric, reversing) -> None:
+    mesh, spectrum, mirror = symmetric
+    f = wks(spectrum)
+    oriented = oriented_triangles(mesh)
+    C = fit_functional_map(
+        spectrum,
+        spectrum,
+        f,
+        f,
+        k=20,
+        orientation=1.0,
+        reversing=reversing,
+        source_orientation=oriented,
+        target_orientation=oriented,
+    )
+    true = mirror if reversing else np.arange(spectrum.n)
+    expected = functional_map_from_point_map(spectrum, spectrum, true, k=20)
+    assert np.linalg.norm(C - expected) < 1e-3
+    # Without it, odd functions go nowhere: nothing tells the map from its mirror image.
+    C = fit_functional_map(spectrum, spectrum, f, f, k=20)
+    odd = np.diag(functional_map_from_point_map(spectrum, spectrum, mirror, k=20)) < 0
+    assert odd.sum() > 5
+    assert np.abs(C[odd]).max() < 1e-3
+
+
+def test_a_mirrored_copy_asks_for_the_reversing_fit(animal) -> None:
+    mesh, spectrum = animal
+    mirrored = oriented_triangles(mesh.with_points(mesh.points * [1, -1, 1]))
+    f = wks(spectrum)
+    for reversing, close in ((True, True), (False, False)):
+        C = fit_functional_map(
+            spectrum,
+            spectrum,
+            f,
+            f,
+            k=K,
+            orientation=1.0,
+            reversing=reversing,
+            source_orientation=oriented_triangles(mesh),
+            target_orientation=mirrored,
+        )
+        assert (np.linalg.norm(C - np.eye(K)) < 1e-4) == close
+
+
+def test_landmarks_break_a_symmetry(symmetric) -> None:
+    _, spectrum, mirror = symmetric
+    f = wks(spectrum)
+    side = np.array([5, 77, 300])
+    for there, true in ((side, np.arange(spectrum.n)), (mirror[side], mirror)):
+        C = fit_functional_map(spectrum, spectrum, f, f, k=20, landmarks=(side, there))
+        expected = functional_map_from_point_map(spectrum, spectrum, true, k=20)
+        assert np.linalg.norm(C - expected) < 0.1
+
+
+def test_two_components_keep_their_areas_apart(animal) -> None:
+    mesh, _ = animal
+    ball = sphere(subdivisions=2).geometry
+    both = TriangleMesh(
+        np.vstack([mesh.points, ball.points + [9, 0, 0]]),
+        np.vstack([mesh.faces, ball.faces + mesh.n]),
+    )
+    spectrum = eigensolve(robust_laplacian(both), 20)
+    f = np.sin(both.points)
+    C = fit_functional_map(spectrum, spectrum, f, f, k=20, commutativity=1e-4)
+    ones = spectrum.rescale(spectrum.area**-0.5).project(np.ones(both.n))
+    assert np.allclose(C @ ones, ones, atol=1e-12)
+    assert np.linalg.norm(C - np.eye(20)) < 0.05
+
+
+# --- what is refused --------------------------------------------------------------------------
+
+
+def test_bad_input_is_refused_by_name(animal, bent, symmetric) -> None:
+    (mesh, one), (_, other) = animal, bent
+    f, g = wks(one), wks(other)
+    oriented = oriented_triangles(mesh)
+
+    def refused(match, f=f, g=g, **options):
+        with pytest.raises(InvalidInputError, match=match):
+            fit_functional_map(one, other, f, g, **{"k": K, **options})
+
+    refused(r"`source_descriptors` must have shape \(700, p\)", f=f.T)
+    refused(r"`target_descriptors` must have shape \(700, p\)", g=g[:, :0])
+    refused("must have the same number of columns, got 20 and 19", g=g[:, 1:])
+    refused("`k of the source` must be in", k=41)
+    refused("`mask` must be 'resolvent' or 'standard'", mask="soft")
+    refused("`orientation` must be a finite weight >= 0", orientation=-1.0)
+    refused("`commutativity` must be a finite weight >= 0", commutativity=np.inf)
+    refused("`multiplication` must be a number, got '1'", multiplication="1")
+    refused("`source_orientation` must be given", orientation=1.0)
+    refused(
+        "`target_orientation` must be on the 700 points of the spectrum, got 642",
+        orientation=1.0,
+        source_orientation=oriented,
+        target_orientation=oriented_triangles(symmetric[0]),
+    )
+    refused("`landmarks` must be two lists of one length, at least 1", landmarks=([], []))
+    refused("`landmarks` must be two lists of one length", landmarks=([1], [1, 2]))
+    refused("`landmarks of the target` must be in", landmarks=([1], [700]))
+    refused("`landmarks` must be a pair", landmarks=[1, 2])
+    refused("`descriptors` must not all be constant", f=0 * f + 0.1, g=0 * g + 0.7)
+
+
+def test_operators_that_commute_with_every_map_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match="`multiplication` must be 0 where all descriptors"):
+        commuting("multiplication", np.eye(3)[None], np.eye(4)[None], 1.0)
+
+
+def test_a_singular_system_is_refused() -> None:
+    mask, data, _, constants = random_energy(np.random.default_rng(0), 5, 6)
+    with pytest.raises(InvalidInputError, match="got a singular system; bring them nearer"):
+        minimise(0 * mask, [Preserved(data[0].a[:, :1], data[0].b[:, :1], 1.0)], [], constants)
+
+
+def test_different_numbers_of_components_are_refused(animal) -> None:
+    _, one = animal
+    two = Spectrum(np.zeros(2), np.eye(2), np.ones(2))
+    with pytest.raises(InvalidInputError, match="same number of components"):
+        fit_functional_map(one, two, np.ones((700, 1)), np.ones((2, 1)), k=2)

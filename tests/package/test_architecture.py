@@ -1,0 +1,76 @@
+"""Imports point down the table of layers, and the package is quick to import."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2] / "spectra_kit"
+LAYERS = [
+    "_types",
+    "errors _validate _checked _files _version",
+    "geometry linalg",
+    "operators",
+    "_spectrum_file subspaces levels",
+    "spectra neo",
+    "eigensolvers metrics interop descriptors functional_maps geodesics",
+    "correspondence",
+    "matching",
+    "training viz",
+    "explorer",
+    "cli benchmarks evaluation",
+    "__main__",
+]
+LEVEL = {name: i for i, row in enumerate(LAYERS) for name in row.split()}
+# `_validate`, `_checked` and `_files` raise the errors; `metrics` never sees a solver.
+FILES = sorted(p for p in ROOT.rglob("*.py") if p != ROOT / "__init__.py")
+
+
+def unit(path: Path) -> str:
+    return path.relative_to(ROOT).with_suffix("").parts[0]
+
+
+def imported_units(source: str) -> set[str]:
+    """Units of spectra_kit that `source` imports, those for type checkers alone left out."""
+
+    def walk(node: ast.AST):
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
+                continue
+            if isinstance(child, ast.ImportFrom) and (child.module or "").startswith("spectra_kit"):
+                tail = (child.module or "").split(".")[1:]
+                yield from tail[:1] or (alias.name for alias in child.names)
+            if isinstance(child, ast.Import):
+                for alias in child.names:
+                    if alias.name.startswith("spectra_kit."):
+                        yield alias.name.split(".")[1]
+            yield from walk(child)
+
+    return set(walk(ast.parse(source)))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_point_down(path: Path) -> None:
+    me = unit(path)
+    for other in imported_units(path.read_text()) - {me}:
+        if me == "_files" or (me in ("_validate", "_checked") and other == "errors"):
+            continue
+        assert LEVEL[other] < LEVEL[me], f"{me} imports {other}"
+
+
+def test_the_check_sees_an_upward_import() -> None:
+    assert imported_units("from spectra_kit.viz import plot_modes") == {"viz"}
+    assert imported_units("def f():\n    from spectra_kit import training") == {"training"}
+
+
+def test_import_is_light() -> None:
+    code = (
+        "import sys, spectra_kit, spectra_kit.cli;"
+        "heavy = ('torch', 'vtk', 'vtkmodules', 'pyvista', 'pyamg', 'numba', 'qdldl', "
+        "'matplotlib', 'scipy.optimize');"
+        "print([m for m in heavy if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,170 @@
+"""The documentation leaves nothing out: public names, pictures, packages, notebooks."""
+
+import ast
+import importlib
+import importlib.util
+import inspect
+import json
+import pkgutil
+import re
+import shlex
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import spectra_kit
+from spectra_kit import explorer, viz
+from spectra_kit.cli.story import build_parser
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PUBLIC = sorted(
+    module.name
+    for module in pkgutil.iter_modules(spectra_kit.__path__)
+    if not module.name.startswith("_")
+)
+
+
+def load(path: Path) -> ModuleType:
+    """Import a file of docs/, which is no package."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def listed(page: str) -> set[str]:
+    """Names that a page of the reference has: entries of its tables, and its constants."""
+    text = (DOCS / "api" / page).read_text()
+    tables = re.findall(r"\.\. autosummary::\n(?:   :.*\n)*\n((?:   \S+\n)+)", text)
+    return set("".join(tables).split()) | set(re.findall(r"^\.\. data:: (\w+)", text, re.M))
+
+
+def public_names(module: ModuleType) -> set[str]:
+    """What a module exports; all that it defines where it does not say."""
+    here = {
+        name
+        for name, value in vars(module).items()
+        if not name.startswith("_") and getattr(value, "__module__", "") == module.__name__
+    }
+    return set(getattr(module, "__all__", here))
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_the_reference_has_every_public_name(name: str) -> None:
+    module = importlib.import_module(f"spectra_kit.{name}")
+    names = listed(f"{name}.rst")
+    assert public_names(module) <= names
+    for entry in names:  # as far as to functions of modules that are no packages
+        *parents, attribute = entry.split(".")
+        assert hasattr(importlib.import_module(".".join([module.__name__, *parents])), attribute)
+
+
+def test_the_first_page_of_the_reference_has_all_packages_and_the_names_above_them() -> None:
+    entries = {entry.removeprefix("~spectra_kit.") for entry in listed("index.rst")}
+    assert {f"spectra_kit.{name}" for name in PUBLIC} <= entries
+    for name in dir(spectra_kit):
+        thing = getattr(spectra_kit, name)
+        if not inspect.ismodule(thing) and not name.startswith("_"):
+            home = next((entry for entry in entries if entry.endswith(f".{name}")), "")
+            assert home, f"{name} is missing in docs/api/index.rst"
+            package, _, attribute = home.rpartition(".")
+            assert getattr(importlib.import_module(f"spectra_kit.{package}"), attribute) is thing
+
+
+def test_the_picture_of_the_architecture_has_all_packages() -> None:
+    architecture = load(DOCS / "architecture.py")
+    packages = [name for row in architecture.layers() for name in row]
+    assert sorted(packages) == PUBLIC
+    assert sorted(architecture.PURPOSE) == PUBLIC
+    drawn = re.findall(r'id="package-(\w+)"', (DOCS / "pictures/architecture.svg").read_text())
+    assert drawn == packages, "draw it again: python docs/architecture.py"
+
+
+def test_the_architecture_is_drawn_the_same_twice(tmp_path: Path) -> None:
+    architecture = load(DOCS / "architecture.py")
+    one, two = (architecture.draw_architecture(tmp_path / f"{i}.svg") for i in range(2))
+    assert one.read_bytes() == two.read_bytes()
+
+
+def test_every_picture_is_shown() -> None:
+    pages = "".join(path.read_text() for path in DOCS.glob("*.md"))
+    shown = set(re.findall(r"\]\(pictures/(\S+)\)", pages))
+    assert shown == {path.name for path in (DOCS / "pictures").iterdir()}
+
+
+def blocks(language: str, pages: Iterable[Path]) -> list[str]:
+    """Code blocks of a language, those that doctest runs left out."""
+    pattern = rf"```{language}\n(.*?)```"
+    found = [code for page in pages for code in re.findall(pattern, page.read_text(), re.S)]
+    return [code for code in found if not code.startswith(">>>")]
+
+
+@pytest.mark.parametrize("page", ["gallery.md", "pictures.md"])
+def test_the_calls_beside_pictures_can_be_made(page: str) -> None:
+    # To draw them all takes minutes; their names and arguments go stale first.
+    drawing = {**vars(viz), **vars(explorer)}
+    code = ast.parse("\n".join(blocks("python", [DOCS / page])))
+    calls = [node for node in ast.walk(code) if isinstance(node, ast.Call)]
+    known = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id in drawing]
+    assert known
+    for call in known:
+        assert isinstance(call.func, ast.Name)
+        names = {keyword.arg: None for keyword in call.keywords if keyword.arg}
+        inspect.signature(drawing[call.func.id]).bind(*call.args, **names)
+    unknown = {call.func.id for call in calls if isinstance(call.func, ast.Name)} - set(drawing)
+    assert not {name for name in unknown if name.startswith(("plot_", "animate_", "write_"))}
+
+
+def test_the_command_lines_of_the_guide_are_accepted() -> None:
+    lines = "\n".join(blocks("bash", DOCS.glob("*.md"))).splitlines()
+    commands = [
+        shlex.split(line, comments=True) for line in lines if line.startswith("spectra-kit")
+    ]
+    assert len(commands) > 3
+    for _, *arguments in commands:
+        build_parser().parse_args(arguments)  # exits where it has no use for one
+
+
+def write_notebook(path: Path, text: str) -> None:
+    cells = [{"cell_type": "markdown", "source": text.splitlines(keepends=True)}]
+    path.write_text(json.dumps({"cells": cells}))
+
+
+@pytest.mark.parametrize(("folder", "mode"), [(None, "cache"), ("build/notebooks", "off")])
+def test_notebooks_are_shown_with_their_outputs(
+    folder: str | None, mode: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.delenv("SPECTRA_KIT_EXECUTED_NOTEBOOKS", raising=False)
+    if folder is not None:
+        monkeypatch.setenv("SPECTRA_KIT_EXECUTED_NOTEBOOKS", folder)
+    conf = load(DOCS / "conf.py")
+    assert (conf.nb_execution_mode, conf.nb_execution_in_temp) == (mode, True)
+    assert conf.nb_execution_raise_on_error
+
+
+def test_executed_notebooks_take_the_place_of_bare_ones(tmp_path: Path) -> None:
+    gather = load(DOCS / "extensions/notebook_pages.py").gather
+    bare, executed, pages = (tmp_path / name for name in ("bare", "executed", "pages"))
+    for folder in (bare, executed, pages):
+        folder.mkdir()
+    write_notebook(bare / "a.ipynb", "# A\n\n**What is a?** This.")
+    write_notebook(bare / "b.ipynb", "# B\n\nWe ask. And\nwhy b?")
+    write_notebook(executed / "b.ipynb", "# B\n\nWhy b? Executed.")
+    (pages / "gone.ipynb").write_text("of a notebook that was renamed")
+    gather(bare, executed, pages)
+    assert sorted(path.name for path in pages.iterdir()) == ["a.ipynb", "b.ipynb", "questions.inc"]
+    assert (pages / "a.ipynb").read_bytes() == (bare / "a.ipynb").read_bytes()
+    assert (pages / "b.ipynb").read_bytes() == (executed / "b.ipynb").read_bytes()
+    gather(bare, None, pages)
+    assert (pages / "b.ipynb").read_bytes() == (bare / "b.ipynb").read_bytes()
+    assert (pages / "questions.inc").read_text().splitlines() == [
+        "- [A](pages/a.ipynb): What is a?",
+        "- [B](pages/b.ipynb): And why b?",
+    ]

@@ -1,0 +1,811 @@
+"""Whatever is passed in the place of an argument is refused by its name, or has a good result.
+
+Every public function, constructor and method is called with good arguments, of which each in turn
+is replaced by every entry of a table of wrong ones.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import fields, is_dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import torch
+from scipy import sparse
+
+import spectra_kit as sk
+from spectra_kit import (
+    correspondence,
+    descriptors,
+    functional_maps,
+    geodesics,
+    geometry,
+    interop,
+    matching,
+    metrics,
+    neo,
+    operators,
+    subspaces,
+    viz,
+)
+from spectra_kit.errors import InvalidInputError, SpectraKitError
+
+PACKAGES = (
+    "spectra_kit",
+    *(
+        f"spectra_kit.{name}"
+        for name in (
+            *("geometry", "operators", "eigensolvers", "subspaces", "spectra", "matching"),
+            *("geodesics", "descriptors", "functional_maps", "correspondence", "metrics", "viz"),
+            *("interop", "explorer", "neo"),
+        )
+    ),
+)
+# Tensors are torch's to check, where a compiler has to see through every line.
+LEFT_TO_TORCH = {"NeoNetwork.forward", "NeoNetwork.features", "NeoNetwork.evaluate_chunked"}
+# Called by `eigensolve` alone, which has checked what it hands on.
+HOOKS = re.compile(r"\.eigenpairs$|^(?!GivenBasis|Laplacian).*restricted$")
+
+
+WAVES = ("landmark_wave_kernel_signature", "wave_energies", "wave_kernel_signature")
+
+
+class Call(NamedTuple):
+    """A public callable, and how it is called well."""
+
+    name: str
+    function: Callable[..., Any]  # of keywords alone
+    good: dict[str, Any]
+    owner: Any  # the instance of a method
+    optional: set[str]  # arguments for which None is a value
+
+
+def public(module: Any) -> Iterator[tuple[str, Any]]:
+    for name in getattr(module, "__all__", vars(module)):
+        thing = getattr(module, name)
+        if not name.startswith("_") and (
+            inspect.isfunction(thing)
+            or (inspect.isclass(thing) and not issubclass(thing, Exception | tuple | dict))
+        ):
+            here = hasattr(module, "__all__") or thing.__module__ == module.__name__
+            if here and not getattr(thing, "_is_protocol", False):
+                yield name, thing
+
+
+def surface() -> Iterator[tuple[str, Callable[..., Any], bool]]:
+    """Every public callable by name: functions, constructors, and methods (unbound)."""
+    seen = set()
+    for package in PACKAGES:
+        for name, thing in public(importlib.import_module(package)):
+            if id(thing) in seen:
+                continue
+            seen.add(id(thing))
+            if not HOOKS.search(name):
+                yield name, thing, False
+            if inspect.isclass(thing):
+                for attribute, member in vars(thing).items():
+                    full = f"{name}.{attribute}"
+                    if attribute.startswith("_") or full in LEFT_TO_TORCH or HOOKS.search(full):
+                        continue
+                    if isinstance(member, classmethod):
+                        yield full, getattr(thing, attribute), False
+                    elif inspect.isfunction(member):
+                        yield full, member, True
+
+
+@cache
+def example() -> dict[str, Any]:
+    """Good arguments by name; ``callable.name`` where the name alone does not tell."""
+    ball = geometry.sphere(subdivisions=2).geometry
+    x, y, z = ball.points.T
+    mesh = ball.with_points(ball.points * (1 + 0.3 * np.sin(2 * x + y) + 0.2 * z)[:, None])
+    cloud = mesh.as_cloud()
+    laplacian = sk.robust_laplacian(mesh)
+    spectrum = sk.eigensolve(laplacian, 40)
+    n, k = spectrum.n, spectrum.k
+    same = np.arange(n)
+    identity = np.eye(20)
+    oriented = operators.oriented_triangles(mesh)
+    triangulation = sk.intrinsic_delaunay(mesh)
+    prepared = sk.prepare(spectrum, mesh)
+    heat_geodesics = sk.HeatGeodesics(mesh)
+    field = heat_geodesics.distance(0)
+    comparison = metrics.compare_spectra(spectrum, spectrum)
+    config = neo.NeoConfig(width=16, depth=1, heads=2, head_width=8, latents=4, m=16, k=8)
+    network = neo.build_network(config)
+    signature = descriptors.heat_kernel_signature(spectrum)
+    candidate = matching.Candidate(
+        functional_map=identity, score=0.1, mismatches={"wave": 0.1}, reversing=False
+    )
+    panel = viz.Panel(values=mesh.points[:, 0], limit=1.0)
+    precise = functional_maps.precise_map(spectrum, spectrum, identity, mesh.faces)
+    count = sk.ModeCount(verified=3, radius=0.1, floor=2.0)
+    samples = geometry.sample_with_origin(mesh, 50, seed=0)
+    frame = subspaces.canonical_frame(mesh.points, spectrum.mass)
+    repaired = geometry.repair(mesh)
+    map_errors = correspondence.MapErrors(np.ones(n), same)
+    normalization = geometry.Normalization.unit_box(mesh)
+    given = subspaces.GivenBasis(spectrum.eigenvectors)
+    return {
+        # Instances whose methods are called.
+        **{
+            f"{type(thing).__name__}.self": thing
+            for thing in (
+                *(mesh, cloud, laplacian, spectrum, oriented, triangulation, heat_geodesics),
+                *(
+                    panel,
+                    count,
+                    prepared,
+                    samples,
+                    repaired,
+                    normalization,
+                    given,
+                    spectrum.certificate,
+                ),
+                *(field.heat, field.sources, geodesics.FacePoint(0, (1.0, 0.0, 0.0))),
+                *(sk.Arpack(), sk.Capped(), sk.Dense(), sk.Lobpcg(), sk.Multilevel(), sk.Neo()),
+                *(sk.Polished(), sk.RayleighRitz(), sk.Refined(), geodesics.Automatic()),
+                subspaces.Union(given),
+                correspondence.Truth(same, same),
+                correspondence.MapErrors(np.ones(3), np.arange(3)),
+                viz.MatchedPair(source=mesh, target=mesh, point_map=same),
+                neo.NeoSubspace(network),
+            )
+        },
+        # Arguments.
+        "a": [1.0, 2.0],
+        "accuracy": "exact",
+        "added": 0,
+        "adjoint": True,
+        "amplitude": 0.1,
+        "area": 1.0,
+        "areas": oriented.areas,
+        "axis": 0,
+        "b": [1.0, 2.0],
+        "back": same,
+        "backbone": "neo",
+        "backward_error": 1e-9,
+        "bandwidth": 3.0,
+        "barycentric": samples.barycentric,
+        "FacePoint.barycentric": (1.0, 0.0, 0.0),
+        "basis": spectrum.eigenvectors[:, :5],
+        "boundary": "neumann",
+        "IntrinsicTriangulation.boundary": triangulation.boundary,
+        "boundary_edges": 0,
+        "bytes": 9,
+        "candidates": (candidate,),
+        "cap": 100,
+        "center": True,
+        "centre": (0.0, 0.0, 0.0),
+        "certificate": spectrum.certificate,
+        "choice": "direct",
+        "chunk": 128,
+        "cloud": cloud,
+        "cluster_error": comparison.cluster_error,
+        "cluster_gap": 0.01,
+        "clusters": comparison.clusters,
+        "coarse": "none",
+        "coarsest": 100,
+        "coefficients": np.ones(k),
+        "columns": spectrum.eigenvectors,
+        "plot_fields.columns": 2,
+        "plot_modes.columns": 2,
+        "columns_named": ["a"],
+        "commutativity": 1.0,
+        "comparison": comparison,
+        "config": config,
+        "consistent": 1.0,
+        "coordinate": [0.0, 0.0, 0.0],
+        "corners": samples.corners,
+        "IntrinsicTriangulation.corners": triangulation.corners,
+        "count": 4,
+        "Certificate.count": count,
+        "decimated": False,
+        "degenerate_faces": 0,
+        "degree": 3,
+        "density": "uniform",
+        "depth": 1,
+        "description": "a surface",
+        "descriptors": signature,
+        "device": "cpu",
+        "dimension": 2,
+        "direct": np.ones(3),
+        "dirichlet": spectrum.eigenvalues,
+        "distance": field.distance,
+        "dnas": [[1.0, 2.0], [1.0, 3.0]],
+        "dpi": 30,
+        "drop": 0.01,
+        "dtype": "float32",
+        "Spectrum.to_torch.dtype": torch.float32,
+        "to_diffusion_net.dtype": torch.float32,
+        "save_weights.dtype": torch.float32,
+        "duplicate_faces": 0,
+        "duplicate_points": 0,
+        "eigenfunctions": spectrum.eigenvectors,
+        "eigenvalue_error": comparison.eigenvalue_error,
+        "eigenvalues": spectrum.eigenvalues,
+        "eigenvectors": spectrum.eigenvectors,
+        "elastic": False,
+        "ends": [1, 2],
+        "energies": [0.5, 1.0],
+        "coverage": 1.0,
+        "error": 0.1,
+        "error_label": "error",
+        "errors": np.ones(n),
+        "MatchedPair.errors": map_errors,
+        "plot_correspondence.errors": map_errors,
+        "plot_error_curves.errors": {"a": np.ones(4)},
+        "euler_characteristic": 2,
+        "exact": spectrum,
+        "excess": np.zeros(k),
+        "nearest_rows.exact": True,
+        "exponents": field.heat.exponents,
+        "f": np.ones(n),
+        "face": 0,
+        "face_index": np.arange(len(mesh.faces)),
+        "faces": mesh.faces,
+        "Samples.faces": samples.faces,
+        "factor": 2.0,
+        "features": (signature, signature),
+        "fields": {"x": mesh.points[:, 0]},
+        "fill": 0.0,
+        "fixed": [0],
+        "floor": 1e-9,
+        "flow": True,
+        "fps": 2.0,
+        "frame": "principal",
+        "NeoSubspace.predict.frame": frame,
+        "free_boundary": 0.0,
+        "functional_map": identity,
+        "functions": spectrum.eigenvectors[:, :4],
+        "g": np.ones(n),
+        "geometry": mesh,
+        "group": "a",
+        "guard": 0.5,
+        "head_width": 8,
+        "heads": 2,
+        "heat": field.heat,
+        "Sources.heat": field.sources.heat,
+        "height": 1.5,
+        "indices": np.arange(50),
+        "initial": identity,
+        "input_hash": "",
+        "inside": np.ones(n, dtype=bool),
+        "iterations": 2,
+        "k": 6,
+        "match.k": 30,
+        "Prepared.truncate.k": 35,
+        "NeoConfig.k": 8,
+        "k_final": 24,
+        "zoomout_many.k_final": 12,
+        "k_start": 10,
+        "kernel_dimension": 1,
+        "kind": "mesh",
+        "plot_signatures.kind": "heat",
+        "label": "distance",
+        "landmark_weight": 1.0,
+        "landmarks": [0, 1],
+        "match.landmarks": ([0, 1], [0, 1]),
+        "mismatches.landmarks": (np.array([0, 1]), np.array([0, 1])),
+        "fit_functional_map.landmarks": ([0, 1], [0, 1]),
+        "laplacian": laplacian,
+        "latents": 4,
+        "league": "",
+        "lengths": triangulation.lengths,
+        "levels": (0.5,),
+        "limit": 5.0,
+        "lines": ("x",),
+        "plot_fields.lines": "none",
+        "low": 0.0,
+        "lower": (0.0, 0.0, 0.0),
+        "m": 16,
+        "major": 1.0,
+        "maps": np.stack([identity[:10, :10]]),
+        "margin": 1.5,
+        "marks": {"day": 3.0},
+        "mask": "resolvent",
+        "mass": spectrum.mass,
+        "mass_aware": True,
+        "mass_matrix": spectrum.mass,
+        "match": comparison.match,
+        "max_iterations": 500,
+        "max_points": 1000,
+        "max_restarts": 100,
+        "max_steps": 100,
+        "max_sweeps": 20,
+        "memory": 4.0,
+        "merge": True,
+        "merged_points": 0,
+        "mesh": mesh,
+        "method": "exact",
+        "Refined.method": "shift-invert",
+        "Heat.method": "Cholesky",
+        "minor": 0.4,
+        "mirrored": False,
+        "mismatches": {"wave": 0.1},
+        "missing": 0,
+        "mmap": False,
+        "modes": [1, 2],
+        "Automatic.modes": 10,
+        "Iterative.modes": 10,
+        "mollify_factor": 1e-5,
+        "move": lambda values: values,
+        "multiplication": 1.0,
+        "n": 100,
+        "sample.n": 50,
+        "sample_with_origin.n": 50,
+        "OrientedTriangles.n": n,
+        "Sources.n": n,
+        "n_components": 1,
+        "n_faces": 5,
+        "n_modes": 5,
+        "n_neighbors": 10,
+        "n_points": 500,
+        "n_samples": 200,
+        "n_shown": 5,
+        "n_source": 500,
+        "n_sources": 1,
+        "n_target": 520,
+        "n_zero_modes": 1,
+        "name": "a",
+        "NeoConfig.named.name": "small",
+        "name_or_path": "small",
+        "names": ("a", "b"),
+        "network": network,
+        "new_index": same,
+        "nodal_lines": True,
+        "nonmanifold_edges": 0,
+        "nonmanifold_vertices": 0,
+        "normalize": "area",
+        "normals": ball.points,
+        "offsets": field.sources.offsets,
+        "open_from": comparison.open_from,
+        "operator": "robust",
+        "operators": interop.to_diffusion_net(spectrum, laplacian),
+        "orientation": 1.0,
+        "fit_functional_map.orientation": 0.0,
+        "oriented": oriented,
+        "orthonormality_error": 1e-12,
+        "other": field.heat,
+        "other_side": 1.5,
+        "pairs": [viz.MatchedPair(source=mesh, target=mesh, point_map=same)],
+        "part": given,
+        "parts": given,
+        "path": "out.png",
+        "read.path": "mesh.obj",
+        "write.path": "out.obj",
+        "Spectrum.save.path": "out.npz",
+        "Spectrum.load.path": "spectrum.npz",
+        "save_weights.path": "out.safetensors",
+        "write_explorer.path": "out.html",
+        "animate_modes.path": "out.gif",
+        "Picture.path": Path("out.png"),
+        "Explorer.path": Path("out.html"),
+        "Reference.geometry": mesh,
+        "check_sources.geometry": mesh,
+        "estimate_normals.cloud": cloud,
+        "Candidate.functional_map": identity,
+        "point_map": same,
+        "points": mesh.points,
+        "nearest_rows.points": mesh.points,
+        "pareto_front.points": [viz.ParetoPoint(name="a", group="b", seconds=1.0, error=0.1)],
+        "plot_pareto.points": [viz.ParetoPoint(name="a", group="b", seconds=1.0, error=0.1)],
+        "plot_signatures.points": [0, 1],
+        "poisson": field.poisson,
+        "pose": 0,
+        "poses": 1,
+        "creature_pair.poses": (1, 2),
+        "precise": precise,
+        "preconditioner": "cholesky",
+        "predicted": spectrum,
+        "predicted_eigenvalues": comparison.predicted_eigenvalues,
+        "progress": lambda done, total: None,
+        "provenance": spectrum.provenance,
+        "quantisation": 1e-4,
+        "queries": mesh.points,
+        "radius": 1.0,
+        "rank_tol": 1e-9,
+        "ratio": 8,
+        "reason": "",
+        "record": {"legs": []},
+        "relative_area": 1e-9,
+        "relative_residuals": np.zeros(k),
+        "relaxation": 0.9,
+        "report": repaired.report,
+        "residuals": np.zeros(k),
+        "SolverRun.residuals": [1.0, 0.1],
+        "response": np.exp,
+        "reversing": False,
+        "rings": 3,
+        "rough": False,
+        "rows": np.arange(100),
+        "plot_panels.rows": [[panel]],
+        "rows_named": ["a"],
+        "rtol": 1e-6,
+        "runs": [viz.SolverRun(name="a", stages={"factor": 1.0}, times=[0.1], residuals=[1e-9])],
+        "samples": 100,
+        "Prepared.samples": prepared.samples,
+        "scale": 2.0,
+        "scaled": False,
+        "scales": np.geomspace(0.01, 1, 16),
+        "score": 0.1,
+        "seconds": 1.0,
+        "Provenance.seconds": {"solve": 1.0},
+        "DistanceField.seconds": {"solve": 1.0},
+        "seconds_per_mode": 1.0,
+        "seed": 0,
+        "share": 1.0,
+        "share_limits": True,
+        "shift": 0.1,
+        "shown": [0, 1],
+        "sides": "kept",
+        "sigma": 0.3,
+        "signature": signature,
+        "smoothing": 2,
+        "solve_name": "solve",
+        "solver": sk.Dense(),
+        "HeatGeodesics.solver": geodesics.Direct(),
+        "geodesic_distance.solver": geodesics.Direct(),
+        "Provenance.solver": "Dense()",
+        "from_arrays.solver": "Dense()",
+        "source": spectrum,
+        **{
+            f"{name}.{end}": prepared
+            for name in ("mismatches", "orientation_of")
+            for end in ("source", "target")
+        },
+        "MapErrors.target": np.arange(3),
+        **{f"Truth.{end}": [0, 1] for end in ("source", "target", "symmetric")},
+        **{f"dirichlet_energy.{end}": laplacian for end in ("source", "target")},
+        **{
+            f"{name}.{end}": mesh
+            for name in ("MatchedPair", "plot_correspondence")
+            for end in ("source", "target")
+        },
+        "source_descriptors": signature,
+        "source_faces": mesh.faces,
+        "source_geometry": mesh,
+        "source_orientation": oriented,
+        "source_points": mesh.points,
+        "source_rows": spectrum.eigenvectors[:, :12],
+        "sources": [0, 1],
+        "plot_distance.sources": [[0.0, 0.0, 1.0]],
+        "spectral_distance.time": None,
+        "HeatGeodesics.distances.sources": [0, 1],
+        "DistanceField.sources": field.sources,
+        "spacing": 0.1,
+        "span_dimension": comparison.span_dimension,
+        "span_error": comparison.span_error,
+        "spectra": {"a": spectrum},
+        "spectrum": spectrum,
+        "spectrum_seconds": 1.0,
+        "square": 4.0,
+        "stages": {"factor": 1.0},
+        "start": given,
+        "farthest_points.start": 0,
+        "starts": [0, 1],
+        "step": 5,
+        "stiffness": laplacian.stiffness,
+        "subdivisions": 1,
+        "subspace": given,
+        "neo_eigenpairs.subspace": neo.NeoSubspace(network),
+        "subtitle": "",
+        "surface": prepared.surface,
+        "sweeps": 1,
+        "symmetric": np.ones(3),
+        "plot_fields.symmetric": True,
+        "target": spectrum,
+        "target_descriptors": signature,
+        "target_faces": mesh.faces,
+        "target_geometry": mesh,
+        "target_orientation": oriented,
+        "target_rows": spectrum.eigenvectors[:, :12],
+        "targets": [0, 1],
+        "thresholds": [1.0, 2.0],
+        "time": 0.1,
+        "time_coefficient": 1.0,
+        "time_step": 0.01,
+        "times": [0.1, 1.0],
+        "title": "",
+        "tol": 0.0,
+        "transfer": "colours",
+        "triangulation": triangulation,
+        "truth": correspondence.Truth(same, same),
+        "turn": 0.0,
+        "unreferenced_vertices": 0,
+        "up": "z",
+        "upper": (1.0, 1.0, 1.0),
+        "vals": spectrum.eigenvalues,
+        "values": np.ones(n),
+        "score_of.values": {"wave": 0.1},
+        "Samples.interpolate.values": np.ones(n),
+        "vecs": spectrum.eigenvectors,
+        "vector_error": comparison.vector_error,
+        "vectors": np.ones((len(triangulation.corners), 2)),
+        "verified": 3,
+        "version": "",
+        "vertex_index": same,
+        "vertices": [0, 1],
+        "Sources.vertices": field.sources.vertices,
+        "wave": prepared.wave,
+        "waves": 0,
+        "weight": "index",
+        "weights": None,
+        "Neo.weights": "small",
+        "OrientedTriangles.weights": oriented.weights,
+        "weyl": True,
+        "width": 1.0,
+        **{f"{name}.width": 0.2 for name in WAVES},
+        "animate_modes.width": 64,
+        "NeoConfig.width": 16,
+        "xlabel": "x",
+        "ylabel": "y",
+    }
+
+
+# Clouds have no area, a lone candidate no rival, and zero modes no relative error.
+MAY_BE_INFINITE = {"diagnose", "match", "compare_spectra"}
+
+# What is right besides values of the kind of the example.
+ALSO = {
+    "sources": {"number"},
+    "spectral_distance.time": {"number"},
+    "accuracy_curve.thresholds": {"number"},
+    "k": {"array"},
+    "Refined.start": {"function"},
+    "Polished.start": {"function"},
+    "Lobpcg.start": {"function"},
+    "subspace": {"function"},
+    "parts": {"function"},
+    "fit_functional_map.k": {"array", "none"},
+    "MatchedPair.point_map": {"number"},  # looked at with its geometries, when drawn
+    "plot_spectrum.spectra": {"Spectrum"},
+    "check_sources.geometry": {"Laplacian", "Spectrum"},
+    "eigensolve.solver": {"Arpack"},
+    # Empty sequences, which are arrays of floats to NumPy.
+    "Match.candidates": {"array"},
+    "pareto_front.points": {"array"},
+    "Panel.lines": {"array"},
+}
+
+
+class DrawnError(Exception):
+    """Raised where drawing would begin: all that can be checked has been."""
+
+
+def family(value: Any) -> str:
+    """What kind of thing a value is, as a user would say."""
+    if value is None:
+        return "none"
+    if isinstance(value, type):
+        return "class"
+    if isinstance(value, bool | np.bool_):
+        return "flag"
+    if isinstance(value, int | float | np.number) and not isinstance(value, complex):
+        return "number"
+    if isinstance(value, str | Path):
+        return "text"
+    if isinstance(value, Mapping):
+        return "mapping"
+    if isinstance(value, np.ndarray | list | tuple):
+        try:
+            kind = np.asarray(value)
+        except (TypeError, ValueError):
+            return "ragged"
+        return "array" if kind.dtype.kind in "fiu" else f"array of {kind.dtype.kind}"
+    if isinstance(value, geometry.TriangleMesh | geometry.PointCloud):
+        return "geometry"
+    if type(value).__module__.startswith("spectra_kit"):
+        return type(value).__name__
+    return "function" if callable(value) else type(value).__name__
+
+
+@cache
+def anything() -> dict[str, Any]:
+    """What may arrive anywhere by mistake."""
+    good = example()
+    return {
+        "None": None,
+        "a class": sk.Arpack,
+        "an object": object(),
+        "a word": "spam",
+        "the empty word": "",
+        "complex": 1j,
+        "True": True,
+        "nan": np.nan,
+        "inf": np.inf,
+        "-inf": -np.inf,
+        "-1": -1,
+        "2.5": 2.5,
+        "10**30": 10**30,
+        "1e30": 1e30,
+        "[]": [],
+        "{}": {},
+        "words": ["a", "b"],
+        "ragged": [[1.0], [1.0, 2.0]],
+        "objects": np.array([object()]),
+        "complex array": np.ones(3, dtype=complex),
+        "boolean array": np.ones(5, dtype=bool),
+        "four axes": np.ones((2, 2, 2, 2)),
+        "NaN array": np.full((162, 3), np.nan),
+        "sparse": sparse.eye_array(5, format="csr"),
+        "mapping": {"a": object()},
+        "mesh": good["mesh"],
+        "cloud": good["cloud"],
+        "Laplacian": good["laplacian"],
+        "Spectrum": good["spectrum"],
+        "solver": sk.Arpack(),
+        "function": lambda *_: None,
+    }
+
+
+def broken(value: Any) -> dict[str, Any]:
+    """The same array, a little wrong."""
+    if isinstance(value, torch.Tensor) or family(value) != "array":
+        return {}
+    array = np.array(value)
+    if array.dtype.kind not in "fiu" or not array.size:
+        return {}
+    outside = array.copy()
+    outside.flat[0] = np.nan if array.dtype.kind == "f" else 10**9
+    negative = array.copy()
+    negative.flat[-1] = -7
+    return {
+        "one short": array[:-1],
+        "one axis more": array[None],
+        "flat": array.ravel()[:, None],
+        "transposed": array.T if array.ndim > 1 else array[:, None],
+        "of objects": np.where(outside == array, array, object()),
+        "of words": array.astype(str),
+        "of complex": array.astype(complex),
+        "one outside": outside,
+        "one negative": negative,
+        "one infinite": np.where(np.arange(array.size).reshape(array.shape) == 0, np.inf, array),
+        "none": array[:0],
+    }
+
+
+def call_of(name: str) -> Call:
+    thing, is_method = next((t, m) for full, t, m in surface() if full == name)
+    good, optional, function, owner = {}, set(), thing, None
+    for p in inspect.signature(thing).parameters.values():
+        if p.name == "self" and is_method:
+            owner = example_of(name.split(".")[0], "self")
+            function = partial(thing, owner)
+            continue
+        good[p.name] = example_of(name, p.name)
+        if p.default is None or "None" in str(p.annotation):
+            optional.add(p.name)
+        if p.kind is p.VAR_POSITIONAL:
+            function = partial(_spread, thing, p.name)
+    return Call(name, function, good, owner, optional)
+
+
+def _spread(function: Callable[..., Any], name: str, **arguments: Any) -> Any:
+    return function(arguments[name])
+
+
+def example_of(name: str, argument: str) -> Any:
+    values = example()
+    for key in (f"{name}.{argument}", f"{name.rpartition('.')[2]}.{argument}", argument):
+        if key in values:
+            return values[key]
+    raise AssertionError(f"tell what `{argument}` of {name} may be")
+
+
+def finite(result: Any, depth: int = 3) -> bool:
+    """Whether all numbers of a result are."""
+    if isinstance(result, float | np.floating):
+        return bool(np.isfinite(result))
+    if isinstance(result, np.ndarray) and result.dtype.kind == "f":
+        return bool(np.isfinite(result).all())
+    if isinstance(result, torch.Tensor):
+        return bool(torch.isfinite(result.to_dense()).all())
+    if depth and isinstance(result, tuple | list):
+        return all(finite(item, depth - 1) for item in result)
+    if depth and is_dataclass(result):
+        return all(finite(getattr(result, f.name), depth - 1) for f in fields(result))
+    return True
+
+
+def fault(call: Call, argument: str, wrong: Any) -> str:
+    """Say what is bad about how a call with one wrong argument ended; nothing if it is fine."""
+    fits = family(wrong) in kinds_of(call, argument)
+    try:
+        with warnings.catch_warnings(record=True) as doubts:
+            warnings.simplefilter("always", UserWarning)
+            warnings.simplefilter("error", RuntimeWarning)
+            result = call.function(**call.good | {argument: wrong})
+    except DrawnError:
+        result = None
+    except SpectraKitError as error:
+        # Where two arguments do not fit together, either may be named.
+        told = {argument} | (set(call.good) if fits else set())
+        told |= {type(wrong).__name__, *getattr(call.owner, "__dataclass_fields__", ())}
+        named = any(re.search(rf"\b{name}\b", str(error)) for name in told)
+        written = isinstance(wrong, str) and wrong in str(error)
+        return "" if named or written else f"does not name the argument: {error}"
+    except Exception as error:  # noqa: BLE001  # whatever else comes is a fault
+        return f"raises {type(error).__name__}: {str(error)[:150]}"
+    if not fits:
+        return f"takes {family(wrong)} for {family(call.good[argument])}"
+    told_of = doubts or call.name in MAY_BE_INFINITE or inspect.isclass(call.function)
+    return "" if told_of or finite(result) else "returns numbers that are not finite"
+
+
+def kinds_of(call: Call, argument: str) -> set[str]:
+    """Families of values that are right for an argument."""
+    also = ALSO.get(f"{call.name}.{argument}", ALSO.get(argument, set()))
+    optional = {"none"} if argument in call.optional else set()
+    return {family(call.good[argument])} | also | optional
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    """A folder with what the examples read; nothing is drawn."""
+
+    def drawn(*_: Any, **__: Any) -> None:
+        raise DrawnError
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("spectra_kit.viz.render.draw_requests", drawn)
+    monkeypatch.setattr("matplotlib.figure.Figure", drawn)
+    geometry.write(example()["mesh"], "mesh.obj")
+    example()["spectrum"].save("spectrum.npz")
+
+
+@pytest.mark.parametrize("name", [name for name, _, _ in surface()])
+def test_wrong_arguments_are_refused_by_name(name):
+    call = call_of(name)
+    with suppress(DrawnError):
+        call.function(**call.good)
+    faults = [
+        f"{argument} = {label}: {bad}"
+        for argument, good in call.good.items()
+        for label, wrong in {**anything(), **broken(good)}.items()
+        if (bad := fault(call, argument, wrong))
+    ]
+    assert not faults, "\n".join(faults)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda e: sk.verify(e["laplacian"], e["spectrum"]),
+            "`spectrum` must be a Spectrum, got a Laplacian; did you swap it with `laplacian`\\?",
+        ),
+        (
+            lambda e: viz.plot_fields("x.png", e["mesh"], e["points"]),
+            r"`fields` must be a mapping of names .*, got a ndarray; write \{'name': values\}",
+        ),
+        (
+            lambda e: viz.plot_modes(e["mesh"], e["spectrum"], e["mesh"]),
+            "`path` must be a string or path, got a TriangleMesh",
+        ),
+        (
+            lambda e: sk.Refined(start=sk.Neo()),
+            r"`start` must be a Subspace or None, got a Neo, .* Neo\(\).subspace",
+        ),
+        (
+            lambda e: sk.eigensolve(e["laplacian"], 5, sk.Dense),
+            "`solver` must be an Eigensolver, got the class Dense; pass an instance of it",
+        ),
+        (
+            lambda e: e["spectrum"].to_torch(device="mps"),
+            r"`device` must be one that torch can use here, got 'mps' .* try 'cpu'",
+        ),
+    ],
+)
+def test_what_to_do_instead_is_told(call, message):
+    with pytest.raises(InvalidInputError, match=message):
+        call(example())

@@ -1,0 +1,142 @@
+"""The ablation loop: equal protocol, one report, and nothing done twice."""
+
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ellipsoids
+from PIL import Image
+
+from spectra_kit.geometry import creature, write
+from spectra_kit.neo import NeoConfig, load_pretrained
+from spectra_kit.training.shards import write_shard
+
+APP = Path(__file__).parents[2] / "apps" / "ablate_neo.py"
+SPECIFICATION = importlib.util.spec_from_file_location("ablate_neo", APP)
+ablate = importlib.util.module_from_spec(SPECIFICATION)
+SPECIFICATION.loader.exec_module(ablate)
+
+BASE = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=24, k=8, waves=4)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Run the app on a tiny corpus and one mesh; return its exit code."""
+    root = tmp_path_factory.mktemp("ablation")
+    for name, seed in (("train", 0), ("validation", 1)):
+        write_shard(root / name, 0, *ellipsoids(16, seed), {"family": np.zeros(16)})
+    (root / "meshes").mkdir()
+    write(creature(600, seed=0), root / "meshes" / "animal.ply")
+
+    def app(*options, samples=24):
+        command = [str(root / "train"), str(root / "validation"), "--out", str(root / "out")]
+        command += ["--data", str(root / "meshes"), "--samples", str(samples), "--batch", "4"]
+        command += ["--points", "48", "--sampled", "300", "--held-out", "6", *options]
+        return ablate.main(command, base=BASE)
+
+    app.out = root / "out"
+    return app
+
+
+@pytest.fixture(scope="module")
+def report(run):
+    assert run("--only", "reference", "mass-agnostic", "plain") == 0
+    return json.loads((run.out / "ablation.json").read_text())
+
+
+def test_every_variant_is_what_it_says_after_the_same_samples(run, report):
+    assert list(report["variants"]) == ["reference", "mass-agnostic", "plain"]
+    assert {row["samples"] for row in report["variants"].values()} == {24}
+    for name, row in report["variants"].items():
+        trained = load_pretrained(run.out / name / "weights.safetensors")
+        assert (trained.config.waves, trained.config.mass_aware) == {
+            "reference": (4, True),
+            "mass-agnostic": (4, False),
+            "plain": (0, True),
+        }[name]
+        assert row["parameters"] == sum(p.numel() for p in trained.network.parameters())
+        assert row["weights"] == trained.sha256
+        assert (run.out / name / "log.csv").is_file()
+
+
+def test_errors_are_those_of_the_networks(run, report):
+    row = report["variants"]["plain"]
+    assert {cloud: span["clouds"] for cloud, span in row["span"].items()} == {
+        "held-out": 6,
+        "real": 1,
+        "crowded": 1,
+    }
+    errors = json.loads((run.out / "plain" / "errors.json").read_text())["errors"]
+    spans = [error["span"] for error in errors["held-out"].values()]
+    assert row["span"]["held-out"]["mean"] == pytest.approx(np.mean(spans))
+    assert row["span"]["real"]["mean"] == errors["real"]["animal"]["span"]
+    # The basis holds the constant besides the network's m functions, which validation sees alone.
+    network = load_pretrained(run.out / "plain" / "weights.safetensors").network
+    points, mass, modes = ellipsoids(16, 1)
+    basis = ablate.NeoSubspace(network)(points[0].astype(np.float32), mass[0])
+    expected = ablate.span_error(basis, mass[0], modes[0]).mean()
+    assert spans[0] == pytest.approx(expected, abs=2e-3)  # modes are stored as float16
+    assert row["curve"][-1][0] == 24
+
+
+def test_the_tables_and_the_figure_hold_what_is_done(run, report):
+    text = (run.out / "ablation.md").read_text()
+    assert "## Plane waves" in text
+    assert "## Masses in the attention" in text
+    assert "## Latents" not in text  # one variant is no comparison
+    parameters = report["variants"]["mass-agnostic"]["parameters"]
+    assert f"| mass-agnostic | {parameters:,} |" in text
+    assert f"{report['variants']['plain']['span']['real']['mean']:.4f}" in text
+    with Image.open(run.out / "ablation.png") as picture:
+        assert min(picture.size) > 300
+
+
+def test_nothing_is_done_twice_and_more_joins_the_report(run, report, capsys):
+    files = [run.out / "plain" / name for name in ("weights.safetensors", "errors.json")]
+    before = [file.stat().st_mtime_ns for file in files]
+    assert run("--only", "plain") == 0
+    assert [file.stat().st_mtime_ns for file in files] == before
+    assert json.loads((run.out / "ablation.json").read_text()) == report
+    assert "plain: span error" in capsys.readouterr().out
+
+
+def test_another_protocol_is_refused(run, report, capsys):
+    assert run("--only", "plain", samples=40) == 1
+    assert "was trained under another protocol" in capsys.readouterr().err
+
+
+def test_other_files_under_the_same_names_are_other_files(run, report, capsys):
+    mesh = run.out.parent / "meshes" / "animal.ply"
+    before = mesh.read_bytes()
+    write(creature(600, seed=1), mesh)
+    assert run("--only", "plain") == 0
+    spans = json.loads((run.out / "plain" / "errors.json").read_text())["errors"]["real"]
+    assert spans["animal"]["span"] != report["variants"]["plain"]["span"]["real"]["mean"]
+    mesh.write_bytes(before)
+    assert run("--only", "plain") == 0  # as it was, for the tests after this one
+    shards = run.out.parent / "train"
+    kept = shards.rename(run.out.parent / "kept")
+    write_shard(shards, 0, *ellipsoids(16, 7), {"family": np.zeros(16)})
+    try:
+        assert run("--only", "plain") == 1
+    finally:
+        shutil.rmtree(shards)
+        kept.rename(shards)
+    assert "was trained under another protocol, or on other samples" in capsys.readouterr().err
+
+
+def test_backbones_are_drop_ins(run, report):
+    pytest.importorskip("torch_geometric", reason="the optional PyTorch Geometric is missing")
+    assert run("--only", "pointnet++") == 0
+    rows = json.loads((run.out / "ablation.json").read_text())["variants"]
+    assert list(rows) == ["reference", "mass-agnostic", "plain", "pointnet++"]
+
+
+def test_variants_of_the_default_network_are_valid_and_in_a_study():
+    for name, changes in ablate.VARIANTS.items():
+        assert ablate.replace(ablate.TINY, **changes).m < 640
+        assert any(name in names for names in ablate.STUDIES.values())
+    assert {name for names in ablate.STUDIES.values() for name in names} == set(ablate.VARIANTS)
