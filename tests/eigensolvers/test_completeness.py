@@ -78,7 +78,6 @@ OTHERS = [
     Multilevel(),
     Refined(),
     Chebyshev(),
-    Lobpcg(start=AmbientFourier(), max_steps=200),
     Lobpcg(),
     Lobpcg(preconditioner="amg"),
     Lobpcg(preconditioner="amg", start=AmbientFourier(m=200)),
@@ -126,7 +125,6 @@ def test_no_exact_solver_misses_a_mode(name: str, solver) -> None:
     [
         Chebyshev(),
         Lobpcg(preconditioner="amg", start=AmbientFourier(m=300)),
-        Lobpcg(start=AmbientFourier(), max_steps=200),
     ],
     ids=repr,
 )
