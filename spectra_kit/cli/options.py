@@ -172,13 +172,20 @@ def _solver(text: str, *more: str) -> Parameter:
     return option(f"{text}; one of {', '.join(names)}", metavar="NAME", choices=names)
 
 
+def _saved(what: str) -> Parameter:
+    return option(
+        f"take {what} from this file, written by spectra-kit spectrum -o, and solve nothing",
+        metavar="NPZ",
+    )
+
+
 @grouped(_SOLVED)
 @dataclass(frozen=True, kw_only=True)
-class Solver:
-    """The eigensolver, how many modes, and what it may be told."""
+class AnySolver:
+    """An eigensolver, how many modes, and what it may be told."""
 
-    k: Annotated[int | None, option("number of modes", "-k", metavar="K")] = 96
-    solver: Annotated[str | None, _solver("what solves (default: arpack)")] = "arpack"
+    k: Annotated[int | None, option("number of modes", "-k", metavar="K")] = None
+    solver: Annotated[str | None, _solver("what solves")] = None
     rtol: Annotated[
         float | None,
         option(
@@ -188,20 +195,28 @@ class Solver:
     ] = None
     start: Annotated[
         str | None,
-        option("subspace that a solver begins with, where it does (default: fourier)", choices=STARTS),
+        option(
+            "subspace that a solver begins with, if it does (default: its own)", choices=STARTS
+        ),
     ] = None
     weights: Annotated[
-        File,
-        option("of neo: shipped ones by name, others by file", metavar="NAME"),
+        File, option("of neo: shipped ones by name, others by file", metavar="NAME")
     ] = "small"
     poses: Annotated[Literal[1, 2, 4], option("of neo")] = 1
     dtype: Annotated[
         Literal["float32", "bfloat16", "float16"],
         option("of neo: float32, bfloat16, float16", metavar="TYPE"),
     ] = "float32"
-    device: Annotated[
-        str, option("of neo, and of solvers without a factor: cpu, cuda", metavar="NAME")
-    ] = "cpu"
+    device: Annotated[str, option("of neo and chebyshev: cpu, cuda", metavar="NAME")] = "cpu"
+
+
+@grouped(_SOLVED)
+@dataclass(frozen=True, kw_only=True)
+class Solver(AnySolver):
+    """The eigensolver of modes that are asked for by their number."""
+
+    k: Annotated[int, option("number of modes", "-k", metavar="K")] = 96
+    solver: Annotated[str, _solver("what solves (default: arpack)")] = "arpack"
 
 
 @grouped(_SOLVED)
@@ -215,36 +230,36 @@ class VerifiedSolver(Solver):
     ] = False
 
 
-def _saved(what: str) -> Parameter:
-    return option(
-        f"take {what} from this file, written by spectra-kit spectrum -o, and solve nothing",
-        metavar="NPZ",
-    )
+@grouped(_SOLVED)
+@dataclass(frozen=True, kw_only=True)
+class MatchSolver(Solver):
+    """One of as many modes as a match uses."""
+
+    k: Annotated[int, option("number of modes", "-k", metavar="K")] = 150
 
 
 @grouped(_SOLVED)
 @dataclass(frozen=True, kw_only=True)
-class ShownSolver(Solver):
+class ShownSolver(AnySolver):
     """One that finds what is to be shown, unless it is saved."""
 
     k: Annotated[
-        int | None,
-        option("number of modes (default: as many as are shown)", "-k", metavar="K"),
+        int | None, option("number of modes (default: as many as are shown)", "-k", metavar="K")
     ] = None
+    solver: Annotated[str, _solver("what solves (default: arpack)")] = "arpack"
     spectrum: Annotated[Path | None, _saved("the modes")] = None
 
 
 @grouped(_SOLVED)
 @dataclass(frozen=True, kw_only=True)
-class Predictor(Solver):
+class Predictor(AnySolver):
     """What predicts, and the truth it is held against."""
 
+    k: Annotated[int, option("number of modes", "-k", metavar="K")] = 96
     solver: Annotated[str | None, _solver("what predicts (default: neo)")] = None
     against: Annotated[
         str,
-        option(
-            "what solves for the truth, one of the same", metavar="NAME", choices=[*SOLVERS]
-        ),
+        option("what solves for the truth, one of the same", metavar="NAME", choices=[*SOLVERS]),
     ] = "arpack"
     spectrum: Annotated[Path | None, _saved("the modes to compare with")] = None
 
@@ -257,27 +272,20 @@ class OptionalPredictor(Predictor):
     solver: Annotated[str | None, _solver("what predicts (default: neo)", "none")] = None
 
 
-@grouped(_SOLVED)
-@dataclass(frozen=True, kw_only=True)
-class MatchSolver(Solver):
-    """As many modes as a match uses."""
-
-    k: Annotated[int | None, option("number of modes", "-k", metavar="K")] = 150
-
-
 @grouped(_COARSE)
 @dataclass(frozen=True, kw_only=True)
-class CoarseSolver(Solver):
+class CoarseSolver(AnySolver):
     """What solves for the modes of a coarse space, if any."""
 
     k: Annotated[
         int | None,
-        option("number of modes (default: 24 that are not constant, to compare 96)", "-k", metavar="K"),
+        option(
+            "number of modes (default: 24 beside those of eigenvalue 0, to compare 96)",
+            "-k",
+            metavar="K",
+        ),
     ] = None
-    solver: Annotated[
-        str | None,
-        _solver("what solves for modes (default: none; left alone where auto solves directly)"),
-    ] = None
+    solver: Annotated[str | None, _solver("what solves for modes (default: none)")] = None
     spectrum: Annotated[Path | None, _saved("the modes")] = None
 
 
@@ -540,3 +548,8 @@ def refuse_unused(asked: Any) -> None:
             refuse_given(drawing, _DRAWN, "without a picture; name one by --picture")
         if not math.isfinite(turn := getattr(drawing, "turn", 0.0)):
             raise InvalidInputError("--turn", "be a finite number of degrees", turn)
+
+
+def up_of(view: Upright, file: str) -> Axis | None:
+    """Return the axis that points up: the one asked for, or that of the demo; None to look."""
+    return view.up or ("z" if file == DEMO else None)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 _OPTIONS = {
@@ -52,3 +54,14 @@ def stem(file: str) -> str:
     b\xffb
     """
     return os.fsencode(Path(file).stem).decode(errors="backslashreplace")
+
+
+def did_you_mean(wrong: str, known: Sequence[str]) -> str:
+    """Return "did you mean ...?" with the likeliest of `known`, or nothing if none is near."""
+    near = difflib.get_close_matches(wrong, known, n=1)
+    return f"did you mean {near[0]!r}?" if near else ""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return ``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
