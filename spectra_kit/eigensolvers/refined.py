@@ -293,8 +293,8 @@ def _filter_on_device(
 
     from spectra_kit.linalg.chebyshev import chebyshev_eigenpairs
     from spectra_kit.linalg.torch_device import (
-        Clock,
         check_device,
+        device_clock,
         device_memory,
         sparse_tensor,
         torch_threads_for,
@@ -302,7 +302,7 @@ def _filter_on_device(
     from spectra_kit.neo import NeoSubspace
 
     with device_memory():
-        clock = Clock(check_device(solver.device))
+        clock = device_clock(check_device(solver.device))
         start = _start(solver, k)
         if isinstance(start, NeoSubspace) and start.device == solver.device:
             columns = start.tensor(laplacian.points, laplacian.mass)  # it stays where it is
