@@ -19,8 +19,8 @@ def compare(asked: program.Compare) -> None:
     """Set predicted modes beside exact ones, or others, as a table and as a picture."""
     solver, seed, picture = asked.solver, asked.reading.seed, asked.output.picture
     if picture:
-        check_output(picture, PICTURES, [asked.file, *filter(None, [solver.spectrum])])
-    k = check_count("k", solver.k, low=1)
+        check_output(picture, PICTURES, [asked.file, *solver.files])
+    k = check_count("-k", solver.k, low=1)
     shown_modes(asked.output.modes, (), k)
     check_pair(solver, seed)
     geometry, laplacian = prepare(asked.file, asked.reading, asked.operator)

@@ -93,13 +93,11 @@ def reference_modes(asked: Predictor, seed: int, laplacian: Laplacian) -> Spectr
     if asked.spectrum:
         return saved(asked.spectrum, laplacian)
     n_free = len(laplacian.free)
-    k = check_count("k", asked.k, low=1, high=n_free)
+    k = check_count("-k", asked.k, low=1, high=n_free)
     return solve(laplacian, min(k + EXTRA, n_free), asked.against, asked, seed)
 
 
-def compared(
-    asked: Predictor, seed: int, laplacian: Laplacian, reference: Spectrum
-) -> Compared:
+def compared(asked: Predictor, seed: int, laplacian: Laplacian, reference: Spectrum) -> Compared:
     """Predict the modes, and measure the errors."""
     k, predictor = min(asked.k, reference.k), predictor_of(asked)
     wanted = min(k + EXTRA, len(laplacian.free))
@@ -110,7 +108,9 @@ def compared(
         if subspace is not None:
             error, dimension = subspace_span_error(subspace, laplacian, reference, predicted)
             comparison = replace(comparison, span_error=error[:k], span_dimension=dimension)
-    return Compared(reference, predicted, comparison, (_reference_name(reference), name_of(predicted)))
+    return Compared(
+        reference, predicted, comparison, (reference_name(reference), name_of(predicted))
+    )
 
 
 def ritz_subspace(solver: Eigensolver) -> Subspace | None:
@@ -144,7 +144,7 @@ def _is_solved(spectrum: Spectrum) -> bool:
     return spectrum.provenance.accuracy in ("exact", "to tolerance")
 
 
-def _reference_name(spectrum: Spectrum) -> str:
+def reference_name(spectrum: Spectrum) -> str:
     """Return what to call modes that others are compared with; exact only if they are."""
     name = name_of(spectrum)
     return name if is_exact(spectrum) else f"reference, {name}"

@@ -16,7 +16,7 @@ from spectra_kit.cli.help import help_text
 from spectra_kit.cli.options import General, refuse_unused
 from spectra_kit.cli.program import UsageError, parse
 from spectra_kit.cli.progress import telling
-from spectra_kit.cli.words import option_of
+from spectra_kit.cli.words import told
 from spectra_kit.errors import (
     ConvergenceError,
     InvalidSpectrumError,
@@ -122,18 +122,18 @@ def _flushed() -> int:
 
 def _tell(error: Exception) -> int:
     """Write the line that an error deserves; return its exit code."""
-    code, message = _told(error)
+    code, message = _judged(error)
     _flush_stdout()
     _complain(f"error: {message}")
     return code
 
 
-def _told(error: Exception) -> tuple[int, str]:
+def _judged(error: Exception) -> tuple[int, str]:
     """Return the exit code and the line that an error deserves."""
     if isinstance(error, ConvergenceError | InvalidSpectrumError | OutOfMemoryError):
-        return _SOLVER_FAILED, error.told(option_of)
+        return _SOLVER_FAILED, told(error)
     if isinstance(error, SpectraKitError):
-        return _BAD_INPUT, error.told(option_of)
+        return _BAD_INPUT, told(error)
     if isinstance(error, OSError):
         what = (error.strerror or str(error)).lower()
         return _BAD_INPUT, f"{error.filename}: {what}" if error.filename else what

@@ -31,9 +31,8 @@ def explore(asked: program.Explore) -> None:
     page = output.html or Path(Path(asked.file).stem + ".html")
     if not output.serve:
         refuse_given(output, ["port", "no_browser"], "without --serve; add it")
-        inputs = [asked.file, *filter(None, [solver.spectrum])]
-        check_output(page, (".html", ".htm"), inputs)
-    k = check_count("k", solver.k, low=1)
+        check_output(page, (".html", ".htm"), [asked.file, *solver.files])
+    k = check_count("-k", solver.k, low=1)
     check_count("--max-points", output.max_points, low=4)
     check_count("--port", output.port, low=0, high=65535)
     check_pair(solver, seed)
@@ -62,9 +61,7 @@ def explore(asked: program.Explore) -> None:
             progress=tell,
         )
     if asked.general.json:
-        print_json(
-            **_record(asked, geometry, reference, pair), explorer=vars(written), url=None
-        )
+        print_json(**_record(asked, geometry, reference, pair), explorer=vars(written), url=None)
         return
     print_blocks(*_tables(asked, geometry, laplacian, reference, pair), _next(written))
 

@@ -54,20 +54,21 @@ Exit codes: 0 fine, 1 bug, 2 bad usage or file, 3 solver failed, 130 Ctrl-C
 
 def _groups(command: Command, width: int) -> Iterator[str]:
     """Each group of options under its name, as they follow each other."""
-    options = app()[command.name].assemble_argument_collection()
-    for name, members in groupby(
-        (o for o in options if o.show), key=lambda o: o.parameter.group[0].name
-    ):
-        listed = list(members)
-        note = listed[0].parameter.group[0].help
-        lines = [f"{name}:"]
+    options = [o for o in app()[command.name].assemble_argument_collection() if o.show]
+    for group, members in groupby(options, key=_group):
+        listed, note = list(members), group.help
+        lines = [f"{group.name}:"]
         if note:
             lines += [*textwrap.wrap(note, width, initial_indent="  ", subsequent_indent="  "), ""]
-        if name == "general":
+        if group.name == "general":
             lines += _lines("-h, --help", "show this and exit", width)
         for option in listed:
             lines += _lines(_head(option), _text(option), width)
         yield "\n".join(lines)
+
+
+def _group(option: Any) -> Any:
+    return option.parameter.group[0]
 
 
 def _head(option: Any) -> str:
@@ -93,7 +94,9 @@ def _text(option: Any) -> str:
 def _lines(head: str, text: str, width: int) -> Sequence[str]:
     """Two columns; the second begins on the next line where the first is too long."""
     margin = " " * _COLUMN
-    wrapped = textwrap.wrap(text, width, initial_indent=margin, subsequent_indent=margin, break_on_hyphens=False)
+    wrapped = textwrap.wrap(
+        text, width, initial_indent=margin, subsequent_indent=margin, break_on_hyphens=False
+    )
     if len(head) + 4 > _COLUMN:
         return [f"  {head}", *wrapped]
     return [f"  {head}".ljust(_COLUMN) + wrapped[0][_COLUMN:], *wrapped[1:]]

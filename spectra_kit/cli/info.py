@@ -8,7 +8,7 @@ from spectra_kit.cli import program, tables
 from spectra_kit.cli.inputs import assemble, load
 from spectra_kit.cli.output import print_blocks, print_json
 from spectra_kit.cli.progress import step
-from spectra_kit.cli.words import option_of
+from spectra_kit.cli.words import told
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import diagnose
 
@@ -22,13 +22,13 @@ def info(asked: program.Info) -> None:
         with step("assembling the Laplacian"):
             operator = tables.operator_record(assemble(asked.operator, geometry))
     except InvalidInputError as error:
-        operator = {"refused": error.told(option_of)}
+        operator = {"refused": told(error)}
     if asked.general.json:
         print_json(
             input=asked.file,
             kind=tables.kind(geometry),
             diagnosis=dataclasses.asdict(diagnosis),
-            problems=list(diagnosis.problems),
+            problems=[told(problem) for problem in diagnosis.problems],
             operator=operator,
         )
         return

@@ -74,9 +74,7 @@ def _check_there(path: Path) -> None:
         raise InvalidInputError(f"{path}: there is no such file; {meant}")
 
 
-def prepare(
-    file: str, reading: Reading, operator: Operator
-) -> tuple[Geometry, Laplacian]:
+def prepare(file: str, reading: Reading, operator: Operator) -> tuple[Geometry, Laplacian]:
     """Read a geometry and assemble its operator."""
     geometry = load(file, reading)
     with step(f"assembling the Laplacian of {geometry.n:,} points"):

@@ -108,10 +108,7 @@ def _geometries(asked: program.Match) -> tuple[tuple[Geometry, Geometry], Ints |
         n = asked.reading.points
         source, target, truth = creature_pair(n, max(9 * n // 10, 500), seed=asked.reading.seed)
         return (source, target), truth
-    read = [
-        load(argparse.Namespace(**vars(asked) | {"file": name, "pose": pose}))
-        for pose, name in enumerate(names, start=1)
-    ]
+    read = [load(name, asked.reading, pose=pose) for pose, name in enumerate(names, start=1)]
     return (read[0], read[1]), None
 
 

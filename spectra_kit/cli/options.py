@@ -107,7 +107,9 @@ class Reading:
     ] = None
     repair: Annotated[
         bool,
-        option("merge duplicates, drop degenerate faces and unused vertices, and say what was done"),
+        option(
+            "merge duplicates, drop degenerate faces and unused vertices, and say what was done"
+        ),
     ] = False
     seed: Annotated[int, option("of everything random", metavar="N")] = 0
 
@@ -154,15 +156,15 @@ class Operator:
         str | None,
         option("Laplacian (default: robust for meshes, delaunay for clouds)", choices=[*OPERATORS]),
     ] = None
-    boundary: Annotated[
-        Literal["neumann", "dirichlet"], option("of a mesh with a boundary")
-    ] = "neumann"
+    boundary: Annotated[Literal["neumann", "dirichlet"], option("of a mesh with a boundary")] = (
+        "neumann"
+    )
 
 
 @grouped(_OPERATED)
 @dataclass(frozen=True, kw_only=True)
 class LeanOperator(Operator):
-    """By default that of meshes too is the one of points: the robust one in a seventh of its memory."""
+    """By default the same of meshes as `robust`, made in a seventh of its memory."""
 
     operator: Annotated[str | None, option("Laplacian", choices=[*OPERATORS])] = "delaunay"
 
@@ -195,9 +197,7 @@ class AnySolver:
     ] = None
     start: Annotated[
         str | None,
-        option(
-            "subspace that a solver begins with, if it does (default: its own)", choices=STARTS
-        ),
+        option("subspace that a solver begins with, if it does (default: its own)", choices=STARTS),
     ] = None
     weights: Annotated[
         File, option("of neo: shipped ones by name, others by file", metavar="NAME")
@@ -238,9 +238,21 @@ class MatchSolver(Solver):
     k: Annotated[int, option("number of modes", "-k", metavar="K")] = 150
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Spared(AnySolver):
+    """One that is not needed where the modes are saved."""
+
+    spectrum: Path | None = None
+
+    @property
+    def files(self) -> list[Path]:
+        """What is read in its place."""
+        return [self.spectrum] if self.spectrum else []
+
+
 @grouped(_SOLVED)
 @dataclass(frozen=True, kw_only=True)
-class ShownSolver(AnySolver):
+class ShownSolver(_Spared):
     """One that finds what is to be shown, unless it is saved."""
 
     k: Annotated[
@@ -252,7 +264,7 @@ class ShownSolver(AnySolver):
 
 @grouped(_SOLVED)
 @dataclass(frozen=True, kw_only=True)
-class Predictor(AnySolver):
+class Predictor(_Spared):
     """What predicts, and the truth it is held against."""
 
     k: Annotated[int, option("number of modes", "-k", metavar="K")] = 96
@@ -274,7 +286,7 @@ class OptionalPredictor(Predictor):
 
 @grouped(_COARSE)
 @dataclass(frozen=True, kw_only=True)
-class CoarseSolver(AnySolver):
+class CoarseSolver(_Spared):
     """What solves for the modes of a coarse space, if any."""
 
     k: Annotated[
@@ -305,9 +317,7 @@ class Sources:
     ] = ()
     at: Annotated[
         tuple[tuple[float, float, float], ...],
-        option(
-            "the point of the surface nearest to this place (may be repeated)", metavar="X Y Z"
-        ),
+        option("the point of the surface nearest to this place (may be repeated)", metavar="X Y Z"),
     ] = ()
     face: Annotated[
         tuple[tuple[float, float, float, float], ...],

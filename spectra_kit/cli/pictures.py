@@ -81,9 +81,9 @@ def _to_show(
 ) -> _Shown:
     """Return modes to show: those asked for, else the first `usual` that are not constant."""
     solver, chosen, seed = asked.solver, asked.output.modes, asked.reading.seed
-    check_output(asked.output.output, suffixes, [asked.file, *filter(None, [solver.spectrum])])
+    check_output(asked.output.output, suffixes, [asked.file, *solver.files])
     for mode in chosen or ():
-        check_count("modes", mode, low=0)
+        check_count("--modes", mode, low=0)
     if solver.spectrum:
         refuse_solving(solver)
     check_solvers(solver, seed, solver.solver)

@@ -1,4 +1,4 @@
-"""The commands, in the order in which one meets them: what each takes, and what it says of itself."""
+"""The commands, in the order in which one meets them, and what each takes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Info:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Compute the lowest eigenvalues and eigenfunctions, each with a certificate of its accuracy."""
+    """Compute the lowest eigenvalues and eigenfunctions, each with a certificate of accuracy."""
 
     file: Annotated[File, geometry("FILE")]
     reading: Reading = Reading()
@@ -258,9 +258,10 @@ COMMANDS = (
             f"geodesic {DEMO} --compare",
         ),
         "input, kind, points, faces, operator, operator area, operator components, zero modes,"
-        " fixed points, eigenvalue spacing, boundary, sources, solver, choice, time_coefficient,"
-        " time_step, iterations, relative_residual, heat, seconds, spectrum, largest_distance,"
-        " mean_distance, points_not_reached, spectrum_unused, comparison, written",
+        " fixed points, eigenvalue spacing, heat_boundary, sources, method, choice,"
+        " time_coefficient, time_step, iterations, relative_residual, heat, seconds, spectrum,"
+        " largest_distance, mean_distance, points_not_reached, spectrum_unused, comparison,"
+        " written",
         "geodesic.geodesic_distances",
     ),
     Command(

@@ -30,7 +30,7 @@ _TOLD = ("rtol", "start", *NETWORK)  # what only some solvers may be told
 def check_solvers(asked: AnySolver, seed: int, *names: str) -> None:
     """Refuse options that none of these solvers takes, and values that they refuse themselves."""
     if asked.k is not None:
-        check_count("k", asked.k, low=1)
+        check_count("-k", asked.k, low=1)
     for option in _TOLD:
         takers = [name for name in SOLVERS if _takes(name, option, asked)]
         default = getattr(AnySolver, option)
@@ -61,7 +61,7 @@ def make_solver(name: str, asked: AnySolver, k: int, seed: int) -> Eigensolver:
     """Return the solver of a name for k modes, told what it takes."""
     known = _fields(name)
     told = {option: getattr(asked, option) for option in ("rtol", *NETWORK) if option in known}
-    told = {option: value for option, value in told.items() if value is not None} 
+    told = {option: value for option, value in told.items() if value is not None}
     if "seed" in known:
         told["seed"] = seed
     if "start" in known and asked.start:
@@ -93,9 +93,7 @@ def solve(laplacian: Laplacian, k: int, name: str, asked: AnySolver, seed: int) 
 
 def refuse_solving(asked: AnySolver, *more: str) -> None:
     """Refuse options of solvers where modes come from a file."""
-    refuse_given(
-        asked, ("solver", *_TOLD, *more), "on modes of a file; leave --spectrum out"
-    )
+    refuse_given(asked, ("solver", *_TOLD, *more), "on modes of a file; leave --spectrum out")
 
 
 def saved(path: Path, laplacian: Laplacian) -> Spectrum:
@@ -125,5 +123,5 @@ def saved(path: Path, laplacian: Laplacian) -> Spectrum:
 def shown_modes(asked: Sequence[int] | None, usual: Iterable[int], k: int) -> tuple[int, ...]:
     """The modes to show: those asked for, else the usual ones, up to k."""
     if asked is not None:
-        return tuple(check_count("modes", i, low=0, high=k - 1) for i in asked)
+        return tuple(check_count("--modes", i, low=0, high=k - 1) for i in asked)
     return tuple(sorted({i for i in usual if i < k})) or (k - 1,)

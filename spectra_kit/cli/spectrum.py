@@ -23,7 +23,7 @@ def spectrum(asked: program.Spectrum) -> None:
         check_output(output, [".npz"], [asked.file])
     if picture:
         check_output(picture, PICTURES, [asked.file])
-    k = check_count("k", asked.solver.k, low=1)
+    k = check_count("-k", asked.solver.k, low=1)
     modes = shown_modes(asked.output.modes, (*SHOWN, k - 1), k)
     check_solvers(asked.solver, seed, name)
     geometry, laplacian = prepare(asked.file, asked.reading, asked.operator)

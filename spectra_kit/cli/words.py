@@ -7,6 +7,8 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from spectra_kit.errors import SpectraKitError, SpectraKitWarning
+
 _OPTIONS = {
     "k": "-k",
     "n_points": "--points",
@@ -42,6 +44,13 @@ def option_of(name: str) -> str:
     '`-k` must be at least 1, got 0'
     """
     return _OPTIONS.get(name, name)
+
+
+def told(message: object) -> str:
+    """Return an error, a warning or a problem with options in place of arguments and methods."""
+    if isinstance(message, SpectraKitError | SpectraKitWarning):
+        return message.told(option_of)
+    return str(message)
 
 
 def stem(file: str) -> str:
