@@ -1,6 +1,6 @@
 """Draw the architecture: what flows through the toolkit, and which package may import which.
 
-The rows are those of ``tests/package/test_architecture.py``, so the picture shows what is enforced::
+The rows are those of ``tests/package/test_architecture.py``: the picture shows what is enforced::
 
     python docs/architecture.py docs/pictures/architecture.svg
 """
