@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[1]
 #: What each package is for: its colour, and a few words.
 PURPOSE = {
     "errors": ("base", "what is raised"),
+    "catalogue": ("base", "all names"),
     "geometry": ("input", "meshes, clouds, files,\nrepair, sampling"),
     "linalg": ("base", "factors, iterations,\ncoarse spaces"),
     "operators": ("input", "Laplacian: L, M"),
