@@ -15,6 +15,7 @@ from spectra_kit._checked import checked
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh, distinct_rows
 
 
+@checked
 @dataclass(frozen=True)
 class Problem:
     """Something about a geometry that an operator may refuse; printed, it is a sentence.
