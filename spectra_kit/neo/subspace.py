@@ -15,7 +15,6 @@ from scipy import sparse
 
 from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, check_count, check_mass, check_points
-from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels import coarsen
 from spectra_kit.linalg.filters import smoothed
 from spectra_kit.linalg.torch_device import Clock, check_device, device_memory, sparse_tensor
@@ -76,10 +75,6 @@ class NeoSubspace(Rebuilt):
     chunk: int = 65536
 
     def __post_init__(self) -> None:
-        if self.poses not in (1, 2, 4):
-            raise InvalidInputError(f"`poses` must be 1, 2 or 4, got {self.poses!r}")
-        if self.dtype not in _DTYPES:
-            raise InvalidInputError(f"`dtype` must be one of {sorted(_DTYPES)}, got {self.dtype!r}")
         check_count("chunk", self.chunk, low=1)
         check_device(self.device)
         if not isinstance(self.network, NeoNetwork):

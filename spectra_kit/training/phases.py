@@ -16,7 +16,7 @@ import torch
 
 from spectra_kit._files import atomic_path, parsing
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.neo.model import NeoConfig, NeoNetwork, build_network
+from spectra_kit.neo import NeoConfig, NeoNetwork, build_network
 from spectra_kit.neo.pretrained import WEIGHTS, Pretrained, load_pretrained, save_weights
 from spectra_kit.training import checkpoint
 from spectra_kit.training.config import TrainConfig

@@ -19,7 +19,7 @@ import pytest
 import torch
 
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
-from spectra_kit.neo.model import NeoConfig, build_network
+from spectra_kit.neo import NeoConfig, build_network
 from spectra_kit.neo.pretrained import load_pretrained, save_weights
 from spectra_kit.training import wheels
 from spectra_kit.training.leg import main
