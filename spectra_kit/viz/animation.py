@@ -23,7 +23,7 @@ from spectra_kit.viz.camera import View
 from spectra_kit.viz.colours import diverging_colours
 from spectra_kit.viz.contours import level_lines, triangles_of
 from spectra_kit.viz.modes import check_modes
-from spectra_kit.viz.page import Page
+from spectra_kit.viz.page import Page, new_figure
 from spectra_kit.viz.panels import symmetric_limit
 from spectra_kit.viz.picture import written
 from spectra_kit.viz.render import Scene, render
@@ -212,7 +212,7 @@ def _caption(spectrum: Spectrum, mode: int, width: int) -> Bytes:
     zero = mode < spectrum.n_zero_modes
     value = "0" if zero else f"{spectrum.eigenvalues[mode]:.4g}"
     inch = 64  # a power of two: the width in pixels comes out as asked for
-    figure = Page(dpi=inch).figure(width / inch, round(_CAPTION * width) / inch)
+    figure = new_figure(Page(dpi=inch), width / inch, round(_CAPTION * width) / inch)
     figure.text(
         0.5, 0.3, f"mode {mode}   λ = {value}", ha="center", fontsize=0.04 * width * 72 / inch
     )

@@ -12,7 +12,7 @@ from spectra_kit._types import Floats
 from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.viz.axes import LINE_COLOURS, line_style, tidy
-from spectra_kit.viz.page import Page
+from spectra_kit.viz.page import Page, new_figure
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import plotted
 from spectra_kit.viz.solver_run import SolverRun
@@ -90,7 +90,7 @@ def convergence_figure(
     rows = _ROW * (len(runs) + 1.2)
     begin = page.head + 0.25
     height = begin + 3.4 + rows + 1.1
-    figure = page.figure(12, height)
+    figure = new_figure(page, 12, height)
     grid = figure.add_gridspec(
         2,
         3,

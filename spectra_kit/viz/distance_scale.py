@@ -14,6 +14,7 @@ EVERY = 5  # so many lines make a thicker one
 # From near to far, evenly in Oklab: lightness falls, hue (degrees) turns from yellow to violet.
 _LIGHTNESS, _HUE, _CHROMA = (0.95, 0.56), (100.0, -75.0), (0.10, 0.13)
 _LINES, _MOST = 28, 200  # about so many where no spacing is given, and never more
+_CLOSEST = 0.12  # inches between two lines on the page, about, where no spacing is given
 
 
 def largest(distance: Floats) -> float:
@@ -33,11 +34,14 @@ def distance_colours(distance: Floats) -> Bytes:
     )
 
 
-def distance_levels(distance: Floats, spacing: float | None) -> Floats:
-    """Return the distances (l,) of the lines: multiples of a spacing, by default a round one."""
+def distance_levels(distance: Floats, spacing: float | None, *, inch: float) -> Floats:
+    """Return the distances (l,) of the lines: multiples of a spacing, by default a round one.
+
+    An `inch` of the page is so long on the surface.
+    """
     limit = largest(distance)
     if spacing is None:
-        spacing = round_number(limit / _LINES)
+        spacing = round_number(max(limit / _LINES, _CLOSEST * inch))
     elif limit / check_positive("spacing", spacing) > _MOST:
         raise InvalidInputError(
             "spacing",

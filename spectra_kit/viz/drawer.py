@@ -46,13 +46,12 @@ def draw_requests(
     mine, reason = _of_this_process(), ""
     with mine.turn:
         for drawer in mine.drawers():
-            try:
-                mine.drawer, kept = None, drawer
-                answer = drawer.draw(requests, drawn)
-            except (BrokenPipeError, EOFError):  # it has ended
-                reason = drawer.end()
+            mine.drawer = None
+            answer = drawer.draw(requests, drawn)
+            if isinstance(answer, str):
+                reason = answer
                 continue
-            mine.drawer = kept
+            mine.drawer = drawer
             if isinstance(answer, Exception):
                 raise answer
             return answer
@@ -78,22 +77,29 @@ class _Drawer:
 
     def draw(
         self, requests: Sequence[Mapping[str, Any]], drawn: Callable[[int], None]
-    ) -> list[Bytes] | Exception:
-        """Ask for pictures; return them, or the error that came instead."""
+    ) -> list[Bytes] | Exception | str:
+        """Ask for pictures; return them, or the error that came instead, or why it has ended."""
         asked, told = self._process.stdin, self._process.stdout
         assert asked is not None  # they are pipes
         assert told is not None
         pictures: list[Bytes] = []
         waiting = True
         # Also on Ctrl-C: nobody waits for the pictures any more.
-        with cleaned(lambda: self._process.kill() if waiting else None):
-            pickle.dump(requests, asked, protocol=5)
-            asked.flush()
-            while isinstance(answer := pickle.load(told), np.ndarray):
-                pictures.append(answer)
-                drawn(len(pictures))
+        with cleaned(lambda: self._kill() if waiting else None):
+            try:
+                pickle.dump(requests, asked, protocol=5)
+                asked.flush()
+                while isinstance(answer := pickle.load(told), np.ndarray):
+                    pictures.append(answer)
+                    drawn(len(pictures))
+            except (BrokenPipeError, EOFError):
+                answer = self.end()
             waiting = False
         return pictures if answer is None else answer
+
+    def _kill(self) -> None:
+        self._process.kill()
+        self.end()
 
     def end(self) -> str:
         """Let it end, and say why it did."""

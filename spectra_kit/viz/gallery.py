@@ -155,7 +155,7 @@ def _cells(
 ) -> list[list[Cell]]:
     """The pictures of panels in cells so many inches wide, with or without their bars."""
     aspect = _aspect(geometry, rotation)
-    width = round((cell if aspect < _TALLEST else cell * _TALLEST / aspect) * page.dpi)
+    width = int((cell if aspect < _TALLEST else cell * _TALLEST / aspect) * page.dpi)
     panels = [panel for row in table for panel in row]
     pictures = iter(draw_panels(geometry, panels, rotation=rotation, width=width, dpi=page.dpi))
     return [

@@ -58,7 +58,7 @@ def plot_distance(
     sources : array_like of shape (s, 3), optional
         Places to mark by black balls.
     spacing : float, optional
-        Between two lines, in the unit of length; by default a round number that makes 20 to 40.
+        Between two lines, in the unit of length; by default a round number that makes at most 40.
     label : str, default "distance"
         Set below the scale.
     view, page : View and Page, optional
@@ -95,7 +95,7 @@ def plot_distance(
     rotation, dpi = view.rotation(geometry), page.dpi
     across, tall = fitting_size(geometry, rotation, _WIDEST, _TALLEST)
     unit = float(np.ptp(geometry.points @ rotation.T, axis=0)[:2].max()) / max(across, tall)
-    levels = distance_levels(values, spacing)
+    levels = distance_levels(values, spacing, inch=unit)
     lines, widths = distance_lines(geometry, values, levels)
     drawn, ball = with_balls(geometry, marks, _BALL * unit)
     mark = np.full((int(np.count_nonzero(ball >= 0)), 3), MARK, dtype=np.uint8)

@@ -14,7 +14,7 @@ from spectra_kit.correspondence import accuracy_curve, auc
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.viz.axes import line_style, tidy
 from spectra_kit.viz.colours import diverging_colours
-from spectra_kit.viz.page import Page
+from spectra_kit.viz.page import Page, new_diagram
 from spectra_kit.viz.picture import plotted
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def plot_functional_map(
     if matrix.ndim != 2 or not matrix.size:
         raise InvalidInputError("functional_map", "have shape (k2, k1)", matrix.shape)
     rows, columns = matrix.shape
-    figure = page.diagram(5.8, float(np.clip(4.4 * rows / columns, 1.5, 9.0)) + 0.5)
+    figure = new_diagram(page, 5.8, float(np.clip(4.4 * rows / columns, 1.5, 9.0)) + 0.5)
     panel = figure.add_subplot()
     colours = ListedColormap(diverging_colours(np.linspace(-1.0, 1.0, 255)) / 255)
     image = panel.imshow(matrix, cmap=colours, vmin=-1, vmax=1, interpolation="none")
@@ -127,7 +127,7 @@ def plot_error_curves(
         raise InvalidInputError("errors", "hold at least one method", "none")
     at = np.linspace(0.0, limit, 401)
     curves = {name: accuracy_curve(values, at) for name, values in errors.items()}
-    figure = page.diagram(6.4, 4.6)
+    figure = new_diagram(page, 6.4, 4.6)
     panel = figure.add_subplot()
     for i, (name, curve) in enumerate(curves.items()):
         values = np.asarray(errors[name], dtype=np.float64)

@@ -54,27 +54,29 @@ class Page:
         """Inches from the upper edge to what comes below the titles."""
         return MARGIN + _TITLE * bool(self.title) + _SUBTITLE * bool(self.subtitle)
 
-    def figure(self, width: float, height: float) -> Figure:
-        """Return a white page of so many inches with its titles set, to be filled by a `Pen`."""
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
 
-        figure = Figure(figsize=(width, height), dpi=self.dpi, facecolor="white")
-        FigureCanvasAgg(figure)
-        pen, room = Pen(figure), width - 2 * MARGIN
-        if self.title:
-            pen.text(self.title, MARGIN, MARGIN + 0.2, room, 14, bold=True)
-        if self.subtitle:
-            below = MARGIN + _TITLE * bool(self.title)
-            pen.text(self.subtitle, MARGIN, below + 0.1, room, 9, colour="0.35")
-        return figure
+def new_figure(page: Page, width: float, height: float) -> Figure:
+    """Return a white page of so many inches with its titles set, to be filled by a `Pen`."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
-    def diagram(self, width: float, height: float) -> Figure:
-        """Return a page with `height` inches below its titles, where Matplotlib arranges axes."""
-        from matplotlib.layout_engine import ConstrainedLayoutEngine
+    figure = Figure(figsize=(width, height), dpi=page.dpi, facecolor="white")
+    FigureCanvasAgg(figure)
+    pen, room = Pen(figure), width - 2 * MARGIN
+    if page.title:
+        pen.text(page.title, MARGIN, MARGIN + 0.2, room, 14, bold=True)
+    if page.subtitle:
+        below = MARGIN + _TITLE * bool(page.title)
+        pen.text(page.subtitle, MARGIN, below + 0.1, room, 9, colour="0.35")
+    return figure
 
-        figure = self.figure(width, height + self.head)
-        below = 1 - (self.head - MARGIN) / (height + self.head)
-        rect, pad = (0.0, 0.0, 1.0, below), 2 * MARGIN / 3
-        figure.set_layout_engine(ConstrainedLayoutEngine(rect=rect, w_pad=pad, h_pad=pad))
-        return figure
+
+def new_diagram(page: Page, width: float, height: float) -> Figure:
+    """Return a page with `height` inches below its titles, where Matplotlib arranges axes."""
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    figure = new_figure(page, width, height + page.head)
+    below = 1 - (page.head - MARGIN) / (height + page.head)
+    rect, pad = (0.0, 0.0, 1.0, below), 2 * MARGIN / 3
+    figure.set_layout_engine(ConstrainedLayoutEngine(rect=rect, w_pad=pad, h_pad=pad))
+    return figure

@@ -14,7 +14,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.viz.axes import LINE_COLOURS, log_ticks, tidy
 from spectra_kit.viz.front import ParetoPoint, pareto_front
 from spectra_kit.viz.labels import place_labels
-from spectra_kit.viz.page import Page
+from spectra_kit.viz.page import Page, new_diagram
 from spectra_kit.viz.picture import plotted
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def pareto_figure(
     page: Page,
 ) -> Figure:
     """Return the page: dots with names, fronts and marks."""
-    figure = page.diagram(_WIDTH, _HEIGHT)
+    figure = new_diagram(page, _WIDTH, _HEIGHT)
     panel = figure.add_subplot(xlabel=labels[0], ylabel=labels[1])
     errors = [max(p.error, floor) for p in points]
     panel.set(

@@ -13,7 +13,7 @@ from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectra import Spectrum
 from spectra_kit.viz.axes import LINE_COLOURS, log_ticks, tidy
-from spectra_kit.viz.page import Page
+from spectra_kit.viz.page import Page, new_diagram
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import plotted
 
@@ -140,7 +140,7 @@ def spectrum_figure(
     comparable = any(min(first.k, other.k) > first.n_zero_modes for other in others)
     below = [draw_residuals] * certified + [draw_differences] * comparable
     heights = [4.2] + [1.75] * len(below)
-    figure = page.diagram(_WIDTH, sum(heights))
+    figure = new_diagram(page, _WIDTH, sum(heights))
     panels = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[
         :, 0
     ]

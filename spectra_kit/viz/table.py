@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from spectra_kit._types import Bytes
-from spectra_kit.viz.page import MARGIN, Page
+from spectra_kit.viz.page import MARGIN, Page, new_figure
 from spectra_kit.viz.pen import Pen
 
 if TYPE_CHECKING:
@@ -69,8 +69,10 @@ def set_table(
     captions, heights, bars = zip(*(_heights(row, dpi) for row in rows), strict=True)
     used = sum(captions) + sum(heights) + sum(bars) + (len(rows) - 1) * GAP
     begin, side = page.head + HEAD * bool(heads), left + SIDE * bool(names)
-    figure = page.figure(
-        2 * MARGIN + side + columns * (cell + GAP) - GAP, begin + max(used, tall) + foot + MARGIN
+    figure = new_figure(
+        page,
+        2 * MARGIN + side + columns * (cell + GAP) - GAP,
+        begin + max(used, tall) + foot + MARGIN,
     )
     pen = Pen(figure)
     lefts = [MARGIN + side + i * (cell + GAP) for i in range(columns)]
