@@ -33,6 +33,7 @@ __version__ = VERSION
 
 if TYPE_CHECKING:
     from spectra_kit import benchmarks as benchmarks
+    from spectra_kit import catalogue as catalogue
     from spectra_kit import cli as cli
     from spectra_kit import correspondence as correspondence
     from spectra_kit import descriptors as descriptors
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from spectra_kit import viz as viz
     from spectra_kit.eigensolvers import Arpack as Arpack
     from spectra_kit.eigensolvers import Capped as Capped
+    from spectra_kit.eigensolvers import Chebyshev as Chebyshev
     from spectra_kit.eigensolvers import Dense as Dense
     from spectra_kit.eigensolvers import Lobpcg as Lobpcg
     from spectra_kit.eigensolvers import Multilevel as Multilevel
@@ -64,6 +66,7 @@ if TYPE_CHECKING:
     from spectra_kit.eigensolvers import RayleighRitz as RayleighRitz
     from spectra_kit.eigensolvers import Refined as Refined
     from spectra_kit.eigensolvers import eigensolve as eigensolve
+    from spectra_kit.eigensolvers import spectrum as spectrum
     from spectra_kit.eigensolvers import verify as verify
     from spectra_kit.errors import ConvergenceError as ConvergenceError
     from spectra_kit.errors import DoubtfulDistanceWarning as DoubtfulDistanceWarning
@@ -91,6 +94,7 @@ if TYPE_CHECKING:
     from spectra_kit.operators import delaunay_laplacian as delaunay_laplacian
     from spectra_kit.operators import intrinsic_delaunay as intrinsic_delaunay
     from spectra_kit.operators import knn_laplacian as knn_laplacian
+    from spectra_kit.operators import laplacian as laplacian
     from spectra_kit.operators import robust_laplacian as robust_laplacian
     from spectra_kit.spectra import Certificate as Certificate
     from spectra_kit.spectra import ModeCount as ModeCount
@@ -105,7 +109,8 @@ if TYPE_CHECKING:
 # little starts at once, torch and pyvista wait, and `help` does not go on for thousands of lines.
 _NAMES = {
     "eigensolvers": (
-        "Arpack Capped Dense Lobpcg Multilevel Neo Polished RayleighRitz Refined eigensolve verify"
+        "Arpack Capped Chebyshev Dense Lobpcg Multilevel Neo Polished RayleighRitz Refined "
+        "eigensolve spectrum verify"
     ),
     "errors": (
         "ConvergenceError DoubtfulDistanceWarning DoubtfulMatchWarning DoubtfulSpectrumWarning "
@@ -117,7 +122,7 @@ _NAMES = {
     "matching": "Match Prepared match prepare",
     "operators": (
         "Laplacian cotan_laplacian delaunay_laplacian intrinsic_delaunay knn_laplacian "
-        "robust_laplacian"
+        "laplacian robust_laplacian"
     ),
     "spectra": "Certificate ModeCount Provenance Spectrum",
     "subspaces": "AmbientFourier GivenBasis RandomBasis Union",

@@ -66,7 +66,9 @@ class InvalidInputError(SpectraKitError, ValueError):
         What it must be or do: "be positive", "have shape (n, 3)".
     got : object, optional
         What arrived, as it is to be shown.
-    advice, remedies
+    advice : str, optional
+        As in `SpectraKitError`.
+    remedies : tuple of str, optional
         As in `SpectraKitError`.
 
     Examples

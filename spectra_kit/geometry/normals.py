@@ -10,9 +10,9 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry._signs import agree_on_signs, symmetric_votes, turn_outwards
-from spectra_kit.geometry._units import box_unit
 from spectra_kit.geometry.shapes import PointCloud
+from spectra_kit.geometry.signs import agree_on_signs, symmetric_votes, turn_outwards
+from spectra_kit.geometry.units import box_unit
 
 
 @checked

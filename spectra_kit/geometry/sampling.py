@@ -19,8 +19,8 @@ from spectra_kit._validate import (
     real_array,
 )
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry._units import box_unit
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
+from spectra_kit.geometry.units import box_unit
 
 _MOST = 2**48  # points; more than any memory holds, but their bytes can be counted
 

@@ -564,6 +564,7 @@ ALSO = {
     "Refined.start": {"function"},
     "Polished.start": {"function"},
     "Lobpcg.start": {"function"},
+    "Chebyshev.start": {"function"},
     "subspace": {"function"},
     "parts": {"function"},
     "fit_functional_map.k": {"array", "none"},
@@ -571,6 +572,7 @@ ALSO = {
     "plot_spectrum.spectra": {"Spectrum"},
     "check_sources.geometry": {"Laplacian", "Spectrum"},
     "eigensolve.solver": {"Arpack"},
+    "spectrum.solver": {"Arpack"},
     # Empty sequences, which are arrays of floats to NumPy.
     "Match.candidates": {"array"},
     "pareto_front.points": {"array"},
