@@ -87,5 +87,5 @@ def test_event_files_hold_the_rows(tmp_path):
 
 def test_event_files_need_tensorboard(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    with pytest.raises(MissingDependencyError, match="need the package tensorboard; install it"):
+    with pytest.raises(MissingDependencyError, match="needs tensorboard; pip install"):
         Log(tmp_path, [], tensorboard=True)
