@@ -37,11 +37,11 @@ class Log:
         path, rows = folder / "log.csv", list(rows)
         self._events: Any = None
         if tensorboard:
-            writer = optional(
+            board = optional(
                 "torch.utils.tensorboard", extra="tensorboard", needed_by="a run with event files"
             )
             purge = int(rows[-1]["step"]) + 1 if rows else 0
-            self._events = writer.SummaryWriter(str(folder / "events"), purge_step=purge)
+            self._events = board.SummaryWriter(str(folder / "events"), purge_step=purge)
         with atomic_path(path) as part, part.open("w", newline="") as file:
             writer = csv.DictWriter(file, FIELDS)
             writer.writeheader()
