@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from spectra_kit.errors import DoubtfulDistanceWarning as DoubtfulDistanceWarning
     from spectra_kit.errors import DoubtfulMatchWarning as DoubtfulMatchWarning
     from spectra_kit.errors import DoubtfulSpectrumWarning as DoubtfulSpectrumWarning
+    from spectra_kit.errors import InvalidFileError as InvalidFileError
     from spectra_kit.errors import InvalidInputError as InvalidInputError
     from spectra_kit.errors import InvalidSpectrumError as InvalidSpectrumError
     from spectra_kit.errors import MissingDependencyError as MissingDependencyError
@@ -115,8 +116,8 @@ _NAMES = {
     ),
     "errors": (
         "ConvergenceError DoubtfulDistanceWarning DoubtfulMatchWarning DoubtfulSpectrumWarning "
-        "InvalidInputError InvalidSpectrumError MissingDependencyError OutOfMemoryError "
-        "SpectraKitError SpectraKitWarning WeightsError"
+        "InvalidFileError InvalidInputError InvalidSpectrumError MissingDependencyError "
+        "OutOfMemoryError SpectraKitError SpectraKitWarning WeightsError"
     ),
     "geodesics": "HeatGeodesics geodesic_distance",
     "geometry": "PointCloud TriangleMesh as_geometry read write",

@@ -204,7 +204,7 @@ class TriangleMesh(_Shape):
     def degenerate_faces(self, relative_area: float = 1e-12) -> NDArray[np.bool_]:
         """Mark faces with a repeated vertex or area <= relative_area * (longest side)^2."""
         if not 0 <= relative_area < 1:
-            raise InvalidInputError(f"`relative_area` must be in [0, 1), got {relative_area!r}")
+            raise InvalidInputError("relative_area", "be in [0, 1)", repr(relative_area))
         a, b, c = self.faces.T
         repeated = (a == b) | (b == c) | (c == a)
         areas, longest, _ = _measures(self.points, self.faces)

@@ -147,6 +147,7 @@ def example() -> dict[str, Any]:
                     prepared,
                     samples,
                     repaired,
+                    geometry.Problem(1, "a hole", "mend it"),
                     normalization,
                     given,
                     spectrum.certificate,
@@ -347,6 +348,11 @@ def example() -> dict[str, Any]:
         "Sources.n": n,
         "n_components": 1,
         "n_faces": 5,
+        "Problem.advice": "use {}",
+        "Problem.count": 1,
+        "Problem.finding": "one hole",
+        "Problem.remedies": ("a patch",),
+        "told.word": str.upper,
         "n_modes": 5,
         "n_neighbors": 10,
         "n_points": 500,
@@ -578,6 +584,7 @@ ALSO = {
     "Match.candidates": {"array"},
     "pareto_front.points": {"array"},
     "Panel.lines": {"array"},
+    "Problem.remedies": {"array"},
 }
 
 
