@@ -70,7 +70,7 @@ def adapted(thing: Any) -> Geometry:
     if isinstance(thing, tuple | list) and len(thing) == 2 and all(map(_is_table, thing)):
         return TriangleMesh(*thing)
     if isinstance(thing, Sequence) or hasattr(thing, "__array__"):
-        return PointCloud(thing)  # type: ignore[arg-type]
+        return PointCloud(thing)
     raise _refused(thing, _OTHERS)
 
 
