@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from spectra_kit.errors import DoubtfulDistanceWarning as DoubtfulDistanceWarning
     from spectra_kit.errors import DoubtfulMatchWarning as DoubtfulMatchWarning
     from spectra_kit.errors import DoubtfulSpectrumWarning as DoubtfulSpectrumWarning
+    from spectra_kit.errors import InvalidFileError as InvalidFileError
     from spectra_kit.errors import InvalidInputError as InvalidInputError
     from spectra_kit.errors import InvalidSpectrumError as InvalidSpectrumError
     from spectra_kit.errors import MissingDependencyError as MissingDependencyError
@@ -83,6 +84,7 @@ if TYPE_CHECKING:
     from spectra_kit.geodesics import geodesic_distance as geodesic_distance
     from spectra_kit.geometry import PointCloud as PointCloud
     from spectra_kit.geometry import TriangleMesh as TriangleMesh
+    from spectra_kit.geometry import as_geometry as as_geometry
     from spectra_kit.geometry import read as read
     from spectra_kit.geometry import write as write
     from spectra_kit.matching import Match as Match
@@ -114,11 +116,11 @@ _NAMES = {
     ),
     "errors": (
         "ConvergenceError DoubtfulDistanceWarning DoubtfulMatchWarning DoubtfulSpectrumWarning "
-        "InvalidInputError InvalidSpectrumError MissingDependencyError OutOfMemoryError "
-        "SpectraKitError SpectraKitWarning WeightsError"
+        "InvalidFileError InvalidInputError InvalidSpectrumError MissingDependencyError "
+        "OutOfMemoryError SpectraKitError SpectraKitWarning WeightsError"
     ),
     "geodesics": "HeatGeodesics geodesic_distance",
-    "geometry": "PointCloud TriangleMesh read write",
+    "geometry": "PointCloud TriangleMesh as_geometry read write",
     "matching": "Match Prepared match prepare",
     "operators": (
         "Laplacian cotan_laplacian delaunay_laplacian intrinsic_delaunay knn_laplacian "

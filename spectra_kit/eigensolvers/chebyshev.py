@@ -82,8 +82,8 @@ class Chebyshev:
 
         from spectra_kit.linalg.chebyshev import chebyshev_eigenpairs
         from spectra_kit.linalg.torch_device import (
-            Clock,
             check_device,
+            device_clock,
             device_memory,
             sparse_tensor,
             torch_threads_for,
@@ -91,7 +91,7 @@ class Chebyshev:
         from spectra_kit.neo import NeoSubspace
 
         with device_memory():
-            clock = Clock(check_device(self.device))
+            clock = device_clock(check_device(self.device))
             start = plane_waves(k) if self.start is None else self.start
             if isinstance(start, NeoSubspace) and start.device == self.device:
                 columns = start.tensor(laplacian.points, laplacian.mass)  # it stays where it is

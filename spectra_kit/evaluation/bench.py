@@ -27,7 +27,7 @@ from spectra_kit.eigensolvers.base import Eigenpairs
 from spectra_kit.errors import DoubtfulSpectrumWarning, SpectraKitError
 from spectra_kit.evaluation.cases import Case
 from spectra_kit.evaluation.methods import Method
-from spectra_kit.linalg.torch_device import Clock, sparse_tensor
+from spectra_kit.linalg.torch_device import device_clock, sparse_tensor
 from spectra_kit.linalg.torch_ritz import orthonormalize, rayleigh_ritz
 from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.operators import Laplacian
@@ -265,7 +265,7 @@ class _Recorder:
         """See `Eigensolver`."""
         if self.method.columns > ROOM * laplacian.n:
             return Dense().eigenpairs(laplacian, k)
-        clock = Clock(torch.device(self.method.device))
+        clock = device_clock(self.method.device)
         basis = self.method.basis(laplacian.points, laplacian.mass)
         clock.stage("subspace")
         mass = torch.from_numpy(np.array(laplacian.mass)).to(basis.device)

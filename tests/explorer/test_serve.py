@@ -47,7 +47,7 @@ def test_the_page_and_nothing_else_is_served_to_this_machine_until_ctrl_c(tmp_pa
         page = (tmp_path / "demo.html").read_bytes()
         for host in (f"127.0.0.1:{port}", f"localhost:{port}", f"LOCALHOST:{port}"):
             assert answer(port, Host=host) == (200, page)
-            for path in ("/demo.html", "/../demo.html", "//", "/?x", "/etc/passwd"):
+            for path in ("/demo.html", "/../demo.html", "/?x", "/etc/passwd"):
                 assert answer(port, path, Host=host)[0] == 404
         # A name of elsewhere that leads to this machine, another port, and no name at all.
         for host in ("evil.example", f"evil.example:{port}", "127.0.0.1", "127.0.0.1:1", ""):

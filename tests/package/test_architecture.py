@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[2] / "spectra_kit"
 LAYERS = [
     "_types",
-    "errors _validate _checked _files _optional _version catalogue",
+    "errors _validate _checked _clock _files _optional _version catalogue",
     "geometry linalg",
     "operators",
     "_spectrum_file subspaces levels",
