@@ -156,6 +156,7 @@ def example() -> dict[str, Any]:
                     prepared,
                     samples,
                     repaired,
+                    geometry.Problem(1, "a hole", "mend it"),
                     normalization,
                     given,
                     spectrum.certificate,
@@ -355,6 +356,11 @@ def example() -> dict[str, Any]:
         "Sources.n": n,
         "n_components": 1,
         "n_faces": 5,
+        "Problem.advice": "use {}",
+        "Problem.count": 1,
+        "Problem.finding": "one hole",
+        "Problem.remedies": ("a patch",),
+        "told.word": str.upper,
         "n_modes": 5,
         "n_neighbors": 10,
         "n_points": 500,
@@ -516,6 +522,7 @@ def example() -> dict[str, Any]:
         "target_geometry": mesh,
         "target_rows": spectrum.eigenvectors[:, :12],
         "targets": [0, 1],
+        "thing": mesh,
         "thresholds": [1.0, 2.0],
         "time": 0.1,
         "time_coefficient": 1.0,
@@ -584,6 +591,7 @@ ALSO = {
     "Match.candidates": {"array"},
     "pareto_front.points": {"array"},
     "Panel.lines": {"array"},
+    "Problem.remedies": {"array"},
 }
 
 
