@@ -43,7 +43,7 @@ def compare(asked: program.Compare) -> None:
         )
 
     def draw(path: Path) -> None:
-        from spectra_kit.viz import plot_comparison
+        from spectra_kit.viz import Page, View, plot_comparison
 
         first = max(comparison.n_zero_modes - 1, 0)  # one constant function per component is dull
         plot_comparison(
@@ -54,11 +54,12 @@ def compare(asked: program.Compare) -> None:
             comparison,
             modes=shown_modes(asked.output.modes, [i + first for i in _DRAWN], k),
             names=pair.names,
-            title=tables.title(asked.file, geometry),
-            subtitle="; ".join(filter(None, [tables.comparison_line(comparison), pair.caution])),
-            up=up_of(asked.drawing, asked.file),
-            turn=asked.drawing.turn,
-            dpi=asked.drawing.dpi,
+            view=View(up_of(asked.drawing, asked.file), asked.drawing.turn),
+            page=Page(
+                tables.title(asked.file, geometry),
+                "; ".join(filter(None, [tables.comparison_line(comparison), pair.caution])),
+                asked.drawing.dpi,
+            ),
         )
 
     finish(

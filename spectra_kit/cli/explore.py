@@ -23,6 +23,7 @@ from spectra_kit.explorer import Explorer, write_explorer
 from spectra_kit.geometry import Geometry
 from spectra_kit.operators import Laplacian
 from spectra_kit.spectra import Spectrum
+from spectra_kit.viz import View
 
 
 def explore(asked: program.Explore) -> None:
@@ -31,7 +32,7 @@ def explore(asked: program.Explore) -> None:
     page = output.html or Path(Path(asked.file).stem + ".html")
     if not output.serve:
         refuse_given(output, ["port", "no_browser"], "without --serve; add it")
-        check_output(page, (".html", ".htm"), [asked.file, *solver.files])
+    check_output(page, (".html", ".htm"), [asked.file, *solver.files])
     k = check_count("-k", solver.k, low=1)
     check_count("--max-points", output.max_points, low=4)
     check_count("--port", output.port, low=0, high=65535)
@@ -44,9 +45,6 @@ def explore(asked: program.Explore) -> None:
     else:
         pair = compared(solver, seed, laplacian, reference)
     names = pair.names if pair else (name_of(reference), "")
-    if output.serve:
-        _serve(asked, geometry, reference, pair, names)
-        return
     with counted(f"writing {page}", "step") as tell:
         written = write_explorer(
             page,
@@ -56,46 +54,27 @@ def explore(asked: program.Explore) -> None:
             comparison=pair.comparison if pair else None,
             names=names,
             title=stem(asked.file),  # the page itself counts the points
-            max_points=asked.output.max_points,
-            up=up_of(asked.drawing, asked.file),
+            max_points=output.max_points,
+            view=View(up_of(asked.drawing, asked.file)),
             progress=tell,
         )
-    if asked.general.json:
-        print_json(**_record(asked, geometry, reference, pair), explorer=vars(written), url=None)
-        return
-    print_blocks(*_tables(asked, geometry, laplacian, reference, pair), _next(written))
 
-
-def _serve(
-    asked: program.Explore,
-    geometry: Geometry,
-    reference: Spectrum,
-    pair: Compared | None,
-    names: tuple[str, str],
-) -> None:
-    from spectra_kit.explorer.serve import serve
-
-    def ready(url: str) -> None:
+    def told(url: str | None = None) -> None:
         if asked.general.json:
-            print_json(**_record(asked, geometry, reference, pair), explorer=None, url=url)
+            record = _record(asked, geometry, reference, pair)
+            print_json(**record, explorer=vars(written), url=url)
         else:
-            verdict = [f"verdict: {pair.verdict}"] if pair else []
-            print_blocks(*verdict, f"serving {asked.file} to this machine alone: {url}")
+            print_blocks(*_tables(asked, geometry, laplacian, reference, pair), _next(written))
+        if url is not None and not asked.general.json:
+            print_blocks(f"serving it to this machine alone: {url}")
             say("Ctrl-C ends it")
 
-    serve(
-        geometry,
-        reference,
-        pair.predicted if pair else None,
-        comparison=pair.comparison if pair else None,
-        names=names,
-        title=tables.title(asked.file, geometry),
-        max_points=asked.output.max_points,
-        up=up_of(asked.drawing, asked.file),
-        port=asked.output.port,
-        open_browser=not asked.output.no_browser,
-        ready=ready,
-    )
+    if not output.serve:
+        told()
+        return
+    from spectra_kit.explorer.serve import serve
+
+    serve(page, port=output.port, open_browser=not output.no_browser, ready=told)
 
 
 def _record(

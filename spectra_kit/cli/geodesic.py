@@ -201,7 +201,7 @@ def _draw(
     field: DistanceField,
     compared: list[Compared] | None,
 ) -> list[Path]:
-    from spectra_kit.viz import plot_convergence, plot_distance
+    from spectra_kit.viz import Page, View, plot_convergence, plot_distance
 
     folder, name, dpi = asked.output.output, stem(asked.file), asked.drawing.dpi
     size = f"{geometry.n:,} points"
@@ -211,11 +211,8 @@ def _draw(
         field.distance,
         sources=positions(sources, geometry),
         spacing=asked.output.spacing,
-        up=up_of(asked.drawing, asked.file),
-        turn=asked.drawing.turn,
-        title=name,
-        subtitle=f"{size} \N{MIDDLE DOT} {field.choice}",
-        dpi=dpi,
+        view=View(up_of(asked.drawing, asked.file), asked.drawing.turn),
+        page=Page(name, f"{size} \N{MIDDLE DOT} {field.choice}", dpi),
     )
     if compared is None:
         return [folder / _FIELD]
@@ -224,8 +221,6 @@ def _draw(
         [one.run for one in compared],
         rtol=asked.heat.poisson_rtol,
         solve_name="Poisson step",
-        title=f"{name}: the Poisson step of the heat method, {size}",
-        subtitle=clock_note(),
-        dpi=dpi,
+        page=Page(f"{name}: the Poisson step of the heat method, {size}", clock_note(), dpi),
     )
     return [folder / _FIELD, folder / _CONVERGENCE]

@@ -498,10 +498,7 @@ class ExploreOutput:
     ] = None
     serve: Annotated[
         bool,
-        option(
-            "write nothing, show the modes to this machine alone until Ctrl-C (needs trame:"
-            " pip install 'spectra_kit[serve]')"
-        ),
+        option("serve the page to this machine alone, too, until Ctrl-C"),
     ] = False
     max_points: Annotated[
         int, option("show at most so many points of a larger geometry", metavar="N")

@@ -24,7 +24,7 @@ def modes(asked: program.Modes) -> None:
     if asked.output.columns is not None:
         check_count("--columns", asked.output.columns, low=1)
     shown = _to_show(asked, PICTURES, _DRAWN)
-    from spectra_kit.viz import plot_modes
+    from spectra_kit.viz import Page, View, plot_modes
 
     with step(f"drawing {quantity(len(shown.modes), 'mode')}"):
         plot_modes(
@@ -34,10 +34,8 @@ def modes(asked: program.Modes) -> None:
             modes=shown.modes,
             nodal_lines=not asked.output.no_lines,
             columns=asked.output.columns,
-            up=up_of(asked.drawing, asked.file),
-            turn=asked.drawing.turn,
-            title=tables.title(asked.file, shown.geometry),
-            dpi=asked.drawing.dpi,
+            view=View(up_of(asked.drawing, asked.file), asked.drawing.turn),
+            page=Page(tables.title(asked.file, shown.geometry), dpi=asked.drawing.dpi),
         )
     _tell(asked, shown, picture=asked.output.output)
 
@@ -48,7 +46,7 @@ def animate(asked: program.Animate) -> None:
     fps = check_count("--fps", asked.output.fps, low=1)
     width = check_count("--width", asked.output.width, low=16)
     shown = _to_show(asked, (".gif", ".mp4"), _SWUNG)
-    from spectra_kit.viz import animate_modes
+    from spectra_kit.viz import View, animate_modes
 
     with counted(f"drawing {quantity(len(shown.modes), 'mode')}", "frame") as tell:
         animate_modes(
@@ -59,8 +57,7 @@ def animate(asked: program.Animate) -> None:
             seconds_per_mode=seconds,
             fps=fps,
             width=width,
-            up=up_of(asked.drawing, asked.file),
-            turn=asked.drawing.turn,
+            view=View(up_of(asked.drawing, asked.file), asked.drawing.turn),
             progress=tell,
         )
     _tell(asked, shown, animation=asked.output.output)

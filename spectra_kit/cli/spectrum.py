@@ -50,15 +50,14 @@ def spectrum(asked: program.Spectrum) -> None:
         )
 
     def draw(path: Path) -> None:
-        from spectra_kit.viz import plot_spectrum
+        from spectra_kit.viz import Page, plot_spectrum
         from spectra_kit.viz.boundary import free_boundary
 
         plot_spectrum(
             path,
             result,
             free_boundary=free_boundary(geometry, result),
-            title=tables.title(asked.file, geometry),
-            dpi=asked.drawing.dpi,
+            page=Page(tables.title(asked.file, geometry), dpi=asked.drawing.dpi),
         )
 
     finish(

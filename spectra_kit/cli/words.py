@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-
-from spectra_kit.errors import SpectraKitError, SpectraKitWarning
+from typing import Protocol, runtime_checkable
 
 _OPTIONS = {
     "k": "-k",
@@ -33,6 +32,11 @@ _OPTIONS = {
 }
 
 
+@runtime_checkable
+class _Told(Protocol):
+    def told(self, word: Callable[[str], str]) -> str: ...
+
+
 def option_of(name: str) -> str:
     """Return the option that stands for an argument, a method or a class; or its name.
 
@@ -48,9 +52,9 @@ def option_of(name: str) -> str:
 
 def told(message: object) -> str:
     """Return an error, a warning or a problem with options in place of arguments and methods."""
-    if isinstance(message, SpectraKitError | SpectraKitWarning):
+    if isinstance(message, _Told):
         return message.told(option_of)
-    return str(message)
+    return str(message)  # a warning of another package
 
 
 def stem(file: str) -> str:

@@ -98,10 +98,10 @@ def orient_normals(cloud: PointCloud, normals: ArrayLike, *, n_neighbors: int = 
     vectors = real_array("normals", normals)
     if vectors.shape != points.shape:
         raise InvalidInputError(
-            f"`normals` must have shape {points.shape} like the points, got {vectors.shape}"
+            "normals", f"have shape {points.shape} like the points", vectors.shape
         )
     if not np.allclose(np.linalg.norm(vectors, axis=1), 1, atol=1e-6):
-        raise InvalidInputError("`normals` must be unit vectors; divide them by their length")
+        raise InvalidInputError("normals", "be unit vectors", advice="divide them by their length")
     distances, near = _neighbors(points, n_neighbors)
     n, k = near.shape
     i, j = np.repeat(np.arange(n), k), near.ravel()
@@ -114,7 +114,7 @@ def orient_normals(cloud: PointCloud, normals: ArrayLike, *, n_neighbors: int = 
 
 def _check_cloud(cloud: PointCloud) -> Floats:
     if cloud.n < 3:
-        raise InvalidInputError(f"`cloud` must have at least 3 points, got {cloud.n}")
+        raise InvalidInputError("cloud", "have at least 3 points", cloud.n)
     return np.asarray(cloud.points / box_unit(cloud.points))
 
 
