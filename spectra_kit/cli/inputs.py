@@ -63,7 +63,7 @@ def _check_there(path: Path) -> None:
         raise InvalidInputError(
             f"{path}: this is a folder, expected a file; name one that is in it"
         )
-    if str(path) in ("-", "/dev/stdin") or (path.exists() and not path.is_file()):
+    if str(path) == "/dev/stdin" or (path.exists() and not path.is_file()):
         raise InvalidInputError(
             f"{path}: pipes are not read, expected a file whose name ends in its format"
             f" ({FORMATS}); save the data as one"

@@ -331,7 +331,9 @@ def parse(arguments: Sequence[str]) -> Asked:
     if not arguments:
         raise UsageError("a command is required", None)
     try:
-        found, bound, _ = app().parse_args(arguments)
+        # A lone hyphen is no option, but what it means elsewhere.
+        words = ["/dev/stdin" if word == "-" else word for word in arguments]
+        found, bound, _ = app().parse_args(words)
     except CycloptsError as error:
         raise UsageError(_told(error, command), command) from error
     if command is None or found is not command.asked:

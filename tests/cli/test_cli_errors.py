@@ -58,8 +58,7 @@ def test_every_command_refuses_bad_files_in_one_line(name, folder, inside, capsy
         ("none.off", f"none.off: there is no such file; looked from {os.getcwd()}\n"),
         ("sub", "sub: this is a folder, expected a file; name one that is in it"),
         ("empty.off", "empty.off: the file is empty"),
-        ("-", "-: pipes are not read, expected a file whose name ends in its format (obj, off"),
-        ("/dev/stdin", "/dev/stdin: pipes are not read, expected a file"),
+        ("-", "/dev/stdin: pipes are not read, expected a file whose name ends in its format (o"),
         ("text.docx", "cannot read the format '.docx'; known are .glb, "),
     ):
         assert message in refusal(capsys, name, file, *second, *source)
