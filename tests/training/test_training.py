@@ -1,17 +1,16 @@
 """Training: it learns, resumes bit by bit, and its parts do what they are named after."""
 
 import csv
-import importlib.util
 import os
 import re
 import signal
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import train_neo
 from conftest import ellipsoids
 
 from spectra_kit.errors import ConvergenceError, InvalidInputError
@@ -27,11 +26,6 @@ from spectra_kit.training.optim import (
 )
 from spectra_kit.training.shards import open_shards, write_shard
 from spectra_kit.training.train import _shortened, train, validate
-
-APP = Path(__file__).parents[2] / "apps" / "train_neo.py"
-SPEC = importlib.util.spec_from_file_location("train_neo", APP)
-train_neo = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(train_neo)
 
 TINY = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
 CONFIG = TrainConfig(network=TINY, steps=10, batch=4, points=48, validation=4, every=5)
