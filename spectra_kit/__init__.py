@@ -32,7 +32,6 @@ from spectra_kit._version import VERSION
 __version__ = VERSION
 
 if TYPE_CHECKING:
-    from spectra_kit import benchmarks as benchmarks
     from spectra_kit import catalogue as catalogue
     from spectra_kit import cli as cli
     from spectra_kit import correspondence as correspondence
