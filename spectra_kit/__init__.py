@@ -83,6 +83,7 @@ if TYPE_CHECKING:
     from spectra_kit.geodesics import geodesic_distance as geodesic_distance
     from spectra_kit.geometry import PointCloud as PointCloud
     from spectra_kit.geometry import TriangleMesh as TriangleMesh
+    from spectra_kit.geometry import as_geometry as as_geometry
     from spectra_kit.geometry import read as read
     from spectra_kit.geometry import write as write
     from spectra_kit.matching import Match as Match
@@ -118,7 +119,7 @@ _NAMES = {
         "OutOfMemoryError SpectraKitError SpectraKitWarning WeightsError"
     ),
     "geodesics": "HeatGeodesics geodesic_distance",
-    "geometry": "PointCloud TriangleMesh read write",
+    "geometry": "PointCloud TriangleMesh as_geometry read write",
     "matching": "Match Prepared match prepare",
     "operators": (
         "Laplacian cotan_laplacian delaunay_laplacian intrinsic_delaunay knn_laplacian "

@@ -28,6 +28,7 @@ Every step is optional and returns a new object; nothing is repaired, moved or s
 (1000, 3)
 """
 
+from spectra_kit.geometry.adapt import as_geometry
 from spectra_kit.geometry.components import Component, components, largest_component
 from spectra_kit.geometry.creature import creature
 from spectra_kit.geometry.diagnose import Diagnosis, Problem, diagnose
@@ -53,6 +54,7 @@ __all__ = [
     "Repaired",
     "Samples",
     "TriangleMesh",
+    "as_geometry",
     "components",
     "creature",
     "creature_pair",

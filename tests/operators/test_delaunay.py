@@ -214,7 +214,6 @@ def test_operator_is_recorded() -> None:
 
 POINTS = ball(50)
 BAD = {
-    "array": (lambda: delaunay_laplacian(POINTS), "`geometry` must be a TriangleMesh or Point"),
     "mollify": (
         lambda: delaunay_laplacian(PointCloud(POINTS), mollify_factor=0),
         "`mollify_factor` must be positive",

@@ -516,6 +516,7 @@ def example() -> dict[str, Any]:
         "target_orientation": oriented,
         "target_rows": spectrum.eigenvectors[:, :12],
         "targets": [0, 1],
+        "thing": mesh,
         "thresholds": [1.0, 2.0],
         "time": 0.1,
         "time_coefficient": 1.0,
