@@ -230,7 +230,13 @@ def _draw(
     found: Match,
     errors: Errors | None,
 ) -> list[Path]:
-    from spectra_kit.viz import plot_correspondence, plot_error_curves, plot_functional_map
+    from spectra_kit.viz import (
+        Page,
+        View,
+        plot_correspondence,
+        plot_error_curves,
+        plot_functional_map,
+    )
 
     folder, dpi = arguments.output, arguments.dpi
     paths = _pictures(folder, errors)
@@ -243,17 +249,15 @@ def _draw(
         found.point_map,
         errors=None if errors is None else errors.known,
         error_label=errors.label if errors else "",
-        up=up_of(arguments, source.name),
-        turn=arguments.turn,
+        view=View(up_of(arguments, source.name), arguments.turn),
         names=(names[0], names[1]) if names[0] != names[1] else ("source", "target"),
-        title=title,
-        subtitle=f"{source.geometry.n:,} and {target.geometry.n:,} points",
-        dpi=dpi,
+        page=Page(title, f"{source.geometry.n:,} and {target.geometry.n:,} points", dpi),
     )
-    plot_functional_map(paths[1], found.functional_map, title=title, dpi=dpi)
+    page = Page(title, dpi=dpi)
+    plot_functional_map(paths[1], found.functional_map, page=page)
     if errors is not None:
         plot_error_curves(
-            paths[2], {title: errors.known.direct}, error_label=errors.label, title=title, dpi=dpi
+            paths[2], {title: errors.known.direct}, error_label=errors.label, page=page
         )
     return paths
 

@@ -159,6 +159,7 @@ def example() -> dict[str, Any]:
                 correspondence.Truth(same, same),
                 correspondence.MapErrors(np.ones(3), np.arange(3)),
                 viz.MatchedPair(source=mesh, target=mesh, point_map=same),
+                viz.View(),
                 neo.NeoSubspace(network),
             )
         },
@@ -386,6 +387,7 @@ def example() -> dict[str, Any]:
         "pairs": [viz.MatchedPair(source=mesh, target=mesh, point_map=same)],
         "part": given,
         "parts": given,
+        "page": viz.Page(dpi=30),
         "path": "out.png",
         "read.path": "mesh.obj",
         "write.path": "out.obj",
@@ -395,6 +397,7 @@ def example() -> dict[str, Any]:
         "write_explorer.path": "out.html",
         "animate_modes.path": "out.gif",
         "Picture.path": Path("out.png"),
+        "Picture.content": b"",
         "Explorer.path": Path("out.html"),
         "Reference.geometry": mesh,
         "check_sources.geometry": mesh,
@@ -530,6 +533,7 @@ def example() -> dict[str, Any]:
         "turn": 0.0,
         "unreferenced_vertices": 0,
         "up": "z",
+        "view": viz.View(),
         "upper": (1.0, 1.0, 1.0),
         "vals": spectrum.eigenvalues,
         "values": np.ones(n),
@@ -799,8 +803,8 @@ def test_wrong_arguments_are_refused_by_name(name):
             r"`fields` must be a mapping of names .*, got a ndarray; write \{'name': values\}",
         ),
         (
-            lambda e: viz.plot_modes(e["mesh"], e["spectrum"], e["mesh"]),
-            "`path` must be a string or path, got a TriangleMesh",
+            lambda e: viz.plot_modes(e["spectrum"], e["mesh"]),
+            "`geometry` must be a TriangleMesh or PointCloud, got a Spectrum; did you swap it",
         ),
         (
             lambda e: sk.Refined(start=sk.Neo()),
