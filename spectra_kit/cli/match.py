@@ -25,10 +25,10 @@ from spectra_kit.geometry import Geometry, creature_pair, write
 from spectra_kit.geometry.formats._arrays import text_lines, whole
 from spectra_kit.geometry.formats.numpy_arrays import read_npy
 from spectra_kit.matching import Match, match, prepare
-from spectra_kit.matching.match import Sides
 
 _MAPS = ("point_map.npy", "functional_map.npy", "report.json")
 _SIDES = ("source.npz", "target.npz")
+_MIRRORED = {"either": None, "kept": False, "reversed": True}
 _PICTURES = ("correspondence.png", "functional_map.png", "errors.png")
 
 
@@ -53,7 +53,7 @@ def match_shapes(arguments: argparse.Namespace) -> None:
         for name, geometry in zip((arguments.source, arguments.target), geometries, strict=True)
     )
     with step("matching"):
-        found, quality = _matched(source, target, landmarks, arguments.sides)
+        found, quality = _matched(source, target, landmarks, _MIRRORED[arguments.sides])
     with step("judging the map"):
         quality |= quality_of(source, target, found.point_map)
         errors = None if truth is None else errors_of(source, found.point_map, truth)
@@ -131,13 +131,15 @@ def _solve(
 
 
 def _matched(
-    source: Side, target: Side, landmarks: tuple[Ints, Ints] | None, sides: Sides
+    source: Side, target: Side, landmarks: tuple[Ints, Ints] | None, mirrored: bool | None
 ) -> tuple[Match, tables.Record]:
     """The maps, and what the match says of itself."""
     start = time.perf_counter()
     prepared = [prepare(side.spectrum, side.geometry) for side in (source, target)]
     middle = time.perf_counter()
-    found = match(prepared[0], prepared[1], landmarks=landmarks, sides=sides, k=source.spectrum.k)
+    found = match(
+        prepared[0], prepared[1], landmarks=landmarks, mirrored=mirrored, k=source.spectrum.k
+    )
     return found, {
         "prepare_seconds": middle - start,
         "match_seconds": time.perf_counter() - middle,
@@ -145,7 +147,7 @@ def _matched(
         "ambiguous": found.ambiguous,
         **({"doubts": doubts_of(found)} if found.doubts else {}),
         "margin": found.margin,
-        "other_side": found.other_side,
+        "other_side": found.mirror_margin,
         "score": found.score,
         "candidates": len(found.candidates),
         "mirrored": found.mirrored,
