@@ -12,6 +12,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._display import table
 from spectra_kit._types import Floats, Ints
 from spectra_kit.errors import InvalidInputError, SpectraKitWarning
 
@@ -151,7 +152,7 @@ def check_positive(name: str, value: float) -> float:
 
 
 class Brief:
-    """Mixin of a dataclass that holds arrays: its repr tells their form, not their entries."""
+    """Mixin of a dataclass that holds arrays: it shows their form, not their entries."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -159,9 +160,16 @@ class Brief:
             cls.__repr__ = Brief.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.repr}  # type: ignore[arg-type]
-        shown = ", ".join(f"{name}={_form(value)}" for name, value in values.items())
+        shown = ", ".join(f"{name}={form}" for name, form in Brief._facts(self).items())
         return f"{type(self).__qualname__}({shown})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        return table(type(self).__qualname__, self._facts())
+
+    def _facts(self) -> Mapping[str, object]:
+        """What there is to show, by name."""
+        return {f.name: _form(getattr(self, f.name)) for f in fields(self) if f.repr}  # type: ignore[arg-type]
 
 
 def _form(value: object) -> str:
