@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from spectra_kit._files import atomic_path
-from spectra_kit.viz import ParetoPoint, pareto_front, plot_pareto
-from spectra_kit.viz.sheet import LINE_COLOURS
+from spectra_kit.viz import Page, ParetoPoint, pareto_front, plot_pareto
+from spectra_kit.viz.axes import LINE_COLOURS
 
 Item = TypeVar("Item")
 
@@ -34,9 +34,12 @@ def undominated(points: Iterable[ParetoPoint], *, floor: float = ROUNDING) -> se
     return {best.name for one in leagues.values() for best in pareto_front(one, floor=floor)}
 
 
-def draw_pareto(path: Path, points: Sequence[ParetoPoint], **options: Any) -> Path:
+def draw_pareto(
+    path: Path, points: Sequence[ParetoPoint], *, title: str = "", **options: Any
+) -> Path:
     """Draw errors against seconds and a front for each league; see `viz.plot_pareto`."""
-    return plot_pareto(path, points, floor=ROUNDING, dpi=_DPI, **options).path
+    plot_pareto(path, points, floor=ROUNDING, page=Page(title, dpi=_DPI), **options)
+    return path
 
 
 def panels(title: str, count: int = 1, *, width: float = 0.0) -> tuple[Figure, list[Axes]]:

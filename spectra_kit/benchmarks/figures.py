@@ -8,10 +8,10 @@ from typing import Any
 
 from spectra_kit.benchmarks.methods import METHODS, Entry
 from spectra_kit.benchmarks.results import Fit, Result
+from spectra_kit.viz.axes import LINE_COLOURS, log_ticks, tidy
 from spectra_kit.viz.front import ParetoPoint
-from spectra_kit.viz.labels import log_ticks
+from spectra_kit.viz.page import Page, new_diagram
 from spectra_kit.viz.pareto import plot_pareto
-from spectra_kit.viz.sheet import LINE_COLOURS, new_figure, save, tidy
 
 # Markers tell the second round of colours from the first; dashes and open markers tell other
 # packages from ours.
@@ -43,7 +43,7 @@ def draw_times(
         if result.ok:
             lines.setdefault((result.device, result.method), []).append(result)
     title = f"{results[0].geometry}: time to solve"
-    figure = new_figure(9, 5.4, title=title, dpi=_DPI, constrained=True)
+    figure = new_diagram(Page(title, dpi=_DPI), 9, 5.0)
     panel = figure.add_subplot()
     for (device, method), line in lines.items():
         fit = exponents.get((results[0].geometry, device, method))
@@ -69,7 +69,8 @@ def draw_times(
         frameon=False,
         labelspacing=min(0.9, 14 / max(len(lines), 1)),
     )
-    return save(figure, path, _DPI).path
+    figure.savefig(path)
+    return path
 
 
 def draw_accuracy(results: Sequence[Result], path: Path) -> Path:
@@ -88,13 +89,13 @@ def draw_accuracy(results: Sequence[Result], path: Path) -> Path:
         The same.
     """
     shown = next(result for result in results if result.ok)
-    return plot_pareto(
+    plot_pareto(
         path,
         pareto_points(results),
         ylabel="mean relative eigenvalue error",
-        title=f"{shown.geometry}, {shown.n:,} points: accuracy against time",
-        dpi=_DPI,
-    ).path
+        page=Page(f"{shown.geometry}, {shown.n:,} points: accuracy against time", dpi=_DPI),
+    )
+    return path
 
 
 def pareto_points(results: Iterable[Result]) -> list[ParetoPoint]:

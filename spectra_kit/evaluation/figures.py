@@ -17,8 +17,8 @@ from spectra_kit.evaluation.curves import Curve
 from spectra_kit.evaluation.findings import Row
 from spectra_kit.evaluation.studies import Answer
 from spectra_kit.geometry import Geometry
-from spectra_kit.viz import ParetoPoint, plot_comparison, plot_pareto
-from spectra_kit.viz.sheet import LINE_COLOURS, save
+from spectra_kit.viz import Page, ParetoPoint, plot_comparison, plot_pareto
+from spectra_kit.viz.axes import LINE_COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -108,9 +108,11 @@ def draw_worst(answer: Answer, bench: Bench, folder: Path, *, count: int = 3) ->
                 predicted,
                 comparison,
                 modes=modes,
-                title=f"{case.model.name}: the worst of {exact.k} modes",
-                subtitle=f"{row.method.name}; mean span error {measurement.mean('span'):.1e}",
-                dpi=120,
+                page=Page(
+                    f"{case.model.name}: the worst of {exact.k} modes",
+                    f"{row.method.name}; mean span error {measurement.mean('span'):.1e}",
+                    dpi=120,
+                ),
             )
             drawn.append(folder / name)
     return drawn
@@ -196,9 +198,8 @@ def _against_time(rows: Sequence[Row], place: str, path: Path) -> Path:
     ]
     exact = float(np.median([row.exact_seconds() for row in rows]))
     marks = {"ARPACK, exact": exact}
-    return plot_pareto(
-        path, points, marks=marks, ylabel="mean span error", title=place, dpi=_DPI
-    ).path
+    plot_pareto(path, points, marks=marks, ylabel="mean span error", page=Page(place, dpi=_DPI))
+    return path
 
 
 def _ranking(row: Row, place: str) -> Figure:
@@ -284,4 +285,5 @@ def _legend(figure: Figure, panel: Axes) -> None:
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    return save(figure, path, _DPI).path
+    figure.savefig(path, dpi=_DPI)
+    return path

@@ -17,8 +17,8 @@ from spectra_kit.evaluation.matching.runner import Run, Settings
 from spectra_kit.evaluation.matching.subjects import Subject, truth_between
 from spectra_kit.evaluation.matching.summaries import BAD, Name, Summary, counted, ranked
 from spectra_kit.evaluation.matching.table import Task
-from spectra_kit.viz import MatchedPair, plot_correspondences
-from spectra_kit.viz.sheet import LINE_COLOURS, save
+from spectra_kit.viz import MatchedPair, Page, View, plot_correspondences
+from spectra_kit.viz.axes import LINE_COLOURS
 
 _DASHES = ("-", "--", ":", "-.")
 _TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)  # less is drawn as the first
@@ -53,7 +53,8 @@ def draw_accuracy(run: Run, rows: Sequence[Summary], protocol: Protocol, path: P
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(color="0.92", lw=0.7)
     points.legend(frameon=False, fontsize=8, loc="lower right")
-    return save(figure, path, _DPI).path
+    figure.savefig(path, dpi=_DPI)
+    return path
 
 
 def draw_extremes(
@@ -77,7 +78,7 @@ def draw_extremes(
     name : (str, str, str)
         Kind, backend and method.
     up : {"y", "z"}, optional
-        As in `viz.plot_correspondences`.
+        As in `viz.View`.
 
     Returns
     -------
@@ -98,9 +99,11 @@ def draw_extremes(
             _drawn(settings, task, f"{what}: {counted(run.results[task], protocol):.2f}")
             for task, what in reversed(chosen.items())
         ],
-        up=up,
-        title=f"{name[2]}: {name[1]} spectra of {'meshes' if name[0] == 'mesh' else 'clouds'}",
-        subtitle=f"mean geodesic errors of {len(tasks)} pairs, in hundredths of √area",
+        view=View(up),
+        page=Page(
+            f"{name[2]}: {name[1]} spectra of {'meshes' if name[0] == 'mesh' else 'clouds'}",
+            f"mean geodesic errors of {len(tasks)} pairs, in hundredths of √area",
+        ),
     )
     return path
 

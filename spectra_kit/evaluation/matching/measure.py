@@ -24,7 +24,7 @@ from spectra_kit.evaluation.matching.methods import Outcome
 from spectra_kit.evaluation.matching.subjects import Subject, truth_between
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators import robust_laplacian
-from spectra_kit.operators.orientation import oriented_triangles
+from spectra_kit.operators.oriented import oriented_triangles
 
 Geodesics = Literal["edges", "exact"]
 
