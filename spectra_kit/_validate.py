@@ -44,7 +44,8 @@ def frozen(array: Array) -> Array:
     return view
 
 
-def _as_array(name: str, values: ArrayLike) -> NDArray[np.generic]:
+def as_array(name: str, values: ArrayLike) -> NDArray[np.generic]:
+    """Return `values` as an array of any kind."""
     try:
         return np.asarray(values)
     except ValueError as error:
@@ -53,7 +54,7 @@ def _as_array(name: str, values: ArrayLike) -> NDArray[np.generic]:
 
 def real_array(name: str, values: ArrayLike) -> Floats:
     """Return `values` as a finite C-ordered float64 array."""
-    array = _as_array(name, values)
+    array = as_array(name, values)
     if array.dtype.kind not in "fiu":
         raise InvalidInputError(name, "hold real numbers", f"dtype {array.dtype}")
     floats = np.asarray(array, dtype=np.float64, order="C")
@@ -71,7 +72,7 @@ def real_array(name: str, values: ArrayLike) -> Floats:
 
 def check_points(name: str, values: ArrayLike) -> Floats:
     """Return `values` as finite float64 points of shape (n, 3), n >= 1."""
-    array = _as_array(name, values)
+    array = as_array(name, values)
     _check_three_columns(name, array, "n")
     if len(array) == 0:
         raise InvalidInputError(name, "hold at least one point", f"shape {array.shape}")
@@ -87,7 +88,7 @@ def _check_three_columns(name: str, array: NDArray[np.generic], rows: str) -> No
 
 def check_indices(name: str, values: ArrayLike, n: int) -> Ints:
     """Return `values` as int64 indices into `n` points; any shape."""
-    array = _as_array(name, values)
+    array = as_array(name, values)
     huge = array.dtype == object and all(isinstance(value, int) for value in array.flat)
     if array.dtype.kind not in "iu" and not huge:
         raise InvalidInputError(
@@ -102,7 +103,7 @@ def check_indices(name: str, values: ArrayLike, n: int) -> Ints:
 
 def check_faces(name: str, values: ArrayLike, n: int) -> Ints:
     """Return `values` as int64 faces of shape (f, 3), f >= 1, indexing `n` points."""
-    array = _as_array(name, values)
+    array = as_array(name, values)
     _check_three_columns(name, array, "f")
     if len(array) == 0:
         raise InvalidInputError(
@@ -183,6 +184,8 @@ def _form(value: object) -> str:
     """Return the repr of a value, or the shape of an array that is not a handful of numbers."""
     if isinstance(value, np.ndarray) and value.size > _HANDFUL:
         return f"<{value.dtype} {value.shape}>"
+    if isinstance(value, tuple) and value and isinstance(value[0], Brief):
+        return f"<{len(value)} of {type(value[0]).__qualname__}>"
     if hasattr(value, "nnz"):
         return f"<sparse {value.shape}, {value.nnz} entries>"  # type: ignore[attr-defined]
     return repr(value)

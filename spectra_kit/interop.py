@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from spectra_kit._checked import checked
-from spectra_kit._validate import check_mass
+from spectra_kit._validate import as_array, check_mass
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.operators.laplacian import Laplacian, lumped_diagonal
@@ -145,7 +145,7 @@ def to_pyvista(geometry: Geometry, **point_arrays: ArrayLike | Spectrum) -> Any:
         made = pyvista.PolyData.from_regular_faces(made.points, np.array(geometry.faces))
     for name, values in point_arrays.items():
         spectral = isinstance(values, Spectrum)
-        array = np.array(values.eigenvectors if isinstance(values, Spectrum) else values)
+        array = as_array(name, values.eigenvectors if isinstance(values, Spectrum) else values)
         if array.ndim not in (1, 2) or len(array) != geometry.n or array.dtype.kind not in "fiub":
             raise InvalidInputError(
                 name,
