@@ -140,9 +140,10 @@ def to_pyvista(geometry: Geometry, **point_arrays: ArrayLike | Spectrum) -> Any:
     """
     import pyvista
 
-    made = pyvista.PolyData(np.array(geometry.points))
+    made: Any = pyvista.PolyData(np.array(geometry.points))
     if isinstance(geometry, TriangleMesh):
-        made = pyvista.PolyData.from_regular_faces(made.points, np.array(geometry.faces))
+        faces: Any = np.array(geometry.faces)
+        made = pyvista.PolyData.from_regular_faces(made.points, faces)
     for name, values in point_arrays.items():
         spectral = isinstance(values, Spectrum)
         array = as_array(name, values.eigenvectors if isinstance(values, Spectrum) else values)

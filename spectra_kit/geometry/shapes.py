@@ -24,6 +24,8 @@ _BLOCK = 1 << 16
 class _Shape(Rebuilt):
     """What both kinds share: what else they may be given as, and how they show themselves."""
 
+    points: Floats
+
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
         """Draw it; return the `viz.Picture`, which is written to `path` if there is one."""
         return draw("plot_fields", path, self, self._field())
