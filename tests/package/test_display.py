@@ -36,6 +36,7 @@ def test_geometries_and_spectra_draw_themselves(tmp_path: Path) -> None:
     for thing in (mesh, mesh.as_cloud(), sk.spectrum(mesh, 4)):
         thing.plot(tmp_path / "drawn.png")
         assert (tmp_path / "drawn.png").read_bytes().startswith(b"\x89PNG")
+        assert "image/png" in thing.plot()._repr_mimebundle_()
     assert mesh._repr_html_().startswith('<img src="data:image/png;base64,iVBOR')
 
 
