@@ -1,6 +1,5 @@
 """The public names, as type checkers see them and `spectra_kit.__getattr__` finds them."""
 
-from . import benchmarks as benchmarks
 from . import catalogue as catalogue
 from . import cli as cli
 from . import correspondence as correspondence
