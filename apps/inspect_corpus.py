@@ -9,19 +9,22 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit.errors import SpectraKitError
-from spectra_kit.geometry.shapes import TriangleMesh
+from spectra_kit.errors import InvalidInputError, SpectraKitError
+from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
+from spectra_kit.operators import delaunay_laplacian
+from spectra_kit.training.corpus import CorpusReport, claim, count, read_fingerprint
 from spectra_kit.training.families import FAMILIES
-from spectra_kit.training.samples import sample_mesh
-from spectra_kit.training.shards import open_shards
+from spectra_kit.training.samples import CorpusConfig, sample_mesh
+from spectra_kit.training.shards import Corpus, open_shards
 from spectra_kit.training.surfaces import join
-from spectra_kit.training.survey import Survey, read_config, survey
 from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.render import Scene, render
 
@@ -46,21 +49,136 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--pool-split", default="train", help="its split (%(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the choice (%(default)s)")
     options = parser.parse_args(argv)
-    pool = {"pool": options.pool, "pool_split": options.pool_split}
     try:
-        config = read_config(options.folder, **pool)
-        labels = open_shards(options.folder).labels
-        some = np.random.default_rng(options.seed).permutation(len(labels["index"]))[: options.n]
-        chosen = sorted(some, key=lambda i: labels["family"][i] % len(NAMES))
-        cells = [{name: int(label[i]) for name, label in labels.items()} for i in chosen]
+        config = read_config(options.folder, options.pool, options.pool_split)
+        corpus = open_shards(options.folder)
+        order = np.random.default_rng(options.seed).permutation(len(corpus))
+        some = sorted(order[: options.n], key=lambda i: corpus.labels["family"][i] % len(NAMES))
+        cells = labels_of(corpus, some)
         draw_sheet(options.sheet, [sample_mesh(config, cell) for cell in cells], cells)
-        found = survey(options.folder, n=options.surveyed, seed=options.seed, **pool)
+        found = survey(corpus, config, order[: options.surveyed])
     except SpectraKitError as error:
         print(f"inspect_corpus: {error}", file=sys.stderr)
         return 1
     options.sheet.with_suffix(".json").write_text(json.dumps(found.as_json(), indent=1) + "\n")
     print(table(found))
     return 0
+
+
+def read_config(folder: Path, pool: Path | None = None, pool_split: str = "train") -> CorpusConfig:
+    """Read the configuration that a corpus was made with; a pool is known by its content only."""
+    path = folder / "corpus.json"
+    if not path.is_file():
+        raise InvalidInputError("folder", "hold a corpus with its corpus.json", folder)
+    stored = read_fingerprint(path)
+    names = ("seed", "n_points", "k", "shard_size", "nonuniform", "pool_share")
+    values = {name: stored[name] for name in names if name in stored}
+    config = CorpusConfig(pool=pool, pool_split=pool_split, **values)
+    claim(folder, config)
+    return config
+
+
+def labels_of(corpus: Corpus, places: Sequence[int]) -> list[dict[str, int]]:
+    """Return what the samples at these places of a corpus are."""
+    return [{name: int(label[i]) for name, label in corpus.labels.items()} for i in places]
+
+
+@dataclass(frozen=True)
+class Topology:
+    """Parts, boundary and genus of a mesh; the genus, of all parts, where it is closed."""
+
+    parts: int
+    closed: bool
+    boundary: bool
+    genus: int | None
+
+
+def topology(mesh: TriangleMesh) -> Topology:
+    """Find parts, boundary and genus; corners a millionth apart count as one."""
+    size = float(np.ptp(mesh.points, axis=0).max()) or 1.0
+    rounded = mesh.with_points(np.round(mesh.points / (1e-6 * size)) + 0.0)
+    whole = rounded.with_merged_vertices()
+    proper = (whole.faces != np.roll(whole.faces, 1, axis=1)).all(axis=1)
+    whole = TriangleMesh(whole.points, whole.faces[proper]).without_unreferenced()
+    edges, faces_of_edge = whole.unique_edges
+    parts, closed = int(whole.component_labels.max()) + 1, bool((faces_of_edge == 2).all())
+    twice = 2 * parts - (whole.n - len(edges) + len(whole.faces))  # Euler: 2 - 2 g for each part
+    genus = twice // 2 if closed and twice >= 0 and twice % 2 == 0 else None
+    return Topology(parts, closed, bool((faces_of_edge == 1).any()), genus)
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """Statistics of a corpus.
+
+    Parameters
+    ----------
+    counts : CorpusReport
+        Of all samples.
+    nonuniform : float
+        Fraction of all samples whose points crowd.
+    topologies : tuple of Topology
+        Of the surfaces of some samples.
+    eigenvalues : ndarray of shape (s, k)
+        Of the same samples, times their area, so without unit.
+    """
+
+    counts: CorpusReport
+    nonuniform: float
+    topologies: tuple[Topology, ...]
+    eigenvalues: NDArray[np.float64]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything that can be told in numbers, fractions of the surveyed samples."""
+        genus = [t.genus for t in self.topologies if t.genus is not None]
+        weyl = self.eigenvalues[:, 1:] / (4 * np.pi * np.arange(1, self.eigenvalues.shape[1]))
+        return {
+            "samples": self.counts.samples,
+            "families": self.counts.families,
+            "rejected": self.counts.rejected,
+            "nonuniform": self.nonuniform,
+            "surveyed": len(self.topologies),
+            "closed": float(np.mean([t.closed for t in self.topologies])),
+            "boundary": float(np.mean([t.boundary for t in self.topologies])),
+            "several_parts": float(np.mean([t.parts > 1 for t in self.topologies])),
+            "genus": {str(g): genus.count(g) for g in sorted(set(genus))},
+            "lambda_1_area": _spread(self.eigenvalues[:, 1]),
+            "weyl_ratio": {f"mode {i + 1}": _spread(weyl[:, i]) for i in _some(weyl.shape[1])},
+        }
+
+
+def survey(corpus: Corpus, config: CorpusConfig, places: Sequence[int]) -> Survey:
+    """Look at all labels of a corpus, and at surfaces and spectra of the samples at `places`.
+
+    Eigenvalues are the Rayleigh quotients of the stored modes. A tenth of a second each.
+    """
+    batch = corpus.batch(places)
+    clouds = zip(batch.points, batch.eigenvectors, strict=True)
+    return Survey(
+        counts=count(corpus.labels),
+        nonuniform=float(corpus.labels["nonuniform"].mean()),
+        topologies=tuple(topology(sample_mesh(config, one)) for one in labels_of(corpus, places)),
+        eigenvalues=np.array([_eigenvalues(points, modes) for points, modes in clouds]),
+    )
+
+
+def _eigenvalues(points: NDArray, modes: NDArray) -> NDArray[np.float64]:
+    """Eigenvalues (k,) times area of a cloud whose modes (n, k) are known."""
+    laplacian, U = delaunay_laplacian(PointCloud(points)), modes.astype(np.float64)
+    energy = np.sum(U * (laplacian.stiffness @ U), axis=0)
+    norm = np.sum(U * (laplacian.mass[:, None] * U), axis=0)
+    return energy / norm * laplacian.area
+
+
+def _spread(values: NDArray[np.float64]) -> dict[str, float]:
+    low, middle, high = np.quantile(values, [0.05, 0.5, 0.95])
+    ends = {"min": values.min(), "5%": low, "median": middle, "95%": high, "max": values.max()}
+    return {name: float(value) for name, value in ends.items()}
+
+
+def _some(k: int) -> list[int]:
+    """A few places of k, ever further apart."""
+    return [i for i in (0, 1, 3, 9, 19, 39, 59, 79) if i < k] + [k - 1]
 
 
 def draw_sheet(path: Path, meshes: Sequence[TriangleMesh], cells: Sequence[dict[str, int]]) -> None:

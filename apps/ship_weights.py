@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from safetensors.torch import save_file
 
 from spectra_kit._files import atomic_path
 from spectra_kit.errors import SpectraKitError
 from spectra_kit.neo.pretrained import load_pretrained, save_weights
-from spectra_kit.neo.safetensors_file import pack
 from spectra_kit.subspaces.frame import canonical_frame
 
 ROOT = Path(__file__).parents[1]
@@ -30,8 +30,8 @@ def ship(name: str, weights: Path, root: Path) -> str:
     points, mass = _cloud()
     with torch.no_grad():
         basis = load_pretrained(path).network(points[None], mass[None])[0]
-    with atomic_path(root / "tests" / "golden" / file) as golden:
-        golden.write_bytes(pack({"points": points, "mass": mass, "basis": basis}, {}))
+    with atomic_path(root / "tests" / "neo" / "golden" / file) as golden:
+        save_file({"points": points, "mass": mass, "basis": basis}, golden)
     return digest
 
 

@@ -1,6 +1,6 @@
 """Draw the architecture: what flows through the toolkit, and which package may import which.
 
-The rows are those of ``tests/package/test_architecture.py``, so the picture shows what is enforced::
+The rows are those of ``tests/package/test_architecture.py``: the picture shows what is enforced::
 
     python docs/architecture.py docs/pictures/architecture.svg
 """
@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[1]
 #: What each package is for: its colour, and a few words.
 PURPOSE = {
     "errors": ("base", "what is raised"),
+    "catalogue": ("base", "all names"),
     "geometry": ("input", "meshes, clouds, files,\nrepair, sampling"),
     "linalg": ("base", "factors, iterations,\ncoarse spaces"),
     "operators": ("input", "Laplacian: L, M"),
@@ -40,7 +41,6 @@ PURPOSE = {
     "explorer": ("see", "a page to turn\nand click"),
     "cli": ("see", "spectra-kit"),
     "benchmarks": ("study", "time and accuracy\nof solvers"),
-    "evaluation": ("study", "networks and maps,\nby protocol"),
 }
 #: The way of the data: what it is at each stage, and the call that takes it to the next.
 FLOW = (

@@ -3,7 +3,6 @@
 Nothing is fetched, neither while the pages are built nor when they are read.
 """
 
-import os
 import sys
 from pathlib import Path
 
@@ -49,11 +48,11 @@ numpydoc_xref_aliases = {name: f"sk.{name}" for name in dir(spectra_kit) if name
 myst_heading_anchors = 3
 myst_enable_extensions = ["attrs_block", "colon_fence"]
 # Notebooks are committed without outputs: they are run once, and again when their code changes.
-# Where a test has run them, the copies that it left are shown as they are.
-nb_execution_mode = "off" if os.environ.get("SPECTRA_KIT_EXECUTED_NOTEBOOKS") else "cache"
+nb_execution_mode = "cache"
 nb_execution_in_temp = True  # for what they write
 nb_execution_timeout = 300  # seconds of one cell
 nb_execution_raise_on_error = True
+nb_output_stderr = "error"  # a warning of a cell is one of the build
 nb_merge_streams = True
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True

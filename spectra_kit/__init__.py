@@ -33,12 +33,12 @@ __version__ = VERSION
 
 if TYPE_CHECKING:
     from spectra_kit import benchmarks as benchmarks
+    from spectra_kit import catalogue as catalogue
     from spectra_kit import cli as cli
     from spectra_kit import correspondence as correspondence
     from spectra_kit import descriptors as descriptors
     from spectra_kit import eigensolvers as eigensolvers
     from spectra_kit import errors as errors
-    from spectra_kit import evaluation as evaluation
     from spectra_kit import explorer as explorer
     from spectra_kit import functional_maps as functional_maps
     from spectra_kit import geodesics as geodesics
@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from spectra_kit import viz as viz
     from spectra_kit.eigensolvers import Arpack as Arpack
     from spectra_kit.eigensolvers import Capped as Capped
+    from spectra_kit.eigensolvers import Chebyshev as Chebyshev
     from spectra_kit.eigensolvers import Dense as Dense
     from spectra_kit.eigensolvers import Lobpcg as Lobpcg
     from spectra_kit.eigensolvers import Multilevel as Multilevel
@@ -64,11 +65,13 @@ if TYPE_CHECKING:
     from spectra_kit.eigensolvers import RayleighRitz as RayleighRitz
     from spectra_kit.eigensolvers import Refined as Refined
     from spectra_kit.eigensolvers import eigensolve as eigensolve
+    from spectra_kit.eigensolvers import spectrum as spectrum
     from spectra_kit.eigensolvers import verify as verify
     from spectra_kit.errors import ConvergenceError as ConvergenceError
     from spectra_kit.errors import DoubtfulDistanceWarning as DoubtfulDistanceWarning
     from spectra_kit.errors import DoubtfulMatchWarning as DoubtfulMatchWarning
     from spectra_kit.errors import DoubtfulSpectrumWarning as DoubtfulSpectrumWarning
+    from spectra_kit.errors import InvalidFileError as InvalidFileError
     from spectra_kit.errors import InvalidInputError as InvalidInputError
     from spectra_kit.errors import InvalidSpectrumError as InvalidSpectrumError
     from spectra_kit.errors import MissingDependencyError as MissingDependencyError
@@ -80,6 +83,7 @@ if TYPE_CHECKING:
     from spectra_kit.geodesics import geodesic_distance as geodesic_distance
     from spectra_kit.geometry import PointCloud as PointCloud
     from spectra_kit.geometry import TriangleMesh as TriangleMesh
+    from spectra_kit.geometry import as_geometry as as_geometry
     from spectra_kit.geometry import read as read
     from spectra_kit.geometry import write as write
     from spectra_kit.matching import Match as Match
@@ -91,6 +95,7 @@ if TYPE_CHECKING:
     from spectra_kit.operators import delaunay_laplacian as delaunay_laplacian
     from spectra_kit.operators import intrinsic_delaunay as intrinsic_delaunay
     from spectra_kit.operators import knn_laplacian as knn_laplacian
+    from spectra_kit.operators import laplacian as laplacian
     from spectra_kit.operators import robust_laplacian as robust_laplacian
     from spectra_kit.spectra import Certificate as Certificate
     from spectra_kit.spectra import ModeCount as ModeCount
@@ -105,19 +110,20 @@ if TYPE_CHECKING:
 # little starts at once, torch and pyvista wait, and `help` does not go on for thousands of lines.
 _NAMES = {
     "eigensolvers": (
-        "Arpack Capped Dense Lobpcg Multilevel Neo Polished RayleighRitz Refined eigensolve verify"
+        "Arpack Capped Chebyshev Dense Lobpcg Multilevel Neo Polished RayleighRitz Refined "
+        "eigensolve spectrum verify"
     ),
     "errors": (
         "ConvergenceError DoubtfulDistanceWarning DoubtfulMatchWarning DoubtfulSpectrumWarning "
-        "InvalidInputError InvalidSpectrumError MissingDependencyError OutOfMemoryError "
-        "SpectraKitError SpectraKitWarning WeightsError"
+        "InvalidFileError InvalidInputError InvalidSpectrumError MissingDependencyError "
+        "OutOfMemoryError SpectraKitError SpectraKitWarning WeightsError"
     ),
     "geodesics": "HeatGeodesics geodesic_distance",
-    "geometry": "PointCloud TriangleMesh read write",
+    "geometry": "PointCloud TriangleMesh as_geometry read write",
     "matching": "Match Prepared match prepare",
     "operators": (
         "Laplacian cotan_laplacian delaunay_laplacian intrinsic_delaunay knn_laplacian "
-        "robust_laplacian"
+        "laplacian robust_laplacian"
     ),
     "spectra": "Certificate ModeCount Provenance Spectrum",
     "subspaces": "AmbientFourier GivenBasis RandomBasis Union",

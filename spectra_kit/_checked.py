@@ -1,16 +1,17 @@
 """The annotations of public functions, held at run time: arguments of a wrong kind are refused.
 
 A kind is what an annotation tells: a `Laplacian`, an integer, one of some words. What it cannot
-tell (ranges, shapes) is checked inside, by `_validate`.
+tell (ranges, shapes) is checked inside, by `_validate`. A class with a static method ``_made_of``
+says what else it may be given as: that is how files and other toolkits' meshes become geometries.
 """
 
 from __future__ import annotations
 
 import inspect
 import os
-import re
 import typing
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import wraps
 from itertools import chain, repeat
 from types import UnionType
@@ -29,7 +30,7 @@ def checked(target: Target) -> Target:
     """Refuse arguments of the wrong kind, by name, where `target` is called.
 
     Of a class: those of its constructor and of its public methods. ``Annotated[X, Y]`` is an X that
-    may be given as a Y. The number of arguments is left to Python.
+    may be given as a Y.
 
     Examples
     --------
@@ -62,27 +63,54 @@ def _checked_function(function: Callable[..., Any]) -> Callable[..., Any]:
         nonlocal signature
         if signature is None:  # at the first call: annotations may name what is defined below
             signature = _signature(function)
-        positional, rest, kinds = signature
+        positional, rest, named, kinds = signature
+        if len(args) > len(positional) and named and not rest:
+            called = function.__qualname__.removesuffix(".__init__")
+            raise InvalidInputError(
+                f"{called} takes its options by name", advice=f"write {called}({named}=...)"
+            )
         given = [*zip(chain(positional, repeat(rest)), args, strict=False), *options.items()]
-        for name, value in given:
+        for i, (name, value) in enumerate(given):
             kind = kinds.get(name)
-            if kind is not None and not kind.accepts(value):
-                raise InvalidInputError(_refusal(name, value, kinds, dict(given)))
+            if kind is None or kind.accepts(value):
+                continue
+            made = _made(name, value, kinds, dict(given))
+            if i < len(args):
+                args = (*args[:i], made, *args[i + 1 :])
+            else:
+                options[name] = made
         return function(*args, **options)
 
     return call
 
 
-class _Kind(NamedTuple):
-    """What an argument may be: in words that follow "must", and as a test."""
+@dataclass(frozen=True)
+class _Kind:
+    """What an argument may be: in words, and as a test."""
 
-    words: str
+    words: tuple[str, ...]  # each is enough: "Laplacian", "'upper'", "None"
     accepts: Callable[[Any], bool]
+    article: bool = True  # before the first word
+    several: str = "values"  # what to call more than one
+    of: Literal["itself", "numbers", "items"] = "itself"  # what it is made of
+    lack: str = ""  # of what is no such thing
+    advice: str = ""
+    made_of: Callable[[Any], Any] | None = None  # makes it of other things
+
+    @property
+    def expected(self) -> str:
+        """What follows "must"."""
+        *words, last = self.words
+        listed = f"{', '.join(words)} or {last}" if words else last
+        if self.of == "numbers":
+            return f"hold {listed}"
+        return f"be {_with_article(listed) if self.article else listed}"
 
 
 class _Signature(NamedTuple):
     positional: list[str]
     rest: str  # of ``*args``
+    named: str  # the first argument that is given by its name alone
     kinds: dict[str, _Kind]
 
 
@@ -90,6 +118,7 @@ class _Torch:
     """Stands for torch in annotations: it is imported only where something is computed with it."""
 
     Tensor = dtype = Any
+    device = NewType("device", object)
 
 
 def _signature(function: Callable[..., Any]) -> _Signature:
@@ -101,9 +130,14 @@ def _signature(function: Callable[..., Any]) -> _Signature:
         if hints.get(p.name) is float and (record or p.default != p.default):
             hints[p.name] = _NUMBER_OR_NAN
     kinds = {p.name: _kind(hints.get(p.name, Any)) for p in parameters}
+
+    def names(kind: Any) -> list[str]:
+        return [p.name for p in parameters if p.kind is kind]
+
     return _Signature(
-        [p.name for p in parameters if p.kind is p.POSITIONAL_OR_KEYWORD],
-        next((p.name for p in parameters if p.kind is p.VAR_POSITIONAL), ""),
+        names(inspect.Parameter.POSITIONAL_OR_KEYWORD),
+        "".join(names(inspect.Parameter.VAR_POSITIONAL)),
+        "".join(names(inspect.Parameter.KEYWORD_ONLY)[:1]),
         {name: kind for name, kind in kinds.items() if kind is not None},
     )
 
@@ -121,11 +155,12 @@ def _kind(hint: Any) -> _Kind | None:
     if origin is Annotated:  # what follows the type may be given instead of it
         said, *others = map(_kind, args)
         accepted = [kind.accepts for kind in (said, *others) if kind is not None]
-        return said and _Kind(said.words, lambda v: any(accepts(v) for accepts in accepted))
+        return said and replace(said, accepts=lambda v: any(accepts(v) for accepts in accepted))
     if origin is Literal:
         return _Kind(
-            f"be {_listed([repr(a) for a in args])}",
+            tuple(map(repr, args)),
             lambda v: any(type(v) is type(a) and v == a for a in args),
+            article=False,
         )
     base = hint if origin is None else origin
     if not isinstance(base, type) or base is object:
@@ -133,7 +168,7 @@ def _kind(hint: Any) -> _Kind | None:
     if base is np.ndarray:
         return _numbers(_letters(typing.get_args(args[1])[0]), scalar=False)
     if origin is Callable:
-        return _Kind("be a function", lambda v: callable(v) and not isinstance(v, type))
+        return _Kind(("function",), lambda v: callable(v) and not isinstance(v, type))
     if issubclass(base, tuple) and args:
         return _sequence(base, args)
     if issubclass(base, Mapping) and args:
@@ -141,12 +176,17 @@ def _kind(hint: Any) -> _Kind | None:
     if issubclass(base, Sequence) and args:
         return _sequence(base, (*args, ...))
     if issubclass(base, sparse.sparray):
-        return _Kind("be a scipy sparse array", sparse.issparse)
+        return _Kind(("scipy sparse array",), sparse.issparse, several="scipy sparse arrays")
     if issubclass(base, os.PathLike):
-        return _Kind("be a path", lambda v: isinstance(v, str | os.PathLike))
+        return _Kind(("path",), lambda v: isinstance(v, str | os.PathLike), several="paths")
+    lack, advice = _ADVICE.get(base.__name__, ("", ""))
     return _Kind(
-        f"be {_with_article(base.__name__)}",
+        (base.__name__,),
         lambda v: isinstance(v, base) and not isinstance(v, type),
+        several=f"{base.__name__}s",
+        lack=lack,
+        advice=advice,
+        made_of=getattr(base, "_made_of", None),
     )
 
 
@@ -162,15 +202,19 @@ def _is_number(value: Any) -> bool:
 
 
 _NUMBER_OR_NAN = NewType("_NUMBER_OR_NAN", float)
+_NONE = _Kind(("None",), lambda v: v is None, article=False)
+_NUMBER = _Kind(("number",), _is_number, several="numbers")
 _SCALARS = {
     Any: None,
-    None: _Kind("be None", lambda v: v is None),
-    type(None): _Kind("be None", lambda v: v is None),
-    bool: _Kind("be True or False", lambda v: isinstance(v, bool | np.bool_)),
-    int: _Kind("be an integer", _is_integer),
-    float: _Kind("be a number", lambda v: _is_number(v) and v == v),
-    _NUMBER_OR_NAN: _Kind("be a number", _is_number),
-    str: _Kind("be a string", lambda v: isinstance(v, str)),
+    None: _NONE,
+    type(None): _NONE,
+    bool: _Kind(("True", "False"), lambda v: isinstance(v, bool | np.bool_), article=False),
+    int: _Kind(("integer",), _is_integer, several="integers"),
+    float: replace(_NUMBER, accepts=lambda v: _is_number(v) and v == v),
+    _NUMBER_OR_NAN: _NUMBER,
+    str: _Kind(("string",), lambda v: isinstance(v, str), several="strings"),
+    # Recognised by its name: torch is not imported for it.
+    _Torch.device: _Kind(("torch.device",), lambda v: str(type(v)) == "<class 'torch.device'>"),
 }
 _ARRAY_LIKE = set(typing.get_args(ArrayLike))
 
@@ -196,21 +240,24 @@ def _numbers(letters: str, *, scalar: bool = True) -> _Kind:
             return False
         return array.dtype.kind in letters or (array.size == 0 and array.dtype.kind == "f")
 
-    words = "integers" if "f" not in letters else "real numbers"
-    return _Kind(f"hold {words}", accepts)
+    if "f" in letters:
+        return _Kind(("real numbers",), accepts, several="arrays of real numbers", of="numbers")
+    return _Kind(
+        ("integers",), accepts, several="arrays of integers", of="numbers", advice="count from 0"
+    )
 
 
 def _either(kinds: Sequence[_Kind | None]) -> _Kind | None:
     """Return the kind of what is one of several; what holds others is told apart inside."""
     some = [kind for kind in kinds if kind is not None]
-    proper = [kind.words for kind in some if kind.words != "be None"]
-    held = any(" of " in words or words.startswith("hold ") for words in proper)
-    if len(some) < len(kinds) or (held and len(proper) > 1):
+    proper = [kind for kind in some if kind is not _NONE]
+    if len(some) < len(kinds) or (len(proper) > 1 and any(k.of != "itself" for k in proper)):
         return None
-    first, *others = (kind.words for kind in some)
-    plain = [re.sub("^be (an? )?", "", words) for words in others]
-    alternatives = [*first.replace(" or ", ", ").split(", "), *plain]
-    return _Kind(_listed(alternatives), lambda v: any(kind.accepts(v) for kind in some))
+    return replace(
+        some[0],
+        words=tuple(word for kind in some for word in kind.words),
+        accepts=lambda v: any(kind.accepts(v) for kind in some),
+    )
 
 
 def _sequence(base: type, args: tuple[Any, ...]) -> _Kind:
@@ -226,7 +273,8 @@ def _sequence(base: type, args: tuple[Any, ...]) -> _Kind:
         return all(k is None or k.accepts(v) for k, v in zip(each, value, strict=False))
 
     size = "" if several else f"{len(kinds)} "
-    return _Kind(f"be a {base.__name__.lower()} of {size}{_plural(kinds[0])}", accepts)
+    words = f"{base.__name__.lower()} of {size}{_several(kinds[0])}"
+    return _Kind((words,), accepts, of="items", advice=kinds[0].advice if kinds[0] else "")
 
 
 def _mapping(args: tuple[Any, ...]) -> _Kind:
@@ -238,47 +286,60 @@ def _mapping(args: tuple[Any, ...]) -> _Kind:
             for k, v in value.items()
         )
 
-    return _Kind(f"be a mapping of {_plural(key)} to {_plural(item)}", accepts)
+    words = f"mapping of {_several(key)} to {_several(item)}"
+    return _Kind((words,), accepts, of="items", advice=item.advice if item else "")
 
 
-def _plural(kind: _Kind | None) -> str:
-    if kind is None:
-        return "values"
-    noun = re.sub("^be an? ", "", kind.words)
-    return f"{noun}s" if noun != kind.words else kind.words.replace("hold", "arrays of")
+def _several(kind: _Kind | None) -> str:
+    return "values" if kind is None else kind.several
 
 
+#: By the name of a class: what others lack to be of it, and what to do.
 _ADVICE = {
-    "Laplacian": "; build one with robust_laplacian(geometry)",
-    "Spectrum": "; solve for one: eigensolve(robust_laplacian(mesh), 50)",
-    "TriangleMesh or PointCloud": "; wrap bare arrays in one of them",
-    "Eigensolver": ", which has no method eigenpairs(laplacian, k); pass one such as Arpack()",
-    "Subspace": ", which is no function of points and mass; pass one such as"
-    " AmbientFourier() or Neo().subspace, or wrap columns that you have in GivenBasis(columns)",
-    "Truth": "; where a point map is the truth, Truth.of_map(point_map)",
-    "MapErrors": ", which does not say at which points they are; pass map_errors(source, point_map,"
-    " truth), or MapErrors(errors, points)",
-    "integers": "; count from 0",
+    "Laplacian": ("", "build one with laplacian(geometry)"),
+    "Spectrum": ("", "solve for one: spectrum(mesh, 50)"),
+    "Eigensolver": ("which has no method eigenpairs(laplacian, k)", "pass one such as Arpack()"),
+    "Subspace": (
+        "which is no function of points and mass",
+        "pass one such as AmbientFourier() or Neo().subspace, or wrap columns that you have in"
+        " GivenBasis(columns)",
+    ),
+    "Truth": ("", "where a point map is the truth, Truth.of_map(point_map)"),
+    "MapErrors": (
+        "which does not say at which points they are",
+        "pass map_errors(source, point_map, truth), or MapErrors(errors, points)",
+    ),
 }
 
 
-def _refusal(name: str, value: Any, kinds: Mapping[str, _Kind], given: Mapping[str, Any]) -> str:
-    """Say what the argument must be, what arrived, and what to do."""
+_RAGGED = "rows of several lengths"
+
+
+def _made(name: str, value: Any, kinds: Mapping[str, _Kind], given: Mapping[str, Any]) -> Any:
+    """Return what the argument must be, made of what arrived; else raise, and say what to do."""
     kind = kinds[name]
-    if kind.words.startswith("hold ") and isinstance(value, list | tuple):
-        try:
-            np.asarray(value)
-        except ValueError as error:
-            return f"`{name}` must have rows of one length ({error})"
-    said = f"`{name}` must {kind.words}, got {_described(value, kind)}"
+    got, lack, advice = _described(value, kind), kind.lack, kind.advice
+    if got == _RAGGED:
+        raise InvalidInputError(name, "have rows of one length", got)
     for other in kinds.keys() & given.keys() - {name}:
         if kinds[other].accepts(value) and kind.accepts(given[other]):
-            return f"{said}; did you swap it with `{other}`?"
+            raise InvalidInputError(
+                name, kind.expected, got, advice=f"did you swap it with `{other}`?"
+            )
     if isinstance(value, type):
-        return f"{said}; pass an instance of it"
-    if isinstance(value, int) and abs(value) > 2**62:
-        return f"{said}, which takes more than 64 bits"
-    return said + next((text for word, text in _ADVICE.items() if word in kind.words), "")
+        lack, advice = "", "pass an instance of it"
+    elif isinstance(value, int) and abs(value) > 2**62:
+        got, advice = f"{got}, which takes more than 64 bits", ""
+    elif kind.made_of is not None:
+        try:
+            made = kind.made_of(value)
+        except InvalidInputError as error:
+            advice = error.advice if error.argument == "thing" else str(error)
+            raise InvalidInputError(name, kind.expected, got, advice=advice) from error
+        if kind.accepts(made):
+            return made
+        got = f"{got}, which holds a {type(made).__name__}"
+    raise InvalidInputError(name, kind.expected, f"{got}, {lack}" if lack else got, advice=advice)
 
 
 def _described(value: Any, kind: _Kind) -> str:
@@ -286,17 +347,15 @@ def _described(value: Any, kind: _Kind) -> str:
         return f"the class {value.__name__}"
     if value is None or isinstance(value, bool | int | float | complex | str | np.generic):
         return repr(value) if len(repr(value)) < 60 else f"a long {type(value).__name__}"
-    if kind.words.startswith("hold ") and isinstance(value, np.ndarray | list | tuple):
-        return f"dtype {np.asarray(value).dtype}"
-    if " of " in kind.words and isinstance(value, Sequence | Mapping) and len(repr(value)) < 60:
+    if kind.of == "numbers" and isinstance(value, np.ndarray | list | tuple):
+        try:
+            return f"dtype {np.asarray(value).dtype}"
+        except ValueError:
+            return _RAGGED
+    if kind.of == "items" and isinstance(value, Sequence | Mapping) and len(repr(value)) < 60:
         return repr(value)
     return _with_article(type(value).__name__)
 
 
 def _with_article(name: str) -> str:
     return f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"
-
-
-def _listed(words: Sequence[str]) -> str:
-    """Return words as a list that ends in "or"."""
-    return " or ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]

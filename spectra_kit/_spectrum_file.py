@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._files import atomic_path, parsing
+from spectra_kit.catalogue import SOLVERS
 from spectra_kit.errors import InvalidInputError
 
-FORMAT_VERSION = 3  # 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`
+# 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`
+FORMAT_VERSION = 4
 _ARRAYS = ("eigenvalues", "eigenvectors", "mass")
 _RESIDUALS = ("residuals", "relative_residuals")
 _ALIGNMENT = 64
@@ -68,7 +70,7 @@ def read_spectrum_file(
                 f"{path} has format version {header['version']}, this spectra_kit reads up to"
                 f" {FORMAT_VERSION}; upgrade it"
             )
-        certificate, provenance = header["certificate"], dict(header["provenance"])
+        certificate, provenance = header["certificate"], _named(header["provenance"])
         if certificate is not None:
             certificate |= {name: _read_member(archive, name) for name in _RESIDUALS}
         arrays = {
@@ -76,6 +78,20 @@ def read_spectrum_file(
             for name in _ARRAYS
         }
     return arrays, certificate, provenance
+
+
+def _named(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the provenance with the name of the solver, and its accuracy.
+
+    Files before version 4 tell the name in the solver's repr alone, before version 3 the accuracy
+    nowhere.
+    """
+    made = str(provenance["solver"])
+    name = "" if made == "user" else made.partition("(")[0].lower()
+    if made.startswith("RayleighRitz(subspace=AmbientFourier("):
+        name = "fourier"
+    accuracy = SOLVERS[name].accuracy if name in SOLVERS else ""
+    return {"name": name, "accuracy": accuracy, **provenance}
 
 
 def _write_member(archive: zipfile.ZipFile, name: str, array: NDArray[Any]) -> None:

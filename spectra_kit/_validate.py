@@ -47,21 +47,23 @@ def _as_array(name: str, values: ArrayLike) -> NDArray[np.generic]:
     try:
         return np.asarray(values)
     except ValueError as error:
-        raise InvalidInputError(f"`{name}` must have rows of one length ({error})") from error
+        raise InvalidInputError(name, f"have rows of one length ({error})") from error
 
 
 def real_array(name: str, values: ArrayLike) -> Floats:
     """Return `values` as a finite C-ordered float64 array."""
     array = _as_array(name, values)
     if array.dtype.kind not in "fiu":
-        raise InvalidInputError(f"`{name}` must hold real numbers, got dtype {array.dtype}")
+        raise InvalidInputError(name, "hold real numbers", f"dtype {array.dtype}")
     floats = np.asarray(array, dtype=np.float64, order="C")
     bad = ~np.isfinite(floats)
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])
         raise InvalidInputError(
-            f"`{name}` must be finite, got {quantity(bad.sum(), 'NaN or infinite value')},"
-            f" the first at {first}" + ("; leave such rows out" if floats.ndim == 2 else "")
+            name,
+            "be finite",
+            f"{quantity(bad.sum(), 'NaN or infinite value')}, the first at {first}",
+            advice="leave such rows out" if floats.ndim == 2 else "",
         )
     return floats
 
@@ -71,14 +73,15 @@ def check_points(name: str, values: ArrayLike) -> Floats:
     array = _as_array(name, values)
     _check_three_columns(name, array, "n")
     if len(array) == 0:
-        raise InvalidInputError(f"`{name}` must hold at least one point, got shape {array.shape}")
+        raise InvalidInputError(name, "hold at least one point", f"shape {array.shape}")
     return real_array(name, array)
 
 
 def _check_three_columns(name: str, array: NDArray[np.generic], rows: str) -> None:
     if array.ndim != 2 or array.shape[1] != 3:
-        hint = "; did you pass its transpose?" if array.ndim == 2 and len(array) == 3 else ""
-        raise InvalidInputError(f"`{name}` must have shape ({rows}, 3), got {array.shape}{hint}")
+        turned = array.ndim == 2 and len(array) == 3
+        hint = "did you pass its transpose?" if turned else ""
+        raise InvalidInputError(name, f"have shape ({rows}, 3)", array.shape, advice=hint)
 
 
 def check_indices(name: str, values: ArrayLike, n: int) -> Ints:
@@ -87,12 +90,12 @@ def check_indices(name: str, values: ArrayLike, n: int) -> Ints:
     huge = array.dtype == object and all(isinstance(value, int) for value in array.flat)
     if array.dtype.kind not in "iu" and not huge:
         raise InvalidInputError(
-            f"`{name}` must hold integers, got dtype {array.dtype}; count from 0"
+            name, "hold integers", f"dtype {array.dtype}", advice="count from 0"
         )
     if array.size and (array.min() < 0 or array.max() >= n):
         worst = int(array.min()) if array.min() < 0 else int(array.max())
-        hint = "; indices count from 0" if array.min() >= 1 and array.max() == n else ""
-        raise InvalidInputError(f"`{name}` must be in [0, {n}), got {worst}{hint}")
+        hint = "indices count from 0" if array.min() >= 1 and array.max() == n else ""
+        raise InvalidInputError(name, f"be in [0, {n})", worst, advice=hint)
     return np.asarray(array, dtype=np.int64, order="C")
 
 
@@ -102,8 +105,10 @@ def check_faces(name: str, values: ArrayLike, n: int) -> Ints:
     _check_three_columns(name, array, "f")
     if len(array) == 0:
         raise InvalidInputError(
-            f"`{name}` must hold at least one triangle, got shape {array.shape};"
-            " use PointCloud for bare points"
+            name,
+            "hold at least one triangle",
+            f"shape {array.shape}",
+            advice="use PointCloud for bare points",
         )
     return check_indices(name, array, n)
 
@@ -111,13 +116,15 @@ def check_faces(name: str, values: ArrayLike, n: int) -> Ints:
 def check_mass(name: str, values: ArrayLike, n: int) -> Floats:
     """Return `values` as n positive float64 weights."""
     if np.shape(values) != (n,):
-        raise InvalidInputError(f"`{name}` must have shape ({n},), got {np.shape(values)}")
+        raise InvalidInputError(name, f"have shape ({n},)", np.shape(values))
     array = real_array(name, values)
     if not (array > 0).all():
         raise InvalidInputError(
-            f"`{name}` must be positive, got {quantity((array <= 0).sum(), 'entry')} <= 0"
-            f" (smallest {array.min():.3g}); drop unreferenced vertices with"
-            " `mesh.without_unreferenced()` or duplicate points with `cloud.without_duplicates()`"
+            name,
+            "be positive",
+            f"{quantity((array <= 0).sum(), 'entry')} <= 0 (smallest {array.min():.3g})",
+            advice="drop unreferenced vertices with {} or duplicate points with {}",
+            remedies=("mesh.without_unreferenced()", "cloud.without_duplicates()"),
         )
     return array
 
@@ -125,21 +132,21 @@ def check_mass(name: str, values: ArrayLike, n: int) -> Floats:
 def check_count(name: str, value: int, *, low: int, high: int | None = None) -> int:
     """Return the integer `value` if ``low <= value <= high``."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise InvalidInputError(f"`{name}` must be an integer, got {value!r}")
+        raise InvalidInputError(name, "be an integer", repr(value))
     if high is None and value >= 2**63:
-        raise InvalidInputError(f"`{name}` must fit into 64 bits, got {value}")
+        raise InvalidInputError(name, "fit into 64 bits", value)
     if value < low or (high is not None and value > high):
         bound = f"at least {low}" if high is None else f"in [{low}, {high}]"
-        raise InvalidInputError(f"`{name}` must be {bound}, got {value}")
+        raise InvalidInputError(name, f"be {bound}", value)
     return int(value)
 
 
 def check_positive(name: str, value: float) -> float:
     """Return `value` if it is a finite number above zero."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise InvalidInputError(f"`{name}` must be a number, got {value!r}")
+        raise InvalidInputError(name, "be a number", repr(value))
     if not (np.isfinite(value) and value > 0):
-        raise InvalidInputError(f"`{name}` must be positive and finite, got {value!r}")
+        raise InvalidInputError(name, "be positive and finite", repr(value))
     return float(value)
 
 

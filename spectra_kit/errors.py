@@ -8,6 +8,7 @@ or makes them errors.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -66,7 +67,9 @@ class InvalidInputError(SpectraKitError, ValueError):
         What it must be or do: "be positive", "have shape (n, 3)".
     got : object, optional
         What arrived, as it is to be shown.
-    advice, remedies
+    advice : str, optional
+        As in `SpectraKitError`.
+    remedies : tuple of str, optional
         As in `SpectraKitError`.
 
     Examples
@@ -99,6 +102,43 @@ class InvalidInputError(SpectraKitError, ValueError):
             return self.argument
         got = "" if self.got == "" else f", got {self.got}"
         return f"`{word(self.argument)}` must {self.expected}{got}"
+
+
+class InvalidFileError(InvalidInputError):
+    """A file is not there, or does not hold what it must.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    problem : InvalidInputError or str
+        What is wrong with its content, whose argument, expectation and advice this error takes on.
+
+    Examples
+    --------
+    >>> from spectra_kit.errors import InvalidFileError
+    >>> error = InvalidFileError("a.off", "the file is empty")
+    >>> print(error)
+    a.off: the file is empty
+    >>> print(error.problem)
+    the file is empty
+    """
+
+    def __init__(self, path: str | os.PathLike[str], problem: InvalidInputError | str) -> None:
+        if isinstance(problem, str):
+            problem = InvalidInputError(problem)
+        super().__init__(
+            problem.argument,
+            problem.expected,
+            problem.got,
+            advice=problem.advice,
+            remedies=problem.remedies,
+        )
+        self.path, self.problem = path, problem
+        self.args = (path, problem)  # with which pickle makes it again
+
+    def _finding(self, word: Callable[[str], str]) -> str:
+        return f"{os.fspath(self.path)}: {super()._finding(word)}"
 
 
 class InvalidSpectrumError(SpectraKitError, RuntimeError):

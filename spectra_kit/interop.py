@@ -99,7 +99,7 @@ def from_arrays(
         np.maximum(values, 0.0),
         np.asarray(eigenvectors, dtype=np.float64),
         diagonal,
-        provenance=Provenance(solver=solver),
+        provenance=Provenance(solver=solver, name="" if solver == "user" else solver.lower()),
     )
     if (error := spectrum.orthonormality_error()) > 1e-4:
         raise InvalidInputError(

@@ -1,36 +1,38 @@
-"""Notebooks as pages: the executed copies where the tests have left some, else the bare ones."""
+"""Notebooks as pages, and what is asked of them: each shows a picture and complains of nothing.
+
+They are executed while the pages are built; a cell that fails, or writes to stderr, is a warning
+(``nb_output_stderr`` in ``conf.py``), which ``sphinx-build -W`` does not forgive.
+"""
 
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 from pathlib import Path
 
+from docutils import nodes
 from sphinx.application import Sphinx
+from sphinx.util import logging
 
 _NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
+_log = logging.getLogger(__name__)
 
 
-def gather(source: Path, executed: Path | None, target: Path) -> None:
-    """Copy each notebook of `source`, or its copy in `executed`, to `target`; changed ones only.
+def gather(source: Path, target: Path) -> None:
+    """Copy each notebook of `source` to `target` if it has changed, and list their questions.
 
-    Beside them goes a list of their questions, in ``questions.inc``.
+    The list is ``questions.inc``, beside them.
     """
     target.mkdir(exist_ok=True)
-    wanted = {path.name: path for path in sorted(source.glob("*.ipynb"))}
-    for name in wanted:
-        if executed is not None and (executed / name).is_file():
-            wanted[name] = executed / name
-    for stale in target.glob("*.ipynb"):
-        if stale.name not in wanted:
-            stale.unlink()
-    for name, path in wanted.items():
-        page = target / name
+    wanted = sorted(source.glob("*.ipynb"))
+    for stale in {*target.glob("*.ipynb")} - {target / path.name for path in wanted}:
+        stale.unlink()
+    for path in wanted:
+        page = target / path.name
         if not page.is_file() or page.read_bytes() != path.read_bytes():
             shutil.copyfile(path, page)
-    lines = [_entry(target.name, path) for path in wanted.values()]
+    lines = [_entry(target.name, path) for path in wanted]
     (target / "questions.inc").write_text("\n".join(lines) + "\n")
 
 
@@ -43,7 +45,13 @@ def _entry(folder: str, path: Path) -> str:
     return f"- [{title}]({folder}/{path.name}): {question[0].strip() if question else ''}"
 
 
+def _ask_for_a_picture(app: Sphinx, doctree: nodes.document) -> None:
+    page = app.env.docname
+    if page.startswith("notebooks/") and not any(doctree.findall(nodes.image)):
+        _log.warning("no cell of this notebook shows a picture", location=page)
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
-    executed = os.environ.get("SPECTRA_KIT_EXECUTED_NOTEBOOKS")
-    gather(_NOTEBOOKS, Path(executed) if executed else None, Path(app.srcdir) / "notebooks")
+    gather(_NOTEBOOKS, Path(app.srcdir) / "notebooks")
+    app.connect("doctree-read", _ask_for_a_picture)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

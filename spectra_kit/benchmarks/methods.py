@@ -16,6 +16,7 @@ from spectra_kit.benchmarks.peers import (
 from spectra_kit.eigensolvers import (
     Arpack,
     Capped,
+    Chebyshev,
     Eigensolver,
     Lobpcg,
     Multilevel,
@@ -96,14 +97,12 @@ METHODS: dict[str, Entry] = {
         make=lambda device: Refined(start=Neo().subspace, rtol=_RTOL), stops=_AT_RTOL
     ),
     "chebyshev": Entry(
-        make=lambda device: Refined(method="chebyshev", rtol=_RTOL, device=device),
+        make=lambda device: Chebyshev(rtol=_RTOL, device=device),
         stops=_AT_RTOL,
         devices=_BOTH,
     ),
     "chebyshev-neo": Entry(
-        make=lambda device: Refined(
-            start=Neo(device=device).subspace, method="chebyshev", rtol=_RTOL, device=device
-        ),
+        make=lambda device: Chebyshev(start=Neo(device=device).subspace, rtol=_RTOL, device=device),
         stops=_AT_RTOL,
         devices=_BOTH,
     ),

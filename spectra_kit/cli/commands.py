@@ -176,7 +176,7 @@ def info(arguments: argparse.Namespace) -> None:
             input=arguments.file,
             kind=tables.kind(geometry),
             diagnosis=dataclasses.asdict(diagnosis),
-            problems=[in_options(problem) for problem in diagnosis.problems],
+            problems=[in_options(str(problem)) for problem in diagnosis.problems],
             operator=operator,
         )
         return

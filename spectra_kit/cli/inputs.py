@@ -25,7 +25,7 @@ from spectra_kit.eigensolvers import (
     Refined,
 )
 from spectra_kit.eigensolvers.neo import Neo
-from spectra_kit.eigensolvers.refined import plane_waves
+from spectra_kit.eigensolvers.starts import plane_waves
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature, read, repair, sample
 from spectra_kit.operators import (

@@ -183,7 +183,9 @@ def diagnosis_lines(name: str, geometry: Geometry, diagnosis: Diagnosis) -> str:
             "Euler characteristic": diagnosis.euler_characteristic,
             "boundary edges": f"{diagnosis.boundary_edges:,}",
         }
-    problems = "\n".join(f"  {in_options(text)}" for text in diagnosis.problems) or "  none"
+    problems = (
+        "\n".join(f"  {in_options(str(problem))}" for problem in diagnosis.problems) or "  none"
+    )
     return f"{name}: {_size(geometry)}\n\n{pairs(facts)}\n\nproblems\n{problems}"
 
 

@@ -3,6 +3,7 @@
 from spectra_kit.eigensolvers.arpack import Arpack
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigensolvers.capped import Capped
+from spectra_kit.eigensolvers.chebyshev import Chebyshev
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.lobpcg import Lobpcg
 from spectra_kit.eigensolvers.multilevel import Multilevel
@@ -10,11 +11,13 @@ from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
 from spectra_kit.eigensolvers.refined import Polished, Refined
 from spectra_kit.eigensolvers.solve import eigensolve
+from spectra_kit.eigensolvers.spectrum import spectrum
 from spectra_kit.eigensolvers.verification import verify
 
 __all__ = [
     "Arpack",
     "Capped",
+    "Chebyshev",
     "Dense",
     "Eigenpairs",
     "Eigensolver",
@@ -26,5 +29,6 @@ __all__ = [
     "RayleighRitz",
     "Refined",
     "eigensolve",
+    "spectrum",
     "verify",
 ]

@@ -44,9 +44,10 @@ class Eigensolver(Protocol):
     were fixed, one connected part of the free points), and 1 <= k <= n. It then checks, sorts and
     certifies what comes back, so a backend does none of that.
 
-    A backend may have two more attributes. ``accuracy`` says what its answers are (`Accuracy`):
+    A backend may have three more attributes. ``accuracy`` says what its answers are (`Accuracy`):
     where they are to be exact or to a tolerance, `eigensolve` counts the eigenvalues and completes
     what was missed, unless ``factor_free`` is true, for backends that are taken to avoid a factor.
+    ``name`` is what `Provenance` calls it, if not its class in lower case.
     """
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs | tuple[Floats, Floats]:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from spectra_kit._checked import checked
 from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
-from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz, basis_with_kernel
-from spectra_kit.eigensolvers.refined import Polished, plane_waves
+from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
+from spectra_kit.eigensolvers.refined import Polished
+from spectra_kit.eigensolvers.starts import basis_with_kernel, plane_waves
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels import coarse_iteration, coarse_ritz, coarsen, smoothed
 from spectra_kit.linalg.products import spmm
@@ -76,10 +77,6 @@ class Capped:
     smoothing: int = 6
 
     def __post_init__(self) -> None:
-        if self.subspace is not None and not callable(self.subspace):
-            raise InvalidInputError(
-                f"`subspace` must be a function of points and mass, got {self.subspace!r}"
-            )
         check_count("n_points", self.n_points, low=100)
         check_count("sweeps", self.sweeps, low=0)
         check_count("smoothing", self.smoothing, low=0)

@@ -12,7 +12,8 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
-from spectra_kit.eigensolvers.refined import Refined, block_size
+from spectra_kit.eigensolvers.refined import Refined
+from spectra_kit.eigensolvers.starts import block_size
 from spectra_kit.levels import Coarse, CoarsePairs, coarse_iteration, coarse_ritz, coarsen
 from spectra_kit.linalg.products import spmm
 from spectra_kit.operators.laplacian import Laplacian

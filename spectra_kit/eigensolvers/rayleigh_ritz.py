@@ -13,8 +13,7 @@ from spectra_kit._checked import checked
 from spectra_kit._validate import check_positive
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.eigensolvers.dense import Dense
-from spectra_kit.errors import InvalidInputError
-from spectra_kit.levels import Coarse
+from spectra_kit.eigensolvers.starts import basis_with_kernel
 from spectra_kit.linalg.ritz import ritz_pairs
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import AmbientFourier, Subspace, restricted
@@ -68,10 +67,11 @@ class RayleighRitz:
 
     def __post_init__(self) -> None:
         check_positive("rank_tol", self.rank_tol)
-        if not callable(self.subspace):
-            raise InvalidInputError(
-                f"`subspace` must be a function of points and mass, got {self.subspace!r}"
-            )
+
+    @property
+    def name(self) -> str:
+        """See `Eigensolver`."""
+        return "fourier" if isinstance(self.subspace, AmbientFourier) else "rayleighritz"
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
@@ -94,17 +94,3 @@ class RayleighRitz:
     def restricted(self, rows: NDArray[np.int64]) -> RayleighRitz:
         """Return this solver for the points `rows` of its Laplacian alone."""
         return replace(self, subspace=restricted(self.subspace, rows))
-
-
-def basis_with_kernel(subspace: Subspace, operator: Laplacian | Coarse) -> NDArray[np.floating]:
-    """Return the basis of `subspace`, of checked form, led by the constant where that is a mode."""
-    mass = operator.mass if isinstance(operator, Laplacian) else operator.lumped
-    basis = np.asarray(subspace(operator.points, mass))
-    if basis.ndim != 2 or len(basis) != operator.n or basis.dtype.kind != "f":
-        raise InvalidInputError(
-            f"`subspace` must return a real array of shape ({operator.n}, m),"
-            f" got {basis.shape} of {basis.dtype}"
-        )
-    if not operator.kernel_dimension or (basis[0, 0] != 0 and np.ptp(basis[:, 0]) == 0):
-        return basis  # most begin with the constant
-    return np.column_stack([np.ones(operator.n, basis.dtype), basis])

@@ -60,8 +60,8 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
     k : int
         Number of modes, zero modes included; at most the number of free points.
     solver : Eigensolver, default Arpack()
-        `Arpack`, `Multilevel`, `Refined`, `Lobpcg`, `Dense`; approximate: `Neo`, `Capped`,
-        `Polished`, `RayleighRitz`; or your own.
+        `Arpack`, `Multilevel`, `Refined`, `Chebyshev`, `Lobpcg`, `Dense`; approximate: `Neo`,
+        `Capped`, `Polished`, `RayleighRitz`; or your own.
 
     Returns
     -------
@@ -126,7 +126,7 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
         raise OutOfMemoryError(
             f"{name}: {k} modes on {laplacian.n} points do not fit into memory ({error}); ask for"
             " fewer, sample fewer points, or take a backend that needs less, such as"
-            " Refined(method='chebyshev') or Lobpcg(preconditioner='amg')",
+            " Chebyshev() or Lobpcg(preconditioner='amg')",
             partial=partial,
         ) from error
     spectrum = _pack(laplacian, pairs, solver, name, tally, start)
@@ -409,6 +409,7 @@ def _pack(
         version=VERSION,
         iterations=tally.iterations,
         accuracy=getattr(solver, "accuracy", ""),
+        name=str(getattr(solver, "name", type(solver).__name__.lower())),
     )
     return spectrum.described(spectrum.certificate, provenance)
 

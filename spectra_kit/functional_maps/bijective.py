@@ -9,7 +9,7 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.functional_maps._checks import checked_pair, starting_map
+from spectra_kit.functional_maps.checks import checked_pair, starting_map
 from spectra_kit.functional_maps.convert import Correspondence, induced
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.functional_maps.zoomout import schedule

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt, frozen
-from spectra_kit.functional_maps._checks import (
+from spectra_kit.functional_maps.checks import (
     at_unit_area,
     check_functional_map,
     check_point_map,

@@ -9,7 +9,6 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_indices, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.functional_maps._checks import at_unit_area, check_components, check_sizes
 from spectra_kit.functional_maps._normal_equations import minimise
 from spectra_kit.functional_maps._terms import (
     Mask,
@@ -19,6 +18,7 @@ from spectra_kit.functional_maps._terms import (
     multiplication_operators,
     preserved,
 )
+from spectra_kit.functional_maps.checks import at_unit_area, check_components, check_sizes
 from spectra_kit.operators.orientation import OrientedTriangles, orientation_operator
 from spectra_kit.spectra import Spectrum
 

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
 from spectra_kit._validate import check_count
-from spectra_kit.functional_maps._checks import (
+from spectra_kit.functional_maps.checks import (
     at_unit_area,
     check_components,
     check_functional_map,

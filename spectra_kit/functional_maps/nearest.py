@@ -12,7 +12,7 @@ from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._device import checked_device
-from spectra_kit.linalg.threads import in_threads, single_threaded_blas, thread_count
+from spectra_kit.linalg.threads import in_threads, ranges, single_threaded_blas, thread_count
 
 if TYPE_CHECKING:
     import torch
@@ -92,9 +92,9 @@ def nearest(Q: Floats, X: Floats, *, exact: bool = False) -> Ints:
     share = -(-len(Q) // thread_count())
     # Shares are whole blocks: a small problem is not worth a second thread.
     share = -(-share // rows) * rows
-    starts = range(0, len(Q), max(share, 1))
+    fixed = (Q, X, scorers, bound, out, rows)
     with single_threaded_blas():
-        in_threads(_search, [(Q, X, scorers, bound, out, a, a + share, rows) for a in starts])
+        in_threads(_search, [(*fixed, *cut) for cut in ranges(len(Q), max(share, 1))])
     return out
 
 
@@ -104,13 +104,12 @@ def _search(
     scorers: tuple[NDArray[np.float32], NDArray[np.float32]],
     bound: Floats | None,
     out: Ints,
+    rows: int,
     start: int,
     stop: int,
-    rows: int,
 ) -> None:
     """Write the neighbours of rows `start` to `stop` of `Q` to `out`."""
     transposed, half_squares = scorers
-    stop = min(stop, len(Q))
     scores = np.empty((min(rows, stop - start), len(X)), dtype=np.float32)
     for a in range(start, stop, rows):
         b = min(a + rows, stop)

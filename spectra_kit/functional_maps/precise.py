@@ -10,7 +10,7 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_faces, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.functional_maps._checks import at_unit_area, check_functional_map, check_sizes
+from spectra_kit.functional_maps.checks import at_unit_area, check_functional_map, check_sizes
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.spectra import Spectrum
 

@@ -13,8 +13,8 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.functional_maps._checks import checked_pair, checked_samples, starting_map
 from spectra_kit.functional_maps._device import checked_device
+from spectra_kit.functional_maps.checks import checked_pair, checked_samples, starting_map
 from spectra_kit.functional_maps.convert import Correspondence
 from spectra_kit.functional_maps.nearest import check_rows, nearest, nearest_torch
 from spectra_kit.spectra import Spectrum

@@ -15,7 +15,7 @@ from spectra_kit._validate import check_indices, quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
 from spectra_kit.geometry import TriangleMesh
-from spectra_kit.geometry._units import component_units
+from spectra_kit.geometry.units import component_units
 
 if TYPE_CHECKING:
     from spectra_kit.geodesics._exact_kernels import Soup

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
+from operator import call
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
-from spectra_kit._types import Floats
+from spectra_kit._clock import Clock
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_positive, frozen, warn
 from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat_step import Heat, HeatStep
@@ -20,16 +21,15 @@ from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import (
     Automatic,
     Direct,
-    DirectPoisson,
     Iterative,
     IterativePoisson,
-    PoissonSolver,
     Solver,
 )
 from spectra_kit.geodesics.sources import Sources, SourcesLike, check_sources
 from spectra_kit.geodesics.system import COARSER, System
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.linalg.constant_kernel import ConstantKernel
+from spectra_kit.linalg.grounded import GroundedCholesky
 from spectra_kit.linalg.solution import LinearSolution
 from spectra_kit.linalg.threads import in_threads
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
@@ -48,7 +48,7 @@ class _Ready:
     """What one choice of solvers needs before any source is known, and the time it took."""
 
     steps: Mapping[int, Mapping[Boundary, HeatStep]]  # by `System.sizes`
-    poisson: PoissonSolver
+    poisson: GroundedCholesky | IterativePoisson
     seconds: float
 
 
@@ -64,8 +64,8 @@ class HeatGeodesics:
         Modes of the geometry, by whatever solver: they make an iterative solver quicker, and do
         not change the distances.
     solver : Direct, Iterative or Automatic, default Automatic()
-        How linear systems are solved. For more than a few sources say so beforehand
-        (``Automatic(n_sources=100)``) or use `distances`: complete factors then pay.
+        How linear systems are solved. `distance` takes its call for the only one: for more than a
+        few use `distances`, or say so (``Automatic(n_sources=100)``), as complete factors then pay.
     time_coefficient : float, default 1.0
         The time of the heat step is this times the square of the typical edge of each component
         (`IntrinsicTriangulation.spacings`). Larger ones give smoother, less exact distances.
@@ -147,7 +147,6 @@ class HeatGeodesics:
         self._boundary: Boundary = boundary
         self.time_steps = frozen(time_coefficient * self.triangulation.spacings**2)
         self._time_coefficient = time_coefficient
-        self._asked = 0
         self._ready: dict[Direct | Iterative, _Ready] = {}
 
     def __repr__(self) -> str:
@@ -205,29 +204,32 @@ class HeatGeodesics:
 
     def _distance(self, sources: Sources, options: Direct | Iterative, why: str) -> DistanceField:
         ready = self._prepare(options)
-        system, choice = self._system, f"{ready.poisson.name}: {why}"
-        self._asked += 1
+        system = self._system
+        used = ready.poisson.options if isinstance(ready.poisson, IterativePoisson) else Direct()
         heated = system.inwards(sources.right_hand_side())
         heats = {size: self._heat(steps, heated) for size, steps in ready.steps.items()}
         heat, labels = heats[0], self.triangulation.laplacian.component_labels
-        start = time.perf_counter()
-        flow = system.flow(heats, sources)
-        directions = time.perf_counter() - start
+        clock = Clock()
+        at_zero = np.zeros(self.triangulation.n, dtype=bool)
+        at_zero[sources.vertices[sources.offsets == 0]] = True
+        flow = system.flow(heats, system.inwards(at_zero))
+        clock.stage("directions")
 
         def field(solution: LinearSolution) -> DistanceField:
             potential = system.outwards(system.unit * solution.x)
             return DistanceField(
-                distance=system.distance(potential, sources),
+                distance=_from_sources(potential, sources, labels),
                 sources=sources,
                 time_step=float(self.time_steps[labels[sources.vertices[0]]]),
-                choice=choice,
+                solver=used,
+                reason=why,
                 heat=heat.moved(system.outwards),
                 poisson=replace(solution, x=potential),
                 seconds={
                     "triangulation": self.triangulation.seconds,
                     "setup": ready.seconds,
                     "heat": sum(one.seconds for one in heats.values()),
-                    "directions": directions,
+                    **clock.seconds,
                     "poisson": solution.seconds,
                 },
             )
@@ -243,9 +245,9 @@ class HeatGeodesics:
             warn(
                 f"{blurred} of {found.reached.sum()} points are nearer to a source than the typical"
                 f" edge (of {np.sqrt(found.time_step / self._time_coefficient):.3g}) that sets the"
-                " time of the heat step, so their distances are blurred: separate parts of very"
-                " different size, or lower `time_coefficient`",
+                " time of the heat step, so their distances are blurred",
                 DoubtfulDistanceWarning,
+                advice="separate parts of very different size, or lower `time_coefficient`",
             )
         return found
 
@@ -256,18 +258,11 @@ class HeatGeodesics:
     def _prepare(self, options: Direct | Iterative) -> _Ready:
         """Factorise what both steps need, side by side, or return it if that is done."""
         if options not in self._ready:
-            start = time.perf_counter()
+            clock = Clock()
             _ = self._system
-            steps: dict[int, Mapping[Boundary, HeatStep]] = {}
-            poisson: list[PoissonSolver] = []
-            in_threads(
-                lambda task: task(),
-                [
-                    (lambda: steps.update(self._heat_steps(options)),),
-                    (lambda: poisson.append(self._poisson(options)),),
-                ],
-            )
-            self._ready[options] = _Ready(steps, poisson[0], time.perf_counter() - start)
+            parts = [(self._heat_steps, options), (self._poisson, options)]
+            steps, poisson = in_threads(call, parts)
+            self._ready[options] = _Ready(steps, poisson, clock.total)
         return self._ready[options]
 
     def _heat_steps(self, options: Direct | Iterative) -> dict[int, Mapping[Boundary, HeatStep]]:
@@ -275,7 +270,7 @@ class HeatGeodesics:
         wanted: tuple[Boundary, ...] = (self._boundary,)
         if self._boundary == "average":
             wanted = ("neumann", "dirichlet")
-        inside = self._system.inside
+        system, inside = self._system, self._system.inside
         if inside.all():
             wanted = ("neumann",)
         elif not inside.any():
@@ -283,20 +278,22 @@ class HeatGeodesics:
         return {
             size: {
                 condition: HeatStep(
-                    self._system,
+                    system.stiffness,
+                    system.mass,
+                    system.points,
                     duration=self._time_coefficient * float(COARSER) ** (2 * size),
                     inside=inside if condition == "dirichlet" else None,
                     direct=isinstance(options, Direct),
                 )
                 for condition in wanted
             }
-            for size in np.union1d(0, self._system.sizes).tolist()
+            for size in np.union1d(0, system.sizes).tolist()
         }
 
-    def _poisson(self, options: Direct | Iterative) -> PoissonSolver:
+    def _poisson(self, options: Direct | Iterative) -> GroundedCholesky | IterativePoisson:
         stiffness, kernel = self._system.stiffness, ConstantKernel(self._system.labels)
         if isinstance(options, Direct):
-            return DirectPoisson(stiffness, kernel)
+            return GroundedCholesky(stiffness, kernel)
         return IterativePoisson(stiffness, kernel, options, self._spectrum, self._system.order)
 
     def _heat(self, steps: Mapping[Boundary, HeatStep], heated: Floats) -> Heat:
@@ -326,10 +323,23 @@ class HeatGeodesics:
     def _options(self, count: int) -> tuple[Direct | Iterative, str]:
         if not isinstance(self._solver, Automatic):
             return self._solver, "as asked"
-        if Direct() in self._ready:
-            return Direct(), "the factors are there"
-        count = max(self._asked + count, self._solver.n_sources)
+        count = max(count, self._solver.n_sources)
         return self._solver.choose(self.triangulation.n, count)
+
+
+def _from_sources(potential: Floats, sources: Sources, labels: Ints) -> Floats:
+    """Shift a potential to zero at the sources of each component."""
+    at = labels[sources.vertices]
+    most = np.zeros(labels.max() + 1)
+    np.maximum.at(most, at, sources.heat)
+    share = sources.heat / most[at]
+    heat = np.bincount(at, share, minlength=len(most))
+    ahead = share * (potential[sources.vertices] - sources.offsets)
+    level = np.full(len(heat), -np.inf)  # nothing reached is infinitely far
+    level[heat > 0] = np.bincount(at, ahead, minlength=len(heat))[heat > 0] / heat[heat > 0]
+    distance: Floats = np.maximum(potential - level[labels], 0.0)
+    distance[sources.vertices[sources.offsets == 0]] = 0.0
+    return distance
 
 
 def _cold() -> InvalidInputError:

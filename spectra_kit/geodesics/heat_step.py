@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +13,11 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from spectra_kit._checked import checked
+from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.linalg.cholesky import SparseCholesky
 from spectra_kit.linalg.incomplete_cholesky import incomplete_factor
-
-if TYPE_CHECKING:
-    from spectra_kit.geodesics.system import System
 
 Ints = NDArray[np.int32]
 
@@ -111,9 +108,11 @@ class HeatStep:
 
     Parameters
     ----------
-    system : System
-        L and M; L without positive entries off its diagonal beyond rounding (a Delaunay
-        Laplacian), which keeps u positive.
+    stiffness : csr_array of shape (n, n)
+        L, without positive entries off its diagonal beyond rounding (a Delaunay Laplacian), which
+        keeps u positive.
+    mass, points : ndarray of shape (n,), (n, 3)
+        M, and coordinates.
     duration : float
         t, in length^2.
     inside : ndarray of shape (n,), bool, optional
@@ -141,21 +140,22 @@ class HeatStep:
 
     def __init__(
         self,
-        system: System,
+        stiffness: sparse.csr_array,
+        mass: Floats,
+        points: Floats,
         *,
         duration: float,
         inside: NDArray[np.bool_] | None = None,
         direct: bool,
     ) -> None:
-        start = time.perf_counter()
-        stiffness, self._mass, self._points = system.stiffness, system.mass, system.points
+        clock = Clock()
         self._inside = inside
         if inside is not None:
             stiffness = sparse.csr_array(stiffness[inside][:, inside])
-            self._mass, self._points = self._mass[inside], self._points[inside]
+            mass, points = mass[inside], points[inside]
         # In units of the mean mass: the same numbers whatever the unit of length.
-        self._unit = float(self._mass.mean())
-        self._mass = self._mass / self._unit
+        self._unit = float(mass.mean())
+        self._mass, self._points = mass / self._unit, points
         self._matrix = sparse.csr_array(
             duration / self._unit * stiffness + sparse.diags_array(self._mass)
         )
@@ -164,7 +164,7 @@ class HeatStep:
         self._complete = SparseCholesky(self._matrix) if direct else None
         if not direct:
             _ = self._incomplete
-        self.seconds = time.perf_counter() - start
+        self.seconds = clock.total
 
     @cached_property
     def _incomplete(self) -> tuple[sparse.csr_array, Floats]:
@@ -210,13 +210,13 @@ class HeatStep:
         return self._solve(rhs)
 
     def _solve(self, rhs: Floats) -> Heat:
-        start = time.perf_counter()
+        clock = Clock()
         rhs = rhs / self._unit
         largest = (rhs / self._mass).max()  # no u is larger, by the maximum principle
-        found = self._of_size_one(rhs / largest, start)
+        found = self._of_size_one(rhs / largest, clock)
         return replace(found, values=largest * found.values)
 
-    def _of_size_one(self, rhs: Floats, start: float) -> Heat:
+    def _of_size_one(self, rhs: Floats, clock: Clock) -> Heat:
         """Return u for a `rhs` with which it is at most 1."""
         sources = np.flatnonzero(rhs)
         if self._complete is not None:
@@ -224,33 +224,27 @@ class HeatStep:
             lifted = np.ldexp(rhs, _LIFT)
             u = self._complete.solve(lifted)
             if (u[reached] > _FLOOR).all() and np.isfinite(u).all():
-                return self._direct(lifted, np.where(reached, u, 0.0), start)
+                return self._direct(lifted, np.where(reached, u, 0.0), clock)
         cost = dijkstra(self._costs, indices=sources, min_only=True)
         reached = np.isfinite(cost)
         guess = np.where(reached, np.rint(np.where(reached, cost, 0.0) / -np.log(2)), 0.0)
-        return self._iterate(rhs, guess.astype(np.int32), start)
+        return self._iterate(rhs, guess.astype(np.int32), clock)
 
-    def _direct(self, lifted: Floats, u: Floats, start: float) -> Heat:
+    def _direct(self, lifted: Floats, u: Floats, clock: Clock) -> Heat:
         from spectra_kit.geodesics._kernels import residual
 
         A = self._matrix
         share = residual(A.indptr, A.indices, A.data, lifted, u, np.empty_like(u))
         values, exponents = np.frexp(u)
-        seconds = time.perf_counter() - start
-        return Heat(values, exponents - _LIFT, "Cholesky", 0, share, seconds)
+        return Heat(values, exponents - _LIFT, "Cholesky", 0, share, clock.total)
 
-    def _iterate(self, rhs: Floats, exponents: Ints, start: float) -> Heat:
+    def _iterate(self, rhs: Floats, exponents: Ints, clock: Clock) -> Heat:
         from spectra_kit.geodesics._heat_iteration import iterate
 
         lower, inverse = self._incomplete
         end = iterate(self._matrix, lower, inverse, rhs, exponents, accuracy=_ACCURACY)
         heat = Heat(
-            end.x,
-            end.exponents,
-            "incomplete Cholesky",
-            end.iterations,
-            end.share,
-            time.perf_counter() - start,
+            end.x, end.exponents, "incomplete Cholesky", end.iterations, end.share, clock.total
         )
         if end.share <= _ACCURACY and (end.x >= 0).all():
             return heat

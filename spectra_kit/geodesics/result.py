@@ -14,6 +14,7 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import Rebuilt, frozen
 from spectra_kit.geodesics.heat_step import Heat
+from spectra_kit.geodesics.solvers import Direct, Iterative
 from spectra_kit.geodesics.sources import Sources
 from spectra_kit.linalg.solution import LinearSolution
 
@@ -33,8 +34,10 @@ class DistanceField(Rebuilt):
         Where it is measured from.
     time_step : float
         t of the heat step on the component of the first source, in length^2.
-    choice : str
-        Which solver was used, and why.
+    solver : Direct or Iterative
+        What solved the linear systems; ``coarse="none"`` where no modes served.
+    reason : str
+        Why this one.
     heat : Heat
         The heat step.
     poisson : LinearSolution
@@ -56,7 +59,8 @@ class DistanceField(Rebuilt):
     distance: Floats
     sources: Sources
     time_step: float
-    choice: str
+    solver: Direct | Iterative
+    reason: str
     heat: Heat
     poisson: LinearSolution
     seconds: Mapping[str, float]
@@ -64,6 +68,11 @@ class DistanceField(Rebuilt):
     def __post_init__(self) -> None:
         object.__setattr__(self, "distance", frozen(self.distance))
         object.__setattr__(self, "seconds", MappingProxyType(dict(self.seconds)))
+
+    @property
+    def choice(self) -> str:
+        """The solver and the reason, in words."""
+        return f"{self.solver.name}: {self.reason}"
 
     @property
     def reached(self) -> NDArray[np.bool_]:

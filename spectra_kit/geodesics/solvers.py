@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from spectra_kit.linalg.coarse_space import (
 )
 from spectra_kit.linalg.conjugate_gradients import pcg
 from spectra_kit.linalg.constant_kernel import ConstantKernel
-from spectra_kit.linalg.grounded import GroundedCholesky
 from spectra_kit.linalg.incomplete_cholesky import IncompleteCholesky
 from spectra_kit.linalg.solution import LinearSolution
 from spectra_kit.spectra import Spectrum
@@ -45,6 +44,11 @@ class Direct:
     >>> geodesic_distance(sphere(subdivisions=3).geometry, 0, solver=Direct()).poisson.method
     'Cholesky'
     """
+
+    @property
+    def name(self) -> str:
+        """What it is, in a word."""
+        return "direct"
 
 
 @checked
@@ -93,10 +97,6 @@ class Iterative:
     max_iterations: int | None = None
 
     def __post_init__(self) -> None:
-        if self.coarse not in ("additive", "projected", "none"):
-            raise InvalidInputError(
-                f"`coarse` must be 'additive', 'projected' or 'none', got {self.coarse!r}"
-            )
         check_count("modes", self.modes, low=1)
         _check_rtol(self.rtol)
         if self.drop is not None and self.drop != 0:
@@ -105,6 +105,11 @@ class Iterative:
             raise InvalidInputError(f"`relaxation` must be in [0, 1], got {self.relaxation!r}")
         if self.max_iterations is not None:
             check_count("max_iterations", self.max_iterations, low=1)
+
+    @property
+    def name(self) -> str:
+        """What it is, in words."""
+        return "iterative" if self.coarse == "none" else f"two-level iterative ({self.coarse})"
 
 
 @checked
@@ -115,8 +120,8 @@ class Automatic:
     Parameters
     ----------
     n_sources : int, default 1
-        How often distances will be asked for in all, where that is known. `HeatGeodesics` counts
-        what it is asked, too.
+        How often distances will be asked for in all. `HeatGeodesics.distances` counts its sources,
+        too; `HeatGeodesics.distance` does not know of other calls.
     memory : float, default 4.0
         GiB that two complete factors may take.
     modes : int, default 24
@@ -164,16 +169,6 @@ def _check_rtol(rtol: float) -> None:
         raise InvalidInputError(f"`rtol` must be less than 1, got {rtol}; 1e-8 is the default")
 
 
-class PoissonSolver(Protocol):
-    """A Laplacian ready to be solved with any right-hand side."""
-
-    name: str
-    seconds: float
-
-    def solution(self, rhs: Floats) -> LinearSolution:
-        """Solve ``L x = rhs`` up to constants."""
-
-
 def factor_gigabytes(n: int) -> float:
     """Estimate what complete factors of both systems take on n points of a surface, in GiB.
 
@@ -181,20 +176,6 @@ def factor_gigabytes(n: int) -> float:
     vertices hold (4.9 and 7.2 million), and as much again while they are made.
     """
     return 2 * 2 * 12 * 3 * n * float(np.log2(max(n, 2))) / 2**30
-
-
-class DirectPoisson:
-    """`GroundedCholesky` under the interface of a `PoissonSolver`."""
-
-    name = "direct"
-
-    def __init__(self, matrix: sparse.csr_array, kernel: ConstantKernel) -> None:
-        self._factor = GroundedCholesky(matrix, kernel)
-        self.seconds = self._factor.seconds
-
-    def solution(self, rhs: Floats) -> LinearSolution:
-        """Solve ``L x = rhs`` up to constants."""
-        return self._factor.solution(rhs)
 
 
 class IterativePoisson:
@@ -208,7 +189,7 @@ class IterativePoisson:
         spectrum: Spectrum | None,
         order: NDArray[np.int64],
     ) -> None:
-        self._matrix, self._kernel, self._options = matrix, kernel, options
+        self._matrix, self._kernel = matrix, kernel
         base = IncompleteCholesky(
             matrix,
             drop=options.drop,
@@ -217,21 +198,18 @@ class IterativePoisson:
             dtype=np.float32,
         )
         self._coarse = None
-        self._preconditioner: Preconditioner = base
-        self.name, self.seconds = "iterative", base.seconds
-        if spectrum is None or options.coarse == "none":
-            return
-        exact = options.coarse == "projected"
-        self._coarse = coarse_space(matrix, spectrum, order, options.modes, exact=exact)
+        if spectrum is not None and options.coarse != "none":
+            exact = options.coarse == "projected"
+            self._coarse = coarse_space(matrix, spectrum, order, options.modes, exact=exact)
+        self._preconditioner: Preconditioner
         if self._coarse is None:
-            return
-        two = (
-            ProjectedTwoLevel(base, self._coarse, matrix)
-            if exact
-            else AdditiveTwoLevel(base, self._coarse)
-        )
-        self._preconditioner, self.seconds = two, two.seconds
-        self.name = f"two-level iterative ({options.coarse})"
+            self._preconditioner, options = base, replace(options, coarse="none")
+        elif options.coarse == "projected":
+            self._preconditioner = ProjectedTwoLevel(base, self._coarse, matrix)
+        else:
+            self._preconditioner = AdditiveTwoLevel(base, self._coarse)
+        #: As they came, but for modes that are not there.
+        self.options = options
 
     def solution(self, rhs: Floats) -> LinearSolution:
         """Solve, from the solution in the modes (the warm start of Algorithm 2)."""
@@ -242,8 +220,8 @@ class IterativePoisson:
             preconditioner=self._preconditioner,
             start=start,
             kernel=self._kernel,
-            rtol=self._options.rtol,
-            max_iterations=self._options.max_iterations,
+            rtol=self.options.rtol,
+            max_iterations=self.options.max_iterations,
         )
 
 

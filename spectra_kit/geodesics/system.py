@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from spectra_kit._types import Floats
+from spectra_kit._types import Bools, Floats
 from spectra_kit._validate import warn
 from spectra_kit.errors import DoubtfulDistanceWarning
 from spectra_kit.geodesics.heat_step import Heat
-from spectra_kit.geodesics.sources import Sources
 from spectra_kit.linalg.incomplete_cholesky import untidy
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 
@@ -59,7 +58,7 @@ class System:
     corners: Ints
     lengths: Floats
     share: float
-    inside: NDArray[np.bool_]
+    inside: Bools
     unit: Floats
 
     @staticmethod
@@ -100,11 +99,11 @@ class System:
 
     @cached_property
     def _apexes(self) -> Floats:
-        from spectra_kit.operators._triangle_calculus import apexes
+        from spectra_kit.operators.triangle_calculus import apexes
 
         return np.asarray(apexes(self.lengths))
 
-    def inwards(self, values: Floats) -> Floats:
+    def inwards(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return `values` (n,) in the order of the input in that of memory."""
         return values[self.order]
 
@@ -114,15 +113,14 @@ class System:
         found[self.order] = values
         return found
 
-    def flow(self, heats: Mapping[int, Heat], sources: Sources) -> Floats:
+    def flow(self, heats: Mapping[int, Heat], at_zero: Bools) -> Floats:
         """Return the integrated divergence of the unit vectors in which heat flows, shape (n,).
 
-        Through triangles of one of `sizes` flows the heat of its step.
+        Through triangles of one of `sizes` flows the heat of its step; the points `at_zero` are
+        sources. All in the order of memory.
         """
         from spectra_kit.geodesics._kernels import divergence_of_directions
 
-        at_zero = np.zeros(len(self.order), dtype=bool)
-        at_zero[sources.vertices[sources.offsets == 0]] = True
         found, level = np.zeros(len(self.order)), 0
         for size, heat in heats.items():
             here = self.sizes == size
@@ -133,28 +131,14 @@ class System:
                 heat.values,
                 heat.exponents,
                 _FLAT,
-                at_zero[self.order],
+                at_zero,
             )
             found, level = found + part, level + still
         if level > _LEVEL * len(self.corners) + 4:
             warn(
                 f"heat is the same all over {level} of {len(self.corners)} triangles, where no"
-                " distance can be told from it: lower `time_coefficient`",
+                " distance can be told from it",
                 DoubtfulDistanceWarning,
+                advice="lower `time_coefficient`",
             )
         return np.multiply(self.share, found)
-
-    def distance(self, potential: Floats, sources: Sources) -> Floats:
-        """Shift a potential to zero at the sources of each component; both in the input's order."""
-        labels = self.outwards(self.labels)
-        at = labels[sources.vertices]
-        most = np.zeros(labels.max() + 1)
-        np.maximum.at(most, at, sources.heat)
-        share = sources.heat / most[at]
-        heat = np.bincount(at, share, minlength=len(most))
-        ahead = share * (potential[sources.vertices] - sources.offsets)
-        level = np.full(len(heat), -np.inf)  # nothing reached is infinitely far
-        level[heat > 0] = np.bincount(at, ahead, minlength=len(heat))[heat > 0] / heat[heat > 0]
-        distance: Floats = np.maximum(potential - level[labels], 0.0)
-        distance[sources.vertices[sources.offsets == 0]] = 0.0
-        return distance

@@ -16,8 +16,8 @@ Every step is optional and returns a new object; nothing is repaired, moved or s
 >>> with TemporaryDirectory() as folder:
 ...     write(square, Path(folder) / "square.obj")
 ...     mesh = read(Path(folder) / "square.obj")
->>> diagnose(mesh).problems
-('1 vertex has no face: mesh.without_unreferenced()',)
+>>> print(*diagnose(mesh).problems)
+1 vertex has no face: mesh.without_unreferenced()
 >>> repaired = repair(mesh)
 >>> repaired.report.unreferenced_vertices, repaired.vertex_index
 (1, array([0, 1, 2, 3]))
@@ -28,9 +28,10 @@ Every step is optional and returns a new object; nothing is repaired, moved or s
 (1000, 3)
 """
 
+from spectra_kit.geometry.adapt import as_geometry
 from spectra_kit.geometry.components import Component, components, largest_component
 from spectra_kit.geometry.creature import creature
-from spectra_kit.geometry.diagnose import Diagnosis, diagnose
+from spectra_kit.geometry.diagnose import Diagnosis, Problem, diagnose
 from spectra_kit.geometry.io import read, write
 from spectra_kit.geometry.normalize import Normalization, normalize
 from spectra_kit.geometry.normals import estimate_normals, orient_normals
@@ -47,11 +48,13 @@ __all__ = [
     "Geometry",
     "Normalization",
     "PointCloud",
+    "Problem",
     "Reference",
     "RepairReport",
     "Repaired",
     "Samples",
     "TriangleMesh",
+    "as_geometry",
     "components",
     "creature",
     "creature_pair",

@@ -9,8 +9,8 @@ import numpy as np
 from spectra_kit._checked import checked
 from spectra_kit._types import Ints
 from spectra_kit._validate import Brief, frozen
-from spectra_kit.geometry._units import box_unit
 from spectra_kit.geometry.shapes import TriangleMesh
+from spectra_kit.geometry.units import box_unit
 
 
 @checked

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import igl
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
@@ -67,8 +68,6 @@ def creature(n_points: int = 8000, *, seed: int = 0, pose: int = 0) -> TriangleM
     >>> mesh.n, len(mesh.boundary_vertices), mesh.n - len(mesh.faces) // 2
     (1000, 0, 2)
     """
-    import igl  # here: the package must import, and train, where no libigl is installed
-
     check_count("n_points", n_points, low=500, high=5_000_000)
     check_count("seed", seed, low=0)
     check_count("pose", pose, low=0)
@@ -197,8 +196,6 @@ def _remeshed(field: Field, n: int) -> TriangleMesh:
     if mesh.n < 1.4 * n:  # vertices grow like cells^(2/3)
         n_cells = int(n_cells * (1.5 * n / mesh.n) ** 1.5)
         mesh = TriangleMesh(*polygonize(field, _LOW, _HIGH, n_cells=n_cells, stride=4))
-    import igl
-
     # The ranges of `_animal` keep its parts apart; only an edit of them can break this.
     assert mesh.n - len(mesh.faces) // 2 == 2, "the animal must be one sphere with no handle"
     points, faces, *_ = igl.decimate(np.asfortranarray(mesh.points), mesh.faces, 2 * n - 4)

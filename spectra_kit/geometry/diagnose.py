@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,83 @@ from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._checked import checked
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh, distinct_rows
+
+
+@checked
+@dataclass(frozen=True)
+class Problem:
+    """Something about a geometry that an operator may refuse; printed, it is a sentence.
+
+    Parameters
+    ----------
+    count : int
+        How many points, edges or faces it is about.
+    finding : str
+        What is wrong.
+    advice : str
+        What helps; ``{}`` stands where one of the `remedies` is named.
+    remedies : tuple of str
+        Calls that help, as Python has them.
+    """
+
+    count: int
+    finding: str
+    advice: str
+    remedies: tuple[str, ...] = ()
+
+    def told(self, word: Callable[[str], str] = str) -> str:
+        """Return the sentence, with `word` applied to each remedy, as in `SpectraKitError`."""
+        return f"{self.finding}: {self.advice.format(*map(word, self.remedies))}"
+
+    def __str__(self) -> str:
+        return self.told()
+
+
+# A count of `Diagnosis`, what it says of one and of several, and what helps; None: joining points.
+_PROBLEMS = (
+    (
+        "duplicate_points",
+        "point lies exactly on an earlier one",
+        "points lie exactly on earlier ones",
+        "{}",
+        None,
+    ),
+    (
+        "degenerate_faces",
+        "face has no area",
+        "faces have no area",
+        "{}",
+        "mesh.without_degenerate_faces()",
+    ),
+    (
+        "duplicate_faces",
+        "face repeats an earlier one",
+        "faces repeat earlier ones",
+        "{}",
+        "mesh.without_duplicate_faces()",
+    ),
+    (
+        "unreferenced_vertices",
+        "vertex has no face",
+        "vertices have no face",
+        "{}",
+        "mesh.without_unreferenced()",
+    ),
+    (
+        "nonmanifold_edges",
+        "edge has three or more faces",
+        "edges have three or more faces",
+        "use {}",
+        "robust_laplacian",
+    ),
+    (
+        "nonmanifold_vertices",
+        "vertex joins fans of faces that share no edge",
+        "vertices join fans of faces that share no edge",
+        "use {}",
+        "robust_laplacian",
+    ),
+)
 
 
 @checked
@@ -51,70 +130,36 @@ class Diagnosis:
     """
 
     n_points: int
-    n_faces: int
-    n_components: int
+    n_faces: int = 0
+    n_components: int = 0
     dimension: int
-    boundary_edges: int
-    nonmanifold_edges: int
-    nonmanifold_vertices: int
-    degenerate_faces: int
-    duplicate_faces: int
-    unreferenced_vertices: int
+    boundary_edges: int = 0
+    nonmanifold_edges: int = 0
+    nonmanifold_vertices: int = 0
+    degenerate_faces: int = 0
+    duplicate_faces: int = 0
+    unreferenced_vertices: int = 0
     duplicate_points: int
-    euler_characteristic: int
-    area: float
+    euler_characteristic: int = 0
+    area: float = float("nan")
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]
 
     @property
-    def problems(self) -> tuple[str, ...]:
-        """One sentence for each thing that an operator may refuse, with what to do about it."""
+    def problems(self) -> tuple[Problem, ...]:
+        """What an operator may refuse, with what to do about it."""
         merge = "mesh.with_merged_vertices()" if self.n_faces else "cloud.without_duplicates()"
-        findings = (
-            (
-                self.duplicate_points,
-                "point lies exactly on an earlier one",
-                "points lie exactly on earlier ones",
-                merge,
-            ),
-            (
-                self.degenerate_faces,
-                "face has no area",
-                "faces have no area",
-                "mesh.without_degenerate_faces()",
-            ),
-            (
-                self.duplicate_faces,
-                "face repeats an earlier one",
-                "faces repeat earlier ones",
-                "mesh.without_duplicate_faces()",
-            ),
-            (
-                self.unreferenced_vertices,
-                "vertex has no face",
-                "vertices have no face",
-                "mesh.without_unreferenced()",
-            ),
-            (
-                self.nonmanifold_edges,
-                "edge has three or more faces",
-                "edges have three or more faces",
-                "use robust_laplacian",
-            ),
-            (
-                self.nonmanifold_vertices,
-                "vertex joins fans of faces that share no edge",
-                "vertices join fans of faces that share no edge",
-                "use robust_laplacian",
-            ),
-        )
-        flat = ("all points coincide: no surface", "all points lie on one line: no surface")
-        sentences = [
-            f"{count:,} {one if count == 1 else several}: {advice}"
-            for count, one, several, advice in findings
-            if count
+        found = [
+            Problem(
+                count, f"{count:,} {one if count == 1 else several}", advice, (remedy or merge,)
+            )
+            for name, one, several, advice, remedy in _PROBLEMS
+            if (count := getattr(self, name))
         ]
-        return (*sentences, *flat[self.dimension : self.dimension + 1])
+        if self.dimension < 2:
+            shape = ("all points coincide", "all points lie on one line")[self.dimension]
+            found.append(Problem(self.n_points, shape, "no surface"))
+        return tuple(found)
 
     @property
     def is_clean(self) -> bool:
@@ -134,47 +179,30 @@ def diagnose(geometry: Geometry) -> Diagnosis:
     Returns
     -------
     Diagnosis
-        Counts; ``problems`` says in sentences which matter and which method helps.
+        Counts; ``problems`` says which of them matter and which method helps.
 
     Examples
     --------
     >>> from spectra_kit.geometry import TriangleMesh, diagnose
     >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [9, 9, 9]], [[0, 1, 2]])
-    >>> diagnose(mesh).problems
-    ('1 vertex has no face: mesh.without_unreferenced()',)
+    >>> print(*diagnose(mesh).problems)
+    1 vertex has no face: mesh.without_unreferenced()
     """
     points = geometry.points
-    counts = _face_counts(geometry) if isinstance(geometry, TriangleMesh) else _NO_FACES
+    counts = _face_counts(geometry) if isinstance(geometry, TriangleMesh) else {}
     first, _ = distinct_rows(points)
     lower, upper = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return Diagnosis(
         n_points=geometry.n,
         dimension=_dimension(points),
         duplicate_points=geometry.n - len(first),
-        area=geometry.area if isinstance(geometry, TriangleMesh) else float("nan"),
         lower=(lower[0], lower[1], lower[2]),
         upper=(upper[0], upper[1], upper[2]),
         **counts,
     )
 
 
-_NO_FACES = dict.fromkeys(
-    (
-        "n_faces",
-        "n_components",
-        "boundary_edges",
-        "nonmanifold_edges",
-        "nonmanifold_vertices",
-        "degenerate_faces",
-        "duplicate_faces",
-        "unreferenced_vertices",
-        "euler_characteristic",
-    ),
-    0,
-)
-
-
-def _face_counts(mesh: TriangleMesh) -> dict[str, int]:
+def _face_counts(mesh: TriangleMesh) -> dict[str, Any]:
     edges, faces_at_edge = mesh.unique_edges
     n_used = len(mesh.referenced_vertices)
     n_faces = len(mesh.faces)
@@ -188,6 +216,7 @@ def _face_counts(mesh: TriangleMesh) -> dict[str, int]:
         "duplicate_faces": n_faces - len(mesh.without_duplicate_faces().faces),
         "unreferenced_vertices": mesh.n - n_used,
         "euler_characteristic": n_used - len(edges) + n_faces,
+        "area": mesh.area,
     }
 
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import igl
 import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._types import Floats, Ints
-from spectra_kit.geometry.marching_cubes import marching_cubes
 
 Field = Callable[[Floats], Floats]
 
@@ -146,9 +146,9 @@ def polygonize(
     x, y, z = (low[i] + cell * np.arange(n) for i, n in enumerate((nx, ny, nz)))
     grid = np.empty((nz, ny, nx, 3))
     grid[..., 0], grid[..., 1], grid[..., 2] = x, y[:, None], z[:, None, None]
-    flat = grid.reshape(-1, 3)
+    nodes = grid.reshape(-1, 3)
     if stride == 1:
-        values = field(flat)
+        values = field(nodes)
     else:
         # Each node takes the value of a node less than stride cells away in every direction.
         some = grid[::stride, ::stride, ::stride]
@@ -157,5 +157,6 @@ def polygonize(
             values = np.repeat(values, stride, axis=axis)
         values = values[:nz, :ny, :nx].ravel()
         near = np.abs(values) < 1.5 * 3**0.5 * stride * cell
-        values[near] = field(flat[near])
-    return marching_cubes(values.reshape(nz, ny, nx), grid)
+        values[near] = field(nodes[near])
+    points, faces, _ = igl.marching_cubes(values, nodes, nx, ny, nz, 0.0)
+    return points, faces

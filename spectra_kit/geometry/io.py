@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path
-from spectra_kit.errors import InvalidInputError, OutOfMemoryError
+from spectra_kit.errors import InvalidFileError, InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry.formats import gltf, numpy_arrays, obj, off, ply, stl, xyz
 from spectra_kit.geometry.formats._arrays import Arrays
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
@@ -61,10 +61,9 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
 
     Raises
     ------
-    InvalidInputError
+    InvalidFileError
         If the file does not exist, is empty, cut short or of an unknown format, if it is not of
         the wanted `kind`, or if its content is no valid geometry (NaN, index out of range).
-        The message begins with the path.
     OutOfMemoryError
         If the content does not fit into memory.
 
@@ -104,23 +103,23 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     """
     path = Path(path)
     if kind not in (None, "mesh", "cloud"):
-        raise InvalidInputError(f'`kind` must be "mesh", "cloud" or None, got {kind!r}')
+        raise InvalidInputError("kind", 'be "mesh", "cloud" or None', repr(kind))
     reader = _lookup(READERS, path, "read")
     if path.is_dir():
-        raise InvalidInputError(f"{path}: this is a folder, expected a file")
+        raise InvalidFileError(path, "this is a folder, expected a file")
     if not path.exists():
-        raise InvalidInputError(f"{path}: there is no such file; looked from {Path.cwd()}")
+        raise InvalidFileError(path, f"there is no such file; looked from {Path.cwd()}")
     if path.stat().st_size == 0:
-        raise InvalidInputError(f"{path}: the file is empty")
+        raise InvalidFileError(path, "the file is empty")
     try:
         points, faces = reader(path)
         return _geometry(points, faces, kind)
     except InvalidInputError as error:
-        raise InvalidInputError(f"{path}: {error}") from error
+        raise InvalidFileError(path, error) from error
     except MemoryError as error:
         raise OutOfMemoryError(
-            f"{path}: reading these {path.stat().st_size:,} bytes needs more memory than there is;"
-            " simplify the shape or split the file"
+            f"{path}: reading these {path.stat().st_size:,} bytes needs more memory than there is",
+            advice="simplify the shape or split the file",
         ) from error
 
 
@@ -128,7 +127,11 @@ def _geometry(points: Any, faces: Any, kind: str | None) -> Geometry:
     if faces is not None and kind != "cloud":
         return TriangleMesh(points, faces)
     if kind == "mesh":
-        raise InvalidInputError('holds points without faces, expected a mesh; use kind="cloud"')
+        raise InvalidInputError(
+            "holds points without faces, expected a mesh",
+            advice="use {}",
+            remedies=('kind="cloud"',),
+        )
     return PointCloud(points)
 
 
@@ -146,9 +149,10 @@ def write(geometry: Geometry, path: str | os.PathLike[str]) -> None:
 
     Raises
     ------
+    InvalidFileError
+        If the format is unknown or cannot hold the geometry.
     InvalidInputError
-        If `geometry` is neither, the format is unknown or cannot hold it, or the folder does not
-        exist.
+        If `geometry` is neither, or the folder does not exist.
 
     Notes
     -----
@@ -177,6 +181,6 @@ def _lookup(table: dict[str, Any], path: Path, action: str) -> Any:
         return table[path.suffix.lower()]
     except KeyError as error:
         known = ", ".join(sorted(table))
-        raise InvalidInputError(
-            f"{path}: cannot {action} the format {path.suffix!r}; known are {known}"
+        raise InvalidFileError(
+            path, f"cannot {action} the format {path.suffix!r}; known are {known}"
         ) from error

@@ -82,8 +82,9 @@ class Normalization(Brief):
         side = float((high - low).max())
         if side == 0:
             raise InvalidInputError(
-                "`geometry` must have an extent to be normalised, got"
-                f" {quantity(geometry.n, 'point')} at {tuple(low.tolist())}"
+                "geometry",
+                "have an extent to be normalised",
+                f"{quantity(geometry.n, 'point')} at {tuple(low.tolist())}",
             )
         return cls(low + 0.5 * (high - low), side)
 
@@ -107,7 +108,7 @@ class Normalization(Brief):
             If `mesh` is a cloud or all its faces are degenerate.
         """
         if mesh.area == 0:
-            raise InvalidInputError("`mesh` must have area, got only degenerate faces")
+            raise InvalidInputError("mesh", "have area", "only degenerate faces")
         weights = mesh.face_areas / mesh.area
         centroids = mesh.points[mesh.faces].mean(axis=1)
         return cls(weights @ centroids, float(np.sqrt(mesh.area)))
@@ -127,8 +128,9 @@ def _moved(geometry: Movable, move: Callable[[Floats], Floats]) -> Movable:
     points = real_array("geometry", cast("Floats", geometry))
     if points.shape[-1:] != (3,):
         raise InvalidInputError(
-            "`geometry` must be a TriangleMesh, a PointCloud or points of shape (..., 3), got shape"
-            f" {points.shape}"
+            "geometry",
+            "be a TriangleMesh, a PointCloud or points of shape (..., 3)",
+            f"shape {points.shape}",
         )
     return cast("Movable", move(points))
 

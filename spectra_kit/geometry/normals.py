@@ -10,9 +10,9 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry._signs import agree_on_signs, symmetric_votes, turn_outwards
-from spectra_kit.geometry._units import box_unit
 from spectra_kit.geometry.shapes import PointCloud
+from spectra_kit.geometry.signs import agree_on_signs, symmetric_votes, turn_outwards
+from spectra_kit.geometry.units import box_unit
 
 
 @checked
@@ -98,10 +98,10 @@ def orient_normals(cloud: PointCloud, normals: ArrayLike, *, n_neighbors: int = 
     vectors = real_array("normals", normals)
     if vectors.shape != points.shape:
         raise InvalidInputError(
-            f"`normals` must have shape {points.shape} like the points, got {vectors.shape}"
+            "normals", f"have shape {points.shape} like the points", vectors.shape
         )
     if not np.allclose(np.linalg.norm(vectors, axis=1), 1, atol=1e-6):
-        raise InvalidInputError("`normals` must be unit vectors; divide them by their length")
+        raise InvalidInputError("normals", "be unit vectors", advice="divide them by their length")
     distances, near = _neighbors(points, n_neighbors)
     n, k = near.shape
     i, j = np.repeat(np.arange(n), k), near.ravel()
@@ -114,7 +114,7 @@ def orient_normals(cloud: PointCloud, normals: ArrayLike, *, n_neighbors: int = 
 
 def _check_cloud(cloud: PointCloud) -> Floats:
     if cloud.n < 3:
-        raise InvalidInputError(f"`cloud` must have at least 3 points, got {cloud.n}")
+        raise InvalidInputError("cloud", "have at least 3 points", cloud.n)
     return np.asarray(cloud.points / box_unit(cloud.points))
 
 

@@ -144,8 +144,7 @@ def rectangle(
     check_count("k", k, low=1)
     if not 1 / n <= width / height <= n:
         raise InvalidInputError(
-            f"`width` and `height` must differ by at most n = {n} times, got {width:g} and"
-            f" {height:g}"
+            "width", f"be within n = {n} times `height`", f"{width:g} beside {height:g}"
         )
     columns = max(2, round((n * width / height) ** 0.5))
     rows = max(2, round(n / columns))
@@ -265,8 +264,10 @@ def torus(*, n: int = 1800, major: float = 1.0, minor: float = 0.4, k: int = 100
     check_count("k", k, low=1)
     if minor >= major:
         raise InvalidInputError(
-            f"`minor` must be smaller than `major` = {major}, got {minor}; else the torus pierces"
-            " itself"
+            "minor",
+            f"be smaller than `major` = {major}",
+            minor,
+            advice="else the torus pierces itself",
         )
     around_tube = max(3, round((n * minor / major) ** 0.5))
     around_axis = max(3, round(n / around_tube))

@@ -83,8 +83,9 @@ class Repaired(Brief):
         array = real_array("values", values)
         if array.shape[:1] != (self.geometry.n,):
             raise InvalidInputError(
-                f"`values` must have {self.geometry.n} rows, one for each point of the repaired"
-                f" geometry, got shape {array.shape}"
+                "values",
+                f"have {self.geometry.n} rows, one for each point of the repaired geometry",
+                f"shape {array.shape}",
             )
         restored = array[self.new_index]
         restored[self.new_index < 0] = fill
@@ -142,8 +143,10 @@ def repair(geometry: Geometry, *, merge: bool = True) -> Repaired:
     joined = TriangleMesh(geometry.points[first], label[geometry.faces])
     if joined.degenerate_faces().all():
         raise InvalidInputError(
-            f"`geometry` must have a face with area, got {len(geometry.faces)} degenerate ones;"
-            " `as_cloud()` keeps its vertices"
+            "geometry",
+            "have a face with area",
+            f"{len(geometry.faces)} degenerate ones",
+            advice="`as_cloud()` keeps its vertices",
         )
     proper = joined.without_degenerate_faces()
     distinct = proper.without_duplicate_faces()

@@ -19,8 +19,8 @@ from spectra_kit._validate import (
     real_array,
 )
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry._units import box_unit
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
+from spectra_kit.geometry.units import box_unit
 
 _MOST = 2**48  # points; more than any memory holds, but their bytes can be counted
 
@@ -100,8 +100,9 @@ class Samples(Brief):
         array = real_array("values", values)
         if array.ndim == 0 or len(array) <= self.corners.max():
             raise InvalidInputError(
-                "`values` must have one row for each vertex of the sampled mesh, got shape"
-                f" {array.shape} while vertex {self.corners.max()} is in use"
+                "values",
+                "have one row for each vertex of the sampled mesh",
+                f"shape {array.shape} while vertex {self.corners.max()} is in use",
             )
         return np.asarray(np.einsum("nc,nc...->n...", self.barycentric, array[self.corners]))
 
@@ -202,15 +203,15 @@ def sample_with_origin(
     weights = np.where(scaled.degenerate_faces(), 0.0, scaled.face_areas)
     if not weights.any():
         raise InvalidInputError(
-            f"`mesh` must have area to be sampled, got {len(mesh.faces)} faces that are all"
-            " degenerate; use `mesh.as_cloud()` for its vertices"
+            "mesh",
+            "have area to be sampled",
+            f"{len(mesh.faces)} faces that are all degenerate",
+            advice="use `mesh.as_cloud()` for its vertices",
         )
     if isinstance(density, GaussianDensity):
         weights = weights * _gaussian_factor(scaled, unit, density, weights, rng)
     elif density != "uniform":
-        raise InvalidInputError(
-            f'`density` must be "uniform" or a GaussianDensity, got {density!r}'
-        )
+        raise InvalidInputError("density", 'be "uniform" or a GaussianDensity', repr(density))
     return _draw(mesh, n, weights, rng)
 
 

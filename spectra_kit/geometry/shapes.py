@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,19 @@ from spectra_kit.errors import InvalidInputError
 _BLOCK = 1 << 16
 
 
+class _Shape(Rebuilt):
+    """What both kinds share: what else they may be given as."""
+
+    @staticmethod
+    def _made_of(thing: Any) -> Geometry:
+        from spectra_kit.geometry.adapt import adapted  # which reads files into these
+
+        return adapted(thing)
+
+
 @checked
 @dataclass(frozen=True, eq=False, repr=False)
-class PointCloud(Rebuilt):
+class PointCloud(_Shape):
     """Points sampled from a surface, in the order they came.
 
     Parameters
@@ -74,7 +85,7 @@ class PointCloud(Rebuilt):
 
 @checked
 @dataclass(frozen=True, eq=False, repr=False)
-class TriangleMesh(Rebuilt):
+class TriangleMesh(_Shape):
     """A triangle mesh: any topology, boundary and non-manifold edges allowed.
 
     The constructor refuses what no operator can use (NaN, indices out of range, no faces) and keeps
@@ -193,7 +204,7 @@ class TriangleMesh(Rebuilt):
     def degenerate_faces(self, relative_area: float = 1e-12) -> NDArray[np.bool_]:
         """Mark faces with a repeated vertex or area <= relative_area * (longest side)^2."""
         if not 0 <= relative_area < 1:
-            raise InvalidInputError(f"`relative_area` must be in [0, 1), got {relative_area!r}")
+            raise InvalidInputError("relative_area", "be in [0, 1)", repr(relative_area))
         a, b, c = self.faces.T
         repeated = (a == b) | (b == c) | (c == a)
         areas, longest, _ = _measures(self.points, self.faces)

@@ -224,32 +224,6 @@ def _diagonalize(matrix: Floats, axes: Floats) -> None:
 
 
 @compiled()
-def residual_rows(
-    starts: Ints,
-    neighbours: Ints,
-    stiffness: Floats,
-    mass: Floats,
-    values: Floats,
-    vectors: Floats,
-    first: int,
-    last: int,
-    out: Singles,
-) -> None:
-    """Write ``L u - lambda M u`` of each column, summed in float64, to rows of `out`."""
-    s = vectors.shape[1]
-    row = np.empty(s)
-    for i in range(first, last):
-        for c in range(s):
-            row[c] = -values[c] * mass[i] * vectors[i, c]
-        for p in range(starts[i], starts[i + 1]):
-            j, weight = neighbours[p], stiffness[p]
-            for c in range(s):
-                row[c] += weight * vectors[j, c]
-        for c in range(s):
-            out[i, c] = row[c]
-
-
-@compiled()
 def smoothing_step(
     starts: Ints,
     neighbours: Ints,

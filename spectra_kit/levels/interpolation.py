@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from scipy import sparse
 
 from spectra_kit._validate import frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels.subset import Operator, Subset
-from spectra_kit.linalg.threads import in_threads, thread_count
+from spectra_kit.linalg.threads import in_threads, shares
 
 _REACH = 2.5  # radius of influence of a point, in radii of the subset: some 15 reach each point
 _FLAT = 0.02  # share of the widest variance below which neighbours lie on a line
@@ -73,14 +71,8 @@ def prolongation(operator: Operator, subset: Subset) -> sparse.csr_array:
         )
     centres = points[subset.indices]
     weights = np.empty(len(columns))
-    cuts = [round(i * n / (4 * thread_count())) for i in range(4 * thread_count() + 1)]
-    in_threads(
-        interpolate,
-        (
-            (points, centres, indptr, columns, reach, _FLAT, first, last, weights)
-            for first, last in pairwise(cuts)
-        ),
-    )
+    fixed = (points, centres, indptr, columns, reach, _FLAT)
+    in_threads(interpolate, ((*fixed, *rows, weights) for rows in shares(n)))
     if len(columns) < np.iinfo(np.int32).max:  # half the memory, and what torch wants
         indptr = indptr.astype(np.int32)
     return sparse.csr_array((weights, columns, indptr), shape=(n, len(centres)))

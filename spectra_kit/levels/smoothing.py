@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from spectra_kit._types import Floats
 from spectra_kit._validate import frozen
-from spectra_kit.linalg.threads import in_threads, thread_count
+from spectra_kit.linalg.residuals import residuals
+from spectra_kit.linalg.threads import in_threads, shares
 from spectra_kit.operators.laplacian import Laplacian
 
 _FLOOR = 1e-3  # of the median diagonal entry: smaller ones would take steps of any length
@@ -50,7 +49,7 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
     >>> bool(abs(u - exact.eigenvectors).max() < 1e-6)
     True
     """
-    from spectra_kit.levels._kernels import residual_rows, smoothing_step
+    from spectra_kit.levels._kernels import smoothing_step
 
     L = laplacian.stiffness
     diagonal = L.diagonal()
@@ -58,15 +57,11 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
     highest = float((np.asarray(abs(L).sum(axis=1)) / diagonal).max())  # by Gershgorin
     lowest = highest / (1 + 0.6 * degree**2)
     centre, radius = (highest + lowest) / 2, (highest - lowest) / 2
-    blocks = 4 * thread_count()
-    cuts = [round(i * laplacian.n / blocks) for i in range(blocks + 1)]
 
-    residual, old, direction, new = (np.zeros(vectors.shape, np.float32) for _ in range(4))
-    vectors = np.ascontiguousarray(vectors)
-    # All read-only, and one kind of indices: numba compiles anew for others.
+    residual, _ = residuals(L, laplacian.mass, np.asarray(values), vectors)
+    old, direction, new = (np.zeros(vectors.shape, np.float32) for _ in range(3))
+    # Read-only, and one kind of indices: numba compiles anew for others.
     graph = tuple(frozen(np.asarray(a, dtype=np.int32)) for a in (L.indptr, L.indices))
-    exact = tuple(frozen(a) for a in (L.data, laplacian.mass, np.asarray(values), vectors))
-    in_threads(residual_rows, ((*graph, *exact, *rows, residual) for rows in pairwise(cuts)))
     singles = (
         a.astype(np.float32) for a in (L.data, laplacian.mass, 1 / diagonal, np.asarray(values))
     )
@@ -76,10 +71,8 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
         before, ratio = ratio, radius / centre if i == 0 else 1 / (2 * centre / radius - ratio)
         keep = 0.0 if i == 0 else ratio * before
         step = 1 / centre if i == 0 else 2 * ratio / radius
-        in_threads(
-            smoothing_step,
-            ((*fixed, old, direction, new, keep, step, *rows) for rows in pairwise(cuts)),
-        )
+        state = (old, direction, new, keep, step)
+        in_threads(smoothing_step, ((*fixed, *state, *rows) for rows in shares(laplacian.n)))
         old, new = new, old
     # Of a mode far above the frequencies that are damped, steps may grow until they overflow.
     old[:, ~np.isfinite(old).all(axis=0)] = 0.0

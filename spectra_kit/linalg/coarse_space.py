@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-import time
+from collections.abc import Callable
+from operator import call
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 from scipy import sparse
 
+from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_mass
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg._checks import check_matrix, check_vector
 from spectra_kit.linalg._coarse_energy import check_basis, inverse_energy
-from spectra_kit.linalg._team import Call, ranges, side_by_side
 from spectra_kit.linalg.products import real_dtype
+from spectra_kit.linalg.threads import in_threads, ranges
 
+#: Rows of a range of `pcg` and its preconditioners: sums within one are never cut differently.
+ROWS = 16_384
 _WIDE = 32  # modes from which a range of rows is worth a thread
 
 
@@ -108,12 +112,12 @@ class CoarseSpace:
         matrix: sparse.csr_array | None = None,
         dtype: DTypeLike = np.float32,
     ) -> None:
-        begin = time.perf_counter()
+        clock = Clock()
         kind = real_dtype("dtype", dtype)
         self._basis = check_basis(basis, kind)
         self.n, self.dimension = self._basis.shape
         # Wide, each range of rows is worth a thread; narrow, all together are, beside a factor.
-        cuts = ranges(self.n)
+        cuts = ranges(self.n, ROWS)
         self._shares = [cuts] if self._basis.shape[1] < _WIDE else [[cut] for cut in cuts]
         self._inverse: Floats | None = None
         self._reciprocal: Floats = np.ones(self.dimension)
@@ -127,7 +131,7 @@ class CoarseSpace:
                 f" {'neither' if matrix is None else 'both'}; eigenvalues serve as energies where"
                 " the basis holds their eigenvectors"
             )
-        self.seconds = time.perf_counter() - begin
+        self.seconds = clock.total
 
     def __repr__(self) -> str:
         return f"CoarseSpace(n={self.n}, dimension={self.dimension})"
@@ -151,20 +155,20 @@ class CoarseSpace:
             If `rhs` is of another shape.
         """
         out = np.zeros(self.n)
-        self.add_to(out, side_by_side(self.restrictions(rhs)))
+        self.add_to(out, in_threads(call, self.restrictions(rhs)))
         return out
 
-    def restrictions(self, rhs: Floats) -> list[Call]:
-        """Return the calls whose results add up to ``Y^T rhs``."""
+    def restrictions(self, rhs: Floats) -> list[tuple[Callable[..., Floats], Any, Any, Any]]:
+        """Return calls, functions with their arguments, whose results add up to ``Y^T rhs``."""
         values = check_vector("rhs", rhs, self.n)
-        return [(_restricted, (self._basis, values, rows)) for rows in self._shares]
+        return [(_restricted, self._basis, values, rows) for rows in self._shares]
 
     def add_to(self, out: Floats, restricted: list[Floats]) -> None:
         """Add ``Y E^-1 c`` to `out` (n,), with c (k,) the sum of `restricted`."""
         c = np.sum(restricted, axis=0)
         c = c * self._reciprocal if self._inverse is None else self._inverse @ c
         weights = c.astype(self._basis.dtype)
-        side_by_side([(_prolong, (self._basis, weights, out, rows)) for rows in self._shares])
+        in_threads(_prolong, ((self._basis, weights, out, rows) for rows in self._shares))
 
 
 def _restricted(basis: NDArray[Any], rhs: Floats, rows: list[tuple[int, int]]) -> Floats:
@@ -239,7 +243,9 @@ class AdditiveTwoLevel:
         """Return ``base.solve(rhs) + coarse.solve(rhs)``."""
         # The base is one task, as long as several ranges of a wide basis: it goes first.
         out: Floats
-        out, *restricted = side_by_side([(self.base.solve, (rhs,)), *self.coarse.restrictions(rhs)])
+        out, *restricted = in_threads(
+            call, [(self.base.solve, rhs), *self.coarse.restrictions(rhs)]
+        )
         self.coarse.add_to(out, restricted)
         return out
 
@@ -302,7 +308,7 @@ class ProjectedTwoLevel:
     def solve(self, rhs: Floats) -> Floats:
         """Return ``(I - Q A) base.solve(rhs) + coarse.solve(rhs)``."""
         z = self.base.solve(rhs)
-        self.coarse.add_to(z, side_by_side(self.coarse.restrictions(rhs - self._matrix @ z)))
+        self.coarse.add_to(z, in_threads(call, self.coarse.restrictions(rhs - self._matrix @ z)))
         return z
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
+from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import ConvergenceError, InvalidInputError
@@ -20,11 +20,10 @@ from spectra_kit.linalg._checks import (
     check_rhs,
     check_vector,
 )
-from spectra_kit.linalg._team import ranges, side_by_side, team
-from spectra_kit.linalg.coarse_space import Preconditioner
+from spectra_kit.linalg.coarse_space import ROWS, Preconditioner
 from spectra_kit.linalg.constant_kernel import ConstantKernel
 from spectra_kit.linalg.solution import LinearSolution
-from spectra_kit.linalg.threads import single_threaded_blas
+from spectra_kit.linalg.threads import in_threads, ranges, single_threaded_blas, team
 
 _MOST_ITERATIONS = 10_000
 _PROGRESS = 0.5  # factor by which a restart must have reduced the true residual
@@ -104,7 +103,7 @@ def pcg(
     >>> solution.x, solution.iterations
     (array([ 1., 0., -1.]), 1)
     """
-    begin = time.perf_counter()
+    clock = Clock()
     A = check_matrix(matrix)
     n = A.shape[0]
     kernel = check_kernel(kernel, A)
@@ -122,7 +121,7 @@ def pcg(
     norm = float(np.linalg.norm(b))
     unit = norm or 1.0
     with team(), single_threaded_blas():
-        system = _Iteration(A, b / unit, guess / unit, preconditioner, kernel, begin)
+        system = _Iteration(A, b / unit, guess / unit, preconditioner, kernel, clock)
         target = max(rtol, atol / unit) if norm else 0.0
         reason = system.run(target, limit, progress)
     converged = system.norms[-1] <= target
@@ -134,7 +133,7 @@ def pcg(
         converged=converged,
         method="CG" if preconditioner is None else f"PCG with {preconditioner!r}",
         setup_seconds=float(getattr(preconditioner, "seconds", 0.0)),
-        seconds=time.perf_counter() - begin,
+        seconds=clock.total,
         times=np.array(system.times),
     )
     if not converged and throw:
@@ -159,7 +158,7 @@ class _Iteration:
         x: Floats,
         preconditioner: Preconditioner | None,
         kernel: ConstantKernel | None,
-        begin: float,
+        clock: Clock,
     ) -> None:
         from spectra_kit.linalg import _krylov_kernels
 
@@ -167,9 +166,9 @@ class _Iteration:
         # Unsigned: the compiled loop need not test for negative indices.
         index = np.uint32 if A.nnz < 2**32 else np.uint64
         self._rows = (A.indptr.astype(index), A.indices.astype(index), A.data)
-        self._ranges = ranges(len(b))
+        self._ranges = ranges(len(b), ROWS)
         self._A = A
-        self._preconditioner, self._kernel, self._begin = preconditioner, kernel, begin
+        self._preconditioner, self._kernel, self._clock = preconditioner, kernel, clock
         self._drift = 0.0  # mean of r, to be taken from it
         self._weight = 0.0  # r . z of the last step; 0: the next forgets the directions before it
         self._b, self.x = b, x
@@ -255,9 +254,9 @@ class _Iteration:
 
     def _multiply(self, values: Floats, out: Floats) -> float:
         """Write ``A @ values`` to `out`, and return its product with `values`."""
-        task = self._kernels.multiply
-        calls = [(task, (*self._rows, values, out, *rows)) for rows in self._ranges]
-        return float(sum(side_by_side(calls)))
+        fixed = (*self._rows, values, out)
+        shares = in_threads(self._kernels.multiply, ((*fixed, *rows) for rows in self._ranges))
+        return float(sum(shares))
 
     def _residual(self) -> Floats:
         image = np.empty_like(self._b)
@@ -272,7 +271,7 @@ class _Iteration:
 
     def _record(self, norm: float) -> None:
         self.norms.append(norm)
-        self.times.append(time.perf_counter() - self._begin)
+        self.times.append(self._clock.total)
 
 
 def _check_start(start: ArrayLike | None, n: int, kernel: ConstantKernel | None) -> Floats:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
+from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg._checks import check_kernel, check_matrix, check_rhs, check_symmetric
@@ -58,7 +57,7 @@ class GroundedCholesky:
     """
 
     def __init__(self, matrix: sparse.csr_array, kernel: ConstantKernel | None = None) -> None:
-        start = time.perf_counter()
+        clock = Clock()
         self._matrix = check_matrix(matrix)
         check_symmetric(self._matrix)
         self._kernel = check_kernel(kernel, self._matrix)
@@ -71,7 +70,7 @@ class GroundedCholesky:
         if len(self._free):
             inner = sparse.csr_array(self._matrix[self._free][:, self._free])
             self._factor = SparseCholesky(inner)
-        self.seconds = time.perf_counter() - start
+        self.seconds = clock.total
 
     def solve(self, rhs: ArrayLike) -> Floats:
         """Solve ``matrix @ x = rhs``.
@@ -106,7 +105,7 @@ class GroundedCholesky:
         LinearSolution
             Of no iterations and one residual.
         """
-        begin = time.perf_counter()
+        clock = Clock()
         b = check_rhs(rhs, self.n, self._kernel)
         x = np.zeros(self.n)
         if self._factor is not None:
@@ -123,7 +122,7 @@ class GroundedCholesky:
                 " of your own, pass the kernel of a Neumann Laplacian as"
                 " ConstantKernel(laplacian.component_labels)"
             )
-        seconds = time.perf_counter() - begin
+        seconds = clock.total
         return LinearSolution(
             x=x,
             residual_norms=np.array([residual]),

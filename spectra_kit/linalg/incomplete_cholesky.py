@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
@@ -100,7 +99,7 @@ class IncompleteCholesky:
         reorder: bool | None = None,
         dtype: DTypeLike = np.float64,
     ) -> None:
-        begin = time.perf_counter()
+        clock = Clock()
         rows = check_matrix(matrix)
         kind = real_dtype("dtype", dtype)
         self.n: int = rows.shape[0]
@@ -130,7 +129,7 @@ class IncompleteCholesky:
         self._inverse = inverse
         lower = sparse.csr_array(upper.T.tocsr())
         self._lower, self._upper = _in_quads(lower, kind), _in_quads(upper, kind)
-        self.seconds = time.perf_counter() - begin
+        self.seconds = clock.total
 
     def __repr__(self) -> str:
         shift = f", shift={self.shift:.1e}" if self.shift else ""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from spectra_kit._types import Floats
 from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.linalg.products import real_dtype
-from spectra_kit.linalg.threads import in_threads, thread_count
+from spectra_kit.linalg.threads import in_threads, shares, thread_count
 
 _WIDE = 64  # columns solved together: more gain nothing, and cost memory in each thread
 _NARROW = 8  # fewer than these are not worth a thread of their own
@@ -201,11 +200,9 @@ class SparseLDL:
         if rhs.size == self.n:
             solve_column(*factor, rhs.reshape(-1), out.reshape(-1))
             return out
-        cuts = _cuts(rhs.shape[1])
-        in_threads(
-            solve_columns,
-            ((*factor, rhs, out, start, stop) for start, stop in pairwise(cuts)),
-        )
+        columns = rhs.shape[1]
+        blocks = max(-(-columns // _WIDE), min(thread_count(), -(-columns // _NARROW)))
+        in_threads(solve_columns, ((*factor, rhs, out, *cut) for cut in shares(columns, blocks)))
         return out
 
     @cached_property
@@ -225,12 +222,6 @@ def _groups(starts: NDArray[np.int64], rows: NDArray[np.uint32]) -> NDArray[np.i
     runs = np.flatnonzero(np.r_[True, ~joined])
     place = np.arange(n) - np.repeat(runs, np.diff(np.r_[runs, n]))
     return np.append(np.flatnonzero(place % 4 == 0), n)
-
-
-def _cuts(columns: int) -> list[int]:
-    """Return where to cut `columns` into blocks of nearly equal width, some for each thread."""
-    blocks = max(-(-columns // _WIDE), min(thread_count(), -(-columns // _NARROW)))
-    return [round(i * columns / blocks) for i in range(blocks + 1)]
 
 
 def _check_matrix(matrix: sparse.csr_array) -> None:

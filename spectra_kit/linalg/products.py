@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,8 @@ from numpy.typing import DTypeLike, NDArray
 from scipy import sparse
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.threads import in_threads, thread_count
+from spectra_kit.linalg.threads import in_threads, shares
 
-_BLOCKS = 4  # of rows, for each thread: levels out rows of different lengths
 _SMALL = 200_000  # multiplications below which a thread costs more than it saves
 
 
@@ -69,15 +67,9 @@ def spmm(
     values = rows.data.astype(result, copy=False)
     n = rows.shape[0]
     out = np.empty((n, dense.shape[1]), result)
-    blocks = _BLOCKS * thread_count() if rows.nnz * dense.shape[1] > _SMALL else 1
-    cuts = [round(i * n / blocks) for i in range(blocks + 1)]
-    in_threads(
-        multiply_rows,
-        (
-            (rows.indptr, rows.indices, values, dense, out, start, stop)
-            for start, stop in pairwise(cuts)
-        ),
-    )
+    cuts = shares(n, None if rows.nnz * dense.shape[1] > _SMALL else 1)
+    fixed = (rows.indptr, rows.indices, values, dense, out)
+    in_threads(multiply_rows, ((*fixed, *cut) for cut in cuts))
     return out
 
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._types import Floats, Singles
-from spectra_kit.linalg.threads import in_threads
+from spectra_kit.linalg.threads import in_threads, ranges
 
-_ROWS = 8_192  # of one task
+_ROWS = 8_192  # of one task: fixed, so that no sum depends on the threads
 
 
 def residuals(
@@ -49,7 +47,7 @@ def residuals(
 
     U = np.ascontiguousarray(vectors)
     R = np.empty(U.shape, np.float32)
-    blocks = _blocks(len(U))
+    blocks = ranges(len(U), _ROWS)
     squares = np.empty((len(blocks), U.shape[1]))
     fixed = (stiffness.indptr, stiffness.indices, stiffness.data, mass, U, values, R)
     in_threads(residual_rows, ((*fixed, squares[i], *ends) for i, ends in enumerate(blocks)))
@@ -85,7 +83,7 @@ def residual_norms(
     weights = 1 / (np.sqrt(mass) * unit)
     if left_out is not None:
         weights[left_out] = 0.0
-    blocks = _blocks(len(U))
+    blocks = ranges(len(U), _ROWS)
     squares = np.empty((len(blocks), U.shape[1]))
 
     def measure(i: int, start: int, stop: int) -> None:
@@ -97,8 +95,3 @@ def residual_norms(
 
     in_threads(measure, ((i, *ends) for i, ends in enumerate(blocks)))
     return np.asarray(unit * np.sqrt(squares.sum(axis=0)))
-
-
-def _blocks(n: int) -> list[tuple[int, int]]:
-    """Return the first and last rows of tasks of a fixed size: no sum depends on the threads."""
-    return list(pairwise([*range(0, n, _ROWS), n]))

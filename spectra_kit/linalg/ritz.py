@@ -13,7 +13,7 @@ from scipy.linalg import eigh
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.orthonormal import RankError, orthonormalize
-from spectra_kit.linalg.threads import in_threads, single_threaded_blas
+from spectra_kit.linalg.threads import in_threads, ranges, single_threaded_blas
 
 _ROWS = 4_096  # of one task: in the cache, and fixed, so that no sum depends on the threads
 _WELL_CONDITIONED = 1e-12  # of the Gram matrix: above it, one float64 Gram matrix tells all
@@ -205,25 +205,15 @@ def lifted(Y: Floats, rotation: Floats) -> Floats:
         np.matmul(Y[rows], rotation, out=U[rows])
 
     with single_threaded_blas():
-        in_threads(fill, ((rows,) for rows in _blocks(len(Y))))
+        in_threads(fill, ((slice(*rows),) for rows in ranges(len(Y), _ROWS)))
     return U
 
 
 def _sum_of(part: Callable[[slice], Floats], n: int) -> Floats:
     """Return the sum of `part` over blocks of n rows, the same bits on any number of threads."""
-    blocks = _blocks(n)
-    parts: list[Floats] = [np.empty(0)] * len(blocks)
-
-    def compute(i: int) -> None:
-        parts[i] = part(blocks[i])
-
     with single_threaded_blas():
-        in_threads(compute, ((i,) for i in range(len(blocks))))
-    total = parts[0].copy()
+        parts = in_threads(part, ((slice(*rows),) for rows in ranges(n, _ROWS)))
+    total: Floats = parts[0].copy()
     for other in parts[1:]:
         total += other
     return total
-
-
-def _blocks(n: int) -> list[slice]:
-    return [slice(start, start + _ROWS) for start in range(0, n, _ROWS)]

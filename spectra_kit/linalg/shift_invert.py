@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from spectra_kit._clock import Clock
 from spectra_kit._types import Floats, Singles
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.ldl import SparseLDL
 from spectra_kit.linalg.orthonormal import RankError
 from spectra_kit.linalg.residuals import residuals
 from spectra_kit.linalg.ritz import ritz_pairs_at_most, ritz_rotation
-from spectra_kit.linalg.threads import in_threads, single_threaded_blas, thread_count
+from spectra_kit.linalg.threads import in_threads, shares, single_threaded_blas
 
 _COLUMNS = 80  # filtered together, at most: bounds the temporaries
 _SHIFT = 1 / 8  # of the guard eigenvalue: strong on the last modes, kind to float32 on the first
@@ -147,7 +146,7 @@ def shift_invert_iteration(
     Residuals do not tell whether a mode is missing of which the start holds nothing: so the first
     sweep also filters a few random columns, at twice the degree, and lets them join the block.
     """
-    clock = _Clock()
+    clock = Clock()
     # With a mean mass of one, float32 holds every unit of length. Eigenvalues are times `unit`.
     unit = float(mass.mean())
     mass = mass / unit
@@ -259,20 +258,6 @@ def _filtered_noise(
     return columns
 
 
-class _Clock:
-    """Wall time by stage."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def stage(self, name: str) -> None:
-        """Book the time since the last stage under `name`."""
-        now = time.perf_counter()
-        self.seconds[name] = self.seconds.get(name, 0.0) + now - self._last
-        self._last = now
-
-
 def _correction(
     shifted: ShiftedFactor, mass: Floats, R: Singles, values: Floats, guard: float, degree: int
 ) -> Singles:
@@ -290,18 +275,12 @@ def _correction(
     previous = np.zeros_like(first)
     weights = mass.astype(np.float32)
     np.multiply(weights[:, None], correction, out=solved)
-    blocks = 4 * thread_count()
-    cuts = [round(i * len(mass) / blocks) for i in range(blocks + 1)]
+    cuts = shares(len(mass))
     for _ in range(degree - 1):
         solved = shifted.factor.solve(solved, dtype=np.float32)
         p_next = 2 * x * p - p_before
         a, b, c = (np.float32(q / p_next) for q in (2 * p, p_before, 2 * p))
-        in_threads(
-            chebyshev_step,
-            (
-                (solved, correction, previous, first, weights, gain, a, b, c, lo, hi)
-                for lo, hi in pairwise(cuts)
-            ),
-        )
+        fixed = (solved, correction, previous, first, weights, gain, a, b, c)
+        in_threads(chebyshev_step, ((*fixed, *rows) for rows in cuts))
         p_before, p = p, p_next
     return correction

@@ -7,11 +7,14 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import ContextVar
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 #: Entries of a block, 8 MiB: one core passes over fewer in a millisecond.
 WORTH_SHARING = 1 << 20
+_SHARES = 4  # for each thread: levels out rows of different lengths
 
 
 def thread_count() -> int:
@@ -24,20 +27,57 @@ def thread_count() -> int:
     return os.cpu_count() or 1
 
 
-def in_threads(task: Callable[..., None], arguments: Iterable[tuple[Any, ...]]) -> None:
-    """Call `task` with each tuple of `arguments`, side by side.
+def ranges(n: int, size: int) -> list[tuple[int, int]]:
+    """Cut n rows into ranges of `size`: the same, and so each sum, on any number of threads."""
+    return [(start, min(start + size, n)) for start in range(0, n, size)]
 
-    The threads end with the call: a process may fork afterwards, and several may call at once.
+
+def shares(n: int, count: int | None = None) -> list[tuple[int, int]]:
+    """Cut n rows into `count` nearly equal ranges; into some for each thread without it."""
+    count = _SHARES * thread_count() if count is None else count
+    return list(pairwise(round(i * n / count) for i in range(count + 1)))
+
+
+_team: ContextVar[tuple[ThreadPoolExecutor, int] | None] = ContextVar("_team", default=None)
+
+
+@contextmanager
+def team() -> Iterator[None]:
+    """Keep the threads of `in_threads` for all calls inside: starting them costs up to a step."""
+    workers = thread_count() - 1  # and the one that calls
+    if workers < 1:
+        yield
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        token = _team.set((pool, workers))
+        try:
+            yield
+        finally:
+            _team.reset(token)
+
+
+def in_threads(task: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
+    """Return what `task` returns for each tuple of `arguments`, in their order; side by side.
+
+    The threads are those of the `team` around, or end with the call: a process may fork
+    afterwards, and several may call at once.
     """
     calls = list(arguments)
     workers = min(thread_count(), len(calls))
     if workers <= 1:
-        for call in calls:
-            task(*call)
-        return
+        return _one_by_one(task, calls)
+    if (members := _team.get()) is not None:
+        pool, others = members
+        first, *rest = ranges(len(calls), -(-len(calls) // (others + 1)))
+        futures = [pool.submit(_one_by_one, task, calls[slice(*cut)]) for cut in rest]
+        results = _one_by_one(task, calls[slice(*first)])
+        return results + [result for future in futures for result in future.result()]
     with ThreadPoolExecutor(workers) as pool:
-        for done in [pool.submit(task, *call) for call in calls]:
-            done.result()
+        return [done.result() for done in [pool.submit(task, *call) for call in calls]]
+
+
+def _one_by_one(task: Callable[..., Any], calls: list[tuple[Any, ...]]) -> list[Any]:
+    return [task(*call) for call in calls]
 
 
 _lock = threading.Lock()

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import re
-import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 import torch
 from scipy import sparse
 from torch import Tensor
 
+from spectra_kit._clock import Clock
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.products import spmm
 from spectra_kit.linalg.threads import WORTH_SHARING
@@ -155,20 +156,7 @@ def device_memory() -> Iterator[None]:
         raise MemoryError(str(error).partition("\n")[0]) from error
 
 
-class Clock:
-    """Wall time by stage; waits for CUDA, which otherwise works on after a call returns."""
-
-    def __init__(self, device: torch.device) -> None:
-        self.device, self.seconds = device, dict[str, float]()
-        self._last = self._now()
-
-    def stage(self, name: str) -> None:
-        """Add the time since the last stage to that of `name`."""
-        now = self._now()
-        self.seconds[name] = self.seconds.get(name, 0.0) + now - self._last
-        self._last = now
-
-    def _now(self) -> float:
-        if self.device.type == "cuda":
-            torch.cuda.synchronize(self.device)
-        return time.perf_counter()
+def device_clock(device: torch.device | str) -> Clock:
+    """Return a clock that waits for CUDA, which otherwise works on after a call returns."""
+    place = torch.device(device)
+    return Clock(partial(torch.cuda.synchronize, place) if place.type == "cuda" else None)

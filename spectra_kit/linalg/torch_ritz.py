@@ -8,9 +8,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from spectra_kit._clock import Clock
 from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.torch_device import Clock, csr_product
+from spectra_kit.linalg.torch_device import csr_product, device_clock
 
 _ROWS = 65_536  # rows of a basis handled at once: bounds the temporaries, not the result
 _SINGLE_ROWS = 2_048  # of float32 products between two float64 sums: keeps the rounding down
@@ -187,7 +188,7 @@ def leading_ritz_pairs(
     one projection, and the lift of the columns wanted. A second round in these takes away the
     rounding of the first.
     """
-    clock = clock or Clock(basis.device)
+    clock = clock or device_clock(basis.device)
     whitening, single = _single_whitening(basis, mass), True
     if whitening is None:
         whitening, single = _whitening(_gram(basis, mass, torch.float64), _DOUBLE_LIMIT), False
@@ -215,7 +216,7 @@ def ritz_rotation(
     InvalidInputError
         If their Gram matrix is not positive definite.
     """
-    clock = clock or Clock(columns.device)
+    clock = clock or device_clock(columns.device)
     for _ in range(2):  # what rounding in an ill-conditioned Gram matrix left oblique is put right
         gram = _gram(columns, mass, torch.float64)
         whitening = _whitening(gram, math.inf)

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from spectra_kit._types import Floats, Ints
 from spectra_kit.linalg.cholesky import SparseCholesky
-from spectra_kit.linalg.threads import in_threads
+from spectra_kit.linalg.threads import in_threads, ranges
 from spectra_kit.matching.curvature import outward_normals
 from spectra_kit.matching.prepare import Surface
 from spectra_kit.operators.orientation import OrientedTriangles
@@ -100,13 +100,13 @@ def _rotations(covariances: Floats) -> Floats:
     """Return the rotations R that fit best: the largest trace of ``R S`` for each S, (n, 3, 3)."""
     out = np.empty_like(covariances)
 
-    def rotate(part: slice) -> None:
-        u, _, vt = np.linalg.svd(covariances[part])
+    def rotate(start: int, stop: int) -> None:
+        u, _, vt = np.linalg.svd(covariances[start:stop])
         flipped = np.linalg.det(u) * np.linalg.det(vt) < 0
         vt[flipped, 2] *= -1
-        out[part] = np.swapaxes(u @ vt, 1, 2)
+        out[start:stop] = np.swapaxes(u @ vt, 1, 2)
 
-    in_threads(rotate, [(slice(a, a + _SHARE),) for a in range(0, len(covariances), _SHARE)])
+    in_threads(rotate, ranges(len(covariances), _SHARE))
     return out
 
 

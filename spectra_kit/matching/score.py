@@ -8,7 +8,7 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_indices, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.functional_maps._checks import check_point_map
+from spectra_kit.functional_maps.checks import check_point_map
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.matching.prepare import Prepared, curvatures
 from spectra_kit.spectra import Spectrum

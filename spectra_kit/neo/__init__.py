@@ -7,7 +7,8 @@
 """
 
 from spectra_kit.linalg.torch_ritz import RitzPairs
-from spectra_kit.neo.model import NeoConfig, NeoNetwork, build_network
+from spectra_kit.neo.backbones import build_network
+from spectra_kit.neo.model import NeoConfig, NeoNetwork
 from spectra_kit.neo.pretrained import WEIGHTS, Pretrained, load_pretrained, save_weights
 from spectra_kit.neo.subspace import NeoSubspace, neo_eigenpairs
 

@@ -22,15 +22,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from spectra_kit.errors import MissingDependencyError
-from spectra_kit.neo.model import (
-    _ENCODED,
-    NeoConfig,
-    NeoNetwork,
-    WaveHead,
-    _free_head,
-    encode,
-)
+from spectra_kit._checked import checked
+from spectra_kit._optional import optional
+from spectra_kit.neo.model import ENCODED, NeoConfig, NeoNetwork, WaveHead, encode, free_head
 
 _CENTRES = (400, 100)
 _RADII = (0.2, 0.4)  # of the balls around them, in posed coordinates
@@ -49,10 +43,10 @@ class _Hierarchical(NeoNetwork):
         # two layers take 2 D^2; a linear one from c to D > c channels would have rank c alone.
         c = config.width * math.sqrt((35 * config.depth - 2) / self._TERMS)
         self.channels = 2 * max(1, round(c / 2))
-        self.enter = _mlp(_ENCODED + 1, self.channels, self.channels)
+        self.enter = _mlp(ENCODED + 1, self.channels, self.channels)
         self.widen = _mlp(self.channels, config.width)
         self.out = nn.Linear(config.width, config.width)
-        self.head = WaveHead(config) if config.waves else _free_head(config)
+        self.head = WaveHead(config) if config.waves else free_head(config)
 
     @torch.no_grad()
     def evaluate_chunked(
@@ -275,20 +269,42 @@ def _mlp(*channels: int, plain_last: bool = False) -> nn.Module:
 
 
 def _geometric() -> Any:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of torch.jit, used on import
-            import torch_geometric.nn as layers
-    except ImportError as error:
-        raise MissingDependencyError(
-            "the backbones PointNet++ and Point Transformer need PyTorch Geometric:"
-            " pip install torch_geometric"
-        ) from error
-    return layers
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of torch.jit, used on import
+        return optional("torch_geometric.nn", extra="backbones", needed_by="this backbone")
 
 
-#: What `NeoConfig.backbone` may name, beside "neo".
+#: What `NeoConfig.backbone` may name.
 BACKBONES: dict[str, type[NeoNetwork]] = {
+    "neo": NeoNetwork,
     "pointnet++": PointNetPlusPlus,
     "point-transformer": PointTransformer,
 }
+
+
+@checked
+def build_network(config: NeoConfig) -> NeoNetwork:
+    """Return the network that a configuration describes, with random weights.
+
+    Parameters
+    ----------
+    config : NeoConfig
+        Sizes and backbone.
+
+    Returns
+    -------
+    NeoNetwork
+        Or a subclass with another backbone under the same heads.
+
+    Raises
+    ------
+    MissingDependencyError
+        If another backbone than ``"neo"`` is asked for and PyTorch Geometric is not installed.
+
+    Examples
+    --------
+    >>> from spectra_kit.neo import NeoConfig, build_network
+    >>> build_network(NeoConfig.named("small")).config.backbone
+    'neo'
+    """
+    return BACKBONES[config.backbone](config)

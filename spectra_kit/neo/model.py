@@ -18,11 +18,11 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from spectra_kit._checked import checked
+from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
 
 _EXPONENTS = torch.linspace(-2, 6, 24)  # frequencies 2^-2 ... 2^6 half-turns per unit of length
-_BACKBONES = ("neo", "pointnet++", "point-transformer")
-_ENCODED = 3 + 2 * 3 * len(_EXPONENTS)
+ENCODED = 3 + 2 * 3 * len(_EXPONENTS)  # channels of `encode`
 
 
 @checked
@@ -88,13 +88,8 @@ class NeoConfig:
         if min(sizes) < 1 or self.m < self.k:
             raise InvalidInputError(f"sizes of a network must be positive with m >= k, got {self}")
         if not 0 <= 2 * self.waves < self.m:
-            raise InvalidInputError(f"`waves` must be in [0, m / 2), got {self.waves}")
-        if not 0 < self.bandwidth < math.inf:
-            raise InvalidInputError(f"`bandwidth` must be positive, got {self.bandwidth!r}")
-        if self.backbone not in _BACKBONES:
-            raise InvalidInputError(f"`backbone` must be in {_BACKBONES}, got {self.backbone!r}")
-        if self.frame not in ("principal", "none"):
-            raise InvalidInputError(f'`frame` must be "principal" or "none", got {self.frame!r}')
+            raise InvalidInputError("waves", "be in [0, m / 2)", self.waves)
+        check_positive("bandwidth", self.bandwidth)
 
     @property
     def attention_width(self) -> int:
@@ -111,7 +106,7 @@ class NeoConfig:
         32. ``"base"`` is ``"paper-base"`` with 32 waves beside the functions of the paper.
         """
         if name not in _NAMED:
-            raise InvalidInputError(f"`name` must be one of {sorted(_NAMED)}, got {name!r}")
+            raise InvalidInputError("name", f"be one of {sorted(_NAMED)}", repr(name))
         return _NAMED[name]
 
 
@@ -322,7 +317,8 @@ class Stream(nn.Module):
         return h
 
 
-def _free_head(config: NeoConfig) -> Stream | Linear | Extension:
+def free_head(config: NeoConfig) -> Stream | Linear | Extension:
+    """Return what makes the functions beside the waves."""
     free = config.m - 2 * config.waves
     if free == config.width:
         return Stream()
@@ -342,7 +338,7 @@ class WaveHead(nn.Module):
 
     def __init__(self, config: NeoConfig) -> None:
         super().__init__()
-        self.free = _free_head(config)
+        self.free = free_head(config)
         drawn = np.random.default_rng(0).normal(scale=config.bandwidth, size=(config.waves, 3))
         # In the weights file, for no generator is promised to draw the same for ever; rounded so
         # that both half precisions hold them exactly.
@@ -386,9 +382,9 @@ class NeoNetwork(nn.Module):
     def __init__(self, config: NeoConfig) -> None:
         super().__init__()
         self.config = config
-        self.lift = nn.Linear(_ENCODED, config.width)
+        self.lift = nn.Linear(ENCODED, config.width)
         self.blocks = nn.ModuleList(Block(config) for _ in range(config.depth))
-        self.head = WaveHead(config) if config.waves else _free_head(config)
+        self.head = WaveHead(config) if config.waves else free_head(config)
         for module in self.modules():
             if isinstance(module, _Attention):
                 for name, parameter in module.named_parameters():
@@ -473,36 +469,3 @@ class NeoNetwork(nn.Module):
         # Relative to the mean: a constant shift that softmax ignores and float16 needs.
         mass = mass.float()
         return (mass / mass.mean(dim=-1, keepdim=True)).log()
-
-
-@checked
-def build_network(config: NeoConfig) -> NeoNetwork:
-    """Return the network that a configuration describes, with random weights.
-
-    Parameters
-    ----------
-    config : NeoConfig
-        Sizes and backbone.
-
-    Returns
-    -------
-    NeoNetwork
-        Or a subclass with another backbone under the same heads.
-
-    Raises
-    ------
-    MissingDependencyError
-        If another backbone than ``"neo"`` is asked for and PyTorch Geometric is not installed.
-
-    Examples
-    --------
-    >>> from spectra_kit.neo import NeoConfig, build_network
-    >>> build_network(NeoConfig.named("small")).config.backbone
-    'neo'
-    """
-    if config.backbone == "neo":
-        return NeoNetwork(config)
-    from spectra_kit.neo.backbones import BACKBONES
-
-    network: NeoNetwork = BACKBONES[config.backbone](config)
-    return network

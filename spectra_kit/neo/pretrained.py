@@ -11,15 +11,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError, WeightsError
 from spectra_kit.linalg.torch_device import check_device, check_float_dtype
-from spectra_kit.neo.model import NeoConfig, NeoNetwork, build_network
-from spectra_kit.neo.safetensors_file import pack, unpack
+from spectra_kit.neo.backbones import build_network
+from spectra_kit.neo.model import NeoConfig, NeoNetwork
 
-_KEY = "spectra_kit.neo"
+_KEY = "spectra_kit.neo"  # the only one of the metadata: a file with two would differ every time
+_BLANK = b"0" * 64  # where the digest of the file goes, while it is computed
 
 #: Shipped weights: name -> (file in neo/weights, sha256 of the file).
 WEIGHTS: dict[str, tuple[str, str]] = {
@@ -89,32 +92,50 @@ def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -
     """
     place = check_device(device)
     path, digest = find_weights(name_or_path)
-    arrived = _sha256(path)
+    data = path.read_bytes()
+    arrived = hashlib.sha256(data).hexdigest()
     if arrived != digest:
         raise WeightsError(
-            f"{path} must have sha256 {digest}, got {arrived}; the file was changed or damaged,"
-            " reinstall spectra_kit"
+            f"{path} must have sha256 {digest}, got {arrived}; the file was changed or damaged",
+            advice="reinstall spectra_kit",
         )
+    config, record, tensors = _unpacked(path, data)
+    network = build_network(config)
+    _check_tensors(path, network, tensors)
+    network.load_state_dict(tensors)  # into float32, whatever the precision on disk
+    network.requires_grad_(False).eval().to(place)
+    return Pretrained(network, config, os.fspath(name_or_path), digest, record)
+
+
+def _unpacked(path: Path, data: bytes) -> tuple[NeoConfig, dict[str, Any], dict[str, torch.Tensor]]:
+    """Return the configuration, the record and the tensors of a file of this content."""
     try:
-        halves, metadata = unpack(path.read_bytes())
-    except WeightsError as error:
+        with safe_open(path, "pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
         raise WeightsError(f"{path} is no complete safetensors file ({error})") from error
-    tensors = {key: tensor.float() for key, tensor in halves.items()}
-    if metadata.keys() != {_KEY}:  # also where damage to its name hides the digest
+    if _KEY not in metadata:
         raise WeightsError(
-            f"{path} must have the metadata {_KEY!r} alone, got {sorted(metadata)};"
-            " was it written by `save_weights`?"
+            f"{path} must have the metadata {_KEY!r}, got {sorted(metadata)}",
+            advice="was it written by `save_weights`?",
         )
     try:
         content = json.loads(metadata[_KEY])
-        config, record = NeoConfig(**content["config"]), content["record"]
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        seal = content.pop("sha256", None)
+        config, record = NeoConfig(**content.pop("config")), content.pop("record")
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise WeightsError(f"{path} has unreadable metadata ({error!r})") from error
-    network = build_network(config)
-    _check_tensors(path, network, tensors)
-    network.load_state_dict(tensors, strict=True)
-    network.requires_grad_(False).eval().to(place)
-    return Pretrained(network, config, os.fspath(name_or_path), digest, record)
+    if content or (
+        seal is not None and _sealed(data.replace(str(seal).encode(), _BLANK, 1)) != data
+    ):
+        raise WeightsError(f"{path} is not what `save_weights` wrote; it was changed or damaged")
+    return config, record, tensors
+
+
+def _sealed(data: bytes) -> bytes:
+    """Return the content of a file with its digest in place of the blank: the format has none."""
+    return data.replace(_BLANK, hashlib.sha256(data).hexdigest().encode(), 1)
 
 
 @checked
@@ -150,16 +171,19 @@ def save_weights(
     """
     check_float_dtype(dtype)
     try:
-        content = json.dumps({"config": asdict(network.config), "record": record})
+        content = json.dumps(
+            {"sha256": _BLANK.decode(), "config": asdict(network.config), "record": record}
+        )
     except TypeError as error:
-        raise InvalidInputError(f"`record` must hold JSON values only: {error}") from error
+        raise InvalidInputError("record", "hold JSON values only", error) from error
     tensors = {
         name: tensor.detach().to("cpu", dtype).contiguous()
         for name, tensor in network.state_dict().items()
     }
+    data = _sealed(save(tensors, {_KEY: content}))
     with atomic_path(path) as temporary:
-        temporary.write_bytes(pack(tensors, {_KEY: content}))
-    return _sha256(Path(path))
+        temporary.write_bytes(data)
+    return hashlib.sha256(data).hexdigest()
 
 
 class WeightsFile(NamedTuple):
@@ -181,7 +205,9 @@ def find_weights(name_or_path: str | os.PathLike[str]) -> WeightsFile:
         file, digest = WEIGHTS[name_or_path]
         path = Path(str(resources.files("spectra_kit.neo") / "weights" / file))
         if not path.is_file():
-            raise WeightsError(f"the shipped file {path} is missing; reinstall spectra_kit")
+            raise WeightsError(
+                f"the shipped file {path} is missing", advice="reinstall spectra_kit"
+            )
         return WeightsFile(path, digest)
     path = Path(name_or_path)
     if path.suffix != ".safetensors":
@@ -190,7 +216,7 @@ def find_weights(name_or_path: str | os.PathLike[str]) -> WeightsFile:
             f" got {os.fspath(name_or_path)!r}"
         )
     if not path.is_file():
-        raise WeightsError(f"the weights file {path} does not exist; check the path")
+        raise WeightsError(f"the weights file {path} does not exist", advice="check the path")
     return WeightsFile(path, _sha256(path))
 
 
@@ -202,12 +228,14 @@ def _sha256(path: Path) -> str:
 def _check_tensors(path: Path, network: NeoNetwork, tensors: dict[str, torch.Tensor]) -> None:
     ours = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     theirs = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
-    wrong = sorted(
+    if wrong := sorted(
         name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name)
-    )
-    if wrong:
-        name = wrong[0]
+    ):
         raise WeightsError(
             f"{path} must hold the tensors of its configuration, {len(wrong)} do not fit, the"
-            f" first is {name!r}: expected shape {ours.get(name)}, got {theirs.get(name)}"
+            f" first is {wrong[0]!r}: expected shape {ours.get(wrong[0])}, got"
+            f" {theirs.get(wrong[0])}"
         )
+    for name, tensor in tensors.items():
+        if not (tensor.is_floating_point() and tensor.isfinite().all()):
+            raise WeightsError(f"{path} must hold finite floats, its tensor {name!r} does not")

@@ -14,11 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from spectra_kit._checked import checked
+from spectra_kit._clock import Clock
 from spectra_kit._validate import Rebuilt, check_count, check_mass, check_points
-from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels import coarsen
 from spectra_kit.linalg.filters import smoothed
-from spectra_kit.linalg.torch_device import Clock, check_device, device_memory, sparse_tensor
+from spectra_kit.linalg.torch_device import (
+    check_device,
+    device_clock,
+    device_memory,
+    sparse_tensor,
+)
 from spectra_kit.linalg.torch_ritz import RitzPairs, rayleigh_ritz, ritz_rotation
 from spectra_kit.neo.model import NeoNetwork
 from spectra_kit.neo.pretrained import find_weights, load_pretrained
@@ -76,10 +81,6 @@ class NeoSubspace(Rebuilt):
     chunk: int = 65536
 
     def __post_init__(self) -> None:
-        if self.poses not in (1, 2, 4):
-            raise InvalidInputError(f"`poses` must be 1, 2 or 4, got {self.poses!r}")
-        if self.dtype not in _DTYPES:
-            raise InvalidInputError(f"`dtype` must be one of {sorted(_DTYPES)}, got {self.dtype!r}")
         check_count("chunk", self.chunk, low=1)
         check_device(self.device)
         if not isinstance(self.network, NeoNetwork):
@@ -201,7 +202,7 @@ def neo_eigenpairs(
     if cap is not None:
         check_count("cap", cap, low=1)
     check_count("smoothing", smoothing, low=0)
-    clock = Clock(torch.device(subspace.device))
+    clock = device_clock(subspace.device)
     with device_memory():
         if cap is None or laplacian.n < 2 * cap:
             points, mass = laplacian.points, laplacian.mass

@@ -8,6 +8,7 @@
 """
 
 from spectra_kit.operators.assemble import cotan_laplacian, knn_laplacian, robust_laplacian
+from spectra_kit.operators.default import laplacian
 from spectra_kit.operators.delaunay import delaunay_laplacian
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
@@ -28,6 +29,7 @@ __all__ = [
     "delaunay_laplacian",
     "intrinsic_delaunay",
     "knn_laplacian",
+    "laplacian",
     "orientation_operator",
     "oriented_triangles",
     "robust_laplacian",

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry._units import component_units, power_of_two
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry.units import component_units, power_of_two
 
 _SMALLEST, _LARGEST = 1e-130, 1e130  # extents, of which squares and products are numbers
 

@@ -13,9 +13,9 @@ from spectra_kit._types import Bools, Floats
 from spectra_kit._validate import quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
-from spectra_kit.linalg.threads import in_threads
+from spectra_kit.linalg.threads import in_threads, ranges
 from spectra_kit.operators._checks import unit_of, units_of
-from spectra_kit.operators._local_delaunay import local_triangles
+from spectra_kit.operators.local_delaunay import local_triangles
 
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
@@ -101,8 +101,8 @@ def _front_and_back(
     from spectra_kit.operators._cover import glue
 
     twins = np.empty(6 * len(triangles), dtype=np.int32)
-    shared, n = (points, triangles, *sides, sharpest, twins), len(points)
-    in_threads(glue, ((*shared, first, min(first + _BLOCK, n)) for first in range(0, n, _BLOCK)))
+    shared = (points, triangles, *sides, sharpest, twins)
+    in_threads(glue, ((*shared, *rows) for rows in ranges(len(points), _BLOCK)))
     return triangles[:, _CORNERS].reshape(-1, 3), lengths[:, _SIDES].reshape(-1, 3), twins
 
 
@@ -140,7 +140,7 @@ def _is_boundary(triangles: Ints, lengths: Floats, closed: Bools, reach: Floats)
 
     Such triangles fill the bays of a sampled boundary.
     """
-    from spectra_kit.operators._triangle_calculus import areas
+    from spectra_kit.operators.triangle_calculus import areas
 
     marked = ~closed
     owners = triangles[:, 0]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
 from spectra_kit._checked import checked
+from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
@@ -90,7 +89,7 @@ def robust_laplacian(
         return delaunay_laplacian(geometry, mollify_factor=mollify_factor, n_neighbors=n_neighbors)
     import robust_laplacian as rl  # here: a bare machine unpacks it after this import
 
-    start = time.perf_counter()
+    clock = Clock()
     check_mollify_factor(mollify_factor)
     check_faces_usable(geometry)
     _check_room(len(geometry.faces) * _BYTES_PER_FACE)
@@ -102,7 +101,7 @@ def robust_laplacian(
         mass.diagonal() * unit**2,
         geometry.points,
         operator=f"robust_laplacian(mesh, mollify_factor={mollify_factor:g})",
-        seconds=time.perf_counter() - start,
+        seconds=clock.total,
     )
 
 
@@ -153,7 +152,7 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     """
     import igl  # here: training runs where no libigl is installed
 
-    start = time.perf_counter()
+    clock = Clock()
     check_faces_usable(mesh)
     unit = units_of(mesh)
     if (flat := int(mesh.degenerate_faces(1e-14).sum())) > 0:
@@ -174,7 +173,7 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
         mass.diagonal() * unit**2,
         mesh.points,
         operator="cotan_laplacian(mesh)",
-        seconds=time.perf_counter() - start,
+        seconds=clock.total,
     )
 
 
@@ -215,7 +214,7 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     >>> laplacian.kernel_dimension
     1
     """
-    start = time.perf_counter()
+    clock = Clock()
     points = geometry.points / unit_of(geometry)
     n = len(points)
     check_count("n_neighbors", n_neighbors, low=1, high=n - 1)
@@ -246,7 +245,7 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
         mass,
         geometry.points,
         operator=f"knn_laplacian(n_neighbors={n_neighbors})",
-        seconds=time.perf_counter() - start,
+        seconds=clock.total,
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._clock import Clock
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import (
     Rebuilt,
@@ -125,7 +125,7 @@ class IntrinsicTriangulation(Rebuilt):
     @cached_property
     def face_areas(self) -> Floats:
         """Area of each triangle, shape (f,), in length^2; not multiplied by `share`."""
-        from spectra_kit.operators._triangle_calculus import areas
+        from spectra_kit.operators.triangle_calculus import areas
 
         return frozen(areas(self.lengths))
 
@@ -166,7 +166,7 @@ class IntrinsicTriangulation(Rebuilt):
         InvalidInputError
             If `values` has another shape or is not finite.
         """
-        from spectra_kit.operators._triangle_calculus import gradients
+        from spectra_kit.operators.triangle_calculus import gradients
 
         function = _of_shape("values", values, (self.n,))
         return np.asarray(gradients(self.corners, self.lengths, function))
@@ -190,7 +190,7 @@ class IntrinsicTriangulation(Rebuilt):
         InvalidInputError
             If `vectors` has another shape or is not finite.
         """
-        from spectra_kit.operators._triangle_calculus import divergences
+        from spectra_kit.operators.triangle_calculus import divergences
 
         field = _of_shape("vectors", vectors, (len(self.corners), 2))
         return np.asarray(self.share * divergences(self.corners, self.lengths, field, self.n))
@@ -251,7 +251,7 @@ def intrinsic_delaunay(
     >>> round(triangulation.area, 3), len(triangulation.boundary)
     (1.618, 36)
     """
-    start = time.perf_counter()
+    clock = Clock()
     check_mollify_factor(mollify_factor)
     if isinstance(geometry, TriangleMesh):
         check_faces_usable(geometry)
@@ -266,7 +266,7 @@ def intrinsic_delaunay(
         glued.mass,
         geometry.points,
         operator=operator,
-        seconds=time.perf_counter() - start,
+        seconds=clock.total,
     )
     return IntrinsicTriangulation(
         glued.corners, glued.lengths, 1 / glued.copies, glued.boundary, laplacian

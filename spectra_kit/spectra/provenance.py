@@ -31,6 +31,9 @@ class Provenance(Rebuilt):
         Sweeps of an iterative backend, summed over the components; None where it does not count.
     accuracy : {"exact", "to tolerance", "approximate", ""}
         What the backend goes on for; empty where it does not say.
+    name : str
+        The backend's in the `catalogue`, else that of its class in lower case; empty for the user's
+        own modes.
     """
 
     solver: str = "user"
@@ -41,6 +44,7 @@ class Provenance(Rebuilt):
     version: str = ""
     iterations: int | None = None
     accuracy: str = ""
+    name: str = ""
 
     def __post_init__(self) -> None:
         seconds = {str(stage): float(t) for stage, t in self.seconds.items()}

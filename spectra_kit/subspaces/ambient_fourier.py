@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive
-from spectra_kit.linalg.threads import in_threads, single_threaded_blas
+from spectra_kit.linalg.threads import in_threads, ranges, single_threaded_blas
 from spectra_kit.subspaces.frame import canonical_frame
 
 _ROWS = 4_096  # evaluated at a time: stays in the cache, and each thread takes the next
@@ -78,7 +78,6 @@ class AmbientFourier:
             np.cos(phase, out=basis[rows, 4 : 4 + n_cosines])
             np.sin(phase[:, :n_sines], out=basis[rows, 4 + n_cosines :])
 
-        blocks = ((slice(start, start + _ROWS),) for start in range(0, len(posed), _ROWS))
         with single_threaded_blas():
-            in_threads(fill, blocks)
+            in_threads(fill, ((slice(*rows),) for rows in ranges(len(posed), _ROWS)))
         return basis

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from spectra_kit._files import atomic_path
-from spectra_kit.errors import MissingDependencyError
+from spectra_kit._optional import optional
 
 FIELDS = ("step", "samples", "seconds", "points", "lr", "rate", "loss", "validation")
 Row = dict[str, float]
@@ -37,14 +37,11 @@ class Log:
         path, rows = folder / "log.csv", list(rows)
         self._events: Any = None
         if tensorboard:
-            try:
-                from torch.utils.tensorboard import SummaryWriter
-            except ImportError as error:
-                raise MissingDependencyError(
-                    "event files need the package tensorboard; install it, or read log.csv"
-                ) from error
+            board = optional(
+                "torch.utils.tensorboard", extra="tensorboard", needed_by="a run with event files"
+            )
             purge = int(rows[-1]["step"]) + 1 if rows else 0
-            self._events = SummaryWriter(str(folder / "events"), purge_step=purge)
+            self._events = board.SummaryWriter(str(folder / "events"), purge_step=purge)
         with atomic_path(path) as part, part.open("w", newline="") as file:
             writer = csv.DictWriter(file, FIELDS)
             writer.writeheader()

@@ -20,8 +20,8 @@ import torch
 from torch import Tensor, nn
 
 from spectra_kit.errors import ConvergenceError, InvalidInputError
+from spectra_kit.neo import NeoNetwork, build_network
 from spectra_kit.neo.loss import ortho_loss, span_loss
-from spectra_kit.neo.model import NeoNetwork, build_network
 from spectra_kit.training import checkpoint
 from spectra_kit.training.batches import Tensors, for_validation, posed
 from spectra_kit.training.config import TrainConfig

@@ -27,7 +27,7 @@ def triangles_of(geometry: Geometry) -> Ints:
     """
     if isinstance(geometry, TriangleMesh):
         return geometry.faces
-    from spectra_kit.operators._local_delaunay import local_triangles
+    from spectra_kit.operators.local_delaunay import local_triangles
 
     points, first = np.unique(geometry.points, axis=0, return_index=True)
     if len(points) < 4:

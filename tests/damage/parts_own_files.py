@@ -16,7 +16,7 @@ from mutations import damaged
 
 from spectra_kit import Spectrum, eigensolve, robust_laplacian
 from spectra_kit.geometry import sphere
-from spectra_kit.neo.model import NeoConfig, build_network
+from spectra_kit.neo import NeoConfig, build_network
 from spectra_kit.neo.pretrained import load_pretrained, save_weights
 from spectra_kit.training import checkpoint
 
@@ -127,7 +127,8 @@ def edited_weights(case: Case) -> None:
     content = _weights()[2]
     start = 8 + int.from_bytes(content[:8], "little")
     header = json.loads(content[8:start])
-    header["__metadata__"].pop("spectra_kit.sha256")
+    told = json.loads(header["__metadata__"]["spectra_kit.neo"])
+    header["__metadata__"]["spectra_kit.neo"] = json.dumps({**told, "sha256": None})
     for _ in range(case.rng.integers(1, 4)):
         _edit(case.rng, header)
     text = json.dumps(header).encode()

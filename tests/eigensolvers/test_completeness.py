@@ -11,6 +11,7 @@ from scipy import sparse
 from spectra_kit import (
     AmbientFourier,
     Arpack,
+    Chebyshev,
     ConvergenceError,
     Dense,
     Laplacian,
@@ -76,8 +77,7 @@ OTHERS = [
     Dense(),
     Multilevel(),
     Refined(),
-    Refined(method="chebyshev"),
-    Refined(method="lobpcg", max_sweeps=200),
+    Chebyshev(),
     Lobpcg(),
     Lobpcg(preconditioner="amg"),
     Lobpcg(preconditioner="amg", start=AmbientFourier(m=200)),
@@ -123,9 +123,8 @@ def test_no_exact_solver_misses_a_mode(name: str, solver) -> None:
 @pytest.mark.parametrize(
     "solver",
     [
-        Refined(method="chebyshev"),
+        Chebyshev(),
         Lobpcg(preconditioner="amg", start=AmbientFourier(m=300)),
-        Refined(method="lobpcg", max_sweeps=200),
     ],
     ids=repr,
 )

@@ -10,6 +10,7 @@ from spectra_kit import (
     AmbientFourier,
     Arpack,
     Capped,
+    Chebyshev,
     Dense,
     GivenBasis,
     Laplacian,
@@ -64,7 +65,7 @@ def with_potential(height: float, share: float) -> Laplacian:
 @pytest.mark.parametrize("weight", [1e-6, 1e-9, 1e-12, 1e-15])
 @pytest.mark.parametrize(
     "solver",
-    [Arpack(), Dense(), Lobpcg(), Refined(), Refined(method="chebyshev"), Multilevel(coarsest=100)],
+    [Arpack(), Dense(), Lobpcg(), Refined(), Chebyshev(), Multilevel(coarsest=100)],
     ids=repr,
 )
 def test_weakly_coupled_parts_have_one_zero_mode(solver, weight) -> None:
@@ -189,7 +190,7 @@ EXACT = [
     Dense(),
     Lobpcg(max_steps=40),
     Refined(degree=6),
-    Refined(method="chebyshev"),
+    Chebyshev(),
     Multilevel(coarsest=100),
 ]
 APPROXIMATE = [
@@ -318,5 +319,5 @@ def test_a_filter_of_modes_far_up_beside_a_potential():
     height = sparse.diags_array(np.where(beside, 1e6, 0.0) * BALL.mass)
     laplacian = Laplacian(BALL.stiffness + height, BALL.mass, BALL.points)
     exact = eigensolve(laplacian, 60, Dense()).eigenvalues
-    filtered = eigensolve(laplacian, 60, Refined(method="chebyshev")).eigenvalues
+    filtered = eigensolve(laplacian, 60, Chebyshev()).eigenvalues
     assert filtered == pytest.approx(exact, rel=1e-8)

@@ -197,8 +197,6 @@ def test_bad_coordinates_are_refused(ball):
         nearest_source(ball, [0.0, 1.0])
     with pytest.raises(InvalidInputError, match="`coordinate` must be finite"):
         nearest_source(ball, [0.0, np.inf, 0.0])
-    with pytest.raises(InvalidInputError, match="wrap bare arrays"):
-        nearest_source(ball.points, [0.0, 0.0, 0.0])
     with pytest.raises(InvalidInputError, match="a face of positive area, got 1 without"):
         nearest_source(TriangleMesh(np.eye(3), [[0, 1, 1]]), [0.0, 0.0, 0.0])
 

@@ -329,11 +329,6 @@ def test_a_dense_cluster(scale) -> None:
         (lambda: PointCloud(np.vstack([BALL.points, BALL.points[:1]])), "without_duplicates"),
         (lambda: PointCloud(BALL.points * [1, 0, 0]), "duplicate point|on one line"),
         (lambda: PointCloud(np.eye(3)), "at least 4 points"),
-        (
-            lambda: BALL.points,
-            "must be a TriangleMesh, PointCloud or IntrinsicTriangulation, got a ndarray",
-        ),
-        (lambda: (BALL.points, BALL.faces), "got a tuple"),
     ],
 )
 def test_geometries_that_are_refused(make, message) -> None:

@@ -20,7 +20,6 @@ from spectra_kit.geodesics import (
     geodesic_distance,
 )
 from spectra_kit.geodesics.heat_step import HeatStep
-from spectra_kit.geodesics.system import System
 from spectra_kit.geometry import PointCloud, TriangleMesh, creature, rectangle, sphere
 from spectra_kit.linalg import LinearSolution
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
@@ -114,17 +113,12 @@ def test_heat_is_right_where_float64_cannot_hold_it() -> None:
     inner[[0, -1]] = 1.0
     path = sparse.csr_array(sparse.diags_array([off, inner, off], offsets=[-1, 0, 1]))
     points = np.column_stack([np.arange(n), np.zeros((n, 2))])
-    nothing = np.empty((0, 3))
-    system = System(
-        np.arange(n), path, np.ones(n), points, np.zeros(n, dtype=int),
-        nothing.astype(np.int32), nothing, 1.0, np.ones(n, dtype=bool), np.ones(n),
-    )  # fmt: skip
     heated = np.eye(1, n)[0]
     rate = np.arccosh(1 + 1 / (2 * duration))
     left = (n - 0.5 - np.arange(n)) * rate
     log = np.logaddexp(left, -left)
     for direct in (True, False):
-        heat = HeatStep(system, duration=duration, direct=direct).solve(heated)
+        heat = HeatStep(path, np.ones(n), points, duration=duration, direct=direct).solve(heated)
         assert heat.log[-1] < -4000  # exp of it underflows
         assert np.abs((heat.log - heat.log[0]) - (log - log[0])).max() < 1e-7
         assert heat.backward_error <= 1e-10
@@ -139,10 +133,12 @@ def test_a_long_tube_does_not_lose_the_heat() -> None:
 
 
 def test_heat_of_both_solvers_agrees_point_by_point(animal) -> None:
-    system = System.of(intrinsic_delaunay(animal))
+    triangulation = intrinsic_delaunay(animal)
+    laplacian, unit = triangulation.laplacian, triangulation.spacings[0]
+    system = laplacian.stiffness, laplacian.mass / unit**2, laplacian.points / unit
     heated = np.zeros(animal.n)
     heated[[5, 700]] = 1.0, 3.0
-    both = [HeatStep(system, duration=3.0, direct=d).solve(heated) for d in (True, False)]
+    both = [HeatStep(*system, duration=3.0, direct=d).solve(heated) for d in (True, False)]
     assert np.abs(both[0].log - both[1].log).max() < 1e-8
     assert both[0].method == "Cholesky"
     assert both[0].iterations == 0 < both[1].iterations
@@ -367,10 +363,13 @@ def test_a_closed_surface_has_no_boundary_condition(animal) -> None:
 
 
 def test_the_choice_is_explained(animal, modes) -> None:
-    assert "points are few" in geodesic_distance(animal, 0).choice
+    small = geodesic_distance(animal, 0)
+    assert (small.solver, small.reason) == (Direct(), "4000 points are few")
     forced = HeatGeodesics(animal, modes, solver=Iterative()).distance(0)
+    assert (forced.solver, forced.reason) == (Iterative(), "as asked")
     assert forced.choice == "two-level iterative (additive): as asked"
-    assert HeatGeodesics(animal, solver=Iterative()).distance(0).choice == "iterative: as asked"
+    plain = HeatGeodesics(animal, solver=Iterative()).distance(0)
+    assert (plain.solver, plain.solver.name) == (Iterative(coarse="none"), "iterative")
     choose = Automatic().choose
     assert isinstance(choose(100_000, 1)[0], Iterative)
     assert isinstance(choose(100_000, 20)[0], Direct)
@@ -389,17 +388,9 @@ def test_triangles_of_very_different_size() -> None:
     assert relative_error(fields[0], np.linalg.norm(mesh.points - mesh.points[0], axis=1)) < 0.1
 
 
-def test_factors_serve_once_they_are_there() -> None:
-    mesh = sphere(subdivisions=5).geometry
-    geodesics = HeatGeodesics(mesh)
-    one_by_one = [geodesics.distance(i).choice for i in range(6)]
-    assert ["iterative" in choice for choice in one_by_one] == 4 * [True] + 2 * [False]
-    assert one_by_one[-1] == "direct: the factors are there"
-
-
 def test_a_spectrum_without_modes_is_none(animal, modes) -> None:
     field = HeatGeodesics(animal, modes.truncate(1), solver=Iterative()).distance(0)
-    assert field.choice == "iterative: as asked"
+    assert field.solver == Iterative(coarse="none")
 
 
 def test_a_time_so_long_that_heat_is_level_is_warned_of(animal) -> None:
@@ -409,11 +400,14 @@ def test_a_time_so_long_that_heat_is_level_is_warned_of(animal) -> None:
 
 def test_many_sources_or_the_promise_of_them_decide_alike() -> None:
     mesh = sphere(subdivisions=5).geometry  # 10,242 points
-    fields = HeatGeodesics(mesh).distances([[i] for i in range(6)])
+    geodesics = HeatGeodesics(mesh)
+    fields = geodesics.distances([[i] for i in range(6)])
     promised = HeatGeodesics(mesh, solver=Automatic(n_sources=6)).distance(0)
-    assert {f.choice for f in fields} == {promised.choice}
-    assert "direct" in promised.choice
-    assert "iterative" in HeatGeodesics(mesh).distance(0).choice
+    assert {f.solver for f in (*fields, promised)} == {Direct()}
+    assert {f.reason for f in fields} == {promised.reason}
+    alone = [geodesics.distance(0), HeatGeodesics(mesh).distance(0)]  # whatever was asked before
+    assert {f.solver for f in alone} == {Iterative(coarse="none")}
+    assert np.array_equal(alone[0], alone[1])
 
 
 def test_a_field_is_an_array_and_keeps_its_record(animal) -> None:
@@ -450,13 +444,8 @@ def test_heat_that_does_not_get_there_is_kept(animal, monkeypatch) -> None:
 
 def test_a_matrix_that_is_no_laplacian_has_no_heat_step() -> None:
     indefinite = sparse.csr_array([[1.0, 2.0], [2.0, 1.0]])
-    nothing = np.empty((0, 3))
-    system = System(
-        np.arange(2), indefinite, np.ones(2) / 100, np.eye(2, 3), np.zeros(2, dtype=int),
-        nothing.astype(np.int32), nothing, 1.0, np.ones(2, dtype=bool), np.ones(2),
-    )  # fmt: skip
     with pytest.raises(InvalidInputError, match="has no incomplete factor"):
-        HeatStep(system, duration=1.0, direct=False)
+        HeatStep(indefinite, np.ones(2) / 100, np.eye(2, 3), duration=1.0, direct=False)
 
 
 @pytest.mark.parametrize(

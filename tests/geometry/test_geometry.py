@@ -182,7 +182,7 @@ def test_every_fault_is_counted(dirty, ball):
     assert found.upper == (3.0, 3.0, 3.0)
     assert len(found.problems) == 5
     for method in ("with_merged_vertices", "without_degenerate_faces", "without_unreferenced"):
-        assert sum(f"mesh.{method}()" in problem for problem in found.problems) == 1
+        assert sum(f"mesh.{method}()" in problem.remedies for problem in found.problems) == 1
 
 
 def test_non_manifold_edge_and_vertex():
@@ -194,7 +194,7 @@ def test_non_manifold_edge_and_vertex():
     assert diagnose(bow_tie).nonmanifold_edges == 0
     assert diagnose(bow_tie).nonmanifold_vertices == 1
     pinched = "1 vertex joins fans of faces that share no edge: use robust_laplacian"
-    assert pinched in diagnose(bow_tie).problems
+    assert pinched in map(str, diagnose(bow_tie).problems)
 
 
 def test_vertex_fans_agree_with_a_walk_around_each_vertex(ball):
@@ -226,13 +226,19 @@ def test_dimension_of_the_hull(offset):
         (rng.normal(size=(20, 3)), 3),
     ]:
         assert diagnose(PointCloud(points + offset)).dimension == dimension
-    assert diagnose(PointCloud([[1, 2, 3]])).problems == ("all points coincide: no surface",)
-    assert diagnose(PointCloud(t * a)).problems == ("all points lie on one line: no surface",)
+    for points, sentence in (
+        ([[1, 2, 3]], "all points coincide: no surface"),
+        (t * a, "all points lie on one line: no surface"),
+    ):
+        (problem,) = diagnose(PointCloud(points)).problems
+        assert (str(problem), problem.count) == (sentence, len(points))
 
 
 def test_cloud_duplicates_are_found():
     found = diagnose(PointCloud([*TRIANGLE, TRIANGLE[1]]))
-    assert found.problems == ("1 point lies exactly on an earlier one: cloud.without_duplicates()",)
+    (problem,) = found.problems
+    assert str(problem) == "1 point lies exactly on an earlier one: cloud.without_duplicates()"
+    assert problem.told(str.upper).endswith(": CLOUD.WITHOUT_DUPLICATES()")
     assert np.isnan(found.area)
 
 

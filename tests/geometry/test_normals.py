@@ -13,7 +13,7 @@ from spectra_kit.geometry import (
     sphere,
     torus,
 )
-from spectra_kit.geometry._signs import (
+from spectra_kit.geometry.signs import (
     agree_on_signs,
     symmetric_votes,
     turn_outwards,

@@ -124,7 +124,7 @@ def test_two_sheets_that_nearly_touch_do_not_mix():
 def test_a_prolongation_is_the_same_on_any_number_of_threads(ball, monkeypatch):
     subset = well_spread(ball, 500)
     lift = prolongation(ball, subset)
-    monkeypatch.setattr("spectra_kit.levels.interpolation.thread_count", lambda: 3)
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
     assert (lift != prolongation(ball, subset)).nnz == 0
 
 

@@ -8,11 +8,11 @@ import torch
 from scipy import sparse
 
 from spectra_kit.linalg.torch_device import (
-    Clock,
     csr_diagonal,
     csr_like,
     csr_product,
     csr_rows,
+    device_clock,
     device_memory,
     sparse_tensor,
 )
@@ -54,7 +54,7 @@ def test_want_of_memory_is_a_memory_error():
 
 
 def test_a_clock_books_time_by_stage():
-    clock = Clock(torch.device("cpu"))
+    clock = device_clock("cpu")
     time.sleep(0.02)
     before = time.perf_counter()
     clock.stage("sleep")

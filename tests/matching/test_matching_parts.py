@@ -101,11 +101,6 @@ def test_what_cannot_be_prepared_is_refused(mesh, source) -> None:
     ):
         prepare(spectrum, creature(600))
     with pytest.raises(
-        InvalidInputError,
-        match="`geometry` must be a TriangleMesh, PointCloud or None, got a ndarray",
-    ):
-        prepare(spectrum, mesh.points)
-    with pytest.raises(
         InvalidInputError, match="in the unit of the spectrum, got 100 times its area"
     ):
         prepare(spectrum, mesh.with_points(10 * mesh.points))

@@ -9,7 +9,8 @@ import torch
 from torch.nn import functional as F
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.neo.model import NeoConfig, NeoNetwork, build_network, encode
+from spectra_kit.neo import NeoConfig, NeoNetwork, build_network
+from spectra_kit.neo.model import encode
 
 TINY = NeoConfig(width=48, depth=2, heads=2, head_width=16, latents=10, m=24, k=8)
 
@@ -241,7 +242,7 @@ def test_build_network_makes_what_the_configuration_says():
     [
         ({"waves": 12}, r"`waves` must be in \[0, m / 2\), got 12"),
         ({"waves": -1}, "`waves` must be in"),
-        ({"bandwidth": 0.0}, "`bandwidth` must be positive, got 0.0"),
+        ({"bandwidth": 0.0}, "`bandwidth` must be positive and finite, got 0.0"),
         ({"backbone": "mlp"}, "`backbone` must be 'neo', .* or 'point-transformer', got 'mlp'"),
     ],
 )

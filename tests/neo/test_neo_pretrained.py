@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
@@ -98,14 +99,18 @@ def test_tensors_must_fit_the_configuration(path):
     save_file(tensors | {"lift.bias": torch.zeros(3)}, path, metadata=metadata)
     with pytest.raises(WeightsError, match=r"expected shape \(16,\), got \(3,\)"):
         load_pretrained(path)
+    for bias in (torch.full((16,), torch.nan), torch.ones(16, dtype=torch.int32)):
+        save_file(tensors | {"lift.bias": bias}, path, metadata=metadata)
+        with pytest.raises(WeightsError, match=r"must hold finite floats, its tensor 'lift.bias'"):
+            load_pretrained(path)
 
 
 def test_foreign_and_broken_metadata_are_refused(path):
     tensors = load_file(path)
     save_file(tensors, path)
-    with pytest.raises(WeightsError, match=r"'spectra_kit.neo' alone, got \[\]; was it written by"):
+    with pytest.raises(WeightsError, match=r"'spectra_kit.neo', got \[\]; was it written by"):
         load_pretrained(path)
-    for content in ('{"config": {"width": 16}, "record": {}}', '{"record": {}}', "no json"):
+    for content in ('{"config": {"width": 16}, "record": {}}', '{"record": {}}', "no json", "[]"):
         save_file(tensors, path, metadata={"spectra_kit.neo": content})
         with pytest.raises(WeightsError, match="has unreadable metadata"):
             load_pretrained(path)
@@ -116,3 +121,23 @@ def test_a_record_must_be_json_and_a_failed_write_leaves_the_old_file(path, netw
     with pytest.raises(InvalidInputError, match="`record` must hold JSON values only"):
         save_weights(path, network, {"when": object()})
     assert path.read_bytes() == before
+
+
+def test_no_flipped_bit_changes_a_value_unseen(tmp_path):
+    """Of a name, the metadata or a tensor: the format has no checksum, the content has one."""
+    path = tmp_path / "least.safetensors"
+    config = NeoConfig(width=1, depth=1, heads=1, head_width=1, latents=1, m=1, k=1)
+    save_weights(path, NeoNetwork(config), {"steps": 3})
+    content = path.read_bytes()
+    for bit in np.random.default_rng(0).permutation(8 * len(content))[:800]:
+        changed = bytearray(content)
+        changed[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(changed)
+        with pytest.raises((WeightsError, InvalidInputError)):
+            load_pretrained(path)
+
+
+def test_a_file_without_a_digest_is_read_too(path, network):
+    content = {"config": pretrained.asdict(TINY), "record": {"steps": 3}}
+    save_file(network.state_dict(), path, metadata={"spectra_kit.neo": json.dumps(content)})
+    assert load_pretrained(path).record == {"steps": 3}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from spectra_kit.eigensolvers import Capped, Neo, RayleighRitz, Refined, eigensolve
+from spectra_kit.eigensolvers import Capped, Chebyshev, Neo, RayleighRitz, eigensolve
 from spectra_kit.errors import InvalidInputError, WeightsError
 from spectra_kit.geometry import PointCloud, creature
 from spectra_kit.levels import coarsen
@@ -173,7 +173,7 @@ def test_a_prediction_is_refined_where_it_was_made(device):
     exact = eigensolve(laplacian, 40).eigenvalues
     start = Neo(device=device).subspace
     for rtol in (1e-4, 1e-9):
-        solver = Refined(start=start, method="chebyshev", device=device, rtol=rtol)
+        solver = Chebyshev(start=start, device=device, rtol=rtol)
         refined = eigensolve(laplacian, 40, solver)
         assert refined.certificate.relative_residuals.max() <= rtol * (1 + 1e-6)
         np.testing.assert_allclose(refined.eigenvalues, exact, rtol=max(rtol**2, 1e-12), atol=1e-9)

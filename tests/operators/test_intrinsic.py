@@ -434,7 +434,6 @@ def rebuilt(**changes) -> IntrinsicTriangulation:
 
 
 BAD = {
-    "array": (lambda: intrinsic_delaunay(MESH.points), "`geometry` must be a TriangleMesh or P"),
     "mollify": (
         lambda: intrinsic_delaunay(MESH, mollify_factor=-1),
         "`mollify_factor` must be positive",

@@ -259,8 +259,6 @@ BAD = {
         lambda: robust_laplacian(PointCloud(POINTS), mollify_factor=-1),
         "`mollify_factor` must be positive",
     ),
-    "bare array": (lambda: robust_laplacian(POINTS), "must be a TriangleMesh or PointCloud"),
-    "knn of a bare array": (lambda: knn_laplacian(POINTS), "wrap bare arrays"),
     "all but coincident": (
         lambda: delaunay_laplacian(PointCloud([*TRIANGLES, [1e-310, 0, 0]])),
         "points further apart than 1e-150 of its extent, got two that are closer; drop one",

@@ -139,8 +139,6 @@ def test_bad_triangles_are_refused() -> None:
         OrientedTriangles([[0, 1, 2]], [0.0], [1.0], 3)
     with pytest.raises(InvalidInputError, match="`faces` must be in"):
         OrientedTriangles([[0, 1, 3]], [1.0], [1.0], 3)
-    with pytest.raises(InvalidInputError, match="`geometry` must be a TriangleMesh"):
-        oriented_triangles(np.eye(3))
     with pytest.raises(InvalidInputError, match="no face uses"):
         oriented_triangles(TriangleMesh(np.eye(4)[:, :3], [[0, 1, 2]]))
 

@@ -136,35 +136,26 @@ def write_notebook(path: Path, text: str) -> None:
     path.write_text(json.dumps({"cells": cells}))
 
 
-@pytest.mark.parametrize(("folder", "mode"), [(None, "cache"), ("build/notebooks", "off")])
-def test_notebooks_are_shown_with_their_outputs(
-    folder: str | None, mode: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.delenv("SPECTRA_KIT_EXECUTED_NOTEBOOKS", raising=False)
-    if folder is not None:
-        monkeypatch.setenv("SPECTRA_KIT_EXECUTED_NOTEBOOKS", folder)
-    conf = load(DOCS / "conf.py")
-    assert (conf.nb_execution_mode, conf.nb_execution_in_temp) == (mode, True)
-    assert conf.nb_execution_raise_on_error
-
-
-def test_executed_notebooks_take_the_place_of_bare_ones(tmp_path: Path) -> None:
+def test_notebooks_become_pages_with_a_list_of_their_questions(tmp_path: Path) -> None:
     gather = load(DOCS / "extensions/notebook_pages.py").gather
-    bare, executed, pages = (tmp_path / name for name in ("bare", "executed", "pages"))
-    for folder in (bare, executed, pages):
-        folder.mkdir()
-    write_notebook(bare / "a.ipynb", "# A\n\n**What is a?** This.")
-    write_notebook(bare / "b.ipynb", "# B\n\nWe ask. And\nwhy b?")
-    write_notebook(executed / "b.ipynb", "# B\n\nWhy b? Executed.")
+    source, pages = tmp_path / "source", tmp_path / "pages"
+    source.mkdir()
+    pages.mkdir()
+    write_notebook(source / "a.ipynb", "# A\n\n**What is a?** This.")
+    write_notebook(source / "b.ipynb", "# B\n\nWe ask. And\nwhy b?")
     (pages / "gone.ipynb").write_text("of a notebook that was renamed")
-    gather(bare, executed, pages)
+    gather(source, pages)
     assert sorted(path.name for path in pages.iterdir()) == ["a.ipynb", "b.ipynb", "questions.inc"]
-    assert (pages / "a.ipynb").read_bytes() == (bare / "a.ipynb").read_bytes()
-    assert (pages / "b.ipynb").read_bytes() == (executed / "b.ipynb").read_bytes()
-    gather(bare, None, pages)
-    assert (pages / "b.ipynb").read_bytes() == (bare / "b.ipynb").read_bytes()
+    assert (pages / "b.ipynb").read_bytes() == (source / "b.ipynb").read_bytes()
     assert (pages / "questions.inc").read_text().splitlines() == [
         "- [A](pages/a.ipynb): What is a?",
         "- [B](pages/b.ipynb): And why b?",
     ]
+
+
+def test_a_notebook_that_fails_or_warns_ends_the_build(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    conf = load(DOCS / "conf.py")
+    assert conf.nb_execution_mode == "cache"
+    assert conf.nb_execution_raise_on_error
+    assert conf.nb_output_stderr == "error"

@@ -147,6 +147,7 @@ def example() -> dict[str, Any]:
                     prepared,
                     samples,
                     repaired,
+                    geometry.Problem(1, "a hole", "mend it"),
                     normalization,
                     given,
                     spectrum.certificate,
@@ -347,6 +348,11 @@ def example() -> dict[str, Any]:
         "Sources.n": n,
         "n_components": 1,
         "n_faces": 5,
+        "Problem.advice": "use {}",
+        "Problem.count": 1,
+        "Problem.finding": "one hole",
+        "Problem.remedies": ("a patch",),
+        "told.word": str.upper,
         "n_modes": 5,
         "n_neighbors": 10,
         "n_points": 500,
@@ -510,6 +516,7 @@ def example() -> dict[str, Any]:
         "target_orientation": oriented,
         "target_rows": spectrum.eigenvectors[:, :12],
         "targets": [0, 1],
+        "thing": mesh,
         "thresholds": [1.0, 2.0],
         "time": 0.1,
         "time_coefficient": 1.0,
@@ -564,6 +571,7 @@ ALSO = {
     "Refined.start": {"function"},
     "Polished.start": {"function"},
     "Lobpcg.start": {"function"},
+    "Chebyshev.start": {"function"},
     "subspace": {"function"},
     "parts": {"function"},
     "fit_functional_map.k": {"array", "none"},
@@ -571,10 +579,12 @@ ALSO = {
     "plot_spectrum.spectra": {"Spectrum"},
     "check_sources.geometry": {"Laplacian", "Spectrum"},
     "eigensolve.solver": {"Arpack"},
+    "spectrum.solver": {"Arpack"},
     # Empty sequences, which are arrays of floats to NumPy.
     "Match.candidates": {"array"},
     "pareto_front.points": {"array"},
     "Panel.lines": {"array"},
+    "Problem.remedies": {"array"},
 }
 
 

@@ -421,6 +421,28 @@ def test_fields_that_cannot_be_are_refused(tmp_path, spectrum, edit) -> None:
             Spectrum.load(path, mmap=mmap)
 
 
+@pytest.mark.parametrize(
+    ("made", "name", "accuracy"),
+    [
+        ("Arpack(tol=0.0, shift=0.1, seed=0, max_restarts=1000)", "arpack", "exact"),
+        ("RayleighRitz(subspace=AmbientFourier(m=9, bandwidth=1.0, seed=0), rank_tol=1e-10)",
+         "fourier", "approximate"),
+        ("RayleighRitz(subspace=RandomBasis(m=9, seed=0), rank_tol=1e-10)", "rayleighritz", ""),
+        ("pyFM", "pyfm", ""),
+        ("user", "", ""),
+    ],
+)  # fmt: skip
+def test_files_without_the_name_of_the_solver(tmp_path, spectrum, made, name, accuracy) -> None:
+    """Those of version 2 have its repr alone, and not the accuracy either."""
+
+    def change(header, _) -> None:
+        del header["provenance"]["name"], header["provenance"]["accuracy"]
+        header["provenance"]["solver"] = made
+
+    loaded = Spectrum.load(edited(tmp_path / "s.npz", spectrum, change)).provenance
+    assert (loaded.solver, loaded.name, loaded.accuracy) == (made, name, accuracy)
+
+
 def test_a_header_nested_too_deep_is_refused(tmp_path) -> None:
     np.savez(tmp_path / "deep.npz", header=np.array("[" * 100_000))
     with pytest.raises(InvalidInputError, match=r"not a whole spectrum file .maximum recursion"):

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import load_file
 
-from spectra_kit.neo.model import NeoConfig, build_network
+from spectra_kit.neo import NeoConfig, build_network
 from spectra_kit.neo.pretrained import WEIGHTS, load_pretrained, save_weights
-from spectra_kit.neo.safetensors_file import unpack
 
 ROOT = Path(__file__).parents[2]
 SPEC = importlib.util.spec_from_file_location("ship_weights", ROOT / "apps" / "ship_weights.py")
@@ -23,7 +23,7 @@ def test_shipped_weights_are_registered_under_their_name(tmp_path, name):
     torch.manual_seed(0)
     source = tmp_path / "mine.safetensors"
     save_weights(source, build_network(TINY), {"steps": 3})
-    (tmp_path / "tests" / "golden").mkdir(parents=True)
+    (tmp_path / "tests" / "neo" / "golden").mkdir(parents=True)
     (tmp_path / "spectra_kit" / "neo" / "weights").mkdir(parents=True)
     code = tmp_path / "spectra_kit" / "neo" / "pretrained.py"
     shutil.copy(ROOT / "spectra_kit" / "neo" / "pretrained.py", code)
@@ -34,7 +34,7 @@ def test_shipped_weights_are_registered_under_their_name(tmp_path, name):
     assert namespace["WEIGHTS"] == {**WEIGHTS, name: (file, digest)}
     shipped = load_pretrained(code.parent / "weights" / file)
     assert (shipped.sha256, shipped.record) == (digest, {"steps": 3})
-    golden, _ = unpack((tmp_path / "tests" / "golden" / file).read_bytes())
+    golden = load_file(tmp_path / "tests" / "neo" / "golden" / file)
     with torch.no_grad():
         basis = shipped.network(golden["points"][None], golden["mass"][None])[0]
     torch.testing.assert_close(basis, golden["basis"])

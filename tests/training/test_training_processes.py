@@ -12,7 +12,7 @@ import pytest
 import torch
 from conftest import ellipsoids
 
-from spectra_kit.neo.model import NeoConfig, build_network
+from spectra_kit.neo import NeoConfig, build_network
 from spectra_kit.training.checkpoint import read
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.ranks import Ranks, process_group

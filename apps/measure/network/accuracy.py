@@ -21,7 +21,7 @@ from spectra_kit._types import Floats
 from spectra_kit.eigensolvers import Dense, eigensolve
 from spectra_kit.eigensolvers.base import Eigenpairs
 from spectra_kit.errors import DoubtfulSpectrumWarning
-from spectra_kit.linalg.torch_device import Clock, sparse_tensor
+from spectra_kit.linalg.torch_device import device_clock, sparse_tensor
 from spectra_kit.linalg.torch_ritz import orthonormalize, rayleigh_ritz
 from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.operators import Laplacian
@@ -132,7 +132,7 @@ class Ritz:
         device = self.method.device
         if self.method.columns > ROOM * laplacian.n:
             return Dense().eigenpairs(laplacian, k)
-        clock = Clock(torch.device(device))
+        clock = device_clock(device)
         basis = self.method.basis(laplacian.points, laplacian.mass)
         clock.stage("subspace")
         mass = torch.from_numpy(np.array(laplacian.mass)).to(device)

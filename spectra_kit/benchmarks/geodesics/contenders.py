@@ -81,7 +81,7 @@ def _ours(
         return [
             Found(
                 f.distance,
-                None if f.choice.startswith("direct") else f.poisson.iterations,
+                None if f.solver == Direct() else f.poisson.iterations,
                 f.choice,
                 f.seconds,
             )

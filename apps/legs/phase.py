@@ -1,23 +1,24 @@
-"""The phases of a leg: what each begins with, and what it leaves to the next."""
+"""A phase of a leg: what it begins with, and what it leaves to the next."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import platform
-import secrets
+import shutil
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from spectra_kit._files import atomic_path, parsing
+from legs.leg import Leg
+from legs.packing import POOL
+from legs.parts import read_parts, write_parts
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.neo.model import NeoConfig, NeoNetwork, build_network
-from spectra_kit.neo.pretrained import WEIGHTS, Pretrained, load_pretrained, save_weights
+from spectra_kit.neo import NeoNetwork, Pretrained, build_network, load_pretrained, save_weights
 from spectra_kit.training import checkpoint
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.corpus import generate
@@ -27,70 +28,8 @@ from spectra_kit.training.shards import Corpus, open_shards
 from spectra_kit.training.stream import SampleStream
 from spectra_kit.training.train import TrainResult, train, validate
 
-POOL = "pool_{}.npz"  # in the packed folder, by split
 _FIRST = 2**20  # samples between the numbers of one phase and the next
-_SEED, _VALIDATION_SEED = 1_000_000, 2_000_003  # no sample is in both
-
-
-@dataclass(frozen=True)
-class Leg:
-    """What the phases of a leg share; ``leg.json`` holds it.
-
-    Parameters
-    ----------
-    name : str
-        Tells this leg from others.
-    weights : str
-        Name or file that it starts from, empty for random weights.
-    config : TrainConfig
-        Of all its phases.
-    n_points : int
-        Points of its samples.
-    rival : str
-        Weights that the new ones must beat: those that it starts from, else the shipped ones of
-        its configuration; empty where there are none.
-    asked : dict
-        What the first call asked for, which later ones may repeat but not change.
-    before : float or None
-        Span error of the rival.
-    validation : str
-        Tells the samples that it was measured on from others.
-    phase : int
-        Phases that have made steps.
-    step : int
-        Steps that they made.
-    finished : bool
-        Whether its schedule has ended.
-    """
-
-    name: str
-    weights: str
-    config: TrainConfig
-    n_points: int
-    rival: str = ""
-    asked: dict[str, Any] = field(default_factory=dict)
-    before: float | None = None
-    validation: str = ""
-    phase: int = 0
-    step: int = 0
-    finished: bool = False
-
-    def write(self, folder: Path) -> None:
-        """Write ``leg.json``."""
-        with atomic_path(folder / "leg.json") as path:
-            path.write_text(json.dumps(asdict(self), indent=1))
-
-    @classmethod
-    def read(cls, folder: Path) -> Leg | None:
-        """Read ``leg.json``; None where there is none."""
-        path = folder / "leg.json"
-        if not path.is_file():
-            return None
-        with parsing(path, "record of a leg", remedy="copy the state there again"):
-            content = json.loads(path.read_text())
-            config = content.pop("config")
-            config["network"] = NeoConfig(**config["network"])
-            return cls(**content, config=TrainConfig(**config))
+_VALIDATION_SEED = 2_000_003  # no sample is in both
 
 
 @dataclass(frozen=True)
@@ -99,7 +38,7 @@ class Place:
 
     Parameters
     ----------
-    out, state : Path
+    out, source : Path
         Where results go, and where those of the last phase lie.
     scratch : Path
         For what need not travel: samples, exact checkpoints.
@@ -112,107 +51,12 @@ class Place:
     """
 
     out: Path
-    state: Path
+    source: Path
     scratch: Path
     packed: Path
     device: str
     workers: int
     capacity: int
-
-
-def new_leg(
-    *,
-    name: str,
-    weights: str | None,
-    fresh: bool,
-    fast: bool,
-    n_points: int,
-    batch: int | None,
-    **options: Any,
-) -> Leg:
-    """Return a leg before its first phase.
-
-    Parameters
-    ----------
-    name : str
-        Configuration of the network; its shipped weights are the default start.
-    weights : str, optional
-        Name or file of other weights.
-    fresh : bool
-        Start from random weights.
-    fast : bool
-        Whether an accelerator trains: large batches, bfloat16, compiled.
-    n_points : int
-        Points of the samples.
-    batch : int, optional
-        Clouds per step; by default 800 on an accelerator, else 16.
-    **options
-        More of `TrainConfig`.
-
-    Raises
-    ------
-    InvalidInputError
-        If there are no weights to start from.
-    """
-    begin = "" if fresh else weights or (name if name in WEIGHTS else "")
-    if not (fresh or begin):
-        raise InvalidInputError(
-            f"there are no shipped weights of {name!r}, only of {sorted(WEIGHTS)};"
-            " give --weights FILE, or begin anew with --fresh"
-        )
-    start = load_pretrained(begin) if begin else None
-    config = TrainConfig(
-        network=NeoConfig.named(name) if start is None else start.config,
-        steps=10**9,
-        batch=batch or (800 if fast else 16),
-        warmup=0.05,
-        decay=0.3,
-        precision="bfloat16" if fast else "float32",
-        compile=fast,
-        every=500,
-        # Each leg sees samples of its own.
-        seed=_SEED + (len(start.record.get("legs", [])) if start else 0),
-        **options,
-    )
-    rival = begin or (name if name in WEIGHTS else "")
-    return Leg(secrets.token_hex(4), begin, config, n_points, rival)
-
-
-def begun_leg(out: Path, state: Path | None, scratch: Path) -> tuple[Leg, Path] | None:
-    """Find the leg to go on with.
-
-    Parameters
-    ----------
-    out, scratch : Path
-        Where it may lie, the first before the second, where `state` is not given.
-    state : Path, optional
-        Where it must lie.
-
-    Returns
-    -------
-    tuple of Leg and Path
-        And where it lies; None where there is none yet. A leg that has ended in `scratch` alone
-        is none.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is none in `state`, or it has ended.
-    """
-    if state is not None and Leg.read(state) is None:
-        raise InvalidInputError(
-            f"`state` must hold the leg.json of an earlier phase, found none in {state};"
-            " copy what that phase left there, or begin a leg without --state"
-        )
-    for folder in (out, scratch) if state is None else (state,):
-        leg = Leg.read(folder)
-        if leg is not None and not leg.finished:
-            return leg, folder
-        if leg is not None and folder != scratch:
-            raise InvalidInputError(
-                f"the leg {leg.name} in {folder} has ended; give another --out to begin the next"
-            )
-    return None
 
 
 def run_phase(
@@ -222,8 +66,11 @@ def run_phase(
     pause_after: float | None,
     last: bool = False,
     say: Callable[[str], None],
-) -> bool:
+) -> None:
     """Train until a leg's schedule ends, or the pause.
+
+    ``place.out`` then holds the log and a checkpoint in parts for the next phase; and, where the
+    schedule has ended with better weights, ``weights.safetensors``.
 
     Parameters
     ----------
@@ -231,23 +78,12 @@ def run_phase(
         As the last phase left it.
     place : Place
         Where.
-    pause_after : float, optional
+    pause_after : float or None
         Seconds after which the training stops; what follows takes some more.
     last : bool, default False
         Rather than stop, end the schedule by then.
     say : callable
         Told what goes on, line by line.
-
-    Returns
-    -------
-    bool
-        Whether the schedule has ended. ``place.out`` then holds ``weights.safetensors`` if the
-        new weights are better; always the log, and a checkpoint in parts for the next phase.
-
-    Raises
-    ------
-    InvalidInputError
-        If the samples to validate on are not those of the first phase.
     """
     called = time.perf_counter()
     scratch = place.scratch / leg.name
@@ -260,17 +96,8 @@ def run_phase(
         leg = replace(leg, before=_error(rival.network, validation, config))
     _write(leg, place)
     say(f"leg {leg.name}, phase {leg.phase + 1}; span error to beat: {leg.before}")
-    resume = _settle(leg, place.state, scratch)
-    samples = _samples(leg, place.packed, "train")
-    folder = scratch / "samples"  # a phase on the same machine begins with them
-    with SampleStream(
-        samples,
-        workers=place.workers,
-        capacity=place.capacity,
-        start=_first(folder, samples.shard_size, leg.phase * _FIRST),
-        folder=folder,
-        bounded=True,
-    ) as stream:
+    resume = _settle(leg, place.source, scratch)
+    with _samples_of(leg, place, scratch) as stream:
 
         def wait() -> None:
             # The first steps should not show the same few samples again and again.
@@ -298,41 +125,34 @@ def run_phase(
         finally:  # a failure must not cost the whole phase
             _leave(leg, place, scratch)
         say(f"made meanwhile: {stream.report()}")
-    if result.finished:
-        _finish(leg, start, result, validation, place, say)
-        _write(replace(leg, phase=leg.phase + 1, step=result.record["steps"], finished=True), place)
-    else:
+    if not result.finished:
         say(f"paused after {result.record['minutes']} minutes of training; the next call goes on")
-    return result.finished
+        return
+    _finish(leg, start, result, validation, place, say)
+    _write(replace(leg, phase=leg.phase + 1, step=result.record["steps"], finished=True), place)
 
 
 def _write(leg: Leg, place: Place) -> None:
     """Write a leg where it travels from, and where the next call looks if that is emptied."""
     for folder in (place.out, place.scratch):
-        folder.mkdir(parents=True, exist_ok=True)
         leg.write(folder)
 
 
 def _compared(leg: Leg, place: Place) -> Leg:
     """Return a leg with the mark of its validation samples, the same in every phase."""
-    content = json.dumps(_samples(leg, place.packed, "val").fingerprint(), sort_keys=True)
+    content = json.dumps(_config(leg, place.packed, "val").fingerprint(), sort_keys=True)
     mark = hashlib.sha256(content.encode()).hexdigest()[:16]
     if leg.validation not in ("", mark):
         raise InvalidInputError(
-            f"`packed` must hold the pool that leg {leg.name} began with, or none if it had none:"
+            f"--packed must hold the pool that leg {leg.name} began with, or none if it had none:"
             f" with {place.packed} the samples to validate on are others, and errors before and"
-            " after could not be compared; copy the same files there"
+            " after could not be compared",
+            advice="copy the same files there",
         )
     return replace(leg, validation=mark)
 
 
-def _first(folder: Path, shard_size: int, default: int) -> int:
-    """Return the number of the first sample that lies in a folder of shards."""
-    numbers = [int(path.name.removeprefix("shard_")) for path in folder.glob("shard_*")]
-    return min(numbers) * shard_size if numbers else default
-
-
-def _samples(leg: Leg, packed: Path, split: str) -> CorpusConfig:
+def _config(leg: Leg, packed: Path, split: str) -> CorpusConfig:
     """Return what samples are made of: three of ten, or half to validate, are real meshes."""
     pool = packed / POOL.format(split)
     there = pool.is_file()
@@ -347,10 +167,23 @@ def _samples(leg: Leg, packed: Path, split: str) -> CorpusConfig:
 
 
 def _validation(leg: Leg, place: Place, scratch: Path) -> Corpus:
-    folder = scratch / "validation"
-    samples = _samples(leg, place.packed, "val")
-    generate(folder, leg.config.validation, config=samples, workers=place.workers)
+    folder, config = scratch / "validation", _config(leg, place.packed, "val")
+    generate(folder, leg.config.validation, config=config, workers=place.workers)
     return open_shards(folder)
+
+
+def _samples_of(leg: Leg, place: Place, scratch: Path) -> SampleStream:
+    """Samples of this phase's own numbers, or of an earlier one's that lie there."""
+    config, folder = _config(leg, place.packed, "train"), scratch / "samples"
+    there = [int(path.name.removeprefix("shard_")) for path in folder.glob("shard_*")]
+    return SampleStream(
+        config,
+        workers=place.workers,
+        capacity=place.capacity,
+        start=min(there) * config.shard_size if there else leg.phase * _FIRST,
+        folder=folder,
+        bounded=True,
+    )
 
 
 def _error(network: NeoNetwork, validation: Corpus, config: TrainConfig) -> float:
@@ -358,7 +191,7 @@ def _error(network: NeoNetwork, validation: Corpus, config: TrainConfig) -> floa
     return validate(network, validation, replace(config, precision="float32"))
 
 
-def _settle(leg: Leg, state: Path, scratch: Path) -> bool:
+def _settle(leg: Leg, source: Path, scratch: Path) -> bool:
     """Put the newest checkpoint of a leg where `train` looks; say whether there is one.
 
     The one in `scratch` is exact and may be of a phase that was killed; the one that travels is
@@ -370,7 +203,7 @@ def _settle(leg: Leg, state: Path, scratch: Path) -> bool:
     if leg.phase == 0:
         return False
     with checkpoint.Writer(scratch) as writer:
-        writer.write(checkpoint.read_parts(state))
+        writer.write(read_parts(source))
     return True
 
 
@@ -379,11 +212,11 @@ def _leave(leg: Leg, place: Place, scratch: Path) -> None:
     content = checkpoint.read(scratch)
     if content is None:
         return
-    checkpoint.write_parts(place.out, content)
+    write_parts(place.out, content)
     step = content["state"]["step"]
     _write(replace(leg, phase=leg.phase + (step > leg.step), step=step), place)
     if (scratch / "log.csv").is_file():  # not where a phase failed before its first step
-        (place.out / "log.csv").write_bytes((scratch / "log.csv").read_bytes())
+        shutil.copyfile(scratch / "log.csv", place.out / "log.csv")
 
 
 def _finish(
@@ -396,8 +229,7 @@ def _finish(
 ) -> None:
     """Write the new weights and their record, if they are better than the old."""
     rounded = build_network(leg.config.network).eval()
-    halves = {name: t.half().float() for name, t in result.network.state_dict().items()}
-    rounded.load_state_dict(halves)
+    rounded.load_state_dict({name: t.half() for name, t in result.network.state_dict().items()})
     rounded.to(place.device)
     after = _error(rounded, validation, leg.config)
     if leg.before is not None and after >= leg.before:
@@ -415,10 +247,11 @@ def _record(
 ) -> dict[str, Any]:
     """Return the record of the new weights: their whole training, and a line on this leg."""
     old = start.record if start is not None else {}
+    gpu = torch.device(device).type == "cuda"
     line = {
         "date": time.strftime("%Y-%m-%d", time.gmtime()),
         "from": start.sha256 if start is not None else None,
-        "device": _device_name(device),
+        "device": torch.cuda.get_device_name(device) if gpu else platform.machine(),
         "minutes": record["minutes"],
         "samples": record["samples"],
         "batch": leg.config.batch,
@@ -436,11 +269,6 @@ def _record(
         "history": rows,
         "legs": [*old.get("legs", []), line],
     }
-
-
-def _device_name(device: str) -> str:
-    kind = torch.device(device)
-    return torch.cuda.get_device_name(kind) if kind.type == "cuda" else platform.machine()
 
 
 def _line(row: Row) -> str:

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from spectra_kit._types import Bools, Floats
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.threads import in_threads, thread_count
+from spectra_kit.linalg.threads import in_threads, ranges, thread_count
 
 Ints = NDArray[np.int32]
 
@@ -30,7 +30,7 @@ def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools, Floa
     owners = np.arange(n, dtype=np.int32)
     nearest, farthest = np.empty(n), np.empty(n)
     neighbors = np.empty((n, n_neighbors), dtype=np.int32)
-    blocks = [slice(first, first + _BLOCK) for first in range(0, n, _BLOCK)]
+    blocks = [slice(*rows) for rows in ranges(n, _BLOCK)]
     for b in blocks:
         distance, index = tree.query(points[b], n_neighbors + 1, workers=thread_count())
         nearest[b], farthest[b], neighbors[b] = distance[:, 1], distance[:, -1], index[:, 1:]

@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from spectra_kit._types import Floats, Ints
-from spectra_kit.geometry._units import box_unit
+from spectra_kit.geometry.units import box_unit
 
 _OPEN = 0.25  # mean size of the winding number, below which a surface encloses nothing; 1/2 if all
 _PASSES = 3  # of winding numbers; the first turns nearly all that will be turned

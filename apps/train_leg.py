@@ -1,8 +1,8 @@
 """A leg of training: so many minutes from given weights, and new ones only if they are better.
 
-``python -m spectra_kit.training.leg --minutes 25 --config small`` makes its samples while it
-trains, on whatever machine it finds itself. A leg may be cut into phases, one call each, that may
-run on different machines: what travels is the folder --out. CONTRIBUTING.md has the calls.
+``python apps/train_leg.py --minutes 25 --config small`` makes its samples while it trains, on
+whatever machine it finds itself. A leg may be cut into phases, one call each, that may run on
+different machines: what travels is the folder --out. CONTRIBUTING.md has the calls.
 """
 
 from __future__ import annotations
@@ -17,15 +17,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spectra_kit.errors import InvalidInputError, SpectraKitError
-from spectra_kit.training.wheels import download_wheels, use_wheels
-
-# The processes that make samples import this module too, so torch waits until a phase begins.
+# The package need not be installed. It is imported once wheels have been found; and the processes
+# that make samples import this file too, so torch waits until a phase begins.
+sys.path.append(str(Path(__file__).parents[1]))
 if TYPE_CHECKING:
-    from spectra_kit.training.phases import Leg
+    from legs.leg import Leg
 
 # What a leg keeps from its first call. The parser leaves them None, to tell what a call asks for.
-_DEFAULTS: dict[str, Any] = {
+DEFAULTS: dict[str, Any] = {
     "minutes": 25.0,
     "config": "base",
     "weights": None,
@@ -39,7 +38,9 @@ _DEFAULTS: dict[str, Any] = {
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="spectra_kit.training.leg", description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     add = parser.add_argument
     add("--minutes", type=float, help="of training, all phases together (25)")
     add("--phase-minutes", type=float, help="end this call by then; the next one goes on")
@@ -50,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--fresh", action="store_const", const=True, help=fresh)
     add("--out", type=Path, default=Path("runs/leg"), help="where results go (%(default)s)")
     where = "where the last phase's results lie (default: --out, else --scratch)"
-    add("--state", type=Path, help=where)
+    add("--from", type=Path, dest="source", help=where)
     add("--scratch", type=Path, default=Path("runs/scratch"), help="stays here (%(default)s)")
     compiled = "torch.compile the network (default: on an accelerator)"
     add("--compile", action=argparse.BooleanOptionalAction, help=compiled)
@@ -62,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--validation", type=int, help="number of validation samples (128)")
     add("--workers", type=int, help="processes that make samples (all cores but one)")
     add("--capacity", type=int, default=32768, help="samples held in memory (%(default)s)")
-    add("--packed", type=Path, default=Path(".leg"), help="folder of the pool (%(default)s)")
+    add("--packed", type=Path, default=Path(".leg"), help="folder of real meshes (%(default)s)")
     add("--wheels", type=Path, default=Path(".wheels"), help="folder of wheels (%(default)s)")
     add("--pack", action="store_true", help="only fill --packed and --wheels, for another machine")
     add("--pool", type=Path, help="with --pack: real meshes ($SPECTRA_KIT_DATA/train_pool)")
@@ -78,16 +79,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     began = time.perf_counter()
     args = _parser().parse_args(argv)
+    from legs.packing import use_wheels
+
+    from spectra_kit.errors import SpectraKitError
+
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         if args.pack:
             _pack(args)
         else:
-            for name in use_wheels(args.wheels):
-                print(f"{name} is not installed: taken from {args.wheels}")
+            use_wheels(args.wheels)
             _train(args, began)
     except SpectraKitError as error:
         print(f"error: {error}", file=sys.stderr)
+        return 1
+    except ModuleNotFoundError as error:
+        print(f"error: {error}; run with --pack where there is a network", file=sys.stderr)
         return 1
     finally:
         signal.signal(signal.SIGTERM, before)
@@ -96,23 +103,25 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _train(args: argparse.Namespace, began: float) -> None:
     import torch
+    from legs.leg import begun_leg
+    from legs.phase import Place, run_phase
 
-    from spectra_kit.training.phases import Place, begun_leg, run_phase
+    from spectra_kit.errors import InvalidInputError
 
     if args.last and args.phase_minutes is None:
         raise InvalidInputError("`--last` ends the leg with this phase; give --phase-minutes too")
     torch.set_num_threads(1)  # the other cores make samples
     device = args.device or ("cuda" if torch.cuda.is_available() else "cpu")
-    begun = begun_leg(args.out, args.state, args.scratch)
+    begun = begun_leg(args.out, args.source, args.scratch)
     if begun is None:
-        leg, state = _new(args, device), args.out
+        leg, source = _new(args, device), args.out
     else:
-        leg, state = begun
-        print(f"going on with leg {leg.name} of {state}")
+        leg, source = begun
+        print(f"going on with leg {leg.name} of {source}")
         _check_same(leg, args)
     place = Place(
         out=args.out,
-        state=state,
+        source=source,
         scratch=args.scratch,
         packed=args.packed,
         device=device,
@@ -130,42 +139,39 @@ def _train(args: argparse.Namespace, began: float) -> None:
 
 
 def _new(args: argparse.Namespace, device: str) -> Leg:
-    from spectra_kit.training.phases import new_leg
+    from legs.leg import new_leg
 
-    given = {name: getattr(args, name) for name in _DEFAULTS}
-    asked = {name: _DEFAULTS[name] if v is None else v for name, v in given.items()}
-    options = {**asked, "name": asked["config"]}
-    del options["config"]
-    leg = new_leg(fast=device != "cpu", **options)
+    given = {name: getattr(args, name) for name in DEFAULTS}
+    asked = {name: DEFAULTS[name] if v is None else v for name, v in given.items()}
+    options = {name: value for name, value in asked.items() if name != "config"}
+    leg = new_leg(name=asked["config"], fast=device != "cpu", **options)
     return replace(leg, asked={**asked, "batch": leg.config.batch})
 
 
 def _check_same(leg: Leg, args: argparse.Namespace) -> None:
     """Refuse options that a leg was not begun with, which would do nothing."""
+    from spectra_kit.errors import InvalidInputError
+
     for name, kept in leg.asked.items():
         wanted = getattr(args, name)
         if wanted not in (None, kept):
             raise InvalidInputError(
-                f"leg {leg.name} was begun with {name} = {kept!r}, got {wanted!r};"
-                " leave that option out (--last ends a leg early), or begin another leg with"
-                " another --out and --scratch"
+                f"leg {leg.name} was begun with {name} = {kept!r}, got {wanted!r}",
+                advice="leave that option out (--last ends a leg early), or begin another leg with"
+                " another --out and --scratch",
             )
 
 
 def _pack(args: argparse.Namespace) -> None:
-    from spectra_kit.training.phases import POOL
-    from spectra_kit.training.pool import pack_pool
+    from legs.packing import download_wheels, pack_pools
 
-    args.packed.mkdir(parents=True, exist_ok=True)
-    files = download_wheels(args.wheels, python=args.python)
+    files = download_wheels(args.wheels, args.python)
     data = os.environ.get("SPECTRA_KIT_DATA")
-    pool = args.pool or (Path(data) / "train_pool" if data else None)
-    if pool is None:
+    meshes = args.pool or (Path(data) / "train_pool" if data else None)
+    if meshes is None:
         print("no pool of real meshes: give --pool FOLDER, or train on procedural shapes alone")
     else:
-        for split in ("train", "val"):
-            files.append(args.packed / POOL.format(split))
-            pack_pool(pool, files[-1], split)
+        files += pack_pools(meshes, args.packed)
     for file in files:
         print(f"{file.stat().st_size / 2**20:6.1f} MiB  {file}")
     print(f"{sum(file.stat().st_size for file in files) / 2**20:6.1f} MiB in all")

@@ -1,0 +1,65 @@
+"""Checkpoints that travel: small, and in parts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from spectra_kit._files import atomic_path
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.training.checkpoint import NAME, mapped, packed, unpacked
+
+_PARTS = "checkpoint.[0-9][0-9]of[0-9][0-9]"
+
+
+def write_parts(folder: Path, content: dict[str, Any], *, limit: int = 15 * 2**20) -> None:
+    """Write a checkpoint small, as ``checkpoint.01of03`` and so on, of at most `limit` bytes each.
+
+    A run goes on from there well, but not bit by bit: the averaged weights alone are kept, as
+    float16, which is as exact as the shipped files; Muon's momentum, an average over some twenty
+    steps, begins anew; AdamW's averages are kept as bfloat16, for they may be smaller than
+    float16 goes. Parts of an earlier checkpoint are removed.
+    """
+    weights = content["average"] or content["network"]
+    small = {
+        **content,
+        "network": mapped(weights, lambda tensor: tensor.half()),
+        "average": {},
+        "optimizers": [_without_momentum(saved) for saved in content["optimizers"]],
+    }
+    data = packed(small)
+    for old in folder.glob(_PARTS):
+        old.unlink()
+    total = -(-len(data) // limit)
+    for number in range(total):
+        with atomic_path(folder / f"checkpoint.{number + 1:02d}of{total:02d}") as path:
+            path.write_bytes(data[number * limit : (number + 1) * limit])
+
+
+def read_parts(folder: Path) -> dict[str, Any]:
+    """Return what `write_parts` wrote, in float32, the average in place of the weights too."""
+    paths = sorted(folder.glob(_PARTS))
+    total = int(paths[0].name[-2:]) if paths else 1
+    if len(paths) != total:
+        raise InvalidInputError(
+            f"all {total} parts of the checkpoint must be in {folder}, found {len(paths)}",
+            advice="copy the rest there, and nothing older",
+        )
+    data = b"".join(path.read_bytes() for path in paths)
+    content = unpacked(data, folder / NAME, "copy all its parts there again")
+    whole: dict[str, Any] = mapped(content, lambda t: t.float() if t.is_floating_point() else t)
+    return {**whole, "average": whole["network"]}
+
+
+def _without_momentum(saved: dict[str, Any]) -> dict[str, Any]:
+    def halved(tensor: Tensor) -> Tensor:
+        return tensor.bfloat16() if tensor.ndim else tensor  # counts of steps stay exact
+
+    kept = {
+        index: mapped(averages, halved)
+        for index, averages in saved["state"].items()
+        if "momentum_buffer" not in averages
+    }
+    return {**saved, "state": kept}

@@ -1,0 +1,139 @@
+"""Shapes with a name and a digest, from files or made; and operators as files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy import sparse
+
+from measure.store import arrays_digest
+from spectra_kit._files import atomic_path, parsing
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import TriangleMesh, creature, read, repair
+from spectra_kit.geometry.io import READERS
+from spectra_kit.operators import Laplacian
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A mesh and what to call it.
+
+    Attributes
+    ----------
+    name : str
+        For tables, pictures and files.
+    mesh : TriangleMesh
+        Every vertex in a face.
+    """
+
+    name: str
+    mesh: TriangleMesh
+
+    def __str__(self) -> str:
+        return self.name
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the mesh: what it is, wherever its file lies."""
+        return arrays_digest(self.mesh.points, self.mesh.faces)
+
+
+def data_folder(name: str) -> Path | None:
+    """Return the folder of that name in ``$SPECTRA_KIT_DATA``, None where that is not set."""
+    root = os.environ.get("SPECTRA_KIT_DATA")
+    return Path(root) / name if root else None
+
+
+def shape_at(path: Path) -> Shape:
+    """Read a mesh and repair it: no duplicate vertices, no degenerate faces."""
+    return Shape(path.stem, _mesh(repair(read(path, kind="mesh")).geometry))
+
+
+def shapes_in(folder: Path, limit: int | None = None) -> tuple[Shape, ...]:
+    """Read the meshes of a folder, or the first so many, by name, as `shape_at` does.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no mesh, or one that cannot be read.
+    """
+    entries = sorted(folder.iterdir()) if folder.is_dir() else []
+    paths = [path for path in entries if path.suffix.lower() in READERS][:limit]
+    if not paths:
+        raise InvalidInputError(
+            f"`folder` must hold meshes ({', '.join(sorted(READERS))}), found none in {folder};"
+            " check the path, or set SPECTRA_KIT_DATA"
+        )
+    return tuple(map(shape_at, paths))
+
+
+def shapes_named(names: Iterable[str]) -> tuple[Shape, ...]:
+    """Read meshes by their files, or by their names in ``$SPECTRA_KIT_DATA/ood_public``.
+
+    As they are, but without vertices that no face uses.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no such file, two have one name, or one is no mesh.
+    """
+    folder, found = data_folder("ood_public"), dict[str, Shape]()
+    for name in names:
+        path = Path(name)
+        if not path.is_file() and folder:
+            path = folder / f"{name}.npz"
+        if not path.is_file():
+            raise InvalidInputError(
+                f"`meshes` must name files, or, where SPECTRA_KIT_DATA is set, meshes in"
+                f" ood_public there; got {name!r}"
+            )
+        if path.stem in found:
+            raise InvalidInputError(f"`meshes` must have names of their own, got {path.stem} twice")
+        mesh = _mesh(read(path, kind="mesh"))
+        found[path.stem] = Shape(path.stem, mesh.without_unreferenced())
+    return tuple(found.values())
+
+
+def demo_shapes(n: int = 1, vertices: int = 3000) -> tuple[Shape, ...]:
+    """Make demo animals, all different, for trials without any data."""
+    return tuple(Shape(f"creature {seed}", creature(vertices, seed=seed)) for seed in range(n))
+
+
+def write_operator(laplacian: Laplacian, path: Path) -> None:
+    """Write a Neumann operator to an ``.npz`` file, whole or not at all."""
+    L = laplacian.stiffness
+    with atomic_path(path) as part:
+        np.savez(
+            part,
+            data=L.data,
+            indices=L.indices,
+            indptr=L.indptr,
+            mass=laplacian.mass,
+            points=laplacian.points,
+            seconds=laplacian.seconds,
+            operator=laplacian.operator,
+        )
+
+
+def read_operator(path: Path) -> Laplacian:
+    """Read what `write_operator` wrote."""
+    with parsing(path, "operator", remedy="delete it"), np.load(path) as file:
+        n = len(file["mass"])
+        stiffness = sparse.csr_array((file["data"], file["indices"], file["indptr"]), shape=(n, n))
+        return Laplacian(
+            stiffness,
+            file["mass"],
+            file["points"],
+            operator=str(file["operator"]),
+            seconds=float(file["seconds"]),
+        )
+
+
+def _mesh(geometry: object) -> TriangleMesh:
+    assert isinstance(geometry, TriangleMesh)
+    return geometry

@@ -1,0 +1,115 @@
+"""`Store`: what was measured, a line of JSON each, in a file that survives a crash; and keys."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import spectra_kit
+from spectra_kit._files import atomic_path
+from spectra_kit._version import VERSION
+from spectra_kit.errors import InvalidInputError
+
+Record = dict[str, Any]
+
+_PACKAGE = Path(spectra_kit.__file__).parent
+_SHOWN = ("cli", "explorer", "training", "viz")  # packages that no measured number comes from
+
+
+class Store:
+    """Records by their keys, in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if missing. ``measurements.jsonl`` grows by a line for each record; a last line that a
+        crash cut short is dropped. ``files`` holds what records name under ``"files"``.
+
+    Raises
+    ------
+    InvalidInputError
+        If a whole line is no record.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._path = folder / "measurements.jsonl"
+        self._records: dict[str, Record] = {}
+        (folder / "files").mkdir(parents=True, exist_ok=True)
+        text = self._path.read_text(errors="replace") if self._path.exists() else ""
+        if text and not text.endswith("\n"):  # cut short by a crash: measured again
+            text = text[: text.rfind("\n") + 1]
+            with atomic_path(self._path) as part:
+                part.write_text(text)
+        for number, line in enumerate(text.splitlines(), start=1):
+            try:
+                record = json.loads(line)
+                self._records[record["key"]] = {**record, "status": record["status"]}
+            except (ValueError, TypeError, KeyError, RecursionError) as error:
+                raise InvalidInputError(
+                    f"line {number} of {self._path} must be a measurement, got something else"
+                    f" ({error}); remove the line"
+                ) from error
+
+    def get(self, key: str) -> Record | None:
+        """Return what was measured before, if the files that belong to it are there."""
+        record = self._records.get(key)
+        if record is None:
+            return None
+        there = all((self.folder / name).exists() for name in record.get("files", ()))
+        return record if there else None
+
+    def add(self, key: str, record: Record) -> Record:
+        """Append a record and return it."""
+        record = {"key": key, **record, "time": datetime.now(UTC).isoformat(timespec="seconds")}
+        line = json.dumps(record) + "\n"
+        with self._path.open("a") as file:
+            file.write(line)
+        self._records[key] = json.loads(line)  # as it will be read
+        return self._records[key]
+
+
+def digest(facts: Mapping[str, object]) -> str:
+    """Hash of what JSON can say."""
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def arrays_digest(*arrays: NDArray[Any]) -> str:
+    """Hash of what arrays hold."""
+    found = hashlib.blake2b(digest_size=12)
+    for array in arrays:
+        found.update(f"{array.dtype.str}{array.shape}".encode())
+        found.update(np.ascontiguousarray(array).data)
+    return found.hexdigest()
+
+
+@cache
+def code_digest(sources: tuple[str, ...] = (), package: Path = _PACKAGE) -> str:
+    """Version and hash of the package's sources that numbers come from.
+
+    Parameters
+    ----------
+    sources : tuple of str
+        Patterns of paths in the package; by default everything but what shows or trains.
+    package : Path
+        Its folder.
+    """
+    found = hashlib.blake2b(digest_size=8)
+    for path in _sources(sources, package):
+        found.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
+    return f"{VERSION}+{found.hexdigest()}"
+
+
+def _sources(patterns: tuple[str, ...], package: Path) -> Iterable[Path]:
+    for pattern in patterns or ("**/*.py",):
+        for path in sorted(package.glob(pattern)):
+            if patterns or path.relative_to(package).parts[0] not in _SHOWN:
+                yield path

@@ -1,0 +1,98 @@
+"""What there is to choose from, by name: solvers, operators, subspaces and descriptors.
+
+Each name stands here once; the command line, its help and the studies read it here. What makes the
+thing is imported when it is asked for, so that to list the names costs nothing.
+
+>>> from spectra_kit.catalogue import OPERATORS, SOLVERS
+>>> list(OPERATORS)
+['robust', 'cotan', 'knn', 'delaunay']
+>>> SOLVERS["arpack"].summary
+'Lanczos on a sparse factor'
+>>> SOLVERS["arpack"](seed=1)
+Arpack(tol=0.0, shift=0.1, seed=1, max_restarts=1000)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from types import MappingProxyType
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A named thing; calling it makes one.
+
+    Attributes
+    ----------
+    maker : str
+        The public class or function that makes it, as ``"module:name"`` inside spectra_kit.
+    summary : str
+        What it is, in a few words.
+    accuracy : {"exact", "to tolerance", "approximate", ""}
+        Of a solver: what its answers are by default; see `eigensolvers.Eigensolver`.
+    """
+
+    maker: str
+    summary: str
+    accuracy: str = ""
+
+    @cached_property
+    def made_by(self) -> Any:
+        """The class or function itself, imported now."""
+        module, _, name = self.maker.partition(":")
+        return getattr(import_module(f"spectra_kit.{module}"), name)
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """Make one, with the arguments of what makes it."""
+        return self.made_by(*arguments, **options)
+
+
+def _table(module: str, **entries: tuple[str, ...]) -> Mapping[str, Entry]:
+    return MappingProxyType(
+        {name: Entry(f"{module}:{maker}", *told) for name, (maker, *told) in entries.items()}
+    )
+
+
+#: Those that are exact, or go on to a tolerance, come first.
+SOLVERS = _table(
+    "eigensolvers",
+    arpack=("Arpack", "Lanczos on a sparse factor", "exact"),
+    multilevel=("Multilevel", "from few points to all of them", "to tolerance"),
+    refined=("Refined", "block iterations from any start, on a sparse factor", "to tolerance"),
+    chebyshev=("Chebyshev", "block iterations from any start, without a factor", "to tolerance"),
+    lobpcg=("Lobpcg", "preconditioned conjugate gradients", "to tolerance"),
+    dense=("Dense", "LAPACK on the full matrix, for few points", "exact"),
+    polished=("Polished", "a start and one sweep of Refined", "approximate"),
+    capped=("Capped", "a prediction on few points, carried to all", "approximate"),
+    fourier=("RayleighRitz", "plane waves and Rayleigh-Ritz", "approximate"),
+    neo=("Neo", "the network and Rayleigh-Ritz", "approximate"),
+)
+
+OPERATORS = _table(
+    "operators",
+    robust=("robust_laplacian", "intrinsic Delaunay, of any mesh or cloud"),
+    cotan=("cotan_laplacian", "the cotangents of a mesh as it is"),
+    knn=("knn_laplacian", "the graph of nearest neighbours"),
+    delaunay=("delaunay_laplacian", "local Delaunay triangles of points"),
+)
+
+SUBSPACES = MappingProxyType(
+    {
+        "fourier": Entry("subspaces:AmbientFourier", "plane waves"),
+        "neo": Entry("neo:NeoSubspace", "what the network predicts"),
+        "random": Entry("subspaces:RandomBasis", "white noise"),
+        "given": Entry("subspaces:GivenBasis", "columns that are there"),
+    }
+)
+
+DESCRIPTORS = _table(
+    "descriptors",
+    heat=("heat_kernel_signature", "heat that is left where it was put, over time"),
+    wave=("wave_kernel_signature", "where a particle of some energy is found"),
+    gps=("global_point_signature", "modes over the roots of their eigenvalues"),
+    shape_dna=("shape_dna", "the eigenvalues of a whole surface"),
+)

@@ -1,0 +1,66 @@
+"""Each name of the catalogue makes what it says, and spectra know the name of their solver."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import bumpy
+
+import spectra_kit as sk
+from spectra_kit.catalogue import DESCRIPTORS, OPERATORS, SOLVERS, SUBSPACES
+from spectra_kit.eigensolvers import Eigensolver
+from spectra_kit.subspaces import Subspace
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
+def test_solvers(name: str, bumpy_laplacian: sk.Laplacian) -> None:
+    solver = SOLVERS[name]()
+    assert isinstance(solver, Eigensolver)
+    assert solver.accuracy == SOLVERS[name].accuracy
+    made = sk.eigensolve(bumpy_laplacian, 6, solver).provenance
+    assert (made.name, made.accuracy) == (name, SOLVERS[name].accuracy)
+
+
+def test_operators_subspaces_and_descriptors(bumpy_laplacian: sk.Laplacian) -> None:
+    for entry in OPERATORS.values():
+        assert entry(bumpy()).n == bumpy().n
+    for name, entry in SUBSPACES.items():
+        assert isinstance(entry(np.eye(3)) if name == "given" else entry(), Subspace)
+    spectrum = sk.eigensolve(bumpy_laplacian, 12)
+    for entry in DESCRIPTORS.values():
+        assert np.isfinite(entry(spectrum)).all()
+
+
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
+def test_solvers_that_are_not_in_it() -> None:
+    class Foreign:
+        def eigenpairs(self, laplacian, k):
+            return sk.Dense().eigenpairs(laplacian, k)
+
+    def name(solver):
+        return sk.spectrum(bumpy(), 3, solver).provenance.name
+
+    assert name(Foreign()) == "foreign"
+    assert name(sk.RayleighRitz(subspace=sk.RandomBasis())) == "rayleighritz"
+    assert sk.Provenance().name == ""
+
+
+def test_the_default_line() -> None:
+    """By hand, and in one call; of meshes and of clouds."""
+    mesh = bumpy()
+    built = ((mesh, sk.robust_laplacian), (mesh.as_cloud(), sk.delaunay_laplacian))
+    for geometry, assemble in built:
+        by_hand = sk.eigensolve(assemble(geometry), 5)
+        assert (sk.laplacian(geometry).stiffness != assemble(geometry).stiffness).nnz == 0
+        assert (sk.spectrum(geometry, 5).eigenvalues == by_hand.eigenvalues).all()
+
+
+def test_to_list_the_names_is_quick() -> None:
+    code = (
+        "import sys; from spectra_kit import catalogue;"
+        "print(sorted({m.split('.')[0] for m in sys.modules} & {'numpy', 'scipy', 'torch'}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,136 @@
+"""What people have in hand goes in: five kinds of objects, through every function."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+import typing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import pyvista as pv
+import trimesh
+from test_wrong_arguments import DrawnError, call_of, example, here, surface
+
+import spectra_kit as sk
+from spectra_kit._checked import _Torch
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import PointCloud, TriangleMesh
+
+__all__ = ["here"]  # the fixture: a folder with a mesh in a file; nothing is drawn
+
+KINDS = ("trimesh", "pyvista", "arrays", "path", "points")
+
+
+def thing(kind: str, geometry: Any) -> Any:
+    """The same geometry in other hands."""
+    points, faces = np.array(geometry.points), getattr(geometry, "faces", None)
+    cloud = faces is None
+    if kind == "trimesh":
+        make = trimesh.PointCloud if cloud else trimesh.Trimesh
+        return make(points) if cloud else make(points, faces, process=False)
+    if kind == "pyvista":
+        return pv.PolyData(points) if cloud else pv.PolyData.from_regular_faces(points, faces)
+    if kind == "path":
+        path = Path("shape.xyz" if cloud else "shape.ply")
+        sk.write(geometry, path)
+        return str(path)
+    return points if kind == "points" else (points, faces)
+
+
+def taking_geometries() -> list[tuple[str, str]]:
+    """Every public callable and its argument that is a geometry, by their annotations."""
+    found = []
+    for name, target, _ in surface():
+        function = target.__init__ if inspect.isclass(target) else target
+        names = {"torch": _Torch}
+        hints = typing.get_type_hints(inspect.unwrap(function), localns=names)
+        hints.pop("return", None)
+        for argument, hint in hints.items():
+            if any(kind in (TriangleMesh, PointCloud) for kind in (hint, *typing.get_args(hint))):
+                found.append((name, argument))
+    return found
+
+
+def outcome(name: str, argument: str, value: Any) -> Any:
+    """What comes of it: the type of the result, or the argument that is refused."""
+    call = call_of(name)
+    try:
+        return type(call.function(**call.good | {argument: value}))
+    except DrawnError:
+        return "drawn"
+    except InvalidInputError as error:
+        return error.argument
+
+
+def test_there_are_many_of_them() -> None:
+    assert len(taking_geometries()) >= 40
+
+
+@pytest.mark.parametrize(("name", "argument"), taking_geometries())
+def test_everything_goes_in(name: str, argument: str) -> None:
+    """With the same result, or the same refusal, as of the geometry itself; or refused by name."""
+    own = call_of(name).good[argument]
+    for kind in KINDS:
+        other = own.as_cloud() if kind == "points" and isinstance(own, TriangleMesh) else own
+        if isinstance(own, PointCloud) and kind == "arrays":
+            other = example()["mesh"]
+        assert outcome(name, argument, thing(kind, other)) == outcome(name, argument, other)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_points_and_faces_are_kept(kind: str) -> None:
+    mesh = example()["mesh"]
+    made = sk.as_geometry(thing(kind, mesh))
+    assert np.array_equal(made.points, mesh.points)
+    assert isinstance(made, PointCloud if kind == "points" else TriangleMesh)
+    if kind != "points":
+        assert np.array_equal(made.faces, mesh.faces)
+        by_own, by_other = (sk.spectrum(g, 5).eigenvalues for g in (mesh, thing(kind, mesh)))
+        assert np.array_equal(by_own, by_other)
+
+
+def test_geometries_stay_themselves() -> None:
+    for own in (example()["mesh"], example()["cloud"]):
+        assert sk.as_geometry(own) is own
+
+
+@pytest.mark.parametrize(
+    ("wrong", "got", "advice"),
+    [
+        (5, "5", "make one, too"),
+        ({"points": 1}, "a dict", "make one, too"),
+        (pv.Cube(), "a PolyData", "triangulate() cuts them"),
+        (pv.Line(), "a PolyData", "lines or strips"),
+        (pv.ImageData(dimensions=(2, 2, 2)), "an ImageData", "extract_surface()"),
+        (trimesh.Scene(), "a Scene", "scene.to_mesh()"),
+        ("none.ply", "'none.ply'", "there is no such file"),
+        (np.zeros((3, 2)), "a ndarray", "`points` must have shape (n, 3)"),
+        (([[0.0, 0, 0]], [[0, 1, 2]]), "a tuple", "`faces` must be in [0, 1), got 2"),
+        ([[0.0], [1.0, 2.0]], "a list", "rows of one length"),
+    ],
+)
+def test_what_cannot_be_one(wrong: Any, got: str, advice: str) -> None:
+    with pytest.raises(InvalidInputError) as error:
+        sk.laplacian(wrong)
+    assert (error.value.argument, error.value.got) == ("geometry", got)
+    assert error.value.expected == "be a TriangleMesh or PointCloud"
+    assert advice in error.value.advice
+
+
+def test_swapped_arguments_are_told_before_a_path_is_read() -> None:
+    with pytest.raises(InvalidInputError) as error:
+        sk.write("out.obj", example()["mesh"])
+    assert error.value.advice == "did you swap it with `path`?"
+
+
+def test_no_toolkit_is_imported_for_arrays() -> None:
+    code = (
+        "import sys, spectra_kit as sk; sk.as_geometry([[0, 0, 0]]);"
+        "print(sorted({'trimesh', 'pyvista'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
