@@ -44,7 +44,6 @@ def study(subjects, tmp_path):
 
     def pairs_of(*pairs, k=K, subjects=subjects, chosen=None, **options):
         chosen = ways(methods=[PLAIN]) if chosen is None else chosen
-        problems = pairs or (PAIR,)
         bases = list(dict.fromkeys(way.basis for way in chosen))
         spectra = Spectra(
             folder=tmp_path, contenders=bases, problems=list(subjects), subjects=subjects, k=k
