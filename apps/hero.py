@@ -9,13 +9,16 @@ import numpy as np
 import spectra_kit as sk
 from spectra_kit.descriptors import heat_kernel_signature, heat_times
 from spectra_kit.metrics import Comparison, align_modes
-from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.axes import tidy
+from spectra_kit.viz.camera import View
 from spectra_kit.viz.colours import position_colours, refined
-from spectra_kit.viz.distance_scale import distance_scale
+from spectra_kit.viz.distance_scale import distance_colours, distance_levels
+from spectra_kit.viz.isolines import distance_lines
+from spectra_kit.viz.page import MARGIN, Page, new_figure
 from spectra_kit.viz.panels import Panel, draw_panels
 from spectra_kit.viz.pen import Pen
+from spectra_kit.viz.picture import save
 from spectra_kit.viz.render import Scene, render
-from spectra_kit.viz.sheet import MARGIN, new_figure, save, tidy
 from spectra_kit.viz.signs import display_signs
 from spectra_kit.viz.spectra import draw_eigenvalues
 
@@ -36,7 +39,7 @@ def draw_hero(
     dpi: int,
 ) -> None:
     """Draw two rows of four: a mode in three panels and the eigenvalues; then the applications."""
-    view, width = choose_view(mesh), round(CELL * dpi)
+    view, width = View().rotation(mesh), round(CELL * dpi)
     sign = display_signs(exact.eigenvectors)[MODE]
     left = sign * exact.eigenvectors[:, MODE]
     right = sign * align_modes(exact, predicted, comparison)[:, MODE]
@@ -45,13 +48,14 @@ def draw_hero(
     modes.append(Panel(values=right - left, limit=limit))
     field = sk.HeatGeodesics(mesh, exact).distance(source).distance
     unit = float(np.ptp(mesh.points @ view.T, axis=0)[0]) / CELL
-    scale = distance_scale(field, inch=unit, dpi=dpi)
+    lines, widths = distance_lines(mesh, field, distance_levels(field, None, inch=unit))
     distances = Scene(
         geometry=mesh,
-        functions=[scale.values(field)],
+        functions=[distance_colours(field)],
         rotation=view,
         width=width,
-        colours=scale.table,
+        lines=[lines],
+        line_width=widths * dpi / 72,
     )
     times = heat_times(exact, 12)
     heat = np.log(heat_kernel_signature(exact, times)[:, 3])
@@ -67,7 +71,7 @@ def draw_hero(
 
     row = TALL + CAPTION
     page = 2 * MARGIN + COLUMNS * (CELL + GAP) - GAP
-    figure = new_figure(page, 2 * row + MARGIN, dpi=dpi)
+    figure = new_figure(Page(dpi=dpi), page, 2 * row + MARGIN)
     pen = Pen(figure)
     error = float(np.sqrt(exact.mass @ (right - left) ** 2))  # the mode itself has norm 1
     captions = (
@@ -108,7 +112,7 @@ def draw_hero(
     lines, labels = panel.get_legend_handles_labels()
     short = [label.split(",")[0].split(":")[0] for label in labels]
     panel.legend(lines, short, loc="upper left", fontsize=8, frameon=False)
-    save(figure, path, dpi)
+    save(figure, path)
 
 
 def map_scenes(
@@ -116,7 +120,7 @@ def map_scenes(
 ) -> tuple[Scene, Scene]:
     """The source coloured by position, the target in the colours that the map brings it."""
     source, target, match = pair
-    view = choose_view(source, up="z")
+    view = View("z").rotation(source)
     seen = source.points @ view.T
     low, high = seen.min(axis=0), seen.max(axis=0)
     scenes = []

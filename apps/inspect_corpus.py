@@ -25,7 +25,7 @@ from spectra_kit.training.families import FAMILIES
 from spectra_kit.training.samples import CorpusConfig, sample_mesh
 from spectra_kit.training.shards import Corpus, open_shards
 from spectra_kit.training.surfaces import join
-from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.camera import View
 from spectra_kit.viz.render import Scene, render
 
 NAMES = (*FAMILIES, "pool")
@@ -203,7 +203,7 @@ def draw_sheet(path: Path, meshes: Sequence[TriangleMesh], cells: Sequence[dict[
 
 def _placed(mesh: TriangleMesh, place: tuple[float, float]) -> TriangleMesh:
     """Turn a mesh to its best side and fit it into a square of side 2 around `place`."""
-    points = mesh.points @ choose_view(mesh).T
+    points = mesh.points @ View().rotation(mesh).T
     points = points - (points.min(axis=0) + points.max(axis=0)) / 2
     points = points / np.abs(points).max()
     return mesh.with_points(points + [*place, 0.0])

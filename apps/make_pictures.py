@@ -121,8 +121,7 @@ def modes(studio: Studio) -> None:
         studio.animal,
         studio.exact,
         modes=(1, 2, 3, 5, 8, 12, 20, 33, 54),
-        title="The lowest modes of a surface, with their nodal lines",
-        dpi=studio.dpi,
+        page=viz.Page("The lowest modes of a surface, with their nodal lines", dpi=studio.dpi),
     )
 
 
@@ -136,7 +135,7 @@ def comparison(studio: Studio) -> None:
         studio.comparison,
         modes=(5, 20, 50),
         names=("exact: Arpack()", "predicted: Neo()"),
-        dpi=studio.dpi,
+        page=viz.Page(dpi=studio.dpi),
     )
 
 
@@ -148,8 +147,7 @@ def cloud(studio: Studio) -> None:
         points,
         sk.eigensolve(sk.delaunay_laplacian(points), 40),
         modes=(2, 8, 33),
-        title="The same surface as 8,000 points",
-        dpi=studio.dpi,
+        page=viz.Page("The same surface as 8,000 points", dpi=studio.dpi),
     )
 
 
@@ -158,8 +156,7 @@ def spectrum(studio: Studio) -> None:
     viz.plot_spectrum(
         studio.path("spectrum.png"),
         {"Arpack()": studio.exact, "Neo()": studio.predicted},
-        title="96 eigenvalues, exact and predicted",
-        dpi=studio.dpi,
+        page=viz.Page("96 eigenvalues, exact and predicted", dpi=studio.dpi),
     )
 
 
@@ -172,8 +169,7 @@ def signatures(studio: Studio) -> None:
         heat_kernel_signature(studio.exact, times),
         times,
         points=farthest_points(studio.exact, 5),
-        title="Heat kernel signature",
-        dpi=studio.dpi,
+        page=viz.Page("Heat kernel signature", dpi=studio.dpi),
     )
 
 
@@ -185,8 +181,7 @@ def distance(studio: Studio) -> None:
         studio.animal,
         field.distance,
         sources=studio.animal.points[[studio.nose]],
-        title="Geodesic distances by the heat method",
-        dpi=studio.dpi,
+        page=viz.Page("Geodesic distances by the heat method", dpi=studio.dpi),
     )
 
 
@@ -199,9 +194,9 @@ def match(studio: Studio) -> None:
         target,
         found.point_map,
         transfer="texture",
-        up="z",
         names=("source", "target, textured by the map"),
-        dpi=studio.dpi,
+        view=viz.View("z"),
+        page=viz.Page(dpi=studio.dpi),
     )
 
 
@@ -221,8 +216,7 @@ def real_modes(studio: Studio) -> None:
         sk.eigensolve(sk.robust_laplacian(mesh), 40, sk.Multilevel()),
         modes=(1, 5, 12, 33),
         columns=4,
-        title="Modes of a koala of 49,999 vertices",
-        dpi=studio.dpi,
+        page=viz.Page("Modes of a koala of 49,999 vertices", dpi=studio.dpi),
     )
 
 
@@ -238,9 +232,9 @@ def real_comparison(studio: Studio) -> None:
         predicted,
         compare_spectra(exact, predicted),
         modes=(20,),
-        turn=150,
+        view=viz.View(turn=150),
         names=("exact: Arpack()", "predicted: Neo()"),
-        dpi=studio.dpi,
+        page=viz.Page(dpi=studio.dpi),
     )
 
 
@@ -253,8 +247,7 @@ def real_distance(studio: Studio) -> None:
         mesh,
         sk.HeatGeodesics(mesh).distance(source).distance,
         sources=mesh.points[[source]],
-        title="Distances on a scanned hammer",
-        dpi=studio.dpi,
+        page=viz.Page("Distances on a scanned hammer", dpi=studio.dpi),
     )
 
 
@@ -302,9 +295,11 @@ def pareto(studio: Studio) -> None:
         runs,
         xlabel="seconds, 96 modes of 32,000 points",
         ylabel="mean relative error of the eigenvalues",
-        title="Which solver when",
-        subtitle=f"{os.cpu_count()} processor cores, no GPU; fastest of {REPEATS} runs, by turns",
-        dpi=studio.dpi,
+        page=viz.Page(
+            "Which solver when",
+            f"{os.cpu_count()} processor cores, no GPU; fastest of {REPEATS} runs, by turns",
+            studio.dpi,
+        ),
     )
 
 

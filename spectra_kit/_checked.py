@@ -121,9 +121,12 @@ class _Torch:
     device = NewType("device", object)
 
 
+_LATE = {"torch": _Torch, "Figure": Any}  # Matplotlib's, imported where something is drawn
+
+
 def _signature(function: Callable[..., Any]) -> _Signature:
     parameters = inspect.signature(function).parameters.values()
-    hints = typing.get_type_hints(function, localns={"torch": _Torch}, include_extras=True)
+    hints = typing.get_type_hints(function, localns=_LATE, include_extras=True)
     # NaN is no number to compute with, but a record may hold it, where there is nothing to tell.
     record = function.__name__ == "__init__"
     for p in parameters:

@@ -150,6 +150,13 @@ def check_positive(name: str, value: float) -> float:
     return float(value)
 
 
+def check_weights(values: Mapping[str, float]) -> None:
+    """Refuse the first of named weights that is negative or not finite."""
+    for name, value in values.items():
+        if not 0 <= value < np.inf:
+            raise InvalidInputError(name, "be a finite weight >= 0", repr(value))
+
+
 class Brief:
     """Mixin of a dataclass that holds arrays: its repr tells their form, not their entries."""
 

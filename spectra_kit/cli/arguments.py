@@ -136,8 +136,7 @@ def add_explore_arguments(parser: argparse.ArgumentParser) -> None:
     either.add_argument(
         "--serve",
         action="store_true",
-        help="write nothing, show the modes to this machine alone until Ctrl-C (needs trame:"
-        " pip install 'spectra_kit[serve]')",
+        help="serve the page to this machine alone, too, until Ctrl-C",
     )
     group.add_argument(
         "--max-points",

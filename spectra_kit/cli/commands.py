@@ -67,15 +67,14 @@ def spectrum(arguments: argparse.Namespace) -> None:
         )
 
     def draw(path: Path) -> None:
-        from spectra_kit.viz import plot_spectrum
+        from spectra_kit.viz import Page, plot_spectrum
         from spectra_kit.viz.boundary import free_boundary
 
         plot_spectrum(
             path,
             result,
             free_boundary=free_boundary(geometry, result),
-            title=tables.title(arguments.file, geometry),
-            dpi=arguments.dpi,
+            page=Page(tables.title(arguments.file, geometry), dpi=arguments.dpi),
         )
 
     _finish(
@@ -116,7 +115,7 @@ def compare(arguments: argparse.Namespace) -> None:
         )
 
     def draw(path: Path) -> None:
-        from spectra_kit.viz import plot_comparison
+        from spectra_kit.viz import Page, View, plot_comparison
 
         first = max(comparison.n_zero_modes - 1, 0)  # one constant function per component is dull
         plot_comparison(
@@ -127,11 +126,12 @@ def compare(arguments: argparse.Namespace) -> None:
             comparison,
             modes=shown_modes(arguments.modes, [i + first for i in _DRAWN], k),
             names=pair.names,
-            title=tables.title(arguments.file, geometry),
-            subtitle="; ".join(filter(None, [tables.comparison_line(comparison), pair.caution])),
-            up=up_of(arguments),
-            turn=arguments.turn,
-            dpi=arguments.dpi,
+            view=View(up_of(arguments), arguments.turn),
+            page=Page(
+                tables.title(arguments.file, geometry),
+                "; ".join(filter(None, [tables.comparison_line(comparison), pair.caution])),
+                arguments.dpi,
+            ),
         )
 
     _finish(

@@ -25,6 +25,7 @@ from spectra_kit.explorer import Explorer, write_explorer
 from spectra_kit.geometry import Geometry
 from spectra_kit.operators import Laplacian
 from spectra_kit.spectra import Spectrum
+from spectra_kit.viz import View
 
 
 def explore(arguments: argparse.Namespace) -> None:
@@ -32,8 +33,7 @@ def explore(arguments: argparse.Namespace) -> None:
     page: Path = arguments.html or Path(Path(arguments.file).stem + ".html")
     if not arguments.serve:
         refuse_given(arguments, {"port": 0, "no_browser": False}, "without --serve; add it")
-        inputs = [arguments.file, *filter(None, [arguments.spectrum])]
-        check_output(page, (".html", ".htm"), inputs)
+    check_output(page, (".html", ".htm"), [arguments.file, *filter(None, [arguments.spectrum])])
     k = check_count("k", arguments.k, low=1)
     check_count("--max-points", arguments.max_points, low=4)
     check_count("--port", arguments.port, low=0, high=65535)
@@ -46,9 +46,6 @@ def explore(arguments: argparse.Namespace) -> None:
     else:
         pair = compared(arguments, laplacian, solvers, reference)
     names = pair.names if pair else (name_of(reference), "")
-    if arguments.serve:
-        _serve(arguments, geometry, reference, pair, names)
-        return
     with counted(f"writing {page}", "step") as tell:
         written = write_explorer(
             page,
@@ -59,47 +56,26 @@ def explore(arguments: argparse.Namespace) -> None:
             names=names,
             title=stem(arguments.file),  # the page itself counts the points
             max_points=arguments.max_points,
-            up=up_of(arguments),
+            view=View(up_of(arguments)),
             progress=tell,
         )
-    if arguments.json:
-        print_json(
-            **_record(arguments, geometry, reference, pair), explorer=vars(written), url=None
-        )
-        return
-    print_blocks(*_tables(arguments, geometry, laplacian, reference, pair), _next(written))
 
-
-def _serve(
-    arguments: argparse.Namespace,
-    geometry: Geometry,
-    reference: Spectrum,
-    pair: Compared | None,
-    names: tuple[str, str],
-) -> None:
-    from spectra_kit.explorer.serve import serve
-
-    def ready(url: str) -> None:
+    def told(url: str | None = None) -> None:
         if arguments.json:
-            print_json(**_record(arguments, geometry, reference, pair), explorer=None, url=url)
+            record = _record(arguments, geometry, reference, pair)
+            print_json(**record, explorer=vars(written), url=url)
         else:
-            verdict = [f"verdict: {pair.verdict}"] if pair else []
-            print_blocks(*verdict, f"serving {arguments.file} to this machine alone: {url}")
+            print_blocks(*_tables(arguments, geometry, laplacian, reference, pair), _next(written))
+        if url is not None and not arguments.json:
+            print_blocks(f"serving it to this machine alone: {url}")
             say("Ctrl-C ends it")
 
-    serve(
-        geometry,
-        reference,
-        pair.predicted if pair else None,
-        comparison=pair.comparison if pair else None,
-        names=names,
-        title=tables.title(arguments.file, geometry),
-        max_points=arguments.max_points,
-        up=up_of(arguments),
-        port=arguments.port,
-        open_browser=not arguments.no_browser,
-        ready=ready,
-    )
+    if not arguments.serve:
+        told()
+        return
+    from spectra_kit.explorer.serve import serve
+
+    serve(page, port=arguments.port, open_browser=not arguments.no_browser, ready=told)
 
 
 def _record(

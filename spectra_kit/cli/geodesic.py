@@ -207,7 +207,7 @@ def _draw(
     field: DistanceField,
     compared: list[Compared] | None,
 ) -> list[Path]:
-    from spectra_kit.viz import plot_convergence, plot_distance
+    from spectra_kit.viz import Page, View, plot_convergence, plot_distance
 
     folder, name, dpi = arguments.output, stem(arguments.file), arguments.dpi
     size = f"{geometry.n:,} points"
@@ -217,11 +217,8 @@ def _draw(
         field.distance,
         sources=positions(sources, geometry),
         spacing=arguments.spacing,
-        up=up_of(arguments),
-        turn=arguments.turn,
-        title=name,
-        subtitle=f"{size} \N{MIDDLE DOT} {field.choice}",
-        dpi=dpi,
+        view=View(up_of(arguments), arguments.turn),
+        page=Page(name, f"{size} \N{MIDDLE DOT} {field.choice}", dpi),
     )
     if compared is None:
         return [folder / _FIELD]
@@ -230,8 +227,6 @@ def _draw(
         [one.run for one in compared],
         rtol=arguments.rtol,
         solve_name="Poisson step",
-        title=f"{name}: the Poisson step of the heat method, {size}",
-        subtitle=clock_note(),
-        dpi=dpi,
+        page=Page(f"{name}: the Poisson step of the heat method, {size}", clock_note(), dpi),
     )
     return [folder / _FIELD, folder / _CONVERGENCE]

@@ -25,10 +25,10 @@ from spectra_kit.geometry import Geometry, creature_pair, write
 from spectra_kit.geometry.formats._arrays import text_lines, whole
 from spectra_kit.geometry.formats.numpy_arrays import read_npy
 from spectra_kit.matching import Match, match, prepare
-from spectra_kit.matching.match import Sides
 
 _MAPS = ("point_map.npy", "functional_map.npy", "report.json")
 _SIDES = ("source.npz", "target.npz")
+_MIRRORED = {"either": None, "kept": False, "reversed": True}
 _PICTURES = ("correspondence.png", "functional_map.png", "errors.png")
 
 
@@ -53,7 +53,7 @@ def match_shapes(arguments: argparse.Namespace) -> None:
         for name, geometry in zip((arguments.source, arguments.target), geometries, strict=True)
     )
     with step("matching"):
-        found, quality = _matched(source, target, landmarks, arguments.sides)
+        found, quality = _matched(source, target, landmarks, _MIRRORED[arguments.sides])
     with step("judging the map"):
         quality |= quality_of(source, target, found.point_map)
         errors = None if truth is None else errors_of(source, found.point_map, truth)
@@ -131,13 +131,15 @@ def _solve(
 
 
 def _matched(
-    source: Side, target: Side, landmarks: tuple[Ints, Ints] | None, sides: Sides
+    source: Side, target: Side, landmarks: tuple[Ints, Ints] | None, mirrored: bool | None
 ) -> tuple[Match, tables.Record]:
     """The maps, and what the match says of itself."""
     start = time.perf_counter()
     prepared = [prepare(side.spectrum, side.geometry) for side in (source, target)]
     middle = time.perf_counter()
-    found = match(prepared[0], prepared[1], landmarks=landmarks, sides=sides, k=source.spectrum.k)
+    found = match(
+        prepared[0], prepared[1], landmarks=landmarks, mirrored=mirrored, k=source.spectrum.k
+    )
     return found, {
         "prepare_seconds": middle - start,
         "match_seconds": time.perf_counter() - middle,
@@ -145,7 +147,7 @@ def _matched(
         "ambiguous": found.ambiguous,
         **({"doubts": doubts_of(found)} if found.doubts else {}),
         "margin": found.margin,
-        "other_side": found.other_side,
+        "other_side": found.mirror_margin,
         "score": found.score,
         "candidates": len(found.candidates),
         "mirrored": found.mirrored,
@@ -230,7 +232,13 @@ def _draw(
     found: Match,
     errors: Errors | None,
 ) -> list[Path]:
-    from spectra_kit.viz import plot_correspondence, plot_error_curves, plot_functional_map
+    from spectra_kit.viz import (
+        Page,
+        View,
+        plot_correspondence,
+        plot_error_curves,
+        plot_functional_map,
+    )
 
     folder, dpi = arguments.output, arguments.dpi
     paths = _pictures(folder, errors)
@@ -243,17 +251,15 @@ def _draw(
         found.point_map,
         errors=None if errors is None else errors.known,
         error_label=errors.label if errors else "",
-        up=up_of(arguments, source.name),
-        turn=arguments.turn,
+        view=View(up_of(arguments, source.name), arguments.turn),
         names=(names[0], names[1]) if names[0] != names[1] else ("source", "target"),
-        title=title,
-        subtitle=f"{source.geometry.n:,} and {target.geometry.n:,} points",
-        dpi=dpi,
+        page=Page(title, f"{source.geometry.n:,} and {target.geometry.n:,} points", dpi),
     )
-    plot_functional_map(paths[1], found.functional_map, title=title, dpi=dpi)
+    page = Page(title, dpi=dpi)
+    plot_functional_map(paths[1], found.functional_map, page=page)
     if errors is not None:
         plot_error_curves(
-            paths[2], {title: errors.known.direct}, error_label=errors.label, title=title, dpi=dpi
+            paths[2], {title: errors.known.direct}, error_label=errors.label, page=page
         )
     return paths
 

@@ -21,7 +21,7 @@ def modes(arguments: argparse.Namespace) -> None:
     if arguments.columns is not None:
         check_count("--columns", arguments.columns, low=1)
     shown = to_show(arguments, _DRAWN)
-    from spectra_kit.viz import plot_modes
+    from spectra_kit.viz import Page, View, plot_modes
 
     with step(f"drawing {quantity(len(shown.modes), 'mode')}"):
         plot_modes(
@@ -31,10 +31,8 @@ def modes(arguments: argparse.Namespace) -> None:
             modes=shown.modes,
             nodal_lines=not arguments.no_lines,
             columns=arguments.columns,
-            up=up_of(arguments),
-            turn=arguments.turn,
-            title=tables.title(arguments.file, shown.geometry),
-            dpi=arguments.dpi,
+            view=View(up_of(arguments), arguments.turn),
+            page=Page(tables.title(arguments.file, shown.geometry), dpi=arguments.dpi),
         )
     _tell(arguments, shown, "picture")
 
@@ -46,7 +44,7 @@ def animate(arguments: argparse.Namespace) -> None:
     fps = check_count("--fps", arguments.fps, low=1)
     width = check_count("--width", arguments.width, low=16)
     shown = to_show(arguments, _SWUNG)
-    from spectra_kit.viz import animate_modes
+    from spectra_kit.viz import View, animate_modes
 
     with counted(f"drawing {quantity(len(shown.modes), 'mode')}", "frame") as tell:
         animate_modes(
@@ -57,8 +55,7 @@ def animate(arguments: argparse.Namespace) -> None:
             seconds_per_mode=seconds,
             fps=fps,
             width=width,
-            up=up_of(arguments),
-            turn=arguments.turn,
+            view=View(up_of(arguments), arguments.turn),
             progress=tell,
         )
     _tell(arguments, shown, "animation")

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.spectra import Spectrum
 from spectra_kit.viz.boundary import free_boundary
-from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.camera import View
 from spectra_kit.viz.colours import diverging_colours
 from spectra_kit.viz.render import ball_diameter
 
@@ -88,7 +88,7 @@ def write_explorer(
     names: tuple[str, str] = ("exact", "predicted"),
     title: str = "",
     max_points: int = 50_000,
-    up: Literal["x", "y", "z"] | None = None,
+    view: View = View(),
     progress: Callable[[int, int], None] | None = None,
 ) -> Explorer:
     """Write a page on which modes can be turned, compared and leafed through.
@@ -115,8 +115,8 @@ def write_explorer(
         A geometry with more points is drawn with at most about as many: a mesh after
         quadric decimation, with values interpolated at the closest points of the full mesh, a cloud
         thinned evenly. The numbers on the page are those of the full geometry.
-    up : {"x", "y", "z"}, optional
-        The axis that points up; by default as `viz` chooses it.
+    view : View, optional
+        Where it is seen from at first.
     progress : callable, optional
         Called with the steps done and their number, after each.
 
@@ -179,7 +179,7 @@ def write_explorer(
         "first": min(exact.n_zero_modes, k - 1),
         "decimated": display.decimated,
         "palette": _palette(),
-        **_view(geometry, up),
+        **_first_view(geometry, view),
         "exact": spectrum_facts(exact.truncate(k), np.arange(k)),
         "colours": colour_facts(functions[0], functions[1] if predicted else None, shown),
     }
@@ -209,24 +209,25 @@ def _check(
 ) -> None:
     """Refuse what cannot become a page, before any work is done."""
     if Path(path).suffix.lower() not in (".html", ".htm"):
-        raise InvalidInputError(f"`path` must end in .html, got {os.fspath(path)!r}")
+        raise InvalidInputError("path", "end in .html", repr(os.fspath(path)))
     check_target(path)
     if geometry.n != exact.n:
         raise InvalidInputError(
-            f"`geometry` must have the {exact.n} points of the spectrum, got {geometry.n}"
+            "geometry", f"have the {exact.n} points of the spectrum", geometry.n
         )
     if exact.k == 0:
-        raise InvalidInputError("`exact` must have at least one mode to show, got none")
-    if len(names) != 2:
-        raise InvalidInputError(f"`names` must be two, of `exact` and `predicted`, got {names!r}")
+        raise InvalidInputError("exact", "have at least one mode to show", "none")
     if comparison is None:
         return
     if predicted is None:
-        raise InvalidInputError("`comparison` is of two spectra; pass `predicted` as well")
+        raise InvalidInputError(
+            "comparison", "be of two spectra", "one", advice="pass `predicted` as well"
+        )
     if comparison.k > exact.k or comparison.match.max(initial=0) >= predicted.k:
         raise InvalidInputError(
-            f"`comparison` must be of these spectra of {exact.k} and {predicted.k} modes, got one"
-            f" of {comparison.k} modes, matched to as many as {comparison.match.max() + 1}"
+            "comparison",
+            f"be of these spectra of {exact.k} and {predicted.k} modes",
+            f"one of {comparison.k} modes, matched to as many as {comparison.match.max() + 1}",
         )
 
 
@@ -250,9 +251,9 @@ def _rounding(carried: list[Floats], shown: list[Quantised]) -> float:
     return worst
 
 
-def _view(geometry: Geometry, up: Literal["x", "y", "z"] | None) -> dict[str, Any]:
+def _first_view(geometry: Geometry, view: View) -> dict[str, Any]:
     """Where the viewer stands at first, and the axis around which a drag turns."""
-    right, _, towards = choose_view(geometry, up=up)
+    right, _, towards = view.rotation(geometry)
     vertical = np.eye(3)[np.argmin(np.abs(right))]  # the view is level: only this one is across
     return {"towards": numbers(towards), "vertical": vertical.tolist()}
 

@@ -133,7 +133,8 @@ class TriangleMesh(_Shape):
     def face_areas(self) -> Floats:
         """Area of each triangle, shape (f,), in length^2."""
         areas, _, exponents = _measures(self.points, self.faces)
-        return frozen(np.ldexp(areas, 2 * exponents))
+        with np.errstate(over="ignore"):  # infinite is what they are in this unit
+            return frozen(np.ldexp(areas, 2 * exponents))
 
     @property
     def area(self) -> float:

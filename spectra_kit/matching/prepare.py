@@ -13,7 +13,7 @@ from spectra_kit.descriptors import farthest_points, wave_kernel_signature
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh
 from spectra_kit.matching.curvature import smoothed_mean_curvature
-from spectra_kit.operators.orientation import OrientedTriangles, area_form, oriented_triangles
+from spectra_kit.operators.oriented import OrientedTriangles, area_form, oriented_triangles
 from spectra_kit.spectra import Spectrum
 
 LOWEST_K = 30  # modes without which there is no matching

@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-import importlib.util
-import os
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from spectra_kit._checked import checked
-from spectra_kit._files import atomic_path, check_target
 from spectra_kit._types import Bytes, Floats
 from spectra_kit._validate import check_count, check_positive
-from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import estimate_normals, orient_normals
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.matching.curvature import outward_normals
-from spectra_kit.operators.orientation import oriented_triangles
+from spectra_kit.operators.oriented import oriented_triangles
 from spectra_kit.spectra import Spectrum
-from spectra_kit.viz.camera import Up, choose_view
+from spectra_kit.viz.camera import View
 from spectra_kit.viz.colours import diverging_colours
 from spectra_kit.viz.contours import level_lines, triangles_of
+from spectra_kit.viz.modes import check_modes
+from spectra_kit.viz.page import Page, new_figure
 from spectra_kit.viz.panels import symmetric_limit
-from spectra_kit.viz.picture import Picture
+from spectra_kit.viz.picture import written
 from spectra_kit.viz.render import Scene, render
-from spectra_kit.viz.sheet import new_figure
 from spectra_kit.viz.signs import display_signs
 
 _MOST_FRAMES = 20_000  # some quarter of an hour, and gigabytes while they are drawn
@@ -40,9 +39,22 @@ _DITHER = 6.0  # steps of 255, hardly more than between two of those colours
 _BAYER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) / 16 - 15 / 32
 
 
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Frames (rows, columns, 3) of one size, and how many of them are shown in a second."""
+
+    frames: list[Bytes]
+    fps: float
+
+    def write(self, path: Path) -> None:
+        """Write a GIF or an MP4."""
+        write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
+        write(path, self.frames, self.fps)
+
+
+@written(Film.write, ".gif", ".mp4")
 @checked
 def animate_modes(
-    path: str | os.PathLike[str],
     geometry: Geometry,
     spectrum: Spectrum,
     *,
@@ -52,16 +64,15 @@ def animate_modes(
     fps: float = 20.0,
     nodal_lines: bool = False,
     width: int = 480,
-    up: Up | None = None,
-    turn: float = 0.0,
+    view: View = View(),
     progress: Callable[[int, int], None] | None = None,
-) -> Picture:
+) -> Film:
     """Let modes swing one after the other, in colour and along the normals, as an endless film.
 
     Parameters
     ----------
-    path : path-like
-        The ``.gif`` or ``.mp4`` file to write, whole or not at all.
+    path : path-like, optional
+        The ``.gif`` or ``.mp4`` file to write; see `Picture`.
     geometry : TriangleMesh or PointCloud
         The points that the spectrum lives on.
     spectrum : Spectrum
@@ -80,25 +91,22 @@ def animate_modes(
         Draw the lines where the mode is zero; they stay where they are.
     width : int, default 480
         Of a frame, in pixels; the height follows the geometry.
-    up : {"x", "y", "z"}, optional
-        Which axis points up; by default the one on which the geometry seems to stand.
-    turn : float, default 0
-        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
+    view : View, optional
+        Where it is seen from.
     progress : callable, optional
         Called with the number of pictures drawn, and of all.
 
     Returns
     -------
     Picture
-        Of `path`.
+        What was drawn.
 
     Raises
     ------
     InvalidInputError
-        If `path` is no ``.gif`` or ``.mp4`` in an existing folder, sizes disagree, a mode is out of
-        range, or a number is not positive.
+        If sizes disagree, a mode is out of range, or a number is not positive.
     MissingDependencyError
-        If there is nothing to draw with, or for ``.mp4`` no imageio-ffmpeg.
+        If there is no imageio-ffmpeg, which ``.mp4`` needs.
 
     Notes
     -----
@@ -112,30 +120,25 @@ def animate_modes(
 
     Examples
     --------
-    >>> import tempfile
-    >>> from pathlib import Path
     >>> import spectra_kit as sk
     >>> from spectra_kit.viz import animate_modes
     >>> mesh = sk.geometry.sphere(subdivisions=2).geometry
     >>> spectrum = sk.eigensolve(sk.robust_laplacian(mesh), 5)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "mode.gif"
-    ...     film = animate_modes(path, mesh, spectrum, modes=[1], width=40, fps=4)
-    ...     film.path.exists()
-    True
+    >>> animate_modes(mesh, spectrum, modes=[1], width=40, fps=4)
+    Picture(path=None)
     """
-    write = _writer(path)
-    chosen = _check_modes(modes, geometry, spectrum)
+    chosen = check_modes(geometry, spectrum, modes, _MODES)
     if not (np.isfinite(amplitude) and amplitude >= 0):
-        raise InvalidInputError(f"`amplitude` must be finite and >= 0, got {amplitude!r}")
+        raise InvalidInputError("amplitude", "be finite and >= 0", repr(amplitude))
     check_count("width", width, low=16)
     rate = check_positive("fps", fps)
     quarter = max(round(check_positive("seconds_per_mode", seconds_per_mode) * rate / 4), 1)
     count = 4 * quarter
     if count * len(chosen) > _MOST_FRAMES:
         raise InvalidInputError(
-            f"`fps` and `seconds_per_mode` must make at most {_MOST_FRAMES:,} frames, got"
-            f" {fps:g} in a second and {seconds_per_mode:g} seconds for each of {len(chosen)} modes"
+            "fps",
+            f"make at most {_MOST_FRAMES:,} frames with `seconds_per_mode`",
+            f"{fps:g} in a second and {seconds_per_mode:g} seconds for each of {len(chosen)} modes",
         )
     swings = np.round(np.sin(2 * np.pi * np.arange(count) / count), 12)
     distinct, number = np.unique(swings, return_inverse=True)
@@ -144,58 +147,23 @@ def animate_modes(
         np.clip(column / symmetric_limit(column), -1.0, 1.0)
         for column in (vectors * display_signs(vectors)).T
     ]
-    with atomic_path(path) as part:
-        scene = Scene(
-            geometry=geometry,
-            functions=functions,
-            rotation=choose_view(geometry, up=up, turn=turn),
-            width=width,
-            colours=diverging_colours(np.linspace(-1.0, 1.0, 256)),
-            shifts=_shifts(geometry, functions, amplitude),
-            swings=distinct.tolist(),
-            lines=_nodal_lines(geometry, functions) if nodal_lines else None,
-            line_width=max(_LINE * width, 1.5),
-        )
-        (pictures,) = render([scene], progress=progress)
-        captions = [_caption(spectrum, mode, width) for mode in chosen]
-        order = [(m, m * len(distinct) + i) for m in range(len(chosen)) for i in number]
-        # Begin at the first peak: a film that stands still shows something, too.
-        order = order[quarter:] + order[:quarter]
-        write(part, [_even(np.vstack([captions[m], pictures[p]])) for m, p in order], rate)
-    return Picture(Path(path))
-
-
-def _writer(path: str | os.PathLike[str]) -> Callable[[Path, list[Bytes], float], None]:
-    """What writes such a file; told before the work if there is nothing."""
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".gif", ".mp4"):
-        raise InvalidInputError(f"`path` must end in .gif or .mp4, got {str(path)!r}")
-    check_target(path)
-    if suffix == ".gif":
-        return _write_gif
-    if importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise MissingDependencyError(
-            "MP4 needs imageio-ffmpeg: pip install spectra_kit[video]; or write a .gif"
-        )
-    return _write_mp4
-
-
-def _check_modes(
-    modes: Sequence[int] | None, geometry: Geometry, spectrum: Spectrum
-) -> Sequence[int]:
-    if geometry.n != spectrum.n:
-        raise InvalidInputError(
-            f"`geometry` must have the {spectrum.n} points of the spectrum, got {geometry.n}"
-        )
-    if modes is None:
-        start = spectrum.n_zero_modes
-        modes = range(start, min(start + _MODES, spectrum.k))
-    if not len(modes):
-        raise InvalidInputError(
-            f"`modes` must hold at least one mode, got none; the spectrum has {spectrum.k},"
-            f" {spectrum.n_zero_modes} of them zero modes"
-        )
-    return [check_count("modes", mode, low=0, high=spectrum.k - 1) for mode in modes]
+    scene = Scene(
+        geometry=geometry,
+        functions=functions,
+        rotation=view.rotation(geometry),
+        width=width,
+        colours=diverging_colours(np.linspace(-1.0, 1.0, 256)),
+        shifts=_shifts(geometry, functions, amplitude),
+        swings=distinct.tolist(),
+        lines=_nodal_lines(geometry, functions) if nodal_lines else None,
+        line_width=max(_LINE * width, 1.5),
+    )
+    (pictures,) = render([scene], progress=progress)
+    captions = [_caption(spectrum, mode, width) for mode in chosen]
+    order = [(m, m * len(distinct) + i) for m in range(len(chosen)) for i in number]
+    # Begin at the first peak: a film that stands still shows something, too.
+    order = order[quarter:] + order[:quarter]
+    return Film([_even(np.vstack([captions[m], pictures[p]])) for m, p in order], rate)
 
 
 def _shifts(geometry: Geometry, functions: Sequence[Floats], amplitude: float) -> list[Floats]:
@@ -244,7 +212,7 @@ def _caption(spectrum: Spectrum, mode: int, width: int) -> Bytes:
     zero = mode < spectrum.n_zero_modes
     value = "0" if zero else f"{spectrum.eigenvalues[mode]:.4g}"
     inch = 64  # a power of two: the width in pixels comes out as asked for
-    figure = new_figure(width / inch, round(_CAPTION * width) / inch, dpi=inch)
+    figure = new_figure(Page(dpi=inch), width / inch, round(_CAPTION * width) / inch)
     figure.text(
         0.5, 0.3, f"mode {mode}   λ = {value}", ha="center", fontsize=0.04 * width * 72 / inch
     )

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.sampling import sample
@@ -24,34 +26,73 @@ _GRID = 40
 _CLEARLY = 1.06  # a later view must show this much more than an earlier one
 
 
-def choose_view(geometry: Geometry, *, up: Up | None = None, turn: float = 0.0) -> Floats:
-    """Return the rotation (3, 3) whose rows point right, up, and towards the viewer.
+@checked
+@dataclass(frozen=True)
+class View:
+    """Where a geometry is seen from.
 
+    Attributes
+    ----------
+    up : {"x", "y", "z"}, optional
+        The axis that points up in the picture; by default the one the geometry seems to stand on.
+    turn : float, default 0
+        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
+
+    Raises
+    ------
+    InvalidInputError
+        If `turn` is not finite.
+
+    Notes
+    -----
     Up is y, or z where the geometry stands on that side, and more broadly, or what is said. Of
     eight oblique views the one that covers most of the picture plane wins, earlier ones when in
     doubt. Front and back are not told apart. What lies in a plane is faced, unless `up` is given.
-    From there the geometry is turned by `turn` degrees about the axis that points up, its front to
-    the right.
+
+    Examples
+    --------
+    >>> from spectra_kit.viz import View
+    >>> View("z", turn=150)
+    View(up='z', turn=150)
     """
-    if not np.isfinite(turn):
-        raise InvalidInputError(f"`turn` must be a finite number of degrees, got {turn!r}")
-    turn = math.fmod(turn, 360)
-    if isinstance(geometry, TriangleMesh) and geometry.area > 0:
-        points = sample(geometry, 4000, seed=0).points
-    else:
-        points = geometry.points[:: max(geometry.n // 4000, 1)]
-    if up is None:
-        if (facing := _facing(points)) is not None:
-            return _turned(facing, facing[1], turn)
-        up = "z" if _stands_on(points, 2) > max(_stands_on(points, 1), _STANDS) else "y"
-    axis, size = "xyz".index(up), np.ptp(points, axis=0)
-    flat = size[axis] < 0.12 * np.delete(size, axis).min()
-    views = [_rotation(axis, azimuth, _STEEP if flat else _ELEVATION) for azimuth in _AZIMUTHS]
-    best, shown = views[0], _coverage(points @ views[0].T)
-    for view in views[1:]:
-        if (covered := _coverage(points @ view.T)) > _CLEARLY * shown:
-            best, shown = view, covered
-    return _turned(best, np.eye(3)[axis], turn)
+
+    up: Up | None = None
+    turn: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.turn):
+            raise InvalidInputError("turn", "be a finite number of degrees", repr(self.turn))
+
+    def rotation(self, geometry: Geometry) -> Floats:
+        """Return the rotation (3, 3) whose rows point right, up, and towards the viewer.
+
+        Parameters
+        ----------
+        geometry : TriangleMesh or PointCloud
+            What is seen.
+
+        Returns
+        -------
+        ndarray of shape (3, 3)
+            Of determinant 1.
+        """
+        if isinstance(geometry, TriangleMesh) and geometry.area > 0:
+            points = sample(geometry, 4000, seed=0).points
+        else:
+            points = geometry.points[:: max(geometry.n // 4000, 1)]
+        up, turn = self.up, math.fmod(self.turn, 360)
+        if up is None:
+            if (facing := _facing(points)) is not None:
+                return _turned(facing, facing[1], turn)
+            up = "z" if _stands_on(points, 2) > max(_stands_on(points, 1), _STANDS) else "y"
+        axis, size = "xyz".index(up), np.ptp(points, axis=0)
+        flat = size[axis] < 0.12 * np.delete(size, axis).min()
+        views = [_rotation(axis, azimuth, _STEEP if flat else _ELEVATION) for azimuth in _AZIMUTHS]
+        best, shown = views[0], _coverage(points @ views[0].T)
+        for view in views[1:]:
+            if (covered := _coverage(points @ view.T)) > _CLEARLY * shown:
+                best, shown = view, covered
+        return _turned(best, np.eye(3)[axis], turn)
 
 
 def _turned(view: Floats, axis: Floats, degrees: float) -> Floats:

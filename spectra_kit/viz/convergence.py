@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -12,17 +11,10 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.viz.axes import LINE_COLOURS, line_style, tidy
+from spectra_kit.viz.page import Page, new_figure
 from spectra_kit.viz.pen import short
-from spectra_kit.viz.picture import Picture
-from spectra_kit.viz.sheet import (
-    LINE_COLOURS,
-    check_picture,
-    head,
-    line_style,
-    new_figure,
-    save,
-    tidy,
-)
+from spectra_kit.viz.picture import plotted
 from spectra_kit.viz.solver_run import SolverRun
 
 if TYPE_CHECKING:
@@ -36,43 +28,39 @@ _FLOOR = 1e-16  # of relative residuals in the picture: below it there is only r
 _ROW = 0.27  # inches of one bar
 
 
+@plotted
 @checked
 def plot_convergence(
-    path: str | os.PathLike[str],
     runs: Sequence[SolverRun],
     *,
     rtol: float = 1e-8,
     solve_name: str = "solve",
-    title: str = "",
-    subtitle: str = "",
-    dpi: int = 200,
-) -> Picture:
+    page: Page = Page(),
+) -> Figure:
     """Draw the residuals of solvers against iterations and against the clock, and their stages.
 
     Parameters
     ----------
-    path : path-like
-        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    path : path-like, optional
+        The file to write; see `Picture`.
     runs : sequence of SolverRun
         At least one.
     rtol : float, default 1e-8
         The relative residual at which the solvers stop, a line across.
     solve_name : str, default "solve"
         What to call the iterations, beside the names of the other stages.
-    title, subtitle : str, optional
-        Set above and below.
-    dpi : int, default 200
-        Pixels per inch; the page is 12 inches wide.
+    page : Page, optional
+        Head and resolution.
 
     Returns
     -------
     Picture
-        Of the file written.
+        What was drawn.
 
     Raises
     ------
     InvalidInputError
-        If there is no run, `rtol` is not positive, or `path` cannot be written.
+        If there is no run, or `rtol` is not positive.
 
     Notes
     -----
@@ -82,30 +70,27 @@ def plot_convergence(
 
     Examples
     --------
-    >>> import tempfile
     >>> import numpy as np
-    >>> from spectra_kit.viz import SolverRun, plot_convergence
+    >>> from spectra_kit.viz import Page, SolverRun, plot_convergence
     >>> times, residuals = np.array([0.0, 0.1, 0.2]), np.array([1.0, 1e-4, 1e-9])
     >>> run = SolverRun(name="CG", stages={"setup": 0.1}, times=times, residuals=residuals)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     plot_convergence(f"{folder}/convergence.png", [run], dpi=40).path.name
-    'convergence.png'
+    >>> plot_convergence([run], page=Page(dpi=40))
+    Picture(path=None)
     """
-    check_picture(path, dpi)
     if not runs:
-        raise InvalidInputError("`runs` must hold at least one SolverRun, got none")
+        raise InvalidInputError("runs", "hold at least one SolverRun", "none")
     check_positive("rtol", rtol)
-    return save(_page(runs, rtol, solve_name, title, subtitle, dpi), path, dpi)
+    return convergence_figure(runs, rtol, solve_name, page)
 
 
-def _page(
-    runs: Sequence[SolverRun], rtol: float, solve_name: str, title: str, subtitle: str, dpi: int
+def convergence_figure(
+    runs: Sequence[SolverRun], rtol: float, solve_name: str, page: Page
 ) -> Figure:
     """Three diagrams; below the first a table, below the two clocks the bars of its rows."""
     rows = _ROW * (len(runs) + 1.2)
-    begin = head(title, subtitle) + 0.25
+    begin = page.head + 0.25
     height = begin + 3.4 + rows + 1.1
-    figure = new_figure(12, height, title=title, subtitle=subtitle, dpi=dpi)
+    figure = new_figure(page, 12, height)
     grid = figure.add_gridspec(
         2,
         3,

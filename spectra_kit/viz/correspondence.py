@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from typing import Literal, get_args
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,49 +15,50 @@ from spectra_kit._validate import check_positive
 from spectra_kit.correspondence import MapErrors
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
-from spectra_kit.viz.camera import Up, choose_view, fitting_size
+from spectra_kit.viz.camera import View, fitting_size
 from spectra_kit.viz.colours import error_colours, position_colours, refined
 from spectra_kit.viz.matched_pair import MatchedPair
-from spectra_kit.viz.picture import Picture
+from spectra_kit.viz.page import Page
+from spectra_kit.viz.pen import short
+from spectra_kit.viz.picture import plotted
 from spectra_kit.viz.render import Scene, render
-from spectra_kit.viz.rows import Row, set_rows
-from spectra_kit.viz.sheet import check_picture, save
+from spectra_kit.viz.table import Bar, Cell, set_table
 from spectra_kit.viz.texture import texture_colours
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Transfer = Literal["colours", "texture"]
 
-_WIDEST, _TALLEST = 3.4, 3.6  # inches of a picture
+_WIDEST, _TALLEST, _NARROWEST = 3.4, 3.6, 2.2  # inches of a picture, and of a column
 _PIXELS = {"colours": 4, "texture": 1}  # to a vertex: a pattern inside triangles looks sharp
 _HEADS = ("source", "target")
 _PERCENTILE = 99.0  # a lone outlier must not bleach the rest
 
 
+@plotted
 @checked
 def plot_correspondence(
-    path: str | os.PathLike[str],
     source: Geometry,
     target: Geometry,
     point_map: ArrayLike,
     *,
     errors: MapErrors | None = None,
     transfer: Transfer = "colours",
-    up: Up | None = None,
-    turn: float = 0.0,
     limit: float | None = None,
     error_label: str = "geodesic error, 100 / √area",
     names: tuple[str, str] = ("source", "target"),
-    title: str = "",
-    subtitle: str = "",
-    dpi: int = 200,
-) -> Picture:
+    view: View = View(),
+    page: Page = Page(),
+) -> Figure:
     """Draw the source in colours, and the target in those that a point map gives it.
 
     Both are seen from the same side, and below from the other side.
 
     Parameters
     ----------
-    path : path-like
-        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    path : path-like, optional
+        The file to write; see `Picture`.
     source, target : TriangleMesh or PointCloud
         With n1 and n2 points. A cloud is drawn as balls that overlap a little.
     point_map : array_like of shape (n2,), integers
@@ -67,33 +68,24 @@ def plot_correspondence(
         are made by `correspondence.map_errors`.
     transfer : {"colours", "texture"}, default "colours"
         What the map carries: gradual colours, or a chart of named squares.
-    up : {"x", "y", "z"}, optional
-        The axis of the source that points up in the picture; by default the one it seems to stand
-        on.
-    turn : float, default 0
-        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
     limit : float, optional
         The error at the dark end of the colours; by default the 99th percentile.
     error_label : str
         Says what the errors are, and in which unit.
     names : tuple of str, default ("source", "target")
         What to call the two.
-    title, subtitle : str, optional
-        Two lines at the head of the page.
-    dpi : int, default 200
-        Pixels per inch; the page is at most 11 inches wide.
+    view, page : View and Page, optional
+        Where the source is seen from, and the target as it; head and resolution.
 
     Returns
     -------
     Picture
-        Of the file written.
+        What was drawn.
 
     Raises
     ------
     InvalidInputError
-        If `point_map` or `errors` does not fit the geometries, or `path` cannot be written.
-    MissingDependencyError
-        If there is no PyVista, or no OpenGL library that it can draw with.
+        If `point_map` or `errors` does not fit the geometries.
 
     Notes
     -----
@@ -107,61 +99,50 @@ def plot_correspondence(
 
     Examples
     --------
-    >>> import tempfile
     >>> from spectra_kit.geometry import creature_pair
-    >>> from spectra_kit.viz import plot_correspondence
+    >>> from spectra_kit.viz import Page, plot_correspondence
     >>> source, target, point_map = creature_pair(600)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     plot_correspondence(f"{folder}/map.png", source, target, point_map, dpi=30).path.name
-    'map.png'
+    >>> plot_correspondence(source, target, point_map, page=Page(dpi=30))
+    Picture(path=None)
     """
     pair = MatchedPair(
         source=source, target=target, point_map=point_map, errors=errors, names=names
     )
-    return _draw(path, [pair], True, transfer, up, turn, limit, error_label, title, subtitle, dpi)
+    return _draw([pair], True, transfer, limit, error_label, view, page)
 
 
+@plotted
 @checked
 def plot_correspondences(
-    path: str | os.PathLike[str],
     pairs: Sequence[MatchedPair],
     *,
     transfer: Transfer = "colours",
-    up: Up | None = None,
-    turn: float = 0.0,
     limit: float | None = None,
     error_label: str = "geodesic error, 100 / √area",
-    title: str = "",
-    subtitle: str = "",
-    dpi: int = 200,
-) -> Picture:
+    view: View = View(),
+    page: Page = Page(),
+) -> Figure:
     """Draw several matched pairs, one row each, from one side.
 
     Parameters
     ----------
-    path : path-like
-        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    path : path-like, optional
+        The file to write; see `Picture`.
     pairs : sequence of MatchedPair
         At least one. If one has errors, all share their colour scale.
     transfer : {"colours", "texture"}, default "colours"
-        As in `plot_correspondence`.
-    up : {"x", "y", "z"}, optional
-        As in `plot_correspondence`.
-    turn : float, default 0
         As in `plot_correspondence`.
     limit : float, optional
         The error at the dark end of the colours, for all.
     error_label : str
         Says what the errors are, and in which unit.
-    title, subtitle : str, optional
-        Two lines at the head of the page.
-    dpi : int, default 200
-        Pixels per inch; the page is at most 11 inches wide.
+    view, page : View and Page, optional
+        Where the source is seen from, and the target as it; head and resolution.
 
     Returns
     -------
     Picture
-        Of the file written.
+        What was drawn.
 
     Raises
     ------
@@ -170,37 +151,28 @@ def plot_correspondences(
 
     Examples
     --------
-    >>> import tempfile
     >>> from spectra_kit.geometry import creature_pair
-    >>> from spectra_kit.viz import MatchedPair, plot_correspondences
+    >>> from spectra_kit.viz import MatchedPair, Page, plot_correspondences
     >>> source, target, point_map = creature_pair(600)
     >>> pair = MatchedPair(source=source, target=target, point_map=point_map, name="truth")
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     plot_correspondences(f"{folder}/maps.png", [pair], dpi=30).path.name
-    'maps.png'
+    >>> plot_correspondences([pair], page=Page(dpi=30))
+    Picture(path=None)
     """
     if not pairs:
-        raise InvalidInputError("`pairs` must hold at least one MatchedPair, got none")
-    return _draw(path, pairs, False, transfer, up, turn, limit, error_label, title, subtitle, dpi)
+        raise InvalidInputError("pairs", "hold at least one MatchedPair", "none")
+    return _draw(pairs, False, transfer, limit, error_label, view, page)
 
 
 def _draw(
-    path: str | os.PathLike[str],
     pairs: Sequence[MatchedPair],
     behind: bool,
     transfer: Transfer,
-    up: Up | None,
-    turn: float,
     limit: float | None,
     error_label: str,
-    title: str,
-    subtitle: str,
-    dpi: int,
-) -> Picture:
+    view: View,
+    page: Page,
+) -> Figure:
     """Check everything, draw the pictures of each row, set the page."""
-    check_picture(path, dpi)
-    if transfer not in get_args(Transfer):
-        raise InvalidInputError(f"`transfer` must be 'colours' or 'texture', got {transfer!r}")
     maps = [pair.checked_map() for pair in pairs]
     errors = [pair.checked_errors() for pair in pairs]
     known = np.concatenate([e[np.isfinite(e)] for e in errors if e is not None] or [np.zeros(0)])
@@ -211,22 +183,28 @@ def _draw(
         scene
         for pair, p, e in zip(pairs, maps, errors, strict=True)
         for scene in _scenes(
-            pair, p, e, limit, dpi, choose_view(pair.source, up=up, turn=turn), behind, transfer
+            pair, p, e, limit, page.dpi, view.rotation(pair.source), behind, transfer
         )
     ]
-    drawn, rows = render(scenes), []
+    drawn = render(scenes)
     other = "other side" if transfer == "colours" else "other side, mirrored"
+    rows, sides = [], []
     for pair, source, target in zip(pairs, drawn[::2], drawn[1::2], strict=True):
-        sides = ("one side", other) if behind else (pair.name,)
-        names = None if behind or pair.names == _HEADS else pair.names
+        sides += ["one side", other] if behind else [pair.name]
+        named = () if behind or pair.names == _HEADS else pair.names
         each = np.split(target, len(source))  # the pictures of one side follow each other
-        rows += [
-            Row(side, names, [first, *rest])
-            for side, first, rest in zip(sides, source, each, strict=True)
-        ]
-    heads = [*(pairs[0].names if behind else _HEADS), "error"]
-    bar = None if all(e is None for e in errors) else (limit, error_label)
-    return save(set_rows(rows, heads, bar, title, subtitle, dpi), path, dpi)
+        for first, rest in zip(source, each, strict=True):
+            lines = [(name,) for name in named] + [()] * 3
+            rows.append(
+                [Cell(picture=p, lines=t) for p, t in zip([first, *rest], lines, strict=False)]
+            )
+    if any(e is not None for e in errors):
+        strip = error_colours(np.linspace(0.0, 1.0, 256), 1.0)
+        last = max(i for i, row in enumerate(rows) if len(row) > 2)
+        bar = Bar(colours=strip, ends=("0", short(limit)), label=error_label)
+        rows[last][2] = replace(rows[last][2], bar=bar)
+    heads = [*(pairs[0].names if behind else _HEADS), "error"][: max(map(len, rows))]
+    return set_table(page, rows, heads=heads, names=sides, cell=_NARROWEST)
 
 
 def _scenes(

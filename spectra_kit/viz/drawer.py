@@ -3,33 +3,36 @@
 from __future__ import annotations
 
 import atexit
-import json
 import os
 import pickle
 import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from spectra_kit._files import cleaned
+from spectra_kit._types import Bytes
 from spectra_kit.errors import MissingDependencyError
 
 _WORKER = Path(__file__).with_name("worker.py")
 _PATIENCE = 10.0  # seconds for a worker to end by itself
 
 
-def draw_requests(folder: Path, count: int, drawn: Callable[[int], None]) -> None:
-    """Let the requests in a folder be drawn, and the pictures be written beside them.
+def draw_requests(
+    requests: Sequence[Mapping[str, Any]], drawn: Callable[[int], None]
+) -> list[Bytes]:
+    """Return the pictures of all requests, one after the other.
 
     Parameters
     ----------
-    folder : Path
-        With ``request0.npz`` and so on; ``pictures0.npy`` and so on are written.
-    count : int
-        How many requests there are.
+    requests : sequence of mapping
+        As `worker.draw` takes them.
     drawn : callable
         Called after each picture with the number of those drawn.
 
@@ -40,25 +43,18 @@ def draw_requests(folder: Path, count: int, drawn: Callable[[int], None]) -> Non
     Exception
         What the process that draws raised itself, with its traceback as a note.
     """
-    mine = _of_this_process()
-    error: Exception | None = None
+    mine, reason = _of_this_process(), ""
     with mine.turn:
         for drawer in mine.drawers():
-            able, mine.drawer = drawer is mine.drawer, None
-            end = drawer.draw(folder, count, drawn)
-            if end == "done":
-                mine.drawer = drawer
-                return
-            code, complaints = drawer.end()
-            if end == "error":
-                error = pickle.loads((folder / "error.pickle").read_bytes())
-                error.add_note(f"It was raised in the process that draws:\n{complaints}")
-                if able:  # it has drawn others: no other way to draw would help
-                    break
-    if error is not None:
-        raise error
-    # Libraries that are not there cannot be imported; VTK without a window dies by a signal.
-    reason = complaints.split("\n")[-1] if code == 1 else "it crashed"
+            mine.drawer = None
+            answer = drawer.draw(requests, drawn)
+            if isinstance(answer, str):
+                reason = answer
+                continue
+            mine.drawer = drawer
+            if isinstance(answer, Exception):
+                raise answer
+            return answer
     raise MissingDependencyError(
         f"PyVista could not draw ({reason}); it needs an OpenGL library but no display,"
         " on Debian or Ubuntu: apt-get install libegl1 libgl1"
@@ -77,34 +73,36 @@ class _Drawer:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._complaints,
-            text=True,
         )
 
-    def draw(self, folder: Path, count: int, drawn: Callable[[int], None]) -> str:
-        """Ask for pictures; return "done", "error", or nothing where the process has ended."""
+    def draw(
+        self, requests: Sequence[Mapping[str, Any]], drawn: Callable[[int], None]
+    ) -> list[Bytes] | Exception | str:
+        """Ask for pictures; return them, or the error that came instead, or why it has ended."""
         asked, told = self._process.stdin, self._process.stdout
         assert asked is not None  # they are pipes
         assert told is not None
-        number, waiting = 0, True
+        pictures: list[Bytes] = []
+        waiting = True
         # Also on Ctrl-C: nobody waits for the pictures any more.
         with cleaned(lambda: self._kill() if waiting else None):
             try:
-                asked.write(json.dumps([str(folder), count]) + "\n")
+                pickle.dump(requests, asked, protocol=5)
                 asked.flush()
-                while (line := told.readline()) == "picture\n":
-                    number += 1
-                    drawn(number)
-            except BrokenPipeError:
-                line = ""
+                while isinstance(answer := pickle.load(told), np.ndarray):
+                    pictures.append(answer)
+                    drawn(len(pictures))
+            except (BrokenPipeError, EOFError):
+                answer = self.end()
             waiting = False
-        return line.strip()
+        return pictures if answer is None else answer
 
     def _kill(self) -> None:
         self._process.kill()
         self.end()
 
-    def end(self) -> tuple[int, str]:
-        """Let it end; return its exit code, and what it had to complain of."""
+    def end(self) -> str:
+        """Let it end, and say why it did."""
         with suppress(BrokenPipeError):
             self._process.stdin.close()  # type: ignore[union-attr]  # a pipe
         try:
@@ -115,7 +113,9 @@ class _Drawer:
         self._process.stdout.close()  # type: ignore[union-attr]
         with self._complaints:
             self._complaints.seek(0)
-            return code, self._complaints.read().strip()
+            # What is not there cannot be imported; VTK without a window dies by a signal.
+            told = self._complaints.read().strip().split("\n")[-1]
+        return told if code == 1 else "it crashed"
 
 
 class _Mine:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,21 +13,24 @@ from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
-from spectra_kit.viz.camera import Up
+from spectra_kit.viz.camera import View
 from spectra_kit.viz.distance_scale import round_number
-from spectra_kit.viz.page import plot_gallery
+from spectra_kit.viz.gallery import draw_gallery
+from spectra_kit.viz.page import Page
 from spectra_kit.viz.panels import Panel, sequential_limits, symmetric_limit
-from spectra_kit.viz.picture import Picture
-from spectra_kit.viz.sheet import check_picture
+from spectra_kit.viz.picture import plotted
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Lines = Literal["none", "nodal", "levels"]
 
 _LEVELS = 14  # lines from one end of the colours to the other, about
 
 
+@plotted
 @checked
 def plot_fields(
-    path: str | os.PathLike[str],
     geometry: Geometry,
     fields: Mapping[str, ArrayLike] | Sequence[tuple[str, ArrayLike]],
     *,
@@ -36,18 +38,15 @@ def plot_fields(
     share_limits: bool = False,
     lines: Lines = "none",
     columns: int | None = None,
-    up: Up | None = None,
-    turn: float = 0.0,
-    title: str = "",
-    subtitle: str = "",
-    dpi: int = 200,
-) -> Picture:
+    view: View = View(),
+    page: Page = Page(),
+) -> Figure:
     """Draw a gallery of functions on one geometry, all seen from the same side.
 
     Parameters
     ----------
-    path : path-like
-        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    path : path-like, optional
+        The file to write; see `Picture`.
     geometry : TriangleMesh or PointCloud
         A cloud is drawn as balls that overlap a little.
     fields : mapping of str to array_like of shape (n,), or sequence of such pairs
@@ -61,27 +60,18 @@ def plot_fields(
         Draw lines where a function is zero, or at evenly spaced round values within the colours.
     columns : int, optional
         How many pictures stand beside each other; by default what fits the page best.
-    up : {"x", "y", "z"}, optional
-        The axis that points up in the picture; by default the one the geometry seems to stand on.
-    turn : float, default 0
-        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
-    title, subtitle : str, optional
-        Two lines at the head of the page.
-    dpi : int, default 200
-        Pixels per inch, 600 for print; the page is at most 11 inches wide.
+    view, page : View and Page, optional
+        Where it is seen from; head and resolution.
 
     Returns
     -------
     Picture
-        Of the file written.
+        What was drawn.
 
     Raises
     ------
     InvalidInputError
-        If there is no field, one has not a finite value for each point, an option is unknown, or
-        `path` cannot be written.
-    MissingDependencyError
-        If there is no PyVista, or no OpenGL library that it can draw with.
+        If there is no field, one has not a finite value for each point, or an option is unknown.
 
     Notes
     -----
@@ -91,49 +81,43 @@ def plot_fields(
 
     Examples
     --------
-    >>> import tempfile
     >>> from spectra_kit.geometry import sphere
-    >>> from spectra_kit.viz import plot_fields
+    >>> from spectra_kit.viz import Page, plot_fields
     >>> ball = sphere(subdivisions=2).geometry
     >>> fields = {"height": ball.points[:, 2], "squared": ball.points[:, 2] ** 2}
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     plot_fields(f"{folder}/fields.svg", ball, fields, lines="nodal", dpi=30).path.name
-    'fields.svg'
+    >>> plot_fields(ball, fields, lines="nodal", page=Page(dpi=30))
+    Picture(path=None)
     """
-    check_picture(path, dpi)
-    if lines not in get_args(Lines):
-        raise InvalidInputError(f"`lines` must be 'none', 'nodal' or 'levels', got {lines!r}")
     pairs = list(fields.items()) if isinstance(fields, Mapping) else fields
     if not isinstance(pairs, list | tuple) or not all(
         isinstance(pair, list | tuple) and len(pair) == 2 for pair in pairs
     ):
         raise InvalidInputError(
-            "`fields` must be a mapping of names to values, or a list of pairs of both, got a"
-            f" {type(fields).__name__}; write {{'name': values}}"
+            "fields",
+            "be a mapping of names to values, or a list of pairs of both",
+            f"a {type(fields).__name__}",
+            advice="write {'name': values}",
         )
     if not pairs:
-        raise InvalidInputError("`fields` must hold at least one function, got none")
+        raise InvalidInputError("fields", "hold at least one function", "none")
     if columns is not None:
         check_count("columns", columns, low=1)
     named = [(name, real_array(f"fields[{name!r}]", values)) for name, values in pairs]
     for name, values in named:
         if values.shape != (geometry.n,):
             raise InvalidInputError(
-                f"`fields[{name!r}]` must have shape ({geometry.n},), one value for each point,"
-                f" got {values.shape}"
+                f"fields[{name!r}]",
+                f"have shape ({geometry.n},), one value for each point",
+                values.shape,
             )
     every = [values for _, values in named] if share_limits else None
-    return plot_gallery(
-        path,
+    return draw_gallery(
         geometry,
         [_panel(name, values, every or [values], symmetric, lines) for name, values in named],
         columns=columns,
         one_bar=share_limits,
-        up=up,
-        turn=turn,
-        title=title,
-        subtitle=subtitle,
-        dpi=dpi,
+        view=view,
+        page=page,
     )
 
 

@@ -45,7 +45,7 @@ class ParetoPoint:
     def __post_init__(self) -> None:
         check_positive("seconds", self.seconds)
         if not (np.isfinite(self.error) and self.error >= 0):
-            raise InvalidInputError(f"`error` must be finite and >= 0, got {self.error!r}")
+            raise InvalidInputError("error", "be finite and >= 0", repr(self.error))
 
 
 @checked

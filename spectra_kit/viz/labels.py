@@ -1,17 +1,10 @@
-"""What is written into diagrams: names beside dots that stay apart, and few numbers on log axes."""
+"""Names beside the dots of a diagram, that stay apart."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from spectra_kit._types import Floats
-from spectra_kit.viz.pen import short
-
-if TYPE_CHECKING:
-    from matplotlib.axis import Axis
-
 
 # Right and left first: read more easily than above and below.
 _ANGLES = np.deg2rad([0, 180, 20, -20, 160, 200, 40, -40, 140, 220, 90, -90, 65, -65, 115, 245])
@@ -77,17 +70,3 @@ def _inside(points: Floats, low: Floats, high: Floats) -> Floats:
     """How many points each box holds: (l, c)."""
     at = points[:, None, None]
     return np.asarray(((at > low) & (at < high)).all(axis=3).sum(axis=0), dtype=np.float64)
-
-
-def log_ticks(axis: Axis, *, plain: bool = False) -> None:
-    """Number the powers of ten on a logarithmic axis; on a short or `plain` one others, too."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    low, high = axis.get_view_interval()
-    if plain or high < 200 * low:
-        between = (1.2, 1.5, 3.0, 4.0, 7.0) if high < 4 * low else (3.0,) if high < 20 * low else ()
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0, *between)))
-        axis.set_major_formatter(
-            FuncFormatter(lambda value, _: f"{value:g}" if plain else short(value))
-        )
-    axis.set_minor_formatter(NullFormatter())

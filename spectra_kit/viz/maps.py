@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,42 +12,42 @@ from spectra_kit._checked import checked
 from spectra_kit._validate import check_positive, real_array
 from spectra_kit.correspondence import accuracy_curve, auc
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.viz.axes import line_style, tidy
 from spectra_kit.viz.colours import diverging_colours
-from spectra_kit.viz.picture import Picture
-from spectra_kit.viz.sheet import check_picture, head, line_style, new_figure, save, tidy
+from spectra_kit.viz.page import Page, new_diagram
+from spectra_kit.viz.picture import plotted
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
+@plotted
 @checked
 def plot_functional_map(
-    path: str | os.PathLike[str],
     functional_map: ArrayLike,
     *,
-    title: str = "",
-    subtitle: str = "",
-    dpi: int = 200,
-) -> Picture:
+    page: Page = Page(),
+) -> Figure:
     """Draw the matrix of a functional map.
 
     Parameters
     ----------
-    path : path-like
-        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    path : path-like, optional
+        The file to write; see `Picture`.
     functional_map : array_like of shape (k2, k1)
         C_12, from the source's modes (columns) to the target's (rows).
-    title, subtitle : str, optional
-        Set above and below.
-    dpi : int, default 200
-        Pixels per inch.
+    page : Page, optional
+        Head and resolution.
 
     Returns
     -------
     Picture
-        Of the file written.
+        What was drawn.
 
     Raises
     ------
     InvalidInputError
-        If `functional_map` is no finite matrix, or `path` cannot be written.
+        If `functional_map` is no finite matrix.
 
     Notes
     -----
@@ -57,67 +57,59 @@ def plot_functional_map(
 
     Examples
     --------
-    >>> import tempfile
     >>> import numpy as np
-    >>> from spectra_kit.viz import plot_functional_map
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     plot_functional_map(f"{folder}/map.png", np.eye(20), dpi=40).path.name
-    'map.png'
+    >>> from spectra_kit.viz import Page, plot_functional_map
+    >>> plot_functional_map(np.eye(20), page=Page(dpi=40))
+    Picture(path=None)
     """
     from matplotlib.colors import ListedColormap
 
-    check_picture(path, dpi)
     matrix = real_array("functional_map", functional_map)
     if matrix.ndim != 2 or not matrix.size:
-        raise InvalidInputError(f"`functional_map` must have shape (k2, k1), got {matrix.shape}")
+        raise InvalidInputError("functional_map", "have shape (k2, k1)", matrix.shape)
     rows, columns = matrix.shape
-    tall = float(np.clip(4.4 * rows / columns, 1.5, 9.0)) + 0.5 + head(title, subtitle)
-    figure = new_figure(5.8, tall, title=title, subtitle=subtitle, dpi=dpi, constrained=True)
+    figure = new_diagram(page, 5.8, float(np.clip(4.4 * rows / columns, 1.5, 9.0)) + 0.5)
     panel = figure.add_subplot()
     colours = ListedColormap(diverging_colours(np.linspace(-1.0, 1.0, 255)) / 255)
     image = panel.imshow(matrix, cmap=colours, vmin=-1, vmax=1, interpolation="none")
     panel.set(xlabel="mode of the source", ylabel="mode of the target")
     figure.colorbar(image, ax=panel, shrink=0.6, aspect=30, ticks=[-1, 0, 1])
-    return save(figure, path, dpi)
+    return figure
 
 
+@plotted
 @checked
 def plot_error_curves(
-    path: str | os.PathLike[str],
     errors: Mapping[str, ArrayLike],
     *,
     limit: float = 10.0,
     error_label: str = "geodesic error, 100 / √area",
-    title: str = "",
-    subtitle: str = "",
-    dpi: int = 200,
-) -> Picture:
+    page: Page = Page(),
+) -> Figure:
     """Draw which share of the correspondences has at most which error.
 
     Parameters
     ----------
-    path : path-like
-        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    path : path-like, optional
+        The file to write; see `Picture`.
     errors : mapping of str to array_like of shape (c,)
         For each method its errors, >= 0, of all pairs together.
     limit : float, default 10
         The largest error shown, in the unit of `errors`.
     error_label : str
         Says what the errors are, and in which unit.
-    title, subtitle : str, optional
-        Set above and below.
-    dpi : int, default 200
-        Pixels per inch.
+    page : Page, optional
+        Head and resolution.
 
     Returns
     -------
     Picture
-        Of the file written.
+        What was drawn.
 
     Raises
     ------
     InvalidInputError
-        If there is no method, errors are negative or NaN, or `path` cannot be written.
+        If there is no method, errors are negative or NaN.
 
     Notes
     -----
@@ -126,19 +118,16 @@ def plot_error_curves(
 
     Examples
     --------
-    >>> import tempfile
     >>> from spectra_kit.viz import plot_error_curves
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     plot_error_curves(f"{folder}/curves.svg", {"a": [0.0, 2.5], "b": [8.0]}).path.name
-    'curves.svg'
+    >>> plot_error_curves({"a": [0.0, 2.5], "b": [8.0]})
+    Picture(path=None)
     """
-    check_picture(path, dpi)
     limit = check_positive("limit", limit)
     if not errors:
-        raise InvalidInputError("`errors` must hold at least one method, got none")
+        raise InvalidInputError("errors", "hold at least one method", "none")
     at = np.linspace(0.0, limit, 401)
     curves = {name: accuracy_curve(values, at) for name, values in errors.items()}
-    figure = new_figure(6.4, 4.6, title=title, subtitle=subtitle, dpi=dpi, constrained=True)
+    figure = new_diagram(page, 6.4, 4.6)
     panel = figure.add_subplot()
     for i, (name, curve) in enumerate(curves.items()):
         values = np.asarray(errors[name], dtype=np.float64)
@@ -150,4 +139,4 @@ def plot_error_curves(
     )
     tidy(panel)
     panel.legend(frameon=False, loc="lower right", fontsize=9)
-    return save(figure, path, dpi)
+    return figure

@@ -46,8 +46,10 @@ class MatchedPair(Brief):
         n = self.target.n
         if np.shape(self.point_map) != (n,):
             raise InvalidInputError(
-                f"`point_map` must have shape ({n},), a source point for each target point,"
-                f" got {np.shape(self.point_map)}; are source and target exchanged?"
+                "point_map",
+                f"have shape ({n},), a source point for each target point",
+                np.shape(self.point_map),
+                advice="are source and target exchanged?",
             )
         return check_indices("point_map", self.point_map, self.source.n)
 

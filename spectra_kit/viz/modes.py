@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,39 +14,39 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.metrics import Comparison, align_modes
 from spectra_kit.spectra import Spectrum
-from spectra_kit.viz.camera import Up
-from spectra_kit.viz.page import plot_gallery, plot_panels
+from spectra_kit.viz.camera import View
+from spectra_kit.viz.gallery import draw_gallery, draw_table
+from spectra_kit.viz.page import Page
 from spectra_kit.viz.panels import Panel, symmetric_limit
 from spectra_kit.viz.pen import short
-from spectra_kit.viz.picture import Picture
-from spectra_kit.viz.sheet import check_picture
+from spectra_kit.viz.picture import plotted
 from spectra_kit.viz.signs import display_signs
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _SHOWN = 12  # modes of a gallery
 _FAINT = 1e-4  # differences below this part of the mode stay white
 
 
+@plotted
 @checked
 def plot_modes(
-    path: str | os.PathLike[str],
     geometry: Geometry,
     spectrum: Spectrum,
     *,
     modes: Sequence[int] | None = None,
     nodal_lines: bool = True,
     columns: int | None = None,
-    up: Up | None = None,
-    turn: float = 0.0,
-    title: str = "",
-    subtitle: str = "",
-    dpi: int = 200,
-) -> Picture:
+    view: View = View(),
+    page: Page = Page(),
+) -> Figure:
     """Draw a gallery of modes, each with its number, eigenvalue and residual.
 
     Parameters
     ----------
-    path : path-like
-        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    path : path-like, optional
+        The file to write; see `Picture`.
     geometry : TriangleMesh or PointCloud
         The points that the spectrum lives on. A cloud is drawn as balls that overlap a little.
     spectrum : Spectrum
@@ -57,27 +57,18 @@ def plot_modes(
         Draw where each mode is zero.
     columns : int, optional
         How many pictures stand beside each other; by default what fits the page best.
-    up : {"x", "y", "z"}, optional
-        The axis that points up in the picture; by default the one the geometry seems to stand on.
-    turn : float, default 0
-        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
-    title, subtitle : str, optional
-        Two lines at the head of the page.
-    dpi : int, default 200
-        Pixels per inch, 600 for print; the page is at most 11 inches wide.
+    view, page : View and Page, optional
+        Where it is seen from; head and resolution.
 
     Returns
     -------
     Picture
-        Of the file written.
+        What was drawn.
 
     Raises
     ------
     InvalidInputError
-        If a mode is out of range, there is none to show, sizes disagree, or `path` cannot be
-        written.
-    MissingDependencyError
-        If there is no PyVista, or no OpenGL library that it can draw with.
+        If a mode is out of range, there is none to show, or sizes disagree.
 
     Notes
     -----
@@ -87,43 +78,29 @@ def plot_modes(
 
     Examples
     --------
-    >>> import tempfile
     >>> from spectra_kit import eigensolve, robust_laplacian
     >>> from spectra_kit.geometry import sphere
-    >>> from spectra_kit.viz import plot_modes
+    >>> from spectra_kit.viz import Page, plot_modes
     >>> ball = sphere(subdivisions=2).geometry
-    >>> spectrum = eigensolve(robust_laplacian(ball), 4)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     plot_modes(f"{folder}/modes.png", ball, spectrum, dpi=30).path.name
-    'modes.png'
+    >>> plot_modes(ball, eigensolve(robust_laplacian(ball), 4), page=Page("A ball", dpi=30))
+    Picture(path=None)
     """
-    check_picture(path, dpi)
-    _check_points(geometry, spectrum)
-    if modes is None:
-        first = min(spectrum.n_zero_modes, spectrum.k - 1)
-        modes = range(first, min(first + _SHOWN, spectrum.k))
-    if not len(modes):
-        raise InvalidInputError("`modes` must name at least one mode, got none")
-    chosen = [check_count("modes", mode, low=0, high=spectrum.k - 1) for mode in modes]
+    chosen = check_modes(geometry, spectrum, modes, _SHOWN)
     if columns is not None:
         check_count("columns", columns, low=1)
-    return plot_gallery(
-        path,
+    return draw_gallery(
         geometry,
         [_panel(spectrum, mode, (0.0,) if nodal_lines else ()) for mode in chosen],
         columns=columns,
         one_bar=False,
-        up=up,
-        turn=turn,
-        title=title,
-        subtitle=subtitle,
-        dpi=dpi,
+        view=view,
+        page=page,
     )
 
 
+@plotted
 @checked
 def plot_comparison(
-    path: str | os.PathLike[str],
     geometry: Geometry,
     exact: Spectrum,
     predicted: Spectrum,
@@ -132,18 +109,15 @@ def plot_comparison(
     modes: Sequence[int],
     names: tuple[str, str] = ("exact", "predicted"),
     nodal_lines: bool = True,
-    up: Up | None = None,
-    turn: float = 0.0,
-    title: str = "",
-    subtitle: str = "",
-    dpi: int = 200,
-) -> Picture:
+    view: View = View(),
+    page: Page = Page(),
+) -> Figure:
     """Draw chosen modes of two spectra and their difference, one row or column per mode.
 
     Parameters
     ----------
-    path : path-like
-        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    path : path-like, optional
+        The file to write; see `Picture`.
     geometry : TriangleMesh or PointCloud
         The points that both spectra live on.
     exact, predicted : Spectrum
@@ -156,24 +130,18 @@ def plot_comparison(
         What to call the two.
     nodal_lines : bool, default True
         Draw where the modes (not their difference) are zero.
-    up : {"x", "y", "z"}, optional
-        The axis that points up in the picture; by default the one the geometry seems to stand on.
-    turn : float, default 0
-        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
-    title, subtitle : str, optional
-        Two lines at the head of the page.
-    dpi : int, default 200
-        Pixels per inch; the page is at most 11 inches wide.
+    view, page : View and Page, optional
+        Where it is seen from; head and resolution.
 
     Returns
     -------
     Picture
-        Of the file written.
+        What was drawn.
 
     Raises
     ------
     InvalidInputError
-        If a mode is out of range, sizes disagree, or `path` cannot be written.
+        If a mode is out of range, sizes disagree.
 
     Notes
     -----
@@ -183,24 +151,16 @@ def plot_comparison(
     inside a cluster of near-equal eigenvalues, are chosen to look alike. The largest value of an
     exact mode is positive, as in `plot_modes`.
     """
-    check_picture(path, dpi)
-    _check_points(geometry, exact)
-    chosen = [check_count("modes", mode, low=0, high=comparison.k - 1) for mode in modes]
-    if not chosen:
-        raise InvalidInputError("`modes` must hold at least one mode, got none")
+    chosen = check_modes(geometry, exact.truncate(comparison.k), modes)
     aligned = align_modes(exact, predicted, comparison)
     levels = (0.0,) if nodal_lines else ()
-    return plot_panels(
-        path,
+    return draw_table(
         geometry,
         [_panels(exact, predicted, aligned[:, i], comparison, i, levels) for i in chosen],
         rows_named=[f"mode {i}" for i in chosen],
         columns_named=[*names, "difference"],
-        up=up,
-        turn=turn,
-        title=title,
-        subtitle=subtitle,
-        dpi=dpi,
+        view=view,
+        page=page,
     )
 
 
@@ -251,11 +211,20 @@ def _panels(
     )
 
 
-def _check_points(geometry: Geometry, spectrum: Spectrum) -> None:
+def check_modes(
+    geometry: Geometry, spectrum: Spectrum, modes: Sequence[int] | None, most: int = 0
+) -> list[int]:
+    """Return the modes to show, by default the first `most` that are not constant."""
     if geometry.n != spectrum.n:
         raise InvalidInputError(
-            f"`geometry` must have the {spectrum.n} points of the spectrum, got {geometry.n}"
+            "geometry", f"have the {spectrum.n} points of the spectrum", geometry.n
         )
+    if modes is None:
+        first = min(spectrum.n_zero_modes, spectrum.k - 1)
+        modes = range(first, min(first + most, spectrum.k))
+    if not len(modes):
+        raise InvalidInputError("modes", "hold at least one mode", "none")
+    return [check_count("modes", mode, low=0, high=spectrum.k - 1) for mode in modes]
 
 
 def _residual(spectrum: Spectrum, mode: int) -> str:

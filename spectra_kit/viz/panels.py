@@ -16,6 +16,7 @@ from spectra_kit.viz.colours import diverging_colours, sequential_colours
 from spectra_kit.viz.contours import level_lines, triangles_of
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.render import Scene, render
+from spectra_kit.viz.table import Bar
 
 LINE_WIDTH = 0.75  # points (1/72 inch)
 _PERCENTILE = 99.0  # a lone spike must not bleach the rest
@@ -73,6 +74,10 @@ class Panel:
         ends = (0.5, 0.5) if self.low == self.limit else (0.0, 1.0)
         return sequential_colours(np.linspace(*ends, count))
 
+    def bar(self) -> Bar:
+        """Return the bar of its colours."""
+        return Bar(colours=self.colours(512), ends=self.ends())
+
 
 def symmetric_limit(*functions: Floats) -> float:
     """The limit of symmetric colours for all these functions together."""
@@ -103,9 +108,7 @@ def draw_panels(
     """
     for panel in panels:
         if real_array("values", panel.values).shape != (geometry.n,):
-            raise InvalidInputError(
-                f"`values` must have shape ({geometry.n},), got {np.shape(panel.values)}"
-            )
+            raise InvalidInputError("values", f"have shape ({geometry.n},)", np.shape(panel.values))
     triangles = triangles_of(geometry) if any(panel.levels for panel in panels) else None
     kinds = [
         [i for i, panel in enumerate(panels) if (panel.low is None) == symmetric]

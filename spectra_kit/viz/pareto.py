@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -12,17 +11,11 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.viz.axes import LINE_COLOURS, log_ticks, tidy
 from spectra_kit.viz.front import ParetoPoint, pareto_front
-from spectra_kit.viz.labels import log_ticks, place_labels
-from spectra_kit.viz.picture import Picture
-from spectra_kit.viz.sheet import (
-    LINE_COLOURS,
-    check_picture,
-    head,
-    new_figure,
-    save,
-    tidy,
-)
+from spectra_kit.viz.labels import place_labels
+from spectra_kit.viz.page import Page, new_diagram
+from spectra_kit.viz.picture import plotted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,25 +28,23 @@ _INK: dict[str, Any] = {"fontsize": 8, "color": "0.2"}
 _LINED = 14.0  # names further than this from their dot, in points, are tied to it by a line
 
 
+@plotted
 @checked
 def plot_pareto(
-    path: str | os.PathLike[str],
     points: Sequence[ParetoPoint],
     *,
     floor: float = 1e-12,
     marks: Mapping[str, float] | None = None,
     xlabel: str = "seconds",
     ylabel: str = "error",
-    title: str = "",
-    subtitle: str = "",
-    dpi: int = 200,
-) -> Picture:
+    page: Page = Page(),
+) -> Figure:
     """Draw error against time, both logarithmic, and the front that nothing beats.
 
     Parameters
     ----------
-    path : path-like
-        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    path : path-like, optional
+        The file to write; see `Picture`.
     points : sequence of ParetoPoint
         At least one.
     floor : float, default 1e-12
@@ -62,20 +53,18 @@ def plot_pareto(
         Seconds of what has no error to compare, such as the exact solver, as lines with a name.
     xlabel, ylabel : str
         Of the axes.
-    title, subtitle : str, optional
-        Two lines at the head.
-    dpi : int, default 200
-        Pixels per inch.
+    page : Page, optional
+        Head and resolution.
 
     Returns
     -------
     Picture
-        Of `path`.
+        What was drawn.
 
     Raises
     ------
     InvalidInputError
-        If there is no point, `floor` or a mark is not positive, or `path` cannot be a picture.
+        If there is no point, `floor` or a mark is not positive.
 
     Notes
     -----
@@ -84,24 +73,20 @@ def plot_pareto(
 
     Examples
     --------
-    >>> import tempfile
-    >>> from spectra_kit.viz import ParetoPoint, plot_pareto
+    >>> from spectra_kit.viz import Page, ParetoPoint, plot_pareto
     >>> runs = [
     ...     ParetoPoint(name="quick", group="ours", seconds=0.1, error=1e-2),
     ...     ParetoPoint(name="exact", group="theirs", seconds=2.0, error=1e-9),
     ... ]
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     plot_pareto(f"{folder}/pareto.png", runs, dpi=40).path.exists()
-    True
+    >>> plot_pareto(runs, page=Page(dpi=40))
+    Picture(path=None)
     """
-    check_picture(path, dpi)
     if not points:
-        raise InvalidInputError("`points` must hold at least one ParetoPoint, got none")
+        raise InvalidInputError("points", "hold at least one ParetoPoint", "none")
     check_positive("floor", floor)
     for seconds in (marks or {}).values():
         check_positive("marks", seconds)
-    figure = pareto_figure(points, floor, marks or {}, (xlabel, ylabel), (title, subtitle), dpi)
-    return save(figure, path, dpi)
+    return pareto_figure(points, floor, marks or {}, (xlabel, ylabel), page)
 
 
 def pareto_figure(
@@ -109,18 +94,10 @@ def pareto_figure(
     floor: float,
     marks: Mapping[str, float],
     labels: tuple[str, str],
-    titles: tuple[str, str],
-    dpi: int,
+    page: Page,
 ) -> Figure:
     """Return the page: dots with names, fronts and marks."""
-    figure = new_figure(
-        _WIDTH,
-        _HEIGHT + head(*titles),
-        title=titles[0],
-        subtitle=titles[1],
-        dpi=dpi,
-        constrained=True,
-    )
+    figure = new_diagram(page, _WIDTH, _HEIGHT)
     panel = figure.add_subplot(xlabel=labels[0], ylabel=labels[1])
     errors = [max(p.error, floor) for p in points]
     panel.set(

@@ -10,6 +10,10 @@ from spectra_kit._types import Bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
+
+
+_LINE = "#303036"  # as on geometries
 
 
 class Pen:
@@ -43,9 +47,7 @@ class Pen:
             va="baseline",
             parse_math=False,
         )
-        needed = label.get_window_extent().width / self.dpi
-        if needed > width:
-            label.set_fontsize(size * width / needed)
+        _fit(label, label.get_window_extent().width / self.dpi, width)
 
     def sideways(self, text: str, x: float, y: float, length: float) -> None:
         """Set a bold line that reads upwards, centred at (x, y)."""
@@ -61,9 +63,16 @@ class Pen:
             va="center",
             parse_math=False,
         )
-        needed = label.get_window_extent().height / self.dpi
-        if needed > length:
-            label.set_fontsize(12 * length / needed)
+        _fit(label, label.get_window_extent().height / self.dpi, length)
+
+    def line(self, x: float, top: float, bottom: float, width: float) -> None:
+        """Draw a dark upright line, so many points wide."""
+        from matplotlib.lines import Line2D
+
+        ends = [1 - top / self.height, 1 - bottom / self.height]
+        self.figure.add_artist(
+            Line2D([x / self.width] * 2, ends, color=_LINE, lw=width, solid_capstyle="butt")
+        )
 
     def picture(self, picture: Bytes, left: float, top: float) -> None:
         """Place a picture (rows, columns, 3), pixel by pixel."""
@@ -91,9 +100,13 @@ class Pen:
                 ha=side,
                 va="center_baseline",
             )
-            needed = label.get_window_extent().width / self.dpi
-            if needed > room:
-                label.set_fontsize(7.5 * room / needed)
+            _fit(label, label.get_window_extent().width / self.dpi, room)
+
+
+def _fit(label: Text, needed: float, room: float) -> None:
+    """Make a text smaller where it needs more than there is."""
+    if needed > room:
+        label.set_fontsize(float(label.get_fontsize()) * room / needed)
 
 
 def short(value: float) -> str:

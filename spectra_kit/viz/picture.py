@@ -1,26 +1,46 @@
-"""`Picture`: the file that a plot has written, shown by notebooks."""
+"""`Picture`: what a plot has drawn, shown by notebooks; and how every plot gets into its file."""
 
 from __future__ import annotations
 
+import importlib.util
+import inspect
+import os
 from base64 import b64encode
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar, cast, overload
 
 from spectra_kit._checked import checked
+from spectra_kit._files import atomic_path, check_target, temporary_folder
+from spectra_kit.errors import InvalidInputError, MissingDependencyError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _TYPES = {".png": "image/png", ".gif": "image/gif", ".svg": "image/svg+xml"}
+
+PathLike = str | os.PathLike[str]
+Options = ParamSpec("Options")
+Drawn = TypeVar("Drawn")
 
 
 @checked
 @dataclass(frozen=True)
 class Picture:
-    """A picture on disk. A notebook shows it where it is the last line of a cell.
+    """A picture that was drawn. A notebook shows it where it is the last line of a cell.
+
+    Every plot takes a path as its first argument, and writes that file, whole or not at all:
+    ``.png``, ``.pdf`` or ``.svg``, of animations ``.gif`` or ``.mp4``. Without one the picture is
+    kept here: ``plot_modes(mesh, spectrum)``.
 
     Attributes
     ----------
-    path : Path
+    path : Path, optional
         The file. PNG, GIF and SVG are shown as they are, others by their name.
+    content : bytes, default b""
+        Where no file was asked for: a PNG, of an animation a GIF.
 
     Examples
     --------
@@ -30,13 +50,116 @@ class Picture:
     'modes.png'
     """
 
-    path: Path
+    path: Path | None = None
+    content: bytes = field(default=b"", repr=False)
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
         """What a notebook shows; its own words for the object where that is nothing."""
-        kind = _TYPES.get(self.path.suffix.lower())
-        if kind is None or not self.path.is_file():
+        if self.path is None:
+            kind, content = ("png", "gif")[self.content.startswith(b"GIF")], self.content
+            return {_TYPES[f".{kind}"]: b64encode(content).decode("ascii")} if content else {}
+        shown = _TYPES.get(self.path.suffix.lower())
+        if shown is None or not self.path.is_file():
             return {}
-        if kind == "image/svg+xml":
-            return {kind: self.path.read_text(encoding="utf-8")}
-        return {kind: b64encode(self.path.read_bytes()).decode("ascii")}
+        if self.path.suffix.lower() == ".svg":
+            return {shown: self.path.read_text(encoding="utf-8")}
+        return {shown: b64encode(self.path.read_bytes()).decode("ascii")}
+
+
+class Plot(Protocol[Options]):
+    """A plot: with a path before its own arguments, or without."""
+
+    @overload
+    def __call__(
+        self, path: PathLike | None, /, *args: Options.args, **options: Options.kwargs
+    ) -> Picture: ...
+    @overload
+    def __call__(self, *args: Options.args, **options: Options.kwargs) -> Picture: ...
+
+
+def written(
+    write: Callable[[Drawn, Path], None], *suffixes: str
+) -> Callable[[Callable[Options, Drawn]], Plot[Options]]:
+    """Decorate what draws something: it then takes a path, and returns a `Picture`.
+
+    The path is refused before the drawing if `write` could not write there. The first of the
+    `suffixes` is what a picture without a path is made of.
+    """
+
+    def decorate(draw: Callable[Options, Drawn]) -> Plot[Options]:
+        @wraps(draw)
+        def plot(*args: Any, **options: Any) -> Picture:
+            path = options.pop("path", None)
+            if args and (args[0] is None or isinstance(args[0], str | os.PathLike)):
+                path, *args = args  # type: ignore[assignment]
+            _check_path(path, suffixes)
+            drawn = draw(*args, **options)
+            if path is not None:
+                with atomic_path(path) as part:
+                    write(drawn, part)
+                return Picture(Path(path))
+            with temporary_folder() as folder:
+                write(drawn, part := folder / f"picture{suffixes[0]}")
+                return Picture(content=part.read_bytes())
+
+        own = inspect.signature(draw)
+        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+        path = inspect.Parameter("path", kind, annotation="str | os.PathLike[str] | None")
+        plot.__signature__ = own.replace(  # type: ignore[attr-defined]
+            parameters=[path, *own.parameters.values()], return_annotation="Picture"
+        )
+        return cast(Plot[Options], plot)
+
+    return decorate
+
+
+@checked
+def _check_path(path: PathLike | None, suffixes: tuple[str, ...]) -> None:
+    """Refuse a path that nothing could be written to."""
+    if path is None:
+        return
+    suffix = Path(path).suffix.lower()
+    if suffix not in suffixes:
+        *most, last = suffixes
+        raise InvalidInputError("path", f"end in {', '.join(most)} or {last}", repr(str(path)))
+    check_target(path)
+    if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise MissingDependencyError(
+            "MP4 needs imageio-ffmpeg",
+            advice="pip install spectra_kit[video]; or write a .gif",
+        )
+
+
+def save(figure: Figure, path: PathLike) -> None:
+    """Write a figure.
+
+    In ``.pdf`` and ``.svg`` text stays text and lines stay lines; pictures are embedded pixel by
+    pixel. The same figure gives the same bytes.
+    """
+    from matplotlib import rc_context
+
+    dated = {".pdf": "CreationDate", ".svg": "Date"}.get(Path(path).suffix.lower())
+    style: Any = {"svg.fonttype": "none", "svg.hashsalt": "spectra_kit", "pdf.fonttype": 42}
+    if dated is not None:
+        _embed_pictures(figure)
+    with rc_context(style):
+        figure.savefig(path, dpi=figure.dpi, metadata=None if dated is None else {dated: None})
+
+
+def _embed_pictures(figure: Figure) -> None:
+    """Turn pictures laid on the pixels of a page into ones that a page without pixels scales.
+
+    Matplotlib would resample the former, and leave faint edges.
+    """
+    width, height = figure.get_size_inches() * figure.dpi
+    images: list[Any] = list(figure.images)
+    for image in images:
+        pixels = image.get_array()
+        rows, columns = pixels.shape[:2]
+        place = (image.ox / width, image.oy / height, columns / width, rows / height)
+        axes = figure.add_axes(place, frame_on=False, xticks=[], yticks=[], zorder=-1)
+        axes.imshow(pixels, interpolation="none", aspect="auto", origin="upper")
+        image.remove()
+
+
+plotted = written(save, ".png", ".pdf", ".svg")

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from spectra_kit._files import temporary_folder
 from spectra_kit._types import Bytes, Floats
-from spectra_kit.errors import MissingDependencyError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.viz.contours import triangles_of
 from spectra_kit.viz.drawer import draw_requests
@@ -49,8 +47,9 @@ class Scene:
         pictures have the same camera, with room for the largest shift.
     lines : sequence of ndarray of shape (s, 2, 3), optional
         For each function, segments to draw in dark grey a little before the surface.
-    line_width : float, default 2
-        Of these, in pixels: the same wherever they are, whatever way they run.
+    line_width : float or ndarray of shape (s,), default 2
+        Of these, or of each of them all, in pixels: the same wherever they are, whatever way they
+        run.
     diameter : float, optional
         Of the balls of a cloud; by default `ball_diameter`.
     """
@@ -65,7 +64,7 @@ class Scene:
     shifts: Sequence[Floats] | None = None
     swings: Sequence[float] = (1.0,)
     lines: Sequence[Floats] | None = None
-    line_width: float = 2.0
+    line_width: float | Floats = 2.0
     diameter: float | None = None
 
     @property
@@ -94,18 +93,17 @@ def render(
     Raises
     ------
     MissingDependencyError
-        If there is no PyVista, or no OpenGL library that it can draw with.
+        If there is no OpenGL library that PyVista can draw with.
     Exception
         What the process that draws raised itself, with its traceback as a note.
     """
-    if importlib.util.find_spec("pyvista") is None:
-        raise MissingDependencyError("pictures need PyVista: pip install pyvista")
-    with temporary_folder() as folder:
-        total = sum(scene.n_pictures for scene in scenes)
-        for i, scene in enumerate(scenes):
-            np.savez(folder / f"request{i}.npz", **_request(scene))
-        draw_requests(folder, len(scenes), lambda done: progress and progress(done, total))
-        return [np.load(folder / f"pictures{i}.npy") for i in range(len(scenes))]
+    total = sum(scene.n_pictures for scene in scenes)
+    pictures = iter(
+        draw_requests(
+            [_request(scene) for scene in scenes], lambda done: progress and progress(done, total)
+        )
+    )
+    return [np.stack(list(islice(pictures, scene.n_pictures))) for scene in scenes]
 
 
 def _request(scene: Scene) -> dict[str, Any]:
@@ -115,7 +113,8 @@ def _request(scene: Scene) -> dict[str, Any]:
     seen = geometry.points @ scene.rotation.T
     shifts = np.stack(scene.shifts or [np.zeros((1, 3))]) @ scene.rotation.T
     # Points move on straight lines: the two farthest swings hold all between.
-    reached = np.vstack([seen + end * s for s in shifts for end in _ends(scene.swings)])
+    ends = min(scene.swings), max(scene.swings)
+    reached = np.vstack([seen + end * shift for shift in shifts for end in ends])
     box = np.stack([reached.min(axis=0), reached.max(axis=0)])
     lines = np.concatenate([np.empty((0, 2, 3)), *(scene.lines or ())])
     extent = np.ptp(box, axis=0)[:2] + diameter
@@ -136,13 +135,9 @@ def _request(scene: Scene) -> dict[str, Any]:
         "shifts": (shifts / unit if scene.shifts else shifts[:0]).astype(np.float32),
         "segments": lines @ scene.rotation.T / unit,
         "line_ends": np.cumsum([len(segments) for segments in scene.lines or ()], dtype=np.int64),
-        "line_width": scene.line_width,
+        "line_widths": np.broadcast_to(scene.line_width, len(lines)),
         "swings": np.asarray(scene.swings, dtype=np.float32),
     }
-
-
-def _ends(swings: Sequence[float]) -> tuple[float, float]:
-    return min(swings), max(swings)
 
 
 def ball_diameter(geometry: Geometry) -> float:

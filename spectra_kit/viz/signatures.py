@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,26 +13,19 @@ from spectra_kit._types import Bytes, Floats, Ints
 from spectra_kit._validate import check_indices, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
-from spectra_kit.viz.camera import Up, choose_view, fitting_size
-from spectra_kit.viz.labels import log_ticks
+from spectra_kit.viz.axes import LINE_COLOURS, line_style, log_ticks, tidy
+from spectra_kit.viz.camera import View, fitting_size
 from spectra_kit.viz.marks import with_balls
+from spectra_kit.viz.page import MARGIN, Page
 from spectra_kit.viz.panels import Panel, sequential_limits
 from spectra_kit.viz.pen import Pen, short
-from spectra_kit.viz.picture import Picture
+from spectra_kit.viz.picture import plotted
 from spectra_kit.viz.render import Scene, ball_diameter, render
-from spectra_kit.viz.sheet import (
-    LINE_COLOURS,
-    MARGIN,
-    check_picture,
-    head,
-    line_style,
-    new_figure,
-    save,
-    tidy,
-)
+from spectra_kit.viz.table import Cell, set_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Kind = Literal["heat", "wave"]
 
@@ -41,14 +33,14 @@ _PICTURES = 4  # by default
 _BALL = 0.017  # of the diagonal: radius of a mark
 _RED = 60  # more red than green: a lit red ball
 # Inches.
-_CURVES, _HEIGHT, _FOOT, _SIDE = 5.0, 4.4, 0.55, 0.75
-_WIDEST, _TALLEST, _CAPTION, _BAR, _GAP = 2.7, 2.6, 0.28, 0.28, 0.3
+_CURVES, _HEIGHT, _FOOT, _HEAD, _SIDE, _GAP = 5.0, 4.4, 0.55, 0.28, 0.75, 0.3
+_WIDEST, _TALLEST = 2.7, 2.6
 _NARROWEST = 1.8  # of a picture with its caption
 
 
+@plotted
 @checked
 def plot_signatures(
-    path: str | os.PathLike[str],
     geometry: Geometry,
     signature: ArrayLike,
     scales: ArrayLike,
@@ -56,18 +48,15 @@ def plot_signatures(
     points: ArrayLike,
     kind: Kind = "heat",
     shown: ArrayLike | None = None,
-    up: Up | None = None,
-    turn: float = 0.0,
-    title: str = "",
-    subtitle: str = "",
-    dpi: int = 200,
-) -> Picture:
+    view: View = View(),
+    page: Page = Page(),
+) -> Figure:
     """Draw how a signature of some points changes with the scale, and all points at some scales.
 
     Parameters
     ----------
-    path : path-like
-        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    path : path-like, optional
+        The file to write; see `Picture`.
     geometry : TriangleMesh or PointCloud
         With n points.
     signature : array_like of shape (n, t)
@@ -83,27 +72,19 @@ def plot_signatures(
     shown : array_like of shape (s,), optional
         Which scales to draw on the geometry, as one to nine indices; by default four, evenly
         spread.
-    up : {"x", "y", "z"}, optional
-        Which axis points up; by default the one on which the geometry seems to stand.
-    turn : float, default 0
-        Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
-    title, subtitle : str, optional
-        Two lines at the head.
-    dpi : int, default 200
-        Pixels per inch.
+    view, page : View and Page, optional
+        Where it is seen from; head and resolution.
 
     Returns
     -------
     Picture
-        Of `path`.
+        What was drawn.
 
     Raises
     ------
     InvalidInputError
         If sizes disagree, scales are not ascending (and positive for ``"heat"``), an index is out
-        of range, or `path` cannot be a picture.
-    MissingDependencyError
-        If there is no PyVista, or no OpenGL library that it can draw with.
+        of range.
 
     Notes
     -----
@@ -112,27 +93,20 @@ def plot_signatures(
 
     Examples
     --------
-    >>> import tempfile
     >>> import spectra_kit as sk
-    >>> from spectra_kit.viz import plot_signatures
+    >>> from spectra_kit.viz import Page, plot_signatures
     >>> mesh = sk.geometry.sphere(subdivisions=2).geometry
     >>> spectrum = sk.eigensolve(sk.robust_laplacian(mesh), 9)
     >>> times = sk.descriptors.heat_times(spectrum, 8)
     >>> hks = sk.descriptors.heat_kernel_signature(spectrum, times)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     plot = plot_signatures(f"{folder}/hks.png", mesh, hks, times, points=[0, 7], dpi=30)
-    ...     plot.path.exists()
-    True
+    >>> plot_signatures(mesh, hks, times, points=[0, 7], page=Page(dpi=30))
+    Picture(path=None)
     """
-    check_picture(path, dpi)
-    if kind not in get_args(Kind):
-        raise InvalidInputError(f"`kind` must be 'heat' or 'wave', got {kind!r}")
     at = _check_scales(scales, kind)
     values = real_array("signature", signature)
     if values.shape != (geometry.n, len(at)):
         raise InvalidInputError(
-            f"`signature` must have shape ({geometry.n}, {len(at)}), points by scales,"
-            f" got {values.shape}"
+            "signature", f"have shape ({geometry.n}, {len(at)}), points by scales", values.shape
         )
     chosen = _few("points", points, geometry.n)
     if shown is None:
@@ -141,35 +115,26 @@ def plot_signatures(
     panels = [
         _panel(values[:, i], f"{_letter(j)}   {_named(at[i], kind)}") for j, i in enumerate(drawn)
     ]
-    pictures, seen = _pictures(
-        geometry, panels, chosen, choose_view(geometry, up=up, turn=turn), dpi
+    pictures, seen = _pictures(geometry, panels, chosen, view.rotation(geometry), page.dpi)
+    cells = [
+        Cell(picture=picture, lines=panel.lines, bar=panel.bar())
+        for panel, picture in zip(panels, pictures, strict=True)
+    ]
+    figure = set_table(
+        page,
+        [cells[i : i + 2] for i in range(0, len(cells), 2)],
+        cell=_NARROWEST,
+        left=_SIDE + _CURVES + _GAP,
+        tall=_HEIGHT,
     )
-    rows, columns = -(-len(panels) // 2), min(len(panels), 2)
-    tall, wide = (side / dpi for side in pictures.shape[1:3])
-    cell = max(wide, _NARROWEST)
-    row = _CAPTION + tall + _BAR
-    begin, left = head(title, subtitle), MARGIN + _SIDE + _CURVES + _GAP
-    room = max(_HEIGHT, rows * row)
-    figure = new_figure(
-        left + columns * (cell + _GAP),
-        begin + room + MARGIN,
-        title=title,
-        subtitle=subtitle,
-        dpi=dpi,
-    )
-    pen = Pen(figure)
-    box = (MARGIN + _SIDE, MARGIN + _FOOT, _CURVES, room - _FOOT - _CAPTION)
+    pen, below = Pen(figure), MARGIN + _FOOT
+    box = (MARGIN + _SIDE, below, _CURVES, figure.get_figheight() - page.head - below - _HEAD)
     axes = figure.add_axes(tuple(np.array(box) / ([pen.width, pen.height] * 2)))
     named = [
         f"point {i}" + ("" if there else " (hidden)") for i, there in zip(chosen, seen, strict=True)
     ]
     draw_curves(axes, values, at, dict(zip(named, chosen, strict=True)), drawn, kind)
-    for j, (panel, picture) in enumerate(zip(panels, pictures, strict=True)):
-        x, y = left + j % 2 * (cell + _GAP), begin + (room - rows * row) / 2 + j // 2 * row
-        pen.text(panel.lines[0], x, y + 0.2, cell, 9.5, centred=True)
-        pen.picture(picture, x + (cell - wide) / 2, y + _CAPTION)
-        pen.bar(panel.colours(256), panel.ends(), x, y + _CAPTION + tall + 0.06, cell)
-    return save(figure, path, dpi)
+    return figure
 
 
 def draw_curves(
@@ -255,21 +220,17 @@ def _few(name: str, indices: ArrayLike, n: int) -> Ints:
     """Return one to nine different indices."""
     array, most = check_indices(name, indices, n), len(LINE_COLOURS)
     if array.ndim != 1 or not 1 <= len(array) <= most or len(np.unique(array)) < len(array):
-        raise InvalidInputError(
-            f"`{name}` must be one to {most} different indices, got {array.tolist()}"
-        )
+        raise InvalidInputError(name, f"be one to {most} different indices", array.tolist())
     return array
 
 
 def _check_scales(scales: ArrayLike, kind: Kind) -> Floats:
     at = real_array("scales", scales)
     if at.ndim != 1 or len(at) < 2 or (np.diff(at) <= 0).any():
-        raise InvalidInputError(
-            f"`scales` must be two or more ascending numbers, got shape {at.shape}"
-        )
+        raise InvalidInputError("scales", "be two or more ascending numbers", f"shape {at.shape}")
     if kind == "heat" and at[0] <= 0:
         raise InvalidInputError(
-            f"`scales` must be positive times, got {at[0]:.3g}; say kind='wave' for energies"
+            "scales", "be positive times", f"{at[0]:.3g}", advice="say kind='wave' for energies"
         )
     return at
 

@@ -49,8 +49,9 @@ class SolverRun(Brief):
         residuals = real_array("residuals", self.residuals)
         if times.ndim != 1 or residuals.shape != times.shape or (np.diff(times) < 0).any():
             raise InvalidInputError(
-                "`times` must be ascending seconds, one for each of `residuals`, got shapes"
-                f" {times.shape} and {residuals.shape}"
+                "times",
+                "be ascending seconds, one for each of `residuals`",
+                f"shapes {times.shape} and {residuals.shape}",
             )
         object.__setattr__(self, "times", frozen(times))
         object.__setattr__(self, "residuals", frozen(residuals))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +12,10 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectra import Spectrum
-from spectra_kit.viz.labels import log_ticks
+from spectra_kit.viz.axes import LINE_COLOURS, log_ticks, tidy
+from spectra_kit.viz.page import Page, new_diagram
 from spectra_kit.viz.pen import short
-from spectra_kit.viz.picture import Picture
-from spectra_kit.viz.sheet import LINE_COLOURS, check_picture, head, new_figure, save, tidy
+from spectra_kit.viz.picture import plotted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,23 +31,21 @@ _MARKERS = (("o", 3.2), ("s", 5.6), ("D", 7.0), ("^", 9.0), ("v", 10.5), ("p", 1
 _MANY = 120  # modes: more than so many get smaller markers
 
 
+@plotted
 @checked
 def plot_spectrum(
-    path: str | os.PathLike[str],
     spectra: Spectrum | Mapping[str, Spectrum],
     *,
     weyl: bool = True,
     free_boundary: float = 0.0,
-    title: str = "",
-    subtitle: str = "",
-    dpi: int = 200,
-) -> Picture:
+    page: Page = Page(),
+) -> Figure:
     """Draw eigenvalues against their number, what is certain of them, and how they differ.
 
     Parameters
     ----------
-    path : path-like
-        The ``.png``, ``.pdf`` or ``.svg`` file to write, whole or not at all.
+    path : path-like, optional
+        The file to write; see `Picture`.
     spectra : Spectrum or mapping of str to Spectrum
         One, or several under their names. The others are compared with the first.
     weyl : bool, default True
@@ -57,21 +54,19 @@ def plot_spectrum(
         Length of the boundary along which the surface ends freely (Neumann), less the length along
         which it is held at zero (Dirichlet): Weyl's law then has its second term. Of one surface,
         so all spectra must have its area.
-    title, subtitle : str, optional
-        Two lines at the head.
-    dpi : int, default 200
-        Pixels per inch; the page is 8 inches wide.
+    page : Page, optional
+        Head and resolution.
 
     Returns
     -------
     Picture
-        Of `path`.
+        What was drawn.
 
     Raises
     ------
     InvalidInputError
-        If there is no spectrum, one has no modes, `free_boundary` is not finite or is given for
-        surfaces of several areas, or `path` cannot be a picture.
+        If there is no spectrum, one has no modes, or `free_boundary` is not finite or is given for
+        surfaces of several areas.
 
     Notes
     -----
@@ -100,59 +95,55 @@ def plot_spectrum(
 
     Examples
     --------
-    >>> import tempfile
     >>> import spectra_kit as sk
-    >>> from spectra_kit.viz import plot_spectrum
+    >>> from spectra_kit.viz import Page, plot_spectrum
     >>> laplacian = sk.robust_laplacian(sk.geometry.sphere(subdivisions=2).geometry)
-    >>> exact = sk.eigensolve(laplacian, 9)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     plot_spectrum(f"{folder}/spectrum.png", exact, dpi=40).path.exists()
-    True
+    >>> plot_spectrum(sk.eigensolve(laplacian, 9), page=Page(dpi=40))
+    Picture(path=None)
     """
-    check_picture(path, dpi)
     named = {"": spectra} if isinstance(spectra, Spectrum) else spectra
     if not isinstance(named, Mapping):
         raise InvalidInputError(
-            "`spectra` must be a Spectrum or a mapping of names to several, got a"
-            f" {type(spectra).__name__}; write {{'name': spectrum}}"
+            "spectra",
+            "be a Spectrum or a mapping of names to several",
+            f"a {type(spectra).__name__}",
+            advice="write {'name': spectrum}",
         )
     if not named:
-        raise InvalidInputError("`spectra` must hold at least one Spectrum, got none")
+        raise InvalidInputError("spectra", "hold at least one Spectrum", "none")
     for name, spectrum in named.items():
         if not isinstance(spectrum, Spectrum):
             raise InvalidInputError(
-                f"`spectra` must hold Spectrum objects, got a {type(spectrum).__name__}"
+                "spectra", "hold Spectrum objects", f"a {type(spectrum).__name__}"
             )
         if not spectrum.k:
-            raise InvalidInputError(f"`spectra` must have modes, got none in {name or 'it'!r}")
+            raise InvalidInputError("spectra", "have modes", f"none in {name or 'it'!r}")
     if not np.isfinite(free_boundary):
-        raise InvalidInputError(f"`free_boundary` must be a finite length, got {free_boundary!r}")
-    if free_boundary and len(_areas(named)) > 1:
+        raise InvalidInputError("free_boundary", "be a finite length", repr(free_boundary))
+    if free_boundary and len(areas := _areas(named)) > 1:
         raise InvalidInputError(
-            f"`free_boundary` must be of one surface, got {free_boundary:g} for spectra of the"
-            f" areas {', '.join(f'{area:.4g}' for area in _areas(named))}; draw them one by one"
+            "free_boundary",
+            "be of one surface",
+            f"{free_boundary:g} for spectra of the areas"
+            f" {', '.join(f'{area:.4g}' for area in areas)}",
+            advice="draw them one by one",
         )
-    return save(spectrum_figure(named, weyl, title, subtitle, dpi, free_boundary), path, dpi)
+    return spectrum_figure(named, weyl, page, free_boundary)
 
 
 def spectrum_figure(
-    spectra: Mapping[str, Spectrum],
-    weyl: bool,
-    title: str,
-    subtitle: str,
-    dpi: int,
-    free_boundary: float = 0.0,
+    spectra: Mapping[str, Spectrum], weyl: bool, page: Page, free_boundary: float = 0.0
 ) -> Figure:
     """Return the page: eigenvalues, and below them what there is of residuals and differences."""
     certified = any(spectrum.certificate is not None for spectrum in spectra.values())
     first, *others = spectra.values()
     comparable = any(min(first.k, other.k) > first.n_zero_modes for other in others)
     below = [draw_residuals] * certified + [draw_differences] * comparable
-    height = head(title, subtitle) + 4.2 + 1.75 * len(below)
-    figure = new_figure(_WIDTH, height, title=title, subtitle=subtitle, dpi=dpi, constrained=True)
-    panels = figure.subplots(
-        1 + len(below), 1, sharex=True, squeeze=False, height_ratios=[4.2] + [1.75] * len(below)
-    )[:, 0]
+    heights = [4.2] + [1.75] * len(below)
+    figure = new_diagram(page, _WIDTH, sum(heights))
+    panels = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[
+        :, 0
+    ]
     draw_eigenvalues(panels[0], spectra, weyl=weyl, free_boundary=free_boundary)
     for panel, draw in zip(panels[1:], below, strict=True):
         draw(panel, spectra)

@@ -1,21 +1,20 @@
-"""The process that draws: reads requests, writes the pictures, and may crash alone.
+"""The process that draws: reads requests, answers with pictures, and may crash alone.
 
 Run by path from `spectra_kit.viz.drawer`, never imported. VTK ends the whole process where it finds
 no OpenGL, and talks to stderr about every driver it tries; in a process of its own both are
-contained. It needs NumPy and PyVista only. On stdin come lines, ``[folder, count]``; on stdout a
-line for each picture, and "done" or "error" after the last.
+contained. It needs NumPy and PyVista only. On stdin come lists of requests, pickled; on stdout goes
+each picture, and after the last of a list None, or the error that came instead.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import pickle
 import signal
 import sys
 import threading
 import traceback
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,63 +24,61 @@ from numpy.typing import NDArray
 IDLE = 60.0  # seconds without a request, after which it ends
 OVERSAMPLE = 2  # samples per pixel side: smooth edges whatever the driver can do
 LINE = (48, 48, 54)
-BEFORE = (
-    1.5  # widths (and balls) that a line lies before the surface: not cut off where it turns away
-)
+# Widths (and balls) that a line lies before the surface: not cut off where it turns away.
+BEFORE = 1.5
 # Degrees; edges that bend more are drawn sharp. A tight saddle of few triangles bends up to 70.
 SHARP = 75.0
 LIGHTS = (((-0.5, 0.75, 1.0), 0.52), ((0.9, 0.1, 0.8), 0.24))  # (direction, strength)
+
+Request = dict[str, Any]
 
 
 def main() -> None:
     """Answer until nobody asks any more, or not for a while."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who waits, and ends this process
-    while line := _asked():
-        folder, count = json.loads(line)
-        _tell(_answer(Path(folder), count))
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what VTK may print is no answer
+
+    def tell(answer: object) -> None:
+        pickle.dump(answer, answers, protocol=5)
+        answers.flush()
+
+    while (requests := _asked()) is not None:
+        try:
+            for request in requests:
+                draw(request, tell)
+            tell(None)
+        except Exception as error:  # noqa: BLE001  # whatever it is: it is told
+            tell(_portable(error))
 
 
-def _asked() -> str:
-    """Return the next line; nothing where there will be none."""
+def _asked() -> list[Request] | None:
+    """Return the next requests; None where there will be none."""
     idle = threading.Timer(IDLE, os._exit, [0])
     idle.daemon = True
     idle.start()
-    line = sys.stdin.readline()
-    idle.cancel()
-    return line
-
-
-def _answer(folder: Path, count: int) -> str:
-    """Draw every request in the folder; leave an error of Python's there for who waits."""
     try:
-        for i in range(count):
-            with np.load(folder / f"request{i}.npz") as file:
-                request = {name: file[name] for name in file.files}
-            np.save(folder / f"pictures{i}.npy", draw(request))
-    except Exception as error:  # noqa: BLE001  # whatever it is: it is told
-        traceback.print_exc()
-        (folder / "error.pickle").write_bytes(_portable(error))
-        return "error"
-    return "done"
+        requests: list[Request] = pickle.load(sys.stdin.buffer)
+    except EOFError:
+        return None
+    finally:
+        idle.cancel()
+    return requests
 
 
-def _tell(word: str) -> None:
-    sys.stdout.write(f"{word}\n")
-    sys.stdout.flush()
-
-
-def _portable(error: Exception) -> bytes:
-    """Pickle an error, or what it says of itself where it cannot be unpickled."""
+def _portable(error: Exception) -> Exception:
+    """The error with its traceback, or what it says of itself where it cannot be unpickled."""
     try:
-        pickle.loads(told := pickle.dumps(error))
+        pickle.loads(pickle.dumps(error))
     except Exception:  # noqa: BLE001  # whatever it is, it must not hide the one that is told
-        told = pickle.dumps(RuntimeError(repr(error)))
-    return told
+        error = RuntimeError(repr(error)).with_traceback(error.__traceback__)
+    error.add_note(f"It was raised in the process that draws:\n{traceback.format_exc()}")
+    return error
 
 
-def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
-    """Draw every function of a request with one plotter."""
-    columns, rows = (int(side) for side in request["size"])
+def draw(request: Request, tell: Callable[[NDArray[np.uint8]], object]) -> None:
+    """Draw every function of a request with one plotter, and tell each picture."""
+    columns, rows = request["size"]
     plotter = pv.Plotter(
         off_screen=True, window_size=[columns * OVERSAMPLE, rows * OVERSAMPLE], lighting="none"
     )
@@ -105,7 +102,7 @@ def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
     as_balls: dict[str, Any] = {
         "style": "points",
         "render_points_as_spheres": True,
-        "point_size": float(request["diameter"]) * OVERSAMPLE,
+        "point_size": request["diameter"] * OVERSAMPLE,
     }
     for surface in surfaces:
         plotter.add_mesh(
@@ -122,12 +119,11 @@ def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
             **({} if surface.n_faces_strict else as_balls),
         )
     drawn = _add_lines(plotter, request)
-    lift = BEFORE * (float(request["line_width"]) + float(request["diameter"]))
-    pictures = []
+    lift = BEFORE * (float(np.max(request["line_widths"], initial=0)) + request["diameter"])
     for side in request["sides"]:
-        _place_camera(plotter, request["box"], float(request["half_height"]), int(side))
+        _place_camera(plotter, request["box"], request["half_height"], side)
         for lines in drawn.values():
-            lines.position = (0.0, 0.0, int(side) * lift)
+            lines.position = (0.0, 0.0, side * lift)
         for i, values in enumerate(request["values"]):
             for j, lines in drawn.items():
                 lines.visibility = j == i
@@ -142,13 +138,11 @@ def draw(request: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
                 plotter.render()
                 picture = plotter.screenshot(return_img=True)
                 assert picture is not None  # it was asked for
-                pictures.append(_shrink(np.asarray(picture)))
-                _tell("picture")  # who waits counts them
+                tell(_shrink(np.asarray(picture)))
     plotter.close()
-    return np.stack(pictures)
 
 
-def _surfaces(request: dict[str, NDArray[Any]]) -> tuple[list[pv.PolyData], NDArray[np.int64]]:
+def _surfaces(request: Request) -> tuple[list[pv.PolyData], NDArray[np.int64]]:
     """What to draw of the geometry, and which point each vertex was.
 
     A mesh with vertices doubled along sharp edges; or the balls of a cloud, and triangles.
@@ -172,25 +166,27 @@ def _surfaces(request: dict[str, NDArray[Any]]) -> tuple[list[pv.PolyData], NDAr
     return [mesh], np.asarray(mesh["owner"]).astype(np.int64)
 
 
-def _add_lines(plotter: pv.Plotter, request: dict[str, NDArray[Any]]) -> dict[int, pv.Actor]:
+def _add_lines(plotter: pv.Plotter, request: Request) -> dict[int, pv.Actor]:
     """The lines of each function that has any, as flat bands that face the viewer."""
-    every = np.split(request["segments"], request["line_ends"])[:-1]
-    width = float(request["line_width"])
+    every, widths = (
+        np.split(request[name], request["line_ends"])[:-1] for name in ("segments", "line_widths")
+    )
     return {
-        i: plotter.add_mesh(_bands(lines, width), color=LINE, lighting=False, reset_camera=False)
-        for i, lines in enumerate(every)
-        if len(lines)
+        i: plotter.add_mesh(_bands(*lines), color=LINE, lighting=False, reset_camera=False)
+        for i, lines in enumerate(zip(every, widths, strict=True))
+        if len(lines[0])
     }
 
 
-def _bands(segments: NDArray[np.float64], width: float) -> pv.PolyData:
+def _bands(segments: NDArray[np.float64], widths: NDArray[np.float64]) -> pv.PolyData:
     """Segments (s, 2, 3) as rectangles in the picture plane, a little longer to close the bends.
 
     Not where they run into the depth: at the outline they would stick out.
     """
     step = segments[:, 1] - segments[:, 0]
     seen = np.linalg.norm(step[:, :2], axis=1, keepdims=True)
-    along = np.where(seen > 0, step[:, :2] / np.maximum(seen, 1e-12), [1.0, 0.0]) * width / 2
+    along = np.where(seen > 0, step[:, :2] / np.maximum(seen, 1e-12), [1.0, 0.0])
+    along *= widths[:, None] / 2
     longer = along * 0.5 * seen / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
     across = np.column_stack([-along[:, 1], along[:, 0]])
     start, stop = segments[:, 0].copy(), segments[:, 1].copy()

@@ -174,7 +174,7 @@ def test_every_doubt_is_told(files):
     assert doubts_of(found) == ""
     for doubtful, why in (
         ({"margin": 1.01}, "another map scores nearly as well"),
-        ({"other_side": 0.5}, "one that mirrors scores better"),
+        ({"mirror_margin": 0.5}, "one that mirrors scores better"),
         ({"orientation": 0.1}, "its orientation is not that of a whole map"),
         ({"orientation": None, "consistent": 0.5}, "it is in doubt which side of a cloud is out"),
         ({"coverage": 0.8}, "it covers hardly more of the source than chance would"),
@@ -183,7 +183,7 @@ def test_every_doubt_is_told(files):
             "the surfaces look no more alike than unrelated ones",
         ),
         (
-            {"mirrored": True, "orientation": -1.0, "other_side": 0.5, "margin": 1.0},
+            {"mirrored": True, "orientation": -1.0, "mirror_margin": 0.5, "margin": 1.0},
             "another map scores nearly as well, one that does not mirror scores better",
         ),
     ):

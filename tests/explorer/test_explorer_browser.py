@@ -12,6 +12,7 @@ from PIL import Image
 from spectra_kit import Certificate, Spectrum
 from spectra_kit.explorer import write_explorer
 from spectra_kit.geometry import sphere
+from spectra_kit.viz import View
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium is installed")
@@ -62,9 +63,15 @@ def pages(ball, tmp_path_factory):
     exact = spectrum(ball, one, height, x, y, x * y)
     guess = spectrum(ball, one, height, x + 0.3 * y * z, y, x * y, certified=False)
     write_explorer(
-        folder / "pair.html", ball, exact, guess, names=NAMES, title="<i>Ball</i> & more", up="z"
+        folder / "pair.html",
+        ball,
+        exact,
+        guess,
+        names=NAMES,
+        title="<i>Ball</i> & more",
+        view=View("z"),
     )
-    write_explorer(folder / "cloud.html", ball.as_cloud(), exact, up="z", max_points=1500)
+    write_explorer(folder / "cloud.html", ball.as_cloud(), exact, view=View("z"), max_points=1500)
     fine = sphere(subdivisions=5).geometry
     height = fine.points[:, 2:] / np.linalg.norm(fine.points[:, 2])
     sure = Certificate(

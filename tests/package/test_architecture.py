@@ -20,7 +20,7 @@ LAYERS = [
     "matching",
     "training viz",
     "explorer",
-    "cli benchmarks",
+    "cli",
     "__main__",
 ]
 LEVEL = {name: i for i, row in enumerate(LAYERS) for name in row.split()}

@@ -124,7 +124,7 @@ def example() -> dict[str, Any]:
     network = neo.build_network(config)
     signature = descriptors.heat_kernel_signature(spectrum)
     candidate = matching.Candidate(
-        functional_map=identity, score=0.1, mismatches={"wave": 0.1}, reversing=False
+        functional_map=identity, score=0.1, mismatches={"wave": 0.1}, mirrored=False
     )
     panel = viz.Panel(values=mesh.points[:, 0], limit=1.0)
     precise = functional_maps.precise_map(spectrum, spectrum, identity, mesh.faces)
@@ -136,6 +136,15 @@ def example() -> dict[str, Any]:
     normalization = geometry.Normalization.unit_box(mesh)
     given = subspaces.GivenBasis(spectrum.eigenvectors)
     return {
+        **{
+            f"{options.__name__}.{field.name}": field.default
+            for options in (
+                matching.MatchOptions,
+                matching.ScoreWeights,
+                functional_maps.FitWeights,
+            )
+            for field in fields(options)
+        },
         # Instances whose methods are called.
         **{
             f"{type(thing).__name__}.self": thing
@@ -159,6 +168,7 @@ def example() -> dict[str, Any]:
                 correspondence.Truth(same, same),
                 correspondence.MapErrors(np.ones(3), np.arange(3)),
                 viz.MatchedPair(source=mesh, target=mesh, point_map=same),
+                viz.View(),
                 neo.NeoSubspace(network),
             )
         },
@@ -188,7 +198,6 @@ def example() -> dict[str, Any]:
         "center": True,
         "centre": (0.0, 0.0, 0.0),
         "certificate": spectrum.certificate,
-        "choice": "direct",
         "chunk": 128,
         "cloud": cloud,
         "cluster_error": comparison.cluster_error,
@@ -293,7 +302,6 @@ def example() -> dict[str, Any]:
         "kind": "mesh",
         "plot_signatures.kind": "heat",
         "label": "distance",
-        "landmark_weight": 1.0,
         "landmarks": [0, 1],
         "match.landmarks": ([0, 1], [0, 1]),
         "mismatches.landmarks": (np.array([0, 1]), np.array([0, 1])),
@@ -332,6 +340,7 @@ def example() -> dict[str, Any]:
         "Heat.method": "Cholesky",
         "minor": 0.4,
         "mirrored": False,
+        "match.mirrored": False,
         "mismatches": {"wave": 0.1},
         "missing": 0,
         "mmap": False,
@@ -377,15 +386,17 @@ def example() -> dict[str, Any]:
         "open_from": comparison.open_from,
         "operator": "robust",
         "operators": interop.to_diffusion_net(spectrum, laplacian),
+        "options": matching.MatchOptions(),
         "orientation": 1.0,
-        "fit_functional_map.orientation": 0.0,
+        "fit_functional_map.oriented": (oriented, oriented),
         "oriented": oriented,
         "orthonormality_error": 1e-12,
         "other": field.heat,
-        "other_side": 1.5,
+        "mirror_margin": 1.5,
         "pairs": [viz.MatchedPair(source=mesh, target=mesh, point_map=same)],
         "part": given,
         "parts": given,
+        "page": viz.Page(dpi=30),
         "path": "out.png",
         "read.path": "mesh.obj",
         "write.path": "out.obj",
@@ -395,6 +406,7 @@ def example() -> dict[str, Any]:
         "write_explorer.path": "out.html",
         "animate_modes.path": "out.gif",
         "Picture.path": Path("out.png"),
+        "Picture.content": b"",
         "Explorer.path": Path("out.html"),
         "Reference.geometry": mesh,
         "check_sources.geometry": mesh,
@@ -430,7 +442,6 @@ def example() -> dict[str, Any]:
         "residuals": np.zeros(k),
         "SolverRun.residuals": [1.0, 0.1],
         "response": np.exp,
-        "reversing": False,
         "rings": 3,
         "rough": False,
         "rows": np.arange(100),
@@ -453,12 +464,12 @@ def example() -> dict[str, Any]:
         "share_limits": True,
         "shift": 0.1,
         "shown": [0, 1],
-        "sides": "kept",
         "sigma": 0.3,
         "signature": signature,
         "smoothing": 2,
         "solve_name": "solve",
         "solver": sk.Dense(),
+        "DistanceField.solver": geodesics.Direct(),
         "HeatGeodesics.solver": geodesics.Direct(),
         "geodesic_distance.solver": geodesics.Direct(),
         "Provenance.solver": "Dense()",
@@ -480,7 +491,6 @@ def example() -> dict[str, Any]:
         "source_descriptors": signature,
         "source_faces": mesh.faces,
         "source_geometry": mesh,
-        "source_orientation": oriented,
         "source_points": mesh.points,
         "source_rows": spectrum.eigenvectors[:, :12],
         "sources": [0, 1],
@@ -513,7 +523,6 @@ def example() -> dict[str, Any]:
         "target_descriptors": signature,
         "target_faces": mesh.faces,
         "target_geometry": mesh,
-        "target_orientation": oriented,
         "target_rows": spectrum.eigenvectors[:, :12],
         "targets": [0, 1],
         "thing": mesh,
@@ -530,6 +539,7 @@ def example() -> dict[str, Any]:
         "turn": 0.0,
         "unreferenced_vertices": 0,
         "up": "z",
+        "view": viz.View(),
         "upper": (1.0, 1.0, 1.0),
         "vals": spectrum.eigenvalues,
         "values": np.ones(n),
@@ -547,6 +557,7 @@ def example() -> dict[str, Any]:
         "waves": 0,
         "weight": "index",
         "weights": None,
+        "fit_functional_map.weights": functional_maps.FitWeights(),
         "Neo.weights": "small",
         "OrientedTriangles.weights": oriented.weights,
         "weyl": True,
@@ -799,8 +810,8 @@ def test_wrong_arguments_are_refused_by_name(name):
             r"`fields` must be a mapping of names .*, got a ndarray; write \{'name': values\}",
         ),
         (
-            lambda e: viz.plot_modes(e["mesh"], e["spectrum"], e["mesh"]),
-            "`path` must be a string or path, got a TriangleMesh",
+            lambda e: viz.plot_modes(e["spectrum"], e["mesh"]),
+            "`geometry` must be a TriangleMesh or PointCloud, got a Spectrum; did you swap it",
         ),
         (
             lambda e: sk.Refined(start=sk.Neo()),

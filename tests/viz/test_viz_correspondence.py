@@ -11,12 +11,13 @@ from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.geometry import creature_pair, sphere
 from spectra_kit.viz import (
     MatchedPair,
+    Page,
+    View,
     plot_correspondence,
     plot_correspondences,
     plot_error_curves,
     plot_functional_map,
 )
-from spectra_kit.viz.camera import choose_view
 from spectra_kit.viz.colours import UNKNOWN, error_colours, position_colours, refined
 from spectra_kit.viz.render import Scene, render
 
@@ -98,7 +99,7 @@ def test_refining_interpolates_linearly(ball):
 def test_behind_is_the_same_outline_mirrored(pair):
     mesh = pair[0]
     front, behind = painted(
-        mesh, [200, 80, 40], rotation=choose_view(mesh, up="z"), width=90, behind=True
+        mesh, [200, 80, 40], rotation=View("z").rotation(mesh), width=90, behind=True
     )
     assert (front < 250).any()
     differing = (front < 250).any(axis=2) != (behind[:, ::-1] < 250).any(axis=2)
@@ -115,8 +116,10 @@ def test_a_point_has_the_colour_it_was_given(ball, pair):
 @pytest.mark.parametrize("as_cloud", [False, True])
 def test_the_identity_gives_the_target_the_colours_of_the_source(tmp_path, pair, as_cloud):
     mesh = pair[0].as_cloud() if as_cloud else pair[0]
-    plot_correspondence(tmp_path / "map.png", mesh, mesh, range(mesh.n), names=("x", "x"), dpi=40)
-    picture = page(tmp_path / "map.png")
+    plot_correspondence(
+        tmp_path / "map.png", mesh, mesh, range(mesh.n), names=("x", "x"), page=Page(dpi=40)
+    )
+    picture = page(tmp_path / "map.png")[20:]  # below the names
     hue = np.ptp(picture, axis=2) > 12
     columns = np.flatnonzero(hue.any(axis=0))
     gap = columns[np.argmax(np.diff(columns))]
@@ -128,7 +131,12 @@ def test_the_identity_gives_the_target_the_colours_of_the_source(tmp_path, pair,
 def test_a_constant_map_gives_one_colour(tmp_path, pair):
     source, target, _ = pair
     plot_correspondence(
-        tmp_path / "map.png", source, target, np.zeros(target.n, dtype=int), up="z", dpi=40
+        tmp_path / "map.png",
+        source,
+        target,
+        np.zeros(target.n, dtype=int),
+        view=View("z"),
+        page=Page(dpi=40),
     )
     picture = page(tmp_path / "map.png")
     half = picture.shape[1] // 2
@@ -148,9 +156,9 @@ def test_pages_keep_their_margins_and_leave_nothing_else(tmp_path, pair):
         MatchedPair(source=source, target=target, point_map=point_map, errors=errors, name="worst"),
     ]
     plot_correspondence(
-        tmp_path / "a.png", source, target, point_map, errors=errors, title="a" * 300, dpi=40
+        tmp_path / "a.png", source, target, point_map, errors=errors, page=Page("a" * 300, dpi=40)
     )
-    plot_correspondences(tmp_path / "b.png", several, title="pairs", subtitle="two", dpi=40)
+    plot_correspondences(tmp_path / "b.png", several, page=Page("pairs", "two", dpi=40))
     assert sorted(os.listdir(tmp_path)) == ["a.png", "b.png"]
     for name in ("a.png", "b.png"):
         picture = page(tmp_path / name)
@@ -162,15 +170,14 @@ def test_pages_keep_their_margins_and_leave_nothing_else(tmp_path, pair):
 
 
 def test_diagrams(tmp_path):
-    plot_functional_map(tmp_path / "c.png", np.eye(20)[:15], title="map", subtitle="20", dpi=50)
+    plot_functional_map(tmp_path / "c.png", np.eye(20)[:15], page=Page("map", "20", dpi=50))
     matrix = page(tmp_path / "c.png")
     dark_red = (matrix[..., 0] - matrix[..., 2] > 60).sum()
     assert dark_red > 100  # the diagonal
     plot_error_curves(
         tmp_path / "d.png",
         {f"method {i}": np.arange(5.0) * i for i in range(9)},
-        title="errors",
-        dpi=50,
+        page=Page("errors", dpi=50),
     )
     curves = page(tmp_path / "d.png")
     assert len(np.unique(coloured(curves), axis=0)) > 6
@@ -208,7 +215,6 @@ def test_bad_input_is_refused(tmp_path, ball):
             {"point_map": good, "errors": MapErrors([1.0], [162])},
             r"`target` must be in \[0, 162\)",
         ),
-        ({"point_map": good, "up": "w"}, r"`up` must be 'x', 'y', 'z' or None, got 'w'"),
         ({"point_map": good, "limit": 0.0}, r"`limit` must be positive"),
         (
             {"point_map": good, "path": "x.jpg"},

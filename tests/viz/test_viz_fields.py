@@ -14,7 +14,9 @@ from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
 from spectra_kit.metrics import compare_spectra
 from spectra_kit.viz import (
     MatchedPair,
+    Page,
     Picture,
+    View,
     plot_comparison,
     plot_correspondence,
     plot_correspondences,
@@ -269,7 +271,7 @@ def test_lines_reach_round_a_surface_and_hide_behind_it(ball):
 def test_fields_share_a_view_and_limits(tmp_path, ball, monkeypatch, capfd):
     monkeypatch.delenv("DISPLAY", raising=False)
     fields = {"whole": ball.points[:, 2], "half": ball.points[:, 2] / 2}
-    style = {"columns": 2, "up": "z", "dpi": 40}
+    style = {"columns": 2, "view": View("z"), "page": Page(dpi=40)}
     own = plot_fields(tmp_path / "own.png", ball, fields, **style)
     one = plot_fields(tmp_path / "one.png", ball.as_cloud(), fields, share_limits=True, **style)
     for picture in (own, one):  # no more than the margin stays empty at the foot
@@ -295,7 +297,8 @@ def embedded(svg):
 
 def test_vector_pages_hold_text_and_pictures_of_their_resolution(tmp_path, ball, spectrum):
     def draw(name, modes):
-        return plot_modes(tmp_path / name, ball, spectrum, modes=modes, title="T & λ", dpi=150).path
+        page = Page("T & λ", dpi=150)
+        return plot_modes(tmp_path / name, ball, spectrum, modes=modes, page=page).path
 
     svg = draw("modes.svg", [0, 4]).read_text()
     texts = re.findall(r">([^<>]+)</text>", svg)
@@ -317,7 +320,7 @@ def test_vector_pages_hold_text_and_pictures_of_their_resolution(tmp_path, ball,
 @pytest.mark.parametrize("name", ["a.svg", "a.pdf", "a.png"])
 def test_the_same_page_has_the_same_bytes(tmp_path, name):
     pages = [
-        plot_functional_map(tmp_path / name, np.eye(4), title="C", dpi=30).path.read_bytes()
+        plot_functional_map(tmp_path / name, np.eye(4), page=Page("C", dpi=30)).path.read_bytes()
         for _ in range(2)
     ]
     assert pages[0] == pages[1]
@@ -326,7 +329,7 @@ def test_the_same_page_has_the_same_bytes(tmp_path, name):
 def test_galleries_leave_constants_out(tmp_path):
     sheet = rectangle(n=400).geometry
     found = eigensolve(robust_laplacian(sheet), 3)
-    text = plot_modes(tmp_path / "m.svg", sheet, found, dpi=20).path.read_text()
+    text = plot_modes(tmp_path / "m.svg", sheet, found, page=Page(dpi=20)).path.read_text()
     assert re.findall(r">mode (\d)", text) == ["1", "2"]
 
 
@@ -343,7 +346,7 @@ def test_comparisons_draw_zeros_of_modes_alone(tmp_path, ball, spectrum):
                 *(tmp_path / "c.png", ball, spectrum, other, comparison),
                 modes=[2],
                 nodal_lines=lines,
-                dpi=60,
+                page=Page(dpi=60),
             ).path
         )
         for lines in (True, False)
@@ -373,7 +376,9 @@ def test_a_texture_travels_with_the_map(tmp_path, ball):
         MatchedPair(source=ball, target=ball, point_map=np.arange(ball.n)),
         MatchedPair(source=ball, target=ball, point_map=np.zeros(ball.n, dtype=int)),
     ]
-    svg = plot_correspondences(tmp_path / "t.svg", pairs, transfer="texture", up="z", dpi=40)
+    svg = plot_correspondences(
+        tmp_path / "t.svg", pairs, transfer="texture", view=View("z"), page=Page(dpi=40)
+    )
     source, same, _, constant = embedded(svg.path.read_text())
     np.testing.assert_array_equal(source, same)
     hues = [
@@ -384,7 +389,7 @@ def test_a_texture_travels_with_the_map(tmp_path, ball):
 
 
 def test_notebooks_show_pictures(tmp_path):
-    picture = plot_functional_map(tmp_path / "x.png", np.eye(3), dpi=20)
+    picture = plot_functional_map(tmp_path / "x.png", np.eye(3), page=Page(dpi=20))
     (tmp_path / "x.svg").write_text("<svg/>")
     (tmp_path / "x.pdf").write_bytes(b"%PDF")
     shown = picture._repr_mimebundle_()
@@ -403,12 +408,11 @@ def test_bad_input_is_refused(tmp_path, ball, spectrum):
         ({"a": good * np.nan}, {}, r"`fields\['a'\]` must be finite"),
         ({"a": good}, {"lines": "zero"}, "`lines` must be 'none', 'nodal' or 'levels', got 'zero'"),
         ({"a": good}, {"columns": 0}, "`columns` must be at least 1"),
-        ({"a": good}, {"up": "w"}, "`up` must be 'x', 'y', 'z' or None, got 'w'"),
     ):
         with pytest.raises(InvalidInputError, match=message):
             plot_fields(path, ball, fields, **options)
     for modes, message in (
-        ([], "`modes` must name at least one mode, got none"),
+        ([], "`modes` must hold at least one mode, got none"),
         ([9], r"`modes` must be in \[0, 8\], got 9"),
     ):
         with pytest.raises(InvalidInputError, match=message):

@@ -19,17 +19,18 @@ from spectra_kit.descriptors import (
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.geometry import sphere
 from spectra_kit.viz import (
+    Page,
     ParetoPoint,
+    View,
     pareto_front,
     plot_pareto,
     plot_signatures,
     plot_spectrum,
 )
-from spectra_kit.viz.camera import choose_view
+from spectra_kit.viz.axes import LINE_COLOURS
 from spectra_kit.viz.labels import place_labels
 from spectra_kit.viz.marks import with_balls
 from spectra_kit.viz.pareto import pareto_figure
-from spectra_kit.viz.sheet import LINE_COLOURS
 from spectra_kit.viz.signatures import _panel, _pictures, draw_curves
 from spectra_kit.viz.spectra import spectrum_figure, weyl_law
 
@@ -61,7 +62,7 @@ def rough(laplacian, exact):
 
 def figure_of(*spectra, weyl=True):
     named = {f"spectrum {i}": spectrum for i, spectrum in enumerate(spectra)}
-    return spectrum_figure(named, weyl, "title", "", 50)
+    return spectrum_figure(named, weyl, Page("title", dpi=50))
 
 
 def markers(panel, colour):
@@ -174,7 +175,9 @@ def test_spectra_without_certificate_parts_and_single_modes_are_drawn(exact):
 @pytest.mark.parametrize("suffix", [".png", ".svg"])
 def test_a_page_of_spectra_is_written_whole(exact, rough, tmp_path, suffix):
     path = tmp_path / f"spectra{suffix}"
-    picture = plot_spectrum(path, {"exact": exact, "<rough> $x": rough}, title="A ball", dpi=50)
+    picture = plot_spectrum(
+        path, {"exact": exact, "<rough> $x": rough}, page=Page("A ball", dpi=50)
+    )
     assert picture.path == path
     if suffix == ".svg":
         text = path.read_text()
@@ -227,7 +230,7 @@ def test_weyls_second_term_is_that_of_a_rectangle(held):
 def test_the_second_term_is_drawn_and_told(exact):
     (line,) = (
         line
-        for line in spectrum_figure({"": exact}, True, "", "", 40, -3.0).axes[0].lines
+        for line in spectrum_figure({"": exact}, True, Page(), -3.0).axes[0].lines
         if str(line.get_label()).startswith("Weyl")
     )
     assert line.get_label() == (
@@ -257,7 +260,7 @@ RUNS = [
 
 
 def drawn(points, **marks):
-    return pareto_figure(points, 1e-12, marks, ("seconds", "error"), ("", ""), 60)
+    return pareto_figure(points, 1e-12, marks, ("seconds", "error"), Page(dpi=60))
 
 
 def test_the_front_is_what_nothing_beats():
@@ -324,12 +327,12 @@ def test_a_lone_label_stands_beside_its_dot():
 
 def test_methods_are_drawn_or_refused(tmp_path):
     path = tmp_path / "pareto.png"
-    plot_pareto(path, RUNS, marks={"ARPACK": 3.0}, title="Six", subtitle="of them", dpi=50)
+    plot_pareto(path, RUNS, marks={"ARPACK": 3.0}, page=Page("Six", "of them", dpi=50))
     with Image.open(path) as image:
         page = np.asarray(image.convert("RGB"))
     assert (page[:, :2] == 255).all()
     assert (page[:, -2:] == 255).all()
-    plot_pareto(path, RUNS[:1], dpi=30)  # one dot has no range of its own
+    plot_pareto(path, RUNS[:1], page=Page(dpi=30))  # one dot has no range of its own
     with pytest.raises(InvalidInputError, match="`points` must hold at least one ParetoPoint"):
         plot_pareto(path, [])
     for bad in (float("nan"), -1.0):
@@ -370,13 +373,13 @@ def test_curves_are_rows_of_the_signature(exact):
 def test_balls_have_the_colours_of_their_curves_and_hidden_ones_are_told(ball, as_cloud):
     geometry = ball.as_cloud() if as_cloud else ball
     # Seen from the view that is chosen, the first two are in front, the third is behind.
-    rotation = choose_view(geometry)
+    rotation = View().rotation(geometry)
     seen = geometry.points @ rotation.T
     aim = np.array([[-0.5, 0, 0.86], [0.5, 0, 0.86], [0, 0, -1]])
     points = np.linalg.norm(seen[:, None] - aim, axis=2).argmin(axis=0)
     try:
         pictures, visible = _pictures(
-            geometry, [_panel(seen[:, 1], "")], points, choose_view(geometry), 60
+            geometry, [_panel(seen[:, 1], "")], points, View().rotation(geometry), 60
         )
     except MissingDependencyError as error:
         pytest.skip(f"no picture can be drawn here: {error}")
@@ -427,7 +430,7 @@ def test_a_page_of_signatures_is_written_or_refused(exact, ball, tmp_path):
         with pytest.raises(InvalidInputError, match=match):
             plot(**options)
     try:
-        plot(shown=[1, 4, 6], title="A ball", dpi=40)
+        plot(shown=[1, 4, 6], page=Page("A ball", dpi=40))
     except MissingDependencyError as error:
         pytest.skip(f"no picture can be drawn here: {error}")
     with Image.open(path) as image:

@@ -26,7 +26,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps import nearest_rows, zoomout
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators import robust_laplacian
-from spectra_kit.operators.orientation import oriented_triangles
+from spectra_kit.operators.oriented import oriented_triangles
 from spectra_kit.spectra import Spectrum
 
 Geodesics = Literal["edges", "exact"]

@@ -16,11 +16,10 @@ from spectra_kit._files import temporary_folder
 from spectra_kit._types import Floats, Ints
 from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
 from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
-from spectra_kit.functional_maps import zoomout
-from spectra_kit.functional_maps.fit import fit_functional_map
+from spectra_kit.functional_maps import FitWeights, fit_functional_map, zoomout
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.matching import match, prepare
-from spectra_kit.operators.orientation import oriented_triangles
+from spectra_kit.operators.oriented import oriented_triangles
 from spectra_kit.spectra import Spectrum
 
 _FITTED, _THINNED = 30, 4  # modes of a fitted map; of 100 signatures every fourth
@@ -81,9 +80,9 @@ def match_wks(source: Side, target: Side, *, orientation: float = 0.0) -> Outcom
     """
     clock = _Clock()
     a, b = (side.spectrum for side in (source, target))
-    turned = [
-        oriented_triangles(side.geometry) if orientation else None for side in (source, target)
-    ]
+    oriented = None
+    if orientation:
+        oriented = oriented_triangles(source.geometry), oriented_triangles(target.geometry)
     f, g = (normalize_descriptors(s, wave_kernel_signature(s))[:, ::_THINNED] for s in (a, b))
     fitted = fit_functional_map(
         a,
@@ -91,9 +90,8 @@ def match_wks(source: Side, target: Side, *, orientation: float = 0.0) -> Outcom
         f,
         g,
         k=_FITTED,
-        orientation=orientation,
-        source_orientation=turned[0],
-        target_orientation=turned[1],
+        weights=FitWeights(orientation=orientation),
+        oriented=oriented,
     )
     refined = zoomout(a, b, fitted, k_final=min(a.k, b.k))
     return Outcome(refined.point_map, *clock.read())

@@ -22,7 +22,7 @@ from measure.store import Record
 from measure.study import Result
 from spectra_kit._version import VERSION
 from spectra_kit.correspondence import FLIP_MARGIN, MapErrors, geodesic_errors
-from spectra_kit.viz import MatchedPair, plot_correspondences
+from spectra_kit.viz import MatchedPair, Page, View, plot_correspondences
 
 Results = Sequence[Result[Way, Pair]]
 
@@ -271,9 +271,11 @@ def draw_extremes(
                 for i, what in reversed(chosen.items())
                 for error in [counted(ranked[i].record, protocol)]
             ],
-            up=up,
-            title=f"{way.method}: {way.basis.backend} spectra of {kind}",
-            subtitle=f"mean geodesic errors of {len(ranked)} pairs, in hundredths of √area",
+            view=View(up),
+            page=Page(
+                f"{way.method}: {way.basis.backend} spectra of {kind}",
+                f"mean geodesic errors of {len(ranked)} pairs, in hundredths of √area",
+            ),
         )
         drawn.append(path)
     return drawn

@@ -16,7 +16,7 @@ from measure.network.methods import Joined, Network, Waves
 from measure.network.questions import Answer
 from measure.store import Record
 from spectra_kit._types import Floats
-from spectra_kit.viz import ParetoPoint, plot_comparison
+from spectra_kit.viz import Page, ParetoPoint, plot_comparison
 
 ERRORS = {"span": "span error", "vector": "eigenvector error", "value": "eigenvalue error"}
 _GROUPS = {Network: "network", Waves: "plane waves", Joined: "both"}
@@ -214,9 +214,11 @@ def draw_worst(answer: Answer, folder: Path, *, count: int = 3) -> list[Path]:
                 predicted,
                 comparison,
                 modes=[int(mode) for mode in np.argsort(-span)[:_DRAWN]],
-                title=f"{case.shape}: the worst of {exact.k} modes",
-                subtitle=f"{row.method}; mean span error {span.mean():.1e}",
-                dpi=120,
+                page=Page(
+                    f"{case.shape}: the worst of {exact.k} modes",
+                    f"{row.method}; mean span error {span.mean():.1e}",
+                    dpi=120,
+                ),
             )
             drawn.append(folder / name)
     return drawn

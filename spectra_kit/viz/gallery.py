@@ -1,0 +1,188 @@
+"""Tables and galleries of functions on one geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from spectra_kit._checked import checked
+from spectra_kit._types import Floats
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import Geometry
+from spectra_kit.viz.camera import View
+from spectra_kit.viz.page import MARGIN, Page
+from spectra_kit.viz.panels import Panel, draw_panels
+from spectra_kit.viz.pen import Pen
+from spectra_kit.viz.picture import plotted
+from spectra_kit.viz.table import BAR, GAP, HEAD, LINE, SIDE, Cell, set_table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_WIDTH, _WIDEST_CELL = 11.0, 4.5  # inches
+_TALLEST = 2.2  # pictures, height over cell width
+_EMPTY = 0.5  # what a place left empty counts against a misfit of the page
+_TABLE, _GALLERY = 1.0, 1.4  # the wanted aspect of a page, width over height
+
+
+@plotted
+@checked
+def plot_panels(
+    geometry: Geometry,
+    rows: Sequence[Sequence[Panel]],
+    *,
+    rows_named: Sequence[str],
+    columns_named: Sequence[str],
+    view: View = View(),
+    page: Page = Page(),
+) -> Figure:
+    """Draw a table of functions on one geometry, all seen from the same side.
+
+    Parameters
+    ----------
+    path : path-like, optional
+        The file to write; see `Picture`.
+    geometry : TriangleMesh or PointCloud
+        A cloud is drawn as balls that overlap a little.
+    rows : sequence of sequences of Panel
+        A full table. It is transposed where that fits the page better.
+    rows_named, columns_named : sequence of str
+        The heads of the table.
+    view, page : View and Page, optional
+        Where it is seen from; head and resolution. The page is at most 11 inches wide.
+
+    Returns
+    -------
+    Picture
+        What was drawn.
+
+    Raises
+    ------
+    InvalidInputError
+        If the table is empty or ragged, or a panel has not one finite value per point.
+
+    Examples
+    --------
+    >>> from spectra_kit.geometry import TriangleMesh
+    >>> from spectra_kit.viz import Page, Panel, plot_panels
+    >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    >>> panel = Panel(values=mesh.points[:, 0], limit=1.0, lines=("x",))
+    >>> plot_panels(mesh, [[panel]], rows_named=["x"], columns_named=["a"], page=Page(dpi=40))
+    Picture(path=None)
+    """
+    if not rows or {len(row) for row in rows} != {len(columns_named)} or not columns_named:
+        raise InvalidInputError(
+            "rows",
+            f"be a table of {len(columns_named)} columns, one for each of `columns_named`",
+            f"rows of {[len(row) for row in rows]}",
+        )
+    if len(rows_named) != len(rows):
+        raise InvalidInputError(
+            "rows_named", f"be {len(rows)} names, one for each of `rows`", len(rows_named)
+        )
+    return draw_table(geometry, rows, rows_named, columns_named, view=view, page=page)
+
+
+def draw_table(
+    geometry: Geometry,
+    rows: Sequence[Sequence[Panel]],
+    rows_named: Sequence[str],
+    columns_named: Sequence[str],
+    *,
+    view: View,
+    page: Page,
+) -> Figure:
+    """Draw a full table of panels, transposed where that fits the page better."""
+    rotation = view.rotation(geometry)
+    aspect = _aspect(geometry, rotation)
+    misfits = [
+        _misfit(columns, lines, aspect, _TABLE)
+        for columns, lines in (
+            (len(columns_named), len(rows_named)),
+            (len(rows_named), len(columns_named)),
+        )
+    ]
+    if misfits[0] > misfits[1]:
+        rows, columns_named, rows_named = list(zip(*rows, strict=True)), rows_named, columns_named
+    cell = _cell_width(len(columns_named))
+    cells = _cells(geometry, rows, rotation, page, cell)
+    return set_table(page, cells, heads=columns_named, names=rows_named, cell=cell)
+
+
+def draw_gallery(
+    geometry: Geometry,
+    panels: Sequence[Panel],
+    *,
+    columns: int | None,
+    one_bar: bool,
+    view: View,
+    page: Page,
+) -> Figure:
+    """Draw panels in reading order, in as many columns as fit best; `one_bar` for all at the foot.
+
+    What `plot_fields` and `plot_modes` have in common.
+    """
+    rotation, n = view.rotation(geometry), len(panels)
+    if columns is None:
+        aspect = _aspect(geometry, rotation)
+        columns = min(
+            range(1, n + 1),
+            key=lambda c: _misfit(c, -(-n // c), aspect, _GALLERY) + _EMPTY * (-n % c),
+        )
+    columns = min(columns, n)
+    table = [panels[i : i + columns] for i in range(0, n, columns)]
+    cell = _cell_width(columns)
+    cells = _cells(geometry, table, rotation, page, cell, bars=not one_bar)
+    figure = set_table(page, cells, cell=cell, foot=BAR * one_bar)
+    if one_bar:
+        pen, bar = Pen(figure), panels[0].bar()
+        length = min(pen.width - 2 * MARGIN, 4.0)
+        left, top = (pen.width - length) / 2, pen.height - MARGIN - 0.13
+        pen.bar(bar.colours, bar.ends, left, top, length)
+    return figure
+
+
+def _cells(
+    geometry: Geometry,
+    table: Sequence[Sequence[Panel]],
+    rotation: Floats,
+    page: Page,
+    cell: float,
+    *,
+    bars: bool = True,
+) -> list[list[Cell]]:
+    """The pictures of panels in cells so many inches wide, with or without their bars."""
+    aspect = _aspect(geometry, rotation)
+    width = int((cell if aspect < _TALLEST else cell * _TALLEST / aspect) * page.dpi)
+    panels = [panel for row in table for panel in row]
+    pictures = iter(draw_panels(geometry, panels, rotation=rotation, width=width, dpi=page.dpi))
+    return [
+        [
+            Cell(picture=next(pictures), lines=panel.lines, bar=panel.bar() if bars else None)
+            for panel in row
+        ]
+        for row in table
+    ]
+
+
+def _aspect(geometry: Geometry, rotation: Floats) -> float:
+    """Height over width of the picture of a geometry."""
+    extent = np.ptp(geometry.points @ rotation.T, axis=0)[:2]
+    return float(np.clip(extent[1] / max(extent[0], 1e-300), 0.1, 8.0))
+
+
+def _cell_width(columns: int) -> float:
+    """Width of a cell when `columns` of them share the page."""
+    room = _WIDTH - 2 * MARGIN - SIDE - (columns - 1) * GAP
+    return min(room / columns, _WIDEST_CELL)
+
+
+def _misfit(columns: int, rows: int, aspect: float, wanted: float) -> float:
+    """How far a page of that many pictures of that aspect is from the wanted one."""
+    cell = _cell_width(columns)
+    width = 2 * MARGIN + SIDE + columns * (cell + GAP) - GAP
+    each = cell * min(aspect, _TALLEST) + 2 * LINE + BAR + GAP
+    height = Page("any").head + HEAD + rows * each - GAP
+    return abs(float(np.log(width / height / wanted)))
