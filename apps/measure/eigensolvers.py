@@ -84,78 +84,66 @@ class Method:
         return not self.needs or find_spec(self.needs) is not None
 
 
-_RTOL = 1e-6  # of every method of ours that takes one
-
-
-_AT_RTOL = "1e-6"
+_RTOL, _AT_RTOL = 1e-6, "1e-6"  # of every method of ours that takes one
 _EXACT = "rounding"
-_BOTH = ("cpu", "cuda")
 
 
-def _on_neo(name: str, **options: Any) -> Callable[[str], Eigensolver]:
-    """Return what makes a solver that starts from the network."""
-    return lambda device: SOLVERS[name](start=SUBSPACES["neo"](), **options)
+def _ours(
+    name: str, *, neo: str = "", device: bool = False, needs: str = "", **options: Any
+) -> Method:
+    """Return a solver of the catalogue; one that goes to a tolerance goes to ours.
+
+    The network takes the place of its option `neo`; with `device` it has an option of that name.
+    """
+    solver = SOLVERS[name]
+    if solver.accuracy == "to tolerance":
+        options["rtol"] = _RTOL
+
+    def make(where: str) -> Eigensolver:
+        placed = {"device": where} if device else {}
+        start = {neo: SUBSPACES["neo"](**placed)} if neo else {}
+        made: Eigensolver = solver(**options, **start, **placed)
+        return made
+
+    return Method(
+        make=make,
+        stops={"exact": _EXACT, "to tolerance": _AT_RTOL}.get(solver.accuracy, ""),
+        devices=("cpu", "cuda") if device else ("cpu",),
+        needs=needs,
+        slow=name == "lobpcg",
+    )
+
+
+def _theirs(solver: Eigensolver, stops: str, *, needs: str = "", slow: bool = False) -> Method:
+    return Method(make=lambda device: solver, stops=stops, needs=needs, peer=True, slow=slow)
 
 
 #: Name -> backend, in the order of tables: predictions, solvers to a tolerance, other packages.
 METHODS: dict[str, Method] = {
-    "fourier": Method(
-        make=lambda device: SOLVERS["fourier"](subspace=SUBSPACES["fourier"](m=320, bandwidth=7.0))
-    ),
-    "neo": Method(make=lambda device: SOLVERS["neo"](device=device), devices=_BOTH),
-    "neo-2": Method(make=lambda device: SOLVERS["neo"](poses=2, device=device), devices=_BOTH),
-    "neo-cap": Method(make=lambda device: SOLVERS["neo"](cap=4096, device=device), devices=_BOTH),
-    "capped-neo-raw": Method(
-        make=lambda device: SOLVERS["capped"](
-            subspace=SUBSPACES["neo"](), n_points=2048, sweeps=0, smoothing=0
-        )
-    ),
-    "capped-neo-2k": Method(
-        make=lambda device: SOLVERS["capped"](subspace=SUBSPACES["neo"](), n_points=2048)
-    ),
-    "capped-neo": Method(make=lambda device: SOLVERS["capped"](subspace=SUBSPACES["neo"]())),
-    "capped": Method(make=lambda device: SOLVERS["capped"]()),
-    "polished": Method(make=lambda device: SOLVERS["polished"]()),
-    "polished-neo": Method(make=_on_neo("polished")),
-    "multilevel": Method(make=lambda device: SOLVERS["multilevel"](rtol=_RTOL), stops=_AT_RTOL),
-    "refined": Method(make=lambda device: SOLVERS["refined"](rtol=_RTOL), stops=_AT_RTOL),
-    "refined-neo": Method(make=_on_neo("refined", rtol=_RTOL), stops=_AT_RTOL),
-    "chebyshev": Method(
-        make=lambda device: SOLVERS["chebyshev"](rtol=_RTOL, device=device),
-        stops=_AT_RTOL,
-        devices=_BOTH,
-    ),
-    "chebyshev-neo": Method(
-        make=lambda device: SOLVERS["chebyshev"](
-            start=SUBSPACES["neo"](device=device), rtol=_RTOL, device=device
-        ),
-        stops=_AT_RTOL,
-        devices=_BOTH,
-    ),
-    "lobpcg": Method(make=lambda device: SOLVERS["lobpcg"](rtol=_RTOL), stops=_AT_RTOL, slow=True),
-    "lobpcg-amg": Method(
-        make=lambda device: SOLVERS["lobpcg"](preconditioner="amg", rtol=_RTOL),
-        stops=_AT_RTOL,
-        needs="pyamg",
-        slow=True,
-    ),
-    "arpack": Method(make=lambda device: SOLVERS["arpack"](), stops=_EXACT),
-    "eigsh": Method(make=lambda device: peers.ScipyEigsh(), stops=_EXACT, peer=True),
-    "eigsh-1e-6": Method(
-        make=lambda device: peers.ScipyEigsh(tol=_RTOL), stops=_AT_RTOL, peer=True
-    ),
-    "eigsh-dnet": Method(make=lambda device: peers.DiffusionNetEigsh(), stops=_EXACT, peer=True),
-    "lapy": Method(make=lambda device: peers.LapySolver(), stops=_EXACT, needs="lapy", peer=True),
-    "spectra": Method(
-        make=lambda device: peers.LibiglSpectra(), stops="default", peer=True, slow=True
-    ),
-    "lobpcg-pyamg": Method(
-        make=lambda device: peers.PyamgLobpcg(rtol=_RTOL),
-        stops=_AT_RTOL,
-        needs="pyamg",
-        peer=True,
-        slow=True,
-    ),
+    "fourier": _ours("fourier", subspace=SUBSPACES["fourier"](m=320, bandwidth=7.0)),
+    "neo": _ours("neo", device=True),
+    "neo-2": _ours("neo", device=True, poses=2),
+    "neo-cap": _ours("neo", device=True, cap=4096),
+    "capped-neo-raw": _ours("capped", neo="subspace", n_points=2048, sweeps=0, smoothing=0),
+    "capped-neo-2k": _ours("capped", neo="subspace", n_points=2048),
+    "capped-neo": _ours("capped", neo="subspace"),
+    "capped": _ours("capped"),
+    "polished": _ours("polished"),
+    "polished-neo": _ours("polished", neo="start"),
+    "multilevel": _ours("multilevel"),
+    "refined": _ours("refined"),
+    "refined-neo": _ours("refined", neo="start"),
+    "chebyshev": _ours("chebyshev", device=True),
+    "chebyshev-neo": _ours("chebyshev", neo="start", device=True),
+    "lobpcg": _ours("lobpcg"),
+    "lobpcg-amg": _ours("lobpcg", preconditioner="amg", needs="pyamg"),
+    "arpack": _ours("arpack"),
+    "eigsh": _theirs(peers.ScipyEigsh(), _EXACT),
+    "eigsh-1e-6": _theirs(peers.ScipyEigsh(tol=_RTOL), _AT_RTOL),
+    "eigsh-dnet": _theirs(peers.DiffusionNetEigsh(), _EXACT),
+    "lapy": _theirs(peers.LapySolver(), _EXACT, needs="lapy"),
+    "spectra": _theirs(peers.LibiglSpectra(), "default", slow=True),
+    "lobpcg-pyamg": _theirs(peers.PyamgLobpcg(rtol=_RTOL), _AT_RTOL, needs="pyamg", slow=True),
 }
 #: What a quick comparison measures.
 QUICK = tuple(name for name, method in METHODS.items() if not method.slow)

@@ -413,6 +413,7 @@ def example() -> dict[str, Any]:
         "estimate_normals.cloud": cloud,
         "Candidate.functional_map": identity,
         "point_map": same,
+        "point_arrays": np.ones(n),
         "points": mesh.points,
         "nearest_rows.points": mesh.points,
         "pareto_front.points": [viz.ParetoPoint(name="a", group="b", seconds=1.0, error=0.1)],
@@ -590,6 +591,7 @@ ALSO = {
     "plot_spectrum.spectra": {"Spectrum"},
     "check_sources.geometry": {"Laplacian", "Spectrum"},
     "eigensolve.solver": {"Arpack"},
+    "to_pyvista.point_arrays": {"Spectrum", "array of b"},
     "spectrum.solver": {"Arpack"},
     # Empty sequences, which are arrays of floats to NumPy.
     "Match.candidates": {"array"},
