@@ -1,4 +1,4 @@
-"""What is compared: functions that take two sides and return a point map."""
+"""What matches: functions that take two sides and return a point map."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from functools import partial
 
 import numpy as np
 
+from measure.matching import pyfm_peer
 from spectra_kit._files import temporary_folder
 from spectra_kit._types import Floats, Ints
 from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
 from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
-from spectra_kit.evaluation.matching import pyfm_peer
 from spectra_kit.functional_maps import FitWeights, fit_functional_map, zoomout
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.matching import match, prepare
@@ -27,15 +27,7 @@ _FITTED, _THINNED = 30, 4  # modes of a fitted map; of 100 signatures every four
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One of the two to match.
-
-    Attributes
-    ----------
-    geometry : TriangleMesh or PointCloud
-        As the method may use it.
-    spectrum : Spectrum
-        Of its backend, in the units of the geometry.
-    """
+    """One of the two to match: a geometry, and its spectrum in the same units."""
 
     geometry: Geometry
     spectrum: Spectrum
@@ -68,18 +60,7 @@ class Outcome:
 
 
 def match_best(source: Side, target: Side) -> Outcome:
-    """Match as `matching.match` does by default.
-
-    Parameters
-    ----------
-    source, target : Side
-        Connected, with at least 30 modes.
-
-    Returns
-    -------
-    Outcome
-        With candidates and margin; its seconds include preparing both sides.
-    """
+    """Match as `matching.match` does by default; the seconds include preparing both sides."""
     clock = _Clock()
     prepared = (prepare(side.spectrum, side.geometry) for side in (source, target))
     found = match(*prepared, k=min(source.spectrum.k, target.spectrum.k))
@@ -95,17 +76,7 @@ def match_best(source: Side, target: Side) -> Outcome:
 def match_wks(source: Side, target: Side, *, orientation: float = 0.0) -> Outcome:
     """Fit 30 modes to wave kernel signatures, then ZoomOut to all: the plain method.
 
-    Parameters
-    ----------
-    source, target : Side
-        With equal numbers of modes, 31 at least.
-    orientation : float, default 0
-        Weight of the orientation term; see `fit_functional_map`.
-
-    Returns
-    -------
-    Outcome
-        One map, no candidates.
+    With a weight for `orientation` the fit has that term; see `fit_functional_map`.
     """
     clock = _Clock()
     a, b = (side.spectrum for side in (source, target))
@@ -127,74 +98,53 @@ def match_wks(source: Side, target: Side, *, orientation: float = 0.0) -> Outcom
 
 
 def match_pyfm(source: Side, target: Side, *, python: str = sys.executable) -> Outcome:
-    """PyFM with the parameters of its README, on spectra of its own.
+    """PyFM with the parameters of its README, on as many modes of its own.
 
-    Parameters
-    ----------
-    source, target : Side
-        Meshes; of the spectra only the number of modes is used.
-    python : path, optional
-        Of an environment where pyFM is installed; this one by default.
-
-    Returns
-    -------
-    Outcome
-        Its seconds leave out the spectra.
-
-    Raises
-    ------
-    InvalidInputError
-        If a side is no mesh.
-    MissingDependencyError
-        If there is no such Python, or it has no pyFM.
-    SpectraKitError
-        If pyFM fails on this pair.
+    `python` is that of an environment where pyFM is installed. The seconds leave out the spectra.
     """
-    if not isinstance(source.geometry, TriangleMesh) or not isinstance(
-        target.geometry, TriangleMesh
-    ):
+    a, b = source.geometry, target.geometry
+    if not isinstance(a, TriangleMesh) or not isinstance(b, TriangleMesh):
         raise InvalidInputError("`source` and `target` must be meshes: pyFM knows no clouds")
     with temporary_folder() as folder:
         given, answer = folder / "in.npz", folder / "out.npz"
-        np.savez(
-            given,
-            V1=source.geometry.points,
-            F1=source.geometry.faces,
-            V2=target.geometry.points,
-            F2=target.geometry.faces,
-            k=source.spectrum.k,
-        )
+        k = source.spectrum.k
+        np.savez(given, V1=a.points, F1=a.faces, V2=b.points, F2=b.faces, k=k)
         command = [python, str(pyfm_peer.__file__), str(given), str(answer)]
         try:
             done = subprocess.run(command, capture_output=True, text=True, check=False)
         except OSError as error:
             raise MissingDependencyError(
-                f"the Python of pyFM must be a program, got {python} ({error}); name another"
+                f"the Python of pyFM must be a program, got {python} ({error})",
+                advice="name another",
             ) from error
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         if done.returncode == pyfm_peer.MISSING:
             raise MissingDependencyError(
-                f"pyFM must be installed in {python}, cannot be imported ({last}); pip install"
-                " pyfmaps there, or name another Python"
+                f"pyFM must be installed in {python}, cannot be imported ({last})",
+                advice="pip install pyfmaps there, or name another Python",
             )
         if done.returncode:
             raise SpectraKitError(
                 f"pyFM failed on this pair with exit status {done.returncode} ({last})"
             )
         with np.load(answer) as file:
-            return Outcome(
-                file["point_map"].astype(np.int64),
-                float(file["seconds"]),
-                float(file["cpu_seconds"]),
-            )
+            seconds, cpu_seconds = float(file["seconds"]), float(file["cpu_seconds"])
+            return Outcome(file["point_map"].astype(np.int64), seconds, cpu_seconds)
 
 
-#: Methods by name; each takes a source and a target `Side`.
-METHODS: dict[str, Callable[[Side, Side], Outcome]] = {
-    "match": match_best,
-    "wks-zoomout": match_wks,
-    "wks-orient-zoomout": partial(match_wks, orientation=1.0),
-    "pyfm": match_pyfm,
+@dataclass(frozen=True)
+class Entry:
+    """A method by its function; one that is `own` solves for itself, on meshes alone."""
+
+    run: Callable[..., Outcome]
+    own: bool = False
+
+
+METHODS = {
+    "match": Entry(match_best),
+    "wks-zoomout": Entry(match_wks),
+    "wks-orient-zoomout": Entry(partial(match_wks, orientation=1.0)),
+    "pyfm": Entry(match_pyfm, own=True),
 }
 
 
