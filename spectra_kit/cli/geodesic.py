@@ -11,7 +11,6 @@ from spectra_kit._validate import check_positive, quantity
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.folder import check_folder, drawing, together
 from spectra_kit.cli.geodesic_compare import Compared, clock_note, compare_solvers, comparison_table
-from spectra_kit.cli.geodesic_options import CoarseSolver
 from spectra_kit.cli.geodesic_solver import (
     check_solver,
     coarse_spectrum,
@@ -28,6 +27,7 @@ from spectra_kit.cli.geodesic_sources import (
     with_farthest,
 )
 from spectra_kit.cli.inputs import load_numbered
+from spectra_kit.cli.options import CoarseSolver
 from spectra_kit.cli.output import as_json, print_blocks, print_json
 from spectra_kit.cli.outputs import up_of
 from spectra_kit.cli.progress import step

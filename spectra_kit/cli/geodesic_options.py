@@ -8,19 +8,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from spectra_kit.cli.options import Count, SolverName, SparedSolver, grouped
+from spectra_kit.cli.options import grouped
 from spectra_kit.cli.outputs import FILLED, Output
-
-
-@grouped("modes", "for the coarse space of the linear solver, which may do without")
-@dataclass(frozen=True, kw_only=True)
-class CoarseSolver(SparedSolver):
-    """What solves for the modes of a coarse space, if any."""
-
-    k: Count | None = None
-    """number of modes (default: 24 beside those of eigenvalue 0, to compare 96)"""
-    solver: SolverName | None = None
-    """what solves for modes (default: none)"""
 
 
 @grouped("sources", "the distance is to the nearest of them all; the demo has one by default")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from spectra_kit._validate import check_count
 from spectra_kit.cli import program
-from spectra_kit.cli.geodesic_options import CoarseSolver
-from spectra_kit.cli.options import NETWORK, refuse_given
+from spectra_kit.cli.options import NETWORK, CoarseSolver, refuse_given
 from spectra_kit.cli.solving import check_solvers, refuse_solving, solve
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import Automatic, Direct, Iterative

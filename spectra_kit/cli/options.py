@@ -153,7 +153,7 @@ class MatchSolver(Solver):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SparedSolver(AnySolver):
+class _Spared(AnySolver):
     """One that is not needed where the modes are saved."""
 
     spectrum: Path | None = None
@@ -167,7 +167,7 @@ class SparedSolver(AnySolver):
 
 @grouped("solver")
 @dataclass(frozen=True, kw_only=True)
-class ShownSolver(SparedSolver):
+class ShownSolver(_Spared):
     """One that finds what is to be shown, unless it is saved."""
 
     k: Count | None = None
@@ -177,7 +177,7 @@ class ShownSolver(SparedSolver):
 
 @grouped("solver")
 @dataclass(frozen=True, kw_only=True)
-class Predictor(SparedSolver):
+class Predictor(_Spared):
     """What predicts, and the truth it is held against."""
 
     k: Count = 96
@@ -196,6 +196,17 @@ class OptionalPredictor(Predictor):
 
     solver: OptionalName | None = None
     """what predicts, or none (default: neo)"""
+
+
+@grouped("modes", "for the coarse space of the linear solver, which may do without")
+@dataclass(frozen=True, kw_only=True)
+class CoarseSolver(_Spared):
+    """What solves for the modes of a coarse space, if any."""
+
+    k: Count | None = None
+    """number of modes (default: 24 beside those of eigenvalue 0, to compare 96)"""
+    solver: SolverName | None = None
+    """what solves for modes (default: none)"""
 
 
 @grouped("general")

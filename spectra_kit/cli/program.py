@@ -102,7 +102,7 @@ class Geodesic(_OfFile):
 
     sources: geodesic_options.Sources = geodesic_options.Sources()
     heat: geodesic_options.Heat = geodesic_options.Heat()
-    solver: geodesic_options.CoarseSolver = geodesic_options.CoarseSolver()
+    solver: options.CoarseSolver = options.CoarseSolver()
     output: geodesic_options.GeodesicOutput = geodesic_options.GeodesicOutput()
     drawing: outputs.FolderDrawing = outputs.FolderDrawing()
 
