@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import igl
 import numpy as np
 from scipy.special import jn_zeros, jnp_zeros
 
@@ -80,8 +81,6 @@ def sphere(*, subdivisions: int = 3, radius: float = 1.0, k: int = 100) -> Refer
     >>> sphere(k=9).eigenvalues
     array([0., 2., 2., 2., 6., 6., 6., 6., 6.])
     """
-    import igl  # here: the package must import, and train, where no libigl is installed
-
     check_count("subdivisions", subdivisions, low=0, high=9)
     check_positive("radius", radius)
     check_count("k", k, low=1)

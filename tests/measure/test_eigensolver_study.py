@@ -9,21 +9,10 @@ import benchmark_eigensolvers as app
 import numpy as np
 import pytest
 from conftest import bumpy
-from measure import eigensolvers, peers
-from measure.eigensolvers import (
-    EXACT,
-    METHODS,
-    QUICK,
-    Contender,
-    Method,
-    Preparation,
-    Problem,
-    Solves,
-    contenders,
-    exponents,
-    problems,
-    write_report,
-)
+from measure.eigensolvers import peers
+from measure.eigensolvers.methods import METHODS, QUICK, Contender, Method, contenders
+from measure.eigensolvers.report import exponents, write_report
+from measure.eigensolvers.studies import EXACT, Preparation, Problem, Solves, problems
 from measure.store import Store
 from measure.study import Result, repeats_of, run
 
@@ -303,4 +292,3 @@ def test_the_machine_is_part_of_the_key(tmp_path):
     there = dataclasses.replace(here, machine="elsewhere")
     arpack = Contender("arpack")
     assert here.key(arpack, CLOUD) != there.key(arpack, CLOUD) != there.key(arpack, CLOUD, 1)
-    assert eigensolvers.KINDS == {"mesh": "robust", "cloud": "delaunay"}

@@ -8,30 +8,32 @@ import benchmark_geodesics as app
 import numpy as np
 import pytest
 import torch
-from measure import geodesics, store
-from measure.geodesics import (
+from measure import store
+from measure.geodesics.contenders import (
     AUTOMATIC,
     CONTENDERS,
     DIRECT,
-    EIGENSOLVERS,
     ICPCG,
     LIBIGL,
+    MANY,
     PLAIN,
     ROBUST,
     UNAIDED,
+)
+from measure.geodesics.report import meshes
+from measure.geodesics.studies import (
+    EIGENSOLVERS,
     Accuracy,
     Ball,
     Balls,
     Exact,
-    Mesh,
     Modes,
     Times,
-    meshes,
     relative_errors,
 )
 from measure.shapes import Shape, shape_at
 from measure.store import Store
-from measure.study import Result, repeats_of, run
+from measure.study import Result, run
 from measure.tables import ratio
 
 from spectra_kit import Neo
@@ -81,7 +83,7 @@ def test_everything_is_measured_of_every_contender(measured):
     for study, names in (("accuracy", CONTENDERS), ("modes", EIGENSOLVERS)):
         assert {r["contender"] for r in records if r["study"] == study} == set(names)
     times = [record for record in records if record["study"] == "times"]
-    assert len(times) == len(CONTENDERS) + len(geodesics.MANY)
+    assert len(times) == len(CONTENDERS) + len(MANY)
     for record in times:
         assert 0 < record["seconds"] < 60
         stages = sum(record["stages"].values())
@@ -238,10 +240,9 @@ def test_the_spectrum_is_paid_by_those_who_use_it():
     shape = Shape("ball", sphere(subdivisions=1).geometry)
 
     def mesh(name, solver, status="ok"):
-        record = {"status": status, "seconds": 2.0, "solver": solver}
-        first = {row.contender: row for row in repeats_of([Result(name, shape, 0, record)])}
-        modes = {"exact": 5.0}
-        return Mesh(name="ball", n=42, modes=modes, accuracy={}, first=first, many={})
+        first = [Result(name, shape, 0, {"status": status, "seconds": 2.0, "solver": solver})]
+        modes = [Result("exact", shape, 0, {"status": "ok", "seconds": 5.0})]
+        return meshes({"modes": modes, "first": first})[0]
 
     assert mesh(AUTOMATIC, "two-level").seconds_in_all(AUTOMATIC) == 7.0
     # What is automatic and solves directly leaves the modes alone.
@@ -253,9 +254,8 @@ def test_the_spectrum_is_paid_by_those_who_use_it():
 def test_meshes_gather_what_failed_too():
     shape = Shape("ball", sphere(subdivisions=1).geometry)
     failed = [Result(DIRECT, shape, 0, {"status": "failed", "reason": "no"})]
-    (mesh,) = meshes([Result("exact", shape, 0, {"status": "failed"})], failed, failed, failed)
+    (mesh,) = meshes(dict.fromkeys(("modes", "accuracy", "first", "many"), failed))
     assert mesh.title == "ball (42)"
-    assert mesh.modes == {}
     assert mesh.error(DIRECT) is mesh.iterations(DIRECT) is mesh.seconds(DIRECT) is None
     assert ratio(mesh.error(DIRECT), 1.0) is None
 
