@@ -225,10 +225,12 @@ def _place_camera(
 
 def _shrink(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Average the samples of each pixel."""
-    rows, columns = (side // OVERSAMPLE for side in picture.shape[:2])
-    blocks = picture.reshape(rows, OVERSAMPLE, columns, OVERSAMPLE, 3).astype(np.float32)
-    mean: NDArray[np.float32] = blocks.mean(axis=(1, 3))
-    return np.round(mean).astype(np.uint8)
+    sums = sum(
+        picture[i::OVERSAMPLE, j::OVERSAMPLE].astype(np.uint16)
+        for i in range(OVERSAMPLE)
+        for j in range(OVERSAMPLE)
+    )
+    return np.asarray((sums + OVERSAMPLE**2 // 2) // OVERSAMPLE**2, dtype=np.uint8)
 
 
 if __name__ == "__main__":
