@@ -83,6 +83,8 @@ def draw(request: Request, tell: Callable[[NDArray[np.uint8]], object]) -> None:
         off_screen=True, window_size=[columns * OVERSAMPLE, rows * OVERSAMPLE], lighting="none"
     )
     plotter.background_color = pv.Color("white")
+    window: Any = plotter.render_window
+    window.SetMultiSamples(0)  # VTK's own samples, on top of these, would cost most of all
     for direction, strength in LIGHTS:
         plotter.add_light(  # in the coordinates of the camera
             pv.Light(position=direction, intensity=strength, light_type="camera light")
