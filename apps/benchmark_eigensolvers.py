@@ -9,8 +9,8 @@ Without --file the demo animal is solved at each size; clouds are drawn from the
 Delaunay operator, meshes the robust one. OUT gets
 benchmark.json, benchmark.md and the plots; every solve is a line of OUT/measurements.jsonl as soon
 as it ends, so the same command after an interruption, or with more sizes, computes only what is
-missing. Delete that file, or take another folder, to measure anew. Nothing else should run on the
-machine meanwhile; the report says if something did.
+missing. What was measured with another code or other options is measured again. Nothing else should
+run on the machine meanwhile; the report says if something did.
 
 Other packages are optional: pip install lapy pyamg. For a machine without network, fetch the wheels
 as evaluate_neo.py explains, these two among them. Results from machines with an accelerator are
@@ -20,69 +20,47 @@ kept as apps/results/MACHINE.json and .md (copies of benchmark.json and benchmar
 from __future__ import annotations
 
 import argparse
-import os
+import platform
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from spectra_kit.benchmarks import METHODS, Settings, measure, summarize, write_report
-from spectra_kit.benchmarks.methods import QUICK
-from spectra_kit.benchmarks.problems import KINDS
-from spectra_kit.errors import SpectraKitError
-
-DEFAULTS = Settings(machine="", commit="")
+from measure.command import add_threads, exit_code, parser_of
+from measure.eigensolvers.methods import METHODS, QUICK, contenders
+from measure.eigensolvers.report import write_report
+from measure.eigensolvers.studies import KINDS, Preparation, Solves, problems
+from measure.machine import describe_machine, most_memory
+from measure.store import Store
+from measure.study import run
+from measure.worker import Limits
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="benchmark_eigensolvers.py",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = parser_of("benchmark_eigensolvers.py", __doc__)
     add = parser.add_argument
     add("out", type=Path, help="folder for measurements, tables and plots")
-    add("--file", type=Path, help="a mesh (default: the demo animal)")
-    add("--sizes", type=int, nargs="+", default=list(DEFAULTS.sizes), metavar="N", help="points")
-    add("-k", type=int, default=DEFAULTS.k, help="modes (%(default)s)")
+    add("--file", default="", help="a mesh (default: the demo animal)")
+    sizes = [2000, 8000, 32000, 64000, 131000, 512000]
+    add("--sizes", type=int, nargs="+", default=sizes, metavar="N", help="points")
+    add("-k", type=int, default=96, help="modes (%(default)s)")
     add("--geometry", nargs="+", choices=KINDS, default=list(KINDS), help="default: both")
     which = parser.add_mutually_exclusive_group()
-    which.add_argument(
-        "--methods",
-        nargs="+",
-        choices=list(METHODS),
-        default=list(METHODS),
-        metavar="NAME",
-        help=f"of {', '.join(METHODS)} (default: all)",
-    )
-    which.add_argument(
-        "--quick",
-        action="store_const",
-        const=list(QUICK),
-        dest="methods",
-        help=f"all but {', '.join(name for name in METHODS if name not in QUICK)}",
-    )
+    which.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS),
+        metavar="NAME", help=f"of {', '.join(METHODS)} (default: all)")  # fmt: skip
+    slow = ", ".join(name for name in METHODS if name not in QUICK)
+    which.add_argument("--quick", action="store_const", const=list(QUICK), dest="methods",
+        help=f"all but {slow}")  # fmt: skip
     add("--device", nargs="+", choices=("cpu", "cuda"), default=["cpu"], help="default: cpu")
-    add("--repeats", type=int, default=DEFAULTS.repeats, help="of each solve (%(default)s)")
-    add(
-        "--time-limit",
-        type=float,
-        default=DEFAULTS.time_limit,
-        metavar="S",
-        help="seconds for one solve; a method that takes longer ends there (%(default)g)",
-    )
-    add(
-        "--exact-limit",
-        type=float,
-        default=DEFAULTS.exact_limit,
-        metavar="S",
-        help="seconds for the exact modes; without them there are no errors (%(default)g)",
-    )
-    add(
-        "--memory", type=float, metavar="GB", help="for one process (default: most of what is free)"
-    )
-    add("--threads", type=int, default=os.cpu_count(), help="for all alike (default: all cores)")
-    add("--machine", help="name for the record (default: the host's)")
-    add("--commit", help="for the record (default: asked of git)")
+    add("--repeats", type=int, default=3, help="of each solve (%(default)s)")
+    add("--time-limit", type=float, default=300.0, metavar="S",
+        help="seconds for one solve; a slower method ends there (%(default)g)")  # fmt: skip
+    add("--exact-limit", type=float, default=3600.0, metavar="S",
+        help="for the exact modes, without which there are no errors (%(default)g)")  # fmt: skip
+    add("--memory", type=float, metavar="GB",
+        help="for one process (default: most of what is free)")  # fmt: skip
+    add_threads(parser)
+    add("--commit", default="", help="for the record (default: asked of git)")
     add("--retry", action="store_true", help="measure again what had failed or was stopped")
     return parser
 
@@ -90,34 +68,41 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure, write the report, print its tables and return the exit code."""
     args = _parser().parse_args(argv)
-    named = {name: getattr(args, name) for name in ("machine", "commit") if getattr(args, name)}
-    try:
-        settings = Settings(
-            sizes=tuple(args.sizes),
-            k=args.k,
-            methods=tuple(name for name in METHODS if name in args.methods),
-            kinds=tuple(args.geometry),
-            file=str(args.file or ""),
-            devices=tuple(args.device),
-            repeats=args.repeats,
-            time_limit=args.time_limit,
-            exact_limit=args.exact_limit,
-            memory_limit=None if args.memory is None else int(args.memory * 1e9),
-            threads=args.threads,
-            retry=args.retry,
-            **named,
-        )
-        results = summarize(measure(settings, args.out, progress=True))
-        paths = write_report(results, settings, args.out)
-    except SpectraKitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("stopped; the same command goes on from here", file=sys.stderr)
-        return 130
+    return exit_code(lambda: _measure(args))
+
+
+def _measure(args: argparse.Namespace) -> None:
+    limits = Limits(
+        threads=args.threads,
+        seconds=args.time_limit,
+        memory=most_memory() if args.memory is None else args.memory * 1e9,
+    )
+    prepared = Preparation(
+        folder=args.out, problems=problems(args.sizes, args.geometry, args.file), k=args.k
+    )
+    store = Store(args.out)
+    made = run(
+        prepared,
+        store,
+        limits=replace(limits, seconds=args.exact_limit),
+        retry=args.retry,
+        progress=True,
+    )
+    study = Solves.of(
+        prepared,
+        made,
+        contenders=contenders(args.methods, args.device),
+        repeats=args.repeats,
+        threads=args.threads,
+        machine=args.machine or platform.node(),
+    )
+    results = run(study, store, limits=limits, retry=args.retry, progress=True)
+    machine = describe_machine(
+        name=study.machine, threads=args.threads, device=args.device[-1], commit=args.commit
+    )
+    paths = write_report(study, results, machine)
     print(paths[1].read_text())
     print("written:", *paths, sep="\n  ")
-    return 0
 
 
 if __name__ == "__main__":

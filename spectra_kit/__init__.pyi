@@ -1,13 +1,11 @@
 """The public names, as type checkers see them and `spectra_kit.__getattr__` finds them."""
 
-from . import benchmarks as benchmarks
 from . import catalogue as catalogue
 from . import cli as cli
 from . import correspondence as correspondence
 from . import descriptors as descriptors
 from . import eigensolvers as eigensolvers
 from . import errors as errors
-from . import evaluation as evaluation
 from . import explorer as explorer
 from . import functional_maps as functional_maps
 from . import geodesics as geodesics

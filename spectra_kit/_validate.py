@@ -12,6 +12,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spectra_kit._display import table
 from spectra_kit._types import Floats, Ints
 from spectra_kit.errors import InvalidInputError, SpectraKitWarning
 
@@ -43,7 +44,8 @@ def frozen(array: Array) -> Array:
     return view
 
 
-def _as_array(name: str, values: ArrayLike) -> NDArray[np.generic]:
+def as_array(name: str, values: ArrayLike) -> NDArray[np.generic]:
+    """Return `values` as an array of any kind."""
     try:
         return np.asarray(values)
     except ValueError as error:
@@ -52,7 +54,7 @@ def _as_array(name: str, values: ArrayLike) -> NDArray[np.generic]:
 
 def real_array(name: str, values: ArrayLike) -> Floats:
     """Return `values` as a finite C-ordered float64 array."""
-    array = _as_array(name, values)
+    array = as_array(name, values)
     if array.dtype.kind not in "fiu":
         raise InvalidInputError(name, "hold real numbers", f"dtype {array.dtype}")
     floats = np.asarray(array, dtype=np.float64, order="C")
@@ -70,7 +72,7 @@ def real_array(name: str, values: ArrayLike) -> Floats:
 
 def check_points(name: str, values: ArrayLike) -> Floats:
     """Return `values` as finite float64 points of shape (n, 3), n >= 1."""
-    array = _as_array(name, values)
+    array = as_array(name, values)
     _check_three_columns(name, array, "n")
     if len(array) == 0:
         raise InvalidInputError(name, "hold at least one point", f"shape {array.shape}")
@@ -86,7 +88,7 @@ def _check_three_columns(name: str, array: NDArray[np.generic], rows: str) -> No
 
 def check_indices(name: str, values: ArrayLike, n: int) -> Ints:
     """Return `values` as int64 indices into `n` points; any shape."""
-    array = _as_array(name, values)
+    array = as_array(name, values)
     huge = array.dtype == object and all(isinstance(value, int) for value in array.flat)
     if array.dtype.kind not in "iu" and not huge:
         raise InvalidInputError(
@@ -101,7 +103,7 @@ def check_indices(name: str, values: ArrayLike, n: int) -> Ints:
 
 def check_faces(name: str, values: ArrayLike, n: int) -> Ints:
     """Return `values` as int64 faces of shape (f, 3), f >= 1, indexing `n` points."""
-    array = _as_array(name, values)
+    array = as_array(name, values)
     _check_three_columns(name, array, "f")
     if len(array) == 0:
         raise InvalidInputError(
@@ -150,8 +152,15 @@ def check_positive(name: str, value: float) -> float:
     return float(value)
 
 
+def check_weights(values: Mapping[str, float]) -> None:
+    """Refuse the first of named weights that is negative or not finite."""
+    for name, value in values.items():
+        if not 0 <= value < np.inf:
+            raise InvalidInputError(name, "be a finite weight >= 0", repr(value))
+
+
 class Brief:
-    """Mixin of a dataclass that holds arrays: its repr tells their form, not their entries."""
+    """Mixin of a dataclass that holds arrays: it shows their form, not their entries."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -159,15 +168,24 @@ class Brief:
             cls.__repr__ = Brief.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.repr}  # type: ignore[arg-type]
-        shown = ", ".join(f"{name}={_form(value)}" for name, value in values.items())
+        shown = ", ".join(f"{name}={form}" for name, form in Brief._facts(self).items())
         return f"{type(self).__qualname__}({shown})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        return table(type(self).__qualname__, self._facts())
+
+    def _facts(self) -> Mapping[str, object]:
+        """What there is to show, by name."""
+        return {f.name: _form(getattr(self, f.name)) for f in fields(self) if f.repr}  # type: ignore[arg-type]
 
 
 def _form(value: object) -> str:
     """Return the repr of a value, or the shape of an array that is not a handful of numbers."""
     if isinstance(value, np.ndarray) and value.size > _HANDFUL:
         return f"<{value.dtype} {value.shape}>"
+    if isinstance(value, tuple) and value and isinstance(value[0], Brief):
+        return f"<{len(value)} of {type(value[0]).__qualname__}>"
     if hasattr(value, "nnz"):
         return f"<sparse {value.shape}, {value.nnz} entries>"  # type: ignore[attr-defined]
     return repr(value)

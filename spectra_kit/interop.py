@@ -1,8 +1,8 @@
-"""Adapters to and from pyFM, geomfum and DiffusionNet: arrays in, arrays out, none imported.
+"""Adapters to and from pyFM, geomfum and DiffusionNet, arrays in and arrays out; and to PyVista.
 
 Each ``to_*`` returns what that toolkit stores, under its own names; each ``from_*`` takes these
 and returns a `Spectrum`. Their tiny negative eigenvalues (rounding of zero modes) become zero;
-larger ones are refused.
+larger ones are refused. Meshes of other toolkits need no adapter: see `geometry.as_geometry`.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from spectra_kit._checked import checked
-from spectra_kit._validate import check_mass
+from spectra_kit._validate import as_array, check_mass
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.operators.laplacian import Laplacian, lumped_diagonal
 from spectra_kit.spectra import Provenance, Spectrum
 
@@ -107,6 +108,54 @@ def from_arrays(
             " is `mass` the one they were computed with, in the same unit?"
         )
     return spectrum
+
+
+@checked
+def to_pyvista(geometry: Geometry, **point_arrays: ArrayLike | Spectrum) -> Any:
+    """Return a PyVista mesh with results on its points, to draw, filter or write on.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        With n points.
+    **point_arrays : array_like of shape (n,) or (n, c), or Spectrum
+        By name. The modes of a spectrum become arrays ``name_0``, ``name_1`` and so on.
+
+    Returns
+    -------
+    pyvista.PolyData
+        A copy: points, triangles if there are any, and `point_data`.
+
+    Raises
+    ------
+    InvalidInputError
+        If an array has not one row for each point.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> ball = sk.geometry.sphere(subdivisions=1).geometry
+    >>> sk.interop.to_pyvista(ball, mode=sk.spectrum(ball, 2)).point_data.keys()
+    ['mode_0', 'mode_1']
+    """
+    import pyvista
+
+    made: Any = pyvista.PolyData(np.array(geometry.points))
+    if isinstance(geometry, TriangleMesh):
+        faces: Any = np.array(geometry.faces)
+        made = pyvista.PolyData.from_regular_faces(made.points, faces)
+    for name, values in point_arrays.items():
+        spectral = isinstance(values, Spectrum)
+        array = as_array(name, values.eigenvectors if isinstance(values, Spectrum) else values)
+        if array.ndim not in (1, 2) or len(array) != geometry.n or array.dtype.kind not in "fiub":
+            raise InvalidInputError(
+                name,
+                f"hold numbers, a row for each of {geometry.n} points",
+                f"shape {array.shape} of {array.dtype}",
+            )
+        columns = {f"{name}_{i}": column for i, column in enumerate(array.T)}
+        made.point_data.update(columns if spectral else {name: array})
+    return made
 
 
 @checked

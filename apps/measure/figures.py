@@ -1,22 +1,24 @@
-"""Figures of measurements: panels of lines, and errors against seconds with the Pareto front."""
+"""Figures of measurements: panels of lines, and errors against seconds with the Pareto front.
+
+Matplotlib is imported when one is drawn: processes that measure need none.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from spectra_kit._files import atomic_path
 from spectra_kit.viz import Page, ParetoPoint, pareto_front, plot_pareto
 from spectra_kit.viz.axes import LINE_COLOURS
 
-Item = TypeVar("Item")
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: Errors below are rounding: as good as each other.
 ROUNDING = 1e-12
@@ -44,6 +46,9 @@ def draw_pareto(
 
 def panels(title: str, count: int = 1, *, width: float = 0.0) -> tuple[Figure, list[Axes]]:
     """Return a white page with its title and so many tidy axes beside each other."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(
         figsize=(width or (12 if count > 1 else 8), 4.4), facecolor="white", layout="constrained"
     )

@@ -19,7 +19,9 @@ _PACKAGES = (
 _SHARE = 0.85  # of the memory that is available
 
 
-def describe_machine(*, name: str = "", threads: int = 1, device: str = "cpu") -> Record:
+def describe_machine(
+    *, name: str = "", threads: int = 1, device: str = "cpu", commit: str = ""
+) -> Record:
     """Return processor, cores, memory, accelerator, versions and commit, as JSON.
 
     Parameters
@@ -30,6 +32,8 @@ def describe_machine(*, name: str = "", threads: int = 1, device: str = "cpu") -
         That were used.
     device : str
         With "cuda" the accelerator is named too; otherwise it is an empty string.
+    commit : str
+        Of the package, by default asked of git.
     """
     return {
         "name": name or platform.node(),
@@ -44,7 +48,7 @@ def describe_machine(*, name: str = "", threads: int = 1, device: str = "cpu") -
             "spectra_kit": VERSION,
             **{name: found for name in _PACKAGES if (found := _version(name))},
         },
-        "commit": current_commit(),
+        "commit": commit or current_commit(),
         "code": code_digest(),
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -47,6 +48,59 @@ class Result(Generic[Contender, Problem]):
     def reason(self) -> str:
         """Why it was not."""
         return str(self.record.get("reason", ""))
+
+
+@dataclass(frozen=True, eq=False)
+class Repeats(Generic[Contender, Problem]):
+    """All repeats of one contender on one problem.
+
+    Attributes
+    ----------
+    contender, problem : object
+        Of the study.
+    results : tuple of Result
+        At least one.
+    """
+
+    contender: Contender
+    problem: Problem
+    results: tuple[Result[Contender, Problem], ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether all were measured."""
+        return all(result.ok for result in self.results)
+
+    @property
+    def reason(self) -> str:
+        """Why the first that was not measured was not."""
+        return next((result.reason for result in self.results if not result.ok), "")
+
+    def values(self, name: str) -> list[Any]:
+        """Return what the records hold under a name, without those that do not."""
+        found = (result.record.get(name) for result in self.results)
+        return [value for value in found if value is not None]
+
+    def first(self, name: str) -> Any:
+        """Return the first of these, or None."""
+        return next(iter(self.values(name)), None)
+
+    def largest(self, name: str) -> Any:
+        """Return the largest of these, or None."""
+        return max(self.values(name), default=None)
+
+    def median(self, name: str) -> float | None:
+        """Return the median of these, or None where something was not measured."""
+        values = self.values(name)
+        return statistics.median(values) if values and self.ok else None
+
+
+def repeats_of(results: Iterable[Result[Contender, Problem]]) -> list[Repeats[Contender, Problem]]:
+    """Gather the repeats, in the order of the first of each."""
+    groups: dict[tuple[str, str], list[Result[Contender, Problem]]] = {}
+    for result in results:
+        groups.setdefault((str(result.contender), str(result.problem)), []).append(result)
+    return [Repeats(some[0].contender, some[0].problem, tuple(some)) for some in groups.values()]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -23,7 +23,7 @@ from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.matching import Match
 from spectra_kit.matching.result import Doubt
 from spectra_kit.operators import Laplacian
-from spectra_kit.operators.orientation import oriented_triangles
+from spectra_kit.operators.oriented import oriented_triangles
 from spectra_kit.spectra import Spectrum
 
 
@@ -61,7 +61,7 @@ def doubts_of(found: Match) -> str:
     other = "does not mirror" if found.mirrored else "mirrors"
     told: dict[Doubt, str] = {
         "margin": "another map scores nearly as well",
-        "other_side": f"one that {other} scores better",
+        "mirror_margin": f"one that {other} scores better",
         "orientation": "its orientation is not that of a whole map",
         "consistent": "it is in doubt which side of a cloud is out",
         "coverage": "it covers hardly more of the source than chance would",

@@ -44,7 +44,7 @@ from spectra_kit.functional_maps.convert import (
     functional_map_from_point_map,
     point_map_from_functional_map,
 )
-from spectra_kit.functional_maps.fit import fit_functional_map
+from spectra_kit.functional_maps.fit import FitWeights, fit_functional_map
 from spectra_kit.functional_maps.icp import icp
 from spectra_kit.functional_maps.nearest import nearest_rows
 from spectra_kit.functional_maps.precise import functional_map_from_precise_map, precise_map
@@ -52,6 +52,7 @@ from spectra_kit.functional_maps.zoomout import zoomout, zoomout_many
 
 __all__ = [
     "Correspondence",
+    "FitWeights",
     "bijective_zoomout",
     "fit_functional_map",
     "functional_map_from_point_map",

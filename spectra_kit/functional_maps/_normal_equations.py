@@ -128,9 +128,10 @@ def _factor(matrix: Floats) -> tuple[Floats, bool]:
         return cho_factor(matrix, lower=True)  # type: ignore[no-any-return]
     except LinAlgError as error:
         raise InvalidInputError(
-            "the weights (`commutativity`, `multiplication`, `orientation`, `landmark_weight`)"
-            " must leave the fit well conditioned, got a singular system;"
-            " bring them nearer to each other"
+            "weights",
+            "leave the fit well conditioned",
+            "a singular system",
+            advice="bring them nearer to each other",
         ) from error
 
 

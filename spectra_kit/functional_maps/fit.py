@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
-from spectra_kit._validate import check_indices, real_array
+from spectra_kit._validate import check_indices, check_weights, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps._normal_equations import minimise
 from spectra_kit.functional_maps._terms import (
@@ -19,12 +21,50 @@ from spectra_kit.functional_maps._terms import (
     preserved,
 )
 from spectra_kit.functional_maps.checks import at_unit_area, check_components, check_sizes
-from spectra_kit.operators.orientation import OrientedTriangles, orientation_operator
+from spectra_kit.operators.oriented import OrientedTriangles, orientation_operator
 from spectra_kit.spectra import Spectrum
 
 _RIDGE = 1e-12  # of |C|^2, where all else is of order 1: decides what nothing else does
 
 Landmarks = tuple[ArrayLike, ArrayLike]
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class FitWeights:
+    """Weights of the terms of `fit_functional_map` beside the descriptors, which have 1.
+
+    Parameters
+    ----------
+    commutativity : float, default 1.0
+        With the Laplacians, ``|C Lambda_1 - Lambda_2 C|^2``, masked.
+    multiplication : float, default 1.0
+        With multiplication by each descriptor; 0 leaves it out.
+    orientation : float, default 0.0
+        With the orientation operator of each descriptor, which only maps that keep the orientation
+        do; 0 leaves it out.
+    landmarks : float, default 1.0
+        Of carrying the delta function of each landmark to that of the other.
+
+    Raises
+    ------
+    InvalidInputError
+        If a weight is negative or not finite.
+
+    Examples
+    --------
+    >>> from spectra_kit.functional_maps import FitWeights
+    >>> FitWeights(orientation=1.0).multiplication
+    1.0
+    """
+
+    commutativity: float = 1.0
+    multiplication: float = 1.0
+    orientation: float = 0.0
+    landmarks: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_weights(vars(self))
 
 
 @checked
@@ -35,15 +75,11 @@ def fit_functional_map(
     target_descriptors: ArrayLike,
     *,
     k: int | tuple[int, int] = 30,
-    commutativity: float = 1.0,
     mask: Mask = "resolvent",
-    multiplication: float = 1.0,
-    orientation: float = 0.0,
-    reversing: bool = False,
-    source_orientation: OrientedTriangles | None = None,
-    target_orientation: OrientedTriangles | None = None,
+    weights: FitWeights = FitWeights(),
+    oriented: tuple[OrientedTriangles, OrientedTriangles] | None = None,
+    mirrored: bool = False,
     landmarks: Landmarks | None = None,
-    landmark_weight: float = 1.0,
 ) -> Floats:
     """Fit a functional map to descriptors that two surfaces have in common.
 
@@ -57,24 +93,17 @@ def fit_functional_map(
         different units, pass them through `descriptors.normalize_descriptors` first.
     k : int or (int, int), default 30
         Size of the map, or (source's, target's).
-    commutativity : float, default 1.0
-        Weight of ``|C Lambda_1 - Lambda_2 C|^2``, masked; see `mask`.
     mask : {"resolvent", "standard"}, default "resolvent"
         Commute with the resolvent of the Laplacian's square root, or with the Laplacian itself,
         which punishes the high modes most.
-    multiplication : float, default 1.0
-        Weight of commutativity with multiplication by each descriptor; 0 leaves it out.
-    orientation : float, default 0.0
-        Weight of commutativity with the orientation operator of each descriptor, which only maps
-        that keep the orientation do; 0 leaves it out.
-    reversing : bool, default False
+    weights : FitWeights
+        Of all that counts beside the descriptors.
+    oriented : (OrientedTriangles, OrientedTriangles), optional
+        Of the source and of the target; needed for a positive weight of the orientation.
+    mirrored : bool, default False
         Ask for a map that turns the orientation round instead, as between left and right.
-    source_orientation, target_orientation : OrientedTriangles, optional
-        Needed for a positive `orientation`.
     landmarks : (array_like of shape (l,), array_like of shape (l,)), optional
         Points of the source and the points of the target that correspond to them.
-    landmark_weight : float, default 1.0
-        Weight of carrying the delta function of each landmark to that of the other.
 
     Returns
     -------
@@ -85,8 +114,8 @@ def fit_functional_map(
     ------
     InvalidInputError
         If arrays do not fit the spectra, the surfaces differ in their number of components,
-        landmarks are empty, a weight is negative, no orientation comes with a positive weight of
-        it, or weights of very different size make a singular system.
+        landmarks are empty, no triangles come with a positive weight of the orientation, or weights
+        of very different size make a singular system.
     ConvergenceError
         If a large fit with operators is too badly conditioned for conjugate gradients.
 
@@ -134,13 +163,6 @@ def fit_functional_map(
             "`source_descriptors` and `target_descriptors` must have the same number of columns,"
             f" got {f.shape[1]} and {g.shape[1]}"
         )
-    for name, value in (
-        ("commutativity", commutativity),
-        ("multiplication", multiplication),
-        ("orientation", orientation),
-        ("landmark_weight", landmark_weight),
-    ):
-        _check_weight(name, value)
     one, other = source.truncate(k1), target.truncate(k2)
     constants = one.project(np.ones(source.n)), other.project(np.ones(target.n))
     terms = [
@@ -149,23 +171,22 @@ def fit_functional_map(
     if landmarks is not None:
         here, there = check_landmarks(landmarks, source.n, target.n)
         deltas = one.eigenvectors[here].T, other.eigenvectors[there].T
-        terms.append(preserved("landmarks", *deltas, constants, landmark_weight))
+        terms.append(preserved("landmarks", *deltas, constants, weights.landmarks))
     operators = []
-    if multiplication or orientation:
+    if weights.multiplication or weights.orientation:
         f, g = few_combinations(source, target, f, g)
-    if multiplication:
+    if weights.multiplication:
         pair = multiplication_operators(one, k1, f), multiplication_operators(other, k2, g)
-        operators.append(commuting("multiplication", *pair, multiplication))
-    if orientation:
-        first = _oriented("source_orientation", source_orientation, source.n)
-        second = _oriented("target_orientation", target_orientation, target.n)
+        operators.append(commuting("multiplication", *pair, weights.multiplication))
+    if weights.orientation:
+        first, second = _checked_triangles(oriented, source.n, target.n)
         pair = (
             orientation_operator(first, one.eigenvectors, f),
-            orientation_operator(second, other.eigenvectors, g) * (-1 if reversing else 1),
+            orientation_operator(second, other.eigenvectors, g) * (-1 if mirrored else 1),
         )
-        operators.append(commuting("orientation", *pair, orientation))
-    weights = commutativity * laplacian_mask(mask, one.eigenvalues, other.eigenvalues) + _RIDGE
-    return minimise(weights, terms, operators, constants)
+        operators.append(commuting("orientation", *pair, weights.orientation))
+    masked = laplacian_mask(mask, one.eigenvalues, other.eigenvalues)
+    return minimise(weights.commutativity * masked + _RIDGE, terms, operators, constants)
 
 
 def _descriptors(name: str, values: ArrayLike, spectrum: Spectrum) -> Floats:
@@ -173,18 +194,14 @@ def _descriptors(name: str, values: ArrayLike, spectrum: Spectrum) -> Floats:
     f = real_array(name, values)
     if f.ndim != 2 or len(f) != spectrum.n or f.shape[1] == 0:
         raise InvalidInputError(
-            f"`{name}` must have shape ({spectrum.n}, p), p >= 1 functions on the points of the"
-            f" spectrum, got {f.shape}"
+            name,
+            f"have shape ({spectrum.n}, p), p >= 1 functions on the points of the spectrum",
+            f.shape,
         )
     varying = f - spectrum.mass @ f / spectrum.area
     # A constant that rounding has left some noise of is still a constant.
     varying[:, spectrum.mass @ varying**2 <= 1e-24 * (spectrum.mass @ f**2)] = 0.0
     return np.asarray(varying)
-
-
-def _check_weight(name: str, value: float) -> None:
-    if not (isinstance(value, int | float | np.number) and 0 <= value < np.inf):
-        raise InvalidInputError(f"`{name}` must be a finite weight >= 0, got {value!r}")
 
 
 def check_landmarks(
@@ -193,28 +210,34 @@ def check_landmarks(
     """Return the landmarks as checked indices of the source and of the target."""
     if not isinstance(landmarks, tuple) or len(landmarks) != 2:
         raise InvalidInputError(
-            "`landmarks` must be a pair (points of the source, points of the target), as a tuple,"
-            f" got {type(landmarks).__name__}"
+            "landmarks",
+            "be a pair (points of the source, points of the target), as a tuple",
+            type(landmarks).__name__,
         )
     shapes = np.shape(landmarks[0]), np.shape(landmarks[1])
     if shapes[0] != shapes[1] or len(shapes[0]) != 1 or shapes[0] == (0,):
         raise InvalidInputError(
-            "`landmarks` must be two lists of one length, at least 1, got shapes"
-            f" {shapes[0]} and {shapes[1]}; pass None for no landmarks"
+            "landmarks",
+            "be two lists of one length, at least 1",
+            f"shapes {shapes[0]} and {shapes[1]}",
+            advice="pass None for no landmarks",
         )
     here = check_indices("landmarks of the source", landmarks[0], n_source)
     there = check_indices("landmarks of the target", landmarks[1], n_target)
     return here, there
 
 
-def _oriented(name: str, oriented: OrientedTriangles | None, n: int) -> OrientedTriangles:
+def _checked_triangles(
+    oriented: tuple[OrientedTriangles, OrientedTriangles] | None, n_source: int, n_target: int
+) -> tuple[OrientedTriangles, OrientedTriangles]:
     if oriented is None:
         raise InvalidInputError(
-            f"`{name}` must be given where `orientation` is positive, got None;"
-            " pass oriented_triangles(geometry)"
+            "oriented",
+            "be given where the weight of the orientation is positive",
+            "None",
+            advice="pass oriented_triangles of both geometries",
         )
-    if oriented.n != n:
-        raise InvalidInputError(
-            f"`{name}` must be on the {n} points of the spectrum, got {oriented.n}"
-        )
+    if (counts := (oriented[0].n, oriented[1].n)) != (n_source, n_target):
+        expected = f"be on the {n_source} and {n_target} points of the spectra"
+        raise InvalidInputError("oriented", expected, f"{counts[0]} and {counts[1]}")
     return oriented

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,6 +13,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._checked import checked
+from spectra_kit._display import draw, drawn
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt, check_faces, check_points, frozen
 from spectra_kit.errors import InvalidInputError
@@ -20,7 +22,19 @@ _BLOCK = 1 << 16
 
 
 class _Shape(Rebuilt):
-    """What both kinds share: what else they may be given as."""
+    """What both kinds share: what else they may be given as, and how they show themselves."""
+
+    points: Floats
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
+        """Draw it; return the `viz.Picture`, which is written to `path` if there is one."""
+        return draw("plot_fields", path, self, self._field())
+
+    def _repr_html_(self) -> str:
+        return drawn(repr(self), "plot_fields", self, self._field())
+
+    def _field(self) -> dict[str, Floats]:
+        return {repr(self): np.zeros(len(self.points))}
 
     @staticmethod
     def _made_of(thing: Any) -> Geometry:
@@ -133,7 +147,8 @@ class TriangleMesh(_Shape):
     def face_areas(self) -> Floats:
         """Area of each triangle, shape (f,), in length^2."""
         areas, _, exponents = _measures(self.points, self.faces)
-        return frozen(np.ldexp(areas, 2 * exponents))
+        with np.errstate(over="ignore"):  # infinite is what they are in this unit
+            return frozen(np.ldexp(areas, 2 * exponents))
 
     @property
     def area(self) -> float:

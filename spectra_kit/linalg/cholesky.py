@@ -45,8 +45,9 @@ class SparseCholesky:
         rows, columns = matrix.shape
         if rows != columns or matrix.nnz > _MAX_ENTRIES:
             raise InvalidInputError(
-                f"`matrix` must be square with at most {_MAX_ENTRIES} entries,"
-                f" got shape {matrix.shape} with {matrix.nnz}"
+                "matrix",
+                f"be square with at most {_MAX_ENTRIES} entries",
+                f"shape {matrix.shape} with {matrix.nnz}",
             )
         self.n = rows
         rowwise = sparse.csr_array(matrix, dtype=np.float64)

@@ -1,6 +1,7 @@
-"""Match two surfaces without flipping them: candidates, their scores, the best one refined."""
+"""Match two surfaces without mirroring them: candidates, their scores, the best one refined."""
 
 from spectra_kit.matching.match import match
+from spectra_kit.matching.options import MatchOptions, ScoreWeights
 from spectra_kit.matching.prepare import Prepared, prepare
 from spectra_kit.matching.result import Candidate, Match
 from spectra_kit.matching.score import (
@@ -13,7 +14,9 @@ from spectra_kit.matching.score import (
 __all__ = [
     "Candidate",
     "Match",
+    "MatchOptions",
     "Prepared",
+    "ScoreWeights",
     "coverage_over_chance",
     "match",
     "mismatches",

@@ -1,4 +1,4 @@
-"""Candidate maps: all signs and likely orders of the lowest modes, grown with an eye on the side.
+"""Candidate maps: all signs and likely orders of the lowest modes, grown with their orientation.
 
 A near-isometric pair leaves the signs of the lowest modes open, and the order of those whose
 eigenvalues are close (Ren et al. 2020 explore both as a tree). Each choice is one candidate: a
@@ -22,55 +22,52 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from spectra_kit._types import Floats, Ints
+from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.prepare import Prepared, curvatures
 from spectra_kit.spectra import Spectrum
 
-_SIGNED = 7  # modes whose signs are tried, the constant aside: 2^6 candidates
-_ORDERS = 32  # likeliest orders of these modes that are tried: 2048 candidates
-_FEW = 48  # samples on which these are compared
-_LEFT = 96  # how many then start to grow
-_KEPT = {8: 48, 11: 16}  # how many go on from so many modes
-GROWN = 30  # modes that a candidate is grown to
-_SAMPLES = 200
-_FORMS = 8  # modes whose area forms are compared
-_FORMS_UNTIL = 20  # modes from which a map holds its orientation by itself
-_FORM_SHARE = 0.5  # squared length of the area forms, relative to that of the modes
-_CURVATURE_SHARE = 0.1  # the same for curvature
-_COLUMNS = slice(0, 3)  # of the smoothed curvatures
 
-
-def sign_candidates(source: Prepared, target: Prepared, *, reversing: bool = False) -> Floats:
+def sign_candidates(
+    source: Prepared,
+    target: Prepared,
+    *,
+    mirrored: bool = False,
+    options: MatchOptions = DEFAULT,
+) -> Floats:
     """Return candidate functional maps, grown from all signs and likely orders of low modes.
 
     Parameters
     ----------
     source, target : Prepared
         The surfaces.
-    reversing : bool, default False
-        Look for maps that turn the surface over, like a mirror. Needs both geometries.
+    mirrored : bool, default False
+        Look for maps that mirror. Needs both geometries.
+    options : MatchOptions
+        How many, and by what they grow.
 
     Returns
     -------
     ndarray of shape (16, 30, 30)
         Functional maps (k2, k1) of source to target, the 16 that fit best on the way.
     """
-    first, second = source.samples[:_SAMPLES], target.samples[:_SAMPLES]
+    first, second = (side.samples[: options.growing_samples] for side in (source, target))
     a, b = source.spectrum, target.spectrum
     samples = _Samples(
-        a.eigenvectors[first, :GROWN],
-        b.eigenvectors[second, :GROWN],
-        _form_values(source, target, first, second, reversing),
-        _curvatures(source, target, first, second),
+        a.eigenvectors[first, : options.grown_modes],
+        b.eigenvectors[second, : options.grown_modes],
+        _form_values(source, target, first, second, mirrored, options),
+        _curvatures(source, target, first, second, options),
+        options,
     )
-    maps = _starts(a, b)
-    _, fits = samples.head(_FEW).nearest(maps)
-    maps = maps[_best(fits, _LEFT)]
+    maps, kept = _starts(a, b, options), dict(options.kept)
+    _, fits = samples.head(options.first_samples).nearest(maps)
+    maps = maps[_best(fits, options.growing)]
     Q, R = np.linalg.qr(samples.rows2)
-    for k in range(_SIGNED, GROWN + 1):
+    for k in range(options.signed_modes, options.grown_modes + 1):
         nearest, fits = samples.nearest(maps)
-        if k in _KEPT:
-            nearest = nearest[_best(fits, _KEPT[k])]
-        k_next = min(k + 1, GROWN)
+        if k in kept:
+            nearest = nearest[_best(fits, kept[k])]
+        k_next = min(k + 1, options.grown_modes)
         fit = solve_triangular(R[:k_next, :k_next], Q[:, :k_next].T)
         maps = fit @ samples.rows1[:, :k_next][nearest]
     return maps
@@ -81,19 +78,20 @@ def _best(fits: Floats, count: int) -> Ints:
     return np.argsort(-fits, kind="stable")[:count]
 
 
-def _starts(a: Spectrum, b: Spectrum) -> Floats:
-    """Return signed permutations of the lowest modes, (c, 7, 7): all signs, the likeliest orders.
+def _starts(a: Spectrum, b: Spectrum, options: MatchOptions) -> Floats:
+    """Return signed permutations of the lowest modes, (c, 7, 7): all signs, likely orders.
 
     An order is the likelier, the less the logarithms of the eigenvalues that it pairs differ.
     """
-    logs1, logs2 = np.log(a.eigenvalues[1:_SIGNED]), np.log(b.eigenvalues[1:_SIGNED])
-    orders = np.array(list(permutations(range(_SIGNED - 1))))
+    m = options.signed_modes
+    logs1, logs2 = np.log(a.eigenvalues[1:m]), np.log(b.eigenvalues[1:m])
+    orders = np.array(list(permutations(range(m - 1))))
     differ = ((logs1[orders] - logs2) ** 2).sum(axis=1)
-    orders = 1 + orders[np.argsort(differ, kind="stable")[:_ORDERS]]
-    ordered = np.eye(_SIGNED)[np.insert(orders, 0, 0, axis=1)]
+    orders = 1 + orders[np.argsort(differ, kind="stable")[: options.orders]]
+    ordered = np.eye(m)[np.insert(orders, 0, 0, axis=1)]
     constant = np.sign(a.eigenvectors[0, 0] * b.eigenvectors[0, 0])
-    signs = np.array([(constant, *s) for s in product((1.0, -1.0), repeat=_SIGNED - 1)])
-    starts: Floats = (signs[:, None, :, None] * ordered).reshape(-1, _SIGNED, _SIGNED)
+    signs = np.array([(constant, *s) for s in product((1.0, -1.0), repeat=m - 1)])
+    starts: Floats = (signs[:, None, :, None] * ordered).reshape(-1, m, m)
     return starts
 
 
@@ -124,6 +122,7 @@ class _Samples(NamedTuple):
     rows2: Floats  # (s2, 30) and of the target
     forms: _Forms | None
     curved: tuple[Floats, Floats] | None
+    options: MatchOptions
 
     def head(self, count: int) -> _Samples:
         """Return the first samples."""
@@ -132,23 +131,25 @@ class _Samples(NamedTuple):
             forms = forms._replace(source=forms.source[:count], target=forms.target[:count])
         if curved is not None:
             curved = (curved[0][:count], curved[1][:count])
-        return _Samples(self.rows1[:count], self.rows2[:count], forms, curved)
+        return self._replace(
+            rows1=self.rows1[:count], rows2=self.rows2[:count], forms=forms, curved=curved
+        )
 
     def nearest(self, maps: Floats) -> tuple[Ints, Floats]:
         """Return the source's sample nearest to each of the target's, (c, s2), and the fit (c,).
 
         The fit is the sum of ``row2 . row1 - |row1|^2 / 2``: the larger, the nearer they are.
         """
-        k = maps.shape[1]
+        k, options = maps.shape[1], self.options
         columns1 = [self.rows1[:, :k] @ maps.transpose(0, 2, 1)]
         columns2 = [self.rows2[:, :k]]
-        if self.forms is not None and k < _FORMS_UNTIL:
-            weight = np.sqrt(_FORM_SHARE * k / self.forms.target.shape[1])
+        if self.forms is not None and k < options.forms_until:
+            weight = np.sqrt(options.form_share * k / self.forms.target.shape[1])
             columns1.append(weight * self.forms.mapped(maps))
             columns2.append(weight * self.forms.target)
         if self.curved is not None:
             on_source, on_target = self.curved
-            weight = np.sqrt(_CURVATURE_SHARE * k / on_target.shape[1])
+            weight = np.sqrt(options.curvature_share * k / on_target.shape[1])
             columns1.append(np.broadcast_to(weight * on_source, (len(maps), *on_source.shape)))
             columns2.append(weight * on_target)
         images = np.concatenate(columns1, axis=2, dtype=np.float32).transpose(0, 2, 1)
@@ -158,32 +159,39 @@ class _Samples(NamedTuple):
 
 
 def _form_values(
-    source: Prepared, target: Prepared, first: Ints, second: Ints, reversing: bool
+    source: Prepared,
+    target: Prepared,
+    first: Ints,
+    second: Ints,
+    mirrored: bool,
+    options: MatchOptions = DEFAULT,
 ) -> _Forms | None:
     """Return the area forms at the samples, or None without both geometries."""
     if source.surface is None or target.surface is None:
         return None
+    m = options.form_modes
     values = [
         np.einsum(
             "sl,lij->sij",
             side.spectrum.eigenvectors[chosen, : len(form)],
-            form[:, :_FORMS, :_FORMS],
+            form[:, :m, :m],
         )
         for side, form, chosen in (
             (source, source.surface.form, first),
             (target, target.surface.form, second),
         )
     ]
-    i, j = np.triu_indices(_FORMS, 1)
+    i, j = np.triu_indices(m, 1)
     pairs = (i[i > 0], j[i > 0])  # those with the constant vanish
     on_target = values[1][:, pairs[0], pairs[1]]
     scale = np.sqrt((on_target**2).mean(axis=0))
-    return _Forms(values[0], (-on_target if reversing else on_target) / scale, scale, pairs)
+    return _Forms(values[0], (-on_target if mirrored else on_target) / scale, scale, pairs)
 
 
 def _curvatures(
-    source: Prepared, target: Prepared, first: Ints, second: Ints
+    source: Prepared, target: Prepared, first: Ints, second: Ints, options: MatchOptions
 ) -> tuple[Floats, Floats] | None:
     """Return the finer curvatures at the samples, where they can be compared."""
     both = curvatures(source, target)
-    return both and (both[0][first, _COLUMNS], both[1][second, _COLUMNS])
+    few = options.growing_curvatures
+    return both and (both[0][first, :few], both[1][second, :few])

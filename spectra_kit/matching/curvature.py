@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spectra_kit._types import Floats
-from spectra_kit.operators.orientation import OrientedTriangles
+from spectra_kit.operators.oriented import OrientedTriangles
 from spectra_kit.spectra import Spectrum
 
 

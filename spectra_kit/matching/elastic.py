@@ -16,19 +16,20 @@ from spectra_kit._types import Floats, Ints
 from spectra_kit.linalg.cholesky import SparseCholesky
 from spectra_kit.linalg.threads import in_threads, ranges
 from spectra_kit.matching.curvature import outward_normals
+from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.prepare import Surface
-from spectra_kit.operators.orientation import OrientedTriangles
+from spectra_kit.operators.oriented import OrientedTriangles
 
-_PULL = 400.0  # weight of the target, in 1/area: rigid below lengths of 1/20 of the root of it
-_NORMAL = 0.05  # length that a turn of the normal by one radian counts like
-_ROUNDS = 5  # of finding nearest points
-_BENDS = 2  # of bending within each round
-_FIRST_BENDS = 8
 _SHARE = 2500  # rotations that a thread works out at a time
 
 
 def elastic_point_map(
-    source: Surface, target: Surface, way_there: Ints, *, mirrored: bool = False
+    source: Surface,
+    target: Surface,
+    way_there: Ints,
+    *,
+    mirrored: bool = False,
+    options: MatchOptions = DEFAULT,
 ) -> Ints:
     """Refine a map by bending the source as rigidly as possible onto the target.
 
@@ -40,6 +41,8 @@ def elastic_point_map(
         The target point of each source point, to begin with.
     mirrored : bool, default False
         Whether the target is a mirror image of the source.
+    options : MatchOptions
+        How stiff, and how often.
 
     Returns
     -------
@@ -55,21 +58,20 @@ def elastic_point_map(
     """
     points = source.points * ([-1.0, 1.0, 1.0] if mirrored else 1.0)
     oriented = source.oriented.reversed() if mirrored else source.oriented
-    bend = _bending(points, oriented, source.mass)
-    there = np.hstack([target.points, _NORMAL * outward_normals(target.points, target.oriented)])
+    bend, scale = _bending(points, oriented, source.mass, options.pull), options.normal_length
+    there = np.hstack([target.points, scale * outward_normals(target.points, target.oriented)])
     tree = cKDTree(there)
     bent = target.points[way_there]
-    bends = _FIRST_BENDS
-    for _ in range(_ROUNDS):
+    for i in range(options.rounds):
+        bends = options.bends if i else options.first_bends
         bent = bend(bent, target.points[way_there], bends)
-        bends = _BENDS
-        here = np.hstack([bent, _NORMAL * outward_normals(bent, oriented)])
+        here = np.hstack([bent, scale * outward_normals(bent, oriented)])
         way_there = tree.query(here)[1]
     return np.asarray(cKDTree(here).query(there)[1], dtype=np.int64)
 
 
 def _bending(
-    points: Floats, oriented: OrientedTriangles, mass: Floats
+    points: Floats, oriented: OrientedTriangles, mass: Floats, pull: float
 ) -> Callable[[Floats, Floats, int], Floats]:
     """Return the function that bends `points` to goals, from some positions, so many times."""
     i, j, w = _edges(points, oriented)
@@ -77,7 +79,7 @@ def _bending(
     graph = sparse.coo_array((w, (i, j)), shape=(n, n)).tocsr()
     graph = graph + graph.T
     stiffness = sparse.diags_array(np.asarray(graph.sum(axis=1)).ravel()) - graph
-    factor = SparseCholesky(sparse.csr_array(stiffness + sparse.diags_array(_PULL * mass)))
+    factor = SparseCholesky(sparse.csr_array(stiffness + sparse.diags_array(pull * mass)))
     sides = points[i] - points[j]
     tails = sparse.csr_array((np.ones(len(i)), (i, np.arange(len(i)))), shape=(n, len(i)))
     heads = sparse.csr_array((np.ones(len(j)), (j, np.arange(len(j)))), shape=(n, len(j)))
@@ -88,9 +90,7 @@ def _bending(
             outer = (w[:, None] * sides)[:, :, None] * (bent[i] - bent[j])[:, None, :]
             rotations = _rotations((both @ outer.reshape(-1, 9)).reshape(n, 3, 3))
             turned = 0.5 * np.einsum("eij,ej->ei", rotations[i] + rotations[j], sides)
-            bent = factor.solve(
-                difference @ (w[:, None] * turned) + (_PULL * mass)[:, None] * goals
-            )
+            bent = factor.solve(difference @ (w[:, None] * turned) + (pull * mass)[:, None] * goals)
         return bent
 
     return bend

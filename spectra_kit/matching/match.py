@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -21,8 +21,9 @@ from spectra_kit.functional_maps.fit import Landmarks, check_landmarks
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.geometry import Geometry
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas
-from spectra_kit.matching.candidates import GROWN, sign_candidates
+from spectra_kit.matching.candidates import sign_candidates
 from spectra_kit.matching.elastic import elastic_point_map
+from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.prepare import LOWEST_K, Prepared, curvatures, prepare
 from spectra_kit.matching.result import Candidate, Match
 from spectra_kit.matching.score import (
@@ -34,16 +35,6 @@ from spectra_kit.matching.score import (
 from spectra_kit.spectra import Spectrum
 
 Pairs = tuple[Ints, Ints]
-Sides = Literal["kept", "reversed", "either"]
-
-_SAME = 0.05  # squared difference per mode below which two maps are one
-_RIVAL = 0.15  # the same, below which one is no rival of the other
-_SEEN = 20  # energies of the wave kernel signature seen from each landmark
-_FINALISTS = 6  # candidates that are refined
-_REFINED = 60  # modes they are refined to
-_STEPS = 3  # from there to the end
-_CURVATURE = 2.0  # scale of each curvature in those steps: it counts like four modes
-_MIRRORED = 1.5  # how many times better a mirroring map must be to be believed
 
 
 @checked
@@ -54,9 +45,10 @@ def match(
     source_geometry: Geometry | None = None,
     target_geometry: Geometry | None = None,
     landmarks: Landmarks | None = None,
-    sides: Sides = "either",
+    mirrored: bool | None = None,
     k: int = 150,
     elastic: bool = True,
+    options: MatchOptions = DEFAULT,
 ) -> Match:
     """Find which point of the source corresponds to each point of the target.
 
@@ -70,15 +62,17 @@ def match(
     landmarks : (array_like of shape (l,), array_like of shape (l,)), optional
         Source and target points known to correspond. They make one more candidate and count in
         the scores; the final map is free to leave them by a little.
-    sides : {"either", "kept", "reversed"}
-        Whether maps may turn the surface over. ``either`` prefers those that do not, unless a
-        mirroring one is 1.5 times better: as a mirrored copy is, but not one that is bent as well
-        and looks much like its mirror image. Say ``reversed`` where that is known.
+    mirrored : bool, optional
+        Whether maps turn the surface over. Both are tried without it, and those that do not are
+        preferred, unless a mirrored one is 1.5 times better: as a mirrored copy is, but not one
+        that is bent as well and looks much like its mirror image. Say so where it is known.
     k : int, default 150
         Modes to end with; fewer where a spectrum has fewer. Of the longer one the modes beyond
         the shorter are left out, as descriptors depend on all modes.
     elastic : bool, default True
         Whether to bend the source onto the target in the end, where both geometries are given.
+    options : MatchOptions
+        What is tried and believed.
 
     Returns
     -------
@@ -88,9 +82,8 @@ def match(
     Raises
     ------
     InvalidInputError
-        If a spectrum has fewer than 30 modes or several components, `k` is below 30, reversed
-        sides are asked for without both geometries, or landmarks are empty, unpaired or out of
-        range.
+        If a spectrum has fewer than 30 modes or several components, `k` is below 30, `mirrored`
+        is given without both geometries, or landmarks are empty, unpaired or out of range.
 
     Warns
     -----
@@ -113,64 +106,71 @@ def match(
     """
     a = _prepared("source", source, source_geometry)
     b = _prepared("target", target, target_geometry)
-    if sides not in ("either", "kept", "reversed"):
-        raise InvalidInputError(f"`sides` must be 'either', 'kept' or 'reversed', got {sides!r}")
     k = min(check_count("k", k, low=LOWEST_K), a.spectrum.k, b.spectrum.k)
-    has_sides = a.surface is not None
-    if has_sides != (b.surface is not None):
+    seen = a.surface is not None
+    if seen != (b.surface is not None):
         raise InvalidInputError(
-            "`source` and `target` must come both with their geometry or both without, got only"
-            f" that of the {'source' if has_sides else 'target'}; pass the other one, too"
+            "source",
+            "come with its geometry as `target` does, or both without",
+            f"only that of the {'source' if seen else 'target'}",
+            advice="pass the other one, too",
         )
-    if sides != "either" and not has_sides:
+    if mirrored is not None and not seen:
         raise InvalidInputError(
-            f"`sides={sides!r}` needs both geometries, got none;"
-            " pass source_geometry and target_geometry"
+            "mirrored",
+            "be None without both geometries",
+            mirrored,
+            advice="pass source_geometry and target_geometry",
         )
-    ways = {"either": (False, True), "kept": (False,), "reversed": (True,)}[sides]
+    ways = (False, True) if mirrored is None and seen else (bool(mirrored),)
     pairs = None if landmarks is None else check_landmarks(landmarks, a.spectrum.n, b.spectrum.n)
     fewer = min(a.spectrum.k, b.spectrum.k)
     a, b = a.truncate(fewer), b.truncate(fewer)
     with single_threaded_blas():  # small products: the threads are ours
-        found = _both_ways(a, b, ways if has_sides else (False,), pairs)
-        if len(found) == 2 and found[1][0].score * _MIRRORED < found[0][0].score:
+        search = _Search(a, b, pairs, options)
+        found = in_threads(search.candidates, ((way,) for way in ways))
+        if len(found) == 2 and found[1][0].score * options.mirrored_by < found[0][0].score:
             found.reverse()
         chosen = found[0][0]
-        point_map, functional_map = _refined(a, b, chosen, k, elastic)
+        point_map, functional_map = _refined(a, b, chosen, k, elastic, options)
     opposite = [c.score for c in found[-1]] if len(found) == 2 else []
-    rivals = [c.score for c in found[0][1:] if _apart(c, chosen) > _RIVAL]
+    rivals = [c.score for c in found[0][1:] if _apart(c, chosen) > options.rival]
     made = Match(
         point_map=point_map,
         functional_map=functional_map,
-        mirrored=chosen.reversing,
+        mirrored=chosen.mirrored,
         orientation=orientation_of(a, b, functional_map),
         margin=min(rivals) / chosen.score if rivals else float("inf"),
-        other_side=min(opposite) / chosen.score if opposite else float("inf"),
+        mirror_margin=min(opposite) / chosen.score if opposite else float("inf"),
         consistent=min(
             1.0 if side.surface is None else side.surface.oriented.consistent for side in (a, b)
         ),
         coverage=coverage_over_chance(a.spectrum, b.spectrum, point_map),
         candidates=tuple(c for way in found for c in way),
+        options=options,
     )
     if not made.convincing:
         warn(
-            f"no convincing map: its mismatch is {made.score:.2f} (right maps: below 0.47), and it"
-            f" covers {made.coverage:.2f} times as much as chance would (right maps: 1.1 and more);"
-            " the surfaces may not correspond; look at the map, give `landmarks`, or try another"
-            " `k` (150 match best)",
+            f"no convincing map: its mismatch is {made.score:.2f} (right maps: below"
+            f" {options.convincing_score:g}), and it covers {made.coverage:.2f} times as much as"
+            f" chance would (right maps: {options.convincing_coverage:g} and more)",
             DoubtfulMatchWarning,
+            advice="the surfaces may not correspond; look at the map, give {}, or try another"
+            " {} (150 match best)",
+            remedies=("landmarks", "k"),
         )
     return made
 
 
 def _refined(
-    a: Prepared, b: Prepared, chosen: Candidate, k: int, elastic: bool
+    a: Prepared, b: Prepared, chosen: Candidate, k: int, elastic: bool, options: MatchOptions
 ) -> tuple[Ints, Floats]:
     """Return the point map and the functional map that a candidate is refined to."""
     start = chosen.functional_map[:k, :k]
-    step = -(-(k - len(start)) // _STEPS)
+    step = -(-(k - len(start)) // options.last_steps)
     curved = curvatures(a, b)
-    features = curved and (_CURVATURE * curved[0], _CURVATURE * curved[1])
+    scale = options.curvature_scale
+    features = curved and (scale * curved[0], scale * curved[1])
     result = bijective_zoomout(
         a.spectrum, b.spectrum, start, k_final=k, step=max(step, 1), features=features
     )
@@ -181,74 +181,75 @@ def _refined(
     if features is not None:
         rows1, rows2 = np.hstack([rows1, features[0]]), np.hstack([rows2, features[1]])
     way_there = nearest(rows1, rows2)
-    point_map = elastic_point_map(a.surface, b.surface, way_there, mirrored=chosen.reversing)
+    point_map = elastic_point_map(
+        a.surface, b.surface, way_there, mirrored=chosen.mirrored, options=options
+    )
     return point_map, functional_map_from_point_map(a.spectrum, b.spectrum, point_map, k=k)
 
 
-def _both_ways(
-    a: Prepared, b: Prepared, ways: tuple[bool, ...], landmarks: Pairs | None
-) -> list[list[Candidate]]:
-    """Return the candidates of each way round, looked for side by side."""
-    fit = None if landmarks is None else _landmark_fit(a, b, landmarks)
-    found: list[list[Candidate]] = [[] for _ in ways]
+class _Search:
+    """The search for candidates of one pair."""
 
-    def look(i: int) -> None:
-        found[i] = _candidates(a, b, ways[i], landmarks, fit)
+    def __init__(
+        self, a: Prepared, b: Prepared, landmarks: Pairs | None, options: MatchOptions
+    ) -> None:
+        self._a, self._b, self._landmarks, self._options = a, b, landmarks, options
+        self._fit = None if landmarks is None else self._fitted(landmarks)
 
-    in_threads(look, [(i,) for i in range(len(ways))])
-    return found
-
-
-def _candidates(
-    a: Prepared, b: Prepared, reversing: bool, landmarks: Pairs | None, fit: Floats | None
-) -> list[Candidate]:
-    """Return the refined candidates of one way round, the best first."""
-    maps = list(sign_candidates(a, b, reversing=reversing))
-    if fit is not None and ((orientation_of(a, b, fit) or 1.0) < 0) == reversing:
-        maps.append(fit)
-    grown = [_scored(a, b, C, reversing, landmarks, rough=True) for C in maps]
-    finalists = _distinct(grown)[:_FINALISTS]
-    k = min(_REFINED, a.spectrum.k, b.spectrum.k)
-    refined, _ = zoomout_many(
-        a.spectrum.eigenvectors[a.samples, :k],
-        b.spectrum.eigenvectors[b.samples, :k],
-        np.stack([c.functional_map for c in finalists]),
-        k_final=k,
-        step=6,
-    )
-    return _distinct([_scored(a, b, C, reversing, landmarks) for C in refined])
-
-
-def _landmark_fit(a: Prepared, b: Prepared, landmarks: Pairs) -> Floats:
-    """Return the functional map that fits the landmarks and what is seen from them."""
-    f, g = (
-        normalize_descriptors(
-            side.spectrum,
-            np.hstack(
-                [
-                    side.wave,
-                    landmark_wave_kernel_signature(side.spectrum, points, count=_SEEN),
-                ]
-            ),
+    def candidates(self, mirrored: bool) -> list[Candidate]:
+        """Return the refined candidates that mirror, or those that do not; the best first."""
+        a, b, options = self._a, self._b, self._options
+        maps = list(sign_candidates(a, b, mirrored=mirrored, options=options))
+        fit = self._fit
+        if fit is not None and ((orientation_of(a, b, fit) or 1.0) < 0) == mirrored:
+            maps.append(fit)
+        grown = self._distinct(self._scored(C, mirrored, rough=True) for C in maps)
+        k = min(options.refined_modes, a.spectrum.k, b.spectrum.k)
+        refined, _ = zoomout_many(
+            a.spectrum.eigenvectors[a.samples, :k],
+            b.spectrum.eigenvectors[b.samples, :k],
+            np.stack([c.functional_map for c in grown[: options.finalists]]),
+            k_final=k,
+            step=6,
         )
-        for side, points in zip((a, b), landmarks, strict=True)
-    )
-    return fit_functional_map(a.spectrum, b.spectrum, f, g, k=GROWN, landmarks=landmarks)
+        return self._distinct(self._scored(C, mirrored) for C in refined)
 
+    def _fitted(self, landmarks: Pairs) -> Floats:
+        """Return the functional map that fits the landmarks and what is seen from them."""
+        count = self._options.landmark_energies
+        f, g = (
+            normalize_descriptors(
+                side.spectrum,
+                np.hstack(
+                    [side.wave, landmark_wave_kernel_signature(side.spectrum, points, count=count)]
+                ),
+            )
+            for side, points in zip((self._a, self._b), landmarks, strict=True)
+        )
+        source, target, k = self._a.spectrum, self._b.spectrum, self._options.grown_modes
+        return fit_functional_map(source, target, f, g, k=k, landmarks=landmarks)
 
-def _scored(
-    a: Prepared,
-    b: Prepared,
-    C: Floats,
-    reversing: bool,
-    landmarks: Pairs | None,
-    *,
-    rough: bool = False,
-) -> Candidate:
-    values = mismatches(a, b, C, reversing=reversing, landmarks=landmarks, rough=rough)
-    return Candidate(
-        functional_map=C, score=score_of(values), mismatches=values, reversing=reversing
-    )
+    def _scored(self, C: Floats, mirrored: bool, *, rough: bool = False) -> Candidate:
+        options = self._options
+        values = mismatches(
+            self._a,
+            self._b,
+            C,
+            mirrored=mirrored,
+            landmarks=self._landmarks,
+            rough=rough,
+            options=options,
+        )
+        score = score_of(values, options=options)
+        return Candidate(functional_map=C, score=score, mismatches=values, mirrored=mirrored)
+
+    def _distinct(self, candidates: Iterable[Candidate]) -> list[Candidate]:
+        """Return the candidates by score, without those that all but repeat a better one."""
+        kept: list[Candidate] = []
+        for c in sorted(candidates, key=lambda c: c.score):
+            if all(_apart(c, other) > self._options.same for other in kept):
+                kept.append(c)
+        return kept
 
 
 def _apart(c: Candidate, other: Candidate) -> float:
@@ -257,21 +258,14 @@ def _apart(c: Candidate, other: Candidate) -> float:
     return float(((C - other.functional_map) ** 2).sum() / len(C))
 
 
-def _distinct(candidates: list[Candidate]) -> list[Candidate]:
-    """Return the candidates by score, without those that all but repeat a better one."""
-    kept: list[Candidate] = []
-    for c in sorted(candidates, key=lambda c: c.score):
-        if all(_apart(c, other) > _SAME for other in kept):
-            kept.append(c)
-    return kept
-
-
 def _prepared(name: str, side: Prepared | Spectrum, geometry: Geometry | None) -> Prepared:
     if isinstance(side, Prepared):
         if geometry is not None:
             raise InvalidInputError(
-                f"`{name}_geometry` must be left out for a prepared surface, got one;"
-                " pass it to prepare"
+                f"{name}_geometry",
+                "be left out for a prepared surface",
+                "one",
+                advice="pass it to prepare",
             )
         return side
     return prepare(side, geometry)

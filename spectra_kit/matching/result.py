@@ -8,20 +8,10 @@ from typing import Literal
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt, frozen
-
-# Measured on pairs of bodies (FAUST, 0-79): right matches had margins of 1.06 and more but for
-# three of 130, and orientations of 0.7 and more; the other side was up to 1.16 times better.
-_CLEAR = 1.04
-_DOUBTED = 1.1  # how many times better a map of the other side must be to raise doubts
-_TURNED = 0.5
-_AGREED = 0.9
-# Set between 48 right maps (bodies and animals, some of different kinds) and 42 between unrelated
-# shapes, one of which passed; of others, 1 of 44 right ones was doubted, and none of 43 passed.
-_MISMATCHED = 0.47
-_COVERED = 1.1
+from spectra_kit.matching.options import DEFAULT, MatchOptions
 
 #: What may be wrong with a map: see `Match.doubts`.
-Doubt = Literal["margin", "other_side", "orientation", "consistent", "coverage", "score"]
+Doubt = Literal["margin", "mirror_margin", "orientation", "consistent", "coverage", "score"]
 
 
 @checked
@@ -37,14 +27,14 @@ class Candidate(Rebuilt):
         The lower, the better: `matching.score_of` of the mismatches.
     mismatches : dict of str to float
         What the score is made of; see `matching.mismatches`.
-    reversing : bool
+    mirrored : bool
         Whether the map turns the surface over, like a mirror.
     """
 
     functional_map: Floats
     score: float
     mismatches: dict[str, float]
-    reversing: bool
+    mirrored: bool
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "functional_map", frozen(self.functional_map))
@@ -64,15 +54,15 @@ class Match(Rebuilt):
     mirrored : bool
         Whether the map turns the surface over, as one to a mirror image does.
     orientation : float or None
-        Near 1 if the map keeps the sides, near -1 if it mirrors; far from both, parts of it are
+        Near 1 if the map keeps it, near -1 if it mirrors; far from both, parts of it are
         flipped. None if a geometry is missing.
     margin : float
-        Score of the next best candidate of the same side over that of the chosen one, at least 1;
-        infinite if no other was found. Maps that differ in small parts only do not count.
-    other_side : float
-        Score of the best candidate of the other side (mirroring, if the chosen one is not) over
-        that of the chosen one; near 1 for bodies whose halves are alike, infinite if there was
-        none.
+        Score of the next best candidate of the same orientation over that of the chosen one, at
+        least 1; infinite if no other was found. Maps that differ in small parts do not count.
+    mirror_margin : float
+        Score of the best candidate of the other orientation (mirrored, if the chosen one is not)
+        over that of the chosen one; near 1 for bodies whose halves are alike, infinite if there
+        was none.
     consistent : float
         Share of the triangles that agree on which side is out, of the worse of both surfaces: 1
         for meshes.
@@ -81,6 +71,8 @@ class Match(Rebuilt):
         reach: above 1.1 for right maps, whatever the resolutions.
     candidates : tuple of Candidate
         Those that were refined and came out different, the chosen one first.
+    options : MatchOptions
+        How they were found and judged.
     """
 
     point_map: Ints
@@ -88,10 +80,11 @@ class Match(Rebuilt):
     mirrored: bool
     orientation: float | None
     margin: float
-    other_side: float
+    mirror_margin: float
     consistent: float
     coverage: float
     candidates: tuple[Candidate, ...]
+    options: MatchOptions = DEFAULT
 
     def __post_init__(self) -> None:
         for name in ("point_map", "functional_map"):
@@ -106,7 +99,7 @@ class Match(Rebuilt):
     def ambiguous(self) -> bool:
         """Whether the map may be flipped, in whole or in part.
 
-        That is: a rival is nearly as good, a map of the other side is better, the orientation of
+        That is: a rival is nearly as good, one of the other orientation is better, that of
         the map is not what it should be, or the sides of a cloud are in doubt. A surface with a
         symmetry that no rival happened to show, such as a sphere, may pass for clear.
         """
@@ -124,16 +117,16 @@ class Match(Rebuilt):
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """Names of the attributes that speak against the map; see `ambiguous`, `convincing`."""
-        turning = 1.0 if self.orientation is None else abs(self.orientation)
-        if self.orientation is not None and (self.orientation < 0) != self.mirrored:
-            turning = 0.0
+        limits, kept = self.options, 1.0
+        if self.orientation is not None:
+            kept = -self.orientation if self.mirrored else self.orientation
         clear: dict[Doubt, bool] = {
-            "margin": self.margin >= _CLEAR,
-            "other_side": self.other_side * _DOUBTED >= 1,
-            "orientation": turning >= _TURNED,
-            "consistent": self.consistent >= _AGREED,
-            "coverage": self.coverage >= _COVERED,
-            "score": self.score <= _MISMATCHED,
+            "margin": self.margin >= limits.clear_margin,
+            "mirror_margin": self.mirror_margin * limits.doubtful_mirror >= 1,
+            "orientation": kept >= limits.clear_orientation,
+            "consistent": self.consistent >= limits.clear_sides,
+            "coverage": self.coverage >= limits.convincing_coverage,
+            "score": self.score <= limits.convincing_score,
         }
         return tuple(name for name, fine in clear.items() if not fine)
 

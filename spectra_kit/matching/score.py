@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 
 from spectra_kit._checked import checked
@@ -10,22 +12,9 @@ from spectra_kit._validate import check_indices, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps.checks import check_point_map
 from spectra_kit.functional_maps.nearest import nearest
+from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.prepare import Prepared, curvatures
 from spectra_kit.spectra import Spectrum
-
-_FINE = slice(0, 2)  # of the smoothed curvatures
-_FEW = 200  # samples of a rough look
-_LEAST = 1e-3  # mismatch below which maps count as equally good
-
-# Exponents of the mismatches in the score; absent ones are left out.
-WEIGHTS = {
-    "curvature": 2.0,
-    "wave": 0.5,
-    "spacing": 0.5,
-    "embedding": 1.0,
-    "orientation": 0.2,
-    "landmarks": 2.0,
-}
 
 
 @checked
@@ -34,9 +23,10 @@ def mismatches(
     target: Prepared,
     functional_map: Floats,
     *,
-    reversing: bool = False,
+    mirrored: bool = False,
     landmarks: tuple[Ints, Ints] | None = None,
     rough: bool = False,
+    options: MatchOptions = DEFAULT,
 ) -> dict[str, float]:
     """Return what a map of good surfaces keeps small, each in [0, about 1], dimensionless.
 
@@ -46,13 +36,15 @@ def mismatches(
         The surfaces.
     functional_map : ndarray of shape (k, k)
         Of source to target.
-    reversing : bool, default False
-        Whether it is meant to turn the surface over.
+    mirrored : bool, default False
+        Whether it is meant to mirror.
     landmarks : (ndarray of shape (l,), ndarray of shape (l,)), optional
         Source and target points known to correspond.
     rough : bool, default False
         Look for the images of 200 samples among the samples only; else those of all samples among
         all points.
+    options : MatchOptions
+        How many samples and curvatures.
 
     Returns
     -------
@@ -61,16 +53,16 @@ def mismatches(
         length; ``spacing``: ``|C diag(lambda1) - diag(lambda2) C|^2 / |lambda2|^2``, zero for
         isometries; ``wave``: relative difference of the wave kernel signatures; ``curvature``: that
         of the smoothed mean curvatures, both ways, where both surfaces bend; ``orientation``:
-        (1 - t) / 2 with the turning t of `orientation_of`; ``landmarks``: biharmonic distance
+        (1 - t) / 2 with the orientation t of `orientation_of`; ``landmarks``: biharmonic distance
         between where the map takes the landmarks and where they belong, relative to the root mean
         square of the source.
     """
     a, b = source.spectrum, target.spectrum
     functional_map = _square(functional_map, source, target)
-    k = len(functional_map)
+    k, few = len(functional_map), options.rough_samples
     every1, every2 = np.arange(a.n), np.arange(b.n)
     pool1, pool2 = (source.samples, target.samples) if rough else (every1, every2)
-    there, here = (every1[:_FEW], every2[:_FEW]) if rough else (source.samples, target.samples)
+    there, here = (every1[:few], every2[:few]) if rough else (source.samples, target.samples)
     rows1 = a.eigenvectors[pool1, :k] @ functional_map.T
     rows2 = b.eigenvectors[pool2, :k]
     back, forth = nearest(rows2[here], rows1), nearest(rows1[there], rows2)
@@ -90,30 +82,34 @@ def mismatches(
         values["landmarks"] = _biharmonic(a, pool1[found], on_source)
     curved = curvatures(source, target)
     if curved is not None:
-        curved1, curved2 = curved[0][pool1, _FINE], curved[1][pool2, _FINE]
+        fine = options.scored_curvatures
+        curved1, curved2 = curved[0][pool1, :fine], curved[1][pool2, :fine]
         there_and_back = _curvature_error(curved1[back], curved2[here]) * _curvature_error(
             curved1[there], curved2[forth]
         )
         values["curvature"] = float(np.sqrt(there_and_back))
-    turning = orientation_of(source, target, functional_map)
-    if turning is not None:
-        values["orientation"] = (1 + turning if reversing else 1 - turning) / 2
+    kept = orientation_of(source, target, functional_map)
+    if kept is not None:
+        values["orientation"] = (1 + kept if mirrored else 1 - kept) / 2
     return values
 
 
 @checked
-def score_of(values: dict[str, float]) -> float:
+def score_of(values: dict[str, float], *, options: MatchOptions = DEFAULT) -> float:
     """Return the weighted geometric mean of `mismatches`: the lower, the better.
 
     Parameters
     ----------
     values : dict of str to float
         Of `mismatches`.
+    options : MatchOptions
+        Whose weights count.
 
     Returns
     -------
     float
-        Dimensionless, at least 0.001: mismatches below that count as equally good.
+        Dimensionless, at least `MatchOptions.least_mismatch`: mismatches below that count as
+        equally good.
 
     Examples
     --------
@@ -121,19 +117,18 @@ def score_of(values: dict[str, float]) -> float:
     >>> print(score_of({"curvature": 0.5, "wave": 0.1}))
     0.363
     """
-    if not values or not set(values) <= set(WEIGHTS):
-        raise InvalidInputError(
-            f"`values` must hold some of {sorted(WEIGHTS)}, as `mismatches` returns them, got"
-            f" {sorted(values)}"
-        )
-    total = sum(WEIGHTS[name] for name in values)
-    logs = sum(WEIGHTS[name] * np.log(max(value, 0.0) + _LEAST) for name, value in values.items())
+    weights, least = asdict(options.weights), options.least_mismatch
+    if not values or not set(values) <= set(weights):
+        expected = f"hold some of {sorted(weights)}, as `mismatches` returns them"
+        raise InvalidInputError("values", expected, sorted(values))
+    total = sum(weights[name] for name in values)
+    logs = sum(weights[name] * np.log(max(value, 0.0) + least) for name, value in values.items())
     return float(np.exp(logs / total))
 
 
 @checked
 def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -> float | None:
-    """Return the turning of a map: near 1 if it keeps the sides, near -1 for a mirror image.
+    """Return the orientation of a map: near 1 if it keeps it, near -1 for a mirror image.
 
     Parameters
     ----------
@@ -224,7 +219,7 @@ def _square(functional_map: Floats, source: Prepared, target: Prepared) -> Float
     )
     if array.ndim != 2 or array.shape[0] != array.shape[1] or not 1 <= len(array) <= most:
         raise InvalidInputError(
-            f"`functional_map` must have shape (k, k), 1 <= k <= {most}, got {array.shape}"
+            "functional_map", f"have shape (k, k), 1 <= k <= {most}", array.shape
         )
     return array
 

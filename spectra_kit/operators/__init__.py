@@ -12,7 +12,7 @@ from spectra_kit.operators.default import laplacian
 from spectra_kit.operators.delaunay import delaunay_laplacian
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.operators.orientation import (
+from spectra_kit.operators.oriented import (
     OrientedTriangles,
     area_form,
     orientation_operator,

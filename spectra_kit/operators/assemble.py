@@ -157,13 +157,15 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     unit = units_of(mesh)
     if (flat := int(mesh.degenerate_faces(1e-14).sum())) > 0:
         raise InvalidInputError(
-            f"`mesh` has {flat} faces of zero area, on which cotangents do not exist;"
-            " use robust_laplacian, or drop them with `mesh.without_degenerate_faces()`"
+            f"`mesh` has {flat} faces of zero area, on which cotangents do not exist",
+            advice="use {}, or drop them with {}",
+            remedies=("robust_laplacian", "mesh.without_degenerate_faces()"),
         )
     if (twice := len(mesh.faces) - len(mesh.without_duplicate_faces().faces)) > 0:
         raise InvalidInputError(
-            f"`mesh` has {twice} duplicate faces, which would count their area twice;"
-            " use robust_laplacian, or drop them with `mesh.without_duplicate_faces()`"
+            f"`mesh` has {twice} duplicate faces, which would count their area twice",
+            advice="use {}, or drop them with {}",
+            remedies=("robust_laplacian", "mesh.without_duplicate_faces()"),
         )
     scaled, faces = mesh.points / unit[:, None], np.array(mesh.faces)
     stiffness = -igl.cotmatrix(scaled, faces)
@@ -224,8 +226,10 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     epsilon = float(np.median(distance.mean(axis=1))) ** 2
     if epsilon == 0:
         raise InvalidInputError(
-            "`geometry` must have neighbours at distances that can be squared, got a median of"
-            f" {np.median(distance):.1g} of its extent; remove outliers first"
+            "geometry",
+            "have neighbours at distances that can be squared",
+            f"a median of {np.median(distance):.1g} of its extent",
+            advice="remove outliers first",
         )
     rows = np.repeat(np.arange(n), n_neighbors)
     weights = np.exp(-(distance.ravel() ** 2) / epsilon)

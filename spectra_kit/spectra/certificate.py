@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -128,6 +129,26 @@ class Certificate(Rebuilt):
     def n_verified(self) -> int:
         """Number of leading modes that are proved to be the lowest."""
         return self.count.verified if self.count else 0
+
+    @property
+    def summary(self) -> str:
+        """How far the modes are verified, and the largest residual, in a few words."""
+        known = f"{self.n_verified} of {len(self.residuals)} verified"
+        if self.count is None:
+            known = "not counted"
+        elif self.level == "verified":
+            known = "verified"
+        return f"{known}, relative residuals up to {self.relative_residuals.max(initial=0.0):.1e}"
+
+    def _facts(self) -> Mapping[str, object]:
+        return {
+            "modes": len(self.residuals),
+            "largest relative residual": f"{self.relative_residuals.max(initial=0.0):.1e}",
+            "orthonormality error": f"{self.orthonormality_error:.1e}",
+            "zero modes": f"{self.n_zero_modes} of {self.kernel_dimension}",
+            "connected components": self.n_components,
+            "completeness": self.completeness,
+        }
 
     @property
     def completeness(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from spectra_kit._checked import checked
+from spectra_kit._display import draw
 from spectra_kit._spectrum_file import read_spectrum_file, write_spectrum_file
 from spectra_kit._types import Floats
 from spectra_kit._validate import Rebuilt, check_count, check_positive, frozen, quantity
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 _FOREIGN_MASS = 1e-5  # relative; float32 copies of the same mass differ by less
 _LARGEST_FACTOR = 1e150  # to change the unit of length by
 _ZERO_MODE = 1e-7  # eigenvalues below this over the area count as zero where no operator can tell
+_SHOWN = 12  # eigenvalues in a notebook
 _BY_THE_USER = Provenance()
 
 
@@ -345,18 +348,28 @@ class Spectrum(Rebuilt):
 
         return tensor(self.eigenvalues), tensor(self.eigenvectors), tensor(self.mass)
 
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
+        """Draw its eigenvalues; return the `viz.Picture`, written to `path` if there is one."""
+        return draw("plot_spectrum", path, self)
+
     def __repr__(self) -> str:
-        certified = "uncertified"
-        if self.certificate is not None:
-            worst = self.certificate.relative_residuals.max(initial=0.0)
-            count = self.certificate.count
-            known = f"{count.verified} of {self.k} verified" if count else "not counted"
-            known = "verified" if self.certificate.level == "verified" else known
-            certified = f"{known}, relative residuals up to {worst:.1e}"
+        certified = "uncertified" if self.certificate is None else self.certificate.summary
         return (
             f"Spectrum(n={self.n}, k={self.k}, eigenvalues {self.eigenvalues[:1].sum():.4g} to"
             f" {self.eigenvalues[-1:].sum():.4g}, {certified}, solver={self.provenance.solver})"
         )
+
+    def _facts(self) -> Mapping[str, object]:
+        values = [f"{value:.6g}" for value in self.eigenvalues]
+        shown = values if self.k <= _SHOWN else [*values[: _SHOWN - 2], "…", values[-1]]
+        return {
+            "points": f"{self.n:,}",
+            "modes": f"{self.k:,}, {self.n_zero_modes} of them zero",
+            "eigenvalues": ", ".join(shown),
+            "certificate": self.certificate.summary if self.certificate else "none",
+            "operator": self.provenance.operator,
+            "solver": self.provenance.solver,
+        }
 
     def _modes(self, columns: slice) -> Spectrum:
         """Return the modes in `columns`, certificate included."""

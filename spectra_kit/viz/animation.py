@@ -17,7 +17,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import estimate_normals, orient_normals
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.matching.curvature import outward_normals
-from spectra_kit.operators.orientation import oriented_triangles
+from spectra_kit.operators.oriented import oriented_triangles
 from spectra_kit.spectra import Spectrum
 from spectra_kit.viz.camera import View
 from spectra_kit.viz.colours import diverging_colours

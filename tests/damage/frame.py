@@ -9,16 +9,14 @@ It damages something as ``case.rng`` says, uses it, and
 
 One case again, in this process, with its traceback and its files kept::
 
-    python tests/damage/frame.py parts_spectra saved_spectrum 17
+    python tests/damage/frame.py parts_own_files saved_spectrum 17
 """
 
 from __future__ import annotations
 
 import importlib
-import json
+import multiprocessing
 import os
-import select
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -26,14 +24,16 @@ import traceback
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
 FINE = ("right", "refused")
 OUTCOMES = (*FINE, "foreign", "crash", "hang", "wrong")
 HERE = Path(__file__).resolve().parent
+START = 60.0  # seconds that a process may take to begin
 EXIT_CODES = (0, 2, 3, 130)  # of a command: fine, bad input, no convergence, interrupted
 
 
@@ -52,28 +52,27 @@ class Part:
 
     function: Callable[[Case], None]
     share: float
-    seconds: float
+    seconds: float  # without an answer are a hang
 
     @property
     def name(self) -> str:
         return self.function.__name__
 
-    @property
-    def module(self) -> str:
-        return Path(self.function.__code__.co_filename).stem
+    def numbers(self, asked: int) -> range:
+        return range(max(1, round(self.share * asked)))
 
-    def cases(self, asked: int) -> int:
-        return max(1, round(self.share * asked))
+    def run(self, number: int, folder: Path) -> None:
+        seed = [number, zlib.crc32(self.name.encode())]
+        self.function(Case(number, np.random.default_rng(seed), folder))
 
 
 def part(*, share: float = 1.0, seconds: float = 120.0) -> Callable[[Callable[[Case], None]], Part]:
-    """Make a function of a case a part; `seconds` without an answer are a hang."""
     return lambda function: Part(function, share, seconds)
 
 
-def all_parts() -> list[Part]:
-    modules = [importlib.import_module(path.stem) for path in sorted(HERE.glob("parts_*.py"))]
-    return [p for module in modules for p in vars(module).values() if isinstance(p, Part)]
+def parts_of(module: str) -> dict[str, Part]:
+    values = vars(importlib.import_module(module)).values()
+    return {value.name: value for value in values if isinstance(value, Part)}
 
 
 class Verdict(Exception):  # noqa: N818  # an outcome, not always an error
@@ -94,33 +93,45 @@ def refused(message: str) -> NoReturn:
     raise Verdict("refused", message)
 
 
-def command(
-    arguments: Sequence[str | bytes | Path],
-    *,
+# --- commands -------------------------------------------------------------------------------------
+
+
+def start(
+    arguments: Sequence[str | Path],
     folder: Path,
-    seconds: float = 120.0,
     environment: Mapping[str, str] | None = None,
-    stdout: int = subprocess.PIPE,
-) -> str:
-    """Run ``spectra-kit`` in `folder`, and return what it printed; a refusal ends the case."""
-    process = subprocess.Popen(
+    **options: Any,
+) -> subprocess.Popen[str]:
+    """Start ``spectra-kit`` in `folder`."""
+    return subprocess.Popen(
         [sys.executable, "-m", "spectra_kit", *arguments],
         cwd=folder,
         env=command_environment() if environment is None else dict(environment),
         stdin=subprocess.DEVNULL,
-        stdout=stdout,
+        stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
         errors="replace",
+        **options,
     )
+
+
+def ended(process: subprocess.Popen[str], *expected: int, seconds: float = 120.0) -> None:
+    """Wait, and judge the exit code where it is not one of those expected."""
     try:
-        out, err = process.communicate(timeout=seconds)
+        _, err = process.communicate(timeout=seconds)
     except subprocess.TimeoutExpired as late:
         process.kill()
         process.communicate()
-        raise Verdict("hang", f"no end after {seconds:g} s of {arguments}") from late
-    judge(process.returncode, err)
-    return out or ""
+        raise Verdict("hang", f"no end after {seconds:g} s of {process.args}") from late
+    if err.endswith("KeyboardInterrupt\n") and "spectra_kit/__main__.py" not in err:
+        return  # Python itself was still starting
+    judge(0 if process.returncode in expected else process.returncode, err)
+
+
+def command(arguments: Sequence[str | Path], folder: Path, **options: Any) -> None:
+    """Run ``spectra-kit`` in `folder`; a refusal ends the case."""
+    ended(start(arguments, folder, **options), seconds=300.0)
 
 
 def judge(code: int, err: str) -> None:
@@ -141,103 +152,66 @@ def command_environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
 
 
-def outcome_of(function: Callable[[Case], None], case: Case) -> tuple[str, str]:
+# --- cases ----------------------------------------------------------------------------------------
+
+
+def outcome_of(chosen: Part, number: int) -> tuple[str, str]:
     """Run one case here; return its outcome and what there is to say."""
     from spectra_kit.errors import SpectraKitError
 
-    try:
-        function(case)
-    except Verdict as verdict:
-        return verdict.outcome, str(verdict)
-    except SpectraKitError as error:
-        message = str(error)
-        return ("refused" if len(message) > 20 else "foreign"), message
-    except (Exception, SystemExit) as error:  # noqa: BLE001  # whatever it is: that is the outcome
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        return "foreign", f"{error!r} in {where.filename}:{where.lineno}"
+    with tempfile.TemporaryDirectory(prefix="damage-") as folder:
+        try:
+            chosen.run(number, Path(folder))
+        except Verdict as verdict:
+            return verdict.outcome, str(verdict)
+        except SpectraKitError as error:
+            message = str(error)
+            return ("refused" if len(message) > 20 else "foreign"), message
+        except (Exception, SystemExit) as error:  # noqa: BLE001  # whatever: that is the outcome
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            return "foreign", f"{error!r} in {where.filename}:{where.lineno}"
     return "right", ""
 
 
-def case_of(chosen: Part, number: int, folder: Path) -> Case:
-    seed = [number, zlib.crc32(chosen.name.encode())]
-    return Case(number, np.random.default_rng(seed), folder)
+def outcomes(module: str, cases: Sequence[tuple[str, int]]) -> Iterator[tuple[str, str]]:
+    """Run cases, each a part's name and a number; yield the outcome and message of each."""
+    parts = parts_of(module)
+    spawn = multiprocessing.get_context("spawn")
+    done = 0
+    while done < len(cases):  # a process that crashed or hung is followed by another
+        here, there = spawn.Pipe(duplex=False)
+        worker = spawn.Process(target=_work, args=(module, cases[done:], there), daemon=True)
+        worker.start()
+        there.close()
+        try:
+            here.poll(START) and here.recv()  # it is there
+            for name, _ in cases[done:]:
+                if not here.poll(parts[name].seconds):
+                    yield "hang", f"no answer after {parts[name].seconds:g} s"
+                    break
+                yield here.recv()
+                done += 1
+        except EOFError:
+            worker.join()
+            yield "crash", f"exit code {worker.exitcode}"
+        finally:
+            worker.kill()
+            worker.join()
+        done += 1
 
 
-def run_part(chosen: Part, count: int, folder: Path) -> Iterator[tuple[int, str, str]]:
-    """Run the cases 0 … `count` - 1 in a worker; yield number, outcome and message of each."""
-    number = 0
-    while number < count:  # a worker that crashed or hung is followed by another
-        with (folder / "stderr").open("w+b") as err:
-            worker = subprocess.Popen(
-                [sys.executable, __file__, chosen.module, chosen.name, str(number), str(count)],
-                cwd=folder,
-                env=command_environment(),
-                stdout=subprocess.PIPE,
-                stderr=err,
-                stdin=subprocess.DEVNULL,
-            )
-            try:
-                lines = _lines(worker, chosen.seconds)
-                next(lines, None)  # it is there
-                for line in lines:
-                    yield number, *json.loads(line)
-                    number += 1
-                if number < count:
-                    late = worker.poll() is None
-                    worker.kill()
-                    code = worker.wait()
-                    err.seek(0)
-                    said = err.read()[-600:].decode(errors="replace")
-                    told = f"no answer after {chosen.seconds:g} s" if late else f"exit code {code}"
-                    yield number, "hang" if late else "crash", f"{told}: {said}"
-                    number += 1
-            finally:
-                worker.kill()
-                worker.communicate()
-
-
-def _lines(worker: subprocess.Popen[bytes], seconds: float) -> Iterator[bytes]:
-    """Yield the lines of a worker, until it ends or is silent for so long."""
-    assert worker.stdout is not None
-    pending, patience = b"", 60.0  # to start with
-    while select.select([worker.stdout], [], [], seconds + patience)[0]:
-        if not (chunk := os.read(worker.stdout.fileno(), 65536)):
-            worker.wait()
-            return
-        *lines, pending = (pending + chunk).split(b"\n")
-        yield from lines
-        patience = 0.0
-
-
-def tally(outcomes: Mapping[str, int]) -> str:
-    return ", ".join(f"{outcomes.get(name, 0):,} {name}" for name in OUTCOMES)
-
-
-def _work(chosen: Part, first: int, count: int) -> None:
-    """Answer on stdout, a line to begin with and one a case; what is printed goes to stderr."""
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)
-    answers.write("\n")
-    answers.flush()
-    for number in range(first, count):
-        with tempfile.TemporaryDirectory(prefix="damage-") as folder:
-            answer = outcome_of(chosen.function, case_of(chosen, number, Path(folder)))
-        answers.write(json.dumps(answer) + "\n")
-        answers.flush()
-
-
-def main(module: str, name: str, first: str, count: str | None = None) -> None:
-    chosen: Part = getattr(importlib.import_module(module), name)
-    if count is not None:
-        _work(chosen, int(first), int(count))
-        return
-    folder = Path(tempfile.mkdtemp(prefix="damage-"))
-    print(f"{chosen.module} {chosen.name} {first} in {folder}")  # noqa: T201
-    chosen.function(case_of(chosen, int(first), folder))
-    shutil.rmtree(folder)
-    print("right")  # noqa: T201
+def _work(module: str, cases: Sequence[tuple[str, int]], answers: Connection) -> None:
+    """Answer once to begin with, and once a case."""
+    parts = parts_of(module)
+    answers.send(None)
+    for name, number in cases:
+        answers.send(outcome_of(parts[name], number))
 
 
 if __name__ == "__main__":
     sys.modules["frame"] = sys.modules["__main__"]  # parts import this very module
-    main(*sys.argv[1:])
+    one, name, number = sys.argv[1:]
+    folder = Path(tempfile.mkdtemp(prefix="damage-"))
+    print(f"{one} {name} {number} in {folder}")  # noqa: T201
+    parts_of(one)[name].run(int(number), folder)
+    print("right")  # noqa: T201

@@ -11,12 +11,23 @@ import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+import threading
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from frame import Case, Verdict, command, command_environment, judge, part, refused, wrong
+from frame import (
+    Case,
+    Verdict,
+    command,
+    command_environment,
+    ended,
+    judge,
+    part,
+    refused,
+    start,
+    wrong,
+)
 
 from spectra_kit import Spectrum, write
 from spectra_kit.geometry import sphere
@@ -30,36 +41,6 @@ def _ball(folder: Path, name: str = "ball.off") -> Path:
     write(sphere(subdivisions=2).geometry, folder / "plain.off")
     (folder / "plain.off").rename(path)
     return path
-
-
-def _start(arguments: Sequence[str | Path], folder: Path, **options: Any) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "spectra_kit", *arguments],
-        cwd=folder,
-        env=options.pop("env", command_environment()),
-        stdin=subprocess.DEVNULL,
-        stdout=options.pop("stdout", subprocess.DEVNULL),
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",
-        **options,
-    )
-
-
-def _ended(process: subprocess.Popen[str], *expected: int) -> None:
-    """Wait, and judge the exit code where it is not one of those expected."""
-    try:
-        _, err = process.communicate(timeout=120)
-    except subprocess.TimeoutExpired as late:
-        process.kill()
-        process.communicate()
-        raise Verdict("hang", "no end after 120 s") from late
-    if err.endswith("KeyboardInterrupt\n") and "spectra_kit/__main__.py" not in err:
-        return  # Python itself was still starting
-    if process.returncode not in expected:
-        judge(process.returncode, err)
-    elif "Traceback" in err:
-        raise Verdict("foreign", err[-600:])
 
 
 def _solve(k: int) -> tuple[str, ...]:
@@ -93,16 +74,16 @@ def told_to_end(case: Case) -> None:
     _ball(case.folder)
     solving = case.number % 2 == 0
     old, new = (_solve(_OLD), _solve(_NEW)) if solving else (_measure(0), _measure(5))
-    command(old, folder=case.folder)
+    command(old, case.folder)
     kept = sorted(case.folder.rglob("*"))
     names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL")
     number = int(getattr(signal, names[case.number // 2 % len(names)]))
-    process = _start(new, case.folder)
+    process = start(new, case.folder)
     try:
         process.wait(timeout=case.rng.uniform(0.0, 5.0))
     except subprocess.TimeoutExpired:
         process.send_signal(number)
-    _ended(process, 130, -number, 0)
+    ended(process, 130, -number, 0)
     killed = number == signal.SIGKILL
     if solving:
         _check_modes(case.folder)
@@ -116,18 +97,18 @@ def told_to_end(case: Case) -> None:
 def full_disk(case: Case) -> None:
     """No file may grow beyond some bytes, or all are written to /dev/full: the old one stays."""
     _ball(case.folder)
-    command(_solve(_OLD), folder=case.folder)
-    command(_measure(0), folder=case.folder)
+    command(_solve(_OLD), case.folder)
+    command(_measure(0), case.folder)
     before = {path: path.read_bytes() for path in case.folder.rglob("*") if path.is_file()}
     limit = int(10 ** case.rng.uniform(0, 4.2))
     chosen = [_solve(_NEW), _measure(5), ("explore", "ball.off", "-k", "4", "-o", "a.html")]
-    process = _start(
+    process = start(
         chosen[case.number % len(chosen)],
         case.folder,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
     )
     try:
-        _ended(process)
+        ended(process)
     except Verdict as verdict:
         if verdict.outcome != "refused":
             raise
@@ -212,7 +193,7 @@ def odd_environments(case: Case) -> None:
         ("geodesic", name, "--source", "0", "--no-pictures", "-o", "out"),
         ("explore", name, "-k", "4", "-o", "a.html"),
     ][case.rng.integers(6)]
-    command(chosen, folder=case.folder, environment=environment, seconds=300)
+    command(chosen, case.folder, environment=environment)
     if "modes.npz" in chosen:
         values = Spectrum.load(case.folder / "modes.npz").eigenvalues
         if not np.allclose(values[1:4], values[1], rtol=0.05) or not 1.8 < values[1] < 2.1:
@@ -226,11 +207,11 @@ def cold_caches(case: Case) -> None:
     cache = case.folder / "cache"
     environment = command_environment() | {"NUMBA_CACHE_DIR": str(cache)}
     both = [
-        _start(("spectrum", "ball.off", "-k", "6", "-o", f"{i}.npz"), case.folder, env=environment)
+        start(("spectrum", "ball.off", "-k", "6", "-o", f"{i}.npz"), case.folder, environment)
         for i in range(2)
     ]
     for process in both:
-        _ended(process)
+        ended(process)
     one, other = (Spectrum.load(case.folder / f"{i}.npz") for i in range(2))
     if not np.array_equal(one.eigenvectors, other.eigenvectors):
         wrong("the two answers differ")
@@ -242,34 +223,21 @@ def pipes_as_outputs(case: Case) -> None:
     _ball(case.folder)
     pipe = case.folder / "modes.npz"
     os.mkfifo(pipe)
-    process = _start(_solve(_NEW), case.folder)
     early = case.number % 2 == 1
-    reader = _reading(pipe, process, lambda file: file.read(1 if early else -1))
-    _ended(process)
+    got: list[bytes] = []
+
+    def read() -> None:
+        with pipe.open("rb") as file:  # waits until the command opens it
+            got.append(file.read(1 if early else -1))
+
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    ended(start(_solve(_NEW), case.folder))
     if not pipe.is_fifo():
         wrong("the pipe was replaced")
+    reader.join(timeout=60)
     if early:
         return  # all of it fitted into the pipe
-    (case.folder / "file.npz").write_bytes(reader)
+    (case.folder / "file.npz").write_bytes(got[0])
     if Spectrum.load(case.folder / "file.npz").k != _NEW:
         wrong("another spectrum came through the pipe")
-
-
-def _reading(pipe: Path, process: subprocess.Popen[str], read: Callable[[Any], bytes]) -> bytes:
-    """Read from a pipe once the process has opened it; nothing if it ends before."""
-    descriptor = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-    got = b""
-    while process.poll() is None and not got:
-        try:
-            got = os.read(descriptor, 1)
-        except BlockingIOError:
-            pass
-        else:
-            if not got:
-                try:
-                    process.wait(timeout=0.02)
-                except subprocess.TimeoutExpired:
-                    continue
-    os.set_blocking(descriptor, True)
-    with os.fdopen(descriptor, "rb") as file:
-        return got + (read(file) if got else b"")

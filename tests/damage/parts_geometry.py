@@ -81,21 +81,10 @@ def _other_number(rng: np.random.Generator, data: bytes) -> bytes:
     chosen = found[rng.integers(len(found))]
     value = int(float(chosen[0][:18])) if rng.random() < 0.5 else 10
     others = [0, -1, 1, value + 1, value - 1, value // 2, -value, 2 * value, 2**31, 2**32 - 1]
-    others += [
-        2**63,
-        10**20,
-        1e300,
-        1e-320,
-        "nan",
-        "inf",
-        "1_0",
-        "0x1",
-        "",
-        "1,5",
-        "\uff13",
-        "1e",
-        "--1",
-    ]
+    words = (
+        "9223372036854775808 100000000000000000000 1e+300 1e-320 nan inf 1_0 0x1 1,5 \uff13 1e --1"
+    )
+    others += ["", *words.split()]
     other = str(others[rng.integers(len(others))]).encode()
     return data[: chosen.start()] + other + data[chosen.end() :]
 
@@ -119,23 +108,8 @@ def _other_lines(rng: np.random.Generator, data: bytes) -> bytes:
 
 def _inserted(rng: np.random.Generator, data: bytes) -> bytes:
     at = int(rng.integers(len(data) + 1))
-    marks = (
-        b" ",
-        b"\n",
-        b"\r",
-        b"\0",
-        b",",
-        b"-",
-        b".",
-        b"0",
-        b"9",
-        b"/",
-        b"#",
-        b"_",
-        b"\\",
-        b"\xff",
-    )
-    return data[:at] + marks[rng.integers(len(marks))] + data[at:]
+    marks = b" \n\r\0,-.09/#_\\\xff"
+    return data[:at] + bytes([marks[rng.integers(len(marks))]]) + data[at:]
 
 
 def _header_damaged(rng: np.random.Generator, data: bytes) -> bytes:
@@ -162,25 +136,8 @@ def _tree_damaged(rng: np.random.Generator, data: bytes) -> bytes:
         if not isinstance(node[key], dict | list) or rng.random() < 0.1:
             break
         node = node[key]
-    others = [
-        0,
-        1,
-        2,
-        3,
-        -1,
-        5126,
-        5123,
-        10**30,
-        1.5,
-        "VEC3",
-        None,
-        True,
-        [],
-        {},
-        [0],
-        "a",
-        [1e300] * 16,
-    ]
+    others = [0, 1, 2, 3, -1, 5126, 5123, 10**30, 1.5]
+    others += ["VEC3", None, True, [], {}, [0], "a", [1e300] * 16]
     if rng.random() < 0.2:
         del node[key]
     elif isinstance(node[key], int) and rng.random() < 0.5:
@@ -267,115 +224,48 @@ def _compare_with_trimesh(path: Path, points: np.ndarray) -> None:
 # --- arrays ---------------------------------------------------------------------------------------
 
 
-def _put(values: list[object]):
+def _one_of(rng, values):
+    return values[rng.integers(len(values))]
+
+
+def _put(rng, array, values):
     """Write one of the values into a random entry."""
-
-    def damage(rng, points, faces):
-        points[tuple(rng.integers(s) for s in points.shape)] = values[rng.integers(len(values))]
-        return points, faces
-
-    return damage
+    array[tuple(rng.integers(size) for size in array.shape)] = _one_of(rng, values)
+    return array
 
 
-def _scaled(rng, points, faces):
-    return points * 10.0 ** rng.integers(-320, 308), faces
+def _some_at(rng, array, others):
+    """Write the others into as many random rows."""
+    array[rng.integers(len(array), size=len(others))] = others
+    return array
 
 
-def _stretched(rng, points, faces):
-    return points * 10.0 ** rng.integers(-12, 13, size=3), faces
+def _rows(rng, array, most=5):
+    return array[rng.integers(len(array), size=rng.integers(1, most + 1))]
 
 
-def _coincident(rng, points, faces):
-    return np.ones_like(points) * rng.normal(), faces
-
-
-def _collinear(rng, points, faces):
-    return points[:, :1] * rng.normal(size=3), faces
-
-
-def _pairs_joined(rng, points, faces):
-    points[rng.integers(len(points), size=5)] = points[rng.integers(len(points), size=5)]
-    return points, faces
-
-
-def _outlier(rng, points, faces):
-    points[rng.integers(len(points))] *= 10.0 ** rng.integers(1, 200)
-    return points, faces
-
-
-def _few(rng, points, faces):
-    n = int(rng.integers(0, 5))
-    return points[:n], np.minimum(faces[: rng.integers(0, 3)], max(n - 1, 0))
-
-
-def _dtype(rng, points, faces):
-    kinds = ("complex", "U", "O", "bool", "f2", "i4", "M8[s]", "S5", "f4")
-    with warnings.catch_warnings(action="ignore"):
-        return points.astype(kinds[rng.integers(len(kinds))]), faces
-
-
-def _shape(rng, points, faces):
-    shapes = (points.T, points[:, :2], points.ravel(), points[None], np.hstack([points, points]))
-    return shapes[rng.integers(len(shapes))], faces
-
-
-def _faces_put(rng, points, faces):
-    n = len(points)
-    values = (n, -1, n - 1, 0, 2**31, -(2**63))
-    faces[tuple(rng.integers(s) for s in faces.shape)] = values[rng.integers(len(values))]
-    return points, faces
-
-
-def _faces_kind(rng, points, faces):
-    kinds = (
-        faces.astype(float),
-        faces.astype("u1"),
-        faces.T,
-        faces[:, :2],
-        faces.ravel() > 3,
-        [[0]],
-    )
-    return points, kinds[rng.integers(len(kinds))]
-
-
-def _faces_random(rng, points, faces):
-    chosen = rng.integers(len(faces), size=rng.integers(1, 20))
-    faces[chosen] = rng.integers(len(points), size=(len(chosen), 3))
-    return points, faces
-
-
-def _faces_repeated(rng, points, faces):
-    again = faces[rng.integers(len(faces), size=5)]
-    return points, np.vstack([faces, again[:, rng.permutation(3)]])
-
-
-def _faces_dropped(rng, points, faces):
-    return points, faces[rng.random(len(faces)) < rng.random()]
-
-
-DAMAGE = {
-    "number": _put([np.nan, np.inf, -np.inf]),
-    "value": _put([1e-310, 5e-324, 1e150, -1e200, 1e308, 0.0]),
-    **{
-        f.__name__: f
-        for f in (
-            _scaled,
-            _stretched,
-            _coincident,
-            _collinear,
-            _pairs_joined,
-            _outlier,
-            _few,
-            _dtype,
-            _shape,
-            _faces_put,
-            _faces_kind,
-            _faces_random,
-            _faces_repeated,
-            _faces_dropped,
-        )
-    },
-}
+KINDS = ("complex", "U", "O", "bool", "f2", "i4", "M8[s]", "S5", "f4")
+POINT_DAMAGE = (
+    lambda rng, p: _put(rng, p, [np.nan, np.inf, -np.inf]),
+    lambda rng, p: _put(rng, p, [1e-310, 5e-324, 1e150, -1e200, 1e308, 0.0]),
+    lambda rng, p: p * 10.0 ** rng.integers(-320, 308),
+    lambda rng, p: p * 10.0 ** rng.integers(-12, 13, size=3),
+    lambda rng, p: np.ones_like(p) * rng.normal(),  # all at one place
+    lambda rng, p: p[:, :1] * rng.normal(size=3),  # on a line
+    lambda rng, p: _some_at(rng, p, _rows(rng, p)),  # pairs at one place
+    lambda rng, p: _some_at(rng, p, _rows(rng, p, 1) * 10.0 ** rng.integers(1, 200)),  # far away
+    lambda rng, p: p[: rng.integers(5)],
+    lambda rng, p: p.astype(_one_of(rng, KINDS)),
+    lambda rng, p: _one_of(rng, (p.T, p[:, :2], p.ravel(), p[None], np.hstack([p, p]))),
+)
+FACE_DAMAGE = (
+    lambda rng, f, n: _put(rng, f, (n, -1, n - 1, 0, 2**31, -(2**63))),
+    lambda rng, f, _: _one_of(rng, (f * 1.0, f.astype("u1"), f.T, f[:, :2], f.ravel() > 3, [[0]])),
+    lambda rng, f, n: _some_at(rng, f, rng.integers(n, size=(rng.integers(1, 20), 3))),
+    lambda rng, f, _: np.vstack([f, _rows(rng, f)[:, rng.permutation(3)]]),  # there twice
+    lambda rng, f, _: f[rng.random(len(f)) < rng.random()],
+    lambda rng, f, n: np.minimum(f[: rng.integers(3)], max(n - 1, 0)),  # none or few
+)
 SOLVERS = (Dense(), Arpack(), Refined(), Multilevel())
 
 
@@ -386,10 +276,12 @@ def geometry_arrays(case: Case) -> None:
     ball, plane = sphere(subdivisions=1).geometry, rectangle(n=60).geometry
     base = (ball, plane)[rng.integers(2)]
     as_cloud = rng.random() < 0.4
-    kinds = [kind for kind in DAMAGE if not (as_cloud and "_faces" in kind)]
     points, faces = np.array(base.points), np.array(base.faces)
-    for kind in rng.choice(kinds, size=rng.integers(1, 3)):
-        points, faces = _again(DAMAGE[kind], rng, points, faces)
+    for _ in range(rng.integers(1, 3)):
+        if as_cloud or rng.random() < 0.6:
+            points = _damaged(POINT_DAMAGE, rng, points)
+        else:
+            faces = _damaged(FACE_DAMAGE, rng, faces, len(points))
     geometry: Geometry = PointCloud(points) if as_cloud else TriangleMesh(points, faces)
     if not np.isfinite(np.asarray(points, dtype=float)).all():
         wrong("numbers that are none were taken")
@@ -405,13 +297,13 @@ def geometry_arrays(case: Case) -> None:
     _compare_with_dense(laplacian, spectrum)
 
 
-def _again(damage, rng, points, faces):
+def _damaged(kinds, rng, array, *others):
     """Damage what another damage left, where that can be done."""
     with warnings.catch_warnings(action="ignore"):
         try:
-            return damage(rng, np.array(points), np.array(faces))
+            return _one_of(rng, kinds)(rng, np.array(array), *others)
         except (TypeError, ValueError, IndexError, OverflowError, RuntimeError):
-            return points, faces
+            return array
 
 
 def _compare_with_dense(laplacian, spectrum) -> None:

@@ -7,26 +7,27 @@ from __future__ import annotations
 
 import json
 import os
-from collections import Counter
+from collections import Counter, defaultdict
 
 import frame
 import pytest
-from frame import Case, Verdict, all_parts, part, run_part, tally
+from frame import FINE, HERE, Case, Verdict, outcomes, part, parts_of
 
 
-@pytest.mark.parametrize("chosen", all_parts(), ids=lambda chosen: chosen.name)
-def test_damage(chosen, request, tmp_path, record_property):
-    outcomes: Counter[str] = Counter()
-    faults = []
+@pytest.mark.slow
+@pytest.mark.parametrize("module", sorted(path.stem for path in HERE.glob("parts_*.py")))
+def test_damage(module, request, record_property):
     asked = request.config.getoption("damage")
-    for number, outcome, message in run_part(chosen, chosen.cases(asked), tmp_path):
-        outcomes[outcome] += 1
-        if outcome not in frame.FINE:
-            again = f"python tests/damage/frame.py {chosen.module} {chosen.name} {number}"
+    cases = [(p.name, number) for p in parts_of(module).values() for number in p.numbers(asked)]
+    counts, faults = defaultdict(Counter), []
+    for (name, number), (outcome, message) in zip(cases, outcomes(module, cases), strict=True):
+        counts[name][outcome] += 1
+        if outcome not in FINE:
+            again = f"python tests/damage/frame.py {module} {name} {number}"
             faults.append(f"{outcome}: {message}\n    {again}")
-    record_property("damage", json.dumps([chosen.name, outcomes]))
-    shown = "\n".join(faults[:20])
-    assert not faults, f"{chosen.name}: {tally(outcomes)}\n{shown}"
+    for name, found in counts.items():
+        record_property("damage", json.dumps([name, found]))
+    assert not faults, "\n".join(faults[:20])
 
 
 ENDS = {
@@ -39,14 +40,15 @@ ENDS = {
 }
 
 
-@part(seconds=5.0)
+@part(seconds=2.0)
 def every_end(case: Case) -> None:
     list(ENDS.values())[case.number]()
 
 
-def test_the_frame_tells_every_outcome(tmp_path):
+def test_the_frame_tells_every_outcome():
     """An abort and an endless wait are outcomes, after which the next case runs."""
-    told = [outcome for _, outcome, _ in run_part(every_end, len(ENDS), tmp_path)]
+    cases = [("every_end", number) for number in range(len(ENDS))]
+    told = [outcome for outcome, _ in outcomes("test_damage", cases)]
     assert told == list(ENDS) == list(frame.OUTCOMES)
 
 
@@ -57,6 +59,7 @@ def test_the_frame_tells_every_outcome(tmp_path):
         (2, "", "foreign"),
         (1, "error: this is a bug of spectra_kit\n", "foreign"),
         (2, "Traceback (most recent call last)\n", "foreign"),
+        (0, "Traceback (most recent call last)\n", "foreign"),
         (-11, "", "crash"),
         (134, "double free\n", "crash"),
     ],

@@ -6,12 +6,13 @@ import pytest
 from spectra_kit import InvalidInputError, TriangleMesh, eigensolve, robust_laplacian
 from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
 from spectra_kit.errors import ConvergenceError
-from spectra_kit.functional_maps import _normal_equations as normal_equations
 from spectra_kit.functional_maps import (
+    FitWeights,
     fit_functional_map,
     functional_map_from_point_map,
     point_map_from_functional_map,
 )
+from spectra_kit.functional_maps import _normal_equations as normal_equations
 from spectra_kit.functional_maps._normal_equations import minimise
 from spectra_kit.functional_maps._terms import (
     Commuting,
@@ -23,7 +24,7 @@ from spectra_kit.functional_maps._terms import (
     preserved,
 )
 from spectra_kit.geometry import creature, sphere
-from spectra_kit.operators.orientation import oriented_triangles
+from spectra_kit.operators.oriented import oriented_triangles
 from spectra_kit.spectra import Spectrum
 
 K = 12
@@ -192,8 +193,8 @@ def test_constants_go_to_constants_whatever_the_weights(animal, bent) -> None:
     assert np.allclose(C[:, 0], sign * np.eye(K + 3)[0], atol=1e-6)
 
 
-@pytest.mark.parametrize("reversing", [False, True])
-def test_orientation_decides_between_left_and_right(symmetric, reversing) -> None:
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_orientation_decides_between_left_and_right(symmetric, mirrored) -> None:
     mesh, spectrum, mirror = symmetric
     f = wks(spectrum)
     oriented = oriented_triangles(mesh)
@@ -203,12 +204,11 @@ def test_orientation_decides_between_left_and_right(symmetric, reversing) -> Non
         f,
         f,
         k=20,
-        orientation=1.0,
-        reversing=reversing,
-        source_orientation=oriented,
-        target_orientation=oriented,
+        weights=FitWeights(orientation=1.0),
+        mirrored=mirrored,
+        oriented=(oriented, oriented),
     )
-    true = mirror if reversing else np.arange(spectrum.n)
+    true = mirror if mirrored else np.arange(spectrum.n)
     expected = functional_map_from_point_map(spectrum, spectrum, true, k=20)
     assert np.linalg.norm(C - expected) < 1e-3
     # Without it, odd functions go nowhere: nothing tells the map from its mirror image.
@@ -218,21 +218,20 @@ def test_orientation_decides_between_left_and_right(symmetric, reversing) -> Non
     assert np.abs(C[odd]).max() < 1e-3
 
 
-def test_a_mirrored_copy_asks_for_the_reversing_fit(animal) -> None:
+def test_a_mirrored_copy_asks_for_the_mirrored_fit(animal) -> None:
     mesh, spectrum = animal
-    mirrored = oriented_triangles(mesh.with_points(mesh.points * [1, -1, 1]))
+    image = oriented_triangles(mesh.with_points(mesh.points * [1, -1, 1]))
     f = wks(spectrum)
-    for reversing, close in ((True, True), (False, False)):
+    for mirrored, close in ((True, True), (False, False)):
         C = fit_functional_map(
             spectrum,
             spectrum,
             f,
             f,
             k=K,
-            orientation=1.0,
-            reversing=reversing,
-            source_orientation=oriented_triangles(mesh),
-            target_orientation=mirrored,
+            weights=FitWeights(orientation=1.0),
+            mirrored=mirrored,
+            oriented=(oriented_triangles(mesh), image),
         )
         assert (np.linalg.norm(C - np.eye(K)) < 1e-4) == close
 
@@ -256,7 +255,7 @@ def test_two_components_keep_their_areas_apart(animal) -> None:
     )
     spectrum = eigensolve(robust_laplacian(both), 20)
     f = np.sin(both.points)
-    C = fit_functional_map(spectrum, spectrum, f, f, k=20, commutativity=1e-4)
+    C = fit_functional_map(spectrum, spectrum, f, f, k=20, weights=FitWeights(commutativity=1e-4))
     ones = spectrum.rescale(spectrum.area**-0.5).project(np.ones(both.n))
     assert np.allclose(C @ ones, ones, atol=1e-12)
     assert np.linalg.norm(C - np.eye(20)) < 0.05
@@ -279,21 +278,23 @@ def test_bad_input_is_refused_by_name(animal, bent, symmetric) -> None:
     refused("must have the same number of columns, got 20 and 19", g=g[:, 1:])
     refused("`k of the source` must be in", k=41)
     refused("`mask` must be 'resolvent' or 'standard'", mask="soft")
-    refused("`orientation` must be a finite weight >= 0", orientation=-1.0)
-    refused("`commutativity` must be a finite weight >= 0", commutativity=np.inf)
-    refused("`multiplication` must be a number, got '1'", multiplication="1")
-    refused("`source_orientation` must be given", orientation=1.0)
-    refused(
-        "`target_orientation` must be on the 700 points of the spectrum, got 642",
-        orientation=1.0,
-        source_orientation=oriented,
-        target_orientation=oriented_triangles(symmetric[0]),
-    )
+    orientation = FitWeights(orientation=1.0)
+    refused("`oriented` must be given", weights=orientation)
+    pair = (oriented, oriented_triangles(symmetric[0]))
+    refused("points of the spectra, got 700 and 642", weights=orientation, oriented=pair)
     refused("`landmarks` must be two lists of one length, at least 1", landmarks=([], []))
     refused("`landmarks` must be two lists of one length", landmarks=([1], [1, 2]))
     refused("`landmarks of the target` must be in", landmarks=([1], [700]))
     refused("`landmarks` must be a pair", landmarks=[1, 2])
     refused("`descriptors` must not all be constant", f=0 * f + 0.1, g=0 * g + 0.7)
+
+
+@pytest.mark.parametrize("wrong", [-1.0, np.inf, "1"])
+@pytest.mark.parametrize("name", FitWeights.__dataclass_fields__)
+def test_wrong_weights_are_refused_by_name(name, wrong) -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        FitWeights(**{name: wrong})
+    assert str(caught.value).startswith(f"`{name}` must be a")
 
 
 def test_operators_that_commute_with_every_map_are_refused() -> None:

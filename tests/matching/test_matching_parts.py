@@ -10,11 +10,17 @@ from spectra_kit import InvalidInputError, PointCloud, Spectrum, TriangleMesh, r
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.functional_maps import functional_map_from_point_map
 from spectra_kit.geometry import creature, mirrored, permuted, rectangle, sphere
-from spectra_kit.matching import Prepared, mismatches, orientation_of, prepare, score_of
+from spectra_kit.matching import (
+    MatchOptions,
+    Prepared,
+    mismatches,
+    orientation_of,
+    prepare,
+    score_of,
+)
 from spectra_kit.matching.candidates import _form_values, sign_candidates
 from spectra_kit.matching.curvature import outward_normals, smoothed_mean_curvature
 from spectra_kit.matching.elastic import (
-    _PULL,
     _bending,
     _edges,
     _rotations,
@@ -23,6 +29,7 @@ from spectra_kit.matching.elastic import (
 from spectra_kit.operators import OrientedTriangles, oriented_triangles
 
 K = 60
+PULL = MatchOptions().pull
 
 
 def prepared(mesh: TriangleMesh, k: int = K) -> Prepared:
@@ -176,7 +183,7 @@ def test_edges_have_cotangent_weights(mesh) -> None:
 def energy(mesh: TriangleMesh, mass: np.ndarray, bent: np.ndarray, goals: np.ndarray) -> float:
     """How much a bend stretches, with the best rotation at each end of each edge, and how far."""
     i, j, w = _edges(mesh.points, oriented_triangles(mesh))
-    total = _PULL * float(mass @ ((bent - goals) ** 2).sum(axis=1))
+    total = PULL * float(mass @ ((bent - goals) ** 2).sum(axis=1))
     for v in range(mesh.n):
         at = (i == v) | (j == v)
         x, y = mesh.points[i[at]] - mesh.points[j[at]], bent[i[at]] - bent[j[at]]
@@ -189,7 +196,7 @@ def test_a_rigid_motion_is_no_bend() -> None:
     mesh = creature(600)
     oriented, mass = oriented_triangles(mesh), robust_laplacian(mesh).mass
     goals = mesh.points @ Rotation.from_rotvec([1, 2, -0.5]).as_matrix().T + [3, 4, 5]
-    bend = _bending(mesh.points, oriented, mass)
+    bend = _bending(mesh.points, oriented, mass, PULL)
     assert bend(goals, goals, 5) == pytest.approx(goals, abs=1e-9)
     reached = bend(goals + 0.03 * np.sin(7 * mesh.points), goals, 100)  # from a dented start
     assert reached == pytest.approx(goals, abs=1e-4)
@@ -198,7 +205,7 @@ def test_a_rigid_motion_is_no_bend() -> None:
 def test_bending_lowers_the_energy_every_time() -> None:
     mesh, pose = creature(500), creature(500, pose=2)
     oriented, mass = oriented_triangles(mesh), robust_laplacian(mesh).mass / mesh.area
-    bend = _bending(mesh.points, oriented, mass)
+    bend = _bending(mesh.points, oriented, mass, PULL)
     bent, goals = mesh.points, pose.points
     energies = [energy(mesh, mass, bent, goals)]
     for _ in range(4):
@@ -232,11 +239,11 @@ def test_the_map_of_a_copy_is_a_candidate(source, copy) -> None:
         assert left[best] < 0.5
 
 
-def test_the_map_to_the_mirror_is_a_reversing_candidate(source, image) -> None:
+def test_the_map_to_the_mirror_is_a_mirrored_candidate(source, image) -> None:
     truth = true_map(source, image, np.arange(source.spectrum.n))[:30, :30]
     left = [
-        ((sign_candidates(source, image, reversing=reversing) - truth) ** 2).sum(axis=(1, 2)).min()
-        for reversing in (True, False)
+        ((sign_candidates(source, image, mirrored=mirrored) - truth) ** 2).sum(axis=(1, 2)).min()
+        for mirrored in (True, False)
     ]
     assert left[0] < 0.5 < left[1]
 
@@ -286,17 +293,17 @@ def test_a_wrong_map_has_much_against_it(source) -> None:
     assert mismatches(source, source, rotated)["spacing"] > 0.1
 
 
-def test_sides_count_in_the_mismatches(source, image) -> None:
+def test_orientation_counts_in_the_mismatches(source, image) -> None:
     to_image = true_map(source, image, np.arange(source.spectrum.n))
     for target, C, turned in ((source, np.eye(K), False), (image, to_image, True)):
-        right = mismatches(source, target, C, reversing=turned)
-        wrong = mismatches(source, target, C, reversing=not turned)
+        right = mismatches(source, target, C, mirrored=turned)
+        wrong = mismatches(source, target, C, mirrored=not turned)
         assert right.pop("orientation") == pytest.approx(0, abs=1e-9)
         assert wrong.pop("orientation") == pytest.approx(1)
         assert right == wrong
 
 
-def test_the_turning_of_a_map(source, copy, image) -> None:
+def test_the_orientation_of_a_map(source, copy, image) -> None:
     target, truth = copy
     assert orientation_of(source, source, np.eye(K)) == pytest.approx(1)
     C = true_map(source, target, truth)

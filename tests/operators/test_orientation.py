@@ -5,7 +5,7 @@ import pytest
 
 from spectra_kit import InvalidInputError, PointCloud, TriangleMesh
 from spectra_kit.geometry import creature, disk, rectangle, sample_with_origin, sphere, torus
-from spectra_kit.operators.orientation import (
+from spectra_kit.operators.oriented import (
     OrientedTriangles,
     area_form,
     orientation_operator,

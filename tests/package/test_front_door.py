@@ -16,7 +16,7 @@ import trimesh
 from test_wrong_arguments import DrawnError, call_of, example, here, surface
 
 import spectra_kit as sk
-from spectra_kit._checked import _Torch
+from spectra_kit._checked import _LATE
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh
 
@@ -46,8 +46,7 @@ def taking_geometries() -> list[tuple[str, str]]:
     found = []
     for name, target, _ in surface():
         function = target.__init__ if inspect.isclass(target) else target
-        names = {"torch": _Torch}
-        hints = typing.get_type_hints(inspect.unwrap(function), localns=names)
+        hints = typing.get_type_hints(inspect.unwrap(function), localns=_LATE)
         hints.pop("return", None)
         for argument, hint in hints.items():
             if any(kind in (TriangleMesh, PointCloud) for kind in (hint, *typing.get_args(hint))):

@@ -124,7 +124,7 @@ def example() -> dict[str, Any]:
     network = neo.build_network(config)
     signature = descriptors.heat_kernel_signature(spectrum)
     candidate = matching.Candidate(
-        functional_map=identity, score=0.1, mismatches={"wave": 0.1}, reversing=False
+        functional_map=identity, score=0.1, mismatches={"wave": 0.1}, mirrored=False
     )
     panel = viz.Panel(values=mesh.points[:, 0], limit=1.0)
     precise = functional_maps.precise_map(spectrum, spectrum, identity, mesh.faces)
@@ -136,6 +136,15 @@ def example() -> dict[str, Any]:
     normalization = geometry.Normalization.unit_box(mesh)
     given = subspaces.GivenBasis(spectrum.eigenvectors)
     return {
+        **{
+            f"{options.__name__}.{field.name}": field.default
+            for options in (
+                matching.MatchOptions,
+                matching.ScoreWeights,
+                functional_maps.FitWeights,
+            )
+            for field in fields(options)
+        },
         # Instances whose methods are called.
         **{
             f"{type(thing).__name__}.self": thing
@@ -189,7 +198,6 @@ def example() -> dict[str, Any]:
         "center": True,
         "centre": (0.0, 0.0, 0.0),
         "certificate": spectrum.certificate,
-        "choice": "direct",
         "chunk": 128,
         "cloud": cloud,
         "cluster_error": comparison.cluster_error,
@@ -294,7 +302,6 @@ def example() -> dict[str, Any]:
         "kind": "mesh",
         "plot_signatures.kind": "heat",
         "label": "distance",
-        "landmark_weight": 1.0,
         "landmarks": [0, 1],
         "match.landmarks": ([0, 1], [0, 1]),
         "mismatches.landmarks": (np.array([0, 1]), np.array([0, 1])),
@@ -333,6 +340,7 @@ def example() -> dict[str, Any]:
         "Heat.method": "Cholesky",
         "minor": 0.4,
         "mirrored": False,
+        "match.mirrored": False,
         "mismatches": {"wave": 0.1},
         "missing": 0,
         "mmap": False,
@@ -378,12 +386,13 @@ def example() -> dict[str, Any]:
         "open_from": comparison.open_from,
         "operator": "robust",
         "operators": interop.to_diffusion_net(spectrum, laplacian),
+        "options": matching.MatchOptions(),
         "orientation": 1.0,
-        "fit_functional_map.orientation": 0.0,
+        "fit_functional_map.oriented": (oriented, oriented),
         "oriented": oriented,
         "orthonormality_error": 1e-12,
         "other": field.heat,
-        "other_side": 1.5,
+        "mirror_margin": 1.5,
         "pairs": [viz.MatchedPair(source=mesh, target=mesh, point_map=same)],
         "part": given,
         "parts": given,
@@ -404,6 +413,7 @@ def example() -> dict[str, Any]:
         "estimate_normals.cloud": cloud,
         "Candidate.functional_map": identity,
         "point_map": same,
+        "point_arrays": np.ones(n),
         "points": mesh.points,
         "nearest_rows.points": mesh.points,
         "pareto_front.points": [viz.ParetoPoint(name="a", group="b", seconds=1.0, error=0.1)],
@@ -433,7 +443,6 @@ def example() -> dict[str, Any]:
         "residuals": np.zeros(k),
         "SolverRun.residuals": [1.0, 0.1],
         "response": np.exp,
-        "reversing": False,
         "rings": 3,
         "rough": False,
         "rows": np.arange(100),
@@ -456,12 +465,12 @@ def example() -> dict[str, Any]:
         "share_limits": True,
         "shift": 0.1,
         "shown": [0, 1],
-        "sides": "kept",
         "sigma": 0.3,
         "signature": signature,
         "smoothing": 2,
         "solve_name": "solve",
         "solver": sk.Dense(),
+        "DistanceField.solver": geodesics.Direct(),
         "HeatGeodesics.solver": geodesics.Direct(),
         "geodesic_distance.solver": geodesics.Direct(),
         "Provenance.solver": "Dense()",
@@ -483,7 +492,6 @@ def example() -> dict[str, Any]:
         "source_descriptors": signature,
         "source_faces": mesh.faces,
         "source_geometry": mesh,
-        "source_orientation": oriented,
         "source_points": mesh.points,
         "source_rows": spectrum.eigenvectors[:, :12],
         "sources": [0, 1],
@@ -516,7 +524,6 @@ def example() -> dict[str, Any]:
         "target_descriptors": signature,
         "target_faces": mesh.faces,
         "target_geometry": mesh,
-        "target_orientation": oriented,
         "target_rows": spectrum.eigenvectors[:, :12],
         "targets": [0, 1],
         "thing": mesh,
@@ -551,6 +558,7 @@ def example() -> dict[str, Any]:
         "waves": 0,
         "weight": "index",
         "weights": None,
+        "fit_functional_map.weights": functional_maps.FitWeights(),
         "Neo.weights": "small",
         "OrientedTriangles.weights": oriented.weights,
         "weyl": True,
@@ -583,6 +591,7 @@ ALSO = {
     "plot_spectrum.spectra": {"Spectrum"},
     "check_sources.geometry": {"Laplacian", "Spectrum"},
     "eigensolve.solver": {"Arpack"},
+    "to_pyvista.point_arrays": {"Spectrum", "array of b"},
     "spectrum.solver": {"Arpack"},
     # Empty sequences, which are arrays of floats to NumPy.
     "Match.candidates": {"array"},

@@ -1,10 +1,9 @@
 """The ablation loop: equal protocol, one report, and nothing done twice."""
 
-import importlib.util
 import json
 import shutil
-from pathlib import Path
 
+import ablate_neo as ablate
 import numpy as np
 import pytest
 from conftest import ellipsoids
@@ -13,11 +12,6 @@ from PIL import Image
 from spectra_kit.geometry import creature, write
 from spectra_kit.neo import NeoConfig, load_pretrained
 from spectra_kit.training.shards import write_shard
-
-APP = Path(__file__).parents[2] / "apps" / "ablate_neo.py"
-SPECIFICATION = importlib.util.spec_from_file_location("ablate_neo", APP)
-ablate = importlib.util.module_from_spec(SPECIFICATION)
-SPECIFICATION.loader.exec_module(ablate)
 
 BASE = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=24, k=8, waves=4)
 

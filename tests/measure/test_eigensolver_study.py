@@ -1,0 +1,294 @@
+"""The benchmark of eigensolvers: what is measured, what follows from it, and what it says."""
+
+import dataclasses
+import json
+import platform
+import re
+
+import benchmark_eigensolvers as app
+import numpy as np
+import pytest
+from conftest import bumpy
+from measure.eigensolvers import peers
+from measure.eigensolvers.methods import METHODS, QUICK, Contender, Method, contenders
+from measure.eigensolvers.report import exponents, write_report
+from measure.eigensolvers.studies import EXACT, Preparation, Problem, Solves, problems
+from measure.store import Store
+from measure.study import Result, repeats_of, run
+
+from spectra_kit import Arpack, Provenance, eigensolve, robust_laplacian
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import sphere, write
+from spectra_kit.metrics import compare_spectra
+from spectra_kit.neo import NeoSubspace
+
+PEERS = [name for name, method in METHODS.items() if method.peer]
+MACHINE = {"name": "box", "processor": "fast", "accelerator": "", "cores": 2, "threads": 1}
+MACHINE |= {"versions": {}, "commit": "", "code": ""}
+CLOUD = Problem("cloud", 600)
+TINY = ["--sizes", "600", "-k", "6", "--repeats", "1", "--threads", "1", "--geometry", "cloud"]
+TINY += ["--methods", "arpack", "eigsh", "--machine", "test", "--commit", "c0"]
+
+
+def study(folder, names=("arpack",), given=(CLOUD,), **options):
+    """Solves of prepared problems, without processes."""
+    prepared = Preparation(folder=folder, problems=given, k=4)
+    made = run(prepared, Store(folder), jobs=0)
+    return Solves.of(prepared, made, contenders=contenders(names), **options)
+
+
+# --- end to end ---
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("benchmark")
+    assert app.main([str(folder), *TINY]) == 0
+    return folder
+
+
+def test_json_says_what_was_measured(finished):
+    record = json.loads((finished / "benchmark.json").read_text())
+    assert record["machine"]["name"] == "test"
+    assert record["machine"]["commit"] == "c0"
+    assert record["machine"]["versions"]["numpy"] == np.__version__
+    assert record["settings"]["k"] == 6
+    assert record["methods"]["eigsh"] == {
+        "solver": "ScipyEigsh(sigma=-0.01, tol=0.0)",
+        "stops_at": "rounding",
+        "peer": True,
+    }
+    assert [r["method"] for r in record["results"]] == ["arpack", "eigsh"]
+    for result in record["results"]:
+        assert (result["geometry"], result["n"], result["status"]) == ("cloud", 600, "ok")
+        assert len(result["seconds"]) == 1
+        assert min(result["seconds"]) > 0
+        assert 0 <= result["waiting"] <= 1
+        assert result["assembly_seconds"] > 0
+        assert result["peak_bytes"] >= 0
+        assert result["residual_max"] < 1e-9
+        assert result["eigenvalue_error"] < 1e-9
+        assert result["span_error"] < 1e-9
+        assert result["missed"] == 0
+
+
+def test_tables_and_plots_are_written_and_a_rerun_measures_nothing(finished, capsys):
+    text = (finished / "benchmark.md").read_text()
+    assert "### cloud, 600 points" in text
+    assert len(re.findall(r"^\| \**(?:arpack|eigsh)\** +\| rounding \|", text, re.MULTILINE)) == 2
+    pictures = {path.name for path in finished.glob("*.png")}
+    assert pictures == {"time-cloud.png", "accuracy-cloud-600.png"}
+    measured = (finished / "measurements.jsonl").read_text()
+    assert app.main([str(finished), *TINY]) == 0
+    assert (finished / "measurements.jsonl").read_text() == measured
+    assert "written:" in capsys.readouterr().out
+
+
+# --- who ---
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_peers_agree_with_arpack(name):
+    if not METHODS[name].present:
+        pytest.skip(f"{METHODS[name].needs} is not installed")
+    laplacian = robust_laplacian(bumpy())
+    exact = eigensolve(laplacian, 12, Arpack())
+    found = eigensolve(laplacian, 12, METHODS[name].make("cpu"))
+    comparison = compare_spectra(exact, found)
+    assert comparison.mean_eigenvalue_error < 1e-6
+    assert comparison.mean_span_error < 1e-6
+
+
+def test_eigsh_is_measured_at_our_tolerance_too():
+    laplacian = robust_laplacian(bumpy())
+    # Lanczos stops at a restart: with one number of modes it may have more digits than asked for.
+    residuals = {
+        m: max(
+            eigensolve(laplacian, k, METHODS[m].make("cpu")).certificate.relative_residuals.max()
+            for k in (8, 12, 20, 25, 40)
+        )
+        for m in ("eigsh", "eigsh-1e-6")
+    }
+    assert residuals["eigsh"] < 1e-9 < residuals["eigsh-1e-6"] < 1e-4
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_method_is_what_is_told_of_it(name):
+    method = METHODS[name]
+    assert set(method.devices) <= {"cpu", "cuda"}
+    solver = method.make("cpu")
+    assert callable(solver.eigenpairs)
+    tolerance = getattr(solver, "rtol", getattr(solver, "tol", None))
+    assert {"1e-6": tolerance == 1e-6, "rounding": not tolerance}.get(
+        method.stops, tolerance is None
+    )
+    options = Contender(name).solver  # in the same words every time: it is part of the key
+    assert options == (repr(method.make("cpu")) if method.present else "")
+    assert " at 0x" not in options
+
+
+def test_chebyshev_is_started_from_the_network_on_its_device():
+    solver = METHODS["chebyshev-neo"].make("cpu")
+    assert isinstance(solver.start, NeoSubspace)
+    assert solver.start.device == solver.device == "cpu"
+    both = contenders(["arpack", "chebyshev-neo"], ["cpu", "cuda"])
+    assert list(map(str, both)) == ["chebyshev-neo", "arpack", "chebyshev-neo (cuda)"]
+
+
+def test_the_quick_choice_leaves_out_the_slow_rivals():
+    assert set(METHODS) - set(QUICK) == {"lobpcg", "lobpcg-amg", "spectra", "lobpcg-pyamg"}
+    parse = app._parser().parse_args
+    assert tuple(parse(["out", "--quick"]).methods) == QUICK
+    assert tuple(parse(["out"]).methods) == tuple(METHODS)
+
+
+# --- on what ---
+
+
+def test_a_file_has_one_mesh_and_clouds_of_any_size(tmp_path):
+    file = tmp_path / "ball.off"
+    write(sphere(subdivisions=3).geometry, file)
+    found = problems((800, 700), file=str(file))
+    assert [(p.kind, p.points) for p in found] == [("mesh", 0), ("cloud", 700), ("cloud", 800)]
+    mesh, cloud, _ = (problem.assemble() for problem in found)
+    assert (mesh.n, cloud.n) == (642, 700)
+    assert [x.operator.split("(")[0] for x in (mesh, cloud)] == [
+        *("robust_laplacian", "delaunay_laplacian")
+    ]
+    # Of unit area, so radius 1 / sqrt(4 pi): eigenvalues 4 pi l (l + 1).
+    assert eigensolve(mesh, 4).eigenvalues[1:] == pytest.approx(8 * np.pi, rel=0.02)
+    with pytest.raises(InvalidInputError, match="sizes"):
+        problems((499,))
+
+
+# --- how ---
+
+
+def test_seconds_are_those_of_the_solve_alone(tmp_path):
+    solves = study(tmp_path)
+    record = solves.measure(Contender("arpack"), CLOUD)
+    assert record["seconds"] == Provenance(seconds=record["stages"]).solving_seconds
+    assert record["assembly_seconds"] > 0
+
+
+def test_a_method_with_other_options_is_measured_anew(tmp_path, monkeypatch):
+    solves = study(tmp_path, ["eigsh"])
+    for _ in range(2):
+        run(solves, Store(tmp_path), jobs=0)
+    changed = Method(make=lambda device: peers.ScipyEigsh(sigma=-0.02), peer=True)
+    monkeypatch.setitem(METHODS, "eigsh", changed)
+    solves = dataclasses.replace(solves, contenders=contenders(["eigsh"]))
+    run(solves, Store(tmp_path), jobs=0)
+    lines = (tmp_path / "measurements.jsonl").read_text().splitlines()
+    assert [json.loads(line).get("solver") for line in lines[2:]] == [
+        "ScipyEigsh(sigma=-0.01, tol=0.0)",
+        "ScipyEigsh(sigma=-0.02, tol=0.0)",
+    ]
+
+
+def test_without_exact_modes_there_are_no_errors_but_seconds(tmp_path):
+    solves = study(tmp_path)
+    bare = dataclasses.replace(solves, unprepared={(EXACT, str(CLOUD)): "took more than 5 s"})
+    (result,) = run(bare, Store(tmp_path), jobs=0)
+    assert result.ok
+    assert "eigenvalue_error" not in result.record
+    text = write_report(bare, [result], MACHINE)[1].read_text()
+    assert "- arpack (cloud, 600 points): no errors: took more than 5 s" in text
+    # Once they are there, it is measured again.
+    (result,) = run(solves, Store(tmp_path), jobs=0)
+    assert result.record["eigenvalue_error"] < 1e-9
+
+
+def test_what_is_absent_failed_or_too_slow_is_not_tried(tmp_path, monkeypatch):
+    monkeypatch.setitem(METHODS, "lapy", Method(make=Arpack, needs="no_such_module"))
+    solves = study(tmp_path)
+    eigsh, small, large = Contender("eigsh"), CLOUD, Problem("cloud", 700)
+    absent = "not installed: pip install no_such_module"
+    assert solves.excuse(Contender("lapy"), small, []) == absent
+    stopped = Result(eigsh, small, 0, {"status": "stopped", "reason": "took more than 9 s"})
+    assert solves.excuse(eigsh, large, [stopped]) == "stopped at 600 points: took more than 9 s"
+    failed = Result(eigsh, small, 0, {"status": "failed", "reason": "no"})
+    assert solves.excuse(eigsh, small, [failed]) == "no"
+    assert solves.excuse(eigsh, large, [failed]) == ""
+    assert solves.excuse(Contender("arpack"), large, [stopped]) == ""
+    assert solves.excuse(eigsh, Problem("mesh", 700), [stopped]) == ""
+
+
+class Hasty:
+    """Gives up on the problem, not on what it warms up on."""
+
+    def eigenpairs(self, laplacian, k):
+        restarts = 1 if laplacian.n == CLOUD.points else 1000
+        return Arpack(max_restarts=restarts).eigenpairs(laplacian, k)
+
+
+def test_modes_that_did_not_converge_are_counted(tmp_path, monkeypatch):
+    monkeypatch.setitem(METHODS, "arpack", Method(make=lambda device: Hasty()))
+    prepared = Preparation(folder=tmp_path, problems=[CLOUD], k=60)
+    run(prepared, Store(tmp_path), jobs=0)
+    record = Solves.of(prepared, [], contenders=[]).measure(Contender("arpack"), CLOUD)
+    assert record["status"] == "failed"
+    assert re.match(r"\d+ of 60 modes converged: ", record["reason"])
+
+
+# --- what follows ---
+
+
+def measured(name, seconds, error, points=600, device="cpu", **changes):
+    record = {"status": "ok", "n": points, "seconds": seconds, "assembly_seconds": 0.1}
+    record |= {"eigenvalue_error": error, "waiting": 0.0, **changes}
+    return Result(Contender(name, device), Problem("mesh", points), 0, record)
+
+
+def report(folder, results):
+    prepared = Preparation(folder=folder, problems=(), k=96)
+    solves = Solves(folder=folder, contenders=(), problems=(), prepared=prepared)
+    return write_report(solves, results, MACHINE)[1].read_text()
+
+
+def test_bold_methods_are_those_that_none_beats_on_their_device(tmp_path):
+    results = [
+        measured("arpack", 4.0, 0.0),
+        measured("eigsh", 5.0, 1e-15),  # as exact, but slower
+        measured("neo", 0.1, 1e-2),
+        measured("polished", 0.5, 1e-4),
+        measured("fourier", 0.6, 1e-3),  # beaten
+        measured("lapy", 0.01, None),  # of unknown accuracy
+        measured("neo", 0.05, 2e-4, device="cuda"),
+    ]
+    text = report(tmp_path, results)
+    bold = [line.split("**")[1] for line in text.splitlines() if line.startswith("| **")]
+    assert bold == ["arpack", "neo", "polished", "neo (cuda)"]
+
+
+def test_the_report_says_what_is_missing_and_what_disturbed(tmp_path):
+    results = [
+        measured("eigsh", 4.0, 0.0, 8000),
+        measured("neo", 0.5, 1e-2, 8000, waiting=0.25),
+        measured("eigsh", 8.0, None, 16000),
+        measured("neo", 1.0, None, 16000),
+        measured("eigsh", 16.0, 0.0, 32000),
+        measured("lapy", None, None, status="skipped", reason="pip install lapy"),
+    ]
+    text = report(tmp_path, results)
+    assert "up to 25% of a solve's time was spent waiting for a core" in text
+    cells = next(x for x in text.splitlines() if x.startswith("| **neo**")).replace(" ", "")
+    assert cells.startswith("|**neo**||0.5|8.00|0.6|")
+    assert "- mesh, cpu: eigsh 1.00 (3 sizes)\n" in text  # and none for two sizes
+    assert "- lapy (mesh, 600 points): pip install lapy" in text
+
+
+def test_exponents_are_those_of_the_larger_sizes():
+    sizes = (1000, 8000, 64000, 512000)
+    results = [measured("arpack", 1e-6 * n**1.5, 0.0, n) for n in sizes[1:]]
+    results.append(measured("arpack", 1e6, 0.0, sizes[0]))
+    ((_, fit),) = exponents(repeats_of(results)).items()
+    assert fit.exponent == pytest.approx(1.5)
+    assert fit.sizes == 3
+
+
+def test_the_machine_is_part_of_the_key(tmp_path):
+    here = study(tmp_path, machine=platform.node())
+    there = dataclasses.replace(here, machine="elsewhere")
+    arpack = Contender("arpack")
+    assert here.key(arpack, CLOUD) != there.key(arpack, CLOUD) != there.key(arpack, CLOUD, 1)

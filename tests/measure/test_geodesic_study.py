@@ -1,0 +1,265 @@
+"""The benchmark of distances end to end on a mesh of our own, and what its tables say."""
+
+import dataclasses
+import re
+from itertools import pairwise
+
+import benchmark_geodesics as app
+import numpy as np
+import pytest
+import torch
+from measure import store
+from measure.geodesics.contenders import (
+    AUTOMATIC,
+    CONTENDERS,
+    DIRECT,
+    ICPCG,
+    LIBIGL,
+    MANY,
+    PLAIN,
+    ROBUST,
+    UNAIDED,
+)
+from measure.geodesics.report import meshes
+from measure.geodesics.studies import (
+    EIGENSOLVERS,
+    Accuracy,
+    Ball,
+    Balls,
+    Exact,
+    Modes,
+    Times,
+    relative_errors,
+)
+from measure.shapes import Shape, shape_at
+from measure.store import Store
+from measure.study import Result, run
+from measure.tables import ratio
+
+from spectra_kit import Neo
+from spectra_kit.geodesics import exact_distances, geodesic_distance
+from spectra_kit.geometry import creature, sphere, write
+from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
+
+QUICK = ["--quick", "--repeats", "1", "--sources", "2", "--exact-sources", "2", "--warm", "2"]
+QUICK += ["--sphere", "2", "3"]
+N = 700
+
+
+def studies(folder, shapes):
+    """Those of the command, on the same meshes with the same options."""
+    places = {"folder": folder, "problems": shapes}
+    modes, exact = Modes(**places), Exact(**places, count=2)
+    given = {**places, "modes": modes, "exact": exact, "warm": 2}
+    return modes, exact, Accuracy(**given), Times(**given)
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """The folder of the command, its report, and the mesh."""
+    folder = tmp_path_factory.mktemp("geodesics")
+    path = folder / "animal.npz"
+    write(creature(N, seed=0), path)
+    out = folder / "out"
+    assert app.main([str(out), "--meshes", str(path), *QUICK]) == 0
+    return out, (out / "report.md").read_text(), shape_at(path)
+
+
+@pytest.fixture(scope="module")
+def accuracy(measured):
+    """Its errors, from the store."""
+    out, _, shape = measured
+    results = run(studies(out, [shape])[2], Store(out), jobs=0)
+    return {result.contender: result.record for result in results}
+
+
+# --- end to end ---
+
+
+def test_everything_is_measured_of_every_contender(measured):
+    out, _, _ = measured
+    records = Store(out)._records.values()
+    assert {record["status"] for record in records} == {"ok"}
+    for study, names in (("accuracy", CONTENDERS), ("modes", EIGENSOLVERS)):
+        assert {r["contender"] for r in records if r["study"] == study} == set(names)
+    times = [record for record in records if record["study"] == "times"]
+    assert len(times) == len(CONTENDERS) + len(MANY)
+    for record in times:
+        assert 0 < record["seconds"] < 60
+        stages = sum(record["stages"].values())
+        # Stages that run side by side, and rounding, aside.
+        assert stages <= record["seconds"] * 1.05 + 1e-3, record["contender"]
+
+
+def test_a_finished_mesh_is_not_measured_again(measured, tmp_path, capsys):
+    out, _, _ = measured
+    lines = (out / "measurements.jsonl").read_text()
+    assert app.main([str(out), "--meshes", str(out.parent / "animal.npz"), *QUICK]) == 0
+    assert (out / "measurements.jsonl").read_text() == lines
+    assert "## In short" in capsys.readouterr().out
+
+
+def test_numbers_are_those_of_the_library(measured, accuracy):
+    out, _, shape = measured
+    sources, distances = studies(out, [shape])[1].distances(shape)
+    field, exact = geodesic_distance(shape.mesh, sources[0]), distances[0]
+    np.testing.assert_array_equal(exact, exact_distances(shape.mesh, sources[0]))
+    assert sources[1] == exact.argmax()  # the farthest
+    away = np.arange(N) != sources[0]
+    truth = np.mean(np.abs(field.distance - exact)[away] / exact[away])
+    assert accuracy[DIRECT]["errors"][0]["mean"] == pytest.approx(truth, rel=1e-6)
+    # Other packages, the same mean.
+    for name in (ROBUST, PLAIN, LIBIGL):
+        pairs = zip(accuracy[name]["errors"], accuracy[DIRECT]["errors"], strict=True)
+        assert all(a["mean"] == pytest.approx(b["mean"], rel=0.1) for a, b in pairs)
+
+
+def test_solvers_agree_and_modes_save_iterations(accuracy):
+    ours = [name for name in CONTENDERS if name not in (ROBUST, PLAIN, LIBIGL)]
+    assert max(accuracy[name]["difference"] for name in ours) < 1e-7
+    most = {name: accuracy[name]["iterations"] for name in CONTENDERS}
+    few = [max(most[name]) for name in CONTENDERS if name.startswith("additive")]
+    assert max(few) < 0.6 * min(most[ICPCG])
+    assert most[DIRECT] == [None, None]
+
+
+def test_tables_are_computed_from_the_records(measured, accuracy):
+    _, report, _ = measured
+    assert "the seconds are not comparable" in report
+    middle = {name: np.median(accuracy[name]["iterations"]) for name in (ICPCG, ADDITIVE)}
+    for name in middle:
+        count, saved = re.search(rf"\| {name} +\| +(\d+) \(([\d.]+)\) \|", report).groups()
+        assert int(count) == round(middle[name])
+        assert float(saved) == pytest.approx(middle[ICPCG] / middle[name], abs=0.006)
+    means = [np.mean([e["mean"] for e in accuracy[name]["errors"]]) for name in (DIRECT, ROBUST)]
+    worst = re.search(r"mean error over that of potpourri3d +\| +([\d.]+) \|", report)[1]
+    assert float(worst) == pytest.approx(means[0] / means[1], abs=6e-4)
+    # No mesh is large.
+    assert re.search(r"first field, 100,000 vertices or more +\| +- \|", report)
+
+
+ADDITIVE = "additive, 96 exact modes"
+
+
+def test_on_the_sphere_errors_fall_alike(tmp_path):
+    balls = [Ball(kind, count) for kind in ("mesh", "cloud") for count in (2, 3, 4)]
+    results = run(Balls(folder=tmp_path, problems=balls), Store(tmp_path), jobs=0)
+    means = {(r.contender, str(r.problem)): r.record["mean"] for r in results}
+    for kind in ("mesh", "cloud"):
+        names = [str(Ball(kind, count)) for count in (2, 3, 4)]
+        direct = [means[DIRECT, name] for name in names]
+        assert all(finer < coarser for coarser, finer in pairwise(direct))
+        np.testing.assert_allclose(direct, [means[ROBUST, name] for name in names], rtol=0.25)
+    assert [r.record["points"] for r in results[::3]][:3] == [162, 642, 2562]
+    assert (PLAIN, str(balls[-1])) not in means
+
+
+# --- parts ---
+
+
+def test_a_fresh_process_finds_the_same_and_refuses_alike(measured, tmp_path):
+    out, _, shape = measured
+    study = studies(out, [shape])[2]
+    elsewhere = dataclasses.replace(study, problems=[shape], contenders=[DIRECT], warm=1)
+    (here,) = run(study, Store(out), jobs=0)[:1]
+    copied = Store(tmp_path)  # knows nothing
+    (there,) = run(elsewhere, copied, jobs=1)
+    assert there.ok, there.reason
+    for name in ("errors", "iterations", "difference"):
+        assert here.record[name] == there.record[name]
+
+
+def test_what_lacks_modes_or_truth_is_left_out(tmp_path):
+    shape = Shape("ball", sphere(subdivisions=1).geometry)
+    *_, accuracy, _ = studies(tmp_path, [shape])
+    assert accuracy.excuse(ADDITIVE, shape, []) == "there are no exact modes"
+    assert accuracy.excuse(DIRECT, shape, []) == "there are no exact distances"
+
+
+@pytest.mark.parametrize("changed", ["mesh", "code", "machine", "weights"])
+def test_what_changes_makes_another_key(tmp_path, monkeypatch, changed):
+    shape = Shape("ball", sphere(subdivisions=1).geometry)
+    _, exact, accuracy, times = studies(tmp_path, [shape])
+    name = "additive, 96 NEO modes"
+
+    def keys(shape):
+        return exact.key("exact", shape), accuracy.key(name, shape), times.key(name, shape)
+
+    before = keys(shape)
+    if changed == "mesh":
+        shape = Shape("ball", shape.mesh.with_points(2 * shape.mesh.points))
+    elif changed == "machine":
+        times = dataclasses.replace(times, machine="elsewhere")
+    elif changed == "code":
+        monkeypatch.setattr("measure.study.code_digest", lambda sources: f"other {sources}")
+    else:
+        weights = tmp_path / "weights.safetensors"
+        torch.manual_seed(0)
+        save_weights(weights, NeoNetwork(NeoConfig.named("small")), {"steps": 0})
+        monkeypatch.setitem(EIGENSOLVERS, "neo", lambda: Neo(weights=weights))
+    same = [a == b for a, b in zip(before, keys(shape), strict=True)]
+    assert (
+        same
+        == {
+            "mesh": [False, False, False],
+            "code": [False, False, False],
+            "machine": [True, True, False],
+            "weights": [True, False, False],
+        }[changed]
+    )
+
+
+def test_exact_distances_serve_until_their_own_code_changes():
+    assert Exact.sources == ("geodesics/*exact*.py",)
+    found = [path.name for path in store._sources(Exact.sources, store._PACKAGE)]
+    assert "exact.py" in found
+    assert "heat.py" not in found
+
+
+def test_sources_are_random_and_far(tmp_path):
+    shape = Shape("ball", sphere(subdivisions=3).geometry)
+    Store(tmp_path)  # makes its folders
+    drawn = [
+        Exact(folder=tmp_path, problems=[shape], count=4, seed=seed).measure("exact", shape)
+        for seed in (1, 2, 1)
+    ]
+    first, second, again = (record["sources"] for record in drawn)
+    assert len(set(first)) == 4
+    near = shape.mesh.points[first[:3]] @ shape.mesh.points.T
+    assert near.max(axis=0).argmin() == first[3]
+    assert first == again != second
+
+
+def test_errors_leave_out_sources_and_what_is_out_of_reach():
+    exact = np.array([0.0, 1.0, 2.0, np.inf])
+    found = relative_errors(np.array([5.0, 1.5, 2.0, 7.0]), exact, np.array([1.0, 1.0, 3.0, 1.0]))
+    assert found == {"mean": 0.25, "weighted": 0.125, "largest": 0.5}
+
+
+def test_the_spectrum_is_paid_by_those_who_use_it():
+    shape = Shape("ball", sphere(subdivisions=1).geometry)
+
+    def mesh(name, solver, status="ok"):
+        first = [Result(name, shape, 0, {"status": status, "seconds": 2.0, "solver": solver})]
+        modes = [Result("exact", shape, 0, {"status": "ok", "seconds": 5.0})]
+        return meshes({"modes": modes, "first": first})[0]
+
+    assert mesh(AUTOMATIC, "two-level").seconds_in_all(AUTOMATIC) == 7.0
+    # What is automatic and solves directly leaves the modes alone.
+    assert mesh(AUTOMATIC, "direct").seconds_in_all(AUTOMATIC) == 2.0
+    assert mesh(UNAIDED, "iterative").seconds_in_all(UNAIDED) == 2.0
+    assert mesh(ICPCG, "", status="failed").seconds_in_all(ICPCG) is None
+
+
+def test_meshes_gather_what_failed_too():
+    shape = Shape("ball", sphere(subdivisions=1).geometry)
+    failed = [Result(DIRECT, shape, 0, {"status": "failed", "reason": "no"})]
+    (mesh,) = meshes(dict.fromkeys(("modes", "accuracy", "first", "many"), failed))
+    assert mesh.title == "ball (42)"
+    assert mesh.error(DIRECT) is mesh.iterations(DIRECT) is mesh.seconds(DIRECT) is None
+    assert ratio(mesh.error(DIRECT), 1.0) is None
+
+
+def test_counts_are_positive(tmp_path, capsys):
+    assert app.main([str(tmp_path), "--repeats", "0"]) == 2
+    assert "`repeats` must be at least 1, got 0" in capsys.readouterr().err
