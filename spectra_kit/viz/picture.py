@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 import os
 from base64 import b64encode
@@ -14,7 +13,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar, cast, overl
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path, check_target, temporary_folder
-from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit._optional import optional
+from spectra_kit.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -123,11 +123,8 @@ def _check_path(path: PathLike | None, suffixes: tuple[str, ...]) -> None:
         *most, last = suffixes
         raise InvalidInputError("path", f"end in {', '.join(most)} or {last}", repr(str(path)))
     check_target(path)
-    if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise MissingDependencyError(
-            "MP4 needs imageio-ffmpeg",
-            advice="pip install spectra_kit[video]; or write a .gif",
-        )
+    if suffix == ".mp4":
+        optional("imageio_ffmpeg", extra="video", needed_by="MP4", otherwise="write a .gif")
 
 
 def save(figure: Figure, path: PathLike) -> None:

@@ -209,7 +209,7 @@ animate_modes("modes.mp4", mesh, eigensolve(robust_laplacian(mesh), 4, Dense()))
         [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert "MissingDependencyError: MP4 needs imageio-ffmpeg" in run.stderr
-    assert "pip install spectra_kit[video]; or write a .gif" in run.stderr
+    assert "pip install 'spectra_kit[video]'; or write a .gif" in run.stderr
     assert os.listdir(tmp_path) == []
 
 
