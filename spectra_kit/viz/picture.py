@@ -21,6 +21,14 @@ if TYPE_CHECKING:
 
 _TYPES = {".png": "image/png", ".gif": "image/gif", ".svg": "image/svg+xml"}
 
+_PARAMETERS = "Parameters\n----------\n"
+_SHARED = {
+    "path": "path : path-like, optional\n    The file to write; see `Picture`.",
+    "view": "view : View, optional\n    Where it is seen from.",
+    "page": "page : Page, optional\n    Its head, and its resolution.",
+}
+_RETURNS = ("", "Returns", "-------", "Picture", "    What was drawn.", "")
+
 PathLike = str | os.PathLike[str]
 Options = ParamSpec("Options")
 Drawn = TypeVar("Drawn")
@@ -83,7 +91,8 @@ def written(
     """Decorate what draws something: it then takes a path, and returns a `Picture`.
 
     The path is refused before the drawing if `write` could not write there. The first of the
-    `suffixes` is what a picture without a path is made of.
+    `suffixes` is what a picture without a path is made of. What all plots take and return is added
+    to the docstring.
     """
 
     def decorate(draw: Callable[Options, Drawn]) -> Plot[Options]:
@@ -108,9 +117,19 @@ def written(
         plot.__signature__ = own.replace(  # type: ignore[attr-defined]
             parameters=[path, *own.parameters.values()], return_annotation="Picture"
         )
+        plot.__doc__ = draw.__doc__ and _documented(inspect.cleandoc(draw.__doc__), own)
         return cast(Plot[Options], plot)
 
     return decorate
+
+
+def _documented(text: str, signature: inspect.Signature) -> str:
+    """A docstring, with what all plots take and return added to its parameters."""
+    start = text.index(_PARAMETERS) + len(_PARAMETERS)
+    end = text.index("\n\n", start)
+    shared = [entry for name, entry in _SHARED.items() if name in signature.parameters]
+    parameters = [_SHARED["path"], text[start:end], *shared]
+    return "\n".join([text[:start] + "\n".join(parameters), *_RETURNS, text[end:].lstrip("\n"), ""])
 
 
 @checked
