@@ -27,16 +27,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from measure.command import add_threads, exit_code, parser_of
-from measure.eigensolvers import (
-    KINDS,
-    METHODS,
-    QUICK,
-    Preparation,
-    Solves,
-    contenders,
-    problems,
-    write_report,
-)
+from measure.eigensolvers.methods import METHODS, QUICK, contenders
+from measure.eigensolvers.report import write_report
+from measure.eigensolvers.studies import KINDS, Preparation, Solves, problems
 from measure.machine import describe_machine, most_memory
 from measure.store import Store
 from measure.study import run

@@ -13,24 +13,15 @@ until the code changes that computes them. Nothing else should run on the machin
 from __future__ import annotations
 
 import argparse
-import platform
 import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 from measure.command import add_threads, exit_code, parser_of
-from measure.geodesics import (
-    MANY,
-    Accuracy,
-    Ball,
-    Balls,
-    Exact,
-    Modes,
-    Times,
-    meshes,
-    write_report,
-)
+from measure.geodesics.contenders import MANY
+from measure.geodesics.report import write_report
+from measure.geodesics.studies import Accuracy, Ball, Balls, Exact, Modes, Times
 from measure.machine import describe_machine, most_memory
 from measure.shapes import shapes_named
 from measure.store import Store
@@ -74,14 +65,16 @@ def _measure(args: argparse.Namespace) -> str:
         check_count(name, getattr(args, name), low=1)
     limits = Limits(threads=args.threads, memory=most_memory())
     store, shapes = Store(args.out), shapes_named(args.meshes)
-    measured = partial(run, store=store, limits=limits, jobs=0 if args.quick else 1, progress=True)
+    jobs = 0 if args.quick else 1
+    measured = partial(run, store=store, limits=limits, jobs=jobs, retry=True, progress=True)
     places = {"folder": args.out, "problems": shapes}
     modes = Modes(**places)
     exact = Exact(**places, count=args.exact_sources, seed=args.seed)
-    solved, _ = measured(modes), measured(exact)
+    results = {"modes": measured(modes)}
+    measured(exact)
     given = {**places, "modes": modes, "exact": exact, "warm": args.warm}
-    accuracy = measured(Accuracy(**given))
-    machine = describe_machine(name=args.machine or platform.node(), threads=args.threads)
+    results["accuracy"] = measured(Accuracy(**given))
+    machine = describe_machine(name=args.machine, threads=args.threads)
     clocked = {
         **given,
         "repeats": args.repeats,
@@ -89,12 +82,12 @@ def _measure(args: argparse.Namespace) -> str:
         "threads": args.threads,
         "machine": machine["name"] + " in one process" * args.quick,
     }
-    first = measured(Times(**clocked))
-    many = measured(Times(**clocked, contenders=MANY, many=args.sources))
+    results["first"] = measured(Times(**clocked))
+    results["many"] = measured(Times(**clocked, contenders=MANY, many=args.sources))
     balls = [Ball(kind, count) for kind in ("mesh", "cloud") for count in args.sphere]
     return write_report(
         args.out,
-        meshes(solved, accuracy, first, many),
+        results,
         measured(Balls(folder=args.out, problems=balls, seed=args.seed)),
         machine,
         repeats=args.repeats,

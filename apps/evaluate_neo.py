@@ -27,41 +27,28 @@ The worst modes are drawn only where PyVista is installed too.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
-from spectra_kit.evaluation import (
-    STUDIES,
-    Answer,
-    Bench,
-    Model,
-    Settings,
-    Weights,
-    demo_models,
-    draw_worst,
-    models_in,
-    procedural_models,
-    run_study,
-    write_report,
-    write_summary,
-    write_training,
-)
+from measure.command import exit_code, parser_of
+from measure.network.cases import procedural_shapes
+from measure.network.questions import QUESTIONS, Answer, Settings, ask
+from measure.network.report import draw_worst, write_answer, write_summary
+from measure.network.training import write_training
+from measure.shapes import Shape, data_folder, demo_shapes, shapes_in
+from measure.store import Store
 
-CHAPTERS = [*STUDIES, "training"]
+from spectra_kit.errors import InvalidInputError, MissingDependencyError
+
+CHAPTERS = [*QUESTIONS, "training"]
 # A small case of everything: seconds for each study.
 _QUICK = {"k": 16, "points": [512, 1024], "focus": 1024, "poses": [1, 2], "fourier": []}
 _QUICK |= {"bandwidths": [7.0], "rotations": 3, "worst": 1, "limit": 1, "procedural": 1}
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="evaluate_neo.py",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = parser_of("evaluate_neo.py", __doc__)
     add = parser.add_argument
     add("study", choices=["all", *CHAPTERS], help="what to measure")
     add("out", type=Path, help="folder for reports, figures and measurements")
@@ -90,75 +77,59 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     if args.quick:
         vars(args).update(_QUICK)
-    try:
-        weights = tuple(map(Weights, args.weights))
-        if args.study != "training":
-            _solve(args, weights)
-        if args.study in ("all", "training"):
-            _show_training(args, weights)
-        print(f"report: {write_summary(args.out, CHAPTERS)}")
-    except SpectraKitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"\nstopped; run the same command to continue {args.out}", file=sys.stderr)
-        return 130
-    return 0
+    return exit_code(lambda: _evaluate(args))
 
 
-def _solve(args: argparse.Namespace, weights: tuple[Weights, ...]) -> None:
-    """Run the studies and print their chapters."""
-    bench = Bench(args.out, k=args.k)
-    settings = Settings(
-        sets=_sets(args),
-        weights=weights,
-        agnostic=tuple(map(Weights, args.agnostic_weights)),
-        points=tuple(args.points),
-        focus=args.focus,
-        few=args.few,
-        poses=tuple(args.poses),
-        fourier=tuple(args.fourier),
-        bandwidths=tuple(args.bandwidths),
-        rotations=args.rotations,
-        device=args.device,
-    )
-    for name in STUDIES if args.study == "all" else [args.study]:
-        answer = run_study(name, settings, bench, progress=True)
-        pictures = _pictures(answer, bench, args.out / "figures", args.worst)
-        print(write_report(answer, args.out, pictures=pictures).read_text(), flush=True)
+def _evaluate(args: argparse.Namespace) -> None:
+    if args.study != "training":
+        settings = Settings(
+            sets=_sets(args),
+            weights=tuple(args.weights),
+            agnostic=tuple(args.agnostic_weights),
+            k=args.k,
+            points=tuple(args.points),
+            focus=args.focus,
+            few=args.few,
+            poses=tuple(args.poses),
+            fourier=tuple(args.fourier),
+            bandwidths=tuple(args.bandwidths),
+            rotations=args.rotations,
+            device=args.device,
+        )
+        store = Store(args.out)
+        for name in QUESTIONS if args.study == "all" else [args.study]:
+            answer = ask(name, settings, store, progress=True)
+            pictures = _pictures(answer, args.out / "figures", args.worst)
+            print(write_answer(answer, args.out, pictures=pictures), flush=True)
+    if args.study in ("all", "training"):
+        try:
+            print(write_training([*args.weights, *args.agnostic_weights], args.out), flush=True)
+        except InvalidInputError as error:
+            if args.study == "training":
+                raise
+            print(f"training is not drawn: {error}", file=sys.stderr)
+    print(f"report: {write_summary(args.out, CHAPTERS)}")
 
 
-def _show_training(args: argparse.Namespace, weights: tuple[Weights, ...]) -> None:
-    """Print the chapter on training; among others it may be missing."""
-    try:
-        path = write_training([*weights, *map(Weights, args.agnostic_weights)], args.out)
-        print(path.read_text(), flush=True)
-    except InvalidInputError as error:
-        if args.study == "training":
-            raise
-        print(f"training is not drawn: {error}", file=sys.stderr)
-
-
-def _sets(args: argparse.Namespace) -> dict[str, tuple[Model, ...]]:
+def _sets(args: argparse.Namespace) -> dict[str, tuple[Shape, ...]]:
     """Real models and procedural ones; the demo where a quick trial finds no data."""
-    sets: dict[str, tuple[Model, ...]] = {}
-    root = os.environ.get("SPECTRA_KIT_DATA")
-    folder = args.data or (Path(root) / "ood_public" if root else None)
+    sets: dict[str, tuple[Shape, ...]] = {}
+    folder = args.data or data_folder("ood_public")
     if folder is not None:
-        sets["real"] = models_in(folder, args.limit)
+        sets["real"] = shapes_in(folder, args.limit)
     elif args.quick:
-        sets["demo"] = demo_models(args.limit)
+        sets["demo"] = demo_shapes(args.limit)
     if args.procedural:
-        sets["procedural"] = procedural_models(args.procedural, seed=args.seed)
+        sets["procedural"] = procedural_shapes(args.procedural, seed=args.seed)
     return sets
 
 
-def _pictures(answer: Answer, bench: Bench, folder: Path, count: int) -> list[Path]:
+def _pictures(answer: Answer, folder: Path, count: int) -> list[Path]:
     if answer.name != "worst":
         return []
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        return draw_worst(answer, bench, folder, count=count)
+        return draw_worst(answer, folder, count=count)
     except MissingDependencyError as error:
         print(f"the worst modes are not drawn: {error}", file=sys.stderr)
         return []

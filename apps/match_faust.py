@@ -11,11 +11,10 @@ The data are NAME.npz files: vertices V, faces F, corres (vertices in correspond
 number in each file) and corres_sym (their mirror images), all counted from 0.
 
 OUT gets the spectra, the maps (source vertex of each target vertex; the name of the .npy ends with
-the digest in pairs.csv), pairs.csv with a line for each pair as soon as it is matched, matching.md,
-matching.json, accuracy curves, and pictures of the best, median and worst pair. The same command
-after an interruption computes only what is missing. Results are remembered by their inputs and the
-release of spectra_kit, not by its code: after a change of the code, take another folder, or move
-pairs.csv away, to measure anew.
+the digest in pairs.csv), measurements.jsonl with a line for each pair as soon as it is matched,
+matching.md, matching.json, pairs.csv, accuracy curves, and pictures of the best, median and worst
+pair. The same command after an interruption computes only what is missing. Results are remembered
+by their inputs, the options and the code: other weights, or another version, are measured anew.
 """
 
 from __future__ import annotations
@@ -24,39 +23,23 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Literal
 
-from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
-from spectra_kit.evaluation.matching import (
-    BACKENDS,
-    KINDS,
-    METHODS,
-    PROTOCOLS,
-    Protocol,
-    Run,
-    Settings,
-    Subject,
-    demo_subjects,
-    draw_extremes,
-    make_protocol,
-    make_tasks,
-    run_tasks,
-    subjects_in,
-    summarize_runs,
-    write_matching_report,
-)
+from measure.command import exit_code, parser_of
+from measure.matching.methods import METHODS
+from measure.matching.pairs import BACKENDS, KINDS, Pair, Pairs, Spectra, match_all, ways
+from measure.matching.protocols import PROTOCOLS, Protocol, make_protocol
+from measure.matching.report import draw_extremes, write_report
+from measure.matching.subjects import Subject, demo_subjects, subjects_in
+from measure.shapes import data_folder
+
+from spectra_kit.errors import InvalidInputError, MissingDependencyError
 
 DEFAULT = next(iter(METHODS))
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="match_faust.py",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = parser_of("match_faust.py", __doc__)
     add = parser.add_argument
     add("out", type=Path, help="folder for everything")
     add("--data", type=Path, help="folder of subjects (default: $SPECTRA_KIT_DATA/faust_r)")
@@ -71,7 +54,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--pairs", type=int, metavar="N", help="draw N of them (random: 100; others: all)")
     add("--seed", type=int, default=0, help="of the draw (%(default)s)")
     add("--pair-list", type=Path, help="of ren-300 (default: ren_pairs.txt beside the data)")
-    add("--backends", nargs="+", choices=BACKENDS, default=["exact"], metavar="NAME",
+    add("--backends", nargs="+", choices=list(BACKENDS), default=["exact"], metavar="NAME",
         help=f"spectra: {', '.join(BACKENDS)} (default: exact)")  # fmt: skip
     add("--methods", nargs="+", choices=list(METHODS), default=[DEFAULT], metavar="NAME",
         help=f"{', '.join(METHODS)} (default: {DEFAULT})")  # fmt: skip
@@ -88,41 +71,48 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Evaluate, print the report; return the exit code."""
+    """Match, print the report; return the exit code: 1 if nothing could be measured."""
     args = _parser().parse_args(argv)
-    try:
-        subjects, protocol = _problem(args)
-        settings = Settings(
-            subjects=subjects,
-            folder=args.out,
-            k=args.k,
-            weights=args.weights,
-            pyfm_python=args.pyfm_python,
-            geodesics=args.geodesics,
-        )
-        tasks = make_tasks(
-            protocol.pairs, kinds=args.geometry, backends=args.backends, methods=args.methods
-        )
-        run = run_tasks(tasks, settings, jobs=args.jobs, progress=True)
-        report = write_matching_report(run, settings, protocol)
-        print(report.read_text(), flush=True)
-        print(f"report: {report}")
-        if not args.no_pictures:
-            _draw(run, settings, protocol, up="z" if args.demo else None)
-    except SpectraKitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except BrokenProcessPool:
-        print(
-            "error: a process was killed, as systems do when memory ends; run the same command"
-            " with fewer --jobs to go on",
-            file=sys.stderr,
-        )
-        return 2
-    except KeyboardInterrupt:
-        print(f"\nstopped; run the same command to continue {args.out}", file=sys.stderr)
-        return 130
-    return 0 if run.results else 1
+    measured = False
+
+    def work() -> None:
+        nonlocal measured
+        measured = _match(args)
+
+    return exit_code(work) or int(not measured)
+
+
+def _match(args: argparse.Namespace) -> bool:
+    """Match and report; return whether there is a result."""
+    subjects, protocol = _problem(args)
+    chosen = ways(args.geometry, args.backends, args.methods)
+    spectra = Spectra(
+        folder=args.out,
+        contenders=list(dict.fromkeys(way.basis for way in chosen)),
+        problems=list(subjects),
+        subjects=subjects,
+        k=args.k,
+        weights=args.weights,
+    )
+    pairs = Pairs(
+        folder=args.out,
+        contenders=chosen,
+        problems=[Pair(*names) for names in protocol.pairs],
+        spectra=spectra,
+        geodesics=args.geodesics,
+        pyfm_python=args.pyfm_python,
+    )
+    results = match_all(pairs, jobs=args.jobs, progress=True)
+    report = write_report(results, pairs, protocol)
+    print(report.read_text(), flush=True)
+    print(f"report: {report}")
+    if not args.no_pictures:
+        try:
+            for path in draw_extremes(results, pairs, protocol, up="z" if args.demo else None):
+                print(f"picture: {path}")
+        except MissingDependencyError as error:
+            print(f"best, median and worst pairs are not drawn: {error}", file=sys.stderr)
+    return any(result.ok for result in results)
 
 
 def _problem(args: argparse.Namespace) -> tuple[dict[str, Subject], Protocol]:
@@ -130,8 +120,7 @@ def _problem(args: argparse.Namespace) -> tuple[dict[str, Subject], Protocol]:
     if args.demo:
         subjects = demo_subjects()
         return subjects, make_protocol("all-pairs", subjects.values(), count=args.pairs)
-    root = os.environ.get("SPECTRA_KIT_DATA")
-    folder = args.data or (Path(root) / "faust_r" if root else None)
+    folder = args.data or data_folder("faust_r")
     if folder is None:
         raise InvalidInputError("name a folder with --data, set SPECTRA_KIT_DATA, or try --demo")
     subjects = subjects_in(folder)
@@ -146,15 +135,6 @@ def _problem(args: argparse.Namespace) -> tuple[dict[str, Subject], Protocol]:
     )
     used = {name for pair in protocol.pairs for name in pair}
     return {name: subject for name, subject in subjects.items() if name in used}, protocol
-
-
-def _draw(run: Run, settings: Settings, protocol: Protocol, up: Literal["y", "z"] | None) -> None:
-    """Draw the extremes of each run, where pictures can be drawn."""
-    try:
-        for row in summarize_runs(run.results, protocol):
-            print(f"picture: {draw_extremes(run, settings, protocol, row.name, up=up)}")
-    except MissingDependencyError as error:
-        print(f"best, median and worst pairs are not drawn: {error}", file=sys.stderr)
 
 
 if __name__ == "__main__":

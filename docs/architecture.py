@@ -40,7 +40,6 @@ PURPOSE = {
     "viz": ("see", "pictures and\nanimations"),
     "explorer": ("see", "a page to turn\nand click"),
     "cli": ("see", "spectra-kit"),
-    "evaluation": ("study", "networks and maps,\nby protocol"),
 }
 #: The way of the data: what it is at each stage, and the call that takes it to the next.
 FLOW = (

@@ -6,7 +6,6 @@ from . import correspondence as correspondence
 from . import descriptors as descriptors
 from . import eigensolvers as eigensolvers
 from . import errors as errors
-from . import evaluation as evaluation
 from . import explorer as explorer
 from . import functional_maps as functional_maps
 from . import geodesics as geodesics

@@ -156,7 +156,7 @@ def span_error(basis: NDArray[np.floating], mass: Floats, eigenvectors: Floats) 
     for name, array in (("basis", basis), ("eigenvectors", eigenvectors)):
         if array.ndim != 2 or len(array) != n:
             raise InvalidInputError(
-                f"`{name}` must have shape ({n}, columns) like the {n} masses, got {array.shape}"
+                name, f"have shape ({n}, columns) like the {n} masses", array.shape
             )
     _check_orthonormal("eigenvectors", eigenvectors, mass)
     return _outside(orthonormalize(basis, mass), mass, eigenvectors)
@@ -206,9 +206,7 @@ def subspace_span_error(
         own = restricted(subspace, part)
         basis = [np.asarray(own(laplacian.points[part], mass))] if len(part) > 3 else []
         if any(columns.ndim != 2 or len(columns) != len(part) for columns in basis):
-            raise InvalidInputError(
-                f"`subspace` must return shape ({len(part)}, m), got {basis[0].shape}"
-            )
+            raise InvalidInputError("subspace", f"return shape ({len(part)}, m)", basis[0].shape)
         columns = np.hstack([*basis, found])
         columns = columns[:, columns.any(axis=0)]  # what lives on other components
         if columns.shape[1]:
@@ -290,7 +288,7 @@ def compare_spectra(
     else:
         if np.ndim(basis) != 2 or len(basis) != exact.n:
             raise InvalidInputError(
-                f"`basis` must have shape ({exact.n}, m) like the spectra, got {np.shape(basis)}"
+                "basis", f"have shape ({exact.n}, m) like the spectra", np.shape(basis)
             )
         Y = orthonormalize(basis, mass)
         dimension, outside = Y.shape[1], _outside(Y, mass, U)
@@ -363,23 +361,26 @@ def _pair(
 
     if exact.n != predicted.n:
         raise InvalidInputError(
-            f"`predicted` must live on the {exact.n} points of `exact`, got {predicted.n} points"
+            "predicted", f"live on the {exact.n} points of `exact`", f"{predicted.n} points"
         )
     if not np.allclose(exact.mass, predicted.mass, rtol=1e-9, atol=0.0):
         worst = float(np.abs(predicted.mass / exact.mass - 1).max())
         raise InvalidInputError(
-            "`predicted` must have the mass of `exact`, got masses that differ by up to"
-            f" {worst:.2g} of their value; solve both with the same Laplacian"
+            "predicted",
+            "have the mass of `exact`",
+            f"masses that differ by up to {worst:.2g} of their value",
+            advice="solve both with the same Laplacian",
         )
     hashes = exact.provenance.input_hash, predicted.provenance.input_hash
     if all(hashes) and hashes[0] != hashes[1]:
         raise InvalidInputError(
-            "`predicted` must come from the operator of `exact`, got other matrices or points:"
-            f" {exact.provenance.operator} (hash {hashes[0][:8]}) against"
-            f" {predicted.provenance.operator} (hash {hashes[1][:8]})"
+            "predicted",
+            "come from the operator of `exact`",
+            f"other matrices or points: {exact.provenance.operator} (hash {hashes[0][:8]})"
+            f" against {predicted.provenance.operator} (hash {hashes[1][:8]})",
         )
     if not cluster_gap >= 0:
-        raise InvalidInputError(f"`cluster_gap` must be at least 0, got {cluster_gap!r}")
+        raise InvalidInputError("cluster_gap", "be at least 0", f"{cluster_gap!r}")
     for name, spectrum in (("exact", exact), ("predicted", predicted)):
         _check_orthonormal(name, spectrum.eigenvectors, spectrum.mass)
     most = min(exact.k, predicted.k)
@@ -403,9 +404,12 @@ def _check_orthonormal(name: str, modes: NDArray[np.floating], mass: Floats) -> 
     error = float(np.abs(gram - np.eye(len(gram))).max(initial=0.0))
     if not error <= _ORTHONORMAL:
         raise InvalidInputError(
-            f"`{name}` must hold M-orthonormal modes, got |U^T M U - I| of up to {error:.2g}; of"
-            " any columns, eigensolve(laplacian, k, RayleighRitz(subspace=GivenBasis(columns)))"
-            " makes modes, and linalg.orthonormalize(columns, mass) a basis"
+            name,
+            "hold M-orthonormal modes",
+            f"|U^T M U - I| of up to {error:.2g}",
+            advice="of any columns,"
+            " eigensolve(laplacian, k, RayleighRitz(subspace=GivenBasis(columns))) makes modes,"
+            " and linalg.orthonormalize(columns, mass) a basis",
         )
 
 

@@ -56,8 +56,7 @@ class Truth(Rebuilt):
             array = check_indices(name, values, np.iinfo(np.int64).max)
             if array.ndim != 1 or array.shape != size or not len(array):
                 raise InvalidInputError(
-                    f"`{name}` must have the shape (c,) of `source`, c >= 1, got {array.shape}"
-                    f" beside {size}"
+                    name, "have the shape (c,) of `source`, c >= 1", f"{array.shape} beside {size}"
                 )
             object.__setattr__(self, name, frozen(array.copy()))
 
@@ -66,7 +65,7 @@ class Truth(Rebuilt):
         """Return the truth that a whole true point map of shape (n2,) states."""
         source = check_indices("point_map", point_map, np.iinfo(np.int64).max)
         if source.ndim != 1 or not len(source):
-            raise InvalidInputError(f"`point_map` must have shape (n2,), got {source.shape}")
+            raise InvalidInputError("point_map", "have shape (n2,)", source.shape)
         return cls(source, np.arange(len(source)))
 
     def swapped(self) -> Truth:
@@ -113,8 +112,7 @@ class MapErrors(Rebuilt):
         for name in ("target", "symmetric"):
             if (values := getattr(self, name)) is not None and values.shape != self.direct.shape:
                 raise InvalidInputError(
-                    f"`{name}` must have the shape {self.direct.shape} of `direct`, got"
-                    f" {values.shape}"
+                    name, f"have the shape {self.direct.shape} of `direct`", values.shape
                 )
 
     def at_points(self, n: int) -> Floats:
@@ -187,7 +185,7 @@ def map_errors(
     """
     p = check_indices("point_map", point_map, mesh.n)
     if p.ndim != 1:
-        raise InvalidInputError(f"`point_map` must have shape (n2,), got {p.shape}")
+        raise InvalidInputError("point_map", "have shape (n2,)", p.shape)
     at = check_indices("truth.target", truth.target, len(p))
     goals = [truth.source] if truth.symmetric is None else [truth.source, truth.symmetric]
     found = geodesic_distances(
@@ -293,7 +291,8 @@ def _errors(name: str, values: ArrayLike) -> Floats:
     array = np.asarray(values, dtype=np.float64)
     if array.ndim != 1 or not len(array) or not (array >= 0).all():
         raise InvalidInputError(
-            f"`{name}` must be at least one number >= 0 in a row, got shape {array.shape}"
-            f" with {int((~(array >= 0)).sum())} negative or NaN"
+            name,
+            "be at least one number >= 0 in a row",
+            f"shape {array.shape} with {int((~(array >= 0)).sum())} negative or NaN",
         )
     return array

@@ -129,8 +129,10 @@ def bijectivity_errors(mesh: TriangleMesh, point_map: ArrayLike, back: ArrayLike
     q = check_indices("back", back, len(p))
     if q.shape != (mesh.n,):
         raise InvalidInputError(
-            f"`back` must have shape ({mesh.n},), a target point for each source vertex,"
-            f" got {q.shape}; are the two maps exchanged?"
+            "back",
+            f"have shape ({mesh.n},), a target point for each source vertex",
+            q.shape,
+            advice="are the two maps exchanged?",
         )
     found = geodesic_distances(mesh, np.arange(mesh.n), p[q])
     return np.asarray(100 * found / np.sqrt(mesh.area))
@@ -237,7 +239,9 @@ def _checked(point_map: ArrayLike, n_source: int, n_target: int | None = None) -
     if p.ndim != 1 or (n_target is not None and len(p) != n_target):
         expected = "n2" if n_target is None else n_target
         raise InvalidInputError(
-            f"`point_map` must have shape ({expected},), a source point for each target point,"
-            f" got {p.shape}; are source and target exchanged?"
+            "point_map",
+            f"have shape ({expected},), a source point for each target point",
+            p.shape,
+            advice="are source and target exchanged?",
         )
     return p

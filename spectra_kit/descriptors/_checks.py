@@ -16,8 +16,10 @@ def outside_kernel(spectrum: Spectrum) -> Spectrum:
     modes = spectrum.nonzero()
     if modes.k == 0:
         raise InvalidInputError(
-            "`spectrum` must have modes outside its kernel, got"
-            f" {quantity(spectrum.k, 'zero mode')} alone; compute more than there are components"
+            "spectrum",
+            "have modes outside its kernel",
+            f"{quantity(spectrum.k, 'zero mode')} alone",
+            advice="compute more than there are components",
         )
     return modes
 
@@ -28,7 +30,7 @@ def check_grid(name: str, values: ArrayLike) -> Floats:
     if array.ndim != 1 or len(array) == 0:
         hint = f"; write [{array}] for a single one" if array.ndim == 0 else ""
         raise InvalidInputError(
-            f"`{name}` must be a vector of at least one number, got shape {array.shape}{hint}"
+            name, "be a vector of at least one number", f"shape {array.shape}{hint}"
         )
     return array
 
@@ -37,8 +39,10 @@ def check_energies(values: ArrayLike) -> Floats:
     """Return `values` as a vector of energies."""
     if isinstance(values, tuple) and len(values) == 2 and np.ndim(values[0]) > np.ndim(values[1]):
         raise InvalidInputError(
-            "`energies` must be a vector, got a tuple of two as `wave_energies` returns it; write"
-            " `energies, width = wave_energies(spectrum)` and pass both"
+            "energies",
+            "be a vector",
+            "a tuple of two as `wave_energies` returns it",
+            advice="write `energies, width = wave_energies(spectrum)` and pass both",
         )
     return check_grid("energies", values)
 
@@ -48,8 +52,10 @@ def check_times(values: ArrayLike) -> Floats:
     times = check_grid("times", values)
     if not (times > 0).all():
         raise InvalidInputError(
-            f"`times` must be positive, got {quantity((times <= 0).sum(), 'entry')} <= 0"
-            f" (smallest {times.min():.3g}); times are in length^2, `heat_times` suggests some"
+            "times",
+            "be positive",
+            f"{quantity((times <= 0).sum(), 'entry')} <= 0 (smallest {times.min():.3g})",
+            advice="times are in length^2, `heat_times` suggests some",
         )
     return times
 
@@ -57,9 +63,9 @@ def check_times(values: ArrayLike) -> Floats:
 def check_sources(name: str, values: ArrayLike, spectrum: Spectrum) -> Ints:
     """Return `values` as a vector of at least one index of a point."""
     if np.shape(values) == (0,):  # before the dtype: an empty list is one of floats to NumPy
-        raise InvalidInputError(f"`{name}` must name at least one point, got none")
+        raise InvalidInputError(name, "name at least one point", "none")
     indices = check_indices(name, values, spectrum.n)
     if indices.ndim != 1:
         hint = f"; write [{indices}] for a single one" if indices.ndim == 0 else ""
-        raise InvalidInputError(f"`{name}` must be a vector, got shape {indices.shape}{hint}")
+        raise InvalidInputError(name, "be a vector", f"shape {indices.shape}{hint}")
     return indices

@@ -53,8 +53,9 @@ def normalize_descriptors(
     columns = real_array("descriptors", descriptors)
     if columns.ndim != 2 or len(columns) != spectrum.n:
         raise InvalidInputError(
-            f"`descriptors` must have shape ({spectrum.n}, d) like the points of `spectrum`, got"
-            f" {columns.shape}"
+            "descriptors",
+            f"have shape ({spectrum.n}, d) like the points of `spectrum`",
+            columns.shape,
         )
     squared = spectrum.mass @ columns**2
     if center:
@@ -64,7 +65,9 @@ def normalize_descriptors(
     if not squared.all():
         found = "constant" if center else "zero"
         raise InvalidInputError(
-            f"`descriptors` must have no {found} column, got one in column"
-            f" {int(np.argmin(squared))}; leave it out"
+            "descriptors",
+            f"have no {found} column",
+            f"one in column {int(np.argmin(squared))}",
+            advice="leave it out",
         )
     return columns / np.sqrt(spectrum.mass @ columns**2 / spectrum.area)

@@ -117,8 +117,10 @@ def wave_energies(
     width = _WIDTH * (high - low) if width is None else check_positive("width", width)
     if 4 * width >= high - low:
         raise InvalidInputError(
-            f"`width` must be below a quarter of the range {high - low:.3g} of log eigenvalues,"
-            f" got {width:.3g}; the default is {_WIDTH * (high - low):.3g}"
+            "width",
+            f"be below a quarter of the range {high - low:.3g} of log eigenvalues",
+            f"{width:.3g}",
+            advice=f"the default is {_WIDTH * (high - low):.3g}",
         )
     return np.linspace(low + 2 * width, high - 2 * width, count), width
 
@@ -134,7 +136,9 @@ def log_range(spectrum: Spectrum) -> tuple[float, float]:
     values = outside_kernel(spectrum).eigenvalues
     if values[0] == values[-1]:
         raise InvalidInputError(
-            "`spectrum` must have two different eigenvalues outside its kernel, got"
-            f" {len(values)} times {values[0]:.3g}; compute more modes, or give `width`"
+            "spectrum",
+            "have two different eigenvalues outside its kernel",
+            f"{len(values)} times {values[0]:.3g}",
+            advice="compute more modes, or give `width`",
         )
     return float(np.log(values[0])), float(np.log(values[-1]))

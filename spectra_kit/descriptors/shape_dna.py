@@ -74,9 +74,7 @@ def shape_dna(
     array([1., 2.])
     """
     if normalize is not None and normalize not in get_args(Normalization):
-        raise InvalidInputError(
-            f"`normalize` must be 'area', 'weyl', 'first' or None, got {normalize!r}"
-        )
+        raise InvalidInputError("normalize", "be 'area', 'weyl', 'first' or None", f"{normalize!r}")
     values = outside_kernel(spectrum).eigenvalues
     if count is not None:
         values = values[: check_count("count", count, low=1, high=len(values))]
@@ -174,8 +172,10 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
     rows = _positive("dnas", dnas)
     if rows.ndim != 2 or rows.shape[1] == 0:
         raise InvalidInputError(
-            f"`dnas` must have shape (s, count), count >= 1, got {rows.shape};"
-            " give one row for each surface"
+            "dnas",
+            "have shape (s, count), count >= 1",
+            rows.shape,
+            advice="give one row for each surface",
         )
     if weight == "index":
         rows = rows / np.arange(1, rows.shape[1] + 1)
@@ -188,7 +188,9 @@ def _positive(name: str, values: ArrayLike) -> Floats:
     array = real_array(name, values)
     if not (array > 0).all():
         raise InvalidInputError(
-            f"`{name}` must be positive, got {int((array <= 0).sum())} of {array.size} <= 0;"
-            " `shape_dna` leaves out zero modes"
+            name,
+            "be positive",
+            f"{int((array <= 0).sum())} of {array.size} <= 0",
+            advice="`shape_dna` leaves out zero modes",
         )
     return array

@@ -53,7 +53,7 @@ def laplacian_mask(kind: Mask, source: Floats, target: Floats) -> Floats:
     2019).
     """
     if kind not in ("resolvent", "standard"):
-        raise InvalidInputError(f"`mask` must be 'resolvent' or 'standard', got {kind!r}")
+        raise InvalidInputError("mask", "be 'resolvent' or 'standard'", f"{kind!r}")
     unit = max(source[-1], target[-1])
     if unit == 0:  # constants alone
         return np.zeros((len(target), len(source)))

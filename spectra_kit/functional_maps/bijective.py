@@ -100,7 +100,8 @@ def _checked_features(
     p = shapes[0][1] if shapes[0][1:] else 0
     if shapes != [(n1, p), (n2, p)]:
         raise InvalidInputError(
-            f"`features` must be two arrays of shapes ({n1}, p) and ({n2}, p), of the source and of"
-            f" the target, got {' and '.join(map(str, shapes))}"
+            "features",
+            f"be two arrays of shapes ({n1}, p) and ({n2}, p), of the source and of the target",
+            " and ".join(map(str, shapes)),
         )
     return real_array("features[0]", features[0]), real_array("features[1]", features[1])

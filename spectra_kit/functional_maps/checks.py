@@ -19,8 +19,9 @@ def check_point_map(name: str, values: ArrayLike, n_source: int, n_target: int) 
         backwards = " (it seems to run from source to target)" if n_source != n_target else ""
         hint = backwards if np.shape(values) == (n_source,) else ""
         raise InvalidInputError(
-            f"`{name}` must have shape ({n_target},), the source point of each target point,"
-            f" got {np.shape(values)}{hint}"
+            name,
+            f"have shape ({n_target},), the source point of each target point",
+            f"{np.shape(values)}{hint}",
         )
     return check_indices(name, values, n_source)
 
@@ -32,8 +33,11 @@ def check_functional_map(
     shape = np.shape(values)
     if len(shape) != 2 or not (1 <= shape[0] <= target.k and 1 <= shape[1] <= source.k):
         raise InvalidInputError(
-            f"`{name}` must have shape (k2, k1) with k2 of the target's {target.k} modes and k1 of"
-            f" the source's {source.k}, got {shape}; compute more modes or truncate the map"
+            name,
+            f"have shape (k2, k1) with k2 of the target's {target.k} modes and k1 of the"
+            f" source's {source.k}",
+            shape,
+            advice="compute more modes or truncate the map",
         )
     return real_array(name, values)
 
@@ -75,8 +79,10 @@ def starting_map(a: Spectrum, b: Spectrum, initial: ArrayLike, k_start: int | No
         return b.truncate(k).project(a.eigenvectors[point_map, :k])
     if np.ndim(initial) == 2 and max(np.shape(initial)) > min(a.k, b.k):
         raise InvalidInputError(
-            f"`k_final` must be at least the size of `initial`, {np.shape(initial)}, got"
-            f" {min(a.k, b.k)}; end later, or cut `initial`"
+            "k_final",
+            f"be at least the size of `initial`, {np.shape(initial)}",
+            min(a.k, b.k),
+            advice="end later, or cut `initial`",
         )
     C = check_functional_map("initial", initial, a, b)
     if k_start is None:
@@ -91,8 +97,10 @@ def checked_pair(source: Spectrum, target: Spectrum, k: int) -> tuple[Spectrum, 
     check_count("k_final", k, low=1)
     if k > min(source.k, target.k):
         raise InvalidInputError(
-            f"`k_final` must be at most {min(source.k, target.k)}, got {k}: the source has"
-            f" {source.k} modes, the target {target.k}; compute more modes or end sooner"
+            "k_final",
+            f"be at most {min(source.k, target.k)}",
+            f"{k}: the source has {source.k} modes, the target {target.k}",
+            advice="compute more modes or end sooner",
         )
     return at_unit_area(source.truncate(k)), at_unit_area(target.truncate(k))
 
@@ -110,21 +118,23 @@ def checked_samples(
         return first, second
     if not isinstance(samples, tuple | list) or len(samples) != 2:
         raise InvalidInputError(
-            "`samples` must be a number, or two arrays of indices (of the source, of the target),"
-            f" got a {type(samples).__name__}"
+            "samples",
+            "be a number, or two arrays of indices (of the source, of the target)",
+            f"a {type(samples).__name__}",
         )
     for i in range(2):
         if np.ndim(samples[i]) != 1 or np.size(samples[i]) == 0:
             raise InvalidInputError(
-                f"`samples[{i}]` must be a non-empty list of indices, got shape"
-                f" {np.shape(samples[i])}"
+                f"samples[{i}]", "be a non-empty list of indices", f"shape {np.shape(samples[i])}"
             )
     first = check_indices("samples[0]", samples[0], n1)
     second = check_indices("samples[1]", samples[1], n2)
     distinct = len(np.unique(second))
     if distinct < k_final:
         raise InvalidInputError(
-            f"`samples[1]` must hold at least `k_final` = {k_final} distinct points, got"
-            f" {distinct}; sample more or end sooner"
+            "samples[1]",
+            f"hold at least `k_final` = {k_final} distinct points",
+            distinct,
+            advice="sample more or end sooner",
         )
     return first, second

@@ -194,8 +194,9 @@ def _descriptors(name: str, values: ArrayLike, spectrum: Spectrum) -> Floats:
     f = real_array(name, values)
     if f.ndim != 2 or len(f) != spectrum.n or f.shape[1] == 0:
         raise InvalidInputError(
-            f"`{name}` must have shape ({spectrum.n}, p), p >= 1 functions on the points of the"
-            f" spectrum, got {f.shape}"
+            name,
+            f"have shape ({spectrum.n}, p), p >= 1 functions on the points of the spectrum",
+            f.shape,
         )
     varying = f - spectrum.mass @ f / spectrum.area
     # A constant that rounding has left some noise of is still a constant.
@@ -209,14 +210,17 @@ def check_landmarks(
     """Return the landmarks as checked indices of the source and of the target."""
     if not isinstance(landmarks, tuple) or len(landmarks) != 2:
         raise InvalidInputError(
-            "`landmarks` must be a pair (points of the source, points of the target), as a tuple,"
-            f" got {type(landmarks).__name__}"
+            "landmarks",
+            "be a pair (points of the source, points of the target), as a tuple",
+            type(landmarks).__name__,
         )
     shapes = np.shape(landmarks[0]), np.shape(landmarks[1])
     if shapes[0] != shapes[1] or len(shapes[0]) != 1 or shapes[0] == (0,):
         raise InvalidInputError(
-            "`landmarks` must be two lists of one length, at least 1, got shapes"
-            f" {shapes[0]} and {shapes[1]}; pass None for no landmarks"
+            "landmarks",
+            "be two lists of one length, at least 1",
+            f"shapes {shapes[0]} and {shapes[1]}",
+            advice="pass None for no landmarks",
         )
     here = check_indices("landmarks of the source", landmarks[0], n_source)
     there = check_indices("landmarks of the target", landmarks[1], n_target)

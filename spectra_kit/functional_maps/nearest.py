@@ -168,7 +168,8 @@ def check_rows(name: str, values: ArrayLike) -> Floats:
     """Return `values` as finite float64 of shape (rows, d), neither of them 0."""
     if np.ndim(values) != 2 or 0 in np.shape(values):
         raise InvalidInputError(
-            f"`{name}` must be two-dimensional and not empty, one row for each point,"
-            f" got shape {np.shape(values)}"
+            name,
+            "be two-dimensional and not empty, one row for each point",
+            f"shape {np.shape(values)}",
         )
     return real_array(name, values)

@@ -131,14 +131,16 @@ def functional_map_from_precise_map(
     k1, k2 = check_sizes(k, source, target)
     if not sparse.issparse(precise):
         raise InvalidInputError(
-            "`precise` must be a sparse array as `precise_map` returns it, got"
-            f" {type(precise).__name__}; for a list of source points there is"
-            " functional_map_from_point_map"
+            "precise",
+            "be a sparse array as `precise_map` returns it",
+            type(precise).__name__,
+            advice="for a list of source points there is functional_map_from_point_map",
         )
     if precise.shape != (target.n, source.n):
         raise InvalidInputError(
-            f"`precise` must have shape ({target.n}, {source.n}), one row for each target point,"
-            f" got {precise.shape}"
+            "precise",
+            f"have shape ({target.n}, {source.n}), one row for each target point",
+            precise.shape,
         )
     precise = sparse.csr_array(precise)
     real_array("data of precise", precise.data)

@@ -215,16 +215,16 @@ def zoomout_many(
     for name, rows in (("source_rows", rows1), ("target_rows", rows2)):
         if rows.shape[1] < k_final:
             raise InvalidInputError(
-                f"`{name}` must have at least `k_final` = {k_final} columns, got {rows.shape}"
+                name, f"have at least `k_final` = {k_final} columns", rows.shape
             )
     if len(rows2) < k_final:
         raise InvalidInputError(
-            f"`target_rows` must hold at least `k_final` = {k_final} samples, got {len(rows2)}"
+            "target_rows", f"hold at least `k_final` = {k_final} samples", len(rows2)
         )
     shape = np.shape(maps)
     if len(shape) != 3 or not (1 <= shape[1] <= k_final and 1 <= shape[2] <= k_final):
         raise InvalidInputError(
-            f"`maps` must have shape (c, k2, k1) with k1 and k2 in [1, {k_final}], got {shape}"
+            "maps", f"have shape (c, k2, k1) with k1 and k2 in [1, {k_final}]", shape
         )
     candidates = real_array("maps", maps)
     Q, R = np.linalg.qr(rows2[:, :k_final])

@@ -102,8 +102,11 @@ def exact_distances(
     checked = check_sources(sources, mesh)
     if checked.offsets.any():
         raise InvalidInputError(
-            "`sources` must be vertices, got a point inside a face; split the face there, as"
-            " `FacePoint` shows, or take geodesic_distance(mesh, sources)"
+            "sources",
+            "be vertices",
+            "a point inside a face",
+            advice="split the face there, as `FacePoint` shows, or take"
+            " geodesic_distance(mesh, sources)",
         )
     ends = np.arange(mesh.n) if targets is None else check_indices("targets", targets, mesh.n)
     from spectra_kit.geodesics._exact_kernels import propagate  # numba is slow to import
@@ -129,8 +132,10 @@ def _in_unit(distances: Floats, unit: Floats) -> Floats:
         found = np.where(np.isfinite(distances), distances * unit, np.inf)
     if (np.isfinite(distances) & ~np.isfinite(found)).any():
         raise InvalidInputError(
-            "`mesh` must have distances that are numbers, got some above"
-            f" {np.finfo(float).max:.1e}; choose another unit of length"
+            "mesh",
+            "have distances that are numbers",
+            f"some above {np.finfo(float).max:.1e}",
+            advice="choose another unit of length",
         )
     return found
 
@@ -143,7 +148,9 @@ def _soup(mesh: TriangleMesh) -> tuple[Soup, Floats]:
     if repeated.any():
         raise InvalidInputError(
             f"`mesh` has {quantity(repeated.sum(), 'face')} with a vertex twice (the first is"
-            f" {int(np.argmax(repeated))}); drop them with `mesh.without_degenerate_faces()`"
+            f" {int(np.argmax(repeated))})",
+            advice="drop them with {}",
+            remedies=("mesh.without_degenerate_faces()",),
         )
     faces = mesh.faces
     tails, heads = faces.ravel(), np.roll(faces, -1, axis=1).ravel()

@@ -131,8 +131,10 @@ class HeatGeodesics:
     ) -> None:
         if not 1 / _LONGEST <= check_positive("time_coefficient", time_coefficient) <= _LONGEST:
             raise InvalidInputError(
-                f"`time_coefficient` must be in [{1 / _LONGEST:g}, {_LONGEST:g}], got"
-                f" {time_coefficient:g}; 1 is the default"
+                "time_coefficient",
+                f"be in [{1 / _LONGEST:g}, {_LONGEST:g}]",
+                f"{time_coefficient:g}",
+                advice="1 is the default",
             )
         if isinstance(geometry, IntrinsicTriangulation):
             self.triangulation = geometry
@@ -140,8 +142,9 @@ class HeatGeodesics:
             self.triangulation = intrinsic_delaunay(geometry)
         if spectrum is not None and spectrum.n != self.triangulation.n:
             raise InvalidInputError(
-                f"`spectrum` must have the {self.triangulation.n} points of `geometry`, got one of"
-                f" {spectrum.n}"
+                "spectrum",
+                f"have the {self.triangulation.n} points of `geometry`",
+                f"one of {spectrum.n}",
             )
         self._geometry, self._spectrum, self._solver = geometry, spectrum, solver
         self._boundary: Boundary = boundary

@@ -72,8 +72,9 @@ class Heat:
         inside = np.asarray(inside, dtype=bool)
         if inside.ndim != 1 or inside.sum() != len(self.values):
             raise InvalidInputError(
-                f"`inside` must be a vector with {len(self.values)} points in it, got"
-                f" {int(inside.sum())} of shape {inside.shape}"
+                "inside",
+                f"be a vector with {len(self.values)} points in it",
+                f"{int(inside.sum())} of shape {inside.shape}",
             )
 
         def move(values: NDArray[Any]) -> NDArray[Any]:
@@ -174,9 +175,10 @@ class HeatStep:
         broken, upper, inverse = incomplete_factor(above, self._matrix.diagonal(), _DROP, None, 0.0)
         if broken >= 0:
             raise InvalidInputError(
-                "`geometry` must have a Laplacian without positive entries off its diagonal, got"
-                f" one whose heat step has no incomplete factor (row {broken}); use"
-                " `intrinsic_delaunay`, or solver=Direct()"
+                "geometry",
+                "have a Laplacian without positive entries off its diagonal",
+                f"one whose heat step has no incomplete factor (row {broken})",
+                advice="use `intrinsic_delaunay`, or solver=Direct()",
             )
         return sparse.csr_array(upper.T.tocsr()), inverse
 

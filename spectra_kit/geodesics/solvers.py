@@ -102,7 +102,7 @@ class Iterative:
         if self.drop is not None and self.drop != 0:
             check_positive("drop", self.drop)
         if not 0 <= self.relaxation <= 1:
-            raise InvalidInputError(f"`relaxation` must be in [0, 1], got {self.relaxation!r}")
+            raise InvalidInputError("relaxation", "be in [0, 1]", f"{self.relaxation!r}")
         if self.max_iterations is not None:
             check_count("max_iterations", self.max_iterations, low=1)
 
@@ -166,7 +166,7 @@ Solver = Direct | Iterative | Automatic
 
 def _check_rtol(rtol: float) -> None:
     if check_positive("rtol", rtol) >= 1:
-        raise InvalidInputError(f"`rtol` must be less than 1, got {rtol}; 1e-8 is the default")
+        raise InvalidInputError("rtol", "be less than 1", rtol, advice="1e-8 is the default")
 
 
 def factor_gigabytes(n: int) -> float:

@@ -75,14 +75,17 @@ class FacePoint:
         weights = real_array("barycentric", self.barycentric)
         if weights.shape != (3,):
             raise InvalidInputError(
-                f"`barycentric` must have shape (3,), got {weights.shape};"
-                " one weight for each corner of the face"
+                "barycentric",
+                "have shape (3,)",
+                weights.shape,
+                advice="one weight for each corner of the face",
             )
         if weights.min() < -_ROUNDING or abs(weights.sum() - 1) > _ROUNDING:
             raise InvalidInputError(
-                "`barycentric` must be non-negative and sum to 1, got"
-                f" {tuple(weights.tolist())} of sum {weights.sum():.6g};"
-                " `nearest_source` finds those of a coordinate"
+                "barycentric",
+                "be non-negative and sum to 1",
+                f"{tuple(weights.tolist())} of sum {weights.sum():.6g}",
+                advice="`nearest_source` finds those of a coordinate",
             )
         weights = np.maximum(weights, 0.0)
         object.__setattr__(self, "face", check_count("face", self.face, low=0))
@@ -215,7 +218,7 @@ def check_sources(
         return _same(sources, geometry, weights)
     named = _named(sources, geometry)
     if not named:
-        raise InvalidInputError("`sources` must name at least one source, got none")
+        raise InvalidInputError("sources", "name at least one source", "none")
     emitted = np.ones(len(named)) if weights is None else _check_weights(weights, len(named))
     rows = [_spread(source, geometry) for source in named]
     every = np.concatenate([row[0] for row in rows])
@@ -265,7 +268,7 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
     """
     target = real_array("coordinate", coordinate)
     if target.shape != (3,):
-        raise InvalidInputError(f"`coordinate` must have shape (3,), got {target.shape}")
+        raise InvalidInputError("coordinate", "have shape (3,)", target.shape)
     low, high = geometry.points.min(axis=0), geometry.points.max(axis=0)
     size, away = np.abs([low, high]).max(), np.abs(target).max()
     if away > _FAR * size > 0:
@@ -283,7 +286,7 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
     proper = np.flatnonzero(~geometry.degenerate_faces())
     if not len(proper):
         raise InvalidInputError(
-            f"`geometry` must have a face of positive area, got {len(geometry.faces)} without"
+            "geometry", "have a face of positive area", f"{len(geometry.faces)} without"
         )
     faces = np.array(geometry.faces[proper])
     _, face, closest = igl.point_mesh_squared_distance(target[None], points, faces)
@@ -302,8 +305,9 @@ def _same(sources: Sources, geometry: HasPoints, weights: ArrayLike | None) -> S
         )
     if sources.n != geometry.n:
         raise InvalidInputError(
-            f"`sources` must belong to the geometry of {geometry.n} points, got those of one of"
-            f" {sources.n}"
+            "sources",
+            f"belong to the geometry of {geometry.n} points",
+            f"those of one of {sources.n}",
         )
     return sources
 
@@ -329,8 +333,10 @@ def _named(sources: Any, geometry: HasPoints) -> list[int | FacePoint]:
     array = check_indices("sources", sources, geometry.n)
     if array.ndim > 1:
         raise InvalidInputError(
-            f"`sources` must be one index or a vector of them, got shape {array.shape};"
-            " `nearest_source` finds that of a coordinate"
+            "sources",
+            "be one index or a vector of them",
+            f"shape {array.shape}",
+            advice="`nearest_source` finds that of a coordinate",
         )
     return list(np.atleast_1d(array).tolist())
 
@@ -362,8 +368,11 @@ def _check_referenced(vertices: Ints, geometry: HasPoints) -> None:
         if not used[vertices].all():
             lone = vertices[np.argmin(used[vertices])]
             raise InvalidInputError(
-                f"`sources` must lie on the surface, got vertex {lone}, which no face uses;"
-                " drop such vertices with `mesh.without_unreferenced()`"
+                "sources",
+                "lie on the surface",
+                f"vertex {lone}, which no face uses",
+                advice="drop such vertices with {}",
+                remedies=("mesh.without_unreferenced()",),
             )
 
 
@@ -371,11 +380,10 @@ def _check_weights(weights: ArrayLike, count: int) -> Floats:
     array = real_array("weights", weights)
     if array.shape != (count,):
         raise InvalidInputError(
-            f"`weights` must have one entry for each of the {count} sources, got shape"
-            f" {array.shape}"
+            "weights", f"have one entry for each of the {count} sources", f"shape {array.shape}"
         )
     if not (array > 0).all():
         raise InvalidInputError(
-            f"`weights` must be positive, got {array.min():.3g}; leave the source out instead"
+            "weights", "be positive", f"{array.min():.3g}", advice="leave the source out instead"
         )
     return array

@@ -214,9 +214,11 @@ def spectral_distance(
     label = triangulation.laplacian.component_labels
     if not np.array_equal(reached, np.isin(label, label[checked.vertices])):
         raise InvalidInputError(
-            "`spectrum` must have a zero mode for each of the"
-            f" {triangulation.laplacian.n_components} components of `triangulation`, got"
-            f" {spectrum.n_zero_modes}; compute it with Neumann conditions, of the same geometry"
+            "spectrum",
+            f"have a zero mode for each of the {triangulation.laplacian.n_components} components"
+            " of `triangulation`",
+            spectrum.n_zero_modes,
+            advice="compute it with Neumann conditions, of the same geometry",
         )
     distance = np.full(spectrum.n, np.inf)
     coldest = 0.0
@@ -292,9 +294,10 @@ def _reached(spectrum: Spectrum, sources: Sources) -> Mask:
     reached = np.asarray(rows @ rows[sources.vertices].sum(axis=0) > 0.5)
     if not reached[sources.vertices].all():
         raise InvalidInputError(
-            "`sources` must be on components with a zero mode, got"
-            f" {sources.vertices[~reached[sources.vertices]][0]}, where there is none;"
-            " compute the spectrum with Neumann conditions, and keep its zero modes"
+            "sources",
+            "be on components with a zero mode",
+            f"{sources.vertices[~reached[sources.vertices]][0]}, where there is none",
+            advice="compute the spectrum with Neumann conditions, and keep its zero modes",
         )
     return reached
 
@@ -303,14 +306,15 @@ def _check_resolving(spectrum: Spectrum) -> None:
     """Refuse a spectrum of zero modes alone."""
     if spectrum.k == spectrum.n_zero_modes:
         raise InvalidInputError(
-            "`spectrum` must have modes outside its kernel, got"
-            f" {quantity(spectrum.k, 'zero mode')} alone; compute more than there are components"
+            "spectrum",
+            "have modes outside its kernel",
+            f"{quantity(spectrum.k, 'zero mode')} alone",
+            advice="compute more than there are components",
         )
 
 
 def _check_triangulation(triangulation: IntrinsicTriangulation, spectrum: Spectrum) -> None:
     if triangulation.n != spectrum.n:
         raise InvalidInputError(
-            f"`triangulation` must have the {spectrum.n} points of `spectrum`, got"
-            f" {triangulation.n}"
+            "triangulation", f"have the {spectrum.n} points of `spectrum`", triangulation.n
         )

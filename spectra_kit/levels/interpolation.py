@@ -66,8 +66,10 @@ def prolongation(operator: Operator, subset: Subset) -> sparse.csr_array:
     indptr, columns = transposed(*members, n)
     if (empty := np.flatnonzero(np.diff(indptr) == 0)).size:
         raise InvalidInputError(
-            f"`subset` must come within {reach:.3g} of every point, got {empty.size} points out"
-            f" of reach, the first {empty[0]}; take it from well_spread of the same operator"
+            "subset",
+            f"come within {reach:.3g} of every point",
+            f"{empty.size} points out of reach, the first {empty[0]}",
+            advice="take it from well_spread of the same operator",
         )
     centres = points[subset.indices]
     weights = np.empty(len(columns))

@@ -122,8 +122,10 @@ def well_spread(operator: Operator, n_points: int) -> Subset:
         radius = guess if inside or high == np.inf else 0.5 * (low + high)
     if best is None and n_points < (parts := connected_components(graph, directed=False)[0]):
         raise InvalidInputError(
-            f"`n_points` must be at least {parts}, one for each connected part of the operator,"
-            f" got {n_points}; ask for more, or treat the parts one by one"
+            "n_points",
+            f"be at least {parts}, one for each connected part of the operator",
+            n_points,
+            advice="ask for more, or treat the parts one by one",
         )
     while best is None:  # thin shapes: their count falls more slowly than the area suggests
         radius *= 1.5

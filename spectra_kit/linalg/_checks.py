@@ -21,8 +21,9 @@ def check_matrix(matrix: Any) -> sparse.csr_array:
     """Return `matrix` as a square, finite csr_array in float64, with 32-bit indices if they do."""
     if not sparse.issparse(matrix) or matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise InvalidInputError(
-            "`matrix` must be a square scipy sparse array,"
-            f" got {type(matrix).__name__} of shape {np.shape(matrix)}"
+            "matrix",
+            "be a square scipy sparse array",
+            f"{type(matrix).__name__} of shape {np.shape(matrix)}",
         )
     rows = sparse.csr_array(matrix, dtype=np.float64)
     if not rows.has_canonical_format:
@@ -30,8 +31,7 @@ def check_matrix(matrix: Any) -> sparse.csr_array:
         rows.sum_duplicates()
     if not np.isfinite(rows.data).all():
         raise InvalidInputError(
-            f"`matrix` must be finite, got {int((~np.isfinite(rows.data)).sum())} NaN or infinite"
-            " entries"
+            "matrix", "be finite", f"{int((~np.isfinite(rows.data)).sum())} NaN or infinite entries"
         )
     if rows.nnz < 2**31 and rows.indices.dtype != np.int32:
         rows = sparse.csr_array(
@@ -46,7 +46,7 @@ def check_vector(name: str, values: Any, n: int) -> Floats:
     Finite or not: this is called in every iteration.
     """
     if np.shape(values) != (n,):
-        raise InvalidInputError(f"`{name}` must have shape ({n},), got {np.shape(values)}")
+        raise InvalidInputError(name, f"have shape ({n},)", np.shape(values))
     return np.ascontiguousarray(values, dtype=np.float64)
 
 
@@ -60,8 +60,10 @@ def check_symmetric(matrix: sparse.csr_array) -> None:
     """Raise unless `matrix` equals its transpose to rounding."""
     if (found := asymmetry(matrix)) > 0:
         raise InvalidInputError(
-            f"`matrix` must be symmetric, got |A - A.T| up to {found:.2e};"
-            " pass (A + A.T) / 2 if that is meant"
+            "matrix",
+            "be symmetric",
+            f"|A - A.T| up to {found:.2e}",
+            advice="pass (A + A.T) / 2 if that is meant",
         )
 
 
@@ -71,7 +73,7 @@ def check_kernel(kernel: ConstantKernel | None, matrix: sparse.csr_array) -> Con
         return None
     n = matrix.shape[0]
     if kernel.n != n:
-        raise InvalidInputError(f"`kernel` must have {n} labels, one for each row, got {kernel.n}")
+        raise InvalidInputError("kernel", f"have {n} labels, one for each row", kernel.n)
     marks = kernel.labels + 1.0  # one number for each component: a link between two shows
     image = np.abs(matrix @ marks)
     scale = matrix.diagonal() * marks.max()
@@ -94,8 +96,10 @@ def check_rhs(rhs: ArrayLike, n: int, kernel: ConstantKernel | None) -> Floats:
     bad = np.flatnonzero(np.abs(means) > _ROUNDING * sizes)
     if len(bad):
         raise InvalidInputError(
-            f"`rhs` must sum to zero on each component of the kernel, got a mean of"
-            f" {means[bad[0]]:.3g} on component {bad[0]} (of values of size {sizes[bad[0]]:.3g});"
-            " subtract it with `kernel.remove(rhs)` if a least-squares solution is meant"
+            "rhs",
+            "sum to zero on each component of the kernel",
+            f"a mean of {means[bad[0]]:.3g} on component {bad[0]} (of values of size "
+            f"{sizes[bad[0]]:.3g})",
+            advice="subtract it with `kernel.remove(rhs)` if a least-squares solution is meant",
         )
     return kernel.remove(values)

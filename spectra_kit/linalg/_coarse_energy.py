@@ -20,12 +20,12 @@ def check_basis(basis: ArrayLike, kind: np.dtype[np.floating]) -> NDArray[Any]:
     array = np.asarray(basis)
     if array.ndim != 2 or array.shape[1] == 0 or array.shape[0] < array.shape[1]:
         raise InvalidInputError(
-            f"`basis` must have shape (n, k) with 1 <= k <= n, got {array.shape}; modes are columns"
+            "basis", "have shape (n, k) with 1 <= k <= n", array.shape, advice="modes are columns"
         )
     stored = np.ascontiguousarray(array, dtype=kind)
     # A sum over all of it is finite unless an entry is not; and needs no mask of its size.
     if not np.isfinite(np.sum(stored, dtype=np.float64)):
-        raise InvalidInputError("`basis` must be finite, got NaN or infinite values")
+        raise InvalidInputError("basis", "be finite", "NaN or infinite values")
     return stored
 
 
@@ -37,8 +37,9 @@ def inverse_energy(basis: NDArray[Any], matrix: sparse.csr_array) -> tuple[Float
     """
     if matrix.shape[0] != len(basis):
         raise InvalidInputError(
-            f"`matrix` must have shape ({len(basis)}, {len(basis)}), as `basis` has"
-            f" {len(basis)} rows, got {matrix.shape}"
+            "matrix",
+            f"have shape ({len(basis)}, {len(basis)}), as `basis` has {len(basis)} rows",
+            matrix.shape,
         )
     wide = basis.astype(np.float64, copy=False)
     gram = wide.T @ wide

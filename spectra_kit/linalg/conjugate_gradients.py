@@ -110,14 +110,14 @@ def pcg(
     b = check_rhs(rhs, n, kernel)
     for name, value in (("rtol", rtol), ("atol", atol)):
         if not 0 <= value < np.inf:
-            raise InvalidInputError(f"`{name}` must be a number from 0 upwards, got {value!r}")
+            raise InvalidInputError(name, "be a number from 0 upwards", f"{value!r}")
     if max_iterations is None:
         max_iterations = min(10 * n, _MOST_ITERATIONS)
     limit = check_count("max_iterations", max_iterations, low=0)
     guess = _check_start(start if b.any() else None, n, kernel)
     size = getattr(preconditioner, "n", n)
     if size != n:
-        raise InvalidInputError(f"`preconditioner` must be of size {n}, got {size}")
+        raise InvalidInputError("preconditioner", f"be of size {n}", size)
     norm = float(np.linalg.norm(b))
     unit = norm or 1.0
     with team(), single_threaded_blas():

@@ -115,8 +115,10 @@ def shifted(operator: Tensor, interval: tuple[float, float]) -> Tensor:
     on_diagonal = csr_rows(operator) == operator.col_indices()
     if int(on_diagonal.sum()) != operator.shape[0]:
         raise InvalidInputError(
-            f"`stiffness` must store all {operator.shape[0]} entries of its diagonal, got"
-            f" {int(on_diagonal.sum())}; a zero one is a point that nothing holds: drop it"
+            "stiffness",
+            f"store all {operator.shape[0]} entries of its diagonal",
+            int(on_diagonal.sum()),
+            advice="a zero one is a point that nothing holds: drop it",
         )
     values = operator.values().double() - (high + low) / 2 * on_diagonal.double()
     return csr_like(operator, values / ((high - low) / 2))

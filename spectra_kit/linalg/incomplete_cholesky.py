@@ -169,15 +169,15 @@ class IncompleteCholesky:
 def _check_options(drop: float | None, max_fill: int | None, relaxation: float, n: int) -> str:
     """Check them, and return what kind of factor they ask for."""
     if not 0 <= relaxation <= 1:
-        raise InvalidInputError(f"`relaxation` must be in [0, 1], got {relaxation!r}")
+        raise InvalidInputError("relaxation", "be in [0, 1]", f"{relaxation!r}")
     if drop is None and max_fill is not None:
         raise InvalidInputError(
-            "`max_fill` must come with `drop`, got it alone; pass drop=0 to limit the fill only"
+            "max_fill", "come with `drop`", "it alone", advice="pass drop=0 to limit the fill only"
         )
     if max_fill is not None:
         check_count("max_fill", max_fill, low=0)
     if drop is not None and not 0 <= drop < np.inf:
-        raise InvalidInputError(f"`drop` must be a finite number from 0 upwards, got {drop!r}")
+        raise InvalidInputError("drop", "be a finite number from 0 upwards", f"{drop!r}")
     kind = "level 0" if drop is None else f"drop={drop:g}"
     kind += "" if max_fill is None else f", max_fill={max_fill}"
     return kind + (f", relaxation={relaxation:g}" if relaxation else "")

@@ -107,9 +107,10 @@ class SparseLDL:
             raise _singular("a pivot is infinite")
         if definite and not (self.pivots > _EPS * self._diagonal).all():
             raise InvalidInputError(
-                "`matrix` must be symmetric positive definite, got"
-                f" {int((self.pivots <= _EPS * self._diagonal).sum())} of {self.n} pivots that are"
-                f" negative or zero to rounding (smallest {self.pivots.min():.3g})"
+                "matrix",
+                "be symmetric positive definite",
+                f"{int((self.pivots <= _EPS * self._diagonal).sum())} of {self.n} pivots that are"
+                f" negative or zero to rounding (smallest {self.pivots.min():.3g})",
             )
 
     @property
@@ -189,9 +190,7 @@ class SparseLDL:
         real = real_dtype("dtype", dtype)
         rhs = np.ascontiguousarray(rhs, dtype=real)
         if rhs.ndim not in (1, 2) or len(rhs) != self.n:
-            raise InvalidInputError(
-                f"`rhs` must have shape ({self.n},) or ({self.n}, s), got {rhs.shape}"
-            )
+            raise InvalidInputError("rhs", f"have shape ({self.n},) or ({self.n}, s)", rhs.shape)
         lower, inverse = self._single if real == np.float32 else (self._lower, self._inverse)
         out = np.empty(rhs.shape, real)
         factor = (self._starts, self._rows, lower, inverse, self._groups, self._order)
@@ -227,11 +226,12 @@ def _groups(starts: NDArray[np.int64], rows: NDArray[np.uint32]) -> NDArray[np.i
 def _check_matrix(matrix: sparse.csr_array) -> None:
     rows, columns = matrix.shape
     if rows != columns:
-        raise InvalidInputError(f"`matrix` must be square, got shape {matrix.shape}")
+        raise InvalidInputError("matrix", "be square", f"shape {matrix.shape}")
     if not np.isfinite(matrix.data).all():
         raise InvalidInputError(
-            f"`matrix` must be finite, got {int((~np.isfinite(matrix.data)).sum())} NaN or"
-            " infinite entries"
+            "matrix",
+            "be finite",
+            f"{int((~np.isfinite(matrix.data)).sum())} NaN or infinite entries",
         )
 
 

@@ -60,8 +60,10 @@ def spmm(
     real_dtype("dense", dense.dtype)
     if dense.ndim != 2 or matrix.shape[1] != len(dense):
         raise InvalidInputError(
-            f"`dense` must have shape ({matrix.shape[1]}, s) to be multiplied by a matrix of shape"
-            f" {matrix.shape}, got {dense.shape}"
+            "dense",
+            f"have shape ({matrix.shape[1]}, s) to be multiplied by a matrix of shape "
+            f"{matrix.shape}",
+            dense.shape,
         )
     rows = sparse.csr_array(matrix)
     values = rows.data.astype(result, copy=False)
@@ -77,5 +79,5 @@ def real_dtype(name: str, dtype: DTypeLike) -> np.dtype[np.floating]:
     """Return `dtype` if it is float32 or float64."""
     resolved: np.dtype[Any] = np.dtype(dtype)
     if resolved not in (np.float32, np.float64):
-        raise InvalidInputError(f"`{name}` must be float32 or float64, got {resolved}")
+        raise InvalidInputError(name, "be float32 or float64", resolved)
     return resolved

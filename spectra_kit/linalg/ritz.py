@@ -172,8 +172,10 @@ def ritz_rotation(stiffness: sparse.csr_array, mass: Floats, X: Floats) -> tuple
                 lowest = np.linalg.eigvalsh(gram / scale / scale[:, None]).min(initial=1.0)
             except np.linalg.LinAlgError as error:
                 raise InvalidInputError(
-                    f"`X` must have columns that are far from dependent, got {X.shape[1]} with a"
-                    f" Gram matrix that is not positive definite ({error}); use `ritz_pairs`"
+                    "X",
+                    "have columns that are far from dependent",
+                    f"{X.shape[1]} with a Gram matrix that is not positive definite ({error})",
+                    advice="use `ritz_pairs`",
                 ) from error
             X = lifted(X, rotation)
             if lowest > _WELL_SPREAD:

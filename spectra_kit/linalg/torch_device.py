@@ -129,7 +129,7 @@ def check_device(name: str) -> torch.device:
     except (RuntimeError, AssertionError, TypeError) as error:
         reason = re.split(r"\n|\. ", str(error))[0]  # torch tells a whole page
         raise InvalidInputError(
-            f"`device` must be one that torch can use here, got {name!r} ({reason}); try 'cpu'"
+            "device", "be one that torch can use here", f"{name!r} ({reason})", advice="try 'cpu'"
         ) from error
     return device
 
@@ -138,7 +138,7 @@ def check_float_dtype(dtype: object) -> torch.dtype:
     """Return `dtype` if it is one of torch's for real numbers."""
     if not isinstance(dtype, torch.dtype) or not dtype.is_floating_point:
         raise InvalidInputError(
-            f"`dtype` must be a torch.dtype of real numbers, such as torch.float32, got {dtype!r}"
+            "dtype", "be a torch.dtype of real numbers, such as torch.float32", f"{dtype!r}"
         )
     return dtype
 

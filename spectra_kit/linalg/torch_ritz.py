@@ -90,9 +90,11 @@ def orthonormalize(basis: Tensor, mass: Tensor, *, rank_tol: float = 1e-10) -> T
     norms = Q.norm(dim=0)
     if not norms.isfinite().all() or not norms.any():
         raise InvalidInputError(
-            "`basis` must have finite columns that are not all zero, got"
-            f" {quantity(int((~norms.isfinite()).sum()), 'column')} with NaN or infinite values of"
-            f" {len(norms)}; in half precision try float32"
+            "basis",
+            "have finite columns that are not all zero",
+            f"{quantity(int((~norms.isfinite()).sum()), 'column')} with NaN or infinite values"
+            f" of {len(norms)}",
+            advice="in half precision try float32",
         )
     if not norms.all():
         Q = Q[:, norms > 0]
@@ -166,8 +168,10 @@ def rayleigh_ritz(
     pairs = leading_ritz_pairs(stiffness, mass, basis, k, rank_tol=rank_tol, clock=clock)
     if (rank := len(pairs.eigenvalues)) < k:
         raise InvalidInputError(
-            f"`basis` must span at least k = {k} dimensions, got numerical rank {rank} of"
-            f" {basis.shape[1]} columns; ask for fewer modes or join more functions"
+            "basis",
+            f"span at least k = {k} dimensions",
+            f"numerical rank {rank} of {basis.shape[1]} columns",
+            advice="ask for fewer modes or join more functions",
         )
     return pairs
 
@@ -222,8 +226,10 @@ def ritz_rotation(
         whitening = _whitening(gram, math.inf)
         if whitening is None:
             raise InvalidInputError(
-                f"`columns` must be finite and far from dependent, got {columns.shape[1]} whose"
-                " Gram matrix is not positive definite; smooth them less, or use `rayleigh_ritz`"
+                "columns",
+                "be finite and far from dependent",
+                f"{columns.shape[1]} whose Gram matrix is not positive definite",
+                advice="smooth them less, or use `rayleigh_ritz`",
             )
         projected = _project(stiffness, columns, torch.float64)
         values, columns = _lift(projected, whitening, columns, columns.shape[1])

@@ -155,8 +155,8 @@ def match(
             f" {options.convincing_score:g}), and it covers {made.coverage:.2f} times as much as"
             f" chance would (right maps: {options.convincing_coverage:g} and more)",
             DoubtfulMatchWarning,
-            advice="the surfaces may not correspond; look at the map, give `{}`, or try another"
-            " `{}` (150 match best)",
+            advice="the surfaces may not correspond; look at the map, give {}, or try another"
+            " {} (150 match best)",
             remedies=("landmarks", "k"),
         )
     return made

@@ -143,19 +143,24 @@ def prepare(
     check_count("n_samples", n_samples, low=200)
     if spectrum.k < LOWEST_K:
         raise InvalidInputError(
-            f"`spectrum` must have at least {LOWEST_K} modes to be matched, got {spectrum.k};"
-            " solve for more (150 match best)"
+            "spectrum",
+            f"have at least {LOWEST_K} modes to be matched",
+            spectrum.k,
+            advice="solve for more (150 match best)",
         )
     if spectrum.n_zero_modes == 0:
         raise InvalidInputError(
-            "`spectrum` must hold the constant mode, got no zero mode;"
-            " pass it whole, without `.nonzero()`, and of a surface without fixed points"
+            "spectrum",
+            "hold the constant mode",
+            "no zero mode",
+            advice="pass it whole, without `.nonzero()`, and of a surface without fixed points",
         )
     if spectrum.n_zero_modes > 1:
         raise InvalidInputError(
-            "`spectrum` must be of one connected surface, with its constant mode, got"
-            f" {spectrum.n_zero_modes} zero modes; match component by component"
-            " (geometry.components)"
+            "spectrum",
+            "be of one connected surface, with its constant mode",
+            f"{spectrum.n_zero_modes} zero modes",
+            advice="match component by component (geometry.components)",
         )
     scale = spectrum.area**-0.5
     unit = spectrum.rescale(scale)
@@ -180,15 +185,16 @@ def _placed(unit: Spectrum, geometry: Geometry, scale: float) -> tuple[Floats, O
     if not isinstance(geometry, TriangleMesh | PointCloud) or geometry.n != unit.n:
         arrived = getattr(geometry, "n", type(geometry).__name__)
         raise InvalidInputError(
-            f"`geometry` must be the mesh or cloud of the spectrum, of {unit.n} points,"
-            f" got {arrived}"
+            "geometry", f"be the mesh or cloud of the spectrum, of {unit.n} points", arrived
         )
     oriented = oriented_triangles(geometry)
     area = float(oriented.weights @ oriented.areas) * scale**2
     if not 0.5 < area < 2.0:
         raise InvalidInputError(
-            "`geometry` must be in the unit of the spectrum, got"
-            f" {area:.3g} times its area; pass the geometry that the spectrum was computed of"
+            "geometry",
+            "be in the unit of the spectrum",
+            f"{area:.3g} times its area",
+            advice="pass the geometry that the spectrum was computed of",
         )
     return geometry.points * scale, oriented
 

@@ -219,7 +219,7 @@ def _square(functional_map: Floats, source: Prepared, target: Prepared) -> Float
     )
     if array.ndim != 2 or array.shape[0] != array.shape[1] or not 1 <= len(array) <= most:
         raise InvalidInputError(
-            f"`functional_map` must have shape (k, k), 1 <= k <= {most}, got {array.shape}"
+            "functional_map", f"have shape (k, k), 1 <= k <= {most}", array.shape
         )
     return array
 

@@ -16,8 +16,10 @@ _SMALLEST, _LARGEST = 1e-130, 1e130  # extents, of which squares and products ar
 def check_mollify_factor(value: float) -> None:
     if check_positive("mollify_factor", value) > 1:
         raise InvalidInputError(
-            f"`mollify_factor` must be at most 1, got {value:g}; 1e-5 is the default, and more"
-            " changes the geometry by as much"
+            "mollify_factor",
+            "be at most 1",
+            f"{value:g}",
+            advice="1e-5 is the default, and more changes the geometry by as much",
         )
 
 
@@ -28,14 +30,17 @@ def check_faces_usable(mesh: TriangleMesh) -> None:
     if not used.all():
         raise InvalidInputError(
             f"`mesh` has {quantity((~used).sum(), 'vertex')} that no face uses (the first is"
-            f" {int(np.argmin(used))}), so they have no area;"
-            " drop them with `mesh.without_unreferenced()`"
+            f" {int(np.argmin(used))}), so they have no area",
+            advice="drop them with {}",
+            remedies=("mesh.without_unreferenced()",),
         )
     repeated = (mesh.faces == np.roll(mesh.faces, 1, axis=1)).any(axis=1)
     if repeated.any():
         raise InvalidInputError(
             f"`mesh` has {quantity(repeated.sum(), 'face')} with a vertex twice (the first is"
-            f" {int(np.argmax(repeated))}); drop them with `mesh.without_degenerate_faces()`"
+            f" {int(np.argmax(repeated))})",
+            advice="drop them with {}",
+            remedies=("mesh.without_degenerate_faces()",),
         )
 
 
@@ -43,16 +48,15 @@ def check_cloud_usable(cloud: PointCloud, n_neighbors: int) -> int:
     """Refuse clouds on which no local triangulation exists; return the neighbour count to use."""
     check_count("n_neighbors", n_neighbors, low=3)
     if cloud.n < 4:
-        raise InvalidInputError(
-            f"`geometry` must have at least 4 points for a cloud Laplacian, got {cloud.n}"
-        )
+        raise InvalidInputError("geometry", "have at least 4 points for a cloud Laplacian", cloud.n)
     points = cloud.points / unit_of(cloud)
     check_distinct(points)
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] <= 1e-9 * spread[0]:
         raise InvalidInputError(
-            "`geometry` must be a surface, got points on one line"
-            f" (second to first extent {spread[1]:.1e} : {spread[0]:.1e})"
+            "geometry",
+            "be a surface",
+            f"points on one line (second to first extent {spread[1]:.1e} : {spread[0]:.1e})",
         )
     return min(n_neighbors, cloud.n - 1)
 
@@ -66,8 +70,10 @@ def unit_of(geometry: Geometry) -> float:
         extent = float(np.ptp(geometry.points, axis=0).max())
     if not _SMALLEST < extent < _LARGEST:
         raise InvalidInputError(
-            f"`geometry` must have an extent between {_SMALLEST:g} and {_LARGEST:g}, got"
-            f" {quantity(geometry.n, 'point')} within {extent:g}; choose another unit of length"
+            "geometry",
+            f"have an extent between {_SMALLEST:g} and {_LARGEST:g}",
+            f"{quantity(geometry.n, 'point')} within {extent:g}",
+            advice="choose another unit of length",
         )
     return float(power_of_two(extent))
 
@@ -80,8 +86,10 @@ def units_of(mesh: TriangleMesh) -> NDArray[np.float64]:
     unit, units = unit_of(mesh), component_units(mesh)
     if ((units > 0) & (units <= _SMALLEST)).any():
         raise InvalidInputError(
-            f"`geometry` must have components of an extent above {_SMALLEST:g}, got one of about"
-            f" {units[units > 0].min():.1g}; drop it, or choose another unit of length"
+            "geometry",
+            f"have components of an extent above {_SMALLEST:g}",
+            f"one of about {units[units > 0].min():.1g}",
+            advice="drop it, or choose another unit of length",
         )
     return np.where(units > 0, units, unit)
 
@@ -94,6 +102,7 @@ def check_distinct(points: NDArray[np.float64]) -> None:
         first, second = sorted(int(i) for i in order[np.argmax(same) :][:2])
         raise InvalidInputError(
             f"`geometry` has {quantity(same.sum(), 'duplicate point')} (such as {first} and"
-            f" {second}); drop them with `cloud.without_duplicates()`, or join the corners of a"
-            " mesh with `mesh.with_merged_vertices()`"
+            f" {second})",
+            advice="drop them with {}, or join the corners of a mesh with {}",
+            remedies=("cloud.without_duplicates()", "mesh.with_merged_vertices()"),
         )

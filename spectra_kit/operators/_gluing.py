@@ -127,8 +127,10 @@ def _laplacian(
     rows, columns, weights, mass = edge_weights(corners.reshape(-1), lengths.reshape(-1), twins, n)
     if not np.isfinite(weights).all():
         raise InvalidInputError(
-            f"`mollify_factor` must lengthen the sides of degenerate triangles, got"
-            f" {quantity((~np.isfinite(weights)).sum(), 'edge')} of triangles of no area; raise it"
+            "mollify_factor",
+            "lengthen the sides of degenerate triangles",
+            f"{quantity((~np.isfinite(weights)).sum(), 'edge')} of triangles of no area",
+            advice="raise it",
         )
     upper = sparse.csr_array((weights / copies, (rows, columns)), shape=(n, n))
     adjacency = upper + upper.T

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import igl
 import numpy as np
+import robust_laplacian as rl
 from scipy import sparse
 from scipy.spatial import cKDTree
 
@@ -87,8 +89,6 @@ def robust_laplacian(
     """
     if not isinstance(geometry, TriangleMesh):
         return delaunay_laplacian(geometry, mollify_factor=mollify_factor, n_neighbors=n_neighbors)
-    import robust_laplacian as rl  # here: a bare machine unpacks it after this import
-
     clock = Clock()
     check_mollify_factor(mollify_factor)
     check_faces_usable(geometry)
@@ -150,20 +150,20 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     >>> laplacian.kernel_dimension
     1
     """
-    import igl  # here: training runs where no libigl is installed
-
     clock = Clock()
     check_faces_usable(mesh)
     unit = units_of(mesh)
     if (flat := int(mesh.degenerate_faces(1e-14).sum())) > 0:
         raise InvalidInputError(
-            f"`mesh` has {flat} faces of zero area, on which cotangents do not exist;"
-            " use robust_laplacian, or drop them with `mesh.without_degenerate_faces()`"
+            f"`mesh` has {flat} faces of zero area, on which cotangents do not exist",
+            advice="use {}, or drop them with {}",
+            remedies=("robust_laplacian", "mesh.without_degenerate_faces()"),
         )
     if (twice := len(mesh.faces) - len(mesh.without_duplicate_faces().faces)) > 0:
         raise InvalidInputError(
-            f"`mesh` has {twice} duplicate faces, which would count their area twice;"
-            " use robust_laplacian, or drop them with `mesh.without_duplicate_faces()`"
+            f"`mesh` has {twice} duplicate faces, which would count their area twice",
+            advice="use {}, or drop them with {}",
+            remedies=("robust_laplacian", "mesh.without_duplicate_faces()"),
         )
     scaled, faces = mesh.points / unit[:, None], np.array(mesh.faces)
     stiffness = -igl.cotmatrix(scaled, faces)
@@ -224,8 +224,10 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     epsilon = float(np.median(distance.mean(axis=1))) ** 2
     if epsilon == 0:
         raise InvalidInputError(
-            "`geometry` must have neighbours at distances that can be squared, got a median of"
-            f" {np.median(distance):.1g} of its extent; remove outliers first"
+            "geometry",
+            "have neighbours at distances that can be squared",
+            f"a median of {np.median(distance):.1g} of its extent",
+            advice="remove outliers first",
         )
     rows = np.repeat(np.arange(n), n_neighbors)
     weights = np.exp(-(distance.ravel() ** 2) / epsilon)

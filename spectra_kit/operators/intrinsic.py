@@ -90,8 +90,10 @@ class IntrinsicTriangulation(Rebuilt):
             )
         if not (lengths > 0).all():
             raise InvalidInputError(
-                f"`lengths` must be positive, got {quantity((lengths <= 0).sum(), 'entry')} <= 0;"
-                " `intrinsic_delaunay` lengthens the sides of degenerate triangles"
+                "lengths",
+                "be positive",
+                f"{quantity((lengths <= 0).sum(), 'entry')} <= 0",
+                advice="`intrinsic_delaunay` lengthens the sides of degenerate triangles",
             )
         boundary = np.unique(check_indices("boundary", self.boundary, n))
         object.__setattr__(self, "corners", frozen(corners.astype(np.int32)))
@@ -276,5 +278,5 @@ def intrinsic_delaunay(
 def _of_shape(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
     array = real_array(name, values)
     if array.shape != shape:
-        raise InvalidInputError(f"`{name}` must have shape {shape}, got {array.shape}")
+        raise InvalidInputError(name, f"have shape {shape}", array.shape)
     return array

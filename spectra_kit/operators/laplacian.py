@@ -75,7 +75,7 @@ class Laplacian(Rebuilt):
         fixed = np.unique(_as_indices("fixed", self.fixed, len(points)))
         if len(fixed) == len(points):
             raise InvalidInputError(
-                f"`fixed` must leave at least one point free, got all {len(points)} of them"
+                "fixed", "leave at least one point free", f"all {len(points)} of them"
             )
         for name, value in (("points", points), ("mass", mass), ("fixed", fixed)):
             object.__setattr__(self, name, frozen(np.array(value)))
@@ -175,7 +175,7 @@ class Laplacian(Rebuilt):
         indices = check_indices("indices", indices, self.n)
         if indices.ndim != 1 or not len(indices):
             raise InvalidInputError(
-                f"`indices` must be a vector of at least one point, got shape {indices.shape}"
+                "indices", "be a vector of at least one point", f"shape {indices.shape}"
             )
         return Laplacian(
             sparse.csr_array(self.stiffness[indices][:, indices]),
@@ -205,8 +205,10 @@ def lumped_diagonal(mass: Any) -> ArrayLike:
     off = coordinates.row != coordinates.col
     if np.any(coordinates.data[off] != 0):
         raise InvalidInputError(
-            "`mass` must be lumped (diagonal), got a matrix with off-diagonal entries;"
-            " pass its row sums instead"
+            "mass",
+            "be lumped (diagonal)",
+            "a matrix with off-diagonal entries",
+            advice="pass its row sums instead",
         )
     return diagonal
 
@@ -215,31 +217,37 @@ def _check_stiffness(matrix: Any, n: int) -> sparse.csr_array:
     """Return `matrix` as a canonical csr_array that may be a (semi-)definite L."""
     if not sparse.issparse(matrix) or matrix.shape != (n, n):
         raise InvalidInputError(
-            f"`stiffness` must be a scipy sparse array of shape ({n}, {n}),"
-            f" got {type(matrix).__name__} of shape {np.shape(matrix)}"
+            "stiffness",
+            f"be a scipy sparse array of shape ({n}, {n})",
+            f"{type(matrix).__name__} of shape {np.shape(matrix)}",
         )
     if matrix.dtype.kind not in "fiu":
-        raise InvalidInputError(f"`stiffness` must hold real numbers, got dtype {matrix.dtype}")
+        raise InvalidInputError("stiffness", "hold real numbers", f"dtype {matrix.dtype}")
     stiffness = sparse.csr_array(matrix, dtype=np.float64, copy=True)
     stiffness.sum_duplicates()
     stiffness.eliminate_zeros()
     if not np.isfinite(stiffness.data).all():
         raise InvalidInputError(
-            "`stiffness` must be finite, got"
-            f" {int((~np.isfinite(stiffness.data)).sum())} NaN or infinite entries;"
-            " degenerate faces cause them: see `mesh.without_degenerate_faces()`"
+            "stiffness",
+            "be finite",
+            f"{int((~np.isfinite(stiffness.data)).sum())} NaN or infinite entries",
+            advice="degenerate faces cause them: see {}",
+            remedies=("mesh.without_degenerate_faces()",),
         )
     largest = np.abs(stiffness.data).max(initial=0.0)
     if (asymmetry := abs(stiffness - stiffness.T).max() if stiffness.nnz else 0.0) > 1e-8 * largest:
         raise InvalidInputError(
-            f"`stiffness` must be symmetric, got |L - L.T| up to {asymmetry:.2e};"
-            " pass (L + L.T) / 2 if that is meant"
+            "stiffness",
+            "be symmetric",
+            f"|L - L.T| up to {asymmetry:.2e}",
+            advice="pass (L + L.T) / 2 if that is meant",
         )
     if stiffness.diagonal().min() < -1e-12 * largest:
         raise InvalidInputError(
-            "`stiffness` must be positive semi-definite, got a negative diagonal entry"
-            f" ({stiffness.diagonal().min():.3g}); libigl's cotmatrix has the opposite"
-            " sign: pass -L"
+            "stiffness",
+            "be positive semi-definite",
+            f"a negative diagonal entry ({stiffness.diagonal().min():.3g})",
+            advice="libigl's cotmatrix has the opposite sign: pass -L",
         )
     return stiffness
 

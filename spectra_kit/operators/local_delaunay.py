@@ -36,8 +36,10 @@ def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools, Floa
         nearest[b], farthest[b], neighbors[b] = distance[:, 1], distance[:, -1], index[:, 1:]
     if nearest.min() < _SMALLEST:
         raise InvalidInputError(
-            f"`geometry` must have points further apart than {_SMALLEST:g} of its extent, got two"
-            " that are closer; drop one of them"
+            "geometry",
+            f"have points further apart than {_SMALLEST:g} of its extent",
+            "two that are closer",
+            advice="drop one of them",
         )
     # Random but fixed: all stars decide alike between the diagonals of a square.
     ties = _TIE * nearest**2 * np.random.default_rng(0).random(n)

@@ -82,8 +82,9 @@ class OrientedTriangles(Rebuilt):
         areas = real_array("areas", self.areas)
         if areas.shape != (len(faces),) or (areas < 0).any():
             raise InvalidInputError(
-                f"`areas` must hold {quantity(len(faces), 'number')} >= 0, got shape {areas.shape}"
-                f" with {int((areas < 0).sum())} below 0"
+                "areas",
+                f"hold {quantity(len(faces), 'number')} >= 0",
+                f"shape {areas.shape} with {int((areas < 0).sum())} below 0",
             )
         for name, array in (("faces", faces), ("weights", weights), ("areas", areas)):
             object.__setattr__(self, name, frozen(array.copy()))
@@ -178,10 +179,12 @@ def _pieces(mesh: TriangleMesh) -> tuple[Ints, NDArray[np.bool_]]:
     if bad.any():
         i, j = divmod(int(edges[np.argmax(bad)]), mesh.n)
         raise InvalidInputError(
-            "`mesh` must have faces of one winding, got"
-            f" {quantity(bad.sum(), 'edge')} (such as {i}, {j}) that two faces run along in the"
-            " same direction; turn the faces, as with"
-            " `TriangleMesh(mesh.points, igl.bfs_orient(mesh.faces)[0])`"
+            "mesh",
+            "have faces of one winding",
+            f"{quantity(bad.sum(), 'edge')} (such as {i}, {j}) that two faces run along in the"
+            " same direction",
+            advice="turn the faces, as with"
+            " `TriangleMesh(mesh.points, igl.bfs_orient(mesh.faces)[0])`",
         )
     incidence = sparse.csr_array(
         (np.ones(len(edge)), (np.arange(len(edge)) // 3, edge)), shape=(f, len(edges))
@@ -366,9 +369,7 @@ def _functions(name: str, values: ArrayLike, n: int) -> Floats:
     """Return `values` as finite columns of shape (n, k); one function may come as (n,)."""
     f = real_array(name, values)
     if f.ndim not in (1, 2) or len(f) != n:
-        raise InvalidInputError(
-            f"`{name}` must have shape ({n}, k), one row for each point, got {f.shape}"
-        )
+        raise InvalidInputError(name, f"have shape ({n}, k), one row for each point", f.shape)
     return f.reshape(n, -1)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -106,15 +104,10 @@ def for_validation(samples: Tensors, config: TrainConfig, first: int) -> Tensors
 
 
 def rotations(vectors: Tensor) -> Tensor:
-    """Return rotations (b, 3, 3) about `vectors` (b, 3), by their length in radians (Rodrigues)."""
-    angle = vectors.norm(dim=-1)[:, None, None]
-    x, y, z = vectors.unbind(-1)
-    zero = torch.zeros_like(x)
-    K = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).view(-1, 3, 3)
-    eye = torch.eye(3, device=vectors.device)
-    # torch.sinc(t) is sin(pi t) / (pi t): both coefficients are smooth at angle zero.
-    half = torch.sinc(angle / (2 * math.pi))
-    return eye + torch.sinc(angle / math.pi) * K + half.square() / 2 * (K @ K)
+    """Return rotations (b, 3, 3) about `vectors` (b, 3), by their length in radians."""
+    axes = torch.eye(3, device=vectors.device).expand(len(vectors), 3, 3)
+    turned: Tensor = torch.linalg.matrix_exp(torch.linalg.cross(vectors[:, None], axes).mT)
+    return turned
 
 
 def random_rotations(normals: Tensor) -> Tensor:

@@ -20,8 +20,10 @@ def polygonized(field: clay.Field, low: Floats, high: Floats) -> TriangleMesh:
     points, faces = clay.polygonize(field, low, high, n_cells=CELLS, stride=2)
     if len(faces) < FEWEST:
         raise InvalidInputError(
-            f"`field` must have a surface of {FEWEST} faces at least on this grid,"
-            f" got {len(faces)}; take another seed"
+            "field",
+            f"have a surface of {FEWEST} faces at least on this grid",
+            len(faces),
+            advice="take another seed",
         )
     return s.largest_part(TriangleMesh(points, faces))
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.model import NeoConfig
 
-_PRECISIONS = ("float32", "bfloat16", "float16")
 
-
+@checked
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
     """Everything a training run follows from, next to its corpus.
@@ -100,13 +100,11 @@ class TrainConfig:
             check_positive("minutes", self.minutes)
         for name in ("weight_decay", "warmup", "decay", "ema", "alpha", "flips", "jitter"):
             if not 0 <= getattr(self, name) <= 1:
-                raise InvalidInputError(f"`{name}` must be in [0, 1], got {getattr(self, name)!r}")
+                raise InvalidInputError(name, "be in [0, 1]", getattr(self, name))
         if self.points <= self.network.m:
             raise InvalidInputError(
-                f"`points` must exceed the {self.network.m} functions of the network, which span"
-                f" everything on fewer, got {self.points}"
-            )
-        if self.precision not in _PRECISIONS:
-            raise InvalidInputError(
-                f"`precision` must be one of {list(_PRECISIONS)}, got {self.precision!r}"
+                "points",
+                f"exceed the {self.network.m} functions of the network, which span everything on"
+                " fewer",
+                self.points,
             )

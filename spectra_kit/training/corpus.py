@@ -30,19 +30,7 @@ from spectra_kit.training.families import FAMILIES
 from spectra_kit.training.samples import REASONS, CorpusConfig, Sample, make_sample
 from spectra_kit.training.shards import open_shards, write_shard
 
-__all__ = [
-    "CorpusConfig",
-    "CorpusReport",
-    "Sample",
-    "WorkerError",
-    "claim",
-    "count",
-    "generate",
-    "make_sample",
-    "produced",
-    "report",
-    "write_samples",
-]
+__all__ = ["CorpusConfig", "CorpusReport", "Sample", "WorkerError", "generate", "make_sample"]
 
 _THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _AHEAD = 3  # samples in work or done but not fetched, for each worker
@@ -134,25 +122,20 @@ def generate(
     # One process is this one: nothing to start, and errors come with their own trace.
     here = nullcontext(make_sample(config, i) for i in indices)
     with here if workers == 1 else produced(config, indices, workers) as samples:
-        told = _telling(samples, len(indices), progress)
+        done = 0
         for i in missing:
-            write_samples(root, i, list(islice(told, sizes[i])))
+            shard = []
+            for sample in islice(samples, sizes[i]):
+                shard.append(sample)
+                done += 1
+                if progress is not None:
+                    progress(done, len(indices))
+            write_samples(root, i, shard)
     return report(root)
 
 
 def report(folder: str | os.PathLike[str]) -> CorpusReport:
-    """Count the samples of a corpus and the draws that were rejected for them.
-
-    Parameters
-    ----------
-    folder : path
-        Where `generate` wrote.
-
-    Returns
-    -------
-    CorpusReport
-        Of the complete shards.
-    """
+    """Count the samples in the complete shards of a folder, and the draws rejected for them."""
     return count(open_shards(folder).labels)
 
 
@@ -180,8 +163,8 @@ def claim(root: Path, config: CorpusConfig) -> None:
     differing = sorted(key for key in ours if ours[key] != theirs.get(key))
     if differing:
         raise InvalidInputError(
-            f"`folder` {root} was begun with another configuration: {differing} differ;"
-            " take that one, or another folder"
+            f"`folder` {root} was begun with another configuration: {differing} differ",
+            advice="take that one, or another folder",
         )
 
 
@@ -199,8 +182,8 @@ def _is_there(root: Path, index: int, size: int) -> bool:
         there = len(np.load(path, mmap_mode="r"))
     if there != size:
         raise InvalidInputError(
-            f"shard {index} of {root} holds {there} samples where `n` asks for {size};"
-            " delete it, or ask for a multiple of the shard size"
+            f"shard {index} of {root} holds {there} samples where `n` asks for {size}",
+            advice="delete it, or ask for a multiple of the shard size",
         )
     return True
 
@@ -215,15 +198,6 @@ def write_samples(root: Path, index: int, samples: Sequence[Sample]) -> None:
         np.stack([sample.eigenvectors for sample in samples]),
         {name: [sample.labels[name] for sample in samples] for name in samples[0].labels},
     )
-
-
-def _telling(
-    samples: Iterator[Sample], total: int, progress: Callable[[int, int], None] | None
-) -> Iterator[Sample]:
-    for done, sample in enumerate(samples, 1):
-        if progress is not None:
-            progress(done, total)
-        yield sample
 
 
 @contextmanager
@@ -281,8 +255,8 @@ def _in_order(
             ahead.extend(executor.submit(_make_packed, config, i) for i in islice(todo, 1))
         except BrokenProcessPool as error:
             raise WorkerError(
-                "a process that makes samples has died, perhaps for lack of memory;"
-                " start again with fewer `workers`"
+                "a process that makes samples has died, perhaps for lack of memory",
+                advice="start again with fewer `workers`",
             ) from error
         yield sample
 

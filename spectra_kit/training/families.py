@@ -133,13 +133,8 @@ FAMILIES: dict[str, tuple[Callable[[Rng], TriangleMesh], float]] = {
     "sculpture": (sculpture, 10),
     "lattice": (lattice, 4),
 }
-_RIGID = {
-    "machined",
-    "assembly",
-    "vessel",
-    "furniture",
-    "vehicle",
-}  # man-made: bent and twisted less often
+# Man-made: bent and twisted less often.
+_RIGID = {"machined", "assembly", "vessel", "furniture", "vehicle"}
 
 
 def _deform(mesh: TriangleMesh, rng: Rng, likely: float) -> TriangleMesh:
@@ -190,7 +185,7 @@ def make_mesh(family: str, seed: int | tuple[int, ...]) -> TriangleMesh:
     1
     """
     if family not in FAMILIES:
-        raise InvalidInputError(f"`family` must be one of {sorted(FAMILIES)}, got {family!r}")
+        raise InvalidInputError("family", f"be one of {sorted(FAMILIES)}", repr(family))
     rng = np.random.default_rng(seed)
     mesh = FAMILIES[family][0](rng)
     return _deform(mesh, rng, 0.3 if family in _RIGID else 1.0)

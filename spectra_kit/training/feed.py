@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 import torch
@@ -16,21 +15,11 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.training.batches import Tensors, chosen_samples, posed, vary
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.shards import Corpus
+from spectra_kit.training.stream import SampleStream
 
 _REFRESH = 1.0  # seconds between looks at a stream
 _CHUNK = 64  # samples on their way at a time
 _ROOM = 0.5  # share of an accelerator's free memory that samples may fill
-
-
-class Stream(Protocol):
-    """A corpus that grows while it is read, such as `SampleStream`."""
-
-    @property
-    def capacity(self) -> int:
-        """The number of samples that there may be at a time."""
-
-    def corpus(self) -> Corpus:
-        """Return what is there now."""
 
 
 def join(corpora: Sequence[Corpus]) -> Corpus:
@@ -54,8 +43,10 @@ def join(corpora: Sequence[Corpus]) -> Corpus:
     sizes = {(corpus.n_points, corpus.k) for corpus in corpora}
     if len(sizes) != 1:
         raise InvalidInputError(
-            f"`corpora` must have the same (points, modes) per sample, got {sorted(sizes)};"
-            " train on one size at a time"
+            "corpora",
+            "have the same (points, modes) per sample",
+            sorted(sizes),
+            advice="train on one size at a time",
         )
     common = set.intersection(*(set(corpus.labels) for corpus in corpora))
     return Corpus(
@@ -73,7 +64,7 @@ class Feed:
 
     Parameters
     ----------
-    source : Corpus or Stream
+    source : Corpus or SampleStream
         Where samples come from; a stream is looked at once a second.
     config : TrainConfig
         The run.
@@ -92,7 +83,7 @@ class Feed:
 
     def __init__(
         self,
-        source: Corpus | Stream,
+        source: Corpus | SampleStream,
         config: TrainConfig,
         device: torch.device,
         *,
@@ -116,12 +107,7 @@ class Feed:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._thread.shutdown(cancel_futures=True)
 
     def __call__(self, step: int) -> Tensors:
@@ -145,7 +131,7 @@ class Feed:
         self._looked = time.monotonic()
         if not len(self._corpus):
             raise InvalidInputError(
-                "`source` must have a sample to begin with, got none; wait with `stream.ready`"
+                "source", "have a sample to begin with", "none", advice="wait with `stream.ready`"
             )
 
     def _keys(self) -> NDArray[np.int64]:

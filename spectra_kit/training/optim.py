@@ -131,8 +131,10 @@ def make_optimizers(
     matrices = [p for p in parameters if p.ndim == 2 and min(p.shape) > 32]
     if not matrices:
         raise InvalidInputError(
-            "`network` must have a matrix with both sizes above 32, which Muon trains, got none;"
-            " make it wider"
+            "network",
+            "have a matrix with both sizes above 32, which Muon trains",
+            "none",
+            advice="make it wider",
         )
     chosen = {id(p) for p in matrices}
     rest = [p for p in parameters if id(p) not in chosen]

@@ -119,7 +119,7 @@ def _open(root: Path, split: str, stamps: tuple[tuple[str, int, int], ...]) -> M
         chunks = [_read(file) for file in sorted(root.glob("pool_*.npz"))]
         if not chunks or not (root / "manifest.csv").is_file():
             raise InvalidInputError(
-                f"`path` must hold chunks pool_*.npz and a manifest.csv, got the folder {root}"
+                "path", "hold chunks pool_*.npz and a manifest.csv", f"the folder {root}"
             )
         with (root / "manifest.csv").open(newline="") as file:
             wanted = {row["id"] for row in csv.DictReader(file) if row["split"] == split}
@@ -160,7 +160,7 @@ def pack_pool(path: str | os.PathLike[str], target: str | os.PathLike[str], spli
         As `open_pool`, or if `target` does not end in ``.npz``.
     """
     if Path(target).suffix != ".npz":
-        raise InvalidInputError(f"`target` must end in .npz, got {os.fspath(target)!r}")
+        raise InvalidInputError("target", "end in .npz", repr(os.fspath(target)))
     pool = open_pool(path, split)
     arrays: dict[str, NDArray[np.generic]] = {
         "V": pool.points,
@@ -188,7 +188,7 @@ def _read(path: Path) -> dict[str, NDArray[np.generic]]:
     ):
         chunk = dict(file.items())
     if missing := [key for key in _KEYS if key not in chunk]:
-        raise InvalidInputError(f"`path` must be a mesh pool, but {path} lacks {missing}")
+        raise InvalidInputError("path", "be a mesh pool", f"{path} without {missing}")
     return chunk
 
 
@@ -204,9 +204,7 @@ def _joined(
             if name in wanted:
                 found[name] = points[v[i] : v[i + 1]], faces[f[i] : f[i + 1]]
     if not found:
-        raise InvalidInputError(
-            f"`split` must be one that meshes of {root} are in, found none in {split!r}"
-        )
+        raise InvalidInputError("split", f"be one that meshes of {root} are in", repr(split))
     names = sorted(found)
     return MeshPool(
         np.concatenate([found[name][0] for name in names]),

@@ -77,11 +77,13 @@ class CorpusConfig:
         check_count("shard_size", self.shard_size, low=1)
         for name, share in (("nonuniform", self.nonuniform), ("pool_share", self.pool_share)):
             if not 0 <= share <= 1:
-                raise InvalidInputError(f"`{name}` must be in [0, 1], got {share!r}")
+                raise InvalidInputError(name, "be in [0, 1]", share)
         if self.pool_share and self.pool is None:
             raise InvalidInputError(
-                f"`pool` must name the real meshes of which a share of {self.pool_share} is wanted,"
-                " got None; give the path, or take pool_share=0"
+                "pool",
+                f"name the real meshes of which a share of {self.pool_share} is wanted",
+                None,
+                advice="give the path, or take pool_share=0",
             )
 
     def fingerprint(self) -> dict[str, object]:
@@ -194,27 +196,7 @@ def sample_mesh(config: CorpusConfig, labels: Mapping[str, int]) -> TriangleMesh
 
 
 def draw_source(config: CorpusConfig, index: int, attempt: int) -> dict[str, int]:
-    """Draw what an attempt at a sample is to be.
-
-    Parameters
-    ----------
-    config : CorpusConfig
-        Of the corpus.
-    index, attempt : int
-        Of the sample, and how often it was rejected before.
-
-    Returns
-    -------
-    dict of str to int
-        The labels ``family`` and ``pool`` of `make_sample`.
-
-    Examples
-    --------
-    >>> from spectra_kit.training.samples import CorpusConfig, draw_source
-    >>> config = CorpusConfig(seed=0)
-    >>> draw_source(config, 3, 0) == draw_source(config, 3, 1)  # rejections come in fours
-    True
-    """
+    """Draw what an attempt at a sample is to be: the labels ``family`` and ``pool``."""
     # What to draw hardly depends on the attempt: rejections would thin out the hard ones. Nor is
     # it the stream of the mesh, whose first numbers would then follow from its family.
     rng = np.random.default_rng((config.seed, index, attempt // _PATIENCE, 2))
@@ -227,33 +209,9 @@ def draw_source(config: CorpusConfig, index: int, attempt: int) -> dict[str, int
 def make_surface(
     config: CorpusConfig, source: Mapping[str, int], index: int, attempt: int
 ) -> TriangleMesh:
-    """Make the surface of an attempt at a sample.
+    """Make the surface of an attempt at a sample, in its own pose and unit.
 
-    Parameters
-    ----------
-    config : CorpusConfig
-        Of the corpus.
-    source : mapping of str to int
-        Of `draw_source`.
-    index, attempt : int
-        Of the sample, and how often it was rejected before.
-
-    Returns
-    -------
-    TriangleMesh
-        In its own pose and unit.
-
-    Raises
-    ------
-    InvalidInputError
-        If the drawn parameters leave no surface: rare, the next attempt has others.
-
-    Examples
-    --------
-    >>> from spectra_kit.training.samples import CorpusConfig, draw_source, make_surface
-    >>> config = CorpusConfig(seed=0)
-    >>> bool(make_surface(config, draw_source(config, 3, 0), 3, 0).area > 0)
-    True
+    Raises `InvalidInputError` if the drawn parameters leave none: rare, the next have others.
     """
     seed = (config.seed, index, attempt)
     if config.pool is None or source["family"] != FROM_POOL:

@@ -18,6 +18,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -64,8 +65,13 @@ class Corpus:
     shards: tuple[Batch, ...]
     labels: dict[str, NDArray[np.int64]]
 
+    @cached_property
+    def _ends(self) -> NDArray[np.int64]:
+        """Where each shard ends, in samples."""
+        return np.cumsum([len(shard.mass) for shard in self.shards])
+
     def __len__(self) -> int:
-        return sum(len(shard.mass) for shard in self.shards)
+        return int(self._ends[-1])
 
     @property
     def n_points(self) -> int:
@@ -79,11 +85,10 @@ class Corpus:
 
     def batch(self, indices: ArrayLike) -> Batch:
         """Read the samples `indices`, shape (b,), into memory, in that order."""
-        ends = np.cumsum([len(shard.mass) for shard in self.shards])
-        places = []
-        for index in np.asarray(indices):
-            which = int(np.searchsorted(ends, index, side="right"))
-            places.append((self.shards[which], int(index - ends[which])))
+        chosen = np.asarray(indices)
+        which = np.searchsorted(self._ends, chosen, side="right")
+        backwards = chosen - self._ends[which]  # counted from the end of the shard
+        places = [(self.shards[i], j) for i, j in zip(which, backwards, strict=True)]
         return Batch(
             np.stack([shard.points[i] for shard, i in places]),
             np.stack([shard.mass[i] for shard, i in places]),
@@ -155,7 +160,7 @@ def write_shard(
             temporary.rename(path)
         except OSError as error:
             raise InvalidInputError(
-                f"shard {index} of {folder} exists; delete {path} or take another index"
+                f"shard {index} of {folder} exists", advice=f"delete {path} or take another index"
             ) from error
     return path
 
@@ -187,7 +192,7 @@ def open_shards(folder: str | os.PathLike[str]) -> Corpus:
     )
     if not paths:
         raise InvalidInputError(
-            f"`folder` must hold shards, found none in {root}; generate a corpus first"
+            "folder", "hold shards", f"none in {root}", advice="generate a corpus first"
         )
     shards, labels = [], []
     for path in paths:
@@ -197,8 +202,8 @@ def open_shards(folder: str | os.PathLike[str]) -> Corpus:
     sizes = {shard.eigenvectors.shape[1:] for shard in shards}
     if len(sizes) > 1:
         raise InvalidInputError(
-            f"all shards of {root} must have the same (points, modes), got {sorted(sizes)};"
-            " keep corpora of different sizes in different folders"
+            f"all shards of {root} must have the same (points, modes), got {sorted(sizes)}",
+            advice="keep corpora of different sizes in different folders",
         )
     common = set.intersection(*(set(label) for label in labels))
     joined = {name: np.concatenate([label[name] for label in labels]) for name in sorted(common)}
@@ -227,13 +232,15 @@ def _check(
     _check_shapes(arrays, labels)
     for name, array in arrays.items():
         if not np.isfinite(array).all():
-            raise InvalidInputError(f"`{name}` must be finite in the precision that is stored")
+            raise InvalidInputError(name, "be finite in the precision that is stored")
     mass = arrays["mass"]
     sums = mass.sum(axis=1, dtype=np.float64)
     if not ((mass > 0).all() and np.allclose(sums, 1, atol=1e-4)):
         raise InvalidInputError(
-            f"`mass` must be positive with rows that sum to 1, got sums in [{sums.min():.6g},"
-            f" {sums.max():.6g}]; divide by the sum and multiply the eigenvectors by its root"
+            "mass",
+            "be positive with rows that sum to 1",
+            f"sums in [{sums.min():.6g}, {sums.max():.6g}]",
+            advice="divide by the sum and multiply the eigenvectors by its root",
         )
 
 

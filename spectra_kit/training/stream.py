@@ -13,7 +13,6 @@ from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import count as count_from
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -34,15 +33,13 @@ from spectra_kit.training.samples import LABELS
 from spectra_kit.training.shards import Batch, Corpus, open_shards
 
 _LOOK = 0.1  # seconds between looks of a reader that waits
-_BLOCKS = 8  # at least; the oldest one goes when the buffer is full
 
 
 class SampleStream:
     """An endless corpus: sample `start`, `start` + 1, ... of a configuration, the newest at hand.
 
     Sample number i is the one that `make_sample` makes, in the precisions of the shards. The
-    buffer grows to `capacity`; then its oldest samples make room, a block at a time: a shard, or an
-    eighth of the capacity where that is less. Reading waits for nothing.
+    buffer grows to `capacity`; then the oldest samples make room. Reading waits for nothing.
 
     Parameters
     ----------
@@ -101,15 +98,21 @@ class SampleStream:
         self._start = self._next = check_count("start", start, low=0)
         if folder is not None and start % config.shard_size:
             raise InvalidInputError(
-                f"`start` must be a multiple of the shard size {config.shard_size} where shards are"
-                f" saved, got {start}"
+                "start",
+                f"be a multiple of the shard size {config.shard_size} where shards are saved",
+                start,
             )
         self._config = config
         self._folder = None if folder is None else Path(folder)
         self._bounded = bounded
-        self._block = max(1, min(config.shard_size, capacity // _BLOCKS))
-        self._blocks: deque[_Block] = deque()
-        self._seen: list[dict[str, NDArray[np.int64]]] = []  # labels of blocks that are gone
+        # The first one is none, and tells of what size the others are.
+        self._none = Batch(
+            np.empty((0, config.n_points, 3), dtype=np.float32),
+            np.empty((0, config.n_points), dtype=np.float32),
+            np.empty((0, config.n_points, config.k), dtype=np.float16),
+        )
+        self._samples: deque[Batch] = deque(maxlen=capacity)
+        self._labels: list[tuple[int, ...]] = []  # of all so far
         self._unsaved: list[Sample] = []
         self._lock = threading.Lock()
         self._stop = threading.Event()
@@ -125,12 +128,7 @@ class SampleStream:
         self._collecting = self._thread.submit(self._collect)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -145,14 +143,12 @@ class SampleStream:
         return self._capacity
 
     def corpus(self) -> Corpus:
-        """Return what is there now, possibly nothing: views that stay as they are."""
+        """Return what is there now, possibly nothing: samples that stay as they are."""
         self._check()
         with self._lock:
-            blocks = [block.view() for block in self._blocks] or [_Block(self._config, 0).view()]
-        return Corpus(
-            tuple(batch for batch, _ in blocks),
-            {name: np.concatenate([labels[name] for _, labels in blocks]) for name in LABELS},
-        )
+            samples = tuple(self._samples)
+            labels = self._labels[len(self._labels) - len(samples) :]
+        return Corpus((self._none, *samples), _columns(labels))
 
     def ready(self, n: int, timeout: float) -> bool:
         """Wait until `n` samples have come in, at most `timeout` seconds; say whether they have."""
@@ -167,18 +163,14 @@ class SampleStream:
 
     def __len__(self) -> int:
         """Return the number of samples at hand."""
-        with self._lock:
-            return sum(block.size for block in self._blocks)
+        return len(self._samples)
 
     def report(self) -> CorpusReport:
         """Count all samples so far, those that made room included, and what was turned down."""
         self._check()
         with self._lock:
-            labels = self._seen + [block.view()[1] for block in self._blocks]
-        empty = np.empty(0, dtype=np.int64)
-        return count(
-            {name: np.concatenate([empty, *(part[name] for part in labels)]) for name in LABELS}
-        )
+            labels = list(self._labels)
+        return count(_columns(labels))
 
     def _check(self) -> None:
         """Raise here what ended the thread that collects."""
@@ -192,18 +184,25 @@ class SampleStream:
         there = open_shards(folder)
         if not np.array_equal(there.labels["index"], self._next + np.arange(len(there))):
             raise InvalidInputError(
-                f"`folder` must hold the samples from `start` = {self._next} on without gaps,"
-                f" {folder} holds others; take another folder, or its own start"
+                "folder",
+                f"hold the samples from `start` = {self._next} on without gaps",
+                f"others in {folder}",
+                advice="take another folder, or its own start",
             )
         if len(there) % self._config.shard_size:
             raise InvalidInputError(
-                f"`folder` must hold whole shards of {self._config.shard_size}, got {len(there)}"
-                f" samples in {folder}; delete its last shard"
+                "folder",
+                f"hold whole shards of {self._config.shard_size}",
+                f"{len(there)} samples in {folder}",
+                advice="delete its last shard",
             )
-        labels = {name: there.labels[name] for name in LABELS}
-        for i, shard in enumerate(there.shards):
-            rows = slice(i * self._config.shard_size, (i + 1) * self._config.shard_size)
-            self._append(_Block.of(shard, {name: label[rows] for name, label in labels.items()}))
+        for shard in there.shards:
+            for i in range(self._config.shard_size):
+                rows = slice(i, i + 1)
+                self._samples.append(
+                    Batch(shard.points[rows], shard.mass[rows], shard.eigenvectors[rows])
+                )
+        self._labels = list(zip(*(there.labels[name].tolist() for name in LABELS), strict=True))
         self._next += len(there)
 
     def _collect(self) -> None:
@@ -214,10 +213,11 @@ class SampleStream:
                 self._take(sample)
 
     def _take(self, sample: Sample) -> None:
-        if not self._blocks or self._blocks[-1].full:
-            self._append(_Block(self._config, self._block))
         with self._lock:
-            self._blocks[-1].append(sample)
+            self._samples.append(
+                Batch(sample.points[None], sample.mass[None], sample.eigenvectors[None])
+            )
+            self._labels.append(tuple(sample.labels[name] for name in LABELS))
             self._next += 1
         if self._folder is not None:
             self._unsaved.append(sample)
@@ -236,47 +236,7 @@ class SampleStream:
                 gone = path.rename(folder / f".gone_{path.name}")  # never half a shard by its name
                 shutil.rmtree(gone)
 
-    def _append(self, block: _Block) -> None:
-        """Open a block, and let those go that are more than the capacity without it."""
-        with self._lock:
-            self._blocks.append(block)
-            room = self._capacity - len(block.arrays.mass)
-            while len(self._blocks) > 1 and sum(b.size for b in self._blocks) - block.size > room:
-                self._seen.append(self._blocks.popleft().labels)
 
-
-class _Block:
-    """Room for some samples; filled once, from the front, and never rewritten."""
-
-    def __init__(self, config: CorpusConfig, room: int) -> None:
-        self.arrays = Batch(
-            np.empty((room, config.n_points, 3), dtype=np.float32),
-            np.empty((room, config.n_points), dtype=np.float32),
-            np.empty((room, config.n_points, config.k), dtype=np.float16),
-        )
-        self.labels = {name: np.empty(room, dtype=np.int64) for name in LABELS}
-        self.size = 0
-
-    @classmethod
-    def of(cls, arrays: Batch, labels: dict[str, NDArray[np.int64]]) -> _Block:
-        """Wrap samples that are there."""
-        block = cls.__new__(cls)
-        block.arrays, block.labels, block.size = arrays, labels, len(arrays.mass)
-        return block
-
-    @property
-    def full(self) -> bool:
-        return self.size == len(self.arrays.mass)
-
-    def append(self, sample: Sample) -> None:
-        self.arrays.points[self.size] = sample.points
-        self.arrays.mass[self.size] = sample.mass
-        self.arrays.eigenvectors[self.size] = sample.eigenvectors
-        for name in LABELS:
-            self.labels[name][self.size] = sample.labels[name]
-        self.size += 1
-
-    def view(self) -> tuple[Batch, dict[str, NDArray[np.int64]]]:
-        a, n = self.arrays, self.size
-        labels = {name: label[:n] for name, label in self.labels.items()}
-        return Batch(a.points[:n], a.mass[:n], a.eigenvectors[:n]), labels
+def _columns(labels: list[tuple[int, ...]]) -> dict[str, NDArray[np.int64]]:
+    columns = np.array(labels, dtype=np.int64).reshape(-1, len(LABELS)).T
+    return dict(zip(LABELS, columns, strict=True))

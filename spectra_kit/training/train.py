@@ -25,11 +25,12 @@ from spectra_kit.neo.loss import ortho_loss, span_loss
 from spectra_kit.training import checkpoint
 from spectra_kit.training.batches import Tensors, for_validation, posed
 from spectra_kit.training.config import TrainConfig
-from spectra_kit.training.feed import Feed, Stream
+from spectra_kit.training.feed import Feed
 from spectra_kit.training.log import Log, Row
 from spectra_kit.training.optim import average_weights, make_optimizers, warmup_stable_decay
 from spectra_kit.training.ranks import Ranks
 from spectra_kit.training.shards import Corpus
+from spectra_kit.training.stream import SampleStream
 
 # What may change on resuming.
 _FREE = {"minutes", "warmup", "decay", "batch", "points", "every", "log", "save", "validation"}
@@ -69,7 +70,7 @@ class TrainResult:
 
 
 def train(
-    corpus: Corpus | Stream,
+    corpus: Corpus | SampleStream,
     validation: Corpus,
     config: TrainConfig,
     *,
@@ -95,7 +96,7 @@ def train(
 
     Parameters
     ----------
-    corpus : Corpus or Stream
+    corpus : Corpus or SampleStream
         What to learn from.
     validation : Corpus
         Other samples, to measure the span error on.
@@ -144,8 +145,7 @@ def train(
     _check_corpora(there, validation, config)
     if last and (pause_after is None or config.minutes is None):
         raise InvalidInputError(
-            "`last` ends a schedule of `minutes` by `pause_after`, got"
-            f" {config.minutes} and {pause_after}; give both"
+            "last", "come with `minutes` and `pause_after`", f"{config.minutes} and {pause_after}"
         )
     torch.manual_seed(config.seed)
     run = _Run(config, torch.device(device), ranks, initial)
@@ -162,7 +162,7 @@ def train(
         if folder is not None and ranks.first:
             writer = enter(checkpoint.Writer(folder))
             log = enter(Log(folder, state.history, tensorboard=tensorboard))
-        enter(run.pool)
+        enter(run.threads)
         if config.compile:
             run.compile()
         if wait is not None:
@@ -199,7 +199,9 @@ def train(
                 now = time.perf_counter()
                 row = _row(config, state, lr, (state.samples - noted[1]) / (now - noted[0]))
                 if validating:
-                    row["validation"] = validate(run.average, validation, config, pool=run.pool)
+                    row["validation"] = validate(
+                        run.average, validation, config, threads=run.threads
+                    )
                 noted = time.perf_counter(), state.samples
                 state.history.append(row)
                 if log is not None:
@@ -237,9 +239,9 @@ class _Run:
         if config.compile:
             self.forward = torch.compile(self.network, dynamic=False)
         # Shares of a batch side by side on a CPU, one after the other elsewhere.
-        self.pool = ThreadPoolExecutor(config.workers if device.type == "cpu" else 1)
+        self.threads = ThreadPoolExecutor(config.workers if device.type == "cpu" else 1)
         self.optimizers = make_optimizers(
-            self.network, lr=config.lr, weight_decay=config.weight_decay, apply=self.pool.map
+            self.network, lr=config.lr, weight_decay=config.weight_decay, apply=self.threads.map
         )
         self.scaler = torch.amp.GradScaler(device.type, enabled=config.precision == "float16")
         self.state = TrainState()
@@ -284,15 +286,15 @@ class _Run:
         # In float16 the scaler leaves such a step out, and halves its scale: 16 in a row reach one.
         if bad and (self.config.precision != "float16" or self.scaler.get_scale() < 1):
             raise ConvergenceError(
-                f"the loss is not finite by step {self.state.step}; go on from the last checkpoint"
-                f" with a smaller `lr` than {self.config.lr:g}, or in another `precision` than"
-                f" {self.config.precision}"
+                f"the loss is not finite by step {self.state.step}",
+                advice="go on from the last checkpoint with a smaller `lr` than"
+                f" {self.config.lr:g}, or in another `precision` than {self.config.precision}",
             )
 
     def gradients(self, batch: Tensors) -> tuple[tuple[Tensor, ...], tuple[Gradients, ...]]:
         """Return the losses of the shares of a batch, and their gradients."""
         shares = (part.chunk(self.config.workers) for part in batch)
-        losses, gradients = zip(*self.pool.map(self._work, *shares), strict=True)
+        losses, gradients = zip(*self.threads.map(self._work, *shares), strict=True)
         return losses, gradients
 
     def _work(self, points: Tensor, mass: Tensor, U: Tensor) -> tuple[Tensor, Gradients]:
@@ -332,7 +334,7 @@ def validate(
     corpus: Corpus,
     config: TrainConfig,
     *,
-    pool: ThreadPoolExecutor | None = None,
+    threads: ThreadPoolExecutor | None = None,
 ) -> float:
     """Return the mean span error over the first samples of a corpus, with all their points."""
     device = next(network.parameters()).device
@@ -347,7 +349,7 @@ def validate(
             F = network(points, mass)
         return float(span_loss(F, mass, U)) * len(indices)
 
-    apply = map if pool is None else pool.map
+    apply = map if threads is None else threads.map
     return float(sum(apply(error, range(0, n, 8)))) / n
 
 
@@ -407,15 +409,17 @@ def _resumed(folder: Path | None, config: TrainConfig) -> dict[str, Any]:
     content = None if folder is None else checkpoint.read(folder)
     if content is None:
         raise InvalidInputError(
-            f"`out` must hold a checkpoint to resume, found none in {folder};"
-            " call without `resume` to begin a run"
+            "out",
+            "hold a checkpoint to resume",
+            f"none in {folder}",
+            advice="call without `resume` to begin a run",
         )
     ours, theirs = asdict(config), content["config"]
     differing = sorted(name for name in ours.keys() - _FREE if ours[name] != theirs.get(name))
     if differing:
         raise InvalidInputError(
-            f"the checkpoint in {folder} was written with other values of {differing};"
-            " resume with those, or train into another folder"
+            f"the checkpoint in {folder} was written with other values of {differing}",
+            advice="resume with those, or train into another folder",
         )
     return content
 
@@ -427,8 +431,9 @@ def _check_corpora(corpus: Corpus, validation: Corpus, config: TrainConfig) -> N
     ):
         if samples.k != config.network.k or samples.n_points < n:
             raise InvalidInputError(
-                f"`{name}` must have samples of at least {n} points and {config.network.k} modes,"
-                f" got {samples.n_points} and {samples.k}"
+                name,
+                f"have samples of at least {n} points and {config.network.k} modes",
+                f"{samples.n_points} and {samples.k}",
             )
 
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from measure.matching.methods import Side, match_wks
 
 from spectra_kit import Spectrum, TriangleMesh, eigensolve, robust_laplacian
 from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
-from spectra_kit.evaluation.matching.methods import Side, match_wks
 from spectra_kit.functional_maps import fit_functional_map
 from spectra_kit.geometry import creature
 

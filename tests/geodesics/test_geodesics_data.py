@@ -6,9 +6,9 @@ import numpy as np
 import potpourri3d as pp3d
 import pytest
 from conftest import data_folder
+from measure.matching.subjects import subjects_in
 
 import spectra_kit as sk
-from spectra_kit.evaluation.matching.subjects import subjects_in
 from spectra_kit.geodesics import Direct, HeatGeodesics, Iterative, exact_distances
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators import intrinsic_delaunay

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from conftest import data_folder
+from measure.matching.subjects import subjects_in, truth_between
 
 from spectra_kit.correspondence import geodesic_errors
 from spectra_kit.eigensolvers import Arpack, Polished, eigensolve
-from spectra_kit.evaluation.matching.subjects import subjects_in, truth_between
 from spectra_kit.matching import match, prepare
 from spectra_kit.neo import NeoSubspace
 from spectra_kit.operators import robust_laplacian

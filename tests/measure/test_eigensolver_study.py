@@ -2,28 +2,16 @@
 
 import dataclasses
 import json
-import platform
 import re
 
 import benchmark_eigensolvers as app
 import numpy as np
 import pytest
 from conftest import bumpy
-from measure import eigensolvers, peers
-from measure.eigensolvers import (
-    EXACT,
-    METHODS,
-    QUICK,
-    Contender,
-    Method,
-    Preparation,
-    Problem,
-    Solves,
-    contenders,
-    exponents,
-    problems,
-    write_report,
-)
+from measure.eigensolvers import peers
+from measure.eigensolvers.methods import METHODS, QUICK, Contender, Method, contenders
+from measure.eigensolvers.report import exponents, write_report
+from measure.eigensolvers.studies import EXACT, Preparation, Problem, Solves, problems
 from measure.store import Store
 from measure.study import Result, repeats_of, run
 
@@ -31,7 +19,6 @@ from spectra_kit import Arpack, Provenance, eigensolve, robust_laplacian
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere, write
 from spectra_kit.metrics import compare_spectra
-from spectra_kit.neo import NeoSubspace
 
 PEERS = [name for name, method in METHODS.items() if method.peer]
 MACHINE = {"name": "box", "processor": "fast", "accelerator": "", "cores": 2, "threads": 1}
@@ -110,19 +97,6 @@ def test_peers_agree_with_arpack(name):
     assert comparison.mean_span_error < 1e-6
 
 
-def test_eigsh_is_measured_at_our_tolerance_too():
-    laplacian = robust_laplacian(bumpy())
-    # Lanczos stops at a restart: with one number of modes it may have more digits than asked for.
-    residuals = {
-        m: max(
-            eigensolve(laplacian, k, METHODS[m].make("cpu")).certificate.relative_residuals.max()
-            for k in (8, 12, 20, 25, 40)
-        )
-        for m in ("eigsh", "eigsh-1e-6")
-    }
-    assert residuals["eigsh"] < 1e-9 < residuals["eigsh-1e-6"] < 1e-4
-
-
 @pytest.mark.parametrize("name", METHODS)
 def test_a_method_is_what_is_told_of_it(name):
     method = METHODS[name]
@@ -138,19 +112,13 @@ def test_a_method_is_what_is_told_of_it(name):
     assert " at 0x" not in options
 
 
-def test_chebyshev_is_started_from_the_network_on_its_device():
-    solver = METHODS["chebyshev-neo"].make("cpu")
-    assert isinstance(solver.start, NeoSubspace)
-    assert solver.start.device == solver.device == "cpu"
-    both = contenders(["arpack", "chebyshev-neo"], ["cpu", "cuda"])
-    assert list(map(str, both)) == ["chebyshev-neo", "arpack", "chebyshev-neo (cuda)"]
-
-
 def test_the_quick_choice_leaves_out_the_slow_rivals():
     assert set(METHODS) - set(QUICK) == {"lobpcg", "lobpcg-amg", "spectra", "lobpcg-pyamg"}
     parse = app._parser().parse_args
     assert tuple(parse(["out", "--quick"]).methods) == QUICK
     assert tuple(parse(["out"]).methods) == tuple(METHODS)
+    both = contenders(["arpack", "chebyshev-neo"], ["cpu", "cuda"])
+    assert list(map(str, both)) == ["chebyshev-neo", "arpack", "chebyshev-neo (cuda)"]
 
 
 # --- on what ---
@@ -225,23 +193,6 @@ def test_what_is_absent_failed_or_too_slow_is_not_tried(tmp_path, monkeypatch):
     assert solves.excuse(eigsh, Problem("mesh", 700), [stopped]) == ""
 
 
-class Hasty:
-    """Gives up on the problem, not on what it warms up on."""
-
-    def eigenpairs(self, laplacian, k):
-        restarts = 1 if laplacian.n == CLOUD.points else 1000
-        return Arpack(max_restarts=restarts).eigenpairs(laplacian, k)
-
-
-def test_modes_that_did_not_converge_are_counted(tmp_path, monkeypatch):
-    monkeypatch.setitem(METHODS, "arpack", Method(make=lambda device: Hasty()))
-    prepared = Preparation(folder=tmp_path, problems=[CLOUD], k=60)
-    run(prepared, Store(tmp_path), jobs=0)
-    record = Solves.of(prepared, [], contenders=[]).measure(Contender("arpack"), CLOUD)
-    assert record["status"] == "failed"
-    assert re.match(r"\d+ of 60 modes converged: ", record["reason"])
-
-
 # --- what follows ---
 
 
@@ -296,11 +247,3 @@ def test_exponents_are_those_of_the_larger_sizes():
     ((_, fit),) = exponents(repeats_of(results)).items()
     assert fit.exponent == pytest.approx(1.5)
     assert fit.sizes == 3
-
-
-def test_the_machine_is_part_of_the_key(tmp_path):
-    here = study(tmp_path, machine=platform.node())
-    there = dataclasses.replace(here, machine="elsewhere")
-    arpack = Contender("arpack")
-    assert here.key(arpack, CLOUD) != there.key(arpack, CLOUD) != there.key(arpack, CLOUD, 1)
-    assert eigensolvers.KINDS == {"mesh": "robust", "cloud": "delaunay"}

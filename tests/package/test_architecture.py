@@ -23,7 +23,7 @@ LAYERS = [
     "matching",
     "training viz",
     "explorer",
-    "cli evaluation",
+    "cli",
     "__main__",
 ]
 LEVEL = {name: i for i, row in enumerate(LAYERS) for name in row.split()}

@@ -17,7 +17,7 @@ import pytest
 
 import spectra_kit
 from spectra_kit import explorer, viz
-from spectra_kit.cli.story import build_parser
+from spectra_kit.cli.program import parse
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -128,7 +128,7 @@ def test_the_command_lines_of_the_guide_are_accepted() -> None:
     ]
     assert len(commands) > 3
     for _, *arguments in commands:
-        build_parser().parse_args(arguments)  # exits where it has no use for one
+        parse(arguments)  # raises where it has no use for one
 
 
 def write_notebook(path: Path, text: str) -> None:

@@ -62,7 +62,7 @@ def test_bad_shards_are_refused(tmp_path):
         write_shard(tmp_path, 0, points, 2 * mass, modes, {})
     with pytest.raises(InvalidInputError, match="`eigenvectors` must be finite in the precision"):
         write_shard(tmp_path, 0, points, mass, modes * np.nan, {})
-    with pytest.raises(InvalidInputError, match="must hold shards, found none"):
+    with pytest.raises(InvalidInputError, match="must hold shards, got none"):
         open_shards(tmp_path / "nowhere")
     write_shard(tmp_path, 0, points, mass, modes, {})
     write_shard(tmp_path, 1, points, mass, modes[..., :5], {})

@@ -1,10 +1,10 @@
 """Shipping weights: the tree afterwards holds the file, its hash and golden tensors that fit."""
 
-import importlib.util
 import shutil
 from pathlib import Path
 
 import pytest
+import ship_weights
 import torch
 from safetensors.torch import load_file
 
@@ -12,9 +12,6 @@ from spectra_kit.neo import NeoConfig, build_network
 from spectra_kit.neo.pretrained import WEIGHTS, load_pretrained, save_weights
 
 ROOT = Path(__file__).parents[2]
-SPEC = importlib.util.spec_from_file_location("ship_weights", ROOT / "apps" / "ship_weights.py")
-ship_weights = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(ship_weights)
 TINY = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
 
 

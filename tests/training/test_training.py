@@ -1,17 +1,18 @@
 """Training: it learns, resumes bit by bit, and its parts do what they are named after."""
 
 import csv
-import importlib.util
 import os
 import re
 import signal
 import threading
 import time
-from pathlib import Path
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+import train_neo
 from conftest import ellipsoids
 
 from spectra_kit.errors import ConvergenceError, InvalidInputError
@@ -27,11 +28,6 @@ from spectra_kit.training.optim import (
 )
 from spectra_kit.training.shards import open_shards, write_shard
 from spectra_kit.training.train import _shortened, train, validate
-
-APP = Path(__file__).parents[2] / "apps" / "train_neo.py"
-SPEC = importlib.util.spec_from_file_location("train_neo", APP)
-train_neo = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(train_neo)
 
 TINY = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
 CONFIG = TrainConfig(network=TINY, steps=10, batch=4, points=48, validation=4, every=5)
@@ -129,14 +125,12 @@ def test_schedule_rises_stays_and_falls():
 
 
 def test_training_learns(corpora):
-    config = TrainConfig(
-        network=TINY, steps=80, batch=8, points=48, validation=8, every=40, lr=5e-3
-    )
+    config = replace(CONFIG, steps=60, batch=8, validation=8, every=30)
     result = train(*corpora, config)
     first = validate(train(*corpora, config, stop_after=1).network, corpora[1], config)
     assert result.finished
     assert result.record["span_error"] < 0.4 * first
-    assert result.record["samples"] == 640
+    assert result.record["samples"] == 480
     assert len(result.record["history"]) == 2
 
 
@@ -147,20 +141,20 @@ def test_the_result_is_the_average_and_the_checkpoint_holds_both(corpora, tmp_pa
     assert all(torch.equal(weights[name], t) for name, t in content["average"].items())
     assert not torch.equal(weights["lift.weight"], content["network"]["lift.weight"])
     assert validate(result.network, corpora[1], CONFIG) == result.record["span_error"]
-    plain = train(*corpora, TrainConfig(**{**vars(CONFIG), "ema": 0.0})).network.state_dict()
+    plain = train(*corpora, replace(CONFIG, ema=0.0)).network.state_dict()
     assert all(torch.equal(plain[name], t) for name, t in content["network"].items())
 
 
 def test_training_goes_on_from_given_weights(corpora):
     first = train(*corpora, CONFIG)
-    still = TrainConfig(**{**vars(CONFIG), "lr": 1e-9, "ema": 0.0})
+    still = replace(CONFIG, lr=1e-9, ema=0.0)
     after = train(*corpora, still, initial=first.network)
     assert after.record["span_error"] == pytest.approx(first.record["span_error"], rel=1e-4)
 
 
 @pytest.mark.parametrize(("workers", "precision"), [(1, "float32"), (2, "float32"), (1, "float16")])
 def test_a_stopped_run_resumes_bit_by_bit(corpora, tmp_path, workers, precision):
-    config = TrainConfig(**{**vars(CONFIG), "workers": workers, "precision": precision, "log": 3})
+    config = replace(CONFIG, workers=workers, precision=precision, log=3)
     whole = train(*corpora, config)
     part = train(*corpora, config, out=tmp_path, stop_after=4)
     assert not part.finished
@@ -179,14 +173,15 @@ def test_a_stopped_run_resumes_bit_by_bit(corpora, tmp_path, workers, precision)
 
 def test_workers_share_a_batch_without_changing_the_gradient(corpora):
     one = train(*corpora, CONFIG, stop_after=1).network.state_dict()
-    config = TrainConfig(**{**vars(CONFIG), "workers": 2})
-    two = train(*corpora, config, stop_after=1).network.state_dict()
+    with ThreadPoolExecutor(1) as thread:  # where no signal can be waited for
+        run = thread.submit(train, *corpora, replace(CONFIG, workers=2), stop_after=1)
+        two = run.result().network.state_dict()
     for name, tensor in one.items():
         torch.testing.assert_close(tensor, two[name], atol=1e-4, rtol=1e-3)
 
 
 def test_ctrl_c_saves_and_ends(corpora, tmp_path):
-    config = TrainConfig(**{**vars(CONFIG), "steps": 100_000, "every": 100_000})
+    config = replace(CONFIG, steps=100_000, every=100_000)
     before = signal.getsignal(signal.SIGINT)  # ignored, where a shell runs this in the background
 
     def interrupt() -> None:
@@ -206,49 +201,35 @@ def test_ctrl_c_saves_and_ends(corpora, tmp_path):
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_training_runs_outside_the_main_thread(corpora):
-    results = []
-    thread = threading.Thread(target=lambda: results.append(train(*corpora, CONFIG, stop_after=1)))
-    thread.start()
-    thread.join()
-    assert results[0].record["steps"] == 1
-
-
-def test_a_pause_keeps_the_schedule(corpora, tmp_path):
-    config = TrainConfig(**{**vars(CONFIG), "steps": 100_000, "minutes": 30, "every": 100_000})
-    result = train(*corpora, config, out=tmp_path, pause_after=0.5)
-    assert not result.finished
-    assert 0 < result.record["minutes"] < 0.2
-    again = train(*corpora, config, out=tmp_path, pause_after=0.5, resume=True)
-    assert again.record["steps"] > result.record["steps"]
-
-
-def test_a_last_phase_ends_the_schedule(corpora, tmp_path):
-    config = TrainConfig(**{**vars(CONFIG), "steps": 100_000, "minutes": 30, "warmup": 1e-9})
-    config = TrainConfig(**{**vars(config), "every": 100_000, "log": 1})
-    part = train(*corpora, config, out=tmp_path, pause_after=0.5)
+def test_a_pause_keeps_the_schedule_and_a_last_phase_ends_it(corpora, tmp_path):
+    config = replace(CONFIG, steps=100_000, minutes=30, warmup=1e-9, every=100_000, log=1)
+    part = train(*corpora, config, out=tmp_path, pause_after=0.4)
+    assert not part.finished
+    assert 0 < part.record["minutes"] < 0.2
+    again = train(*corpora, config, out=tmp_path, pause_after=0.4, resume=True)
+    assert again.record["steps"] > part.record["steps"]
     called = []
     options = {"out": tmp_path, "pause_after": 1.5, "resume": True}
     result = train(*corpora, config, last=True, wait=lambda: called.append(1), **options)
     assert called == [1]
     assert result.finished
-    assert result.record["steps"] > part.record["steps"]
-    assert result.record["minutes"] < 0.3
+    assert result.record["steps"] > again.record["steps"]
+    assert result.record["minutes"] < 0.4
     with (tmp_path / "log.csv").open() as file:
         rates = np.array([float(row["lr"]) for row in csv.DictReader(file)])
-    np.testing.assert_allclose(rates[1 : part.record["steps"]], config.lr)  # the first one is zero
+    np.testing.assert_allclose(rates[1 : again.record["steps"]], config.lr)  # the first is zero
     assert np.all(np.diff(rates[1:]) <= 0)
     assert rates[-1] < 0.3 * config.lr
 
 
-@pytest.mark.parametrize("seconds", [0.0, 100.0, 300.0, 900.0, 1150.0])
+@pytest.mark.parametrize("seconds", [0.0, 100.0, 300.0, 1150.0])
 @pytest.mark.parametrize("left", [10.0, 200.0, 2000.0])
 def test_a_shortened_schedule_goes_on_where_the_rate_is(seconds, left):
     def rate(config, at):
         progress = at / (60 * config.minutes)
         return warmup_stable_decay(progress, warmup=config.warmup, decay=config.decay)
 
-    old = TrainConfig(**{**vars(CONFIG), "minutes": 20, "warmup": 0.2, "decay": 0.3})
+    old = replace(CONFIG, minutes=20, warmup=0.2, decay=0.3)
     new = _shortened(old, seconds, left)
     assert 60 * new.minutes == pytest.approx(min(1200, seconds + left))
     assert rate(new, seconds) == pytest.approx(rate(old, seconds), abs=1e-9)
@@ -259,7 +240,7 @@ def test_a_loss_that_is_not_finite_is_an_error(corpora, tmp_path):
     spoilt = NeoNetwork(TINY)
     torch.nn.init.constant_(spoilt.lift.weight, torch.nan)
     for precision in ("float32", "float16"):
-        config = TrainConfig(**{**vars(CONFIG), "steps": 40, "log": 20, "precision": precision})
+        config = replace(CONFIG, steps=40, log=20, precision=precision)
         with pytest.raises(ConvergenceError, match="the loss is not finite by step"):
             train(*corpora, config, initial=spoilt, out=tmp_path)
         # In float16 steps are skipped at first, and leave the weights as they are.
@@ -267,7 +248,7 @@ def test_a_loss_that_is_not_finite_is_an_error(corpora, tmp_path):
 
 
 def test_minutes_end_a_run_with_the_whole_schedule(corpora, tmp_path):
-    config = TrainConfig(**{**vars(CONFIG), "steps": 100_000, "minutes": 0.05, "every": 10})
+    config = replace(CONFIG, steps=100_000, minutes=0.05, every=10)
     result = train(*corpora, config, out=tmp_path)
     assert result.finished
     assert 0.05 <= result.record["minutes"] < 0.5
@@ -276,44 +257,42 @@ def test_minutes_end_a_run_with_the_whole_schedule(corpora, tmp_path):
 
 @pytest.mark.parametrize("precision", ["bfloat16", "float16"])
 def test_half_precision_follows_float32(corpora, precision):
-    config = TrainConfig(**{**vars(CONFIG), "precision": precision})
+    config = replace(CONFIG, precision=precision)
     expected = train(*corpora, CONFIG).record["span_error"]
     assert train(*corpora, config).record["span_error"] == pytest.approx(expected, rel=0.1)
 
 
-def test_bad_configurations_are_refused(corpora, tmp_path):
-    with pytest.raises(InvalidInputError, match="`steps` must be at least 1"):
-        TrainConfig(network=TINY, steps=0)
-    with pytest.raises(InvalidInputError, match=r"`flips` must be in \[0, 1\], got 2"):
-        TrainConfig(network=TINY, steps=1, flips=2)
-    with pytest.raises(InvalidInputError, match="`points` must exceed the 16 functions"):
-        TrainConfig(network=TINY, steps=1, points=16)
-    with pytest.raises(InvalidInputError, match="`precision` must be one of"):
-        TrainConfig(network=TINY, steps=1, points=48, precision="int8")
-    config = TrainConfig(network=TINY, steps=1, points=100)
-    with pytest.raises(InvalidInputError, match="`corpus` must have samples of at least 100"):
-        train(*corpora, config)
-    with pytest.raises(InvalidInputError, match="must hold a checkpoint to resume, found none"):
-        train(*corpora, CONFIG, out=tmp_path, resume=True)
-    with pytest.raises(InvalidInputError, match=r"`last` ends a schedule of `minutes`.*got None"):
-        train(*corpora, CONFIG, last=True, pause_after=1.0)
+@pytest.mark.parametrize(
+    ("change", "argument"),
+    [
+        ({"steps": 0}, "steps"),
+        ({"flips": 2}, "flips"),
+        ({"points": 16}, "points"),  # as many as functions, which span everything
+        ({"precision": "int8"}, "precision"),
+        ({"lr": 0.0}, "lr"),
+        ({"minutes": -1.0}, "minutes"),
+    ],
+)
+def test_bad_configurations_are_refused(change, argument):
+    with pytest.raises(InvalidInputError, match=f"`{argument}` must "):
+        replace(CONFIG, **change)
+
+
+def test_what_does_not_fit_a_run_is_refused(corpora, tmp_path):
+    def refused(config=CONFIG, **options):
+        with pytest.raises(InvalidInputError) as caught:
+            train(*corpora, config, **options)
+        return caught.value
+
+    assert refused(replace(CONFIG, points=100)).argument == "corpus"
+    assert refused(out=tmp_path, resume=True).got == f"none in {tmp_path}"
+    assert refused(last=True, pause_after=1.0).argument == "last"
     train(*corpora, CONFIG, out=tmp_path, stop_after=1)
-    other = TrainConfig(**{**vars(CONFIG), "lr": 1e-4})
-    with pytest.raises(InvalidInputError, match=r"other values of \['lr'\]"):
-        train(*corpora, other, out=tmp_path, resume=True)
+    other = refused(replace(CONFIG, lr=1e-4), out=tmp_path, resume=True)
+    assert "other values of ['lr']" in str(other)
 
 
 # The command line
-
-
-def test_command_line_trains_and_writes_weights(folders, tmp_path, capsys):
-    corpus, validation = map(str, folders)
-    argv = [corpus, "--validation", validation, "--out", str(tmp_path)]
-    argv += ["--steps", "1", "--batch", "2"]
-    assert train_neo.main([*argv, "--points", "9999"]) == 1
-    assert "error: `corpus` must have samples of at least 9999 points" in capsys.readouterr().err
-    assert train_neo.main(["nowhere", *argv[1:]]) == 1
-    assert "found none in nowhere" in capsys.readouterr().err
 
 
 def test_command_line_end_to_end(tmp_path, capsys):
@@ -321,23 +300,22 @@ def test_command_line_end_to_end(tmp_path, capsys):
     for name in ("train", "validation"):
         points = rng.standard_normal((2, 300, 3))
         modes = rng.standard_normal((2, 300, 64))  # as many as the corpus has
-        mass = np.full((2, 300), 1 / 300)
-        write_shard(tmp_path / name, 0, points, mass, modes, {})
-    out = tmp_path / "run"
-    train_folder = str(tmp_path / "train")
-    argv = [train_folder, train_folder, "--validation", str(tmp_path / "validation")]
+        write_shard(tmp_path / name, 0, points, np.full((2, 300), 1 / 300), modes, {})
+    out, folder = tmp_path / "run", str(tmp_path / "train")
+    argv = [folder, folder, "--validation", str(tmp_path / "validation")]
     argv += ["--steps", "1", "--batch", "2", "--points", "270"]
+    assert train_neo.main(["nowhere", *argv[1:], "--out", str(out)]) == 1
+    assert "error: `folder` must hold shards, got none in nowhere" in capsys.readouterr().err
     assert train_neo.main([*argv, "--out", str(out), "--frame", "none"]) == 0
     printed = capsys.readouterr().out
-    loaded = load_pretrained(out / "weights.safetensors")
-    assert loaded.record["steps"] == 1
+    weights = out / "weights.safetensors"
+    loaded = load_pretrained(weights)
+    assert (loaded.record["steps"], loaded.record["corpus"]["samples"]) == (1, 4)
     assert (loaded.config.k, loaded.config.frame) == (64, "none")
     # No terminal: a line for each validation instead of a bar.
     assert re.search(r"^step 1, 0\.\d min: loss [\d.]+, span error [\d.]+$", printed, re.MULTILINE)
-    assert loaded.record["corpus"]["samples"] == 4
     assert loaded.sha256 in printed
 
-    weights = out / "weights.safetensors"
     tuned = [*argv, "--out", str(tmp_path / "tuned"), "--weights", str(weights), "--lr", "1e-9"]
     assert train_neo.main(tuned) == 0
     before = float(re.search(r", before: ([\d.]+)$", capsys.readouterr().out, re.MULTILINE)[1])

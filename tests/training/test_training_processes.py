@@ -32,7 +32,7 @@ torch.set_num_threads(1)
 network = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
 folder, out, steps, resume, pause = sys.argv[1:]
 config = TrainConfig(
-    network=network, steps=int(steps), batch=5, points=48, validation=4, every=25, log=1, save=0.01
+    network=network, steps=int(steps), batch=5, points=48, validation=4, every=15, log=1, save=0.01
 )
 corpus = open_shards(folder)
 with process_group("cpu") as device:
@@ -64,7 +64,7 @@ def folder(tmp_path_factory):
     return path
 
 
-def command(folder, out, *, steps=60, resume=False, pause=0.0):
+def command(folder, out, *, steps=40, resume=False, pause=0.0):
     """Train for so many steps, with so many seconds between them."""
     rest = [str(folder), str(out), str(steps), "resume" if resume else "begin", str(pause)]
     return [sys.executable, "-c", SCRIPT, *rest]
@@ -82,7 +82,7 @@ def test_a_killed_run_resumes_to_the_same_loss_curve(folder, tmp_path, run_here)
     run_here(command(folder, whole))
     reached = 0
     for attempt in range(2):
-        # Paused, so that no machine is done before it is killed: twice at most 0.25 s of 60 steps.
+        # Paused, so that no machine is done before it is killed: twice at most 0.2 s of 40 steps.
         call = command(folder, killed, resume=attempt > 0, pause=0.02)
         with subprocess.Popen(call, env=ENVIRONMENT) as process:
             while (
@@ -90,10 +90,10 @@ def test_a_killed_run_resumes_to_the_same_loss_curve(folder, tmp_path, run_here)
                 and (read(killed) or {"state": {"step": 0}})["state"]["step"] <= reached
             ):
                 time.sleep(0.05)
-            time.sleep(random.uniform(0, 0.2))
+            time.sleep(random.uniform(0, 0.15))
             process.kill()
         reached = read(killed)["state"]["step"]
-        assert 0 < reached < 60
+        assert 0 < reached < 40
     run_here(command(folder, killed, resume=True))
     assert curve(killed) == curve(whole)
     one, other = read(killed), read(whole)
@@ -148,9 +148,8 @@ def learnt(tmp_path, device, **options):
     return before, result.record["span_error"]
 
 
-@pytest.mark.parametrize("precision", ["float32", "float16"])
-def test_waves_learn_on_a_cpu_within_the_bound_for_cuda(tmp_path, precision):
-    before, after = learnt(tmp_path, "cpu", precision=precision)
+def test_waves_learn_on_a_cpu_within_the_bound_for_cuda(tmp_path):
+    before, after = learnt(tmp_path, "cpu", precision="float16")
     assert after < 0.4 * before
 
 

@@ -1,0 +1,157 @@
+"""A map between two subjects, measured with the truth and without it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from measure.matching.methods import Outcome
+from measure.matching.subjects import Subject, truth_between
+from spectra_kit._types import Floats, Ints
+from spectra_kit._validate import frozen
+from spectra_kit.correspondence import (
+    accuracy_curve,
+    auc,
+    bijectivity_errors,
+    coverage,
+    dirichlet_energy,
+    geodesic_distances,
+    geodesic_errors,
+    map_errors,
+    orientation,
+)
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.functional_maps import nearest_rows, zoomout
+from spectra_kit.geometry import TriangleMesh
+from spectra_kit.operators import robust_laplacian
+from spectra_kit.operators.oriented import oriented_triangles
+from spectra_kit.spectra import Spectrum
+
+Geodesics = Literal["edges", "exact"]
+Measured = dict[str, Any]
+
+#: Where accuracy curves are taken, in hundredths of the root of the area.
+THRESHOLDS = frozen(np.linspace(0, 10, 41))
+_SCOUTS = 400  # correspondences that rank the candidates
+_STEP = 10  # modes of a step of the final refinement
+
+
+def measure_map(
+    source: Subject,
+    target: Subject,
+    outcome: Outcome,
+    back: Ints,
+    *,
+    best: Ints | None = None,
+    geodesics: Geodesics = "edges",
+) -> Measured:
+    """Measure an outcome, in hundredths of the root of the source's area.
+
+    Parameters
+    ----------
+    source, target : Subject
+        Of one class.
+    outcome : Outcome
+        Of a method; its map is between vertices.
+    back : array_like of shape (n1,), integers
+        Target vertex of each source vertex; see `correspondence.way_back`.
+    best : array_like of shape (n2,), integers, optional
+        Map of the candidate that is best by the truth, if another than the chosen one.
+    geodesics : {"edges", "exact"}, default "edges"
+        How errors are measured; see `correspondence.geodesic_distances`.
+
+    Returns
+    -------
+    dict
+        ``direct``, ``symmetric``, ``either``: mean errors against the truth, its mirror image, and
+        the smaller one at each correspondence. ``flipped``: left for right, see `MapErrors`.
+        ``auc``, ``auc_either``: of direct and smaller errors up to 10; ``accuracy`` and
+        ``accuracy_either``: their shares up to each of `THRESHOLDS`. ``coverage``, ``energy``,
+        ``orientation``: see `correspondence`. ``bijectivity``: mean distance to where the
+        transposed functional map leads back, along edges. ``oracle``: direct error of the best
+        finalist. ``margin``, ``ambiguous``, ``seconds``, ``cpu_seconds``: as in `Outcome`. NaN is
+        what cannot be known. Distances are those on the source's mesh, also between clouds.
+    """
+    truth, p = truth_between(source, target), outcome.point_map
+    errors = map_errors(source.mesh, p, truth, method=geodesics)
+    oracle = float(errors.direct.mean()) if outcome.candidates else float("nan")
+    if best is not None:
+        rival = geodesic_errors(source.mesh, best, truth, method=geodesics)
+        oracle = min(oracle, float(rival.mean()))
+    laplacian_1, laplacian_2 = (robust_laplacian(subject.mesh) for subject in (source, target))
+    return {
+        "direct": float(errors.direct.mean()),
+        "symmetric": float("nan") if errors.symmetric is None else float(errors.symmetric.mean()),
+        "either": float(errors.either.mean()),
+        "flipped": bool(errors.flipped()),
+        "auc": auc(errors.direct),
+        "auc_either": auc(errors.either),
+        "coverage": coverage(p, laplacian_1.mass),
+        "energy": dirichlet_energy(laplacian_1, laplacian_2, p),
+        "bijectivity": float(bijectivity_errors(source.mesh, p, back).mean()),
+        "orientation": _orientation(source.mesh, target.mesh, p),
+        "oracle": oracle,
+        "margin": outcome.margin,
+        "ambiguous": bool(outcome.ambiguous),
+        "seconds": outcome.seconds,
+        "cpu_seconds": outcome.cpu_seconds,
+        "accuracy": accuracy_curve(errors.direct, THRESHOLDS).tolist(),
+        "accuracy_either": accuracy_curve(errors.either, THRESHOLDS).tolist(),
+    }
+
+
+def best_candidate(
+    source: Subject,
+    target: Subject,
+    spectra: tuple[Spectrum, Spectrum],
+    candidates: Sequence[Floats],
+    vertices: Ints,
+    points: Ints,
+) -> Ints | None:
+    """Finish the candidate that is best by the truth, by plain ZoomOut.
+
+    A yardstick for the choice among them, no bound: candidates that were dropped before are not
+    seen, and the chosen one is finished by the whole method, the others by plain ZoomOut alone.
+
+    Parameters
+    ----------
+    source, target : Subject
+        Of one class.
+    spectra : (Spectrum, Spectrum)
+        Of source and target, at least as large as the candidates.
+    candidates : sequence of ndarray of shape (k, k)
+        Functional maps, the chosen one first.
+    vertices : ndarray of shape (n1,)
+        The source vertex of each point of the source's spectrum.
+    points : ndarray, integers
+        The point of the target's spectrum at each target vertex.
+
+    Returns
+    -------
+    ndarray of shape (n2,) or None
+        Point map between the points of the spectra after ZoomOut to all modes; None if the chosen
+        candidate is the best one.
+    """
+    a, b = (s.rescale(1 / np.sqrt(s.area)) for s in spectra)
+    truth = truth_between(source, target)
+    some = np.linspace(0, len(truth.source) - 1, min(_SCOUTS, len(truth.source))).astype(np.int64)
+    rows, goals = points[truth.target[some]], truth.source[some]
+    errors = []
+    for C in candidates:
+        k2, k1 = C.shape
+        found = nearest_rows(b.eigenvectors[rows, :k2], a.eigenvectors[:, :k1] @ C.T)
+        errors.append(geodesic_distances(source.mesh, vertices[found], goals).mean())
+    best = int(np.argmin(errors))
+    if best == 0:
+        return None
+    return zoomout(a, b, candidates[best], k_final=min(a.k, b.k), step=_STEP).point_map
+
+
+def _orientation(source: TriangleMesh, target: TriangleMesh, point_map: Ints) -> float:
+    try:
+        a, b = oriented_triangles(source), oriented_triangles(target)
+    except InvalidInputError:  # a surface without a consistent winding has no orientation
+        return float("nan")
+    return orientation(source.points, a.faces, b.faces, point_map)

@@ -1,0 +1,116 @@
+"""`Subject`: a mesh with points that correspond to those of other subjects."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from measure.store import arrays_digest
+from spectra_kit._files import parsing
+from spectra_kit._types import Ints
+from spectra_kit._validate import Rebuilt, check_count, check_indices, frozen
+from spectra_kit.correspondence import Truth
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import TriangleMesh, creature
+
+_KEYS = ("V", "F", "corres")
+
+
+@dataclass(frozen=True, eq=False)
+class Subject(Rebuilt):
+    """A mesh, and the vertex of each landmark that all subjects of a class share.
+
+    Attributes
+    ----------
+    name : str
+        Letters name the class, digits the subject within it: ``cat0`` and ``cat10`` are of one.
+    mesh : TriangleMesh
+        With n vertices.
+    landmarks : array_like of shape (c,), integers
+        Entry i is the same place of the body in every subject of a class.
+    mirrored : array_like of shape (c,), integers, optional
+        The place on the other side of the body.
+    """
+
+    name: str
+    mesh: TriangleMesh
+    landmarks: Ints
+    mirrored: Ints | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("landmarks", "mirrored"):
+            values = getattr(self, name)
+            if values is not None:
+                array = check_indices(f"{name} of {self.name}", values, self.mesh.n)
+                if array.ndim != 1 or array.shape != np.shape(self.landmarks):
+                    raise InvalidInputError(
+                        f"{name} of {self.name}",
+                        f"have shape ({np.size(self.landmarks)},)",
+                        f"{array.shape}",
+                    )
+                object.__setattr__(self, name, frozen(array))
+
+    @property
+    def species(self) -> str:
+        """The name without its digits: what it shares with the others of its class."""
+        return self.name.rstrip("0123456789")
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of mesh and landmarks: what it is, wherever its file lies."""
+        mirrored = np.empty(0) if self.mirrored is None else self.mirrored
+        return arrays_digest(self.mesh.points, self.mesh.faces, self.landmarks, mirrored)
+
+
+def truth_between(source: Subject, target: Subject) -> Truth:
+    """Tell which points of two subjects of one class correspond, with mirror images if known."""
+    if len(source.landmarks) != len(target.landmarks):
+        raise InvalidInputError(
+            f"`source` and `target` must share their landmarks, got {len(source.landmarks)} of"
+            f" {source.name} and {len(target.landmarks)} of {target.name}; match within a class"
+        )
+    return Truth(source.landmarks, target.landmarks, source.mirrored)
+
+
+def subjects_in(folder: str | os.PathLike[str]) -> dict[str, Subject]:
+    """Read the subjects of a folder, by name.
+
+    They are ``NAME.npz`` files with vertices ``V`` (n, 3), faces ``F`` (f, 3), ``corres`` (c,) and,
+    where there is a symmetry, ``corres_sym`` (c,), all counted from 0. Other files, and npz files
+    without ``corres``, are left alone.
+    """
+    root = Path(folder)
+    found = (_read(path) for path in sorted(root.glob("*.npz")))
+    subjects = {subject.name: subject for subject in found if subject is not None}
+    if not subjects:
+        raise InvalidInputError(
+            "folder",
+            f"hold .npz files with {', '.join(_KEYS)}",
+            f"none in {root}",
+            advice="check the path, or set SPECTRA_KIT_DATA",
+        )
+    return subjects
+
+
+def demo_subjects(n_points: int = 1000, *, poses: int = 4) -> dict[str, Subject]:
+    """Make one demo animal in several poses: every vertex is a landmark."""
+    check_count("poses", poses, low=2)
+    meshes = {f"creature{pose}": creature(n_points, pose=pose) for pose in range(poses)}
+    return {name: Subject(name, mesh, np.arange(mesh.n)) for name, mesh in meshes.items()}
+
+
+def _read(path: Path) -> Subject | None:
+    with (
+        parsing(path, "subject", remedy="copy it there again"),
+        path.open("rb") as raw,  # which np.load would not close if it cannot read it
+        np.load(raw, allow_pickle=False) as file,
+    ):
+        if not set(_KEYS) <= set(file.files):
+            return None
+        arrays = dict(file.items())
+        mesh = TriangleMesh(arrays["V"].astype(np.float64), arrays["F"].astype(np.int64))
+        return Subject(path.stem, mesh, arrays["corres"], arrays.get("corres_sym"))

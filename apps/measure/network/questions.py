@@ -1,0 +1,317 @@
+"""The questions: which methods on which cases, and what follows from the answers."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from measure.network import findings as found
+from measure.network.accuracy import Accuracy
+from measure.network.cases import Case
+from measure.network.findings import Finding, Labels, Row
+from measure.network.methods import (
+    Joined,
+    Method,
+    Network,
+    Poses,
+    Precision,
+    Waves,
+    check_labels,
+    label,
+)
+from measure.shapes import Shape
+from measure.store import Store
+from measure.study import Result, run
+from spectra_kit.errors import InvalidInputError
+
+_LARGE = 16_384  # points: an exact solve takes seconds beyond
+_PRECISIONS: tuple[Precision, ...] = ("float32", "bfloat16", "float16")
+Places = Iterable[tuple[Labels, tuple[Case, ...]]]
+Methods = Iterable[tuple[Labels, Method]]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Settings:
+    """What all questions are asked about.
+
+    Attributes
+    ----------
+    sets : mapping of str to tuple of Shape
+        Shapes by the name of their set; statistics are taken over a set.
+    weights : tuple of str
+        Networks; questions about one network take the first.
+    agnostic : tuple of str
+        Networks that were trained without masses.
+    k : int
+        Modes.
+    points : tuple of int
+        Sampled on every shape.
+    focus : int
+        Points where a question looks at one number of them.
+    poses : tuple of {1, 2, 4}
+        Of the networks.
+    fourier : tuple of int
+        Plane waves, beside as many as a network has functions in one pose.
+    few : int, optional
+        Shapes of each set on clouds of more than 16,384 points; by default all.
+    bandwidths : tuple of float
+        Of the plane waves; comparisons are made with the best.
+    sigma : float
+        Of non-uniform samples; see `Case`.
+    rotations : int
+        Of each cloud.
+    device : str
+        For networks and dense algebra.
+    """
+
+    sets: Mapping[str, tuple[Shape, ...]]
+    weights: tuple[str, ...]
+    agnostic: tuple[str, ...] = ()
+    k: int = 96
+    points: tuple[int, ...] = (512, 2048, 8192, 65536)
+    focus: int = 8192
+    poses: tuple[Poses, ...] = (1, 2, 4)
+    fourier: tuple[int, ...] = (640,)
+    few: int | None = None
+    bandwidths: tuple[float, ...] = (7.0, 10.0)
+    sigma: float = 0.25
+    rotations: int = 10
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        if not any(self.sets.values()) or not self.weights:
+            raise InvalidInputError(
+                "`sets` and `weights` must hold at least one shape and one network, got"
+                f" {sum(map(len, self.sets.values()))} and {len(self.weights)}"
+            )
+        check_labels([*self.weights, *self.agnostic])
+
+    def network(self, weights: str | None = None, **options: Any) -> Network:
+        """Return a network on the device of the settings, by default the first."""
+        return Network(weights=weights or self.weights[0], device=self.device, **options)
+
+    def waves(self, m: int) -> list[Waves]:
+        """Return m plane waves at every bandwidth."""
+        return [Waves(m=m, bandwidth=b, device=self.device) for b in self.bandwidths]
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """Rows of a table, each a method in a place, and the arithmetic on them.
+
+    Attributes
+    ----------
+    title, note : str
+        For the report.
+    places : callable
+        From settings to cases that are summarised together, and labels that tell them apart.
+    methods : callable
+        From settings to methods, and labels that tell them apart.
+    findings : callable
+        From rows to findings.
+    """
+
+    title: str
+    note: str
+    places: Callable[[Settings], Places]
+    methods: Callable[[Settings], Methods]
+    findings: Callable[[Sequence[Row]], list[Finding]]
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What was found: rows of the table, and ratios and verdicts.
+
+    `study` measured it, and `name` is the question's in `QUESTIONS`.
+    """
+
+    name: str
+    study: Accuracy
+    rows: tuple[Row, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def question(self) -> Question:
+        """What was asked."""
+        return QUESTIONS[self.name]
+
+
+def ask(name: str, settings: Settings, store: Store, *, progress: bool = False) -> Answer:
+    """Measure what a question needs and the store does not hold; draw the findings."""
+    if name not in QUESTIONS:
+        raise InvalidInputError("name", f"be one of {', '.join(QUESTIONS)}", repr(name))
+    question = QUESTIONS[name]
+    places, methods = list(question.places(settings)), list(question.methods(settings))
+    study = Accuracy(
+        folder=store.folder,
+        contenders=[method for _, method in methods],
+        problems=[case for _, cases in places for case in cases],
+        k=settings.k,
+    )
+    results = run(study, store, jobs=0, retry=True, progress=progress)
+    by_pair = {(result.contender, result.problem): result for result in results}
+    rows = []
+    for (place, cases), (which, method) in itertools.product(places, methods):
+        these = [by_pair[method, case] for case in cases if (method, case) in by_pair]
+        if these:
+            rows.append(_row({**place, **which}, method, these))
+    findings = question.findings([row for row in rows if row.cases])
+    return Answer(name, study, tuple(rows), tuple(findings))
+
+
+def _row(labels: Labels, method: Method, results: Sequence[Result[Method, Case]]) -> Row:
+    good = [result for result in results if result.ok]
+    return Row(
+        labels,
+        method,
+        cases=tuple(result.problem for result in good),
+        records=tuple(result.record for result in good),
+        failures=tuple(f"{r.problem.shape}: {r.reason}" for r in results if not r.ok),
+    )
+
+
+def _sampled(settings: Settings, points: Sequence[int]) -> Places:
+    for models, shapes in settings.sets.items():
+        for n in points:
+            few = shapes[: settings.few] if n > _LARGE else shapes
+            cases = tuple(Case(shape=shape, points=n) for shape in few)
+            yield {"models": models, "points": n}, cases
+
+
+def _everywhere(settings: Settings) -> Places:
+    return _sampled(settings, settings.points)
+
+
+def _where_m_matters(settings: Settings) -> Places:
+    sizes = sorted({2048, settings.focus} & set(settings.points)) or [settings.focus]
+    return _sampled(settings, sizes)
+
+
+def _densities(settings: Settings) -> Places:
+    for models, shapes in settings.sets.items():
+        for density, sigma in (("uniform", None), ("non-uniform", settings.sigma)):
+            yield (
+                {"models": models, "sampling": density},
+                tuple(Case(shape=shape, points=settings.focus, sigma=sigma) for shape in shapes),
+            )
+
+
+def _operators(settings: Settings) -> Places:
+    recipes: dict[str, dict[str, Any]] = {
+        found.CLOUD: {"points": settings.focus},
+        "cloud, k-NN graph": {"points": settings.focus, "operator": "knn"},
+        "mesh, robust": {"points": None},
+        "mesh, cotangent": {"points": None, "operator": "cotan"},
+    }
+    for models, shapes in settings.sets.items():
+        for operator, recipe in recipes.items():
+            cases = tuple(Case(shape=shape, **recipe) for shape in shapes)
+            yield {"models": models, "operator": operator}, cases
+
+
+def _rotations(settings: Settings) -> Places:
+    for models, shapes in settings.sets.items():
+        for shape in shapes:
+            yield (
+                {"models": models, "model": shape.name},
+                tuple(
+                    Case(shape=shape, points=settings.focus, rotation=seed)
+                    for seed in range(settings.rotations)
+                ),
+            )
+
+
+def _at_focus(settings: Settings) -> Places:
+    for models, shapes in settings.sets.items():
+        yield {"models": models}, tuple(Case(shape=s, points=settings.focus) for s in shapes)
+
+
+def _one(settings: Settings) -> Methods:
+    return [({}, settings.network())]
+
+
+def _all(settings: Settings) -> Methods:
+    methods: list[Method] = []
+    for weights in settings.weights:
+        one = settings.network(weights)
+        methods += [settings.network(weights, poses=poses) for poses in settings.poses]
+        rivals = settings.waves(1 + one.m)
+        methods += [*rivals, *(Joined((one, rival)) for rival in rivals)]
+    for m in settings.fourier:
+        methods += settings.waves(m)
+    return [({"solver": method.name}, method) for method in dict.fromkeys(methods)]
+
+
+def _precisions(settings: Settings) -> Methods:
+    return [({"precision": dtype}, settings.network(dtype=dtype)) for dtype in _PRECISIONS]
+
+
+def _attentions(settings: Settings) -> Methods:
+    yield {"attention": found.AWARE}, settings.network()
+    yield {"attention": "masses of one"}, settings.network(weighted=False)
+    for weights in settings.agnostic:
+        name = f"trained without ({label(weights)})"
+        yield {"attention": name}, settings.network(weights)
+
+
+def _sizes(settings: Settings) -> Methods:
+    networks = [settings.network(weights) for weights in settings.weights]
+    for one in sorted(networks, key=lambda network: network.m):
+        yield {"m": one.m, "weights": label(one.weights)}, one
+
+
+QUESTIONS: dict[str, Question] = {
+    "accuracy": Question(
+        "Accuracy and time",
+        "Statistics over models of each model's mean over modes. Times are medians of wall time"
+        " and leave out assembly and certificates. `fast` marks a solver that no other one, ARPACK"
+        " among them, beats in both span error and time.",
+        _everywhere,
+        _all,
+        found.of_accuracy,
+    ),
+    "precision": Question(
+        "Precision of the network",
+        "The dense algebra is float64 throughout.",
+        _everywhere,
+        _precisions,
+        found.of_precision,
+    ),
+    "sampling": Question(
+        "Sampling density and masses",
+        "Non-uniform: the density falls off like a Gaussian around a random point. `masses of one`"
+        " gives the attention of the same network equal masses; frame and Rayleigh-Ritz keep the"
+        " true ones.",
+        _densities,
+        _attentions,
+        found.of_sampling,
+    ),
+    "operators": Question(
+        "Transfer to other Laplacians",
+        "The network saw Laplacians of clouds in training. Meshes enter with their vertices"
+        " as points. Each operator has its own exact modes.",
+        _operators,
+        _one,
+        found.of_operators,
+    ),
+    "redundancy": Question(
+        "Redundancy", "One network for each m.", _where_m_matters, _sizes, found.of_redundancy
+    ),
+    "rotation": Question(
+        "Rotations",
+        "Each cloud in several random rotations, with the operator it had: the spread is the"
+        " network's and the frame's alone.",
+        _rotations,
+        _one,
+        found.of_rotation,
+    ),
+    "worst": Question(
+        "The worst models",
+        "By mean span error, with the mode that lies furthest outside the span.",
+        _at_focus,
+        _one,
+        found.of_worst,
+    ),
+}

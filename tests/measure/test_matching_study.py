@@ -1,0 +1,522 @@
+"""The study of matching: data, protocols, measurements, memory, report and app."""
+
+import csv
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import bumpy
+from measure.matching import methods
+from measure.matching.measures import THRESHOLDS, best_candidate, measure_map
+from measure.matching.methods import METHODS, Entry, Outcome, Side
+from measure.matching.pairs import BACKENDS, KINDS, Basis, Pair, Pairs, Spectra, match_all, ways
+from measure.matching.protocols import Protocol, make_protocol
+from measure.matching.report import summarize, write_report
+from measure.matching.subjects import Subject, demo_subjects, subjects_in, truth_between
+from measure.study import Result
+
+from spectra_kit import TriangleMesh, eigensolve, robust_laplacian
+from spectra_kit.correspondence import geodesic_errors, way_back
+from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
+from spectra_kit.functional_maps import functional_map_from_point_map
+from spectra_kit.geometry import creature, permuted
+
+APP = Path(__file__).parents[2] / "apps" / "match_faust.py"
+K = 40
+PAIR, PLAIN = Pair("creature0", "creature1"), "wks-zoomout"
+
+
+@pytest.fixture(scope="module")
+def subjects():
+    return demo_subjects(700, poses=3)
+
+
+@pytest.fixture
+def study(subjects, tmp_path):
+    """Return a function that makes the study of some pairs, by the plain method on meshes."""
+
+    def pairs_of(*pairs, k=K, subjects=subjects, chosen=None, **options):
+        chosen = ways(methods=[PLAIN]) if chosen is None else chosen
+        bases = list(dict.fromkeys(way.basis for way in chosen))
+        spectra = Spectra(
+            folder=tmp_path, contenders=bases, problems=list(subjects), subjects=subjects, k=k
+        )
+        return Pairs(
+            folder=tmp_path,
+            contenders=chosen,
+            problems=pairs or (PAIR,),
+            spectra=spectra,
+            **options,
+        )
+
+    return pairs_of
+
+
+def matched(pairs):
+    return match_all(pairs, jobs=0)
+
+
+# --- subjects and protocols ---
+
+
+def write_subject(path, mesh, **arrays):
+    np.savez(path, V=mesh.points.astype(np.float32), F=mesh.faces.astype(np.int32), **arrays)
+
+
+def test_a_folder_of_subjects(tmp_path):
+    mesh = bumpy()
+    write_subject(tmp_path / "cat10.npz", mesh, corres=[3, 1], corres_sym=[1, 3])
+    write_subject(tmp_path / "cat2.npz", mesh, corres=[5, 6])
+    write_subject(tmp_path / "other.npz", mesh)  # no landmarks: no subject
+    (tmp_path / "notes.txt").write_text("no mesh")
+    found = subjects_in(tmp_path)
+    assert list(found) == ["cat10", "cat2"]
+    assert {subject.species for subject in found.values()} == {"cat"}
+    truth = truth_between(found["cat10"], found["cat2"])
+    np.testing.assert_array_equal(truth.source, [3, 1])
+    np.testing.assert_array_equal(truth.target, [5, 6])
+    np.testing.assert_array_equal(truth.symmetric, [1, 3])
+    assert truth_between(found["cat2"], found["cat10"]).symmetric is None
+
+
+def test_a_subject_is_what_it_holds():
+    mesh = bumpy()
+    subject = Subject("a", mesh, np.arange(5))
+    assert subject.digest == Subject("b", TriangleMesh(mesh.points, mesh.faces), range(5)).digest
+    assert subject.digest != Subject("a", mesh, np.arange(1, 6)).digest
+    assert subject.digest != Subject("a", mesh, np.arange(5), np.arange(5)).digest
+
+
+@pytest.fixture(scope="module")
+def zoo():
+    names = ["cat0", "cat1", "cat10", "dog1", "dog2", "horse0"]
+    return [Subject(name, bumpy(), [0]) for name in names]
+
+
+def test_random_pairs_are_ordered_distinct_and_extend_each_other(zoo):
+    few, many = (make_protocol("random", zoo, count=n, seed=3).pairs for n in (5, 12))
+    assert many[:5] == few
+    assert len(set(many)) == 12
+    assert all(a != b for a, b in many)
+    assert few != make_protocol("random", zoo, count=5, seed=4).pairs
+    everything = make_protocol("random", zoo).pairs  # 100 wanted, 30 there
+    assert len(everything) == 30
+    assert set(everything) == set(make_protocol("all-pairs", zoo).pairs)
+
+
+def test_pairs_within_a_class_and_listed_ones_count_the_smaller_error(zoo, tmp_path):
+    protocol = make_protocol("same-class", zoo)
+    assert len(protocol.pairs) == 3 * 2 + 2
+    assert all(a.rstrip("0123456789") == b.rstrip("0123456789") for a, b in protocol.pairs)
+    path = tmp_path / "pairs.txt"
+    path.write_text("cat0\tdog1\n\ndog1 cat0\ncat0 lion7\n")
+    listed = make_protocol("ren-300", zoo, listed=path)
+    assert listed.pairs == (("cat0", "dog1"), ("dog1", "cat0"))
+    assert protocol.symmetric
+    assert listed.symmetric
+    assert not make_protocol("all-pairs", zoo).symmetric
+
+
+def test_bad_requests(zoo, tmp_path):
+    mesh = bumpy()
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "cat0.npz").write_bytes(b"PK nothing")
+    (tmp_path / "list").write_text("cat0 dog1 7\n")
+    a, b = Subject("a", mesh, [0, 1]), Subject("b", mesh, [0])
+    for call, match in [
+        (lambda: subjects_in(tmp_path / "empty"), r"`folder` must hold .npz files with V, F, corr"),
+        (lambda: subjects_in(tmp_path), r"cat0.npz is not a whole subject"),
+        (lambda: Subject("a", mesh, [642]), r"`landmarks of a` must be in \[0, 642\)"),
+        (lambda: Subject("a", mesh, [0, 1], [0]), r"`mirrored of a` must have shape \(2,\), got"),
+        (lambda: truth_between(a, b), r"share their landmarks, got 2 of a and 1 of b"),
+        (lambda: demo_subjects(poses=1), "`poses` must be at least 2"),
+        (lambda: make_protocol("some", zoo), "`name` must be one of random"),
+        (lambda: make_protocol("all-pairs", zoo[:1]), r"'all-pairs' must have a pair, found no"),
+        (lambda: make_protocol("ren-300", zoo), "`listed` must be a file with two names"),
+        (
+            lambda: make_protocol("ren-300", zoo, listed=tmp_path / "list"),
+            r"line 1 of .* two names",
+        ),
+        (lambda: make_protocol("random", zoo, count=0), "`count` must be at least 1"),
+    ]:
+        with pytest.raises(InvalidInputError, match=match):
+            call()
+
+
+# --- measurements ---
+
+
+@pytest.fixture(scope="module")
+def copies():
+    """An animal, its copy in another order, their spectra, and the true map."""
+    mesh = creature(700)
+    copy, order = permuted(mesh, seed=1)
+    a = Subject("a0", mesh, np.arange(mesh.n), np.roll(np.arange(mesh.n), 7))
+    b = Subject("a1", copy, np.argsort(order))
+    spectra = tuple(eigensolve(robust_laplacian(s.mesh), K) for s in (a, b))
+    return a, b, spectra, np.asarray(order)
+
+
+def measured(source, target, spectra, outcome):
+    return measure_map(source, target, outcome, way_back(*spectra, outcome.point_map))
+
+
+def test_the_truth_has_no_error(copies):
+    a, b, spectra, order = copies
+    result = measured(a, b, spectra, Outcome(order, 2.0, 1.0, margin=0.25, ambiguous=True))
+    assert result["direct"] == result["either"] == result["bijectivity"] == 0
+    assert result["symmetric"] > 1
+    assert result["auc"] == result["coverage"] == 1
+    assert result["energy"] == pytest.approx(1, rel=0.05)  # the tufted Laplacian is intrinsic
+    assert result["orientation"] == pytest.approx(1, abs=1e-3)  # sharp edges at the ears
+    assert result["accuracy"] == [1] * len(THRESHOLDS)
+    assert (result["seconds"], result["cpu_seconds"], result["margin"]) == (2, 1, 0.25)
+    assert (result["flipped"], result["ambiguous"]) == (False, True)
+    assert np.isnan(result["oracle"])
+
+
+def test_the_best_finalist_is_the_one_that_the_truth_prefers(copies):
+    a, b, spectra, order = copies
+    maps = [functional_map_from_point_map(*spectra, p, k=30) for p in (0 * order, order)]
+    same = np.arange(a.mesh.n)
+    best = best_candidate(a, b, spectra, maps, same, same)
+    np.testing.assert_array_equal(best, order)
+    assert best_candidate(a, b, spectra, maps[::-1], same, same) is None
+    back = np.argsort(order)
+    wrong = Outcome(0 * order, 0, 0, tuple(maps))
+    assert measure_map(a, b, wrong, back, best=best)["oracle"] == 0
+    chosen = measure_map(a, b, wrong, back)  # the chosen one was the best
+    assert chosen["oracle"] == chosen["direct"] > 10
+
+
+def test_a_mirrored_map_counts_as_flipped(copies):
+    a, b, spectra, order = copies
+    result = measured(a, b, spectra, Outcome(a.mirrored[order], 0, 0))
+    assert result["symmetric"] == result["either"] == 0
+    assert result["flipped"]
+    assert result["auc_either"] == 1 > result["auc"]
+
+
+def test_errors_can_be_those_of_exact_geodesics(copies):
+    a, b, spectra, order = copies
+    few = [replace(x, landmarks=x.landmarks[:40], mirrored=None) for x in (a, b)]
+    outcome = Outcome(a.mirrored[order], 0, 0, candidates=(np.eye(30),))
+    back = way_back(*spectra, outcome.point_map)
+    edges, exact = (
+        measure_map(*few, outcome, back, best=outcome.point_map, geodesics=method)
+        for method in ("edges", "exact")
+    )
+    assert 0.8 * edges["direct"] < exact["direct"] < edges["direct"]
+    assert exact["oracle"] == exact["direct"]
+    assert exact["bijectivity"] == edges["bijectivity"]
+
+
+def test_windings_of_the_files_do_not_count(copies):
+    a, b, spectra, order = copies
+    outcome = Outcome(order, 0, 0)
+    plain = measured(a, b, spectra, outcome)["orientation"]
+    inside_out = replace(b, mesh=TriangleMesh(b.mesh.points, b.mesh.faces[:, ::-1]))
+    assert measured(a, inside_out, spectra, outcome)["orientation"] == plain
+    mixed = b.mesh.faces.copy()
+    mixed[:9] = mixed[:9, ::-1]
+    torn = replace(b, mesh=TriangleMesh(b.mesh.points, mixed))
+    assert np.isnan(measured(a, torn, spectra, outcome)["orientation"])
+
+
+# --- methods ---
+
+
+@pytest.mark.parametrize("name", ["match", "wks-zoomout", "wks-orient-zoomout"])
+def test_methods_find_a_permutation(copies, name):
+    a, b, spectra, order = copies
+    outcome = METHODS[name].run(*(Side(x.mesh, s) for x, s in zip((a, b), spectra, strict=True)))
+    np.testing.assert_array_equal(outcome.point_map, order)
+    assert outcome.seconds > 0
+    assert bool(outcome.candidates) == (name == "match")
+
+
+def test_pyfm_may_be_away_or_fail(copies, tmp_path):
+    a, b, spectra, _ = copies
+    sides = [Side(x.mesh, s) for x, s in zip((a, b), spectra, strict=True)]
+    cloud = replace(sides[0], geometry=a.mesh.as_cloud())
+    with pytest.raises(InvalidInputError, match="must be meshes: pyFM knows no clouds"):
+        methods.match_pyfm(cloud, sides[1])
+    if not importlib.util.find_spec("pyFM"):
+        with pytest.raises(MissingDependencyError, match=r"cannot be imported \(No module named"):
+            methods.match_pyfm(*sides)
+    with pytest.raises(MissingDependencyError, match="the Python of pyFM must be a program, got"):
+        methods.match_pyfm(*sides, python=str(tmp_path / "nowhere"))
+    broken = tmp_path / "python"
+    broken.write_text("#!/bin/sh\necho first >&2\necho 'ValueError: too few modes' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    with pytest.raises(SpectraKitError, match=r"pyFM failed on this pair .*too few modes") as error:
+        methods.match_pyfm(*sides, python=str(broken))
+    assert not isinstance(error.value, MissingDependencyError)
+
+
+def test_ways_combine_but_who_solves_alone_is_asked_once():
+    found = ways(["mesh", "cloud"], ["exact", "neo"], [PLAIN, "pyfm"])
+    assert [way.label for way in found] == [
+        "wks-zoomout, exact",
+        "wks-zoomout, neo",
+        "wks-zoomout, exact, clouds",
+        "wks-zoomout, neo, clouds",
+        "pyfm",
+    ]
+
+
+# --- running and remembering ---
+
+
+def test_a_run_is_remembered_with_its_maps(study, monkeypatch):
+    pairs = study(chosen=ways(["mesh", "cloud"], ["exact", "neo"], [PLAIN]))
+    first = matched(pairs)
+    assert [result.contender for result in first] == pairs.contenders
+    assert len(list((pairs.folder / "spectra").iterdir())) == 8
+    subjects = pairs.spectra.subjects
+    for result in first:
+        point_map = np.load(pairs.map_path(result.contender, PAIR))
+        truth = truth_between(*(subjects[name] for name in ("creature0", "creature1")))
+        errors = geodesic_errors(subjects["creature0"].mesh, point_map, truth)
+        assert errors.mean() == pytest.approx(result.record["direct"], rel=1e-9)
+
+    plain = METHODS[PLAIN]
+    monkeypatch.setitem(METHODS, PLAIN, Entry(None))
+    assert [result.record for result in matched(pairs)] == [result.record for result in first]
+    monkeypatch.setitem(METHODS, PLAIN, plain)
+    path = pairs.map_path(first[0].contender, PAIR)
+    before = np.load(path)
+    path.unlink()  # a result without its map is no result
+    matched(pairs)
+    np.testing.assert_array_equal(np.load(path), before)
+
+
+def test_everything_that_decides_a_result_is_in_its_key(study, subjects):
+    [way], [own] = ways(methods=[PLAIN]), ways(methods=["pyfm"])
+    pairs = study()
+    keys = [
+        study(**options).key(way, PAIR)
+        for options in (
+            {},
+            {"k": K + 1},
+            {"geodesics": "exact"},
+            {"subjects": {**subjects, "creature0": subjects["creature2"]}},
+        )
+    ]
+    keys += [study(pyfm_python=python).key(own, PAIR) for python in (None, "/other")]
+    keys += [pairs.key(other, PAIR) for other in ways(KINDS, BACKENDS, [PLAIN]) if other != way]
+    keys.append(pairs.key(way, Pair("creature1", "creature0")))
+    assert len(set(keys)) == len(keys)
+    assert study(pyfm_python="/other").key(way, PAIR) == keys[0]
+
+
+def test_vertices_at_one_place_are_one_point_of_a_cloud(study):
+    mesh = creature(700)
+    # A vertex of no extent is split off, as careless remeshing does: two at one place.
+    doubled = TriangleMesh(
+        np.vstack([mesh.points, mesh.points[5]]),
+        np.vstack([mesh.faces, [[5, mesh.n, int(mesh.faces[mesh.faces[:, 0] == 5][0, 1])]]]),
+    )
+    copy, order = permuted(doubled, seed=0)
+    two = {"a0": Subject("a0", doubled, range(701)), "a1": Subject("a1", copy, np.argsort(order))}
+    pairs = study(Pair("a0", "a1"), subjects=two, chosen=ways(["cloud"], methods=[PLAIN]))
+    [result] = matched(pairs)
+    assert result.record["direct"] == pytest.approx(0, abs=1e-9)
+    assert np.load(pairs.map_path(result.contender, result.problem)).shape == (701,)
+
+
+def test_an_interruption_loses_one_pair(study, monkeypatch):
+    calls = []
+
+    def interrupted(source, target):
+        calls.append(0)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return Outcome(np.zeros(target.geometry.n, np.int64), 0, 0)
+
+    monkeypatch.setitem(METHODS, PLAIN, Entry(interrupted))
+    pairs = study(PAIR, Pair("creature1", "creature2"))
+    with pytest.raises(KeyboardInterrupt):
+        matched(pairs)
+    assert not list(pairs.folder.rglob(".*"))
+    assert all(result.ok for result in matched(pairs))
+    assert len(calls) == 3
+
+
+def test_failures_say_why(study):
+    few = study(k=10)  # the fit needs 30
+    [result] = results = matched(few)
+    assert "k" in result.reason
+    [unsolved] = matched(study(k=5000))  # more than vertices
+    assert unsolved.reason.startswith("creature0: ")
+    assert "`k` must be" in unsolved.reason
+    text = write_report(results, few, Protocol("random", (("a", "b"),))).read_text()
+    assert "Nothing was measured" in text
+    assert "Not matched" in text
+
+
+@pytest.mark.slow
+def test_processes_find_the_same_and_a_killed_app_goes_on_and_draws(tmp_path):
+    out = tmp_path / "out"
+    command = [sys.executable, str(APP), str(out), "--demo", "-k", str(K), "--pairs", "6"]
+    command += ["--methods", PLAIN, "--jobs", "2"]
+    environment = {**os.environ, "PYTHONPATH": str(APP.parents[1])}
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment
+    )
+    journal = out / "measurements.jsonl"
+    deadline = time.monotonic() + 300
+    while not (journal.exists() and '"study": "pair"' in journal.read_text()):
+        assert time.monotonic() < deadline
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.kill()  # no handler runs
+    process.wait()
+    before = journal.read_text().splitlines()[:-1]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+    if "are not drawn" not in done.stderr:
+        assert done.stderr == ""  # no bar in a pipe
+        picture = out / "extremes-mesh-exact-wks-zoomout.png"
+        assert f"picture: {picture}" in done.stdout
+        assert picture.stat().st_size > 50_000
+    assert journal.read_text().splitlines()[: len(before)] == before
+    lines = list(csv.DictReader((out / "pairs.csv").read_text().splitlines()))
+    assert len(lines) == 6
+    # Nothing tidies up after a kill: a part of a file may lie there, but never under its real name.
+    maps = [path for path in out.rglob("maps/*/*.npy") if not path.name.startswith(".")]
+    assert sorted(path.stem.split("--")[2] for path in maps) == sorted(x["digest"] for x in lines)
+
+    bases = [Basis("mesh", "exact")]
+    subjects, [way] = demo_subjects(), ways(methods=[PLAIN])
+    spectra = Spectra(
+        folder=tmp_path, contenders=bases, problems=list(subjects), subjects=subjects, k=K
+    )
+    pair = Pair(lines[0]["source"], lines[0]["target"])
+    [alone] = matched(Pairs(folder=tmp_path, contenders=[way], problems=[pair], spectra=spectra))
+    assert alone.record["direct"] == pytest.approx(float(lines[0]["direct"]), rel=1e-6)
+
+
+# --- sums and report ---
+
+
+PROTOCOL = Protocol("random", (("s0", "t"),))
+LISTED = Protocol("ren-300", PROTOCOL.pairs)
+
+
+def record(direct, either, **fields):
+    names = ["symmetric", "auc", "auc_either", "coverage", "energy", "bijectivity", "orientation"]
+    made_up = {**dict.fromkeys(names, 0.5), "oracle": 1.0, "margin": 0.1, "seconds": 2.0}
+    made_up |= {"cpu_seconds": 1.0, "flipped": False, "ambiguous": False, "status": "ok", "key": ""}
+    curves = dict.fromkeys(["accuracy", "accuracy_either"], [1.0] * len(THRESHOLDS))
+    return {**made_up, **curves, "direct": direct, "either": either, **fields}
+
+
+def made_up_results(**fields):
+    """Made-up results of three pairs, with exact spectra and with worse ones."""
+    errors = {"exact": [(1.0, 1.0), (2.0, 1.5), (9.0, 2.0)]}
+    errors["neo"] = [(2 * a, 2 * b) for a, b in errors["exact"]]
+    return [
+        Result(way, Pair(f"s{i}", "t"), 0, record(*pair, **fields))
+        for way in ways(backends=errors, methods=[PLAIN])
+        for i, pair in enumerate(errors[way.basis.backend])
+    ]
+
+
+def test_summaries_do_their_sums():
+    records = [result.record for result in made_up_results()[:3]]
+    exact = summarize(records, PROTOCOL)
+    assert (exact["mean"], exact["median"], exact["bad"]) == (4, 2, pytest.approx(1 / 3))
+    assert (exact["pairs"], exact["direct"], exact["either"]) == (3, 4, 1.5)
+    assert (exact["flipped"], exact["partly"]) == (0, 1)
+    counted = summarize(records, LISTED)
+    assert (counted["mean"], counted["bad"]) == (1.5, 0)
+    warned = [{**one, "ambiguous": i != 1} for i, one in enumerate(records)]
+    found = summarize(warned, PROTOCOL)
+    assert (found["warned"], found["false_alarms"]) == (1, 1)
+    one_sided = [*records[:2], {**records[2], "symmetric": float("nan")}]
+    unknown = summarize(one_sided, PROTOCOL)  # without a symmetric truth nothing is flipped
+    assert (unknown["flipped"], unknown["partly"]) == (None, None)
+
+
+def cells_of(text):
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
+
+
+def test_report_names_protocol_numbers_and_ratio(study):
+    pairs, results = study(), made_up_results()
+    pairs.folder.mkdir(exist_ok=True)
+    text = write_report(results, pairs, PROTOCOL).read_text()
+    head = ["wks-zoomout, exact", "3", "**4.00**", "2.00", "33%"]
+    assert any(cells[:5] == head for cells in cells_of(text))
+    for words in (
+        "ordered pairs drawn at random",
+        "wks-zoomout, neo: 2.00 times the mean error with exact spectra",
+        "along the edges of the source",
+        "left for right",
+        "A pair has one thread",
+    ):
+        assert words in text
+    assert "pyFM" not in text
+    found = json.loads((pairs.folder / "matching.json").read_text())
+    assert found["summaries"][1]["mean"] == 8
+    assert found["geodesics"] == "edges"
+    assert (pairs.folder / "accuracy.png").stat().st_size > 10_000
+    [own] = ways(methods=["pyfm"])
+    unknown = {"symmetric": float("nan")}
+    results = [replace(result, contender=own) for result in made_up_results(**unknown)[:3]]
+    exact = study(geodesics="exact")
+    text = write_report(results, exact, PROTOCOL).read_text()
+    assert "exact geodesic distances on the source" in text
+    assert "pyfm: pyFM with the parameters of its README (version 1.3.1): 30 modes" in text
+    [cells] = [cells for cells in cells_of(text) if cells[:1] == ["pyfm"]]
+    assert cells[6:12] == ["4.00", "", "1.50", "", "", "1.00"]  # direct to best finalist
+    summary = json.loads((pairs.folder / "matching.json").read_text())["summaries"][0]
+    assert (summary["symmetric"], summary["flipped"]) == (None, None)
+
+
+# --- the app ---
+
+
+@pytest.fixture(scope="module")
+def app():
+    specification = importlib.util.spec_from_file_location("match_faust", APP)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module.main
+
+
+def test_the_app_says_what_is_wrong_and_can_be_interrupted(app, tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("SPECTRA_KIT_DATA", raising=False)
+    out = str(tmp_path / "out")
+    assert app([out]) == 2
+    assert "name a folder with --data" in capsys.readouterr().err
+    assert app([out, "--data", str(tmp_path)]) == 2
+    assert "must hold .npz files" in capsys.readouterr().err
+    few = ["--demo", "--pairs", "1", "--jobs", "0", "--no-pictures", "--methods", PLAIN]
+    assert app([out, *few, "-k", "9999", "--geodesics", "exact"]) == 1
+    report = capsys.readouterr().out
+    assert "Not matched" in report
+    assert "exact geodesic distances on the source" in report
+
+    def interrupted(*sides):
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(METHODS, PLAIN, Entry(interrupted))
+    assert app([out, *few, "-k", str(K)]) == 130
+    assert "the same command goes on from here" in capsys.readouterr().err
+
+
+@pytest.mark.data
+def test_pairs_of_the_real_set(real_shapes):
+    folder = real_shapes.parent / "faust_r"
+    subjects = subjects_in(folder)
+    assert len(make_protocol("all-pairs", subjects.values()).pairs) == 80 * 79
+    listed = make_protocol("ren-300", subjects.values(), listed=folder / "ren_pairs.txt")
+    assert len(listed.pairs) == 206
