@@ -158,9 +158,12 @@ def test_on_the_sphere_errors_fall_alike(tmp_path):
 
 def test_what_lacks_modes_or_truth_is_left_out(tmp_path):
     shape = Shape("ball", sphere(subdivisions=1).geometry)
-    *_, accuracy, _ = studies(tmp_path, [shape])
+    _, exact, accuracy, _ = studies(tmp_path, [shape])
     assert accuracy.excuse(ADDITIVE, shape, []) == "there are no exact modes"
     assert accuracy.excuse(DIRECT, shape, []) == "there are no exact distances"
+    run(exact, Store(tmp_path), jobs=0)
+    assert accuracy.excuse(DIRECT, shape, []) == accuracy.excuse(ROBUST, shape, []) == ""
+    assert accuracy.excuse(ICPCG, shape, []) == "the direct solver has failed"
 
 
 @pytest.mark.parametrize("changed", ["mesh", "code", "machine", "weights"])

@@ -106,7 +106,7 @@ def test_what_fails_is_remembered_until_it_is_to_be_tried_again(tmp_path):
             *("failed", "stopped", "ok"),
             *("skipped", "skipped", "ok"),
         ]
-        assert results[0].reason == "InvalidInputError: `problem` must be easier"
+        assert results[0].reason == "`problem` must be easier"
         assert results[1].reason == "the process ended with code 7"
         assert results[3].reason == "not at 1"
         assert len(calls(tmp_path)) == 4
