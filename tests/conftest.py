@@ -25,6 +25,7 @@ from spectra_kit import (
     Refined,
     TriangleMesh,
     cotan_laplacian,
+    geometry,
     knn_laplacian,
     robust_laplacian,
 )
@@ -72,6 +73,10 @@ def backend(request: pytest.FixtureRequest) -> Backend:
 @pytest.fixture(params=EXACT_BACKENDS, ids=str, scope="session")
 def exact_backend(request: pytest.FixtureRequest) -> Backend:
     return request.param
+
+
+# It takes a third of a second to make one, and many tests ask for the same.
+creature = cache(geometry.creature)
 
 
 def bumpy(n: int = 642) -> TriangleMesh:
