@@ -11,7 +11,7 @@ from conftest import bumpy
 from measure.eigensolvers import peers
 from measure.eigensolvers.methods import METHODS, QUICK, Contender, Method, contenders
 from measure.eigensolvers.report import exponents, write_report
-from measure.eigensolvers.studies import EXACT, Preparation, Problem, Solves, problems
+from measure.eigensolvers.studies import EXACT, OPERATOR, Preparation, Problem, Solves, problems
 from measure.store import Store
 from measure.study import Result, repeats_of, run
 
@@ -31,8 +31,9 @@ TINY += ["--methods", "arpack", "eigsh", "--machine", "test", "--commit", "c0"]
 def study(folder, names=("arpack",), given=(CLOUD,), **options):
     """Solves of prepared problems, without processes."""
     prepared = Preparation(folder=folder, problems=given, k=4)
-    made = run(prepared, Store(folder), jobs=0)
-    return Solves.of(prepared, made, contenders=contenders(names), **options)
+    run(prepared, Store(folder), jobs=0)
+    places = {"folder": folder, "problems": given, "prepared": prepared}
+    return Solves(**places, contenders=contenders(names), **options)
 
 
 # --- end to end ---
@@ -167,13 +168,16 @@ def test_a_method_with_other_options_is_measured_anew(tmp_path, monkeypatch):
 
 def test_without_exact_modes_there_are_no_errors_but_seconds(tmp_path):
     solves = study(tmp_path)
-    bare = dataclasses.replace(solves, unprepared={(EXACT, str(CLOUD)): "took more than 5 s"})
-    (result,) = run(bare, Store(tmp_path), jobs=0)
+    exact = solves.prepared.file(EXACT, CLOUD, ".npz")
+    exact.rename(tmp_path / "elsewhere")
+    (result,) = run(solves, Store(tmp_path), jobs=0)
     assert result.ok
     assert "eigenvalue_error" not in result.record
-    text = write_report(bare, [result], MACHINE)[1].read_text()
-    assert "- arpack (cloud, 600 points): no errors: took more than 5 s" in text
+    stopped = Result(EXACT, CLOUD, 0, {"status": "stopped", "reason": "took more than 5 s"})
+    text = write_report(solves, [result], [stopped], MACHINE)[1].read_text()
+    assert "- exact modes (cloud, 600 points): took more than 5 s" in text
     # Once they are there, it is measured again.
+    (tmp_path / "elsewhere").rename(exact)
     (result,) = run(solves, Store(tmp_path), jobs=0)
     assert result.record["eigenvalue_error"] < 1e-9
 
@@ -181,7 +185,10 @@ def test_without_exact_modes_there_are_no_errors_but_seconds(tmp_path):
 def test_what_is_absent_failed_or_too_slow_is_not_tried(tmp_path, monkeypatch):
     monkeypatch.setitem(METHODS, "lapy", Method(make=Arpack, needs="no_such_module"))
     solves = study(tmp_path)
-    eigsh, small, large = Contender("eigsh"), CLOUD, Problem("cloud", 700)
+    eigsh, small, large, mesh = Contender("eigsh"), CLOUD, *problems([700])[::-1]
+    assert solves.excuse(eigsh, mesh, []) == "there is no operator"
+    for problem in (large, mesh):
+        solves.prepared.file(OPERATOR, problem, ".npz").touch()
     absent = "not installed: pip install no_such_module"
     assert solves.excuse(Contender("lapy"), small, []) == absent
     stopped = Result(eigsh, small, 0, {"status": "stopped", "reason": "took more than 9 s"})
@@ -190,7 +197,7 @@ def test_what_is_absent_failed_or_too_slow_is_not_tried(tmp_path, monkeypatch):
     assert solves.excuse(eigsh, small, [failed]) == "no"
     assert solves.excuse(eigsh, large, [failed]) == ""
     assert solves.excuse(Contender("arpack"), large, [stopped]) == ""
-    assert solves.excuse(eigsh, Problem("mesh", 700), [stopped]) == ""
+    assert solves.excuse(eigsh, mesh, [stopped]) == ""
 
 
 # --- what follows ---
@@ -205,7 +212,7 @@ def measured(name, seconds, error, points=600, device="cpu", **changes):
 def report(folder, results):
     prepared = Preparation(folder=folder, problems=(), k=96)
     solves = Solves(folder=folder, contenders=(), problems=(), prepared=prepared)
-    return write_report(solves, results, MACHINE)[1].read_text()
+    return write_report(solves, results, [], MACHINE)[1].read_text()
 
 
 def test_bold_methods_are_those_that_none_beats_on_their_device(tmp_path):
