@@ -146,6 +146,8 @@ def test_nearest_source_leaves_out_faces_without_area():
         ([False, True, False, False], None, "must hold integers, got dtype bool"),
         ([0.0], None, "must hold integers, got dtype float64"),
         ("nose", None, "must hold integers"),
+        ({1, 2}, None, "must hold integers"),
+        (2**70, None, r"must be in \[0, 4\), got 1180591620717411303424"),
         ([[0, 1], [1, 2]], None, r"one index or a vector of them, got shape \(2, 2\)"),
         ([[0, 1], [1]], None, "must have rows of one length"),
         (3, None, "got vertex 3, which no face uses"),
