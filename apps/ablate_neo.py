@@ -12,19 +12,22 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import os
 import sys
 import time
 import warnings
-from collections.abc import Sequence
-from dataclasses import asdict, replace
-from functools import cached_property
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache, cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from measure import tables
+from measure.shapes import data_folder, shape_at
+from measure.store import Store
+from measure.study import Study, run
 from tqdm import tqdm
 
 from spectra_kit import (
@@ -33,14 +36,12 @@ from spectra_kit import (
     Neo,
     SpectraKitError,
     Spectrum,
-    TriangleMesh,
     delaunay_laplacian,
     eigensolve,
-    read,
 )
-from spectra_kit._files import atomic_path, parsing
+from spectra_kit._files import atomic_path
 from spectra_kit.errors import DoubtfulSpectrumWarning
-from spectra_kit.geometry import GaussianDensity, repair, sample
+from spectra_kit.geometry import GaussianDensity, sample
 from spectra_kit.geometry.io import READERS
 from spectra_kit.metrics import compare_spectra, span_error, subspace_span_error
 from spectra_kit.neo import NeoConfig, NeoSubspace, load_pretrained, save_weights
@@ -83,7 +84,7 @@ STUDIES: dict[str, tuple[str, ...]] = {
     "Latents": ("reference", "latents-64", "latents-128"),
 }
 CLOUDS = {"held-out": "held-out samples", "real": "real meshes", "crowded": "real, crowded"}
-Errors = dict[str, dict[str, float]]  # cloud -> span, and where there are exact eigenvalues more
+Errors = dict[str, dict[str, float]]  # by cloud and kind
 
 
 def file_digest(path: Path) -> str:
@@ -139,84 +140,103 @@ class Trial(NamedTuple):
             save_weights(self.weights, result.network, record)
         return result.finished
 
-    def errors(self, bench: Bench) -> dict[str, Errors]:
-        """Measure on every set of clouds, unless that is done."""
-        path, digest = self.folder / "errors.json", load_pretrained(self.weights).sha256
-        with parsing(path, "measurement", remedy="delete it"):
-            known = dict(json.loads(path.read_text())) if path.is_file() else {}
-        if known.get("weights") != digest or known.get("clouds") != bench.key:
-            known = {"weights": digest, "clouds": bench.key, "errors": bench.measure(self.weights)}
-            with atomic_path(path) as part:
-                part.write_text(json.dumps(known, indent=1))
-        errors: dict[str, Errors] = known["errors"]
-        return errors
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Clouds(Study[Path, str]):
+    """Networks, by their weights, on sets of clouds: errors of each cloud, means over the modes.
 
-class Bench:
-    """The clouds that every variant is measured on, made when the first one needs them."""
+    Attributes
+    ----------
+    validation : Corpus
+        Its first `held_out` samples are the set of this name.
+    meshes : sequence of Path
+        Sampled in two ways, with so many `points`; their `k` exact modes are made when the first
+        network needs them.
+    """
 
-    def __init__(
-        self, validation: Corpus, held_out: int, meshes: Sequence[Path], points: int, k: int
-    ) -> None:
-        self.validation, self.meshes, self.points, self.k = validation, meshes, points, k
-        self.held_out = range(min(held_out, len(validation)))
-        self.key = {
-            "held-out": len(self.held_out),
-            "meshes": [path.name for path in meshes],
-            "points": points,
-            "operator": "delaunay",
-            "k": k,
-            # Files may change under their names.
-            "digests": [*map(file_digest, meshes), corpus_digest(validation)],
-        }
+    name: ClassVar[str] = "clouds"
+    fresh: ClassVar[bool] = False
+
+    validation: Corpus
+    held_out: int
+    meshes: Sequence[Path]
+    points: int
+    k: int
 
     @cached_property
-    def real(self) -> dict[str, dict[str, tuple[Laplacian, Spectrum]]]:
-        """Operator and exact spectrum of every mesh, sampled in both ways."""
-        solved: dict[str, dict[str, tuple[Laplacian, Spectrum]]] = {}
-        for path in tqdm(self.meshes, desc="exact", disable=None):
-            mesh = repair(read(path, kind="mesh")).geometry
-            assert isinstance(mesh, TriangleMesh)
-            for name, density in (("real", "uniform"), ("crowded", GaussianDensity())):
-                laplacian = delaunay_laplacian(sample(mesh, self.points, seed=0, density=density))
-                exact = eigensolve(laplacian, self.k)
-                solved.setdefault(name, {})[path.stem] = laplacian, exact
-        return solved
+    def inputs(self) -> dict[str, object]:
+        """All that is measured on; files may change under their names."""
+        return {
+            "held-out": self.held_out,
+            "meshes": [path.name for path in self.meshes],
+            "points": self.points,
+            "operator": "delaunay",
+            "k": self.k,
+            "digests": [*map(file_digest, self.meshes), corpus_digest(self.validation)],
+        }
 
-    def measure(self, weights: Path) -> dict[str, Errors]:
-        """Return {set of clouds: {cloud: {error: mean over the modes}}}."""
-        subspace, solver = NeoSubspace(weights), Neo(weights=weights)
-        batch = self.validation.batch(self.held_out)
-        clouds = zip(batch.points, batch.mass, batch.eigenvectors, strict=True)
-        errors: dict[str, Errors] = {"held-out": {}}
-        for i, (points, mass, modes) in enumerate(clouds):
+    def facts(self, contender: Path, problem: str) -> dict[str, object]:
+        """See `Study`."""
+        weights = load_pretrained(contender).sha256
+        return {"weights": weights, "set": problem, **self.inputs}
+
+    def measure(self, contender: Path, problem: str) -> dict[str, Errors]:
+        """Return the errors by cloud; where there are no exact eigenvalues, those of the span."""
+        if problem == "held-out":
+            return {"errors": self._held_out_errors(NeoSubspace(contender))}
+        solver = Neo(weights=contender)
+        return {"errors": {path.stem: self._error(path, problem, solver) for path in self.meshes}}
+
+    def _held_out_errors(self, subspace: NeoSubspace) -> Errors:
+        batch = self.validation.batch(range(self.held_out))
+        errors: Errors = {}
+        for points, mass, modes in zip(batch.points, batch.mass, batch.eigenvectors, strict=True):
             root = np.sqrt(mass.astype(np.float64))[:, None]
             U = np.linalg.qr(root * modes)[0] / root  # float16 has 3 digits
             span = span_error(subspace(points, mass), mass.astype(np.float64), U)
-            errors["held-out"][str(i)] = {"span": float(span.mean())}
-        for name, solved in self.real.items():
-            errors[name] = {}
-            for mesh, (laplacian, exact) in solved.items():
-                with warnings.catch_warnings():  # how wrong it is, is what is measured here
-                    warnings.simplefilter("ignore", DoubtfulSpectrumWarning)
-                    predicted = eigensolve(laplacian, self.k, solver)
-                span, _ = subspace_span_error(solver.subspace, laplacian, exact, predicted)
-                comparison = compare_spectra(exact, predicted)
-                errors[name][mesh] = {
-                    "span": float(span.mean()),
-                    "value": comparison.mean_eigenvalue_error,
-                    "vector": comparison.mean_vector_error,
-                }
+            errors[str(len(errors))] = {"span": float(span.mean())}
         return errors
 
+    def _error(self, path: Path, sampling: str, solver: Neo) -> dict[str, float]:
+        laplacian, exact = solved(path, file_digest(path), sampling, self.points, self.k)
+        with warnings.catch_warnings():  # how wrong it is, is what is measured here
+            warnings.simplefilter("ignore", DoubtfulSpectrumWarning)
+            predicted = eigensolve(laplacian, self.k, solver)
+        span, _ = subspace_span_error(solver.subspace, laplacian, exact, predicted)
+        comparison = compare_spectra(exact, predicted)
+        return {
+            "span": float(span.mean()),
+            "value": comparison.mean_eigenvalue_error,
+            "vector": comparison.mean_vector_error,
+        }
 
-def summary(trial: Trial, bench: Bench) -> dict[str, object]:
+
+@cache
+def solved(
+    path: Path, digest: str, sampling: str, points: int, k: int
+) -> tuple[Laplacian, Spectrum]:
+    """Return operator and exact modes of a sampled mesh, whose file has this hash."""
+    density = GaussianDensity() if sampling == "crowded" else "uniform"
+    laplacian = delaunay_laplacian(sample(shape_at(path).mesh, points, seed=0, density=density))
+    return laplacian, eigensolve(laplacian, k)
+
+
+def errors_of(trial: Trial, clouds: Clouds) -> dict[str, Errors]:
+    """Measure a trained variant on every set of clouds, unless that is done."""
+    study = replace(clouds, contenders=[trial.weights])
+    results = run(study, Store(clouds.folder), jobs=0, retry=True)
+    for result in results:
+        if not result.ok:
+            raise SpectraKitError(result.reason)
+    return {result.problem: result.record["errors"] for result in results}
+
+
+def summary(trial: Trial, clouds: Clouds) -> dict[str, object]:
     """Everything that the report says about a variant."""
     network, _, _, digest, record = load_pretrained(trial.weights)
     spans = {
         cloud: np.array([error["span"] for error in errors.values()])
-        for cloud, errors in trial.errors(bench).items()
-        if errors
+        for cloud, errors in errors_of(trial, clouds).items()
     }
     return {
         "changes": VARIANTS[trial.name],
@@ -240,27 +260,34 @@ def summary(trial: Trial, bench: Bench) -> dict[str, object]:
     }
 
 
-def table(done: dict[str, dict], protocol: dict[str, dict]) -> str:
+def paragraphs(done: dict[str, dict], protocol: dict[str, dict]) -> Iterator[str]:
     """Every study as a Markdown table."""
-    lines = ["# Ablation", "", "Mean span error ± standard deviation (median). Protocol:", ""]
-    for part, values in protocol.items():
-        values = {k: len(v) if isinstance(v, list) else v for k, v in values.items()}
-        lines.append(f"- {part}: {', '.join(f'{k} {v}' for k, v in values.items())}")
+    yield "# Ablation"
+    yield "Mean span error ± standard deviation (median). Protocol:"
+    counted = {
+        part: {k: len(v) if isinstance(v, list) else v for k, v in values.items()}
+        for part, values in protocol.items()
+    }
+    yield tables.listed(
+        f"{part}: {', '.join(f'{k} {v}' for k, v in values.items())}"
+        for part, values in counted.items()
+    )
     for title, names in STUDIES.items():
         rows = {name: done[name] for name in names if name in done}
         if len(rows) < 2:
             continue
         clouds = [c for c in CLOUDS if all(c in row["span"] for row in rows.values())]
         head = ["variant", "parameters", "CPU minutes", *(CLOUDS[cloud] for cloud in clouds)]
-        lines += ["", f"## {title}", "", f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+        lines = []
         for name, row in rows.items():
             spent = row["cpu_seconds"]
-            cells = [name, f"{row['parameters']:,}", "?" if spent is None else f"{spent / 60:.1f}"]
-            for cloud in clouds:
-                span = row["span"][cloud]
+            minutes = tables.number(None if spent is None else spent / 60, ".1f")
+            cells = [name, f"{row['parameters']:,}", minutes]
+            for span in (row["span"][cloud] for cloud in clouds):
                 cells.append(f"{span['mean']:.4f} ± {span['std']:.4f} ({span['median']:.4f})")
-            lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+            lines.append(cells)
+        yield f"## {title}"
+        yield tables.table(head, lines)
 
 
 def draw(done: dict[str, dict], path: Path) -> None:
@@ -297,10 +324,8 @@ def draw(done: dict[str, dict], path: Path) -> None:
 
 def write(done: dict[str, dict], protocol: dict[str, dict], out: Path) -> None:
     """Write the report of what is done."""
-    with atomic_path(out / "ablation.json") as part:
-        part.write_text(json.dumps({"protocol": protocol, "variants": done}, indent=1))
-    with atomic_path(out / "ablation.md") as part:
-        part.write_text(table(done, protocol))
+    tables.write_json(out / "ablation.json", {"protocol": protocol, "variants": done})
+    tables.write_markdown(out / "ablation.md", paragraphs(done, protocol))
     if any(sum(name in done for name in names) > 1 for names in STUDIES.values()):
         draw(done, out / "ablation.png")
 
@@ -310,11 +335,10 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    data = os.environ.get("SPECTRA_KIT_DATA")
     add("corpus", type=Path, help="folder of shards")
     add("validation", type=Path, help="folder of shards, other samples")
     add("--out", type=Path, required=True)
-    add("--data", type=Path, default=data and Path(data, "ood_public"), help="folder of meshes")
+    add("--data", type=Path, default=data_folder("ood_public"), help="folder of meshes")
     add("--only", nargs="+", choices=VARIANTS, metavar="VARIANT", help=", ".join(VARIANTS))
     add("--samples", type=int, default=3000, help="to train on, in all (%(default)s)")
     add("--batch", type=int, default=8, help="clouds per step (%(default)s)")
@@ -343,7 +367,16 @@ def _run(args: argparse.Namespace, base: NeoConfig) -> None:
     corpus, validation = open_shards(args.corpus), open_shards(args.validation)
     files = sorted(args.data.iterdir()) if args.data else []
     meshes = [file for file in files if file.suffix.lower() in READERS][: args.limit]
-    bench = Bench(validation, args.held_out, meshes, args.sampled, base.k)
+    clouds = Clouds(
+        folder=args.out,
+        contenders=[],
+        problems=[name for name in CLOUDS if meshes or name == "held-out"],
+        validation=validation,
+        held_out=min(args.held_out, len(validation)),
+        meshes=meshes,
+        points=args.sampled,
+        k=base.k,
+    )
     steps = args.samples // args.batch
     same = {"steps": steps, "batch": args.batch, "points": args.points, "lr": args.lr}
     same |= {"seed": args.seed, "ema": 0.0, "every": max(1, steps // 5), "validation": 32}
@@ -358,13 +391,13 @@ def _run(args: argparse.Namespace, base: NeoConfig) -> None:
             print("interrupted: the same command goes on")
             return
         done = {
-            other: summary(trial(other), bench)
+            other: summary(trial(other), clouds)
             for other in VARIANTS
             if (args.out / other / "weights.safetensors").is_file()
         }
         spans = {cloud: round(span["mean"], 4) for cloud, span in done[name]["span"].items()}
         print(f"{name}: span error {spans}", flush=True)
-        protocol = {"network": asdict(base), "training": same, "clouds": bench.key}
+        protocol = {"network": asdict(base), "training": same, "clouds": clouds.inputs}
         write(done, protocol, args.out)
 
 

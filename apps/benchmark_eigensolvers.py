@@ -35,6 +35,8 @@ from measure.store import Store
 from measure.study import run
 from measure.worker import Limits
 
+from spectra_kit._validate import check_count
+
 
 def _parser() -> argparse.ArgumentParser:
     parser = parser_of("benchmark_eigensolvers.py", __doc__)
@@ -72,6 +74,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _measure(args: argparse.Namespace) -> None:
+    for name in ("k", "repeats", "threads"):
+        check_count(name, getattr(args, name), low=1)
     limits = Limits(
         threads=args.threads,
         seconds=args.time_limit,
@@ -88,9 +92,10 @@ def _measure(args: argparse.Namespace) -> None:
         retry=args.retry,
         progress=True,
     )
-    study = Solves.of(
-        prepared,
-        made,
+    study = Solves(
+        folder=args.out,
+        problems=prepared.problems,
+        prepared=prepared,
         contenders=contenders(args.methods, args.device),
         repeats=args.repeats,
         threads=args.threads,
@@ -100,7 +105,7 @@ def _measure(args: argparse.Namespace) -> None:
     machine = describe_machine(
         name=study.machine, threads=args.threads, device=args.device[-1], commit=args.commit
     )
-    paths = write_report(study, results, machine)
+    paths = write_report(study, results, made, machine)
     print(paths[1].read_text())
     print("written:", *paths, sep="\n  ")
 

@@ -65,7 +65,8 @@ def _measure(args: argparse.Namespace) -> str:
         check_count(name, getattr(args, name), low=1)
     limits = Limits(threads=args.threads, memory=most_memory())
     store, shapes = Store(args.out), shapes_named(args.meshes)
-    measured = partial(run, store=store, limits=limits, jobs=0 if args.quick else 1, progress=True)
+    jobs = 0 if args.quick else 1
+    measured = partial(run, store=store, limits=limits, jobs=jobs, retry=True, progress=True)
     places = {"folder": args.out, "problems": shapes}
     modes = Modes(**places)
     exact = Exact(**places, count=args.exact_sources, seed=args.seed)

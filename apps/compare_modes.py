@@ -1,28 +1,13 @@
-"""Draw chosen modes of a shape: exact | predicted | difference; print a table.
+"""Draw exact and predicted modes of a demo animal beside each other; print a table of errors.
 
-    python apps/compare_modes.py                     # a demo animal
-    python apps/compare_modes.py bunny.obj -o bunny.png
-    python apps/compare_modes.py bunny.obj --solver polished --modes 1,5,20
+    python apps/compare_modes.py
 
-The options are those of spectra-kit compare.
+is `spectra-kit compare demo -o compare_modes.png`; with arguments it is `spectra-kit compare`.
 """
 
-from __future__ import annotations
-
 import sys
-from collections.abc import Sequence
 
-from spectra_kit.cli import Parser, add_compare_arguments, compare, run
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the comparison and return the exit code."""
-    parser = Parser(
-        "compare_modes.py", usage="%(prog)s [FILE] [options]", purpose=(__doc__ or "").strip()
-    )
-    add_compare_arguments(parser, file="demo", picture="compare_modes.png")
-    return run(compare, parser.parse_args(argv))
-
+from spectra_kit.__main__ import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["compare", *(sys.argv[1:] or ["demo", "-o", "compare_modes.png"])]))

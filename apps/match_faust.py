@@ -11,11 +11,10 @@ The data are NAME.npz files: vertices V, faces F, corres (vertices in correspond
 number in each file) and corres_sym (their mirror images), all counted from 0.
 
 OUT gets the spectra, the maps (source vertex of each target vertex; the name of the .npy ends with
-the digest in pairs.csv), pairs.csv with a line for each pair as soon as it is matched, matching.md,
-matching.json, accuracy curves, and pictures of the best, median and worst pair. The same command
-after an interruption computes only what is missing. Results are remembered by their inputs and the
-release of spectra_kit, not by its code: after a change of the code, take another folder, or move
-pairs.csv away, to measure anew.
+the digest in pairs.csv), measurements.jsonl with a line for each pair as soon as it is matched,
+matching.md, matching.json, pairs.csv, accuracy curves, and pictures of the best, median and worst
+pair. The same command after an interruption computes only what is missing. Results are remembered
+by their inputs, the options and the code: other weights, or another version, are measured anew.
 """
 
 from __future__ import annotations

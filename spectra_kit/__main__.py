@@ -7,8 +7,13 @@ import sys
 _INTERRUPTED = 130
 
 
-def main() -> int:
+def main(argv: list[str] | None = None) -> int:
     """Run ``spectra-kit``; Ctrl-C ends it quietly from the first moment on.
+
+    Parameters
+    ----------
+    argv : list of str, optional
+        Arguments; by default those of the process.
 
     Returns
     -------
@@ -22,7 +27,7 @@ def main() -> int:
     from spectra_kit.cli import main as command_line
 
     try:
-        return command_line(ready=lambda: signal.signal(signal.SIGINT, first))
+        return command_line(argv, ready=lambda: signal.signal(signal.SIGINT, first))
     except KeyboardInterrupt:
         return _INTERRUPTED
 

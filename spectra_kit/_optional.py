@@ -15,7 +15,7 @@ _PACKAGES = {  # extra -> what pip calls the package
 }
 
 
-def optional(module: str, *, extra: str, needed_by: str) -> ModuleType:
+def optional(module: str, *, extra: str, needed_by: str, otherwise: str = "") -> ModuleType:
     """Import a module of an optional package.
 
     Parameters
@@ -26,6 +26,8 @@ def optional(module: str, *, extra: str, needed_by: str) -> ModuleType:
         The extra of spectra_kit that installs it.
     needed_by : str
         What cannot be done without it, as the subject of a sentence.
+    otherwise : str, optional
+        What can be done instead.
 
     Returns
     -------
@@ -49,5 +51,5 @@ def optional(module: str, *, extra: str, needed_by: str) -> ModuleType:
     except ImportError as error:
         raise MissingDependencyError(
             f"{needed_by} needs {_PACKAGES[extra]}",
-            advice=f"pip install 'spectra_kit[{extra}]'",
+            advice=f"pip install 'spectra_kit[{extra}]'" + (otherwise and f"; or {otherwise}"),
         ) from error

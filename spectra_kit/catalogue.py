@@ -53,31 +53,39 @@ class Entry:
 
 def _table(module: str, **entries: tuple[str, ...]) -> Mapping[str, Entry]:
     return MappingProxyType(
-        {name: Entry(f"{module}:{maker}", *told) for name, (maker, *told) in entries.items()}
+        {name: Entry(f"{module}.{maker}", *told) for name, (maker, *told) in entries.items()}
     )
 
 
 #: Those that are exact, or go on to a tolerance, come first.
 SOLVERS = _table(
     "eigensolvers",
-    arpack=("Arpack", "Lanczos on a sparse factor", "exact"),
-    multilevel=("Multilevel", "from few points to all of them", "to tolerance"),
-    refined=("Refined", "block iterations from any start, on a sparse factor", "to tolerance"),
-    chebyshev=("Chebyshev", "block iterations from any start, without a factor", "to tolerance"),
-    lobpcg=("Lobpcg", "preconditioned conjugate gradients", "to tolerance"),
-    dense=("Dense", "LAPACK on the full matrix, for few points", "exact"),
-    polished=("Polished", "a start and one sweep of Refined", "approximate"),
-    capped=("Capped", "a prediction on few points, carried to all", "approximate"),
-    fourier=("RayleighRitz", "plane waves and Rayleigh-Ritz", "approximate"),
-    neo=("Neo", "the network and Rayleigh-Ritz", "approximate"),
+    arpack=("arpack:Arpack", "Lanczos on a sparse factor", "exact"),
+    multilevel=("multilevel:Multilevel", "from few points to all of them", "to tolerance"),
+    refined=(
+        "refined:Refined",
+        "block iterations from any start, on a sparse factor",
+        "to tolerance",
+    ),
+    chebyshev=(
+        "chebyshev:Chebyshev",
+        "block iterations from any start, without a factor",
+        "to tolerance",
+    ),
+    lobpcg=("lobpcg:Lobpcg", "preconditioned conjugate gradients", "to tolerance"),
+    dense=("dense:Dense", "LAPACK on the full matrix, for few points", "exact"),
+    polished=("refined:Polished", "a start and one sweep of Refined", "approximate"),
+    capped=("capped:Capped", "a prediction on few points, carried to all", "approximate"),
+    fourier=("rayleigh_ritz:RayleighRitz", "plane waves and Rayleigh-Ritz", "approximate"),
+    neo=("neo:Neo", "the network and Rayleigh-Ritz", "approximate"),
 )
 
 OPERATORS = _table(
     "operators",
-    robust=("robust_laplacian", "intrinsic Delaunay, of any mesh or cloud"),
-    cotan=("cotan_laplacian", "the cotangents of a mesh as it is"),
-    knn=("knn_laplacian", "the graph of nearest neighbours"),
-    delaunay=("delaunay_laplacian", "local Delaunay triangles of points"),
+    robust=("assemble:robust_laplacian", "intrinsic Delaunay, of any mesh or cloud"),
+    cotan=("assemble:cotan_laplacian", "the cotangents of a mesh as it is"),
+    knn=("assemble:knn_laplacian", "the graph of nearest neighbours"),
+    delaunay=("delaunay:delaunay_laplacian", "local Delaunay triangles of points"),
 )
 
 SUBSPACES = MappingProxyType(
@@ -91,8 +99,8 @@ SUBSPACES = MappingProxyType(
 
 DESCRIPTORS = _table(
     "descriptors",
-    heat=("heat_kernel_signature", "heat that is left where it was put, over time"),
-    wave=("wave_kernel_signature", "where a particle of some energy is found"),
-    gps=("global_point_signature", "modes over the roots of their eigenvalues"),
-    shape_dna=("shape_dna", "the eigenvalues of a whole surface"),
+    heat=("heat:heat_kernel_signature", "heat that is left where it was put, over time"),
+    wave=("wave:wave_kernel_signature", "where a particle of some energy is found"),
+    gps=("point_signature:global_point_signature", "modes over the roots of their eigenvalues"),
+    shape_dna=("shape_dna:shape_dna", "the eigenvalues of a whole surface"),
 )

@@ -10,8 +10,8 @@ from pathlib import Path
 
 #: What training needs beside torch, NumPy and SciPy, which such machines have.
 NEEDED = (
-    *("cholespy", "lazy-loader", "libigl", "llvmlite", "numba", "qdldl", "safetensors"),
-    "threadpoolctl",
+    *("cholespy", "lazy-loader", "libigl", "llvmlite", "numba", "qdldl", "robust_laplacian"),
+    *("safetensors", "threadpoolctl"),
 )
 POOL = "pool_{}.npz"  # in the packed folder, by split
 _GLIBCS = ("2_28", "2_27", "2_24", "2_17")

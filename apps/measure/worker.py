@@ -269,7 +269,8 @@ def _listen(link: Connection, requests: SimpleQueue[bytes]) -> None:
 
 
 def _told(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}"
+    ours = isinstance(error, SpectraKitError)  # whose messages need no type to be understood
+    return str(error) if ours else f"{type(error).__name__}: {error}"
 
 
 class Clocked:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from contextlib import redirect_stdout, suppress
+from contextlib import redirect_stdout
 from unittest import mock
 
 from docutils import nodes
@@ -19,7 +19,7 @@ def help_text(*command: str) -> str:
     from spectra_kit.cli import main
 
     printed = io.StringIO()
-    with mock.patch.dict(os.environ, _PLAIN), redirect_stdout(printed), suppress(SystemExit):
+    with mock.patch.dict(os.environ, _PLAIN), redirect_stdout(printed):
         main([*command, "--help"])
     return printed.getvalue().rstrip()
 
@@ -28,7 +28,7 @@ class CommandHelp(SphinxDirective):
     """The help of the program, and a section with that of each command."""
 
     def run(self) -> list[nodes.Node]:
-        from spectra_kit.cli.story import COMMANDS
+        from spectra_kit.cli.program import COMMANDS
 
         content: list[nodes.Node] = [self._box()]
         for command in COMMANDS:

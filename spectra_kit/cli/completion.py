@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 
-import shtab
-
+from spectra_kit.cli import program
 from spectra_kit.cli.output import print_json
 
 
-def completion(arguments: argparse.Namespace) -> None:
+def completion(asked: program.Completion) -> None:
     """Print what a shell has to run."""
-    script = shtab.complete(arguments.root, arguments.shell)
-    if arguments.json:
-        print_json(shell=arguments.shell, script=script)
+    script = program.app().generate_completion(shell=asked.shell)
+    if asked.general.json:
+        print_json(shell=asked.shell, script=script)
     else:
         sys.stdout.write(script)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import errno
 import io
 import os
@@ -10,11 +9,14 @@ import sys
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import Any
 
+from spectra_kit._version import VERSION
+from spectra_kit.cli.help import help_text
+from spectra_kit.cli.options import General, refuse_unused
+from spectra_kit.cli.program import UsageError, parse
 from spectra_kit.cli.progress import telling
-from spectra_kit.cli.story import build_parser
-from spectra_kit.cli.unused import refuse_unused
-from spectra_kit.cli.words import in_options
+from spectra_kit.cli.words import told
 from spectra_kit.errors import (
     ConvergenceError,
     InvalidSpectrumError,
@@ -49,43 +51,49 @@ def main(argv: Sequence[str] | None = None, *, ready: Callable[[], object] = lam
     """
     if argv is None:
         _prepare_streams()
+        argv = sys.argv[1:]
     try:
-        arguments, unknown = build_parser().parse_known_args(argv)
-        if unknown:  # refused by the command's own parser, which knows what may have been meant
-            arguments.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
-    except SystemExit:  # the help was asked for, or the usage was wrong
-        if code := _flushed():
-            return code
-        raise
+        if argv[:1] == ["--version"]:
+            return _show(f"spectra_kit {VERSION}\n")
+        asked = parse(argv)
+        if asked.command is None or asked.options is None:
+            return _show(help_text(asked.command))
+    except UsageError as error:
+        return _complain_of_usage(error)
     except BrokenPipeError:  # whoever read the help has seen enough
         _drop_stdout()
         return 0
     except OSError as error:
         return _tell(error)
-    command = arguments.load()
+    command = asked.command.load()
     ready()
-    return run(command, arguments)
+    return _run(command, asked.options)
 
 
-def run(command: Callable[[argparse.Namespace], None], arguments: argparse.Namespace) -> int:
-    """Run a command and tell its errors on stderr, in a line each.
+def _show(text: str) -> int:
+    """Write what was asked for about the program itself; return the exit code."""
+    sys.stdout.write(text)
+    return _flushed()
 
-    Parameters
-    ----------
-    command : callable
-        Takes the arguments and writes to stdout.
-    arguments : argparse.Namespace
-        With ``debug``: show the traceback too; ``quiet``: no progress.
 
-    Returns
-    -------
-    int
-        The exit code, as in `main`.
-    """
+def _complain_of_usage(error: UsageError) -> int:
+    """Show how it is used, what was wrong, and what may have been meant."""
+    usage = error.command.usage if error.command else "usage: spectra-kit COMMAND FILE [options]"
+    message = str(error)
+    if "Did you mean" not in message:
+        name = f" {error.command.name}" if error.command else ""
+        message += f"; see spectra-kit{name} --help"
+    _complain(f"{usage}\nerror: {message}")
+    return _BAD_INPUT
+
+
+def _run(command: Callable[[Any], None], options: Any) -> int:
+    """Run a command and tell its errors on stderr, in a line each; return the exit code."""
+    general: General = options.general
     try:
-        with telling(quiet=arguments.quiet):
-            refuse_unused(arguments)
-            command(arguments)
+        with telling(quiet=general.quiet):
+            refuse_unused(options)
+            command(options)
         return _flushed()
     except BrokenPipeError as error:
         if error.filename is not None:  # a pipe that was to hold a file
@@ -96,7 +104,7 @@ def run(command: Callable[[argparse.Namespace], None], arguments: argparse.Names
         _complain("interrupted")
         return _INTERRUPTED
     except Exception as error:  # noqa: BLE001  # a person reads this: a line, not a traceback
-        if arguments.debug:
+        if general.debug:
             traceback.print_exc()
         return _tell(error)
 
@@ -114,18 +122,18 @@ def _flushed() -> int:
 
 def _tell(error: Exception) -> int:
     """Write the line that an error deserves; return its exit code."""
-    code, message = _told(error)
+    code, message = _judged(error)
     _flush_stdout()
     _complain(f"error: {message}")
     return code
 
 
-def _told(error: Exception) -> tuple[int, str]:
+def _judged(error: Exception) -> tuple[int, str]:
     """Return the exit code and the line that an error deserves."""
     if isinstance(error, ConvergenceError | InvalidSpectrumError | OutOfMemoryError):
-        return _SOLVER_FAILED, in_options(str(error))
+        return _SOLVER_FAILED, told(error)
     if isinstance(error, SpectraKitError):
-        return _BAD_INPUT, in_options(str(error))
+        return _BAD_INPUT, told(error)
     if isinstance(error, OSError):
         what = (error.strerror or str(error)).lower()
         return _BAD_INPUT, f"{error.filename}: {what}" if error.filename else what

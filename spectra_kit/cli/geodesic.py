@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 
 from spectra_kit._types import Floats
-from spectra_kit._validate import check_count, check_positive, quantity
-from spectra_kit.cli import tables
+from spectra_kit._validate import check_positive, quantity
+from spectra_kit.cli import program, tables
 from spectra_kit.cli.folder import check_folder, drawing, together
 from spectra_kit.cli.geodesic_compare import Compared, clock_note, compare_solvers, comparison_table
-from spectra_kit.cli.geodesic_method import (
-    check_spectrum,
+from spectra_kit.cli.geodesic_solver import (
+    check_solver,
+    coarse_spectrum,
     linear_solver,
-    spectrum_named,
+    number_of_modes,
     why_without_modes,
 )
-from spectra_kit.cli.geodesic_options import SPECTRA
 from spectra_kit.cli.geodesic_sources import (
     Source,
     check_named,
@@ -27,9 +26,10 @@ from spectra_kit.cli.geodesic_sources import (
     source_records,
     with_farthest,
 )
-from spectra_kit.cli.inputs import load
-from spectra_kit.cli.options import DEMO, up_of
+from spectra_kit.cli.inputs import load_numbered
+from spectra_kit.cli.options import CoarseSolver
 from spectra_kit.cli.output import as_json, print_blocks, print_json
+from spectra_kit.cli.outputs import up_of
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import stem
 from spectra_kit.errors import InvalidInputError
@@ -45,87 +45,82 @@ _NUMBERS = ("distance.npy", "distance.ply", "report.json")
 _FIELD, _CONVERGENCE = "field.png", "convergence.png"
 
 
-def geodesic_distances(arguments: argparse.Namespace) -> None:
+def geodesic_distances(asked: program.Geodesic) -> None:
     """Measure distances, write them with a report and pictures into one folder."""
-    folder: Path = arguments.output
-    if arguments.modes is not None:
-        check_count("--modes", arguments.modes, low=1)
-    for option in ("rtol", "time_coefficient", "spacing"):
-        if (value := getattr(arguments, option)) is not None:
-            check_positive("--" + option.replace("_", "-"), value)
-    if arguments.compare and arguments.boundary != "neumann":
+    folder, heat = asked.output.output, asked.heat
+    check_positive("--poisson-rtol", heat.poisson_rtol)
+    check_positive("--time-coefficient", heat.time_coefficient)
+    if asked.output.spacing is not None:
+        check_positive("--spacing", asked.output.spacing)
+    if asked.output.compare and heat.heat_boundary != "neumann":
         raise InvalidInputError(
-            f"--compare is for --boundary neumann, got {arguments.boundary}; leave one out"
+            f"--compare is for --heat-boundary neumann, got {heat.heat_boundary}; leave one out"
         )
-    check_spectrum(arguments)
-    check_named(arguments)
-    inputs = [Path(name) for name in (arguments.file, arguments.spectrum) if name != DEMO]
-    check_folder(folder, _files(arguments), (*_NUMBERS, _FIELD, _CONVERGENCE), inputs)
+    check_solver(asked)
+    farthest = check_named(asked)
+    inputs = [Path(asked.file), *asked.solver.files]
+    check_folder(folder, _files(asked), (*_NUMBERS, _FIELD, _CONVERGENCE), inputs)
 
-    geometry = load(arguments)
-    sources = named_sources(arguments, geometry)
+    geometry, numbers = load_numbered(asked.file, asked.reading)
+    sources = named_sources(asked, geometry, numbers)
     check_sources(sources or [0], geometry)
     with step(f"triangulating {geometry.n:,} points"):
         triangulation = intrinsic_delaunay(geometry)
-    solver = linear_solver(arguments)
-    unused = why_without_modes(arguments, solver, geometry.n)
+    modes = number_of_modes(asked.solver, triangulation.laplacian, usual=Iterative().modes)
+    solver = linear_solver(asked, farthest + 1, modes)
+    unused = why_without_modes(asked.solver, solver, geometry.n)
     # Modes of a file cost nothing, and are checked.
-    spectrum = spectrum_named(
-        "none" if unused and arguments.spectrum in SPECTRA else arguments.spectrum,
-        arguments,
-        triangulation.laplacian,
-        arguments.modes or Iterative().modes,
-    )
+    spectrum = None
+    if asked.solver.spectrum or not unused:
+        spectrum = coarse_spectrum(asked, triangulation.laplacian, modes)
     with step("preparing the solver"):
         geodesics = HeatGeodesics(
             triangulation,
             spectrum,
             solver=solver,
-            time_coefficient=arguments.time_coefficient,
-            boundary=arguments.boundary,
+            time_coefficient=heat.time_coefficient,
+            boundary=heat.heat_boundary,
         )
     with step("looking for the farthest points"):
         sources = with_farthest(
             sources,
-            arguments.farthest,
+            farthest,
             lambda few: geodesics.distance(check_sources(few, geometry)).distance,
         )
     with step(f"measuring the distance to {quantity(len(sources), 'source')}"):
         field = geodesics.distance(check_sources(sources, geometry))
-    record = _record(arguments, geometry, triangulation, sources, spectrum, field)
+    record = _record(asked, geometry, triangulation, sources, spectrum, field)
     record["spectrum_unused"] = unused or None
     compared = None
-    if arguments.compare:
-        compared = compare_solvers(
-            arguments, geometry, triangulation, check_sources(sources, geometry)
-        )
+    if asked.output.compare:
+        compared = compare_solvers(asked, geometry, triangulation, check_sources(sources, geometry))
         record["comparison"] = [one.record() for one in compared]
     with step(f"writing {folder}"):
         written = _write(folder, geometry, field.distance, record)
-    if not arguments.no_pictures:
-        pictures = [folder / name for name in _files(arguments)[len(_NUMBERS) :]]
+    if not asked.drawing.no_pictures:
+        pictures = [folder / name for name in _files(asked)[len(_NUMBERS) :]]
         with drawing(pictures, kept=f"the numbers in {folder} are whole"):
-            written += _draw(arguments, geometry, sources, field, compared)
-    if arguments.json:
+            written += _draw(asked, geometry, sources, field, compared)
+    if asked.general.json:
         print_json(**record, written=[str(path) for path in written])
         return
     print_blocks(
-        tables.headline(arguments.file, geometry, triangulation.laplacian),
+        tables.headline(asked.file, geometry, triangulation.laplacian),
         tables.pairs(_facts(record)),
         *([] if compared is None else [comparison_table(compared)]),
         "\n".join(f"written: {path}" for path in written),
     )
 
 
-def _files(arguments: argparse.Namespace) -> tuple[str, ...]:
+def _files(asked: program.Geodesic) -> tuple[str, ...]:
     """Names of all that will be written."""
-    if arguments.no_pictures:
+    if asked.drawing.no_pictures:
         return _NUMBERS
-    return (*_NUMBERS, _FIELD) + ((_CONVERGENCE,) if arguments.compare else ())
+    return (*_NUMBERS, _FIELD) + ((_CONVERGENCE,) if asked.output.compare else ())
 
 
 def _record(
-    arguments: argparse.Namespace,
+    asked: program.Geodesic,
     geometry: Geometry,
     triangulation: IntrinsicTriangulation,
     sources: list[Source],
@@ -135,14 +130,14 @@ def _record(
     """What the report says."""
     reached = field.distance[field.reached]
     return {
-        "input": arguments.file,
+        "input": asked.file,
         **tables.geometry_record(geometry),
         **tables.operator_record(triangulation.laplacian),
-        "boundary": arguments.boundary,
+        "heat_boundary": asked.heat.heat_boundary,
         "sources": source_records(sources),
-        "solver": arguments.solver,
+        "method": asked.heat.method,
         "choice": field.choice,
-        "time_coefficient": arguments.time_coefficient,
+        "time_coefficient": asked.heat.time_coefficient,
         "time_step": field.time_step,
         "iterations": field.poisson.iterations,
         "relative_residual": field.poisson.relative_residual,
@@ -152,17 +147,17 @@ def _record(
             "backward_error": field.heat.backward_error,
         },
         "seconds": dict(field.seconds),
-        "spectrum": spectrum and _spectrum_record(arguments.spectrum, spectrum),
+        "spectrum": spectrum and _spectrum_record(asked.solver, spectrum),
         "largest_distance": float(reached.max()),
         "mean_distance": float(reached.mean()),
         "points_not_reached": int((~field.reached).sum()),
     }
 
 
-def _spectrum_record(name: str, spectrum: Spectrum) -> tables.Record:
+def _spectrum_record(asked: CoarseSolver, spectrum: Spectrum) -> tables.Record:
     provenance = spectrum.provenance
     return {
-        "from": name,
+        "from": str(asked.spectrum or asked.solver),
         "modes": spectrum.k,
         "solver": provenance.solver,
         "seconds": sum(provenance.seconds.values()),
@@ -201,7 +196,7 @@ def _write(folder: Path, geometry: Geometry, distance: Floats, record: tables.Re
 
 
 def _draw(
-    arguments: argparse.Namespace,
+    asked: program.Geodesic,
     geometry: Geometry,
     sources: list[Source],
     field: DistanceField,
@@ -209,15 +204,15 @@ def _draw(
 ) -> list[Path]:
     from spectra_kit.viz import Page, View, plot_convergence, plot_distance
 
-    folder, name, dpi = arguments.output, stem(arguments.file), arguments.dpi
+    folder, name, dpi = asked.output.output, stem(asked.file), asked.drawing.dpi
     size = f"{geometry.n:,} points"
     plot_distance(
         folder / _FIELD,
         geometry,
         field.distance,
         sources=positions(sources, geometry),
-        spacing=arguments.spacing,
-        view=View(up_of(arguments), arguments.turn),
+        spacing=asked.output.spacing,
+        view=View(up_of(asked.drawing, asked.file), asked.drawing.turn),
         page=Page(name, f"{size} \N{MIDDLE DOT} {field.choice}", dpi),
     )
     if compared is None:
@@ -225,7 +220,7 @@ def _draw(
     plot_convergence(
         folder / _CONVERGENCE,
         [one.run for one in compared],
-        rtol=arguments.rtol,
+        rtol=asked.heat.poisson_rtol,
         solve_name="Poisson step",
         page=Page(f"{name}: the Poisson step of the heat method, {size}", clock_note(), dpi),
     )

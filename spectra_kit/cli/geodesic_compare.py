@@ -2,42 +2,33 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spectra_kit._types import Floats
-from spectra_kit.cli import tables
-from spectra_kit.cli.geodesic_method import spectrum_named
-from spectra_kit.cli.geodesic_options import COMPARED_MODES
-from spectra_kit.cli.progress import step, telling
+from spectra_kit.cli import program, tables
+from spectra_kit.cli.geodesic_solver import number_of_modes
+from spectra_kit.cli.progress import step
+from spectra_kit.cli.solving import solve
 from spectra_kit.geodesics import Direct, HeatGeodesics, Iterative
-from spectra_kit.geodesics.sources import Sources, check_sources
-from spectra_kit.geometry import Geometry, TriangleMesh, sphere
-from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
+from spectra_kit.geodesics.sources import Sources
+from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.operators import IntrinsicTriangulation
 from spectra_kit.spectra import Spectrum
 from spectra_kit.viz import SolverRun
 
-_REPEATS = 2  # of everything, one after the other; the faster run of each counts
-_SPECTRA = {"exact": "exact modes", "neo": "NEO modes", "neo-polished": "NEO modes, polished"}
-_DIRECT, _PEER = "direct Cholesky", "potpourri3d"
+_MODES = 96  # as many as the NEO paper takes
+_REPEATS = 2  # of everything, by turns; the faster counts, in which all is loaded and compiled
+_DIRECT = "direct Cholesky"
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A run, and how far its distances are from those of the direct solver.
-
-    Attributes
-    ----------
-    run : SolverRun
-        Its seconds and residuals.
-    difference : float
-        Largest, relative to the largest distance.
-    """
+    """A run, and how far its distances are from those of the direct solver, relative to these."""
 
     run: SolverRun
     difference: float
@@ -60,39 +51,32 @@ class Compared:
 
 
 def compare_solvers(
-    arguments: argparse.Namespace,
+    asked: program.Geodesic,
     geometry: Geometry,
     triangulation: IntrinsicTriangulation,
     sources: Sources,
 ) -> list[Compared]:
-    """Measure every solver on the same problem, from the arrays of the geometry on.
-
-    Compiled code is loaded and tried on a small sphere before any clock starts.
-    """
-    ball = sphere(subdivisions=4).geometry
-    small = argparse.Namespace(**vars(arguments) | {"modes": 20})
-    with step("warming up"), telling(quiet=True):
-        for _, measure in _measures(small, ball, intrinsic_delaunay(ball), check_sources(0, ball)):
-            measure()
-    measures = list(_measures(arguments, geometry, triangulation, sources))
+    """Measure every solver on the same problem, from the arrays of the geometry on."""
+    time_coefficient = asked.heat.time_coefficient
+    contenders = {
+        name: _ours(geometry, sources, name, solver, spectrum, time_coefficient)
+        for name, (solver, spectrum) in _solvers(asked, triangulation).items()
+    }
+    contenders["potpourri3d"] = lambda: _potpourri3d(geometry, sources, time_coefficient)
     fastest: dict[str, tuple[SolverRun, Floats]] = {}
     for _ in range(_REPEATS):
-        for name, measure in measures:
+        for name, measure in contenders.items():
             with step(f"trying {name}"):
                 run, distance = measure()
             if name not in fastest or run.seconds < fastest[name][0].seconds:
                 fastest[name] = run, distance
-    _, reference = fastest[_DIRECT]
+    direct = fastest[_DIRECT][1]
+    known = np.isfinite(direct)
+    largest = float(direct[known].max()) or 1.0
     return [
-        Compared(run, largest_difference(distance, reference)) for run, distance in fastest.values()
+        Compared(run, float(np.abs(distance[known] - direct[known]).max()) / largest)
+        for run, distance in fastest.values()
     ]
-
-
-def largest_difference(distance: Floats, reference: Floats) -> float:
-    """Return the largest difference where `reference` is finite, relative to its largest value."""
-    known = np.isfinite(reference)
-    largest = float(reference[known].max()) or 1.0
-    return float(np.abs(distance[known] - reference[known]).max()) / largest
 
 
 def comparison_table(compared: list[Compared]) -> str:
@@ -119,97 +103,87 @@ def comparison_table(compared: list[Compared]) -> str:
 def clock_note() -> str:
     """What the seconds are."""
     return (
-        f"Faster of {_REPEATS} runs each, by turns, after a warm-up. The clock starts with the"
-        " geometry alone; imports and compilation are not counted."
-        f" {os.cpu_count()} processor cores."
+        f"Faster of {_REPEATS} runs each, by turns. The clock starts with the geometry alone;"
+        f" imports and compilation are not counted. {os.cpu_count()} processor cores."
     )
 
 
-_Entry = tuple[str, Callable[[], tuple[SolverRun, Floats]]]
-
-
-def _measures(
-    arguments: argparse.Namespace,
-    geometry: Geometry,
-    triangulation: IntrinsicTriangulation,
-    sources: Sources,
-) -> Iterator[_Entry]:
-    """Names of the solvers, and what measures each."""
-    modes = arguments.modes or COMPARED_MODES
-    shipped = Iterative(rtol=arguments.rtol)
+def _solvers(
+    asked: program.Geodesic, triangulation: IntrinsicTriangulation
+) -> dict[str, tuple[Direct | Iterative, Spectrum | None]]:
+    """Return the solvers by name, each with the modes that it uses."""
+    laplacian, rtol = triangulation.laplacian, asked.heat.poisson_rtol
+    shipped = Iterative(rtol=rtol)
+    modes = number_of_modes(asked.solver, laplacian, usual=_MODES)
     few = min(modes, shipped.modes)
-    spectra = {
-        name: spectrum_named(name, arguments, triangulation.laplacian, modes) for name in _SPECTRA
-    }
-    spectra["few"] = spectrum_named("exact", arguments, triangulation.laplacian, few)
 
-    def ours(name: str, solver: Direct | Iterative, source: str = "none") -> _Entry:
-        spectrum = spectra.get(source)
-        return name, lambda: _run_ours(arguments, geometry, sources, name, solver, spectrum)
+    def spectrum(solver: str, n: int, start: str | None = None) -> Spectrum:
+        told = replace(asked.solver, start=start, rtol=None)
+        k = min(n + laplacian.kernel_dimension, laplacian.n)
+        return solve(laplacian, k, solver, told, asked.reading.seed)
 
+    exact = spectrum("arpack", modes)
     # One base for all that differ in the coarse space alone: level 0, as in the paper.
-    base = Iterative(coarse="none", drop=None, relaxation=0.0, modes=modes, rtol=arguments.rtol)
-    additive, projected = replace(base, coarse="additive"), replace(base, coarse="projected")
-    yield ours("IC(0)", base)
-    for name, words in _SPECTRA.items():
-        yield ours(f"IC(0) + {modes} {words}", additive, name)
-    yield ours(f"IC(0) + {modes} exact modes, projected", projected, "exact")
-    yield ours("relaxed IC", replace(shipped, coarse="none"))
-    yield ours(f"relaxed IC + {few} exact modes", shipped, "few")
-    yield ours(_DIRECT, Direct())
-    yield _PEER, lambda: _run_peer(arguments, geometry, sources, _PEER)
+    base = Iterative(coarse="none", drop=None, relaxation=0.0, modes=modes, rtol=rtol)
+    additive = replace(base, coarse="additive")
+    return {
+        "IC(0)": (base, None),
+        f"IC(0) + {modes} exact modes": (additive, exact),
+        f"IC(0) + {modes} NEO modes": (additive, spectrum("neo", modes)),
+        f"IC(0) + {modes} NEO modes, polished": (additive, spectrum("polished", modes, "neo")),
+        f"IC(0) + {modes} exact modes, projected": (replace(base, coarse="projected"), exact),
+        "relaxed IC": (replace(shipped, coarse="none"), None),
+        f"relaxed IC + {few} exact modes": (shipped, spectrum("arpack", few)),
+        _DIRECT: (Direct(), None),
+    }
 
 
-def _run_ours(
-    arguments: argparse.Namespace,
+def _ours(
     geometry: Geometry,
     sources: Sources,
     name: str,
     solver: Direct | Iterative,
     spectrum: Spectrum | None,
+    time_coefficient: float,
+) -> Callable[[], tuple[SolverRun, Floats]]:
+    def measure() -> tuple[SolverRun, Floats]:
+        start = time.perf_counter()
+        geodesics = HeatGeodesics(
+            geometry, spectrum, solver=solver, time_coefficient=time_coefficient
+        )
+        field = geodesics.distance(sources)
+        whole = time.perf_counter() - start
+        poisson, stages = field.poisson, dict(field.seconds)
+        # The curve begins after a start of its own, and ends when the step does.
+        times = poisson.times + max(stages.pop("poisson") - float(poisson.times[-1]), 0.0)
+        # What no stage claims is counted too.
+        stages["other"] = max(whole - sum(stages.values()) - float(times[-1]), 0.0)
+        run = SolverRun(
+            name=name,
+            stages=stages,
+            spectrum_seconds=0.0 if spectrum is None else spectrum.provenance.solving_seconds,
+            times=times,
+            residuals=poisson.residual_norms / (poisson.rhs_norm or 1.0),
+        )
+        return run, field.distance
+
+    return measure
+
+
+def _potpourri3d(
+    geometry: Geometry, sources: Sources, time_coefficient: float
 ) -> tuple[SolverRun, Floats]:
-    start = time.perf_counter()
-    geodesics = HeatGeodesics(
-        geometry, spectrum, solver=solver, time_coefficient=arguments.time_coefficient
-    )
-    field = geodesics.distance(sources)
-    whole = time.perf_counter() - start
-    poisson, stages = field.poisson, dict(field.seconds)
-    # The curve begins after a start of its own, and ends when the step does.
-    times = poisson.times + max(stages.pop("poisson") - float(poisson.times[-1]), 0.0)
-    # What no stage claims is counted too.
-    stages["other"] = max(whole - sum(stages.values()) - float(times[-1]), 0.0)
-    run = SolverRun(
-        name=name,
-        stages=stages,
-        spectrum_seconds=0.0 if spectrum is None else _solving_seconds(spectrum),
-        times=times,
-        residuals=poisson.residual_norms / (poisson.rhs_norm or 1.0),
-    )
-    return run, field.distance
-
-
-def _solving_seconds(spectrum: Spectrum) -> float:
-    """Return what the modes took; their operator is the triangulation, which has its own stage."""
-    seconds = spectrum.provenance.seconds
-    return sum(taken for stage, taken in seconds.items() if stage != "assembly")
-
-
-def _run_peer(
-    arguments: argparse.Namespace, geometry: Geometry, sources: Sources, name: str
-) -> tuple[SolverRun, Floats]:
-    """Build and solve once by potpourri3d; it tells no residual."""
+    """Build and solve once by another package, which tells no residual."""
     import potpourri3d
 
     start = time.perf_counter()
-    coefficient = arguments.time_coefficient
     if isinstance(geometry, TriangleMesh):
         solver = potpourri3d.MeshHeatMethodDistanceSolver(
-            geometry.points, geometry.faces, t_coef=coefficient
+            geometry.points, geometry.faces, t_coef=time_coefficient
         )
     else:
-        solver = potpourri3d.PointCloudHeatSolver(geometry.points, t_coef=coefficient)
+        solver = potpourri3d.PointCloudHeatSolver(geometry.points, t_coef=time_coefficient)
     built = time.perf_counter()
     distance = np.asarray(solver.compute_distance_multisource(sources.vertices.tolist()))
     stages = {"build": built - start, "first solve": time.perf_counter() - built}
-    return SolverRun(name=name, stages=stages), distance
+    return SolverRun(name="potpourri3d", stages=stages), distance

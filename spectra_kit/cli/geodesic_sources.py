@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 
 import numpy as np
 
-from spectra_kit._types import Floats
-from spectra_kit._validate import check_count, check_indices
+from spectra_kit._types import Floats, Ints
+from spectra_kit._validate import check_count, check_indices, quantity
+from spectra_kit.cli import program
 from spectra_kit.cli.options import DEMO
+from spectra_kit.cli.progress import say
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics.sources import FacePoint, nearest_source
 from spectra_kit.geometry import Geometry, TriangleMesh
@@ -17,35 +18,61 @@ from spectra_kit.geometry import Geometry, TriangleMesh
 Source = int | FacePoint
 
 
-def check_named(arguments: argparse.Namespace) -> None:
-    """Refuse what needs no geometry to be seen wrong; give the demo its source."""
-    check_count("--farthest", arguments.farthest, low=0)
-    named = arguments.source or arguments.at or arguments.face
-    if not named and not arguments.farthest:
-        if arguments.file != DEMO:
+def check_named(asked: program.Geodesic) -> int:
+    """Refuse what needs no geometry to be seen wrong; return how many farthest points to add."""
+    named, reading = asked.sources, asked.reading
+    farthest = check_count("--farthest", named.farthest, low=0)
+    if not (named.source or named.at or named.face or farthest):
+        if asked.file != DEMO:
             raise InvalidInputError(
                 "distances need at least one source; name some by --source, --at, --face or"
                 " --farthest"
             )
-        arguments.farthest = 1
-    changed = arguments.repair or arguments.cloud is not None
-    if changed and arguments.file != DEMO and (arguments.source or arguments.face):
+        farthest = 1
+    if asked.file != DEMO and (
+        (reading.cloud is not None and (named.source or named.face))
+        or (reading.repair and named.face)
+    ):
         raise InvalidInputError(
-            "--source and --face number the points and faces of the file, which --repair and"
-            " --cloud change; name places by --at instead"
+            "--source and --face number the points and faces of the file, which --cloud changes,"
+            " and --repair the faces; name places by --at instead"
         )
-    for face, *_ in arguments.face:
+    for face, *_ in named.face:
         if not face.is_integer():
             raise InvalidInputError(f"--face must begin with the number of a face, got {face:g}")
+    return farthest
 
 
-def named_sources(arguments: argparse.Namespace, geometry: Geometry) -> list[Source]:
-    """Return the points that --source, --at and --face name."""
-    check_count("--farthest", arguments.farthest, low=0, high=geometry.n)
-    named = arguments.source or np.empty(0, dtype=np.int64)  # of nothing NumPy makes floats
-    found: list[Source] = check_indices("--source", named, geometry.n).tolist()
-    found += [nearest_source(geometry, place) for place in arguments.at]
-    return found + [FacePoint(int(face), (a, b, c)) for face, a, b, c in arguments.face]
+def named_sources(
+    asked: program.Geodesic, geometry: Geometry, numbers: Ints | None
+) -> list[Source]:
+    """Return the points that --source, --at and --face name.
+
+    `numbers` has the new number of each point of the file, where a repair changed them.
+    """
+    named = asked.sources
+    check_count("--farthest", named.farthest, low=0, high=geometry.n)
+    n = geometry.n if numbers is None else len(numbers)
+    points = check_indices("--source", np.array(named.source, dtype=object), n)
+    if numbers is not None:
+        points = _renumbered(points, numbers)
+    found: list[Source] = points.tolist()
+    found += [nearest_source(geometry, place) for place in named.at]
+    return found + [FacePoint(int(face), (a, b, c)) for face, a, b, c in named.face]
+
+
+def _renumbered(points: Ints, numbers: Ints) -> Ints:
+    """Return points of a file as those of the repaired one, and tell where these differ."""
+    new = numbers[points]
+    if (new < 0).any():
+        lost = ", ".join(map(str, points[new < 0]))
+        raise InvalidInputError(
+            f"--source names points that --repair drops, as no face has them: {lost}; name others,"
+            " or places by --at"
+        )
+    if moved := [f"{a} is now {b}" for a, b in zip(points, new, strict=True) if a != b]:
+        say(f"{quantity(len(moved), 'source')} renumbered by the repair: {', '.join(moved)}")
+    return new
 
 
 def with_farthest(

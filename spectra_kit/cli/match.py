@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from pathlib import Path
 
@@ -10,16 +9,16 @@ import numpy as np
 
 from spectra_kit._types import Ints
 from spectra_kit._validate import check_indices
-from spectra_kit.cli import tables
+from spectra_kit.cli import program, tables
 from spectra_kit.cli.folder import check_folder, drawing, together
-from spectra_kit.cli.inputs import assemble, load, solvers_named
-from spectra_kit.cli.options import DEMO, up_of
+from spectra_kit.cli.inputs import assemble, load
+from spectra_kit.cli.options import DEMO
 from spectra_kit.cli.output import as_json, print_blocks, print_json
+from spectra_kit.cli.outputs import up_of
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.quality import Errors, Side, doubts_of, errors_of, quality_of
-from spectra_kit.cli.solving import solve
+from spectra_kit.cli.solving import check_solvers, solve
 from spectra_kit.cli.words import stem
-from spectra_kit.eigensolvers import Eigensolver
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, creature_pair, write
 from spectra_kit.geometry.formats._arrays import text_lines, whole
@@ -32,28 +31,28 @@ _MIRRORED = {"either": None, "kept": False, "reversed": True}
 _PICTURES = ("correspondence.png", "functional_map.png", "errors.png")
 
 
-def match_shapes(arguments: argparse.Namespace) -> None:
+def match_shapes(asked: program.Match) -> None:
     """Match, judge the map, write maps, report and pictures into one folder."""
-    folder: Path = arguments.output
-    if _changed(arguments) and (arguments.landmarks or arguments.truth):
+    folder, known = asked.output.output, asked.known
+    if asked.reading.changed and (known.landmarks or known.truth):
         raise InvalidInputError(
             "--landmarks and --truth number the points of the files, which --repair and --cloud"
             " change; repair or sample first, and match what came out"
         )
-    (solver,) = solvers_named(arguments, arguments.solver)
-    check_folder(folder, _files(arguments), _MAPS + _SIDES + _PICTURES, _inputs(arguments))
-    geometries, truth = _geometries(arguments)
-    if arguments.truth:
-        truth = _read_truth(arguments.truth, *(g.n for g in geometries))
+    check_solvers(asked.solver, asked.reading.seed, asked.solver.solver)
+    check_folder(folder, _files(asked), _MAPS + _SIDES + _PICTURES, _inputs(asked))
+    geometries, truth = _geometries(asked)
+    if known.truth:
+        truth = _read_truth(known.truth, *(g.n for g in geometries))
     landmarks = None
-    if arguments.landmarks:
-        landmarks = _read_landmarks(arguments.landmarks, *(g.n for g in geometries))
+    if known.landmarks:
+        landmarks = _read_landmarks(known.landmarks, *(g.n for g in geometries))
     source, target = (
-        _solve(arguments, name, geometry, solver)
-        for name, geometry in zip((arguments.source, arguments.target), geometries, strict=True)
+        _solve(asked, name, geometry)
+        for name, geometry in zip((asked.source, asked.target), geometries, strict=True)
     )
     with step("matching"):
-        found, quality = _matched(source, target, landmarks, _MIRRORED[arguments.sides])
+        found, quality = _matched(source, target, landmarks, _MIRRORED[known.sides])
     with step("judging the map"):
         quality |= quality_of(source, target, found.point_map)
         errors = None if truth is None else errors_of(source, found.point_map, truth)
@@ -65,68 +64,61 @@ def match_shapes(arguments: argparse.Namespace) -> None:
         "landmarks": 0 if landmarks is None else len(landmarks[0]),
         "match": quality,
     }
-    sides = (source, target) if _writes_sides(arguments) else ()
+    sides = (source, target) if _writes_sides(asked) else ()
     with step(f"writing {folder}"):
         written = _write(folder, found, record, sides)
-    if not arguments.no_pictures:
+    if not asked.drawing.no_pictures:
         with drawing(_pictures(folder, errors), kept=f"the numbers in {folder} are whole"):
-            written += _draw(arguments, source, target, found, errors)
-    if arguments.json:
+            written += _draw(asked, source, target, found, errors)
+    if asked.general.json:
         print_json(**record, written=[str(path) for path in written])
         return
     print_blocks(
         *(tables.headline(side.name, side.geometry, side.laplacian) for side in (source, target)),
+        f"the map: the point of {source.name} that each point of {target.name} is",
         tables.pairs({name.replace("_", " "): _told(value) for name, value in quality.items()}),
         "\n".join(f"written: {path}" for path in written),
     )
 
 
-def _changed(arguments: argparse.Namespace) -> bool:
-    return arguments.repair or arguments.cloud is not None
-
-
-def _writes_sides(arguments: argparse.Namespace) -> bool:
+def _writes_sides(asked: program.Match) -> bool:
     """Whether the maps number other points than those of files that exist."""
-    return _changed(arguments) or DEMO in (arguments.source, arguments.target)
+    return asked.reading.changed or DEMO in (asked.source, asked.target)
 
 
-def _is_demo_pair(arguments: argparse.Namespace) -> bool:
-    return arguments.source == arguments.target == DEMO and arguments.cloud is None
+def _is_demo_pair(asked: program.Match) -> bool:
+    return asked.source == asked.target == DEMO and asked.reading.cloud is None
 
 
-def _files(arguments: argparse.Namespace) -> tuple[str, ...]:
+def _files(asked: program.Match) -> tuple[str, ...]:
     """Names of all that will be written."""
-    truth = arguments.truth or _is_demo_pair(arguments)
-    pictures = () if arguments.no_pictures else _PICTURES if truth else _PICTURES[:2]
-    return _MAPS + (_SIDES if _writes_sides(arguments) else ()) + pictures
+    truth = asked.known.truth or _is_demo_pair(asked)
+    pictures = () if asked.drawing.no_pictures else _PICTURES if truth else _PICTURES[:2]
+    return _MAPS + (_SIDES if _writes_sides(asked) else ()) + pictures
 
 
-def _inputs(arguments: argparse.Namespace) -> set[Path]:
+def _inputs(asked: program.Match) -> set[Path]:
     """Files that are read."""
-    names = (arguments.source, arguments.target, arguments.landmarks, arguments.truth)
+    names = (asked.source, asked.target, asked.known.landmarks, asked.known.truth)
     return {Path(name) for name in names if name not in (DEMO, None)}
 
 
-def _geometries(arguments: argparse.Namespace) -> tuple[tuple[Geometry, Geometry], Ints | None]:
+def _geometries(asked: program.Match) -> tuple[tuple[Geometry, Geometry], Ints | None]:
     """Read or make both; the demo is one animal in two poses, whose true map is known."""
-    names = (arguments.source, arguments.target)
-    if _is_demo_pair(arguments):
-        n = arguments.points
-        source, target, truth = creature_pair(n, max(9 * n // 10, 500), seed=arguments.seed)
+    names = (asked.source, asked.target)
+    if _is_demo_pair(asked):
+        n = asked.reading.points
+        source, target, truth = creature_pair(n, max(9 * n // 10, 500), seed=asked.reading.seed)
         return (source, target), truth
-    read = [
-        load(argparse.Namespace(**vars(arguments) | {"file": name, "pose": pose}))
-        for pose, name in enumerate(names, start=1)
-    ]
+    read = [load(name, asked.reading, pose=pose) for pose, name in enumerate(names, start=1)]
     return (read[0], read[1]), None
 
 
-def _solve(
-    arguments: argparse.Namespace, name: str, geometry: Geometry, solver: Eigensolver
-) -> Side:
+def _solve(asked: program.Match, name: str, geometry: Geometry) -> Side:
     with step(f"{name}: assembling the Laplacian of {geometry.n:,} points"):
-        laplacian = assemble(arguments, geometry)
-    spectrum = solve(laplacian, arguments.k, arguments.solver, solver)
+        laplacian = assemble(asked.operator, geometry)
+    solver = asked.solver
+    spectrum = solve(laplacian, solver.k, solver.solver, solver, asked.reading.seed)
     return Side(name, geometry, laplacian, spectrum)
 
 
@@ -226,7 +218,7 @@ def _pictures(folder: Path, errors: Errors | None) -> list[Path]:
 
 
 def _draw(
-    arguments: argparse.Namespace,
+    asked: program.Match,
     source: Side,
     target: Side,
     found: Match,
@@ -240,7 +232,7 @@ def _draw(
         plot_functional_map,
     )
 
-    folder, dpi = arguments.output, arguments.dpi
+    folder, dpi = asked.output.output, asked.drawing.dpi
     paths = _pictures(folder, errors)
     names = tuple(stem(side.name) for side in (source, target))
     title = " to ".join(names)
@@ -251,7 +243,7 @@ def _draw(
         found.point_map,
         errors=None if errors is None else errors.known,
         error_label=errors.label if errors else "",
-        view=View(up_of(arguments, source.name), arguments.turn),
+        view=View(up_of(asked.drawing, source.name), asked.drawing.turn),
         names=(names[0], names[1]) if names[0] != names[1] else ("source", "target"),
         page=Page(title, f"{source.geometry.n:,} and {target.geometry.n:,} points", dpi),
     )

@@ -1,281 +1,245 @@
-"""Options that several commands share, in groups."""
+"""What can be asked for: one frozen dataclass for each group of options.
+
+Each option stands once, with its type, its default and, below it, its help; a command takes a few
+groups (see `program`), and its functions the groups that they need.
+"""
 
 from __future__ import annotations
 
-import argparse
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import shtab
+from cyclopts import Group, Parameter
+
+from spectra_kit.catalogue import OPERATORS, SOLVERS, SUBSPACES
+from spectra_kit.errors import InvalidInputError
 
 DEMO = "demo"
 FORMATS = "obj, off, ply, stl, glb, gltf, xyz, npy, npz"
-OPERATORS = ("robust", "cotan", "knn", "delaunay")
-SOLVERS = (
-    "arpack",
-    "multilevel",
-    "refined",
-    "lobpcg",
-    "dense",
-    "polished",
-    "capped",
-    "fourier",
-    "neo",
-)
-# The solvers that know what an option asks for; the others have no use for it.
-TAKERS = {
-    "rtol": ("refined", "multilevel", "lobpcg"),
-    "start": ("refined", "polished", "capped"),
-}
-# Options of the network, and their defaults.
-NETWORK = {"weights": "small", "poses": 1, "dtype": "float32", "device": "cpu"}
-# Options of the demo, and of pictures.
-MAKING = {"points": 8000}
-DRAWING = {"dpi": 200, "up": None, "turn": 0.0}
-Up = Literal["x", "y", "z"]
-PICTURES = (".png", ".pdf", ".svg")
-DEFAULT = "(default: %(default)s)"
-
-FILE, FOLDER = shtab.FILE, shtab.DIRECTORY
-GEOMETRY = {
-    **shtab.FILE,
-    "bash": "_spectra_kit_geometry",
-    "preamble": {
-        "bash": f"""\
-_spectra_kit_geometry() {{
-  compgen -f -- "$1"
-  compgen -W {DEMO} -- "$1"
-}}
-"""
-    },
-}
+NETWORK = ("weights", "poses", "dtype", "device")  # what the network alone may be told
+_DRAWN = ("dpi", "up", "turn")
+_OPERANDS = ("file", "source", "target")
 
 
-def listed(names: Sequence[str]) -> str:
-    """Return ``a, b and c``."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+def grouped(name: str, note: str = "") -> Parameter:
+    """Return what makes a dataclass a group of options, under their own names."""
+    return Parameter(name="*", group=Group(name, help=note), negative="")
 
 
-def completed(action: argparse.Action, by: Any = FILE) -> None:
-    """Let the shell complete the value of an option."""
-    action.complete = by  # type: ignore[attr-defined]  # where shtab looks for it
+def operand(name: str) -> Parameter:
+    """Return what is named by its place, as geometries are."""
+    text = f"a mesh or point cloud ({FORMATS}), or {DEMO!r} for an animal made on the spot"
+    return Parameter(name=name, help=text, group=Group("input"))
 
 
-def add_input(parser: argparse.ArgumentParser, *, file: str | None) -> None:
-    """Add the file and how it is read; `file` is a default."""
-    group = parser.add_argument_group("input")
-    add_file(group, "file", file)
-    add_reading(group)
+if TYPE_CHECKING:
+    File = str
+else:  # a text; but of a path the shell knows how to complete it
+    File = str | Path
+
+Count = Annotated[int, Parameter(name="-k", metavar="K")]
+SolverName = Annotated[str, Parameter(choices=[*SOLVERS], metavar="NAME")]
+OptionalName = Annotated[str, Parameter(choices=[*SOLVERS, "none"], metavar="NAME")]
+StartName = Annotated[str, Parameter(choices=[s for s in SUBSPACES if s != "given"])]
+OperatorName = Annotated[str, Parameter(choices=[*OPERATORS])]
 
 
-def add_file(group: argparse._ArgumentGroup, name: str, default: str | None) -> None:
-    """Add one geometry."""
-    completed(
-        group.add_argument(
-            name,
-            metavar=name.upper(),
-            nargs="?" if default else None,
-            default=default,
-            help=f"a mesh or point cloud ({FORMATS}), or {DEMO!r} for an animal made on the spot"
-            + (f" {DEFAULT}" if default else ""),
-        ),
-        GEOMETRY,
-    )
+@grouped("input")
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """What is done to geometries as they are read."""
+
+    points: int = 8000
+    """vertices of the demo, 500 or more"""
+    cloud: int | None = None
+    """sample N points on the mesh (default: none)"""
+    repair: bool = False
+    """merge duplicates, drop degenerate faces and unused vertices, and say what was done"""
+    seed: int = 0
+    """of everything random"""
+
+    @property
+    def changed(self) -> bool:
+        """Whether points are numbered otherwise than in their file."""
+        return self.repair or self.cloud is not None
 
 
-def add_reading(group: argparse._ArgumentGroup) -> None:
-    """Add what is done to geometries as they are read."""
-    group.add_argument(
-        "--points",
-        type=int,
-        default=MAKING["points"],
-        metavar="N",
-        help=f"vertices of the demo, 500 or more {DEFAULT}",
-    )
-    group.add_argument(
-        "--cloud", type=int, metavar="N", help="sample N points on the mesh (default: none)"
-    )
-    group.add_argument(
-        "--repair",
-        action="store_true",
-        help="merge duplicates, drop degenerate faces and unused vertices, and say what was done",
-    )
-    group.add_argument(
-        "--seed", type=int, default=0, metavar="N", help=f"of everything random {DEFAULT}"
-    )
+@grouped("input")
+@dataclass(frozen=True, kw_only=True)
+class Known:
+    """What is known of how two geometries correspond."""
+
+    landmarks: Path | None = None
+    """corresponding points: a line for each with its number on the source and on the target,
+    counted from 0"""
+    sides: Literal["either", "kept", "reversed"] = "either"
+    """whether the map may mirror (default: either, mirrored only if that is clearly better)"""
+    truth: Path | None = None
+    """the true source point of each target point, an .npy file to measure errors by (negative:
+    unknown)"""
 
 
-def add_operator(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
-    """Add the choice of the Laplacian; by default its kind depends on that of the geometry."""
-    group = parser.add_argument_group("operator")
-    group.add_argument(
-        "--operator",
-        choices=OPERATORS,
-        default=default,
-        help=f"Laplacian (default: {default or 'robust for meshes, delaunay for clouds'})",
-    )
-    group.add_argument(
-        "--boundary",
-        choices=("neumann", "dirichlet"),
-        default="neumann",
-        help=f"of a mesh with a boundary {DEFAULT}",
-    )
+@grouped("operator")
+@dataclass(frozen=True, kw_only=True)
+class Operator:
+    """The Laplacian, and what holds at the boundary."""
+
+    operator: OperatorName | None = None
+    """Laplacian (default: robust for meshes, delaunay for clouds)"""
+    boundary: Literal["neumann", "dirichlet"] = "neumann"
+    """of a mesh with a boundary"""
 
 
-def add_solver(
-    parser: argparse.ArgumentParser,
-    *,
-    k: int | None = 96,
-    default: str | None = "arpack",
-    help_text: str = f"what solves {DEFAULT}",
-    none: bool = False,
-) -> argparse._ArgumentGroup:
-    """Add the choice of the eigensolver; with `none` it may be left out."""
-    group = parser.add_argument_group("solver")
-    group.add_argument(
-        "-k",
-        type=int,
-        default=k,
-        help="number of modes " + (DEFAULT if k else "(default: as many as are shown)"),
-    )
-    group.add_argument(
-        "--solver",
-        choices=(*SOLVERS, "none") if none else SOLVERS,
-        metavar="NAME",
-        default=default,
-        help=f"{help_text}; one of {', '.join(SOLVERS)}" + (", none" if none else ""),
-    )
-    group.add_argument(
-        "--rtol",
-        type=float,
-        metavar="R",
-        help=f"largest relative residual of {listed(TAKERS['rtol'])} (default: their own)",
-    )
-    group.add_argument(
-        "--start",
-        choices=("fourier", "neo", "random"),
-        help=f"subspace that {listed(TAKERS['start'])} begin with (default: fourier)",
-    )
-    add_weights(group)
-    group.add_argument("--poses", type=int, choices=(1, 2, 4), default=1, help=f"of neo {DEFAULT}")
-    group.add_argument(
-        "--dtype",
-        choices=("float32", "bfloat16", "float16"),
-        default="float32",
-        metavar="TYPE",
-        help=f"of neo: float32, bfloat16, float16 {DEFAULT}",
-    )
-    group.add_argument("--device", default="cpu", help=f"of neo: cpu, cuda {DEFAULT}")
-    return group
+@grouped("operator")
+@dataclass(frozen=True, kw_only=True)
+class LeanOperator(Operator):
+    """By default the same of meshes as `robust`, made in a seventh of its memory."""
+
+    operator: OperatorName | None = "delaunay"
+    """Laplacian"""
 
 
-def add_weights(group: argparse._ArgumentGroup) -> None:
-    """Add the weights of the network."""
-    completed(
-        group.add_argument(
-            "--weights",
-            default="small",
-            metavar="NAME",
-            help=f"of neo: shipped ones by name, others by file {DEFAULT}",
-        )
-    )
+@grouped("solver")
+@dataclass(frozen=True, kw_only=True)
+class AnySolver:
+    """An eigensolver, how many modes, and what it may be told."""
+
+    k: Count | None = None
+    """number of modes"""
+    solver: SolverName | None = None
+    """what solves"""
+    rtol: float | None = None
+    """largest relative residual, of solvers that go on to a tolerance (default: their own)"""
+    start: StartName | None = None
+    """subspace that a solver begins with, if it does (default: its own)"""
+    weights: File = "small"
+    """of neo: shipped ones by name, others by file"""
+    poses: Literal[1, 2, 4] = 1
+    """of neo"""
+    dtype: Literal["float32", "bfloat16", "float16"] = "float32"
+    """of neo"""
+    device: str = "cpu"
+    """of neo and chebyshev: cpu, cuda"""
 
 
-def add_saved(group: argparse._ArgumentGroup, what: str = "modes") -> None:
-    """Add the spectrum that is at hand already."""
-    completed(
-        group.add_argument(
-            "--spectrum",
-            type=Path,
-            metavar="NPZ",
-            help=f"take the {what} from this file, written by spectra-kit spectrum -o, and solve"
-            " nothing",
-        )
-    )
+@grouped("solver")
+@dataclass(frozen=True, kw_only=True)
+class Solver(AnySolver):
+    """The eigensolver of modes that are asked for by their number."""
+
+    k: Count = 96
+    """number of modes"""
+    solver: SolverName = "arpack"
 
 
-def add_modes(group: argparse._ArgumentGroup, default: str = "a handful") -> None:
-    """Add the choice of modes."""
-    group.add_argument(
-        "--modes",
-        type=_integers,
-        metavar="I,J,...",
-        help=f"modes to show, counted from 0 (default: {default})",
-    )
+@grouped("solver")
+@dataclass(frozen=True, kw_only=True)
+class VerifiedSolver(Solver):
+    """One whose modes may be counted."""
+
+    verify: bool = False
+    """count the eigenvalues to prove that no mode was missed (a few factorisations)"""
 
 
-def add_output(
-    group: argparse._ArgumentGroup,
-    what: str,
-    metavar: str,
-    default: str | None = None,
-    *,
-    flags: Sequence[str] = ("-o", "--output"),
-) -> None:
-    """Add a file to write, or with the metavar FOLDER a folder."""
-    completed(
-        group.add_argument(
-            *flags,
-            type=Path,
-            metavar=metavar,
-            default=default and Path(default),
-            help=f"{what} " + (DEFAULT if default else "(default: none)"),
-        ),
-        FOLDER if metavar == "FOLDER" else FILE,
-    )
+@grouped("solver")
+@dataclass(frozen=True, kw_only=True)
+class MatchSolver(Solver):
+    """One of as many modes as a match uses."""
+
+    k: Count = 150
 
 
-def add_dpi(group: argparse._ArgumentGroup) -> None:
-    """Add how fine pictures are drawn."""
-    group.add_argument(
-        "--dpi",
-        type=int,
-        default=DRAWING["dpi"],
-        metavar="N",
-        help=f"pixels per inch, 600 for print {DEFAULT}",
-    )
+@dataclass(frozen=True, kw_only=True)
+class _Spared(AnySolver):
+    """One that is not needed where the modes are saved."""
+
+    spectrum: Path | None = None
+    """take the modes from this file, written by spectra-kit spectrum -o, and solve nothing"""
+
+    @property
+    def files(self) -> list[Path]:
+        """What is read in its place."""
+        return [self.spectrum] if self.spectrum else []
 
 
-def add_drawing(group: argparse._ArgumentGroup, *, dpi: bool = True, turn: bool = True) -> None:
-    """Add how pictures are drawn, and from where."""
-    if dpi:
-        add_dpi(group)
-    group.add_argument(
-        "--up",
-        choices=("x", "y", "z"),
-        help="axis that points up in the picture (default: chosen by the shape)",
-    )
-    if turn:
-        group.add_argument(
-            "--turn",
-            type=float,
-            default=DRAWING["turn"],
-            metavar="DEGREES",
-            help="turn it about that axis, its front to the right; 180 shows the other side"
-            " (default: %(default)g)",
-        )
+@grouped("solver")
+@dataclass(frozen=True, kw_only=True)
+class ShownSolver(_Spared):
+    """One that finds what is to be shown, unless it is saved."""
+
+    k: Count | None = None
+    """number of modes (default: as many as are shown)"""
+    solver: SolverName = "arpack"
 
 
-def add_general(parser: argparse.ArgumentParser) -> None:
-    """Add what every command takes."""
-    group = parser.add_argument_group("general")
-    group.add_argument("-h", "--help", action="help", help="show this and exit")
-    group.add_argument(
-        "--json", action="store_true", help="print one JSON object instead of tables"
-    )
-    group.add_argument("-q", "--quiet", action="store_true", help="show no progress")
-    group.add_argument("--debug", action="store_true", help="show the traceback of an error")
+@grouped("solver")
+@dataclass(frozen=True, kw_only=True)
+class Predictor(_Spared):
+    """What predicts, and the truth it is held against."""
+
+    k: Count = 96
+    solver: SolverName | None = None
+    """what predicts (default: neo)"""
+    against: SolverName = "arpack"
+    """what solves for the truth, one of the same"""
+    spectrum: Path | None = None
+    """take the truth from this file, written by spectra-kit spectrum -o, and solve for none"""
 
 
-def up_of(arguments: argparse.Namespace, file: str | None = None) -> Up | None:
-    """Return the axis that points up: the one asked for, or that of the demo; None to look."""
-    up: Up | None = arguments.up
-    return up or ("z" if (file or arguments.file) == DEMO else None)
+@grouped("solver")
+@dataclass(frozen=True, kw_only=True)
+class OptionalPredictor(Predictor):
+    """The same; with ``none`` there is nothing but the truth."""
+
+    solver: OptionalName | None = None
+    """what predicts, or none (default: neo)"""
 
 
-def _integers(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"expected numbers like 1,2,5,10, got {text!r}") from None
+@grouped("modes", "for the coarse space of the linear solver, which may do without")
+@dataclass(frozen=True, kw_only=True)
+class CoarseSolver(_Spared):
+    """What solves for the modes of a coarse space, if any."""
+
+    k: Count | None = None
+    """number of modes (default: 24 beside those of eigenvalue 0, to compare 96)"""
+    solver: SolverName | None = None
+    """what solves for modes (default: none)"""
+
+
+@grouped("general")
+@dataclass(frozen=True, kw_only=True)
+class General:
+    """What every command takes."""
+
+    json: bool = False
+    """print one JSON object instead of tables"""
+    quiet: Annotated[bool, Parameter(alias="-q")] = False
+    """show no progress"""
+    debug: bool = False
+    """show the traceback of an error"""
+
+
+def refuse_given(group: object, names: Sequence[str], why: str) -> None:
+    """Refuse options that change nothing as things are: who gives one expects something of it."""
+    for field in fields(group):  # type: ignore[arg-type]  # a group is a dataclass
+        if field.name in names and getattr(group, field.name) != field.default:
+            raise InvalidInputError(
+                f"--{field.name.replace('_', '-')} has no effect {why}, or leave it out"
+            )
+
+
+def refuse_unused(asked: Any) -> None:
+    """Refuse what is for the demo on files alone, and what is for pictures where none is drawn."""
+    given = vars(asked)
+    if "reading" in given and DEMO not in (given.get(name) for name in _OPERANDS):
+        refuse_given(asked.reading, ["points"], f"on files; name {DEMO!r} instead")
+    if drawing := given.get("drawing"):
+        if getattr(drawing, "no_pictures", False):
+            refuse_given(drawing, _DRAWN, "with --no-pictures; let them be drawn")
+        elif getattr(asked.output, "picture", ...) is None:
+            refuse_given(drawing, _DRAWN, "without a picture; name one by --picture")
+        if not math.isfinite(turn := getattr(drawing, "turn", 0.0)):
+            raise InvalidInputError("--turn", "be a finite number of degrees", turn)

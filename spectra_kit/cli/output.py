@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from spectra_kit._files import is_special
+from spectra_kit.cli.folder import drawing
 from spectra_kit.errors import InvalidInputError
 
 
@@ -44,6 +45,23 @@ def print_blocks(*blocks: str) -> None:
 def print_json(**record: object) -> None:
     """Write one object; JSON knows no NaN: null stands for it."""
     sys.stdout.write(as_json(record))
+
+
+def finish(
+    json: bool, picture: Path | None, draw: Callable[[Path], object], *, kept: str, **record: object
+) -> None:
+    """Draw where that was asked for; print the JSON after that, also where it ends early."""
+    drawn = None
+    try:
+        if picture:
+            with drawing([picture], kept=kept):
+                draw(picture)
+            drawn = str(picture)
+    finally:
+        if json:
+            print_json(**record, picture=drawn)
+    if drawn and not json:
+        print_blocks(f"picture: {drawn}")
 
 
 def as_json(record: object) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 
-from spectra_kit.cli.words import in_options
+from spectra_kit.cli.words import told
 
 _TICK = 0.1  # seconds
 _LONG = 1.0  # seconds; a step that took less leaves no line behind
@@ -23,12 +23,12 @@ _QUIET = ContextVar("quiet", default=False)
 def telling(*, quiet: bool) -> Iterator[None]:
     """Show progress inside the block, or do not; and warnings as lines of their own."""
     token = _QUIET.set(quiet)
-    told = warnings.showwarning
-    warnings.showwarning = lambda message, *_: say(f"warning: {in_options(str(message))}")
+    shown = warnings.showwarning
+    warnings.showwarning = lambda message, *_: say(f"warning: {told(message)}")
     try:
         yield
     finally:
-        warnings.showwarning = told
+        warnings.showwarning = shown
         _QUIET.reset(token)
 
 

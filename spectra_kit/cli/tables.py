@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from spectra_kit._validate import quantity
-from spectra_kit.cli.words import in_options, stem
+from spectra_kit.cli.words import stem, told
 from spectra_kit.eigensolvers.doubts import DOUBTFUL, verdict
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Diagnosis, Geometry, TriangleMesh
@@ -183,9 +183,7 @@ def diagnosis_lines(name: str, geometry: Geometry, diagnosis: Diagnosis) -> str:
             "Euler characteristic": diagnosis.euler_characteristic,
             "boundary edges": f"{diagnosis.boundary_edges:,}",
         }
-    problems = (
-        "\n".join(f"  {in_options(str(problem))}" for problem in diagnosis.problems) or "  none"
-    )
+    problems = "\n".join(f"  {told(text)}" for text in diagnosis.problems) or "  none"
     return f"{name}: {_size(geometry)}\n\n{pairs(facts)}\n\nproblems\n{problems}"
 
 

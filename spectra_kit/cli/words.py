@@ -1,10 +1,12 @@
-"""What the library says of its functions and arguments, in the words of the command line."""
+"""What the library calls its functions and arguments, in the words of the command line."""
 
 from __future__ import annotations
 
+import difflib
 import os
-import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 _OPTIONS = {
     "k": "-k",
@@ -14,25 +16,45 @@ _OPTIONS = {
     "seed": "--seed",
     "dpi": "--dpi",
     "turn": "--turn",
+    "landmarks": "--landmarks",
     "name_or_path": "--weights",
     "coordinate": "--at",
+    "mesh.without_unreferenced()": "--repair",
+    "mesh.without_degenerate_faces()": "--repair",
+    "mesh.without_duplicate_faces()": "--repair",
+    "mesh.with_merged_vertices()": "--repair",
+    "cloud.without_duplicates()": "--repair",
+    "robust_laplacian": "--operator robust",
+    "delaunay_laplacian": "--operator delaunay",
+    "Arpack": "--solver arpack",
+    "Refined": "--solver refined",
+    "Polished": "--solver polished",
 }
-# Longest first; the advice of two methods that are one option is given once.
-_ADVICE = (
-    (r", or join the corners of a mesh with `mesh\.with_merged_vertices\(\)`", ""),
-    (r"`?(mesh|cloud)\.(without_\w+|with_merged_vertices)\(\)`?", "--repair"),
-    (r"\bdrop them with --repair", "--repair drops them"),
-    (r"\bdrop such vertices with --repair", "--repair drops such vertices"),
-    (r"\buse robust_laplacian\b", "use --operator robust, the default for spectra"),
-    (r"\buse delaunay_laplacian\b", "use --operator delaunay"),
-    (r"\buse Arpack\b", "use --solver arpack"),
-    (r"\bloosen `rtol`", "loosen --rtol"),
-    (r"\bgive `landmarks`, or try another `k`", "give --landmarks, or try another -k"),
-    (
-        r"\btake Polished or Refined .* such as Arpack\(\)",
-        "take --solver polished or refined, or an exact one such as --solver arpack",
-    ),
-)
+
+
+@runtime_checkable
+class _Told(Protocol):
+    def told(self, word: Callable[[str], str]) -> str: ...
+
+
+def option_of(name: str) -> str:
+    """Return the option that stands for an argument, a method or a class; or its name.
+
+    Examples
+    --------
+    >>> from spectra_kit.cli.words import option_of
+    >>> from spectra_kit.errors import InvalidInputError
+    >>> InvalidInputError("k", "be at least 1", 0).told(option_of)
+    '`-k` must be at least 1, got 0'
+    """
+    return _OPTIONS.get(name, name)
+
+
+def told(message: object) -> str:
+    """Return an error, a warning or a problem with options in place of arguments and methods."""
+    if isinstance(message, _Told):
+        return message.told(option_of)
+    return str(message)  # a warning of another package
 
 
 def stem(file: str) -> str:
@@ -47,29 +69,12 @@ def stem(file: str) -> str:
     return os.fsencode(Path(file).stem).decode(errors="backslashreplace")
 
 
-def in_options(message: str) -> str:
-    """Return a message of the library with options in place of arguments and methods.
+def did_you_mean(wrong: str, known: Sequence[str]) -> str:
+    """Return "did you mean ...?" with the likeliest of `known`, or nothing if none is near."""
+    near = difflib.get_close_matches(wrong, known, n=1)
+    return f"did you mean {near[0]!r}?" if near else ""
 
-    Parameters
-    ----------
-    message : str
-        Of an error, a warning, or of `Diagnosis.problems`.
 
-    Returns
-    -------
-    str
-        The same for somebody who types commands.
-
-    Examples
-    --------
-    >>> from spectra_kit.cli.words import in_options
-    >>> in_options("`k` must be at least 1, got 0")
-    '`-k` must be at least 1, got 0'
-    >>> in_options("2 vertices have no face: mesh.without_unreferenced()")
-    '2 vertices have no face: --repair'
-    """
-    for pattern, words in _ADVICE:
-        message = re.sub(pattern, words, message)
-    return re.sub(
-        r"^`(\w+)`(?= must )", lambda found: f"`{_OPTIONS.get(found[1], found[1])}`", message
-    )
+def listed(names: Sequence[str]) -> str:
+    """Return ``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._checked import checked
+from spectra_kit._optional import optional
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.arpack import shifted_factor
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.starts import basis_with_kernel
-from spectra_kit.errors import MissingDependencyError
 from spectra_kit.linalg import SparseLDL, orthonormalize
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
@@ -144,9 +144,10 @@ class Lobpcg:
         if not good.all():
             raise NotConvergedError(
                 f"LOBPCG brought {int(good.sum())} of {quantity(k, 'mode')} to rtol = {self.rtol:g}"
-                f" in {steps} steps (largest relative residual {relative.max():.1e});"
-                " raise `max_steps`, loosen `rtol`, or use Arpack",
+                f" in {steps} steps (largest relative residual {relative.max():.1e})",
                 Eigenpairs(values[good], pairs.eigenvectors[:, good]),
+                advice="raise {}, loosen {}, or use {}",
+                remedies=("max_steps", "rtol", "Arpack"),
             )
         return pairs
 
@@ -179,12 +180,7 @@ class Lobpcg:
         if self.preconditioner == "cholesky":
             factor = shifted_factor(laplacian, sigma, SparseLDL)
             return lambda x: column * factor.solve(column * x)
-        try:
-            import pyamg
-        except ImportError as error:
-            raise MissingDependencyError(
-                'Lobpcg(preconditioner="amg") needs pyamg: pip install "spectra_kit[amg]"'
-            ) from error
+        pyamg = optional("pyamg", extra="amg", needed_by='Lobpcg(preconditioner="amg")')
         shifted = laplacian.stiffness - sigma * sparse.diags_array(laplacian.mass)
         cycle = pyamg.smoothed_aggregation_solver(
             sparse.csr_matrix(shifted),

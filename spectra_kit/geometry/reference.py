@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import igl
 import numpy as np
 from scipy.special import jn_zeros, jnp_zeros
 
@@ -74,19 +75,12 @@ def sphere(*, subdivisions: int = 3, radius: float = 1.0, k: int = 100) -> Refer
     Reference
         l (l + 1) / radius^2, each 2 l + 1 times.
 
-    Raises
-    ------
-    InvalidInputError
-        If a number is out of range.
-
     Examples
     --------
     >>> from spectra_kit.geometry import sphere
     >>> sphere(k=9).eigenvalues
     array([0., 2., 2., 2., 6., 6., 6., 6., 6.])
     """
-    import igl  # here: the package must import, and train, where no libigl is installed
-
     check_count("subdivisions", subdivisions, low=0, high=9)
     check_positive("radius", radius)
     check_count("k", k, low=1)
@@ -122,11 +116,6 @@ def rectangle(
     Reference
         pi^2 (a^2 / width^2 + b^2 / height^2): a, b >= 0 (Neumann) or a, b >= 1 (`dirichlet`), and
         the products of cosines of the Neumann modes as `eigenfunctions`.
-
-    Raises
-    ------
-    InvalidInputError
-        If a number is out of range.
 
     Examples
     --------
@@ -188,11 +177,6 @@ def disk(*, rings: int = 18, radius: float = 1.0, k: int = 100) -> Reference:
     Reference
         (z / radius)^2 for the zeros z of J'_m (Neumann) or of J_m (`dirichlet`), twice each for
         m >= 1.
-
-    Raises
-    ------
-    InvalidInputError
-        If a number is out of range.
 
     Examples
     --------

@@ -158,29 +158,12 @@ def sample_with_origin(
     seed: int,
     density: Literal["uniform"] | GaussianDensity = "uniform",
 ) -> Samples:
-    """Draw the same points as `sample` and say where on the mesh each lies.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The surface; faces without area are never hit.
-    n : int
-        Number of points, at least 1.
-    seed : int
-        Same seed, same points.
-    density : "uniform" or GaussianDensity, default "uniform"
-        Uniform by area, or denser around one spot.
+    """Draw the same points as `sample`, of the same arguments, and say where each lies.
 
     Returns
     -------
     Samples
         The cloud, with faces and barycentric weights: ``interpolate`` carries functions over.
-
-    Raises
-    ------
-    InvalidInputError
-        If `mesh` is a cloud, `n` is below 1, `seed` is negative or None, `density` is something
-        else, or no face has any area.
 
     Notes
     -----

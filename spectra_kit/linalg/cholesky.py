@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cholespy
 import numpy as np
 from scipy import sparse
 
@@ -26,8 +27,8 @@ class SparseCholesky:
 
     Notes
     -----
-    The factorisation is CHOLMOD's, through cholespy. For one right-hand side at a time, and on
-    machines that only train, where no compiler is at hand; `SparseLDL` solves blocks faster.
+    The factorisation is CHOLMOD's, through cholespy. For one right-hand side at a time; `SparseLDL`
+    solves blocks faster.
 
     Examples
     --------
@@ -40,8 +41,6 @@ class SparseCholesky:
     """
 
     def __init__(self, matrix: sparse.csr_array) -> None:
-        import cholespy  # here: a bare machine unpacks it after this import
-
         rows, columns = matrix.shape
         if rows != columns or matrix.nnz > _MAX_ENTRIES:
             raise InvalidInputError(

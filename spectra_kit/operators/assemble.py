@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import igl
 import numpy as np
+import robust_laplacian as rl
 from scipy import sparse
 from scipy.spatial import cKDTree
 
@@ -87,8 +89,6 @@ def robust_laplacian(
     """
     if not isinstance(geometry, TriangleMesh):
         return delaunay_laplacian(geometry, mollify_factor=mollify_factor, n_neighbors=n_neighbors)
-    import robust_laplacian as rl  # here: a bare machine unpacks it after this import
-
     clock = Clock()
     check_mollify_factor(mollify_factor)
     check_faces_usable(geometry)
@@ -150,8 +150,6 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     >>> laplacian.kernel_dimension
     1
     """
-    import igl  # here: training runs where no libigl is installed
-
     clock = Clock()
     check_faces_usable(mesh)
     unit = units_of(mesh)

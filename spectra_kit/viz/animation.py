@@ -64,15 +64,13 @@ def animate_modes(
     fps: float = 20.0,
     nodal_lines: bool = False,
     width: int = 480,
-    view: View = View(),
     progress: Callable[[int, int], None] | None = None,
+    view: View = View(),
 ) -> Film:
     """Let modes swing one after the other, in colour and along the normals, as an endless film.
 
     Parameters
     ----------
-    path : path-like, optional
-        The ``.gif`` or ``.mp4`` file to write; see `Picture`.
     geometry : TriangleMesh or PointCloud
         The points that the spectrum lives on.
     spectrum : Spectrum
@@ -91,20 +89,11 @@ def animate_modes(
         Draw the lines where the mode is zero; they stay where they are.
     width : int, default 480
         Of a frame, in pixels; the height follows the geometry.
-    view : View, optional
-        Where it is seen from.
     progress : callable, optional
         Called with the number of pictures drawn, and of all.
 
-    Returns
-    -------
-    Picture
-        What was drawn.
-
     Raises
     ------
-    InvalidInputError
-        If sizes disagree, a mode is out of range, or a number is not positive.
     MissingDependencyError
         If there is no imageio-ffmpeg, which ``.mp4`` needs.
 

@@ -64,18 +64,7 @@ class View:
             raise InvalidInputError("turn", "be a finite number of degrees", repr(self.turn))
 
     def rotation(self, geometry: Geometry) -> Floats:
-        """Return the rotation (3, 3) whose rows point right, up, and towards the viewer.
-
-        Parameters
-        ----------
-        geometry : TriangleMesh or PointCloud
-            What is seen.
-
-        Returns
-        -------
-        ndarray of shape (3, 3)
-            Of determinant 1.
-        """
+        """Return the rotation (3, 3) whose rows point right, up, and towards the viewer."""
         if isinstance(geometry, TriangleMesh) and geometry.area > 0:
             points = sample(geometry, 4000, seed=0).points
         else:

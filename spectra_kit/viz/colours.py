@@ -48,22 +48,10 @@ def sequential_colours(values: Floats) -> Bytes:
 
 
 def position_colours(positions: Floats, low: Floats, high: Floats, *, squares: bool) -> Bytes:
-    """Colour positions in a box: distinct in every direction, and gradual.
+    """Colour positions (n, 3), to the right, up and near, in a box: distinct, and gradual.
 
-    Parameters
-    ----------
-    positions : ndarray of shape (n, 3)
-        To the right, up, and towards the viewer.
-    low, high : ndarray of shape (3,)
-        Corners of the box.
-    squares : bool
-        Lay a faint checkerboard over the colours: it shows noise, and stretch.
-
-    Returns
-    -------
-    ndarray of shape (n, 3), uint8
-        Blue to yellow from left to right and dark to light upwards, which most kinds of colour
-        blindness leave apart; green to red towards the viewer.
+    Blue to yellow from left to right and dark to light upwards, which most kinds of colour
+    blindness leave apart; green to red towards the viewer. Faint `squares` show noise, and stretch.
     """
     side = np.maximum(high - low, 1e-300)
     right, up, near = np.clip(2 * (positions - low) / side - 1, -1.0, 1.0).T

@@ -41,26 +41,12 @@ def plot_convergence(
 
     Parameters
     ----------
-    path : path-like, optional
-        The file to write; see `Picture`.
     runs : sequence of SolverRun
         At least one.
     rtol : float, default 1e-8
         The relative residual at which the solvers stop, a line across.
     solve_name : str, default "solve"
         What to call the iterations, beside the names of the other stages.
-    page : Page, optional
-        Head and resolution.
-
-    Returns
-    -------
-    Picture
-        What was drawn.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no run, or `rtol` is not positive.
 
     Notes
     -----

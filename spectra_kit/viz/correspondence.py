@@ -57,8 +57,6 @@ def plot_correspondence(
 
     Parameters
     ----------
-    path : path-like, optional
-        The file to write; see `Picture`.
     source, target : TriangleMesh or PointCloud
         With n1 and n2 points. A cloud is drawn as balls that overlap a little.
     point_map : array_like of shape (n2,), integers
@@ -74,18 +72,6 @@ def plot_correspondence(
         Says what the errors are, and in which unit.
     names : tuple of str, default ("source", "target")
         What to call the two.
-    view, page : View and Page, optional
-        Where the source is seen from, and the target as it; head and resolution.
-
-    Returns
-    -------
-    Picture
-        What was drawn.
-
-    Raises
-    ------
-    InvalidInputError
-        If `point_map` or `errors` does not fit the geometries.
 
     Notes
     -----
@@ -126,8 +112,6 @@ def plot_correspondences(
 
     Parameters
     ----------
-    path : path-like, optional
-        The file to write; see `Picture`.
     pairs : sequence of MatchedPair
         At least one. If one has errors, all share their colour scale.
     transfer : {"colours", "texture"}, default "colours"
@@ -136,18 +120,6 @@ def plot_correspondences(
         The error at the dark end of the colours, for all.
     error_label : str
         Says what the errors are, and in which unit.
-    view, page : View and Page, optional
-        Where the source is seen from, and the target as it; head and resolution.
-
-    Returns
-    -------
-    Picture
-        What was drawn.
-
-    Raises
-    ------
-    InvalidInputError
-        As in `plot_correspondence`, or if there is no pair.
 
     Examples
     --------

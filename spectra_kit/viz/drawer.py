@@ -27,21 +27,10 @@ _PATIENCE = 10.0  # seconds for a worker to end by itself
 def draw_requests(
     requests: Sequence[Mapping[str, Any]], drawn: Callable[[int], None]
 ) -> list[Bytes]:
-    """Return the pictures of all requests, one after the other.
+    """Return the pictures of all requests, one after the other, as `worker.draw` takes them.
 
-    Parameters
-    ----------
-    requests : sequence of mapping
-        As `worker.draw` takes them.
-    drawn : callable
-        Called after each picture with the number of those drawn.
-
-    Raises
-    ------
-    MissingDependencyError
-        If there is no OpenGL library that PyVista can draw with.
-    Exception
-        What the process that draws raised itself, with its traceback as a note.
+    `drawn` is called after each with the number of those drawn. What the process that draws raises
+    is raised here, with its traceback as a note.
     """
     mine, reason = _of_this_process(), ""
     with mine.turn:

@@ -45,8 +45,6 @@ def plot_fields(
 
     Parameters
     ----------
-    path : path-like, optional
-        The file to write; see `Picture`.
     geometry : TriangleMesh or PointCloud
         A cloud is drawn as balls that overlap a little.
     fields : mapping of str to array_like of shape (n,), or sequence of such pairs
@@ -60,18 +58,6 @@ def plot_fields(
         Draw lines where a function is zero, or at evenly spaced round values within the colours.
     columns : int, optional
         How many pictures stand beside each other; by default what fits the page best.
-    view, page : View and Page, optional
-        Where it is seen from; head and resolution.
-
-    Returns
-    -------
-    Picture
-        What was drawn.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no field, one has not a finite value for each point, or an option is unknown.
 
     Notes
     -----

@@ -42,26 +42,12 @@ def plot_panels(
 
     Parameters
     ----------
-    path : path-like, optional
-        The file to write; see `Picture`.
     geometry : TriangleMesh or PointCloud
         A cloud is drawn as balls that overlap a little.
     rows : sequence of sequences of Panel
         A full table. It is transposed where that fits the page better.
     rows_named, columns_named : sequence of str
         The heads of the table.
-    view, page : View and Page, optional
-        Where it is seen from; head and resolution. The page is at most 11 inches wide.
-
-    Returns
-    -------
-    Picture
-        What was drawn.
-
-    Raises
-    ------
-    InvalidInputError
-        If the table is empty or ragged, or a panel has not one finite value per point.
 
     Examples
     --------

@@ -49,8 +49,6 @@ def plot_distance(
 
     Parameters
     ----------
-    path : path-like, optional
-        The file to write; see `Picture`.
     geometry : TriangleMesh or PointCloud
         A cloud is drawn as balls that overlap a little.
     distance : array_like of shape (n,)
@@ -61,18 +59,6 @@ def plot_distance(
         Between two lines, in the unit of length; by default a round number that makes at most 40.
     label : str, default "distance"
         Set below the scale.
-    view, page : View and Page, optional
-        Where it is seen from; head and resolution. The page is at most 10 inches wide.
-
-    Returns
-    -------
-    Picture
-        What was drawn.
-
-    Raises
-    ------
-    InvalidInputError
-        If distances are not one number >= 0 for each point, or `spacing` makes more than 200 lines.
 
     Notes
     -----

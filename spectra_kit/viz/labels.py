@@ -14,23 +14,10 @@ _OVERLAP, _COVERED, _CROSSED, _OUTSIDE = 40.0, 60.0, 8.0, 1e4  # costs, of one p
 
 
 def place_labels(anchors: Floats, sizes: Floats, room: Floats, obstacles: Floats) -> Floats:
-    """Choose a place for each label near its anchor.
+    """Return the lower left corner (l, 2) of each label near its anchor, all in points (1/72 inch).
 
-    Parameters
-    ----------
-    anchors : ndarray of shape (l, 2)
-        The dots, in points (1/72 inch).
-    sizes : ndarray of shape (l, 2)
-        Width and height of each label.
-    room : ndarray of shape (2, 2)
-        Lower left and upper right corner of where labels may be.
-    obstacles : ndarray of shape (o, 2)
-        What labels should not cover, as points on it; the anchors count anyway.
-
-    Returns
-    -------
-    ndarray of shape (l, 2)
-        Lower left corners. Labels overlap only where there is no place for all.
+    Labels of `sizes` (l, 2) stay inside the corners of `room` (2, 2) and do not cover the anchors;
+    they overlap each other, or points of `obstacles` (o, 2), only where there is no other place.
     """
     candidates = _candidates(anchors, sizes)  # (l, c, 2)
     ends = candidates + sizes[:, None]

@@ -32,22 +32,8 @@ def plot_functional_map(
 
     Parameters
     ----------
-    path : path-like, optional
-        The file to write; see `Picture`.
     functional_map : array_like of shape (k2, k1)
         C_12, from the source's modes (columns) to the target's (rows).
-    page : Page, optional
-        Head and resolution.
-
-    Returns
-    -------
-    Picture
-        What was drawn.
-
-    Raises
-    ------
-    InvalidInputError
-        If `functional_map` is no finite matrix.
 
     Notes
     -----
@@ -90,26 +76,12 @@ def plot_error_curves(
 
     Parameters
     ----------
-    path : path-like, optional
-        The file to write; see `Picture`.
     errors : mapping of str to array_like of shape (c,)
         For each method its errors, >= 0, of all pairs together.
     limit : float, default 10
         The largest error shown, in the unit of `errors`.
     error_label : str
         Says what the errors are, and in which unit.
-    page : Page, optional
-        Head and resolution.
-
-    Returns
-    -------
-    Picture
-        What was drawn.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no method, errors are negative or NaN.
 
     Notes
     -----

@@ -10,23 +10,9 @@ from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
 
 def with_balls(geometry: Geometry, centres: Floats, radius: float) -> tuple[Geometry, Ints]:
-    """Return a geometry with balls added to it.
+    """Return a geometry with balls of a radius around `centres` (b, 3) after its own points.
 
-    Parameters
-    ----------
-    geometry : TriangleMesh or PointCloud
-        With n points, which stay the first ones.
-    centres : ndarray of shape (b, 3)
-        Of the balls.
-    radius : float
-        Of the balls, in the unit of the points.
-
-    Returns
-    -------
-    geometry : TriangleMesh or PointCloud
-        The same kind.
-    ball : ndarray of shape (n + ...,)
-        Number of the ball that each point belongs to, -1 for the first n.
+    And the number of the ball that each of its points belongs to, -1 for the first n.
     """
     ball = sphere(subdivisions=3 if isinstance(geometry, TriangleMesh) else 2).geometry
     owner = np.append(np.full(geometry.n, -1), np.repeat(np.arange(len(centres)), ball.n))

@@ -45,8 +45,6 @@ def plot_modes(
 
     Parameters
     ----------
-    path : path-like, optional
-        The file to write; see `Picture`.
     geometry : TriangleMesh or PointCloud
         The points that the spectrum lives on. A cloud is drawn as balls that overlap a little.
     spectrum : Spectrum
@@ -57,18 +55,6 @@ def plot_modes(
         Draw where each mode is zero.
     columns : int, optional
         How many pictures stand beside each other; by default what fits the page best.
-    view, page : View and Page, optional
-        Where it is seen from; head and resolution.
-
-    Returns
-    -------
-    Picture
-        What was drawn.
-
-    Raises
-    ------
-    InvalidInputError
-        If a mode is out of range, there is none to show, or sizes disagree.
 
     Notes
     -----
@@ -116,8 +102,6 @@ def plot_comparison(
 
     Parameters
     ----------
-    path : path-like, optional
-        The file to write; see `Picture`.
     geometry : TriangleMesh or PointCloud
         The points that both spectra live on.
     exact, predicted : Spectrum
@@ -130,18 +114,6 @@ def plot_comparison(
         What to call the two.
     nodal_lines : bool, default True
         Draw where the modes (not their difference) are zero.
-    view, page : View and Page, optional
-        Where it is seen from; head and resolution.
-
-    Returns
-    -------
-    Picture
-        What was drawn.
-
-    Raises
-    ------
-    InvalidInputError
-        If a mode is out of range, sizes disagree.
 
     Notes
     -----

@@ -43,8 +43,6 @@ def plot_pareto(
 
     Parameters
     ----------
-    path : path-like, optional
-        The file to write; see `Picture`.
     points : sequence of ParetoPoint
         At least one.
     floor : float, default 1e-12
@@ -53,18 +51,6 @@ def plot_pareto(
         Seconds of what has no error to compare, such as the exact solver, as lines with a name.
     xlabel, ylabel : str
         Of the axes.
-    page : Page, optional
-        Head and resolution.
-
-    Returns
-    -------
-    Picture
-        What was drawn.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no point, `floor` or a mark is not positive.
 
     Notes
     -----

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 import os
 from base64 import b64encode
@@ -14,12 +13,21 @@ from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar, cast, overl
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path, check_target, temporary_folder
-from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit._optional import optional
+from spectra_kit.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _TYPES = {".png": "image/png", ".gif": "image/gif", ".svg": "image/svg+xml"}
+
+_PARAMETERS = "Parameters\n----------\n"
+_SHARED = {
+    "path": "path : path-like, optional\n    The file to write; see `Picture`.",
+    "view": "view : View, optional\n    Where it is seen from.",
+    "page": "page : Page, optional\n    Its head, and its resolution.",
+}
+_RETURNS = ("", "Returns", "-------", "Picture", "    What was drawn.", "")
 
 PathLike = str | os.PathLike[str]
 Options = ParamSpec("Options")
@@ -83,7 +91,8 @@ def written(
     """Decorate what draws something: it then takes a path, and returns a `Picture`.
 
     The path is refused before the drawing if `write` could not write there. The first of the
-    `suffixes` is what a picture without a path is made of.
+    `suffixes` is what a picture without a path is made of. What all plots take and return is added
+    to the docstring.
     """
 
     def decorate(draw: Callable[Options, Drawn]) -> Plot[Options]:
@@ -108,9 +117,19 @@ def written(
         plot.__signature__ = own.replace(  # type: ignore[attr-defined]
             parameters=[path, *own.parameters.values()], return_annotation="Picture"
         )
+        plot.__doc__ = draw.__doc__ and _documented(inspect.cleandoc(draw.__doc__), own)
         return cast(Plot[Options], plot)
 
     return decorate
+
+
+def _documented(text: str, signature: inspect.Signature) -> str:
+    """A docstring, with what all plots take and return added to its parameters."""
+    start = text.index(_PARAMETERS) + len(_PARAMETERS)
+    end = text.index("\n\n", start)
+    shared = [entry for name, entry in _SHARED.items() if name in signature.parameters]
+    parameters = [_SHARED["path"], text[start:end], *shared]
+    return "\n".join([text[:start] + "\n".join(parameters), *_RETURNS, text[end:].lstrip("\n"), ""])
 
 
 @checked
@@ -123,11 +142,8 @@ def _check_path(path: PathLike | None, suffixes: tuple[str, ...]) -> None:
         *most, last = suffixes
         raise InvalidInputError("path", f"end in {', '.join(most)} or {last}", repr(str(path)))
     check_target(path)
-    if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise MissingDependencyError(
-            "MP4 needs imageio-ffmpeg",
-            advice="pip install spectra_kit[video]; or write a .gif",
-        )
+    if suffix == ".mp4":
+        optional("imageio_ffmpeg", extra="video", needed_by="MP4", otherwise="write a .gif")
 
 
 def save(figure: Figure, path: PathLike) -> None:

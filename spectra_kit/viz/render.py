@@ -76,26 +76,9 @@ class Scene:
 def render(
     scenes: Sequence[Scene], *, progress: Callable[[int, int], None] | None = None
 ) -> list[Bytes]:
-    """Draw scenes, in a process of its own that stays for the next ones.
+    """Return the pictures (p, height, width, 3) of each scene, on white, drawn one by one.
 
-    Parameters
-    ----------
-    scenes : sequence of Scene
-        At least one.
-    progress : callable, optional
-        Called after each picture with the number of those drawn, and of all.
-
-    Returns
-    -------
-    list of ndarray of shape (pictures, height, width, 3), uint8
-        For each scene, on white.
-
-    Raises
-    ------
-    MissingDependencyError
-        If there is no OpenGL library that PyVista can draw with.
-    Exception
-        What the process that draws raised itself, with its traceback as a note.
+    `progress` is called after each with the number of those drawn, and of all.
     """
     total = sum(scene.n_pictures for scene in scenes)
     pictures = iter(

@@ -55,8 +55,6 @@ def plot_signatures(
 
     Parameters
     ----------
-    path : path-like, optional
-        The file to write; see `Picture`.
     geometry : TriangleMesh or PointCloud
         With n points.
     signature : array_like of shape (n, t)
@@ -72,19 +70,6 @@ def plot_signatures(
     shown : array_like of shape (s,), optional
         Which scales to draw on the geometry, as one to nine indices; by default four, evenly
         spread.
-    view, page : View and Page, optional
-        Where it is seen from; head and resolution.
-
-    Returns
-    -------
-    Picture
-        What was drawn.
-
-    Raises
-    ------
-    InvalidInputError
-        If sizes disagree, scales are not ascending (and positive for ``"heat"``), an index is out
-        of range.
 
     Notes
     -----

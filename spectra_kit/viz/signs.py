@@ -10,26 +10,11 @@ _TIED = 1e-6  # relative; differences below it may be rounding
 
 
 def display_signs(eigenvectors: Floats) -> Floats:
-    """Return the factor, 1 or -1, with which each mode is shown.
+    """Return the factor (k,), 1 or -1, with which each mode, a column of (n, k), is shown.
 
-    Parameters
-    ----------
-    eigenvectors : ndarray of shape (n, k)
-        One mode per column, in any unit.
-
-    Returns
-    -------
-    ndarray of shape (k,)
-        1 where the largest entry in absolute value is positive, otherwise -1. Where the largest
-        and the smallest entry are opposite to rounding, the sum of the cubes decides, and where
-        that is zero too, the first of the largest entries.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from spectra_kit.viz.signs import display_signs
-    >>> display_signs(np.array([[1.0, -1.0, 0.5], [0.5, 0.0, 1.0], [-2.0, 1.0, -1.0]]))
-    array([-1., -1.,  1.])
+    1 where the largest entry in absolute value is positive, otherwise -1. Where the largest and the
+    smallest entry are opposite to rounding, the sum of the cubes decides, and where that is zero
+    too, the first of the largest entries.
     """
     peak = np.abs(eigenvectors).max(axis=0, initial=0.0)
     scaled = eigenvectors / np.where(peak > 0, peak, 1.0)

@@ -44,8 +44,6 @@ def plot_spectrum(
 
     Parameters
     ----------
-    path : path-like, optional
-        The file to write; see `Picture`.
     spectra : Spectrum or mapping of str to Spectrum
         One, or several under their names. The others are compared with the first.
     weyl : bool, default True
@@ -54,13 +52,6 @@ def plot_spectrum(
         Length of the boundary along which the surface ends freely (Neumann), less the length along
         which it is held at zero (Dirichlet): Weyl's law then has its second term. Of one surface,
         so all spectra must have its area.
-    page : Page, optional
-        Head and resolution.
-
-    Returns
-    -------
-    Picture
-        What was drawn.
 
     Raises
     ------

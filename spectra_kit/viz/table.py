@@ -48,20 +48,9 @@ def set_table(
 ) -> Figure:
     """Set cells on a page; everything is measured in inches.
 
-    Parameters
-    ----------
-    page : Page
-        Its head and resolution.
-    rows : sequence of sequences of Cell
-        Each as tall as it needs; the last may be shorter than the others.
-    heads, names : sequence of str
-        Above the columns, and beside the rows.
-    cell : float
-        The least width of a column.
-    left, foot : float
-        Room that is left free beside the table, and below it.
-    tall : float
-        The least height of the table, which then stands in the middle of it.
+    Each of the `rows` is as tall as it needs, columns are `cell` wide at least, and the table is
+    `tall` at least. There are `heads` above the columns and `names` beside the rows. Room is left
+    free beside the table, `left`, and at the `foot`.
     """
     dpi, columns = page.dpi, max(map(len, rows))
     pictures = [entry.picture for row in rows for entry in row]

@@ -17,20 +17,10 @@ _INK, _CHALK = "#26222c", "#ffffff"  # names on either
 
 
 def texture_colours(positions: Floats, low: Floats, high: Floats) -> Bytes:
-    """Colour positions in a box by a chart that lies in the picture plane.
+    """Colour positions (n, 3) in a box by a chart that lies in the picture plane.
 
-    Parameters
-    ----------
-    positions : ndarray of shape (n, 3)
-        To the right, up, and towards the viewer; the last does not matter.
-    low, high : ndarray of shape (3,)
-        Corners of the box.
-
-    Returns
-    -------
-    ndarray of shape (n, 3), uint8
-        Light and dark squares, named A1, B1, … from the lower left; bluer to the left and yellower
-        to the right, greener below and redder above.
+    Light and dark squares, named A1, B1, … from the lower left; bluer to the left and yellower to
+    the right, greener below and redder above.
     """
     side = np.maximum(high - low, 1e-300)[:2]
     cell = side.max() / SQUARES

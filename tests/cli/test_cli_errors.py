@@ -1,6 +1,5 @@
 """Errors of the command line: a line that says what to do, an exit code, nothing half written."""
 
-import argparse
 import contextlib
 import json
 import os
@@ -12,13 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from running import printed, refusal
 
-from spectra_kit import eigensolve, robust_laplacian
-from spectra_kit.cli import main, run
+from spectra_kit import Lobpcg, eigensolve, robust_laplacian
+from spectra_kit.cli import info, main
 from spectra_kit.cli.folder import check_folder, together
-from spectra_kit.cli.story import COMMANDS
-from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import TriangleMesh, creature, sphere, write
+from spectra_kit.cli.program import COMMANDS
+from spectra_kit.errors import InvalidInputError, OutOfMemoryError
+from spectra_kit.geometry import PointCloud, TriangleMesh, creature, sphere, write
 
 NAMES = [command.name for command in COMMANDS if command.name != "completion"]
 
@@ -26,45 +26,151 @@ NAMES = [command.name for command in COMMANDS if command.name != "completion"]
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
-    write(sphere(subdivisions=2).geometry, folder / "ball.off")
+    ball = sphere(subdivisions=2).geometry
+    write(ball, folder / "ball.off")
+    write(ball.as_cloud(), folder / "cloud.ply")
+    write(PointCloud([[0.0, 0, 0]]), folder / "point.ply")
+    (folder / "gap.xyz").write_text("nan 0 0\n")
     (folder / "empty.off").touch()
     (folder / "text.docx").write_text("words")
     (folder / "sub").mkdir()
     return folder
 
 
-def refused(capsys, *arguments, code=2):
-    """Run a command that must be refused in one line; return it."""
-    assert main([*map(str, arguments)]) == code
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("error: ")
-    assert err.count("\n") == 1
-    return err
+@pytest.fixture
+def inside(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
+def run_by(monkeypatch, function, *options):
+    """Run a command that does what `function` does."""
+    monkeypatch.setattr(info, "info", function)
+    return main(["info", "demo", *options])
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_command_refuses_bad_files_in_one_line(name, folder, capsys, monkeypatch):
-    monkeypatch.chdir(folder)
+def test_every_command_refuses_bad_files_in_one_line(name, folder, inside, capsys):
     before = sorted(os.listdir(folder))
     second = ["ball.off"] if name == "match" else []
     source = ["--source", "0"] if name == "geodesic" else []
     for file, message in (
         ("bal.off", "bal.off: there is no such file; did you mean 'ball.off'?"),
-        ("none.off", "none.off: there is no such file; looked from"),
+        ("none.off", f"none.off: there is no such file; looked from {os.getcwd()}\n"),
         ("sub", "sub: this is a folder, expected a file; name one that is in it"),
         ("empty.off", "empty.off: the file is empty"),
-        ("-", "-: pipes are not read, expected a file whose name ends in its format (obj, off"),
-        ("/dev/stdin", "/dev/stdin: pipes are not read, expected a file"),
+        ("-", "/dev/stdin: pipes are not read, expected a file whose name ends in its format (o"),
         ("text.docx", "cannot read the format '.docx'; known are .glb, "),
     ):
-        assert message in refused(capsys, name, file, *second, *source)
-    with pytest.raises(SystemExit, match=r"^2$"):
-        main([name])
-    assert "error: the following arguments are required" in capsys.readouterr().err
+        assert message in refusal(capsys, name, file, *second, *source)
     assert main([name, "none.off", *second, *source, "--debug"]) == 2
-    assert "Traceback (most recent call last)" in capsys.readouterr().err
+    assert capsys.readouterr().err.startswith("Traceback (most recent call last)")
     assert sorted(os.listdir(folder)) == before
+
+
+BALL = "ball.off"
+DIRICHLET = ("--boundary", "dirichlet")
+
+
+@pytest.mark.parametrize(
+    ("message", "arguments"),
+    [
+        ("finite", ("spectrum", "gap.xyz")),
+        ("must be at most the number of free points", ("spectrum", BALL, "-k", "700")),
+        ("`-k` must be in [1, 162], got 700", ("compare", BALL, "-k", "700")),
+        ("`-k` must be at least 1", ("spectrum", BALL, "-k", "0")),
+        ("`-k` must be at least 1, got 0", ("modes", BALL, "-k", "0")),
+        ("`--modes` must be in [0, 3], got 4", ("spectrum", BALL, "-k", "4", "--modes", "4")),
+        ("`--modes` must be in [0, 3], got 4", ("modes", BALL, "-k", "4", "--modes", "4")),
+        ("`--modes` must be at least 0, got -1", ("modes", BALL, "--modes", "-1")),
+        ("`--columns` must be at least 1, got 0", ("modes", BALL, "--columns", "0")),
+        ("`--seconds` must be positive", ("animate", BALL, "--seconds", "0")),
+        ("`--fps` must be at least 1, got 0", ("animate", BALL, "--fps", "0")),
+        ("`--width` must be at least 16, got 2", ("animate", BALL, "--width", "2")),
+        ("`--max-points` must be at least 4, got 2", ("explore", BALL, "--max-points", "2")),
+        ("`--port` must be in [0, 65535]", ("explore", BALL, "--serve", "--port", "70000")),
+        ("`--turn` must be a finite number", ("modes", BALL, "-k", "3", "--turn", "nan")),
+        ("`--turn` must be a finite number", ("animate", BALL, "-k", "3", "--turn", "nan")),
+        ("`--turn` must be a finite number", ("compare", BALL, "-o", "x.png", "--turn", "nan")),
+        ("--operator cotan needs a mesh", ("spectrum", "cloud.ply", "--operator", "cotan")),
+        ("--cloud samples a mesh", ("spectrum", "cloud.ply", "--cloud", "100")),
+        ("`--cloud` must be at least 1, got 0", ("spectrum", BALL, "--cloud", "0")),
+        ("`--cloud` must fit into 64 bits, got 1000", ("info", BALL, "--cloud", str(10**30))),
+        ("not enough memory", ("info", BALL, "--cloud", "90000000000000")),
+        ("--boundary dirichlet needs", ("spectrum", BALL, *DIRICHLET)),
+        ("--boundary dirichlet needs", ("spectrum", "cloud.ply", *DIRICHLET)),
+        ("must be positive", ("spectrum", BALL, "--solver", "refined", "--rtol", "0")),
+        ("got arpack; choose one of those by --solver", ("spectrum", BALL, "--rtol", "1e-4")),
+        ("got arpack and dense", ("compare", BALL, "--solver", "dense", "--rtol", "1e-4")),
+        ("--rtol is for the solvers ", ("match", BALL, BALL, "--rtol", "1e-4")),
+        ("--start is for the solvers ", ("spectrum", BALL, "--start", "random")),
+        ("must be one of", ("spectrum", BALL, "--solver", "neo", "--weights", "none")),
+        ("torch can use here", ("compare", BALL, "--device", "meta", "-k", "4")),
+        ("must be in [500, 5000000], got 10", ("spectrum", "demo", "--points", "10")),
+        ("must be in [500, 5000000]", ("spectrum", "demo", "--points", "60000000000")),
+        ("must be in [10, 2400], got 0", ("modes", BALL, "-k", "4", "--dpi", "0")),
+        ("must lie nearer: at 1e+300, where", ("geodesic", BALL, "--at", "1e300", "0", "0")),
+        ("`--source` must be in [0, 162)", ("geodesic", BALL, "--source", str(10**30))),
+        # What has no effect as things are.
+        ("--device is for the solvers chebyshev and neo", ("spectrum", BALL, "--device", "cuda")),
+        (
+            "--poses is for the solvers neo, got",
+            ("spectrum", BALL, "--solver", "dense", "--poses", "2"),
+        ),
+        ("--weights is for the solvers neo", ("match", BALL, BALL, "--weights", "x.safetensors")),
+        ("--rtol has no effect on modes of", ("modes", BALL, "--spectrum", "x.npz", "--rtol", "1")),
+        ("--solver has no effect", ("animate", BALL, "--spectrum", "x.npz", "--solver", "dense")),
+        ("--against has no effect", ("compare", BALL, "--spectrum", "x.npz", "--against", "dense")),
+        ("--weights has no effect without", ("geodesic", BALL, "--source", "0", "--weights", "x")),
+        (
+            "--poisson-rtol has no effect on a direct solver",
+            ("geodesic", BALL, "--source", "0", "--method", "direct", "--poisson-rtol", "1e-9"),
+        ),
+        ("--port has no effect without --serve", ("explore", BALL, "--port", "8000")),
+        ("--no-browser has no effect without --serve", ("explore", BALL, "--no-browser")),
+        ("--points has no effect on files; name 'demo'", ("info", BALL, "--points", "900")),
+        ("--points has no effect on files", ("match", BALL, BALL, "--points", "900")),
+        ("--dpi has no effect without a picture; name one", ("spectrum", BALL, "--dpi", "600")),
+        ("--turn has no effect without a picture", ("compare", BALL, "--turn", "90")),
+        (
+            "--up has no effect with --no-pictures",
+            ("geodesic", BALL, "--source", "0", "--no-pictures", "--up", "y"),
+        ),
+    ],
+    ids=lambda part: part[0] if isinstance(part, tuple) else "",
+)
+def test_what_makes_no_sense_is_refused(message, arguments, folder, inside, capsys):
+    before = sorted(os.listdir(folder))
+    assert message in refusal(capsys, *arguments)
+    assert sorted(os.listdir(folder)) == before
+
+
+NUMBERS = {
+    **dict.fromkeys(("spectrum", "modes", "animate", "compare", "explore", "match"), "-k"),
+    "info": "--cloud",
+    "geodesic": "--farthest",
+}
+REALS = {
+    "modes": ("--turn",),
+    "spectrum": ("--solver=refined", "--rtol"),
+    "animate": ("--seconds",),
+    "geodesic": ("--method=plain", "--poisson-rtol", "--time-coefficient", "--spacing"),
+}
+
+
+@pytest.mark.parametrize("wrong", ["nan", "-1", "1e30", "", str(10**30), "spam"])
+@pytest.mark.parametrize("name", NUMBERS)
+def test_numbers_without_sense_are_refused(name, wrong, folder, capsys, tmp_path, monkeypatch):
+    """With the name of the option."""
+    monkeypatch.chdir(tmp_path)
+    files = [str(folder / BALL)] * (2 if name == "match" else 1)
+    source = ["--source", "0"] if name == "geodesic" else []
+    besides = [option for option in REALS.get(name, ()) if "=" in option]
+    reals = [option for option in REALS.get(name, ()) if option not in besides]
+    for option in (NUMBERS[name], *(reals if wrong in ("nan", "", "spam") else ())):
+        assert main([name, *files, *source, *besides, option, wrong]) == 2
+        error = capsys.readouterr().err
+        assert option in error or f"`{option.strip('-')}`" in error, error
+        assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -81,12 +187,12 @@ def test_every_command_refuses_bad_files_in_one_line(name, folder, capsys, monke
 def test_outputs_are_checked_before_the_work(name, option, suffix, known, folder, capsys, tmp_path):
     ball = folder / "ball.off"
     bad = tmp_path / "out.doc"
-    assert f"must be a {known} file, got" in refused(capsys, name, ball, option, bad)
+    assert f"must be a {known} file, got" in refusal(capsys, name, ball, option, bad)
     nowhere = tmp_path / "no" / f"out{suffix}"
-    assert "there is no folder" in refused(capsys, name, ball, option, nowhere)
+    assert "there is no folder" in refusal(capsys, name, ball, option, nowhere)
     (tmp_path / f"dir{suffix}").mkdir()
     taken = tmp_path / f"dir{suffix}"
-    assert "a folder has that name" in refused(capsys, name, ball, option, taken)
+    assert "a folder has that name" in refusal(capsys, name, ball, option, taken)
     assert os.listdir(tmp_path) == [f"dir{suffix}"]
 
 
@@ -99,7 +205,7 @@ def test_a_folder_without_rights_is_told_before_the_work(capsys):
         if superuser:  # who may write everywhere
             os.setresuid(65534, 65534, 0)
         try:
-            message = refused(capsys, "spectrum", "demo", "-o", closed / "out.npz")
+            message = refusal(capsys, "spectrum", "demo", "-o", closed / "out.npz")
         finally:
             if superuser:
                 os.setresuid(0, 0, 0)
@@ -115,7 +221,7 @@ def test_a_file_that_cannot_be_made_has_its_own_name(folder, capsys):
         ("/proc/foo.npz", ("spectrum", ball, "-k", "4")),
         ("/proc/foo", ("geodesic", ball, "--source", "0", "--no-pictures")),
     ):
-        message = refused(capsys, *command, "-o", place)
+        message = refusal(capsys, *command, "-o", place)
         assert message.startswith(f"error: {place}: ") or "is not yours to write" in message
 
 
@@ -123,7 +229,7 @@ def test_an_output_never_replaces_an_input(capsys, tmp_path):
     write(sphere(subdivisions=1).geometry, tmp_path / "ball.npz")
     before = (tmp_path / "ball.npz").read_bytes()
     again = ("spectrum", tmp_path / "ball.npz", "-k", 4, "-o", tmp_path / "ball.npz")
-    assert "the output must not replace an input, got" in refused(capsys, *again)
+    assert "the output must not replace an input, got" in refusal(capsys, *again)
     assert (tmp_path / "ball.npz").read_bytes() == before
 
 
@@ -135,26 +241,46 @@ def test_an_existing_output_is_replaced(folder, capsys, tmp_path):
     assert os.listdir(tmp_path) == ["modes.npz"]
 
 
-def test_a_bug_is_called_one(capsys):
+def test_exit_codes(bumpy_laplacian, capsys, monkeypatch):
+    def stalls(_):
+        eigensolve(bumpy_laplacian, 30, Lobpcg(max_steps=1, rtol=1e-14))
+
+    def starves(_):
+        raise OutOfMemoryError("Refined(): 9 modes do not fit into memory")
+
+    def is_interrupted(_):
+        raise KeyboardInterrupt
+
     def breaks(_):
         return [][1]
 
-    assert run(breaks, argparse.Namespace(debug=False, quiet=False)) == 1
-    err = capsys.readouterr().err
-    assert err == (
-        "error: this is a bug of spectra_kit: IndexError: list index out of range; please report it"
-        " with what --debug shows\n"
-    )
-    assert run(breaks, argparse.Namespace(debug=True, quiet=False)) == 1
+    bug = "error: this is a bug of spectra_kit: IndexError: list index out of range; please report"
+    for function, code, message in (
+        (stalls, 3, "error: Lobpcg("),
+        (starves, 3, "error: Refined(): 9 modes do not fit into memory\n"),
+        (is_interrupted, 130, "interrupted\n"),
+        (breaks, 1, bug),
+    ):
+        assert run_by(monkeypatch, function) == code
+        assert capsys.readouterr().err.startswith(message)
+    assert run_by(monkeypatch, stalls, "--debug") == 3
+    assert "ConvergenceError" in capsys.readouterr().err
+    assert run_by(monkeypatch, breaks, "--debug") == 1
     assert "in breaks" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
-def test_a_full_disk_behind_stdout(folder):
+def test_a_single_point_has_no_modes_and_can_be_looked_at(folder, capsys):
+    refusal(capsys, "spectrum", folder / "point.ply", "-k", 1)
+    assert "all points coincide" in printed(capsys, "info", folder / "point.ply")[0]
+
+
+def test_a_reader_that_leaves_early_is_no_error(folder):
     command = [sys.executable, "-m", "spectra_kit", "info", str(folder / "ball.off")]
-    with open("/dev/full", "w") as full:
-        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
-    assert (done.returncode, done.stderr) == (2, "error: no space left on device\n")
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    process.stderr.close()
+    assert process.wait() == 0
 
 
 @pytest.mark.skipif(os.name != "posix", reason="streams are closed by a POSIX shell")
@@ -164,6 +290,7 @@ def test_a_full_disk_behind_stdout(folder):
         ("info ball.off >&-", 0, "", ""),
         ("info none.off 2>&-", 2, "", ""),
         ("info none.off <&- >&-", 2, "", "error: none.off: there is no such file; looked from"),
+        ("info ball.off >/dev/full", 2, "", "error: no space left on device"),
         ("modes --help >/dev/full", 2, "", "error: no space left on device"),
         ("info none.off 2>/dev/full", 2, "", ""),
     ],
@@ -200,87 +327,6 @@ def test_names_of_files_may_be_any_bytes(
     for file, title in shown.items():
         if Path(file).exists():
             assert title in Path(file).read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("modes", "-k", "4", "-o", "x.png", "--dpi", "0"), "`--dpi` must be in [10, 2400], got 0"),
-        (
-            ("modes", "-k", "4", "-o", "x.png", "--dpi", "99999999"),
-            "`--dpi` must be in [10, 2400], got 99",
-        ),
-        (("geodesic", "--at", "1e300", "0", "0"), "`--at` must lie nearer: at 1e+300, where"),
-        (("geodesic", "--source", str(10**30)), f"`--source` must be in [0, 162), got {10**30}"),
-        (("compare", "--solver", "neo", "--device", "meta", "-k", "4"), "torch can use here, got"),
-        (("info", "--cloud", str(10**30)), "`--cloud` must fit into 64 bits, got 1000"),
-        (("geodesic", "--source", "0", "--turn", "nan"), "`--turn` must be a finite number of"),
-    ],
-)
-def test_numbers_beyond_all_sense_are_refused(arguments, message, folder, capsys, tmp_path):
-    name, *options = arguments
-    place = ["-o", tmp_path / "d"] if name == "geodesic" else []
-    assert message in refused(capsys, name, folder / "ball.off", *options, *place)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("spectrum", "--device", "cuda"), "--device has no effect without the network; choose it"),
-        (("spectrum", "--solver", "dense", "--poses", "2"), "--poses has no effect without"),
-        (("modes", "--dtype", "float16"), "--dtype has no effect without the network"),
-        (("match", "--weights", "mine.safetensors"), "--weights has no effect without the network"),
-        (("compare", "--solver", "fourier", "--device", "cuda"), "--device has no effect without"),
-        (("modes", "--spectrum", "x.npz", "--rtol", "1e-9"), "--rtol has no effect on modes of"),
-        (("animate", "--spectrum", "x.npz", "--solver", "dense"), "--solver has no effect on"),
-        (("compare", "--spectrum", "x.npz", "--against", "dense"), "--against has no effect on"),
-        (("geodesic", "--source", "0", "--weights", "x"), "--weights has no effect without"),
-        (("geodesic", "--source", "0", "--solver", "direct", "--rtol", "1e-9"), "--rtol has no"),
-        (("explore", "--port", "8000"), "--port has no effect without --serve"),
-        (("explore", "--no-browser"), "--no-browser has no effect without --serve"),
-        (("info", "--points", "900"), "--points has no effect on files; name 'demo' instead"),
-        (("match", "--points", "900"), "--points has no effect on files"),
-        (("spectrum", "--dpi", "600"), "--dpi has no effect without a picture; name one by"),
-        (("compare", "--turn", "90"), "--turn has no effect without a picture"),
-        (("geodesic", "--source", "0", "--no-pictures", "--up", "y"), "--up has no effect with"),
-    ],
-)
-def test_options_without_an_effect_are_refused(arguments, message, folder, capsys, monkeypatch):
-    monkeypatch.chdir(folder)
-    name, *options = arguments
-    files = ["ball.off"] * (2 if name == "match" else 1)
-    assert message in refused(capsys, name, *files, *options)
-
-
-NUMBERS = {
-    **dict.fromkeys(("spectrum", "modes", "animate", "compare", "explore", "match"), ("-k",)),
-    "info": ("--cloud",),
-    "geodesic": ("--farthest", "--modes"),
-}
-REALS = {
-    "modes": ("--turn",),
-    "spectrum": ("--solver=refined", "--rtol"),
-    "animate": ("--seconds", "--turn"),
-    "geodesic": ("--solver=plain", "--rtol", "--time-coefficient", "--spacing"),
-}
-
-
-@pytest.mark.parametrize("wrong", ["nan", "inf", "-1", "1e30", "", str(10**30), "2.5", "spam"])
-@pytest.mark.parametrize("name", NUMBERS)
-def test_numbers_without_sense_are_refused(name, wrong, folder, capsys, tmp_path, monkeypatch):
-    """With the name of the option, as the library or argparse tells it."""
-    monkeypatch.chdir(tmp_path)
-    files = [str(folder / "ball.off")] * (2 if name == "match" else 1)
-    source = ["--source", "0"] if name == "geodesic" else []
-    reals = [option for option in REALS.get(name, ()) if "=" not in option]
-    besides = [option for option in REALS.get(name, ()) if "=" in option]
-    for option in (*NUMBERS[name], *(reals if wrong in ("nan", "inf", "", "spam") else ())):
-        with contextlib.suppress(SystemExit):  # of argparse, which has told the option
-            assert main([name, *files, *source, *besides, option, wrong]) == 2
-        error = capsys.readouterr().err
-        told = option.strip("-").replace("-", "_")
-        assert option in error or f"`{told}" in error or f"`n_{told}" in error, error
-        assert not list(tmp_path.rglob("*.p*"))
 
 
 def open_again(results):
@@ -364,20 +410,20 @@ def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_p
     page.unlink()
     other = tmp_path / "other.off"
     write(creature(500), other)
-    message = refused(capsys, "explore", other, *command)
+    message = refusal(capsys, "explore", other, *command)
     assert f"{saved} holds modes of something else: `laplacian` must live on the 162" in message
     bent = TriangleMesh(mesh.points * [1, 1, 1.01], mesh.faces)
     write(bent, other)
-    assert "holds modes of something else" in refused(capsys, "explore", other, *command)
+    assert "holds modes of something else" in refusal(capsys, "explore", other, *command)
     knn = ("explore", ball, *command, "--operator", "knn")
-    assert "holds modes of something else" in refused(capsys, *knn)
-    assert "leave --spectrum out" in refused(capsys, *knn)
+    assert "holds modes of something else" in refusal(capsys, *knn)
+    assert "leave --spectrum out" in refusal(capsys, *knn)
     swapped = TriangleMesh(mesh.points[::-1], 161 - mesh.faces)  # the same, in another order
     write(swapped, other)
-    assert "holds modes of something else" in refused(capsys, "explore", other, *command)
+    assert "holds modes of something else" in refusal(capsys, "explore", other, *command)
     assert not page.exists()
-    assert "found no file" in refused(capsys, "modes", ball, "--spectrum", tmp_path / "none.npz")
-    assert "not a whole spectrum file" in refused(capsys, "modes", ball, "--spectrum", ball)
+    assert "found no file" in refusal(capsys, "modes", ball, "--spectrum", tmp_path / "none.npz")
+    assert "not a whole spectrum file" in refusal(capsys, "modes", ball, "--spectrum", ball)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spectra_kit import _validate
+from spectra_kit import _validate, geometry
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh, diagnose, sphere
 
@@ -92,16 +92,6 @@ def test_millimetres_and_kilometres_are_the_same_surface(scale):
         assert other[count] == plain[count]
 
 
-def test_methods_check_what_they_are_given():
-    mesh = TriangleMesh(POINTS, [[0, 1, 2]])
-    with pytest.raises(InvalidInputError, match=r"`faces` must be in \[0, 2\), got 2"):
-        mesh.with_points(POINTS[:2])
-    with pytest.raises(InvalidInputError, match="`points` must be finite"):
-        PointCloud(POINTS).with_points(np.full((4, 3), np.nan))
-    with pytest.raises(InvalidInputError, match="at least one triangle"):
-        TriangleMesh(POINTS, [[1, 1, 2]]).without_degenerate_faces()
-
-
 def test_checks_of_numbers():
     for check, expected, got in [
         (lambda: _validate.check_mass("x", [1.0, 2.0], 3), "have shape (3,)", "(2,)"),
@@ -122,3 +112,63 @@ def test_checks_of_numbers():
         assert facts(caught.value)[:3] == ("x", expected, got)
     assert _validate.check_count("k", np.int32(7), low=1) == 7
     assert _validate.check_positive("t", np.float32(0.5)) == 0.5
+
+
+BALL = sphere(subdivisions=1).geometry
+CLOUD = PointCloud(BALL.points)
+FLAT = TriangleMesh([[0, 0, 0], [1, 1, 1], [2, 2, 2]], [[0, 1, 2]])
+ONE = PointCloud([[1, 2, 3], [1, 2, 3]])
+
+
+@pytest.mark.parametrize(
+    ("call", "argument", "expected"),
+    [
+        (lambda: geometry.sphere(subdivisions=10), "subdivisions", "be in [0, 9]"),
+        (lambda: geometry.sphere(radius=0.0), "radius", "be positive and finite"),
+        (lambda: geometry.sphere(k=0), "k", "be at least 1"),
+        (lambda: geometry.rectangle(n=3), "n", "be at least 4"),
+        (lambda: geometry.rectangle(width=-1.0), "width", "be positive and finite"),
+        (lambda: geometry.rectangle(n=9, width=99.0), "width", "be within n = 9 times `height`"),
+        (lambda: geometry.rectangle(height=np.inf), "height", "be positive and finite"),
+        (lambda: geometry.disk(rings=0), "rings", "be at least 1"),
+        (lambda: geometry.disk(k=10_001), "k", "be in [1, 10000]"),
+        (lambda: geometry.torus(n=8), "n", "be at least 9"),
+        (lambda: geometry.torus(minor=1.0), "minor", "be smaller than `major` = 1.0"),
+        (lambda: geometry.creature(600, pose=-1), "pose", "be at least 0"),
+        (lambda: geometry.mirrored(BALL, axis=3), "axis", "be in [0, 2]"),
+        (lambda: geometry.permuted(BALL, seed=-1), "seed", "be at least 0"),
+        (lambda: geometry.sample(FLAT, 9, seed=0), "mesh", "have area to be sampled"),
+        (lambda: geometry.sample(BALL, 0, seed=0), "n", f"be in [1, {2**48}]"),
+        (lambda: geometry.GaussianDensity(sigma=0.0), "sigma", "be positive and finite"),
+        (
+            lambda: geometry.sample_with_origin(BALL, 9, seed=0).interpolate(np.ones(3)),
+            "values",
+            "have one row for each vertex of the sampled mesh",
+        ),
+        (lambda: geometry.repair(FLAT), "geometry", "have a face with area"),
+        (
+            lambda: geometry.repair(BALL).restore(np.ones(3)),
+            "values",
+            "have 42 rows, one for each point of the repaired geometry",
+        ),
+        (lambda: geometry.normalize(ONE), "geometry", "have an extent to be normalised"),
+        (lambda: geometry.Normalization.unit_area(FLAT), "mesh", "have area"),
+        (lambda: geometry.Normalization([0, 0, 0], -1.0), "scale", "be positive and finite"),
+        (lambda: geometry.Normalization([0, 0, np.inf], 1.0), "centre", "be finite"),
+        (lambda: geometry.estimate_normals(ONE), "cloud", "have at least 3 points"),
+        (lambda: geometry.estimate_normals(CLOUD, n_neighbors=1), "n_neighbors", "be at least 2"),
+        (
+            lambda: geometry.orient_normals(CLOUD, np.ones((9, 3))),
+            "normals",
+            "have shape (42, 3) like the points",
+        ),
+        (lambda: geometry.orient_normals(CLOUD, np.ones((42, 3))), "normals", "be unit vectors"),
+        (lambda: BALL.degenerate_faces(1.0), "relative_area", "be in [0, 1)"),
+        (lambda: BALL.with_points(np.eye(3)), "faces", "be in [0, 3)"),
+        (lambda: FLAT.without_degenerate_faces(), "faces", "hold at least one triangle"),
+    ],
+)
+def test_what_functions_must_be_given(call, argument, expected):
+    with pytest.raises(InvalidInputError) as caught:
+        call()
+    assert (caught.value.argument, caught.value.expected) == (argument, expected)

@@ -5,7 +5,6 @@ import pytest
 from scipy.special import jv, jvp
 
 from spectra_kit.eigensolvers import eigensolve
-from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.reference import _torus_eigenvalues, disk, rectangle, sphere, torus
 from spectra_kit.operators import cotan_laplacian, robust_laplacian
 
@@ -153,16 +152,16 @@ def test_scale_law(make, factor):
 
 @pytest.mark.parametrize("operator", [robust_laplacian, cotan_laplacian])
 @pytest.mark.parametrize(
-    ("make", "sizes"),
+    ("make", "sizes", "budget"),
     [
-        (lambda n: sphere(subdivisions=n), (2, 3, 4)),
-        (lambda n: rectangle(n=n), (500, 2000, 8000)),
-        (lambda n: disk(rings=n), (9, 18, 36)),
-        (lambda n: torus(n=n), (900, 3600, 14_400)),
+        (lambda n: sphere(subdivisions=n), (2, 3, 4), 6.2e-3),
+        (lambda n: rectangle(n=n), (500, 1000, 4000), 5.1e-3),
+        (lambda n: disk(rings=n), (9, 18, 36), 3.8e-3),
+        (lambda n: torus(n=n), (900, 1800, 7200), 5.2e-3),
     ],
     ids=["sphere", "rectangle", "disk", "torus"],
 )
-def test_discrete_eigenvalues_converge_at_second_order(operator, make, sizes):
+def test_discrete_eigenvalues_converge_at_second_order(operator, make, sizes, budget):
     errors, lengths = [], []
     for size in sizes:
         reference = make(size)
@@ -171,52 +170,13 @@ def test_discrete_eigenvalues_converge_at_second_order(operator, make, sizes):
         lengths.append(reference.geometry.n**-0.5)
     order = np.polyfit(np.log(lengths), np.log(errors), 1)[0]
     assert order == pytest.approx(2.0, abs=0.1)
+    assert errors[-1] < budget
 
 
-@pytest.mark.parametrize(
-    ("make", "tolerance"),
-    [
-        (lambda: sphere(subdivisions=3), 2.5e-2),
-        (lambda: sphere(subdivisions=4), 6.2e-3),
-        (lambda: rectangle(n=1000), 2.1e-2),
-        (lambda: rectangle(n=4000), 5.1e-3),
-        (lambda: disk(rings=18), 1.5e-2),
-        (lambda: torus(n=1800), 2.1e-2),
-        (lambda: torus(n=7200), 5.2e-3),
-    ],
-)
-def test_discrete_eigenvalues_lie_in_the_error_budget(make, tolerance):
+@pytest.mark.parametrize("make", [lambda: rectangle(n=4000), lambda: disk(rings=36)])
+def test_discrete_dirichlet_eigenvalues(make):
     reference = make()
-    for operator in (robust_laplacian, cotan_laplacian):
-        spectrum = eigensolve(operator(reference.geometry), 16)
-        assert relative_error(spectrum.eigenvalues, reference.eigenvalues) < tolerance
-
-
-@pytest.mark.parametrize(
-    "reference", [rectangle(n=4000), disk(rings=36)], ids=["rectangle", "disk"]
-)
-def test_discrete_dirichlet_eigenvalues(reference):
     laplacian = robust_laplacian(reference.geometry)
     fixed = laplacian.dirichlet(reference.geometry.boundary_vertices)
     values = eigensolve(fixed, 10).eigenvalues
     np.testing.assert_allclose(values, reference.dirichlet[:10], rtol=8e-3)
-
-
-@pytest.mark.parametrize(
-    ("call", "match"),
-    [
-        (lambda: sphere(subdivisions=10), "subdivisions"),
-        (lambda: sphere(radius=0.0), "radius"),
-        (lambda: sphere(k=0), "k"),
-        (lambda: rectangle(n=3), "n"),
-        (lambda: rectangle(width=-1.0), "width"),
-        (lambda: rectangle(height=np.inf), "height"),
-        (lambda: disk(rings=0), "rings"),
-        (lambda: disk(k=10_001), "k"),
-        (lambda: torus(n=8), "n"),
-        (lambda: torus(major=1.0, minor=1.0), "`minor` must be smaller than `major`"),
-    ],
-)
-def test_numbers_out_of_range_are_refused(call, match):
-    with pytest.raises(InvalidInputError, match=match):
-        call()

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import GaussianDensity, TriangleMesh, sample, sample_with_origin, sphere
 
 
@@ -108,30 +107,6 @@ def test_functions_are_interpolated_linearly(ball):
         samples.interpolate(linear), samples.cloud.points @ [1.0, -2.0, 3.0] + 4.0, atol=1e-13
     )
     assert samples.interpolate(np.ones((ball.n, 4))).shape == (100, 4)
-
-
-def test_surface_without_area_is_refused():
-    mesh = TriangleMesh([[0, 0, 0], [1, 1, 1], [2, 2, 2]], [[0, 1, 2]])
-    with pytest.raises(InvalidInputError, match="must have area to be sampled"):
-        sample(mesh, 10, seed=0)
-
-
-def test_bad_arguments_are_refused(ball):
-    with pytest.raises(InvalidInputError, match="`mesh` must be a TriangleMesh, got a PointCloud"):
-        sample(ball.as_cloud(), 10, seed=0)
-    with pytest.raises(InvalidInputError, match=r"`n` must be in \[1, 281474976710656\], got 0"):
-        sample(ball, 0, seed=0)
-    with pytest.raises(InvalidInputError, match="`seed` must be an integer, got None"):
-        sample(ball, 10, seed=None)
-    with pytest.raises(InvalidInputError, match="`density` must be 'uniform' or GaussianDensity"):
-        sample(ball, 10, seed=0, density="gaussian")
-    with pytest.raises(InvalidInputError, match="`sigma` must be positive"):
-        GaussianDensity(sigma=0.0)
-    with pytest.raises(InvalidInputError, match="`centre` must be a tuple of 3 numbers or None"):
-        GaussianDensity(centre=(1.0, 2.0))
-    samples = sample_with_origin(ball, 100, seed=0)
-    with pytest.raises(InvalidInputError, match="`values` must have one row for each vertex"):
-        samples.interpolate(np.ones(3))
 
 
 @pytest.mark.parametrize("exponent", [-1000, -600, 600, 1000])

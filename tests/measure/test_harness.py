@@ -14,8 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import bumpy
-from measure.command import exit_code
-from measure.figures import band, legend, line, panels, save, undominated
 from measure.machine import describe_machine, machine_line
 from measure.shapes import (
     Shape,
@@ -35,7 +33,6 @@ from spectra_kit import PointCloud, robust_laplacian
 from spectra_kit._version import VERSION
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere, write
-from spectra_kit.viz import ParetoPoint
 
 
 def test_each_is_measured_with_each_by_turns_and_once(tmp_path):
@@ -109,7 +106,7 @@ def test_what_fails_is_remembered_until_it_is_to_be_tried_again(tmp_path):
             *("failed", "stopped", "ok"),
             *("skipped", "skipped", "ok"),
         ]
-        assert results[0].reason == "InvalidInputError: `problem` must be easier"
+        assert results[0].reason == "`problem` must be easier"
         assert results[1].reason == "the process ended with code 7"
         assert results[3].reason == "not at 1"
         assert len(calls(tmp_path)) == 4
@@ -122,9 +119,7 @@ def test_limits_of_time_and_memory(tmp_path):
     (late,) = run(study, Store(tmp_path), limits=Limits(seconds=0.05))
     assert (late.record["status"], late.reason) == ("stopped", "took more than 0.05 s")
     (large,) = run(study, Store(tmp_path), limits=Limits(memory=1), retry=True)
-    assert large.reason == "held 0.0 GB, more than the 0.0 GB allowed" or re.match(
-        r"held 0\.\d GB, more than the 0\.0 GB allowed", large.reason
-    )
+    assert re.match(r"held 0\.\d GB, more than the 0\.0 GB allowed", large.reason)
 
 
 def test_a_worker_takes_calls_until_it_is_killed():
@@ -202,14 +197,6 @@ def test_a_clock_measures_time_and_memory():
     assert found.waited_seconds >= 0
 
 
-def test_errors_are_told_and_end_with_a_code(capsys):
-    def refuse():
-        raise InvalidInputError("no")
-
-    assert (exit_code(refuse), exit_code(lambda: None)) == (2, 0)
-    assert capsys.readouterr().err == "error: no\n"
-
-
 def test_a_machine_is_described():
     machine = json.loads(json.dumps(describe_machine(name="box", threads=2)))
     assert machine["versions"]["numpy"] == np.__version__
@@ -258,7 +245,7 @@ def test_operators_survive_the_file(tmp_path):
     assert (again.seconds, again.operator) == (laplacian.seconds, laplacian.operator)
 
 
-# --- tables and figures ---
+# --- tables ---
 
 
 def test_tables_are_aligned_and_numbers_may_be_missing(tmp_path):
@@ -277,34 +264,8 @@ def test_tables_are_aligned_and_numbers_may_be_missing(tmp_path):
 
 
 def test_json_has_no_nan(tmp_path):
-    shown = {"a": np.array([1.0, np.nan]), "b": Limits(), "c": (1, Path("x")), 3: np.int64(2)}
-    wanted = {
-        "a": [1.0, None],
-        "b": {"threads": 1, "seconds": None, "memory": None},
-        "c": [1, "x"],
-        "3": 2,
-    }
+    shown = {"a": np.array([1.0, np.nan]), "b": Limits(), 3: (np.int64(2), Path("x"))}
+    limits = {"threads": 1, "seconds": None, "memory": None}
+    wanted = {"a": [1.0, None], "b": limits, "3": [2, "x"]}
     assert plain(shown) == wanted
     assert json.loads(write_json(tmp_path / "a.json", shown).read_text()) == wanted
-
-
-def test_nothing_beats_what_is_undominated():
-    def point(name, seconds, error, league=""):
-        return ParetoPoint(name=name, group="", seconds=seconds, error=error, league=league)
-
-    points = [
-        point("exact", 4.0, 0.0),
-        point("as exact", 5.0, 1e-15),
-        point("quick", 0.1, 1e-2),
-        point("beaten", 0.6, 2e-2),
-        point("elsewhere", 0.05, 1e-3, "cuda"),
-    ]
-    assert undominated(points) == {"exact", "quick", "elsewhere"}
-
-
-def test_figures_are_drawn(tmp_path):
-    figure, axes = panels("Lines", 2)
-    for i, axis in enumerate(axes):
-        band(axis, [1, 2], np.eye(2), f"line {i}", **line(i))
-    legend(figure, axes[0])
-    assert save(figure, tmp_path / "lines.png").stat().st_size > 1000

@@ -453,17 +453,19 @@ def test_the_app_asks_one_question_and_continues(main, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_quick_run_of_everything_needs_no_data(tmp_path):
+def test_a_quick_run_needs_no_data_and_draws_the_worst(tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(APP.parents[1]), "OMP_NUM_THREADS": "1"}
     environment.pop("SPECTRA_KIT_DATA", None)
     done = subprocess.run(
-        [sys.executable, str(APP), "all", str(tmp_path), "--quick"],
+        [sys.executable, str(APP), "worst", str(tmp_path), "--quick"],
         env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    text = (tmp_path / "report.md").read_text()
-    assert all(f"## {question.title}" in text for question in QUESTIONS.values())
-    assert "## Validation error against samples seen" in text
+    sets = ["demo", "procedural"]
+    rows = json.loads((tmp_path / "worst.json").read_text())["rows"]
+    assert [row["models"] for row in rows] == sets
+    if "are not drawn" not in done.stderr:
+        assert all(list(tmp_path.glob(f"figures/worst-{name}-1-*.png")) for name in sets)
 
 
 def test_the_app_shows_the_training_without_data(main, trained, tmp_path, capsys, monkeypatch):

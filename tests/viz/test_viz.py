@@ -1,61 +1,200 @@
-import os
+"""What draws, from where, and what is refused."""
+
 import signal
 import subprocess
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import bumpy
-from PIL import Image
+from drawing import BALL, SQUARE, borders_are_white, can_draw, draw, page  # noqa: F401
 from scipy.spatial.transform import Rotation
 
-from spectra_kit import eigensolve, robust_laplacian
+from spectra_kit import eigensolve, robust_laplacian, viz
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
 from spectra_kit.metrics import compare_spectra
-from spectra_kit.viz import Page, Panel, View, drawer, plot_comparison, plot_panels
+from spectra_kit.viz import Page, Panel, View, drawer
 from spectra_kit.viz.pen import short
-from spectra_kit.viz.render import Scene, ball_diameter, render
+from spectra_kit.viz.render import ball_diameter
 
-BLUE_TO_RED = np.column_stack([np.arange(256), np.zeros(256), np.arange(256)[::-1]]).astype("u1")
-
-
-@pytest.fixture(scope="module")
-def ball():
-    return sphere(subdivisions=3).geometry
-
-
-@pytest.fixture(scope="module", autouse=True)
-def small_picture(ball):
-    try:
-        return draw(ball, width=40)
-    except MissingDependencyError as error:
-        pytest.skip(f"no picture can be drawn here: {error}")
+SHEET = rectangle(n=200).geometry.points
+ONES, SAME = np.ones(BALL.n), np.arange(BALL.n)
+SPECTRUM = eigensolve(robust_laplacian(BALL), 9)
+PANEL = Panel(values=ONES, limit=1.0)
+PAIR = viz.MatchedPair(source=BALL, target=BALL, point_map=SAME)
+TIMES = np.arange(1.0, 9)
+SIGNATURE = np.ones((BALL.n, 8))
+RUN = viz.SolverRun(name="CG", stages={}, times=[0, 1], residuals=[1.0, 0.1])
+POINT = viz.ParetoPoint(name="a", group="", seconds=1.0, error=0.1)
 
 
-def draw(geometry, *, width=120):
-    values = geometry.points / np.abs(geometry.points).max()
-    scene = Scene(
-        geometry=geometry,
-        functions=list(values.T),
-        rotation=np.eye(3),
-        width=width,
-        colours=BLUE_TO_RED,
-    )
-    return render([scene])[0].astype(float)
+def modes(s=SPECTRUM, geometry=BALL, **options):
+    return viz.plot_modes(geometry, s, **options)
 
 
-def without(fake, tmp_path, monkeypatch):
-    """Put a `pyvista` in front of the real one, for new processes only."""
-    (tmp_path / "pyvista.py").write_text(fake)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    drawer.end_drawing()
+def comparison(geometry=BALL, s=SPECTRUM, **options):
+    return viz.plot_comparison(geometry, s, s, compare_spectra(s, s), **{"modes": [1]} | options)
+
+
+def fields(values=None, **options):
+    return viz.plot_fields(BALL, {"a": ONES} if values is None else values, **options)
+
+
+def panels(rows=([PANEL],), across="b", down="a", **options):
+    names = {"rows_named": [*down], "columns_named": [*across]}
+    return viz.plot_panels(BALL, rows, **names, **options)
+
+
+def distance(values=ONES, **options):
+    return viz.plot_distance(BALL, values, **options)
+
+
+def match(point_map=SAME, **options):
+    return viz.plot_correspondence(BALL, BALL, point_map, **options)
+
+
+def matches(pairs=(PAIR,), **options):
+    return viz.plot_correspondences(pairs, **options)
+
+
+def signatures(signature=SIGNATURE, scales=TIMES, points=(0,), **options):
+    return viz.plot_signatures(BALL, signature, scales, points=points, **options)
+
+
+def film(geometry=BALL, s=SPECTRUM, **options):
+    return viz.animate_modes(geometry, s, **options)
+
+
+class TurnedError(Exception):
+    """Raised by the camera."""
+
+
+class Turned(View):
+    def rotation(self, geometry):
+        assert geometry is BALL
+        raise TurnedError
+
+
+@pytest.mark.parametrize(
+    "plot", [modes, comparison, fields, panels, distance, match, matches, signatures, film]
+)
+def test_a_view_reaches_the_camera(plot):
+    with pytest.raises(TurnedError):
+        plot(view=Turned())
+
+
+@pytest.mark.parametrize(
+    ("plot", "arguments", "argument", "expected", "got"),
+    [
+        (Page, {"dpi": 5}, "dpi", "[10, 2400]", "5"),
+        (View, {"up": "w"}, "up", "'x', 'y', 'z' or None", "'w'"),
+        (View, {"turn": np.inf}, "turn", "finite number of degrees", "inf"),
+        (panels, {"rows": [[Panel(values=ONES[:3], limit=1.0)]]}, "values", r"\(642,\)", "3"),
+        (panels, {"rows": [[Panel(values=ONES * np.nan, limit=1.0)]]}, "values", "finite", "NaN"),
+        (panels, {"rows": []}, "rows", "table of 1 columns", ""),
+        (panels, {"across": "ab"}, "rows", "table of 2 columns", r"\[1\]"),
+        (panels, {"rows": [[]], "across": ""}, "rows", "table of 0 columns", ""),
+        (panels, {"down": "ab"}, "rows_named", "1 names", "2"),
+        (comparison, {"modes": [9]}, "modes", r"in \[0, 8\]", "9"),
+        (comparison, {"modes": []}, "modes", "at least one mode", "none"),
+        (comparison, {"geometry": SQUARE}, "geometry", "the 642 points", "4"),
+        (modes, {"modes": [9]}, "modes", r"in \[0, 8\]", "9"),
+        (modes, {"modes": []}, "modes", "at least one mode", "none"),
+        (modes, {"geometry": SQUARE}, "geometry", "the 642 points", "4"),
+        (modes, {"columns": 0}, "columns", "at least 1", "0"),
+        (fields, {"values": {}}, "fields", "at least one function", "none"),
+        (fields, {"values": ONES}, "fields", "mapping of names", "ndarray"),
+        (fields, {"values": {"a": ONES[:4]}}, r"fields\['a'\]", r"\(642,\)", "4"),
+        (fields, {"values": {"a": ONES * np.nan}}, r"fields\['a'\]", "finite", "NaN"),
+        (fields, {"lines": "zero"}, "lines", "'none', 'nodal' or 'levels'", "'zero'"),
+        (fields, {"columns": 0}, "columns", "at least 1", "0"),
+        (distance, {"values": ONES[:3]}, "distance", r"shape \(642,\)", r"\(3,\)"),
+        (distance, {"values": ONES * np.nan}, "distance", "one number >= 0", "642 NaN"),
+        (distance, {"values": -ONES}, "distance", "one number >= 0", "642 negative"),
+        (distance, {"spacing": 1e-3}, "spacing", "at least 0.005", "0.001"),
+        (distance, {"spacing": -1.0}, "spacing", "positive", "-1"),
+        (distance, {"sources": [1, 2, 3]}, "sources", "shape", ""),
+        (match, {"point_map": SAME[:5]}, "point_map", r"\(642,\)", r"\(5,\); are .* exchanged"),
+        (match, {"point_map": SAME + 1}, "point_map", r"in \[0, 642\)", "642"),
+        (match, {"errors": ONES}, "errors", "MapErrors or None", ".*not say at which points"),
+        (match, {"limit": 0.0}, "limit", "positive", "0"),
+        (match, {"transfer": "uv"}, "transfer", "'colours' or 'texture'", "'uv'"),
+        (matches, {"pairs": []}, "pairs", "at least one MatchedPair", "none"),
+        (viz.plot_functional_map, {"functional_map": [1.0]}, "functional_map", r"\(k2, k1\)", ""),
+        (viz.plot_error_curves, {"errors": {}}, "errors", "at least one method", "none"),
+        (viz.plot_convergence, {"runs": []}, "runs", "at least one SolverRun", "none"),
+        (viz.plot_convergence, {"runs": [RUN], "rtol": 0.0}, "rtol", "positive", "0"),
+        (viz.plot_pareto, {"points": []}, "points", "at least one ParetoPoint", "none"),
+        (viz.plot_pareto, {"points": [POINT], "marks": {"a": 0.0}}, "marks", "positive", "0"),
+        (viz.plot_spectrum, {"spectra": {}}, "spectra", "at least one Spectrum", "none"),
+        (viz.plot_spectrum, {"spectra": {"a": BALL}}, "spectra", "hold Spectrum", "TriangleMesh"),
+        (
+            *(viz.plot_spectrum, {"spectra": {"b": SPECTRUM.truncate(1).nonzero()}}),
+            *("spectra", "have modes", "'b'"),
+        ),
+        (
+            *(viz.plot_spectrum, {"spectra": SPECTRUM, "free_boundary": np.inf}),
+            *("free_boundary", "finite length", "inf"),
+        ),
+        (
+            viz.plot_spectrum,
+            {"spectra": {"a": SPECTRUM, "b": SPECTRUM.rescale(2.0)}, "free_boundary": 1.0},
+            *("free_boundary", "of one surface", "1 for .* draw them one"),
+        ),
+        (signatures, {"kind": "sound"}, "kind", "'heat' or 'wave'", "'sound'"),
+        (signatures, {"signature": ONES[:, None]}, "signature", r"\(642, 8\)", ""),
+        (signatures, {"scales": TIMES[::-1]}, "scales", "two or more ascending", ""),
+        (signatures, {"scales": TIMES - 1}, "scales", "positive times", ".*say kind='wave'"),
+        (signatures, {"points": [642]}, "points", r"in \[0, 642\)", "642"),
+        (signatures, {"points": [1, 1]}, "points", "one to 9 different", r"\[1, 1\]"),
+        (signatures, {"shown": np.empty(0, int)}, "shown", "one to 9 different", r"\[\]"),
+        (signatures, {"shown": [8]}, "shown", r"in \[0, 8\)", "8"),
+        (film, {"modes": [9]}, "modes", r"in \[0, 8\]", "9"),
+        (film, {"modes": []}, "modes", "at least one mode", "none"),
+        (film, {"geometry": SQUARE}, "geometry", "the 642 points", "4"),
+        (film, {"amplitude": -1.0}, "amplitude", "finite and >= 0", "-1"),
+        (film, {"width": 3}, "width", "at least 16", "3"),
+        (film, {"fps": 0}, "fps", "positive", "0"),
+        (film, {"fps": 1e6}, "fps", "at most 20,000 frames", ""),
+        (film, {"seconds_per_mode": 0.0}, "seconds_per_mode", "positive", "0"),
+        (
+            *(viz.ParetoPoint, {"name": "", "group": "", "seconds": 1.0, "error": -1.0}),
+            *("error", "finite and >= 0", "-1"),
+        ),
+        (
+            *(viz.ParetoPoint, {"name": "", "group": "", "seconds": 0.0, "error": 1.0}),
+            *("seconds", "positive", "0"),
+        ),
+        (
+            *(viz.SolverRun, {"name": "", "stages": {}, "times": [0, 1], "residuals": [1.0]}),
+            *("times", "ascending", r"shapes \(2,\) and \(1,\)"),
+        ),
+        (
+            *(viz.SolverRun, {"name": "", "stages": {}, "times": [1, 0], "residuals": [1.0, 1]}),
+            *("times", "ascending", ""),
+        ),
+    ],
+)
+def test_bad_input_is_refused(plot, arguments, argument, expected, got):
+    with pytest.raises(InvalidInputError, match=rf"`{argument}` must .*{expected}.*, got .*{got}"):
+        plot(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("modes.jpg", r"`path` must end in .png, .pdf or .svg, got 'modes.jpg'"),
+        ("no/modes.png", r"the folder .* does not exist"),
+        ("", r"`path` must end in"),
+    ],
+)
+def test_a_path_that_cannot_be_written_is_refused_before_anything_is_drawn(name, message):
+    with pytest.raises(InvalidInputError, match=message):
+        viz.plot_modes(name, BALL, SPECTRUM, view=Turned())
 
 
 @pytest.mark.parametrize("as_cloud", [False, True])
-def test_a_sphere_is_a_disc_with_each_value_at_its_place(ball, as_cloud):
-    geometry = ball.as_cloud() if as_cloud else ball
-    by_x, by_y, by_z = draw(geometry)
+def test_a_sphere_is_a_disc_with_each_value_at_its_place(as_cloud):
+    by_x, by_y, by_z = draw(BALL.as_cloud() if as_cloud else BALL)
     assert by_x.shape == by_y.shape == by_z.shape
     rows, columns = np.nonzero((by_x < 250).any(axis=2))
     radius = (np.ptp(columns) + 1) / 2
@@ -86,25 +225,23 @@ def test_balls_reach_the_twelfth_neighbour_but_few_points_stay_apart():
     ring = PointCloud(np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1))
     twelfth = 2 * np.sin(6 * np.pi / 200)  # six on either side
     for scale in (1, 1e-6):
-        scaled = PointCloud(scale * ring.points)
-        assert ball_diameter(scaled) == pytest.approx(scale * twelfth)
+        assert ball_diameter(PointCloud(scale * ring.points)) == pytest.approx(scale * twelfth)
         assert ball_diameter(PointCloud(scale * ring.points[::10])) == pytest.approx(0.24 * scale)
     assert ball_diameter(PointCloud([[1.0, 2, 3]])) == 0
-    assert ball_diameter(rectangle(n=50).geometry) == 0
+    assert ball_diameter(SQUARE) == 0
 
 
-def test_pictures_are_the_same_twice_and_silent(ball, small_picture, capfd):
-    np.testing.assert_array_equal(draw(ball, width=40), small_picture)
+def test_pictures_are_the_same_twice_and_silent(capfd):
+    np.testing.assert_array_equal(*(draw(BALL, width=40) for _ in range(2)))
     assert capfd.readouterr() == ("", "")
 
 
-def test_view_is_a_rotation_that_keeps_the_geometry_upright():
+def test_a_view_is_a_rotation_that_keeps_the_geometry_upright():
     legs = np.array([[x, 0.0, z] for x in (-1, 1) for z in (-0.5, 0.5)])
     body = np.array([[x, 1.0 + y, z] for x in (-0.9, 0.9) for y in (0, 0.5) for z in (-0.3, 0.3)])
-    table = PointCloud(np.vstack([legs, body]))
-    z_up = PointCloud(table.points[:, [2, 0, 1]])
-    for geometry, up in ((table, 1), (z_up, 2)):
-        view = View().rotation(geometry)
+    table = np.vstack([legs, body])
+    for points, up in ((table, 1), (table[:, [2, 0, 1]], 2)):
+        view = View().rotation(PointCloud(points))
         np.testing.assert_allclose(view @ view.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(view) == pytest.approx(1)
         assert view[1, up] == pytest.approx(np.cos(np.deg2rad(22)))
@@ -113,42 +250,37 @@ def test_view_is_a_rotation_that_keeps_the_geometry_upright():
 def test_nothing_stands_on_a_tip():
     points = np.random.default_rng(0).normal(size=(4000, 3))
     points /= np.abs(points).sum(axis=1, keepdims=True)  # an octahedron,
-    blunt = points[points[:, 2] > -0.9]  # its lowest tip along z cut off
-    assert View().rotation(PointCloud(blunt))[1, 1] > 0.9
-    assert View(up="z").rotation(PointCloud(blunt))[1, 2] > 0.9
-    assert View(up="x").rotation(PointCloud(blunt))[1, 0] > 0.9
+    blunt = PointCloud(points[points[:, 2] > -0.9])  # its lowest tip along z cut off
+    for up, axis in ((None, 1), ("z", 2), ("x", 0)):
+        assert View(up).rotation(blunt)[1, axis] > 0.9
     assert View().rotation(PointCloud(points[points[:, 2] > -0.3]))[1, 2] > 0.9
 
 
 def test_what_lies_in_a_plane_is_faced():
-    flat = rectangle(n=200).geometry.points
-    np.testing.assert_allclose(View().rotation(PointCloud(flat)), np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(View().rotation(PointCloud(SHEET)), np.eye(3), atol=1e-12)
     turn = Rotation.from_euler("xyz", [0.4, 0.3, 0.2]).as_matrix()
-    tilted = View().rotation(PointCloud(flat @ turn.T))
+    tilted = View().rotation(PointCloud(SHEET @ turn.T))
     np.testing.assert_allclose(np.abs(tilted[2]), np.abs(turn[:, 2]), atol=1e-12)
     assert np.linalg.det(tilted) == pytest.approx(1)
     for axis in range(3):
-        seen = View().rotation(PointCloud(np.roll(flat, axis, axis=1)))
+        seen = View().rotation(PointCloud(np.roll(SHEET, axis, axis=1)))
         assert seen[2, (2 + axis) % 3] == pytest.approx(1)
 
 
 def test_a_turn_takes_the_front_to_the_right():
     points = np.random.default_rng(0).normal(size=(500, 3)) * [1.0, 1.5, 0.6]
-    cloud = PointCloud(points)
-    flat = PointCloud(rectangle(n=200).geometry.points)
-    for geometry, up, axis in ((cloud, "y", 1), (cloud, "z", 2), (flat, None, 1)):
-        view = View(up=up).rotation(geometry)
+    for shape, up, axis in ((points, "y", 1), (points, "z", 2), (SHEET, None, 1)):
+        geometry = PointCloud(shape)
+        view = View(up).rotation(geometry)
         level = np.cross(view[0], np.eye(3)[axis])  # towards the viewer, and level
-        turned = View(up=up, turn=30.0).rotation(geometry)
+        turned = View(up, turn=30.0).rotation(geometry)
         np.testing.assert_allclose(turned[:, axis], view[:, axis], atol=1e-12)  # as upright
         assert turned[0] @ level == pytest.approx(0.5)
-        np.testing.assert_allclose(View(up=up, turn=360.0).rotation(geometry), view, atol=1e-12)
-    with pytest.raises(InvalidInputError, match="`turn` must be a finite number of degrees"):
-        View(turn=float("nan"))
+        np.testing.assert_allclose(View(up, 360.0).rotation(geometry), view, atol=1e-12)
 
 
 def test_a_sheet_is_seen_from_above():
-    rough = rectangle(n=200).geometry.points.copy()
+    rough = SHEET.copy()
     rough[:, 2] = np.maximum(0.01 * np.random.default_rng(0).normal(size=len(rough)), 0)
     assert abs(View().rotation(PointCloud(rough))[2, 2]) > 0.5
 
@@ -156,58 +288,48 @@ def test_a_sheet_is_seen_from_above():
 @pytest.mark.parametrize("points", [[[0, 0, 0]], [[0, 0, 0], [1, 0, 0]]])
 def test_geometries_without_extent_are_drawn(points):
     cloud = PointCloud(points)
-    scene = Scene(
-        geometry=cloud,
-        functions=[np.zeros(cloud.n)],
-        rotation=View().rotation(cloud),
-        width=30,
-        colours=BLUE_TO_RED,
-    )
-    assert render([scene])[0].shape[0] == 1
+    assert len(draw(cloud, [np.zeros(cloud.n)], rotation=View().rotation(cloud), width=30)) == 1
 
 
-def test_comparison_page(tmp_path):
-    mesh = bumpy()
-    laplacian = robust_laplacian(mesh)
-    exact = eigensolve(laplacian, 8)
-    path = tmp_path / "modes.png"
-    plot_comparison(
-        path,
-        mesh,
-        exact,
-        exact,
-        compare_spectra(exact, exact),
-        modes=[0, 3],
-        page=Page("A title far too long for one page " * 6, "below", dpi=50),
-    )
-    with Image.open(path) as image:
-        page = np.asarray(image.convert("RGB"))
-    assert page.shape[1] <= 11 * 50
-    assert (page[:3] == 255).all()  # nothing touches
-    assert (page[-3:] == 255).all()  # the border,
-    assert (page[:, :3] == 255).all()  # long titles
-    assert (page[:, -3:] == 255).all()  # included
-    assert (page < 200).any()
-    assert os.listdir(tmp_path) == ["modes.png"]
+@pytest.mark.parametrize(
+    ("name", "plot"),
+    [
+        ("modes.png", lambda **o: comparison(modes=[0, 3], **o)),
+        ("match.png", lambda **o: match(errors=viz_errors(), **o)),
+        ("pairs.png", lambda **o: matches([PAIR, PAIR], **o)),
+        ("pareto.png", lambda **o: viz.plot_pareto([POINT], marks={"ARPACK": 3.0}, **o)),
+        ("spectra.png", lambda **o: viz.plot_spectrum({"a": SPECTRUM, "$b<": SPECTRUM}, **o)),
+        ("hks.png", lambda **o: signatures(SIGNATURE + TIMES, shown=[1, 4, 6], **o)),
+        ("map.png", lambda **o: viz.plot_functional_map(np.eye(20)[:15], **o)),
+        ("curves.png", lambda **o: viz.plot_error_curves({"a": [0.0, 2.5]}, **o)),
+        ("runs.png", lambda **o: viz.plot_convergence([RUN], **o)),
+    ],
+)
+def test_pages_keep_their_margins(tmp_path, name, plot):
+    found = plot(path=tmp_path / name, page=Page("Far too long for one page " * 9, "below", 50))
+    assert found.path == tmp_path / name
+    picture = page(found.path)
+    assert picture.shape[1] <= 12 * 50
+    assert borders_are_white(picture)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def viz_errors():
+    from spectra_kit.correspondence import MapErrors
+
+    return MapErrors(np.linspace(0, 10, BALL.n - 9), SAME[9:])
 
 
 def test_wide_geometries_stand_in_rows_tall_ones_in_columns(tmp_path):
-    def aspect(stretch):
-        points = sphere(subdivisions=1).geometry.points * stretch
-        panel = Panel(values=points[:, 0], limit=1.0)
-        plot_panels(
-            tmp_path / "x.png",
-            PointCloud(points),
-            [[panel] * 3] * 5,
-            rows_named=[*"12345"],
-            columns_named=[*"abc"],
-            page=Page(dpi=20),
-        )
-        with Image.open(tmp_path / "x.png") as page:
-            return page.width / page.height
-
     for stretch in ([1, 1, 8], [1, 4, 1]):
-        assert 0.5 < aspect(stretch) < 2
+        points = sphere(subdivisions=1).geometry.points * stretch
+        rows, names = [[Panel(values=points[:, 0], limit=1.0)] * 3] * 5, [*"12345"]
+        path, cloud = tmp_path / "x.png", PointCloud(points)
+        viz.plot_panels(
+            path, cloud, rows, rows_named=names, columns_named=[*"abc"], page=Page(dpi=20)
+        )
+        height, width, _ = page(path).shape
+        assert 0.5 < width / height < 2
 
 
 @pytest.mark.parametrize(
@@ -218,38 +340,11 @@ def test_short_numbers(value, text):
     assert short(value) == text
 
 
-def one_panel(path, geometry, values, **options):
-    panel = Panel(values=values, limit=1.0)
-    named = {"rows_named": ["r"], "columns_named": ["c"]}
-    plot_panels(path, geometry, [[panel]], **named, page=Page(dpi=20), **options)
-
-
-def test_bad_input_is_refused(tmp_path, ball):
-    good = np.zeros(ball.n)
-    with pytest.raises(
-        InvalidInputError, match=r"`path` must end in .png, .pdf or .svg, got 'modes.jpg'"
-    ):
-        one_panel("modes.jpg", ball, good)
-    with pytest.raises(InvalidInputError, match=r"`values` must have shape \(642,\), got \(3,\)"):
-        one_panel(tmp_path / "x.png", ball, good[:3])
-    with pytest.raises(InvalidInputError, match=r"`values` must be finite"):
-        one_panel(tmp_path / "x.png", ball, good * np.nan)
-    with pytest.raises(InvalidInputError, match=r"the folder .* does not exist"):
-        one_panel(tmp_path / "no" / "x.png", ball, good)
-    panel = Panel(values=good, limit=1.0)
-    for rows, names in (([], "a"), ([[panel]], "ab"), ([[]], "")):
-        with pytest.raises(InvalidInputError, match=r"`rows` must be a table of \d columns"):
-            plot_panels(tmp_path / "x.png", ball, rows, rows_named=["r"], columns_named=[*names])
-
-
-def test_modes_out_of_range_are_refused(tmp_path, ball):
-    exact = eigensolve(robust_laplacian(ball), 4)
-    comparison = compare_spectra(exact, exact)
-    with pytest.raises(InvalidInputError, match=r"`modes` must be in \[0, 3\], got 4"):
-        plot_comparison(tmp_path / "x.png", ball, exact, exact, comparison, modes=[4])
-    other = TriangleMesh(ball.points[:3], [[0, 1, 2]])
-    with pytest.raises(InvalidInputError, match=r"`geometry` must have the 642 points"):
-        plot_comparison(tmp_path / "x.png", other, exact, exact, comparison, modes=[1])
+def without(fake, tmp_path, monkeypatch):
+    """Put a `pyvista` in front of the real one, for new processes only."""
+    (tmp_path / "pyvista.py").write_text(fake)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    drawer.end_drawing()
 
 
 @pytest.mark.parametrize(
@@ -263,13 +358,13 @@ def test_modes_out_of_range_are_refused(tmp_path, ball):
     ],
 )
 def test_a_machine_without_opengl_gets_an_error_and_keeps_its_picture(
-    ball, tmp_path, monkeypatch, fake, message
+    tmp_path, monkeypatch, fake, message
 ):
     picture = tmp_path / "x.png"
     picture.write_text("the old one")
     without(fake, tmp_path, monkeypatch)
     with pytest.raises(MissingDependencyError, match=message):
-        one_panel(picture, ball, np.zeros(ball.n))
+        panels(path=picture)
     assert picture.read_text() == "the old one"
 
 
@@ -281,12 +376,10 @@ def test_a_machine_without_opengl_gets_an_error_and_keeps_its_picture(
     ],
 )
 def test_an_error_in_the_process_that_draws_comes_out_as_itself(
-    ball, tmp_path, monkeypatch, raised, error, told
+    tmp_path, monkeypatch, raised, error, told
 ):
     """It is no sign of a missing library, and nobody is sent to install one."""
-    monkeypatch.delenv("VTK_DEFAULT_OPENGL_WINDOW", raising=False)
     fake = f"""
-import os
 class Odd(Exception):
     def __init__(self, text, number):
         super().__init__(text)
@@ -297,14 +390,15 @@ class Plotter:
 """
     without(fake, tmp_path, monkeypatch)
     with pytest.raises(error, match=told) as caught:
-        one_panel(tmp_path / "x.png", ball, np.zeros(ball.n))
+        panels(path=tmp_path / "x.png")
+    drawer.end_drawing()
     (note,) = caught.value.__notes__
     assert note.startswith("It was raised in the process that draws:\nTraceback")
     assert "in Color" in note
     assert not (tmp_path / "x.png").exists()
 
 
-def test_one_process_draws_all_pictures_until_it_dies(ball, tmp_path, monkeypatch):
+def test_one_process_draws_all_pictures_until_it_dies(monkeypatch):
     processes = []
 
     class Recorded(subprocess.Popen):
@@ -314,28 +408,29 @@ def test_one_process_draws_all_pictures_until_it_dies(ball, tmp_path, monkeypatc
 
     monkeypatch.setattr(subprocess, "Popen", Recorded)
     drawer.end_drawing()
-    first, again = (draw(ball)[0] for _ in range(2))
+    first, again = (draw(BALL)[0] for _ in range(2))
     assert np.array_equal(first, again)
     assert len(processes) == 1
     processes[0].kill()
-    assert np.array_equal(draw(ball)[0], first)
+    assert np.array_equal(draw(BALL)[0], first)
 
     def interrupt(done, total):
         raise KeyboardInterrupt
 
-    by_x = [ball.points[:, 0]]
-    scene = Scene(
-        geometry=ball, functions=by_x * 9, rotation=np.eye(3), width=60, colours=BLUE_TO_RED
-    )
     with pytest.raises(KeyboardInterrupt):
-        render([scene], progress=interrupt)
+        film(progress=interrupt)
     assert processes[-1].wait(10) == -signal.SIGKILL
-    assert np.array_equal(draw(ball)[0], first)
+    assert np.array_equal(draw(BALL)[0], first)
     n = len(processes)
     with pytest.raises(IndexError, match="out of bounds") as caught:
-        render([replace(scene, functions=[np.zeros(5)])])
-    assert len(processes) == n  # no other way to draw was tried
+        draw(BALL, [np.zeros(5)])
     assert "in the process that draws" in caught.value.__notes__[0]
-    assert np.array_equal(draw(ball)[0], first)
+    assert np.array_equal(draw(BALL)[0], first)
+    assert len(processes) == n  # it goes on
     drawer.end_drawing()
     assert [process.poll() is None for process in processes] == [False] * len(processes)
+
+
+def test_a_mesh_may_be_one_triangle():
+    lone = TriangleMesh(SQUARE.points[:3], [[0, 1, 2]])
+    assert viz.plot_fields(lone, {"x": lone.points[:, 0]}, page=Page(dpi=30)).content

@@ -12,8 +12,7 @@ import pytest
 from PIL import Image
 
 from spectra_kit import Dense, eigensolve, robust_laplacian
-from spectra_kit.errors import InvalidInputError, MissingDependencyError
-from spectra_kit.geometry import PointCloud, creature, sphere
+from spectra_kit.geometry import creature, sphere
 from spectra_kit.viz import View, animate_modes
 from spectra_kit.viz.animation import _inner_radii, _shifts
 
@@ -37,10 +36,7 @@ def modes(ball):
 def film(ball, modes, tmp_path_factory):
     """The frames of two modes, and where they are."""
     path = tmp_path_factory.mktemp("film") / "modes.gif"
-    try:
-        picture = animate_modes(path, ball, modes, modes=[1, 2], amplitude=0.05, **SIZE)
-    except MissingDependencyError as error:
-        pytest.skip(f"no picture can be drawn here: {error}")
+    picture = animate_modes(path, ball, modes, modes=[1, 2], amplitude=0.05, **SIZE)
     assert picture.path == path
     return path
 
@@ -129,22 +125,19 @@ def test_one_palette_serves_all_frames(film):
 def test_clouds_swing_and_nodal_lines_stand_still(ball, modes, tmp_path):
     path = tmp_path / "cloud.gif"
     told = []
-    try:
-        animate_modes(
-            path,
-            ball.as_cloud(),
-            modes,
-            modes=[1],
-            amplitude=0.05,
-            seconds_per_mode=0.5,
-            nodal_lines=True,
-            view=View("z"),
-            progress=lambda done, total: told.append((done, total)),
-            width=150,
-            fps=8,
-        )
-    except MissingDependencyError as error:
-        pytest.skip(f"no picture can be drawn here: {error}")
+    animate_modes(
+        path,
+        ball.as_cloud(),
+        modes,
+        modes=[1],
+        amplitude=0.05,
+        seconds_per_mode=0.5,
+        nodal_lines=True,
+        view=View("z"),
+        progress=lambda done, total: told.append((done, total)),
+        width=150,
+        fps=8,
+    )
     assert told == [(1, 3), (2, 3), (3, 3)]  # at both ends and at rest
     frames = iio.imread(path).astype(int)
     assert len(frames) == 4
@@ -159,10 +152,7 @@ def test_clouds_swing_and_nodal_lines_stand_still(ball, modes, tmp_path):
 
 def test_a_film_as_mp4(ball, modes, tmp_path):
     path = tmp_path / "modes.mp4"
-    try:
-        animate_modes(path, ball, modes, modes=[1], seconds_per_mode=1, width=71, fps=8)
-    except MissingDependencyError as error:
-        pytest.skip(f"no film can be made here: {error}")
+    animate_modes(path, ball, modes, modes=[1], seconds_per_mode=1, width=71, fps=8)
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo"]
     film = subprocess.run([*command, "-pix_fmt", "rgb24", "-"], capture_output=True, check=True)
     about = film.stderr.decode()
@@ -184,15 +174,10 @@ def test_an_interrupted_film_leaves_nothing_behind(ball, modes, tmp_path):
 
     path = tmp_path / "modes.gif"
     path.write_text("the old one")
-    try:
+    with pytest.raises(KeyboardInterrupt):
         animate_modes(path, ball, modes, progress=interrupt, **SIZE)
-    except MissingDependencyError as error:
-        pytest.skip(f"no picture can be drawn here: {error}")
-    except KeyboardInterrupt:
-        assert os.listdir(tmp_path) == ["modes.gif"]
-        assert path.read_text() == "the old one"
-    else:
-        pytest.fail("nobody was told of the progress")
+    assert os.listdir(tmp_path) == ["modes.gif"]
+    assert path.read_text() == "the old one"
 
 
 def test_without_ffmpeg_the_error_names_the_extra(tmp_path):
@@ -209,7 +194,7 @@ animate_modes("modes.mp4", mesh, eigensolve(robust_laplacian(mesh), 4, Dense()))
         [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert "MissingDependencyError: MP4 needs imageio-ffmpeg" in run.stderr
-    assert "pip install spectra_kit[video]; or write a .gif" in run.stderr
+    assert "pip install 'spectra_kit[video]'; or write a .gif" in run.stderr
     assert os.listdir(tmp_path) == []
 
 
@@ -234,24 +219,3 @@ def test_balls_inside_are_as_large_as_there_is_room():
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     pole = np.abs(ball.points[:, 2]) > 1.99
     np.testing.assert_allclose(_inner_radii(thin, normals, 10.0)[pole], 0.1, rtol=0.05)
-
-
-def test_bad_input_is_refused(ball, modes, tmp_path):
-    path = tmp_path / "modes.gif"
-    for match, options in (
-        (r"`modes` must be in \[0, 4\], got 5", {"modes": [5]}),
-        ("`modes` must hold at least one mode, got none", {"modes": []}),
-        ("`amplitude` must be finite and >= 0, got -1", {"amplitude": -1.0}),
-        ("`width` must be at least 16, got 3", {"width": 3}),
-        ("`fps` must be positive", {"fps": 0}),
-        ("`seconds_per_mode` must be positive", {"seconds_per_mode": 0.0}),
-    ):
-        with pytest.raises(InvalidInputError, match=match):
-            animate_modes(path, ball, modes, **options)
-    with pytest.raises(InvalidInputError, match="`geometry` must have the 642 points"):
-        animate_modes(path, PointCloud(ball.points[:9]), modes)
-    with pytest.raises(InvalidInputError, match=r"`path` must end in .gif or .mp4, got 'x.png'"):
-        animate_modes("x.png", ball, modes)
-    with pytest.raises(InvalidInputError, match=r"the folder .* does not exist"):
-        animate_modes(tmp_path / "no" / "x.gif", ball, modes)
-    assert os.listdir(tmp_path) == []

@@ -6,11 +6,11 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+from drawing import BALL, SQUARE, can_draw, page  # noqa: F401
 from PIL import Image
 
 from spectra_kit import Spectrum, eigensolve, robust_laplacian
-from spectra_kit.errors import InvalidInputError, MissingDependencyError
-from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
+from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle
 from spectra_kit.metrics import compare_spectra
 from spectra_kit.viz import (
     MatchedPair,
@@ -18,7 +18,6 @@ from spectra_kit.viz import (
     Picture,
     View,
     plot_comparison,
-    plot_correspondence,
     plot_correspondences,
     plot_fields,
     plot_functional_map,
@@ -31,7 +30,6 @@ from spectra_kit.viz.panels import Panel, symmetric_limit
 from spectra_kit.viz.render import Scene, render
 from spectra_kit.viz.texture import SQUARES, named_squares, texture_colours
 
-SQUARE = TriangleMesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
 LEVELS = np.array([-0.5, 0.0, 0.5])
 WHITE = np.full((2, 3), 255, np.uint8)
 
@@ -86,22 +84,8 @@ def oklab(rgb):
 
 
 @pytest.fixture(scope="module")
-def ball():
-    return sphere(subdivisions=3).geometry
-
-
-@pytest.fixture(scope="module", autouse=True)
-def can_draw():
-    """Skips everything where no picture can be drawn."""
-    try:
-        return drawn((SQUARE, np.ones(4), np.eye(3)), width=20)[0]
-    except MissingDependencyError as error:
-        pytest.skip(f"no picture can be drawn here: {error}")
-
-
-@pytest.fixture(scope="module")
-def spectrum(ball):
-    return eigensolve(robust_laplacian(ball), 9)
+def spectrum():
+    return eigensolve(robust_laplacian(BALL), 9)
 
 
 def drawn(*scenes, width, line_width=4.0):
@@ -119,11 +103,6 @@ def drawn(*scenes, width, line_width=4.0):
         for geometry, values, rotation in scenes
     ]
     return [pictures[0].mean(axis=2) for pictures in render(made)]
-
-
-def page(path):
-    with Image.open(path) as image:
-        return np.asarray(image.convert("RGB")).astype(int)
 
 
 def lengths(segments):
@@ -159,12 +138,12 @@ def test_sequential_colours_grow_lighter():
         assert (np.diff(seen[:, 0]) > 0).all()
 
 
-def test_the_zeros_of_a_height_are_the_equator(ball):
-    turned = ball.points @ np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
-    lines = level_lines(turned, ball.faces, turned[:, 2])
+def test_the_zeros_of_a_height_are_the_equator():
+    turned = BALL.points @ np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    lines = level_lines(turned, BALL.faces, turned[:, 2])
     assert np.abs(lines[..., 2]).max() < 1e-12
     assert lengths(lines).sum() == pytest.approx(2 * np.pi, rel=0.01)
-    several = level_lines(turned, ball.faces, turned[:, 2], LEVELS)
+    several = level_lines(turned, BALL.faces, turned[:, 2], LEVELS)
     assert lengths(several).sum() == pytest.approx(2 * np.pi * (1 + np.sqrt(3)), rel=0.01)
     cloud = PointCloud(turned)
     near = level_lines(turned, triangles_of(cloud), turned[:, 2])
@@ -185,31 +164,31 @@ def test_zeros_at_vertices_make_one_line():
         assert np.abs(lines[lengths(lines) > 0][..., 0]).max() == 0
 
 
-def test_rounding_and_plateaus_make_no_line(ball):
-    noise = 1e-9 * np.random.default_rng(0).normal(size=ball.n)
-    assert len(level_lines(ball.points, ball.faces, 1 + noise)) == 0
-    assert len(level_lines(ball.points, ball.faces, np.zeros(ball.n))) == 0
+def test_rounding_and_plateaus_make_no_line():
+    noise = 1e-9 * np.random.default_rng(0).normal(size=BALL.n)
+    assert len(level_lines(BALL.points, BALL.faces, 1 + noise)) == 0
+    assert len(level_lines(BALL.points, BALL.faces, np.zeros(BALL.n))) == 0
     for sign in (1, -1):
-        bump = sign * np.maximum(ball.points[:, 2] - 0.5, 0) + noise
-        assert len(level_lines(ball.points, ball.faces, bump)) == 0
-    two = np.clip(np.abs(ball.points[:, 2]) - 0.5, 0, None) * np.sign(ball.points[:, 2]) + noise
-    assert len(level_lines(ball.points, ball.faces, two)) == 0  # a wide zero between
+        bump = sign * np.maximum(BALL.points[:, 2] - 0.5, 0) + noise
+        assert len(level_lines(BALL.points, BALL.faces, bump)) == 0
+    two = np.clip(np.abs(BALL.points[:, 2]) - 0.5, 0, None) * np.sign(BALL.points[:, 2]) + noise
+    assert len(level_lines(BALL.points, BALL.faces, two)) == 0  # a wide zero between
 
 
-def test_levels_are_relative_to_the_range_of_values(ball):
-    height = ball.points[:, 2]
+def test_levels_are_relative_to_the_range_of_values():
+    height = BALL.points[:, 2]
     wanted = 2 * np.pi * (1 + np.sqrt(3))
     for offset in (1e9, -1e6):
-        far = level_lines(ball.points, ball.faces, offset + height, offset + LEVELS)
+        far = level_lines(BALL.points, BALL.faces, offset + height, offset + LEVELS)
         assert lengths(far).sum() == pytest.approx(wanted, rel=0.01)
     spiked = height.copy()
     spiked[height.argmax()] = 1e8
-    lines = level_lines(ball.points, ball.faces, spiked, LEVELS)
+    lines = level_lines(BALL.points, BALL.faces, spiked, LEVELS)
     assert lengths(lines).sum() == pytest.approx(wanted, rel=0.01)
 
 
-def test_a_spike_neither_widens_the_colours_nor_adds_levels(ball):
-    spiked = 1e-3 * np.abs(ball.points[:, 2])
+def test_a_spike_neither_widens_the_colours_nor_adds_levels():
+    spiked = 1e-3 * np.abs(BALL.points[:, 2])
     spiked[0] = 1e3
     panel = _panel("spiked", spiked, [spiked], None, "levels")
     assert panel.limit < 1.1e-3
@@ -217,8 +196,8 @@ def test_a_spike_neither_widens_the_colours_nor_adds_levels(ball):
     assert panel.low <= min(panel.levels) < max(panel.levels) <= panel.limit
 
 
-def test_colours_of_nearly_constant_fields_hold_their_values(ball):
-    spike, zero = np.zeros(ball.n), np.zeros(ball.n)
+def test_colours_of_nearly_constant_fields_hold_their_values():
+    spike, zero = np.zeros(BALL.n), np.zeros(BALL.n)
     spike[7] = 1.0
     delta = _panel("delta", spike, [spike], None, "levels")
     assert (delta.low, delta.limit, delta.ends()) == (0.0, 1.0, ("0", "1.0"))
@@ -231,16 +210,16 @@ def test_colours_of_nearly_constant_fields_hold_their_values(ball):
         assert (panel.colours(5) == sequential_colours(np.array([0.5]))).all()
 
 
-def test_the_ends_of_the_colours_can_be_told_apart(ball):
-    values = 1e9 + ball.points[:, 2]
+def test_the_ends_of_the_colours_can_be_told_apart():
+    values = 1e9 + BALL.points[:, 2]
     low, high = (float(end) for end in _panel("z", values, [values], None, "none").ends())
     assert high - low == pytest.approx(2, rel=0.05)
     assert Panel(values=values, low=101.0, limit=149.0).ends() == ("101", "149")
     assert Panel(values=values, low=0.518, limit=0.523).ends() == ("0.518", "0.523")
 
 
-def test_lines_have_one_width_whatever_their_direction(can_draw):
-    assert (can_draw > 150).all()  # a constant has none
+def test_lines_have_one_width_whatever_their_direction():
+    assert (drawn((SQUARE, np.ones(4), np.eye(3)), width=20)[0] > 150).all()  # a constant has none
     directions = np.array([[1, 0], [0, 1], [1, 1], [1, -2]])
     normals = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     values = (SQUARE.points[:, :2] - 0.5) @ normals.T
@@ -251,13 +230,13 @@ def test_lines_have_one_width_whatever_their_direction(can_draw):
         assert ink.sum() == pytest.approx(4 * length, rel=0.05)
 
 
-def test_lines_reach_round_a_surface_and_hide_behind_it(ball):
+def test_lines_reach_round_a_surface_and_hide_behind_it():
     tilt = np.deg2rad(30)
     rotation = np.array(
         [[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]]
     )
-    height = ball.points[:, 1]
-    for picture in drawn((ball, height, rotation), (ball.as_cloud(), height, rotation), width=200):
+    height = BALL.points[:, 1]
+    for picture in drawn((BALL, height, rotation), (BALL.as_cloud(), height, rotation), width=200):
         dark = picture < 90
         columns = np.flatnonzero(dark.any(axis=0))
         assert np.ptp(columns) > 165
@@ -268,12 +247,12 @@ def test_lines_reach_round_a_surface_and_hide_behind_it(ball):
         assert np.abs(rows - middle).mean() == pytest.approx(92 * np.sin(tilt), abs=6)
 
 
-def test_fields_share_a_view_and_limits(tmp_path, ball, monkeypatch, capfd):
+def test_fields_share_a_view_and_limits(tmp_path, monkeypatch, capfd):
     monkeypatch.delenv("DISPLAY", raising=False)
-    fields = {"whole": ball.points[:, 2], "half": ball.points[:, 2] / 2}
+    fields = {"whole": BALL.points[:, 2], "half": BALL.points[:, 2] / 2}
     style = {"columns": 2, "view": View("z"), "page": Page(dpi=40)}
-    own = plot_fields(tmp_path / "own.png", ball, fields, **style)
-    one = plot_fields(tmp_path / "one.png", ball.as_cloud(), fields, share_limits=True, **style)
+    own = plot_fields(tmp_path / "own.png", BALL, fields, **style)
+    one = plot_fields(tmp_path / "one.png", BALL.as_cloud(), fields, share_limits=True, **style)
     for picture in (own, one):  # no more than the margin stays empty at the foot
         inked = np.flatnonzero((page(picture.path) < 240).any(axis=(1, 2)))
         assert 5 <= len(page(picture.path)) - inked[-1] <= 10
@@ -295,10 +274,10 @@ def embedded(svg):
     return [image.astype(int) for image in images if len(image) > 20]
 
 
-def test_vector_pages_hold_text_and_pictures_of_their_resolution(tmp_path, ball, spectrum):
+def test_vector_pages_hold_text_and_pictures_of_their_resolution(tmp_path, spectrum):
     def draw(name, modes):
         page = Page("T & λ", dpi=150)
-        return plot_modes(tmp_path / name, ball, spectrum, modes=modes, page=page).path
+        return plot_modes(tmp_path / name, BALL, spectrum, modes=modes, page=page).path
 
     svg = draw("modes.svg", [0, 4]).read_text()
     texts = re.findall(r">([^<>]+)</text>", svg)
@@ -333,7 +312,7 @@ def test_galleries_leave_constants_out(tmp_path):
     assert re.findall(r">mode (\d)", text) == ["1", "2"]
 
 
-def test_comparisons_draw_zeros_of_modes_alone(tmp_path, ball, spectrum):
+def test_comparisons_draw_zeros_of_modes_alone(tmp_path, spectrum):
     other = Spectrum(  # another sign, another size: the difference is a mode too
         eigenvalues=spectrum.eigenvalues,
         eigenvectors=spectrum.eigenvectors,
@@ -343,7 +322,7 @@ def test_comparisons_draw_zeros_of_modes_alone(tmp_path, ball, spectrum):
     with_lines, without = (
         page(
             plot_comparison(
-                *(tmp_path / "c.png", ball, spectrum, other, comparison),
+                *(tmp_path / "c.png", BALL, spectrum, other, comparison),
                 modes=[2],
                 nodal_lines=lines,
                 page=Page(dpi=60),
@@ -371,10 +350,10 @@ def test_squares_are_named_light_and_dark():
     assert (np.abs(np.diff(row.sum(axis=1))) > 120).all()
 
 
-def test_a_texture_travels_with_the_map(tmp_path, ball):
+def test_a_texture_travels_with_the_map(tmp_path):
     pairs = [
-        MatchedPair(source=ball, target=ball, point_map=np.arange(ball.n)),
-        MatchedPair(source=ball, target=ball, point_map=np.zeros(ball.n, dtype=int)),
+        MatchedPair(source=BALL, target=BALL, point_map=np.arange(BALL.n)),
+        MatchedPair(source=BALL, target=BALL, point_map=np.zeros(BALL.n, dtype=int)),
     ]
     svg = plot_correspondences(
         tmp_path / "t.svg", pairs, transfer="texture", view=View("z"), page=Page(dpi=40)
@@ -388,39 +367,16 @@ def test_a_texture_travels_with_the_map(tmp_path, ball):
     assert hues[1] < 0.6 * hues[0]  # one colour, and the light on it
 
 
-def test_notebooks_show_pictures(tmp_path):
-    picture = plot_functional_map(tmp_path / "x.png", np.eye(3), page=Page(dpi=20))
+def test_notebooks_show_pictures_with_a_file_and_without(tmp_path):
     (tmp_path / "x.svg").write_text("<svg/>")
     (tmp_path / "x.pdf").write_bytes(b"%PDF")
-    shown = picture._repr_mimebundle_()
-    assert list(shown) == ["image/png"]
-    assert b64decode(shown["image/png"]) == (tmp_path / "x.png").read_bytes()
+    picture = plot_functional_map(tmp_path / "x.png", np.eye(3), page=Page(dpi=20))
+    content = (tmp_path / "x.png").read_bytes()
+    shown = plot_functional_map(np.eye(3), page=Page(dpi=20))
+    assert (shown.path, shown.content) == (None, content)
+    for kept in (picture, shown, plot_functional_map(None, np.eye(3), page=Page(dpi=20))):
+        assert b64decode(kept._repr_mimebundle_()["image/png"]) == content
     assert Picture(tmp_path / "x.svg")._repr_mimebundle_() == {"image/svg+xml": "<svg/>"}
-    for name in ("x.pdf", "missing.png"):
-        assert Picture(tmp_path / name)._repr_mimebundle_() == {}
-
-
-def test_bad_input_is_refused(tmp_path, ball, spectrum):
-    good, path = np.zeros(ball.n), tmp_path / "x.png"
-    for fields, options, message in (
-        ({}, {}, "`fields` must hold at least one function, got none"),
-        ({"a": good[:4]}, {}, r"`fields\['a'\]` must have shape \(642,\), .* got \(4,\)"),
-        ({"a": good * np.nan}, {}, r"`fields\['a'\]` must be finite"),
-        ({"a": good}, {"lines": "zero"}, "`lines` must be 'none', 'nodal' or 'levels', got 'zero'"),
-        ({"a": good}, {"columns": 0}, "`columns` must be at least 1"),
-    ):
-        with pytest.raises(InvalidInputError, match=message):
-            plot_fields(path, ball, fields, **options)
-    for modes, message in (
-        ([], "`modes` must hold at least one mode, got none"),
-        ([9], r"`modes` must be in \[0, 8\], got 9"),
-    ):
-        with pytest.raises(InvalidInputError, match=message):
-            plot_modes(path, ball, spectrum, modes=modes)
-    with pytest.raises(InvalidInputError, match="`columns` must be at least 1"):
-        plot_modes(path, ball, spectrum, columns=0)
-    with pytest.raises(InvalidInputError, match="`geometry` must have the 642 points"):
-        plot_modes(path, SQUARE, spectrum)
-    with pytest.raises(InvalidInputError, match="`transfer` must be 'colours' or 'texture'"):
-        plot_correspondence(path, ball, ball, np.arange(ball.n), transfer="uv")
-    assert not list(tmp_path.iterdir())
+    assert list(Picture(content=b"GIF89a")._repr_mimebundle_()) == ["image/gif"]
+    for nothing in (Picture(tmp_path / "x.pdf"), Picture(tmp_path / "missing.png"), Picture()):
+        assert nothing._repr_mimebundle_() == {}

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import two_parts
+from drawing import BALL, can_draw  # noqa: F401
 from matplotlib.colors import to_hex
 from matplotlib.transforms import Bbox
-from PIL import Image
 
 from spectra_kit import Dense, Spectrum, eigensolve, robust_laplacian, verify
 from spectra_kit.descriptors import (
@@ -16,17 +16,7 @@ from spectra_kit.descriptors import (
     wave_energies,
     wave_kernel_signature,
 )
-from spectra_kit.errors import InvalidInputError, MissingDependencyError
-from spectra_kit.geometry import sphere
-from spectra_kit.viz import (
-    Page,
-    ParetoPoint,
-    View,
-    pareto_front,
-    plot_pareto,
-    plot_signatures,
-    plot_spectrum,
-)
+from spectra_kit.viz import Page, ParetoPoint, View, pareto_front
 from spectra_kit.viz.axes import LINE_COLOURS
 from spectra_kit.viz.labels import place_labels
 from spectra_kit.viz.marks import with_balls
@@ -34,30 +24,18 @@ from spectra_kit.viz.pareto import pareto_figure
 from spectra_kit.viz.signatures import _panel, _pictures, draw_curves
 from spectra_kit.viz.spectra import spectrum_figure, weyl_law
 
-
-@pytest.fixture(scope="module")
-def ball():
-    return sphere(subdivisions=3).geometry
+LAPLACIAN = robust_laplacian(BALL)
+EXACT = eigensolve(LAPLACIAN, 16, Dense())
 
 
 @pytest.fixture(scope="module")
-def laplacian(ball):
-    return robust_laplacian(ball)
-
-
-@pytest.fixture(scope="module")
-def exact(laplacian):
-    return eigensolve(laplacian, 16, Dense())
-
-
-@pytest.fixture(scope="module")
-def rough(laplacian, exact):
+def rough():
     """Each mode mixed with a little noise: near true ones, not true."""
-    noise = np.random.default_rng(0).standard_normal((exact.n, exact.k))
-    basis = exact.eigenvectors + 0.02 * noise
-    ortho = np.linalg.qr(np.sqrt(exact.mass)[:, None] * basis)[0] / np.sqrt(exact.mass)[:, None]
-    values, turn = np.linalg.eigh(ortho.T @ (laplacian.stiffness @ ortho))
-    return Spectrum(np.maximum(values, 0.0), ortho @ turn, exact.mass).certify(laplacian)
+    noise = np.random.default_rng(0).standard_normal((EXACT.n, EXACT.k))
+    basis = EXACT.eigenvectors + 0.02 * noise
+    ortho = np.linalg.qr(np.sqrt(EXACT.mass)[:, None] * basis)[0] / np.sqrt(EXACT.mass)[:, None]
+    values, turn = np.linalg.eigh(ortho.T @ (LAPLACIAN.stiffness @ ortho))
+    return Spectrum(np.maximum(values, 0.0), ortho @ turn, EXACT.mass).certify(LAPLACIAN)
 
 
 def figure_of(*spectra, weyl=True):
@@ -80,9 +58,9 @@ def bars(panel):
     ]
 
 
-def test_markers_lie_at_the_eigenvalues(exact, rough):
-    panel = figure_of(exact, rough).axes[0]
-    for spectrum, colour in zip((exact, rough), LINE_COLOURS, strict=False):
+def test_markers_lie_at_the_eigenvalues(rough):
+    panel = figure_of(EXACT, rough).axes[0]
+    for spectrum, colour in zip((EXACT, rough), LINE_COLOURS, strict=False):
         points = markers(panel, colour)
         np.testing.assert_array_equal(points[:, 0], np.arange(16))
         np.testing.assert_array_equal(points[:, 1], spectrum.eigenvalues)
@@ -92,8 +70,8 @@ def test_markers_lie_at_the_eigenvalues(exact, rough):
     assert "[1/length²]" in panel.get_ylabel()
 
 
-def test_bars_hold_true_eigenvalues_and_end_at_zero(exact, rough):
-    true = exact.eigenvalues
+def test_bars_hold_true_eigenvalues_and_end_at_zero(rough):
+    true = EXACT.eigenvalues
     for low, high in bars(figure_of(rough).axes[0])[0]:
         assert low >= 0
         assert ((low <= true) & (true <= high)).any()
@@ -108,29 +86,29 @@ def test_bars_hold_true_eigenvalues_and_end_at_zero(exact, rough):
     assert beyond > 0
 
 
-def test_weyls_law_of_the_sphere(exact, rough):
+def test_weyls_law_of_the_sphere(rough):
     """lambda = l (l + 1) up to the number (l + 1)^2: the line passes through every shell."""
-    panel = figure_of(exact, rough).axes[0]
+    panel = figure_of(EXACT, rough).axes[0]
     [line] = [line for line in panel.lines if line.get_linestyle() == "--"]
     (start, begin), (end, height) = line.get_xydata()
     assert (start, begin) == (0, 0)
-    assert height / end == pytest.approx(4 * np.pi / exact.area)
+    assert height / end == pytest.approx(4 * np.pi / EXACT.area)
     for degree in (1, 2, 3):
         value = height / end * (degree**2 + degree + 0.5)  # the middle of its numbers, about
         assert value == pytest.approx(degree * (degree + 1), rel=0.4 / degree)
     shells = np.repeat([0, 2, 6, 12], [1, 3, 5, 7])
     np.testing.assert_allclose(markers(panel, LINE_COLOURS[0])[:, 1], shells, rtol=0.03, atol=1e-9)
-    assert not [x for x in figure_of(exact, weyl=False).axes[0].lines if x.get_linestyle() == "--"]
+    assert not [x for x in figure_of(EXACT, weyl=False).axes[0].lines if x.get_linestyle() == "--"]
 
 
-def test_surfaces_of_different_area_have_a_line_each(exact):
-    lines = figure_of(exact, exact.rescale(2.0)).axes[0].lines
+def test_surfaces_of_different_area_have_a_line_each():
+    lines = figure_of(EXACT, EXACT.rescale(2.0)).axes[0].lines
     slopes = [y[1] / x[1] for x, y in (v.get_data() for v in lines if v.get_linestyle() == "--")]
     assert slopes[0] == pytest.approx(4 * slopes[1])
 
 
-def test_residuals_are_full_where_the_modes_are_verified(exact, rough, laplacian):
-    proved = verify(exact, laplacian)
+def test_residuals_are_full_where_the_modes_are_verified(rough):
+    proved = verify(EXACT, LAPLACIAN)
     assert proved.certificate.n_verified == 16
     panel = figure_of(proved, rough).axes[1]
     relative = markers(panel, LINE_COLOURS[1])[:, 1]
@@ -147,65 +125,29 @@ def test_residuals_are_full_where_the_modes_are_verified(exact, rough, laplacian
     assert "16 of 16 verified" in told[-1]
 
 
-def test_differences_are_relative_to_the_first_spectrum(exact, rough):
-    panel = figure_of(exact, rough.truncate(10)).axes[2]
+def test_differences_are_relative_to_the_first_spectrum(rough):
+    panel = figure_of(EXACT, rough.truncate(10)).axes[2]
     points = markers(panel, LINE_COLOURS[1])
     np.testing.assert_array_equal(points[:, 0], np.arange(1, 10))  # not that of zero to zero
-    change = rough.eigenvalues[1:10] / exact.eigenvalues[1:10] - 1
+    change = rough.eigenvalues[1:10] / EXACT.eigenvalues[1:10] - 1
     np.testing.assert_allclose(points[:, 1], change)
     assert {line.get_marker() for line in panel.lines if len(line.get_xdata())} == {"^"}
-    below = figure_of(rough, exact).axes[2]
+    below = figure_of(rough, EXACT).axes[2]
     assert {line.get_marker() for line in below.lines if len(line.get_xdata())} == {"v"}
 
 
-def test_spectra_without_certificate_parts_and_single_modes_are_drawn(exact):
-    bare = replace(exact, certificate=None)
+def test_spectra_without_certificate_parts_and_single_modes_are_drawn():
+    bare = replace(EXACT, certificate=None)
     figure = figure_of(bare)
     assert len(figure.axes) == 1
     assert "no certificate" in figure.axes[0].get_legend().get_texts()[-1].get_text()
-    assert len(figure_of(bare, exact).axes) == 3
+    assert len(figure_of(bare, EXACT).axes) == 3
     pair = eigensolve(robust_laplacian(two_parts()), 6)
     assert pair.n_zero_modes == 2
     points = markers(figure_of(pair, pair).axes[2], LINE_COLOURS[1])
     np.testing.assert_array_equal(points[:, 0], [2, 3, 4, 5])
-    single = exact.truncate(1)
+    single = EXACT.truncate(1)
     assert len(figure_of(single, single).axes) == 2  # zero modes do not differ: no empty panel
-
-
-@pytest.mark.parametrize("suffix", [".png", ".svg"])
-def test_a_page_of_spectra_is_written_whole(exact, rough, tmp_path, suffix):
-    path = tmp_path / f"spectra{suffix}"
-    picture = plot_spectrum(
-        path, {"exact": exact, "<rough> $x": rough}, page=Page("A ball", dpi=50)
-    )
-    assert picture.path == path
-    if suffix == ".svg":
-        text = path.read_text()
-        assert "A ball" in text
-        assert "&lt;rough&gt; $x: some true eigenvalue within" in text
-        return
-    with Image.open(path) as image:
-        page = np.asarray(image.convert("RGB"))
-    assert page.shape[1] == 400
-    for border in (page[:2], page[-2:], page[:, :2], page[:, -2:]):
-        assert (border == 255).all()
-
-
-def test_what_is_no_spectrum_is_refused(exact, ball, tmp_path):
-    path = tmp_path / "x.png"
-    with pytest.raises(InvalidInputError, match="`spectra` must hold at least one Spectrum"):
-        plot_spectrum(path, {})
-    with pytest.raises(InvalidInputError, match="must hold Spectrum objects, got a TriangleMesh"):
-        plot_spectrum(path, {"a": ball})
-    with pytest.raises(InvalidInputError, match="`spectra` must have modes, got none in 'empty'"):
-        plot_spectrum(path, {"empty": exact.truncate(1).nonzero()})
-    with pytest.raises(InvalidInputError, match="`free_boundary` must be a number, got nan"):
-        plot_spectrum(path, exact, free_boundary=np.nan)
-    larger = {"one": exact, "two": exact.rescale(2.0)}
-    with pytest.raises(InvalidInputError, match=r"must be of one surface, got 1 .* draw them one"):
-        plot_spectrum(path, larger, free_boundary=1.0)
-    with pytest.raises(InvalidInputError, match=r"`path` must end in .png, .pdf or .svg"):
-        plot_spectrum(tmp_path / "x.gif", exact)
 
 
 @pytest.mark.parametrize("held", [False, True])
@@ -227,20 +169,20 @@ def test_weyls_second_term_is_that_of_a_rectangle(held):
     np.testing.assert_allclose(1e6 * again, weyl_law(number, a * b, around))
 
 
-def test_the_second_term_is_drawn_and_told(exact):
+def test_the_second_term_is_drawn_and_told():
     (line,) = (
         line
-        for line in spectrum_figure({"": exact}, True, Page(), -3.0).axes[0].lines
+        for line in spectrum_figure({"": EXACT}, True, Page(), -3.0).axes[0].lines
         if str(line.get_label()).startswith("Weyl")
     )
     assert line.get_label() == (
         "Weyl's law, j = (area λ \N{MINUS SIGN} length √λ) / 4π, for the area"
-        f" {exact.area:.4g} and a held boundary of length 3"
+        f" {EXACT.area:.4g} and a held boundary of length 3"
     )
     number, value = line.get_xydata().T
-    assert (number[0], number[-1]) == (0, exact.k - 1)
+    assert (number[0], number[-1]) == (0, EXACT.k - 1)
     np.testing.assert_allclose(
-        exact.area * value - 3 * np.sqrt(value), 4 * np.pi * number, atol=1e-9
+        EXACT.area * value - 3 * np.sqrt(value), 4 * np.pi * number, atol=1e-9
     )
 
 
@@ -325,25 +267,6 @@ def test_a_lone_label_stands_beside_its_dot():
     np.testing.assert_allclose(corner, [[56, 46]])
 
 
-def test_methods_are_drawn_or_refused(tmp_path):
-    path = tmp_path / "pareto.png"
-    plot_pareto(path, RUNS, marks={"ARPACK": 3.0}, page=Page("Six", "of them", dpi=50))
-    with Image.open(path) as image:
-        page = np.asarray(image.convert("RGB"))
-    assert (page[:, :2] == 255).all()
-    assert (page[:, -2:] == 255).all()
-    plot_pareto(path, RUNS[:1], page=Page(dpi=30))  # one dot has no range of its own
-    with pytest.raises(InvalidInputError, match="`points` must hold at least one ParetoPoint"):
-        plot_pareto(path, [])
-    for bad in (float("nan"), -1.0):
-        with pytest.raises(InvalidInputError, match="`error` must be finite and >= 0, got"):
-            ParetoPoint(name="", group="", seconds=1.0, error=bad)
-    with pytest.raises(InvalidInputError, match="`seconds` must be positive"):
-        ParetoPoint(name="", group="", seconds=0.0, error=1.0)
-    with pytest.raises(InvalidInputError, match="`marks` must be positive"):
-        plot_pareto(path, RUNS, marks={"never": 0.0})
-
-
 # --- signatures ---------------------------------------------------------------------------------
 
 
@@ -353,9 +276,9 @@ def axes():
     return Figure().add_subplot()
 
 
-def test_curves_are_rows_of_the_signature(exact):
-    times = heat_times(exact, 12)
-    hks = heat_kernel_signature(exact, times)
+def test_curves_are_rows_of_the_signature():
+    times = heat_times(EXACT, 12)
+    hks = heat_kernel_signature(EXACT, times)
     panel = axes()
     draw_curves(panel, hks, times, {"point 5": 5, "point 9": 9}, np.array([2, 7]), "heat")
     for line, point in zip(panel.lines, (5, 9), strict=False):
@@ -363,26 +286,23 @@ def test_curves_are_rows_of_the_signature(exact):
     assert [line.get_xdata()[0] for line in panel.lines[2:]] == [times[2], times[7]]
     assert panel.get_xscale() == panel.get_yscale() == "log"
     wave = axes()
-    energies, width = wave_energies(exact, 12)
-    wks = wave_kernel_signature(exact, energies, width=width)
+    energies, width = wave_energies(EXACT, 12)
+    wks = wave_kernel_signature(EXACT, energies, width=width)
     draw_curves(wave, wks, energies, {"point 5": 5}, np.array([2]), "wave")
     assert wave.get_xscale() == wave.get_yscale() == "linear"
 
 
 @pytest.mark.parametrize("as_cloud", [False, True])
-def test_balls_have_the_colours_of_their_curves_and_hidden_ones_are_told(ball, as_cloud):
-    geometry = ball.as_cloud() if as_cloud else ball
+def test_balls_have_the_colours_of_their_curves_and_hidden_ones_are_told(as_cloud):
+    geometry = BALL.as_cloud() if as_cloud else BALL
     # Seen from the view that is chosen, the first two are in front, the third is behind.
     rotation = View().rotation(geometry)
     seen = geometry.points @ rotation.T
     aim = np.array([[-0.5, 0, 0.86], [0.5, 0, 0.86], [0, 0, -1]])
     points = np.linalg.norm(seen[:, None] - aim, axis=2).argmin(axis=0)
-    try:
-        pictures, visible = _pictures(
-            geometry, [_panel(seen[:, 1], "")], points, View().rotation(geometry), 60
-        )
-    except MissingDependencyError as error:
-        pytest.skip(f"no picture can be drawn here: {error}")
+    pictures, visible = _pictures(
+        geometry, [_panel(seen[:, 1], "")], points, View().rotation(geometry), 60
+    )
     assert visible.tolist() == [True, True, False]
     [picture] = pictures.astype(int)
     side = picture.shape[1]
@@ -398,8 +318,8 @@ def test_balls_have_the_colours_of_their_curves_and_hidden_ones_are_told(ball, a
         assert np.abs(around - wanted).sum(axis=1).min() < 60
 
 
-def test_balls_are_added_behind_the_points(ball):
-    for geometry in (ball, ball.as_cloud()):
+def test_balls_are_added_behind_the_points():
+    for geometry in (BALL, BALL.as_cloud()):
         marked, owner = with_balls(geometry, geometry.points[[3, 4]], 0.1)
         assert type(marked) is type(geometry)
         np.testing.assert_array_equal(marked.points[: geometry.n], geometry.points)
@@ -407,36 +327,3 @@ def test_balls_are_added_behind_the_points(ball):
         for i, point in enumerate((3, 4)):
             away = np.linalg.norm(marked.points[owner == i] - geometry.points[point], axis=1)
             np.testing.assert_allclose(away, 0.1)
-
-
-def test_a_page_of_signatures_is_written_or_refused(exact, ball, tmp_path):
-    path = tmp_path / "hks.png"
-    times = heat_times(exact, 8)
-    hks = heat_kernel_signature(exact, times)
-
-    def plot(signature=hks, scales=times, geometry=ball, points=(1, 2), **options):
-        return plot_signatures(path, geometry, signature, scales, points=points, **options)
-
-    for match, options in (
-        ("`kind` must be 'heat' or 'wave', got 'sound'", {"kind": "sound"}),
-        (r"`signature` must have shape \(642, 8\), points by scales", {"signature": hks[:, :3]}),
-        (r"`scales` must be two or more ascending numbers", {"scales": times[::-1]}),
-        (r"`scales` must be positive times, got .* say kind='wave'", {"scales": times - 1}),
-        (r"`points` must be in \[0, 642\), got 642", {"points": [642]}),
-        (r"`points` must be one to 9 different indices, got \[1, 1\]", {"points": [1, 1]}),
-        (r"`shown` must be one to 9 different indices, got \[\]", {"shown": np.empty(0, int)}),
-        (r"`shown` must be in \[0, 8\), got 8", {"shown": [8]}),
-    ):
-        with pytest.raises(InvalidInputError, match=match):
-            plot(**options)
-    try:
-        plot(shown=[1, 4, 6], page=Page("A ball", dpi=40))
-    except MissingDependencyError as error:
-        pytest.skip(f"no picture can be drawn here: {error}")
-    with Image.open(path) as image:
-        page = np.asarray(image.convert("RGB"))
-    for border in (page[:2], page[-2:], page[:, :2], page[:, -2:]):
-        assert (border == 255).all()
-    right = page[:, page.shape[1] // 2 :].astype(int)
-    coloured = np.ptp(right, axis=2) > 40
-    assert coloured.mean() > 0.1  # three balls fill their cells

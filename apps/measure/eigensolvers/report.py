@@ -11,7 +11,7 @@ import numpy as np
 
 from measure import tables
 from measure.eigensolvers.methods import BASELINE, METHODS, Contender
-from measure.eigensolvers.studies import EXACT, KINDS, Problem, Solves
+from measure.eigensolvers.studies import KINDS, Problem, Solves
 from measure.figures import dots, draw_pareto, legend, panels, save, ticks, undominated
 from measure.machine import machine_line
 from measure.store import Record
@@ -54,7 +54,10 @@ def exponents(rows: Iterable[Row]) -> dict[tuple[str, Contender], Fit]:
 
 
 def write_report(
-    study: Solves, results: Iterable[Result[Contender, Problem]], machine: Record
+    study: Solves,
+    results: Iterable[Result[Contender, Problem]],
+    prepared: Iterable[Result[str, Problem]],
+    machine: Record,
 ) -> list[Path]:
     """Write ``benchmark.json``, ``benchmark.md`` and the plots into the folder of the study.
 
@@ -62,8 +65,8 @@ def write_report(
     ----------
     study : Solves
         What was measured.
-    results : iterable of Result
-        Of `run`.
+    results, prepared : iterable of Result
+        Of it, and of what it was prepared by.
     machine : dict
         Of `describe_machine`.
 
@@ -93,7 +96,8 @@ def write_report(
         ],
     }
     paths = [tables.write_json(folder / "benchmark.json", record), folder / "benchmark.md"]
-    tables.write_markdown(paths[1], _markdown(study, rows, machine))
+    missing = _missing([*repeats_of(prepared), *rows])
+    tables.write_markdown(paths[1], [*_markdown(study, rows, machine), *missing])
     for kind, these in _grouped(rows, lambda row: row.problem.kind):
         if any(row.ok for row in these):
             paths.append(_draw_times(kind, these, fitted, folder / f"time-{kind}.png"))
@@ -143,7 +147,6 @@ def _markdown(study: Solves, rows: Sequence[Row], machine: Record) -> list[str]:
         *(_table(here) for _, here in _grouped(rows, lambda row: row.problem)),
         *_exponent_lines(rows),
         *_solver_lines(rows),
-        *_missing(study, rows),
     ]
 
 
@@ -200,17 +203,14 @@ def _solver_lines(rows: Sequence[Row]) -> list[str]:
     return ["What the names stand for:", tables.listed(f"{n}: `{s}`" for n, s in solvers.items())]
 
 
-def _missing(study: Solves, rows: Sequence[Row]) -> list[str]:
+def _missing(rows: Iterable[Row | Repeats[str, Problem]]) -> list[str]:
     reasons: dict[tuple[str, str], list[str]] = {}
     for row in rows:
-        why = study.unprepared.get((EXACT, str(row.problem)), "")
-        reason = f"no errors: {why}" * bool(why) if row.ok else row.reason
-        if reason:
-            reasons.setdefault((str(row.contender), reason), []).append(str(row.problem))
-    if not reasons:
-        return []
-    lines = (f"{who} ({'; '.join(at)}): {reason}" for (who, reason), at in reasons.items())
-    return ["Not measured, or not to the end:", tables.listed(lines)]
+        if not row.ok:
+            reasons.setdefault((str(row.contender), row.reason), []).append(str(row.problem))
+    told = tables.listed(f"{who} ({'; '.join(at)}): {why}" for (who, why), at in reasons.items())
+    title = "Not measured, or not to the end; without exact modes there are no errors:"
+    return [title, told] if told else []
 
 
 def _pareto_points(rows: Iterable[Row]) -> list[ParetoPoint]:

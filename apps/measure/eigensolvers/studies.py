@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from measure.worker import clocked
 from spectra_kit._validate import check_count
 from spectra_kit.catalogue import OPERATORS, SOLVERS
 from spectra_kit.eigensolvers import eigensolve
-from spectra_kit.errors import ConvergenceError
 from spectra_kit.geometry import creature, sample, sphere
 from spectra_kit.metrics import compare_spectra
 from spectra_kit.operators import Laplacian
@@ -118,8 +116,8 @@ class Preparation(Study[str, Problem]):
         self, contender: str, problem: Problem, before: Sequence[Result[str, Problem]]
     ) -> str:
         """See `Study`."""
-        failed = [r.reason for r in before if r.problem == problem and not r.ok]
-        return f"no operator: {failed[0]}" if failed else ""
+        lost = contender == EXACT and not self.has(OPERATOR, problem)
+        return "there is no operator" if lost else ""
 
     def measure(self, contender: str, problem: Problem) -> Record:
         """See `Study`."""
@@ -137,6 +135,10 @@ class Preparation(Study[str, Problem]):
         write_operator(laplacian, path)
         return {"n": laplacian.n, "assembly_seconds": laplacian.seconds, **files}
 
+    def has(self, contender: str, problem: Problem) -> bool:
+        """Whether the operator, or the exact modes, of a problem are there."""
+        return self.file(contender, problem, ".npz").exists()
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Solves(Study[Contender, Problem]):
@@ -146,8 +148,6 @@ class Solves(Study[Contender, Problem]):
     ----------
     prepared : Preparation
         Of the same problems.
-    unprepared : mapping
-        Why an operator or exact modes are missing, by `str` of what and of the problem.
     threads : int
         The same for every method.
     machine : str
@@ -156,31 +156,15 @@ class Solves(Study[Contender, Problem]):
 
     name = "solve"
     prepared: Preparation
-    unprepared: Mapping[tuple[str, str], str] = field(default_factory=dict)
     threads: int = 1
     machine: str = ""
-
-    @classmethod
-    def of(
-        cls, prepared: Preparation, results: Iterable[Result[str, Problem]], **options: Any
-    ) -> Solves:
-        """Return the study of what `prepared` has prepared, with these results."""
-        missing = {(r.contender, str(r.problem)): r.reason for r in results if not r.ok}
-        check_count("repeats", options.get("repeats", 1), low=1)
-        return cls(
-            folder=prepared.folder,
-            problems=prepared.problems,
-            prepared=prepared,
-            unprepared=missing,
-            **options,
-        )
 
     def facts(self, contender: Contender, problem: Problem) -> dict[str, object]:
         """See `Study`."""
         return {
             **problem.facts,
             "k": self.prepared.k,
-            "compared": (EXACT, str(problem)) not in self.unprepared,
+            "compared": self.prepared.has(EXACT, problem),
             "solver": contender.solver,
             "device": contender.device,
             "threads": self.threads,
@@ -196,8 +180,8 @@ class Solves(Study[Contender, Problem]):
         """Leave out what is not there, what has failed here, and what was too slow before."""
         if not contender.method.present:
             return f"not installed: pip install {contender.method.needs}"
-        if reason := self.unprepared.get((OPERATOR, str(problem))):
-            return f"no operator: {reason}"
+        if not self.prepared.has(OPERATOR, problem):
+            return "there is no operator"
         for result in before:
             status = result.record["status"]
             if result.contender != contender or result.problem.kind != problem.kind:
@@ -219,12 +203,8 @@ class Solves(Study[Contender, Problem]):
         eigensolve(OPERATORS["robust"](ball), min(k, 16), solver)
         # Kept with the operator by its first user, and any of them may be the first.
         _ = laplacian.kernel_dimension, laplacian.component_spacings
-        try:
-            with clocked(device=device) as clock:
-                spectrum = eigensolve(laplacian, k, solver)
-        except ConvergenceError as error:
-            reason = f"{error.n_converged} of {k} modes converged: {error}"
-            return {"status": "failed", "reason": reason, "n": laplacian.n}
+        with clocked(device=device) as clock:
+            spectrum = eigensolve(laplacian, k, solver)
         certificate = spectrum.certificate
         assert certificate is not None
         residuals = certificate.relative_residuals
@@ -244,7 +224,7 @@ class Solves(Study[Contender, Problem]):
         }
 
     def _errors(self, problem: Problem, spectrum: Spectrum) -> Record:
-        if (EXACT, str(problem)) in self.unprepared:
+        if not self.prepared.has(EXACT, problem):
             return {}
         exact = Spectrum.load(self.prepared.file(EXACT, problem, ".npz"), mmap=True)
         comparison = compare_spectra(exact, spectrum)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -192,6 +193,14 @@ class Accuracy(Distances):
     # The direct solver comes first: the others are compared with it.
     contenders: Sequence[str] = tuple(sorted(CONTENDERS, key=lambda name: name != DIRECT))
 
+    def excuse(self, contender: str, problem: Shape, before: Sequence[Result[str, Shape]]) -> str:
+        """Leave out too what lacks the direct solver's fields."""
+        if missing := super().excuse(contender, problem, before):
+            return missing
+        compared = contender not in (DIRECT, *OTHERS)
+        lost = compared and not self.file(DIRECT, problem, ".npy").exists()
+        return "the direct solver has failed" if lost else ""
+
     def measure(self, contender: str, problem: Shape) -> Record:
         """See `Study`."""
         sources, exact = self.exact.distances(problem)
@@ -203,9 +212,8 @@ class Accuracy(Distances):
         mass = intrinsic_delaunay(problem.mesh).laplacian.mass
         errors = [relative_errors(d, e, mass) for d, e in zip(fields, exact, strict=True)]
         record |= {"errors": errors, "files": [f"files/{path.name}"]}
-        direct = self.file(DIRECT, problem, ".npy")
-        if contender not in OTHERS and direct.exists():
-            reference = np.load(direct)
+        if contender not in OTHERS:
+            reference = np.load(self.file(DIRECT, problem, ".npy"))
             known = np.isfinite(reference)
             span = np.max(reference, where=known, initial=0.0, axis=1)
             difference = np.max(np.abs(fields - reference), where=known, initial=0.0, axis=1)
@@ -252,8 +260,7 @@ class Times(Distances):
         return record
 
 
-@dataclass(frozen=True)
-class Ball:
+class Ball(NamedTuple):
     """The unit sphere as a mesh, or points drawn on it, as many."""
 
     kind: str

@@ -1,4 +1,4 @@
-"""The app that matches two files."""
+"""The command that matches two shapes."""
 
 import json
 import os
@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from running import printed, record, refusal
 from scipy.spatial.transform import Rotation
-from test_apps import load
 
-from spectra_kit.cli import main
 from spectra_kit.cli.quality import Side, doubts_of, quality_of
 from spectra_kit.correspondence import bijectivity_errors, way_back
 from spectra_kit.eigensolvers import eigensolve
@@ -25,11 +24,6 @@ from spectra_kit.matching import match
 from spectra_kit.operators import robust_laplacian
 
 FILES = {"point_map.npy", "functional_map.npy", "report.json"}
-
-
-@pytest.fixture(scope="module")
-def app():
-    return load("match_shapes").main
 
 
 @pytest.fixture(scope="module")
@@ -53,24 +47,17 @@ def files(tmp_path_factory):
     return folder
 
 
-def report(app, capsys, *arguments):
-    """Run a match that must succeed in silence; return its report and its folder."""
-    code = app([*map(str, arguments), "--no-pictures", "--json"])
-    out, err = capsys.readouterr()
-    assert (code, err) == (0, "")
-    return json.loads(out)
+def report(capsys, *arguments):
+    """Match in silence; return the report."""
+    return record(capsys, "match", *arguments, "--no-pictures")
 
 
-def refusal(app, capsys, *arguments):
-    assert app([*map(str, arguments), "--no-pictures"]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    return err
+def refused(capsys, *arguments):
+    return refusal(capsys, "match", *arguments, "--no-pictures")
 
 
-def test_a_permuted_copy_gives_the_permutation(app, files, tmp_path, capsys):
+def test_a_permuted_copy_gives_the_permutation(files, tmp_path, capsys):
     result = report(
-        app,
         capsys,
         *(files / "animal.off", files / "permuted.off", "--truth", files / "order.npy"),
         *("-k", 150, "-o", tmp_path / "out"),
@@ -93,18 +80,8 @@ def test_a_permuted_copy_gives_the_permutation(app, files, tmp_path, capsys):
     assert saved == {key: value for key, value in result.items() if key != "written"}
 
 
-def test_the_command_does_the_same(files, tmp_path, capsys):
-    pair = [str(files / name) for name in ("animal.off", "permuted.off")]
-    folder = tmp_path / "out"
-    assert main(["match", *pair, "-k", "150", "-o", str(folder), "--no-pictures"]) == 0
-    assert "written:" in capsys.readouterr().out
-    found = np.load(folder / "point_map.npy")
-    np.testing.assert_array_equal(found, np.load(files / "order.npy"))
-
-
-def test_a_mirrored_copy_is_recognised(app, files, tmp_path, capsys):
+def test_a_mirrored_copy_is_recognised(files, tmp_path, capsys):
     result = report(
-        app,
         capsys,
         *(files / "animal.off", files / "mirrored.off", "--truth", files / "same.npy"),
         *("-k", 150, "-o", tmp_path / "out"),
@@ -114,9 +91,8 @@ def test_a_mirrored_copy_is_recognised(app, files, tmp_path, capsys):
     assert result["match"]["orientation"] < -0.9
 
 
-def test_a_bent_and_remeshed_copy_by_landmarks(app, files, tmp_path, capsys):
+def test_a_bent_and_remeshed_copy_by_landmarks(files, tmp_path, capsys):
     result = report(
-        app,
         capsys,
         *(files / "source.off", files / "target.off", "-k", 80, "-o", tmp_path / "out"),
         *("--truth", files / "truth.npy", "--landmarks", files / "landmarks.txt"),
@@ -126,9 +102,8 @@ def test_a_bent_and_remeshed_copy_by_landmarks(app, files, tmp_path, capsys):
     assert result["match"]["orientation"] > 0.5
 
 
-def test_clouds_are_matched_and_judged_as_far_as_they_can_be(app, files, tmp_path, capsys):
+def test_clouds_are_matched_and_judged_as_far_as_they_can_be(files, tmp_path, capsys):
     result = report(
-        app,
         capsys,
         *(files / "cloud.ply", files / "cloud.ply", "-k", 60, "-o", tmp_path / "out"),
     )
@@ -137,14 +112,12 @@ def test_clouds_are_matched_and_judged_as_far_as_they_can_be(app, files, tmp_pat
     assert result["match"]["way_back_error"] is None
 
 
-def test_the_demo_draws_its_pictures(app, tmp_path, capsys):
+def test_the_demo_draws_its_pictures(tmp_path, capsys):
     folder = tmp_path / "demo"
-    code = app(["--points", "800", "-k", "40", "--dpi", "50", "-o", str(folder)])
-    out, err = capsys.readouterr()
-    if code == 2 and "OpenGL" in err:
-        pytest.skip("no OpenGL library on this machine")
-    assert code == 0, err
+    command = ("match", "demo", "demo", "--points", 800, "-k", 40, "--dpi", 50, "-o", folder)
+    out, _ = printed(capsys, *command)
     assert "dirichlet energy" in out
+    assert "the map: the point of demo that each point of demo is" in out
     assert "mean error" in out
     pictures = {"correspondence.png", "functional_map.png", "errors.png"}
     assert set(os.listdir(folder)) == FILES | pictures | {"source.npz", "target.npz"}
@@ -190,46 +163,38 @@ def test_every_doubt_is_told(files):
         assert doubts_of(replace(found, **doubtful)) == why
 
 
-def test_an_ambiguous_match_says_why(app, tmp_path, capsys):
+def test_an_ambiguous_match_says_why(tmp_path, capsys):
     ball = sphere(subdivisions=3).geometry
     turn = Rotation.from_rotvec([0.3, 0.5, 0.7]).as_matrix()
     eggs = [tmp_path / "one.off", tmp_path / "other.off"]
     for path, points in zip(eggs, (ball.points, ball.points @ turn), strict=True):
         write(ball.with_points(points * [1.0, 1.0, 1.7]), path)
-    result = report(app, capsys, *eggs, "-k", 40, "--sides", "kept", "-o", tmp_path / "out")
+    result = report(capsys, *eggs, "-k", 40, "--sides", "kept", "-o", tmp_path / "out")
     assert result["match"]["ambiguous"] is True
     assert "another map scores nearly as well" in result["match"]["doubts"]
     assert result["match"]["other_side"] is None  # not tried
 
 
-def test_files_of_another_match_are_not_mixed_with_its_own(app, files, tmp_path, capsys):
+def test_files_of_another_match_are_not_mixed_with_its_own(files, tmp_path, capsys):
     pair, out = (files / "animal.off", files / "permuted.off"), tmp_path / "out"
     out.mkdir()
     (out / "notes.txt").write_text("mine")
     few = ("-k", 40, "-o", out)
-    report(app, capsys, *pair, *few)
-    report(app, capsys, *pair, *few)  # all is replaced
+    report(capsys, *pair, *few)
+    report(capsys, *pair, *few)  # all is replaced
     (out / "source.npz").write_bytes(b"of the demo")
-    assert "got source.npz, which would stay beside the new one" in refusal(
-        app, capsys, *pair, *few
-    )
+    assert "got source.npz, which would stay beside the new one" in refused(capsys, *pair, *few)
     assert (out / "source.npz").read_bytes() == b"of the demo"
     write(creature(1000), out / "source.npz")
-    report(app, capsys, out / "source.npz", pair[1], *few)  # an input may lie there
+    report(capsys, out / "source.npz", pair[1], *few)  # an input may lie there
     for options in (
         (out / "source.npz", pair[1], *few, "--cloud", 700),
         (*pair, *few, "--truth", out / "point_map.npy"),
     ):
-        assert "the output must not replace an input, got" in refusal(app, capsys, *options)
+        assert "the output must not replace an input, got" in refused(capsys, *options)
 
 
-def test_modes_are_numbers(capsys):
-    with pytest.raises(SystemExit):
-        main(["spectrum", "demo", "--modes", "1,x"])
-    assert "expected numbers like 1,2,5,10, got '1,x'" in capsys.readouterr().err
-
-
-def test_bad_input_is_refused_before_the_work(app, files, tmp_path, capsys):
+def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys):
     pair, out = (files / "source.off", files / "target.off"), ("-o", tmp_path / "out")
     empty, words, single, ragged = (
         tmp_path / f"{name}.txt" for name in ("empty", "words", "single", "ragged")
@@ -266,7 +231,7 @@ def test_bad_input_is_refused_before_the_work(app, files, tmp_path, capsys):
         (("--landmarks", files / "landmarks.txt", "--cloud", 700), "repair or sample first"),
         (("--solver", "arpack", "--rtol", 1e-3), "--rtol is for the solvers"),
     ):
-        assert message in refusal(app, capsys, *pair, *out, *options)
-    assert "cannot make" in refusal(app, capsys, *pair, "-o", tmp_path / "no" / "out")
-    assert "there is no" in refusal(app, capsys, *pair, "-o", tmp_path / "no" / "out")
+        assert message in refused(capsys, *pair, *out, *options)
+    assert "cannot make" in refused(capsys, *pair, "-o", tmp_path / "no" / "out")
+    assert "there is no" in refused(capsys, *pair, "-o", tmp_path / "no" / "out")
     assert not (tmp_path / "out").exists()
