@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MARK = (24, 24, 40)  # the colour of what marks a source
-_THIN, _THICK = 0.8, 1.6  # of a line, in points (1/72 inch)
+_THIN, _THICK = 0.7, 1.3  # of a line, in points (1/72 inch)
 # Inches.
 _BALL = 0.07  # radius of the mark of a source
 _WIDEST, _TALLEST, _ROOM = 4.6, 4.6, 4.0
