@@ -39,18 +39,16 @@ def plot_distance(
     geometry: Geometry,
     distance: ArrayLike,
     *,
+    view: View = View(),
+    page: Page = Page(),
     sources: ArrayLike | None = None,
     spacing: float | None = None,
     label: str = "distance",
-    view: View = View(),
-    page: Page = Page(),
 ) -> Figure:
     """Draw distances on a geometry in colours with evenly spaced lines, from two sides.
 
     Parameters
     ----------
-    geometry : TriangleMesh or PointCloud
-        A cloud is drawn as balls that overlap a little.
     distance : array_like of shape (n,)
         In the unit of length, >= 0; infinity is drawn in grey.
     sources : array_like of shape (s, 3), optional
