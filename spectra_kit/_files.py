@@ -196,7 +196,7 @@ def parsing(path: str | os.PathLike[str], what: str, *, remedy: str) -> Iterator
         raise
     except (*_DAMAGE, OSError) as error:
         told = str(error).split("\n")[0] or type(error).__name__
-        raise InvalidInputError(f"{path} is not a whole {what} ({told}); {remedy}") from error
+        raise InvalidInputError(f"{path} is not a whole {what} ({told})", advice=remedy) from error
 
 
 def check_target(path: str | os.PathLike[str]) -> Path:
@@ -209,7 +209,7 @@ def check_target(path: str | os.PathLike[str]) -> Path:
     """
     target = Path(os.path.realpath(path))
     if target.is_dir():
-        raise InvalidInputError(f"`path` must name a file, got the folder {str(path)!r}")
+        raise InvalidInputError("path", "name a file", f"the folder {str(path)!r}")
     if not target.parent.is_dir():
         raise InvalidInputError(
             f"cannot write {str(path)!r}: the folder {str(target.parent)!r} does not exist"

@@ -34,7 +34,7 @@ def write_spectrum_file(
 ) -> None:
     """Write `arrays`, and the scalars of `certificate` and `provenance` as JSON, to `path`."""
     if path.suffix.lower() != ".npz":
-        raise InvalidInputError(f"`path` must end in .npz, got {path.name!r}")
+        raise InvalidInputError("path", "end in .npz", repr(path.name))
     members = dict(arrays)
     header: dict[str, Any] = {
         "format": "spectra_kit spectrum",
@@ -68,7 +68,8 @@ def read_spectrum_file(
         if header["version"] > FORMAT_VERSION:
             raise InvalidInputError(
                 f"{path} has format version {header['version']}, this spectra_kit reads up to"
-                f" {FORMAT_VERSION}; upgrade it"
+                f" {FORMAT_VERSION}",
+                advice="upgrade it",
             )
         certificate, provenance = header["certificate"], _named(header["provenance"])
         if certificate is not None:
@@ -126,7 +127,9 @@ def _map_member(path: Path, raw: IO[bytes], archive: zipfile.ZipFile, name: str)
     """Map ``name.npy`` read-only, straight out of the archive."""
     info = archive.getinfo(f"{name}.npy")
     if info.compress_type != zipfile.ZIP_STORED:
-        raise InvalidInputError(f"{path} is compressed and cannot be mapped; load it without mmap")
+        raise InvalidInputError(
+            f"{path} is compressed and cannot be mapped", advice="load it without mmap"
+        )
     raw.seek(info.header_offset + 26)
     name_length, extra_length = struct.unpack("<HH", raw.read(4))
     raw.seek(info.header_offset + _LOCAL_HEADER + name_length + extra_length)

@@ -56,7 +56,29 @@ class SpectraKitError(_Advised):
     """
 
 
-class InvalidInputError(SpectraKitError, ValueError):
+class _ArgumentError(SpectraKitError):
+    """An argument is not what it must be; see `InvalidInputError`."""
+
+    def __init__(
+        self,
+        argument: str,
+        expected: str = "",
+        got: object = "",
+        *,
+        advice: str = "",
+        remedies: tuple[str, ...] = (),
+    ) -> None:
+        super().__init__(argument, expected, got, advice=advice, remedies=remedies)
+        self.argument, self.expected, self.got = argument, expected, got
+
+    def _finding(self, word: Callable[[str], str]) -> str:
+        if not self.expected:
+            return self.argument
+        got = "" if self.got == "" else f", got {self.got}"
+        return f"`{word(self.argument)}` must {self.expected}{got}"
+
+
+class InvalidInputError(_ArgumentError, ValueError):
     """An argument, or the content of a file, has the wrong shape, type or values.
 
     Parameters
@@ -84,24 +106,6 @@ class InvalidInputError(SpectraKitError, ValueError):
     >>> print(error.told({"mesh.without_unreferenced()": "--repair", "mass": "mass"}.get))
     `mass` must be positive, got 3 entries <= 0; drop them with --repair
     """
-
-    def __init__(
-        self,
-        argument: str,
-        expected: str = "",
-        got: object = "",
-        *,
-        advice: str = "",
-        remedies: tuple[str, ...] = (),
-    ) -> None:
-        super().__init__(argument, expected, got, advice=advice, remedies=remedies)
-        self.argument, self.expected, self.got = argument, expected, got
-
-    def _finding(self, word: Callable[[str], str]) -> str:
-        if not self.expected:
-            return self.argument
-        got = "" if self.got == "" else f", got {self.got}"
-        return f"`{word(self.argument)}` must {self.expected}{got}"
 
 
 class InvalidFileError(InvalidInputError):
@@ -141,7 +145,7 @@ class InvalidFileError(InvalidInputError):
         return f"{os.fspath(self.path)}: {super()._finding(word)}"
 
 
-class InvalidSpectrumError(SpectraKitError, RuntimeError):
+class InvalidSpectrumError(_ArgumentError, RuntimeError):
     """A solver returned pairs that break the invariants of `Spectrum`."""
 
 

@@ -86,15 +86,15 @@ def from_arrays(
     """
     values = np.array(eigenvalues, dtype=np.float64)
     if np.ndim(eigenvectors) != 2 or not np.size(eigenvectors):
-        raise InvalidInputError(
-            f"`eigenvectors` must have shape (n, k), got {np.shape(eigenvectors)}"
-        )
+        raise InvalidInputError("eigenvectors", "have shape (n, k)", np.shape(eigenvectors))
     diagonal = check_mass("mass", lumped_diagonal(mass), len(np.asarray(eigenvectors)))
     floor = -_NEGATIVE * 4 * np.pi / diagonal.sum()
     if values.size and values.min() < floor:
         raise InvalidInputError(
-            f"`eigenvalues` must be >= 0 up to rounding, got {values.min():.3g};"
-            " a negative semi-definite Laplacian needs its sign turned"
+            "eigenvalues",
+            "be >= 0 up to rounding",
+            f"{values.min():.3g}",
+            advice="a negative semi-definite Laplacian needs its sign turned",
         )
     spectrum = Spectrum(
         np.maximum(values, 0.0),
@@ -104,8 +104,10 @@ def from_arrays(
     )
     if (error := spectrum.orthonormality_error()) > 1e-4:
         raise InvalidInputError(
-            f"`eigenvectors` must be M-orthonormal, got |U^T M U - I| up to {error:.2e};"
-            " is `mass` the one they were computed with, in the same unit?"
+            "eigenvectors",
+            "be M-orthonormal",
+            f"|U^T M U - I| up to {error:.2e}",
+            advice="is `mass` the one they were computed with, in the same unit?",
         )
     return spectrum
 
@@ -285,8 +287,9 @@ def from_diffusion_net(operators: tuple[Any, ...]) -> Spectrum:
         operators = operators[1:5]
     if len(operators) != 4:
         raise InvalidInputError(
-            "`operators` must be (frames, mass, L, evals, evecs, gradX, gradY) or (mass, L, evals,"
-            f" evecs), got {len(operators)} entries"
+            "operators",
+            "be (frames, mass, L, evals, evecs, gradX, gradY) or (mass, L, evals, evecs)",
+            f"{len(operators)} entries",
         )
     mass, _, evals, evecs = operators
     arrays = (np.asarray(_to_cpu(a), dtype=np.float64) for a in (evals, evecs, mass))
@@ -301,5 +304,5 @@ def _to_cpu(array: Any) -> Any:
 def _check_pair(spectrum: Spectrum, laplacian: Laplacian) -> None:
     if spectrum.n != laplacian.n:
         raise InvalidInputError(
-            f"`laplacian` must be the one of `spectrum` ({spectrum.n} points), got {laplacian.n}"
+            "laplacian", f"be the one of `spectrum` ({spectrum.n} points)", laplacian.n
         )

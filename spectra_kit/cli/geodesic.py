@@ -27,8 +27,9 @@ from spectra_kit.cli.geodesic_sources import (
     with_farthest,
 )
 from spectra_kit.cli.inputs import load_numbered
-from spectra_kit.cli.options import CoarseSolver, up_of
+from spectra_kit.cli.options import CoarseSolver
 from spectra_kit.cli.output import as_json, print_blocks, print_json
+from spectra_kit.cli.outputs import up_of
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import stem
 from spectra_kit.errors import InvalidInputError

@@ -81,8 +81,8 @@ class Arpack:
         check_positive("shift", self.shift)
         check_count("max_restarts", self.max_restarts, low=1)
         check_count("seed", self.seed, low=0)
-        if not isinstance(self.tol, int | float | np.number) or not 0 <= self.tol < 1:
-            raise InvalidInputError(f"`tol` must be a number in [0, 1), got {self.tol!r}")
+        if not 0 <= self.tol < 1:
+            raise InvalidInputError("tol", "be in [0, 1)", self.tol)
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
@@ -119,13 +119,16 @@ class Arpack:
             pairs = Eigenpairs(unit / error.eigenvalues + sigma, error.eigenvectors / root[:, None])
             raise NotConvergedError(
                 f"ARPACK found {len(error.eigenvalues)} of {quantity(k, 'mode')} in"
-                f" {quantity(self.max_restarts, 'restart')}; raise `max_restarts`, or loosen `tol`",
+                f" {quantity(self.max_restarts, 'restart')}",
                 pairs,
+                advice="raise {}, or loosen {}",
+                remedies=("max_restarts", "tol"),
             ) from error
         except ArpackError as error:  # such as no shift that it could apply, within a wide cluster
             raise NotConvergedError(
-                f"{error}; more equal eigenvalues than Lanczos has room for do this: ask for more"
-                " modes, or use Multilevel or Refined"
+                f"{error}; more equal eigenvalues than Lanczos has room for do this",
+                advice="ask for more modes, or use {} or {}",
+                remedies=("Multilevel", "Refined"),
             ) from error
         return Eigenpairs(
             unit / values + sigma,
@@ -143,6 +146,8 @@ def shifted_factor(
         return factorise(sparse.csr_array(shifted))
     except InvalidInputError as error:
         raise InvalidInputError(
-            f"`stiffness` must be positive semi-definite, but with {-sigma:.3g} M added to it a"
-            " Cholesky factor does not exist; is its sign right, and is it symmetric?"
+            "stiffness",
+            f"be positive semi-definite, but with {-sigma:.3g} M added to it a Cholesky factor does"
+            " not exist",
+            advice="is its sign right, and is it symmetric?",
         ) from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +64,8 @@ class Eigensolver(Protocol):
 class NotConvergedError(Exception):
     """A backend stopped short; carries the `Eigenpairs` that it has (possibly none).
 
-    `converged` says which of them reached the tolerance, (k,) of bool; all do without it.
+    `converged` says which of them reached the tolerance, (k,) of bool; all do without it. `advised`
+    are ``advice`` and ``remedies``, as of `SpectraKitError`.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class NotConvergedError(Exception):
         message: str,
         pairs: Eigenpairs | None = None,
         converged: NDArray[np.bool_] | None = None,
+        **advised: Any,
     ) -> None:
         super().__init__(message)
-        self.pairs = pairs
-        self.converged = converged
+        self.pairs, self.converged, self.advised = pairs, converged, advised

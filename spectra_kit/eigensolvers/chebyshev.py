@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from spectra_kit.eigensolvers.refined import DENSE_RATIO, check_sweeping, within
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size, plane_waves
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import Subspace, restricted
+
+if TYPE_CHECKING:
+    import torch
 
 
 @checked
@@ -32,7 +35,7 @@ class Chebyshev:
         Ritz vectors beyond k, relative to k.
     max_sweeps : int, default 30
         Sweeps before giving up.
-    device : str, default "cpu"
+    device : str or torch.device, default "cpu"
         "cpu" or "cuda"; never chosen for you.
     seed : int, default 0
         Of all random columns.
@@ -67,10 +70,11 @@ class Chebyshev:
     rtol: float = 1e-8
     guard: float = 0.5
     max_sweeps: int = 30
-    device: str = "cpu"
+    device: str | torch.device = "cpu"
     seed: int = 0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "device", str(self.device))
         check_sweeping(self.rtol, self.guard, self.max_sweeps, self.seed)
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
@@ -91,17 +95,18 @@ class Chebyshev:
         from spectra_kit.neo import NeoSubspace
 
         with device_memory():
-            clock = device_clock(check_device(self.device))
+            device = str(self.device)
+            clock = device_clock(check_device(device))
             start = plane_waves(k) if self.start is None else self.start
-            if isinstance(start, NeoSubspace) and start.device == self.device:
+            if isinstance(start, NeoSubspace) and start.device == device:
                 columns = start.tensor(laplacian.points, laplacian.mass)  # it stays where it is
                 clock.stage("subspace")
             else:
                 basis = basis_with_kernel(start, laplacian)
                 clock.stage("subspace")
-                columns = torch.from_numpy(np.array(basis)).to(self.device)
-            stiffness = sparse_tensor(laplacian.stiffness, self.device)
-            mass = torch.from_numpy(np.array(laplacian.mass)).to(self.device)
+                columns = torch.from_numpy(np.array(basis)).to(device)
+            stiffness = sparse_tensor(laplacian.stiffness, device)
+            mass = torch.from_numpy(np.array(laplacian.mass)).to(device)
             clock.stage("transfer")
             with torch_threads_for(block * laplacian.n):
                 found = chebyshev_eigenpairs(

@@ -56,8 +56,11 @@ class Dense:
         """See `Eigensolver.eigenpairs`."""
         if laplacian.n > self.max_points:
             raise InvalidInputError(
-                f"`laplacian` must have at most {self.max_points} points for Dense, got"
-                f" {laplacian.n}; use Arpack, or raise `max_points`"
+                "laplacian",
+                f"have at most {self.max_points} points for Dense",
+                laplacian.n,
+                advice="use {}, or raise `{}`",
+                remedies=("Arpack", "max_points"),
             )
         start = time.perf_counter()
         root = np.sqrt(laplacian.mass)

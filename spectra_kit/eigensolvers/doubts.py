@@ -99,7 +99,8 @@ def warn_of_doubts(spectrum: Spectrum) -> None:
     """Warn the caller of `eigensolve` where `verdict` has something to say."""
     if told := verdict(spectrum):
         warn(
-            f"{told}; take Polished or Refined with this subspace as `start`, or an exact solver"
-            " such as Arpack()",
+            told,
             DoubtfulSpectrumWarning,
+            advice="take {} or {} with this subspace as `start`, or an exact solver such as {}",
+            remedies=("Polished", "Refined", "Arpack"),
         )

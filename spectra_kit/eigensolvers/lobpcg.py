@@ -144,9 +144,10 @@ class Lobpcg:
         if not good.all():
             raise NotConvergedError(
                 f"LOBPCG brought {int(good.sum())} of {quantity(k, 'mode')} to rtol = {self.rtol:g}"
-                f" in {steps} steps (largest relative residual {relative.max():.1e});"
-                " raise `max_steps`, loosen `rtol`, or use Arpack",
+                f" in {steps} steps (largest relative residual {relative.max():.1e})",
                 Eigenpairs(values[good], pairs.eigenvectors[:, good]),
+                advice="raise {}, loosen {}, or use {}",
+                remedies=("max_steps", "rtol", "Arpack"),
             )
         return pairs
 

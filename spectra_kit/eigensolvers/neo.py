@@ -17,6 +17,8 @@ from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.operators.laplacian import Laplacian
 
 if TYPE_CHECKING:
+    import torch
+
     from spectra_kit.neo import NeoSubspace
 
 
@@ -36,7 +38,7 @@ class Neo(Rebuilt):
         Name of shipped weights (`neo.pretrained.WEIGHTS`), or a ``.safetensors`` file.
     poses : {1, 2, 4}, default 1
         Sign flips of the canonical frame to predict in; the bases are joined.
-    device : str, default "cpu"
+    device : str or torch.device, default "cpu"
         "cpu" or "cuda"; never chosen for you.
     dtype : {"float32", "bfloat16", "float16"}, default "float32"
         Of the network. The eigenpairs are those of its basis in float64.
@@ -77,7 +79,7 @@ class Neo(Rebuilt):
     accuracy: ClassVar[Accuracy] = "approximate"
     weights: str | os.PathLike[str] = "small"
     poses: Literal[1, 2, 4] = 1
-    device: str = "cpu"
+    device: str | torch.device = "cpu"
     dtype: Literal["float32", "bfloat16", "float16"] = "float32"
     chunk: int = 65536
     cap: int | None = None
@@ -85,6 +87,7 @@ class Neo(Rebuilt):
     rank_tol: float = 1e-10
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "device", str(self.device))
         check_positive("rank_tol", self.rank_tol)
         if self.cap is not None:
             check_count("cap", self.cap, low=100)
@@ -104,7 +107,7 @@ class Neo(Rebuilt):
             self.weights,
             poses=self.poses,
             dtype=self.dtype,
-            device=self.device,
+            device=str(self.device),
             chunk=self.chunk,
         )
 

@@ -181,17 +181,15 @@ def within(
     if good.all():
         return pairs
     assert pairs.iterations is not None
-    why = (
-        "where rounding stops them; loosen `rtol`"
-        if stalled
-        else "raise `max_sweeps`, loosen `rtol`, or use Arpack"
-    )
-    raise NotConvergedError(
+    found = (
         f"{int(good.sum())} of {quantity(len(good), 'mode')} reached rtol = {rtol:g} in"
-        f" {pairs.iterations} sweeps (largest relative residual {relative.max():.1e}); {why}",
-        pairs,
-        good,
+        f" {pairs.iterations} sweeps (largest relative residual {relative.max():.1e})"
     )
+    if stalled:
+        found += "; rounding stops the others"
+        raise NotConvergedError(found, pairs, good, advice="loosen {}", remedies=("rtol",))
+    advice = {"advice": "raise {}, loosen {}, or use {}"}
+    raise NotConvergedError(found, pairs, good, **advice, remedies=("max_sweeps", "rtol", "Arpack"))
 
 
 def _iterate(

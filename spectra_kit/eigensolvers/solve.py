@@ -101,40 +101,14 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
     n_free = len(laplacian.free)
     if check_count("k", k, low=1) > n_free:
         raise InvalidInputError(
-            f"`k` must be at most the number of free points, {n_free}, got {k}; ask for fewer modes"
-            " or sample more points"
+            "k",
+            f"be at most the number of free points, {n_free}",
+            k,
+            advice="ask for fewer modes or sample more points",
         )
     if any(units := Units.of(laplacian)):
         return _in_units(units, laplacian, k, solver)
-    start = time.perf_counter()
-    name = repr(solver)  # before the work: a name that can't be told must not cost the result
-    tally = _Tally()
-    try:
-        pairs = _solve_components(laplacian, k, solver, tally)
-    except NotConvergedError as error:
-        partial = _rescued(laplacian, k, solver, name, tally, start)
-        n_converged = 0 if partial is None else partial.k - _open_modes(error, partial)
-        raise ConvergenceError(
-            f"{name}: {error}", partial=partial, n_converged=n_converged
-        ) from error
-    except MemoryError as error:
-        traceback.clear_frames(error.__traceback__)  # its arrays make room for what is rescued
-        try:
-            partial = _rescued(laplacian, k, solver, name, tally, start)
-        except MemoryError:
-            partial = None
-        raise OutOfMemoryError(
-            f"{name}: {k} modes on {laplacian.n} points do not fit into memory ({error}); ask for"
-            " fewer, sample fewer points, or take a backend that needs less, such as"
-            " Chebyshev() or Lobpcg(preconditioner='amg')",
-            partial=partial,
-        ) from error
-    spectrum = _pack(laplacian, pairs, solver, name, tally, start)
-    promised = spectrum.provenance.accuracy in ("exact", "to tolerance")
-    if not promised or getattr(solver, "factor_free", False):
-        warn_of_doubts(spectrum)
-        return spectrum
-    return _complete(spectrum, laplacian, solver, name, tally, start)
+    return _Run(laplacian, k, solver).solved()
 
 
 def _in_units(units: Units, laplacian: Laplacian, k: int, solver: Eigensolver) -> Spectrum:
@@ -152,124 +126,255 @@ def _in_units(units: Units, laplacian: Laplacian, k: int, solver: Eigensolver) -
         raise
 
 
-def _complete(
-    spectrum: Spectrum,
-    laplacian: Laplacian,
-    solver: Eigensolver,
-    name: str,
-    tally: _Tally,
-    start: float,
-) -> Spectrum:
-    """Count the eigenvalues, and go on from what was found until none is missing.
-
-    Lanczos from one vector and blocks from a start that lacks something converge to true modes
-    and may pass over others: copies of an eigenvalue, odd modes of a start that is even.
-    """
-    k, added, why = spectrum.k, 0, "use another solver"
-    for seed in range(_ROUNDS):
-        begin = time.perf_counter()
-        count = replace(count_modes(spectrum, laplacian), added=added)
-        tally.book("count", time.perf_counter() - begin)
-        assert spectrum.certificate is not None
-        counted = spectrum.described(
-            replace(spectrum.certificate, count=count),
-            replace(spectrum.provenance, seconds=_seconds(laplacian, tally, start)),
-        )
-        if not count.missing:
-            return counted
-        room = _NEAR if spectrum.provenance.accuracy == "exact" else 1
-        rtol = float(room * spectrum.certificate.relative_residuals.max())
-        found = Union(GivenBasis(spectrum.eigenvectors), RandomBasis(m=count.missing, seed=seed))
-        refined = Refined(start=found, rtol=min(max(rtol, _BEST), 0.1), seed=seed)
-        # More than wanted: what is missing may first come up just above the last one found.
-        wider = min(k + 2 * count.missing, len(laplacian.free))
-        try:
-            pairs = _solve_components(laplacian, wider, refined, tally)
-        except (NotConvergedError, MemoryError, InvalidInputError, InvalidSpectrumError) as error:
-            why = str(error) or "out of memory"
-            break
-        added = max(added, count.missing)
-        pairs = Eigenpairs(pairs.eigenvalues[:k], pairs.eigenvectors[:, :k])
-        spectrum = _pack(laplacian, pairs, solver, name, tally, start)
-    raise ConvergenceError(
-        f"{name}: at least {quantity(count.missing, 'mode')} of the lowest {k} were passed over"
-        f" ({count.reason}), and could not be found: {why}",
-        partial=verify(counted, laplacian),
-        n_converged=k,
-    )
-
-
 @dataclass
-class _Tally:
-    """What was solved so far, and what the solver reports about it, summed over the components."""
+class _Run:
+    """One call of `eigensolve`: what is asked for, and what was found so far."""
 
+    laplacian: Laplacian
+    k: int
+    solver: Eigensolver
+    start: float = field(default_factory=time.perf_counter)
     parts: list[Ints] = field(default_factory=list)  # the points of each component
-    solved: dict[int, Eigenpairs] = field(default_factory=dict)  # by component
-    seconds: dict[str, float] = field(default_factory=dict)
+    found: dict[int, Eigenpairs] = field(default_factory=dict)  # by component
+    stages: dict[str, float] = field(default_factory=dict)  # wall times, over the components
     iterations: int | None = None
+
+    def __post_init__(self) -> None:
+        self.name = repr(self.solver)  # before the work: what can't be told must not cost it
+
+    def solved(self) -> Spectrum:
+        """Solve, certify, and complete what is to be exact."""
+        try:
+            pairs = self.components(self.k, self.solver)
+        except NotConvergedError as error:
+            partial = self.rescued()
+            n_converged = 0 if partial is None else partial.k - _open_modes(error, partial)
+            raise ConvergenceError(
+                f"{self.name}: {error}", partial=partial, n_converged=n_converged, **error.advised
+            ) from error
+        except MemoryError as error:
+            traceback.clear_frames(error.__traceback__)  # its arrays make room for what is rescued
+            try:
+                partial = self.rescued()
+            except MemoryError:
+                partial = None
+            raise OutOfMemoryError(
+                f"{self.name}: {self.k} modes on {self.laplacian.n} points do not fit into memory"
+                f" ({error})",
+                advice="ask for fewer, sample fewer points, or take a backend that needs less, such"
+                " as Chebyshev() or Lobpcg(preconditioner='amg')",
+                partial=partial,
+            ) from error
+        spectrum = self.packed(pairs)
+        promised = spectrum.provenance.accuracy in ("exact", "to tolerance")
+        if promised and not getattr(self.solver, "factor_free", False):
+            return self.completed(spectrum)
+        warn_of_doubts(spectrum)
+        return spectrum
+
+    def completed(self, spectrum: Spectrum) -> Spectrum:
+        """Count the eigenvalues, and go on from what was found until none is missing.
+
+        Lanczos from one vector and blocks from a start that lacks something converge to true modes
+        and may pass over others: copies of an eigenvalue, odd modes of a start that is even.
+        """
+        laplacian, k, added, why = self.laplacian, self.k, 0, "use another solver"
+        for seed in range(_ROUNDS):
+            begin = time.perf_counter()
+            count = replace(count_modes(spectrum, laplacian), added=added)
+            self.book("count", time.perf_counter() - begin)
+            assert spectrum.certificate is not None
+            counted = spectrum.described(
+                replace(spectrum.certificate, count=count),
+                replace(spectrum.provenance, seconds=self.seconds()),
+            )
+            if not count.missing:
+                return counted
+            room = _NEAR if spectrum.provenance.accuracy == "exact" else 1
+            rtol = float(room * spectrum.certificate.relative_residuals.max())
+            basis = Union(
+                GivenBasis(spectrum.eigenvectors), RandomBasis(m=count.missing, seed=seed)
+            )
+            refined = Refined(start=basis, rtol=min(max(rtol, _BEST), 0.1), seed=seed)
+            # More than wanted: what is missing may first come up just above the last one found.
+            wider = min(k + 2 * count.missing, len(laplacian.free))
+            try:
+                pairs = self.components(wider, refined)
+            except (NotConvergedError, MemoryError, InvalidInputError, InvalidSpectrumError) as e:
+                why = str(e) or "out of memory"
+                break
+            added = max(added, count.missing)
+            spectrum = self.packed(Eigenpairs(pairs.eigenvalues[:k], pairs.eigenvectors[:, :k]))
+        raise ConvergenceError(
+            f"{self.name}: at least {quantity(count.missing, 'mode')} of the lowest {k} were passed"
+            f" over ({count.reason}), and could not be found: {why}",
+            partial=verify(counted, laplacian),
+            n_converged=k,
+        )
+
+    def components(self, k: int, solver: Eigensolver) -> Eigenpairs:
+        """Solve each component, merge the k lowest pairs of all, eigenvectors padded with zeros."""
+        laplacian = self.laplacian
+        whole = laplacian.n_components == 1 and not len(laplacian.fixed)
+        parts = self.parts = [laplacian.free] if whole else _component_indices(laplacian)
+        areas = np.array([laplacian.mass[part].sum() for part in parts])
+        most = [min(len(part), k) for part in parts]
+        # Weyl: a component's share of the low modes is about its share of the area.
+        wanted = [
+            min(room, math.ceil(1.1 * k * share) + 6)
+            for room, share in zip(most, areas / areas.sum(), strict=True)
+        ]
+        due = list(range(len(parts)))
+        lacking: RankError | None = None
+        while due:
+            for i in due:
+                part = laplacian if whole else laplacian.restricted(parts[i])
+                own = solver if whole else restricted(solver, parts[i])
+                try:
+                    self.found[i] = self.connected(part, wanted[i], own)
+                except NotConvergedError as error:
+                    if error.pairs is not None:
+                        self.found[i] = error.pairs
+                    raise
+                except RankError as error:  # columns of all parts may have few on this one
+                    if len(parts) == 1 or getattr(solver, "accuracy", "") != "approximate":
+                        raise
+                    lacking, most[i] = error, min(error.rank, wanted[i] - 1)
+                    wanted[i] = most[i]
+                    self.found[i] = self.connected(part, wanted[i], own)
+            values = [self.found[i].eigenvalues for i in range(len(parts))]
+            cut = np.sort(np.concatenate(values))[k - 1 : k]
+            # A component whose last mode is below the cut may hold more below it: ask for more.
+            due = [
+                i
+                for i, own_values in enumerate(values)
+                if wanted[i] < most[i] and (not len(cut) or own_values.max() < cut[0])
+            ]
+            for i in due:
+                wanted[i] = min(most[i], 2 * wanted[i])
+        if lacking is not None and not len(cut):
+            raise InvalidInputError(
+                f"the basis of {solver!r} must span at least k = {k} dimensions on all"
+                f" {quantity(len(parts), 'component')} together, got {sum(map(len, values))}",
+                advice="ask for fewer modes or use a larger basis",
+            ) from lacking
+        merged = self.found[0] if whole else self.merged(k)
+        self.found.clear()  # gigabytes, while the merged ones are certified
+        return merged
+
+    def connected(self, laplacian: Laplacian, k: int, solver: Eigensolver) -> Eigenpairs:
+        """Call the backend on one component, check the form of its answer, and sort it."""
+        start = time.perf_counter()
+        if k == 0:
+            return Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)))
+        if laplacian.n == 1:  # an isolated point: nothing to solve
+            value = laplacian.stiffness.diagonal() / laplacian.mass
+            return Eigenpairs(value, 1 / np.sqrt(laplacian.mass)[:, None])
+        try:
+            pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
+        except NotConvergedError as error:
+            nothing = Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)))
+            self.count(error.pairs or nothing, time.perf_counter() - start)
+            raise
+        values, vectors = _of_checked_form(pairs, solver, (laplacian.n, k))
+        self.count(pairs, time.perf_counter() - start)
+        values, vectors = _sorted(values, vectors)
+        if values[0] < -_NEGATIVE * laplacian.eigenvalue_spacing:
+            raise InvalidSpectrumError(
+                f"{solver!r} returned a negative eigenvalue ({values[0]:.3e})",
+                advice="is the stiffness positive semi-definite? (Where entries spread over many"
+                " decades, so does rounding.)",
+            )
+        return _with_exact_constant(laplacian, np.maximum(values, 0.0), vectors)
+
+    def merged(self, k: int) -> Eigenpairs:
+        """Return the k lowest pairs (or all there are) of the components solved, on all points."""
+        n, pairs = self.laplacian.n, list(self.found.values())
+        parts = [self.parts[i] for i in self.found]
+        if not pairs:
+            return Eigenpairs(np.empty(0), np.empty((n, 0)))
+        values = np.concatenate([p.eigenvalues for p in pairs])
+        owner = np.repeat(np.arange(len(pairs)), [len(p.eigenvalues) for p in pairs])
+        column = np.concatenate([np.arange(len(p.eigenvalues)) for p in pairs])
+        lowest = np.lexsort((column, values))[:k]  # where values are equal, constants come first
+        vectors = np.zeros((n, len(lowest)))
+        for j, source in enumerate(lowest):
+            part = owner[source]
+            vectors[parts[part], j] = pairs[part].eigenvectors[:, column[source]]
+        return Eigenpairs(values[lowest], vectors)
+
+    def rescued(self) -> Spectrum | None:
+        """Certify what was solved before a failure, if anything was."""
+        pairs = self.merged(self.k)
+        return self.packed(pairs) if len(pairs.eigenvalues) else None
+
+    def packed(self, pairs: Eigenpairs) -> Spectrum:
+        """Check and certify `pairs`, and say where they come from."""
+        begin, laplacian, solver = time.perf_counter(), self.laplacian, self.solver
+        values, vectors = _sorted(pairs.eigenvalues, pairs.eigenvectors)
+        spectrum = Spectrum(np.maximum(values, 0.0), vectors, laplacian.mass).certify(laplacian)
+        assert spectrum.certificate is not None
+        if (error := spectrum.certificate.orthonormality_error) > _ORTHONORMAL:
+            raise InvalidSpectrumError(
+                f"{self.name} returned modes that are not M-orthonormal: |U^T M U - I| is"
+                f" {error:.2e}"
+            )
+        spectrum = with_excess(spectrum, laplacian)
+        self.book("certify", time.perf_counter() - begin)
+        provenance = Provenance(
+            solver=self.name,
+            operator=laplacian.operator,
+            seed=None if (seed := getattr(solver, "seed", None)) is None else int(seed),
+            seconds=self.seconds(),
+            input_hash=_fingerprint(laplacian),
+            version=VERSION,
+            iterations=self.iterations,
+            accuracy=getattr(solver, "accuracy", ""),
+            name=str(getattr(solver, "name", type(solver).__name__.lower())),
+        )
+        return spectrum.described(spectrum.certificate, provenance)
 
     def book(self, stage: str, seconds: float) -> None:
         """Add wall time to a stage."""
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+        self.stages[stage] = self.stages.get(stage, 0.0) + seconds
 
-    def add(self, pairs: Eigenpairs, seconds: float) -> None:
+    def count(self, pairs: Eigenpairs, seconds: float) -> None:
         """Count one component, which took so many `seconds` where its solver does not say."""
         for stage, spent in (pairs.seconds or {"solve": seconds}).items():
             self.book(stage, spent)
         if pairs.iterations is not None:
             self.iterations = (self.iterations or 0) + pairs.iterations
 
+    def seconds(self) -> dict[str, float]:
+        """Wall time by stage, what is in none of them included."""
+        other = time.perf_counter() - self.start - sum(self.stages.values())
+        return {"assembly": self.laplacian.seconds, **self.stages, "other": max(other, 0.0)}
 
-def _solve_components(
-    laplacian: Laplacian, k: int, solver: Eigensolver, tally: _Tally
-) -> Eigenpairs:
-    """Solve each component and merge the k lowest pairs of all, eigenvectors padded with zeros."""
-    whole = laplacian.n_components == 1 and not len(laplacian.fixed)
-    parts = tally.parts = [laplacian.free] if whole else _component_indices(laplacian)
-    areas = np.array([laplacian.mass[part].sum() for part in parts])
-    most = [min(len(part), k) for part in parts]
-    # Weyl: a component's share of the low modes is about its share of the area.
-    wanted = [
-        min(room, math.ceil(1.1 * k * share) + 6)
-        for room, share in zip(most, areas / areas.sum(), strict=True)
-    ]
-    due = list(range(len(parts)))
-    lacking: RankError | None = None
-    while due:
-        for i in due:
-            part = laplacian if whole else laplacian.restricted(parts[i])
-            own = solver if whole else restricted(solver, parts[i])
-            try:
-                tally.solved[i] = _solve_connected(part, wanted[i], own, tally)
-            except NotConvergedError as error:
-                if error.pairs is not None:
-                    tally.solved[i] = error.pairs
-                raise
-            except RankError as error:  # columns of all parts together may have few on this one
-                if len(parts) == 1 or getattr(solver, "accuracy", "") != "approximate":
-                    raise
-                lacking, most[i] = error, min(error.rank, wanted[i] - 1)
-                wanted[i] = most[i]
-                tally.solved[i] = _solve_connected(part, wanted[i], own, tally)
-        found = [tally.solved[i].eigenvalues for i in range(len(parts))]
-        cut = np.sort(np.concatenate(found))[k - 1 : k]
-        # A component whose last mode is below the cut may hold more modes below it: ask for more.
-        due = [
-            i
-            for i, values in enumerate(found)
-            if wanted[i] < most[i] and (not len(cut) or values.max() < cut[0])
-        ]
-        for i in due:
-            wanted[i] = min(most[i], 2 * wanted[i])
-    if lacking is not None and not len(cut):
-        raise InvalidInputError(
-            f"the basis of {solver!r} must span at least k = {k} dimensions on all"
-            f" {quantity(len(parts), 'component')} together, got"
-            f" {sum(len(values) for values in found)}; ask for fewer modes or use a larger basis"
-        ) from lacking
-    merged = tally.solved[0] if whole else _merge(tally, laplacian.n, k)
-    tally.solved.clear()  # gigabytes, while the merged ones are certified
-    return merged
+
+def _of_checked_form(
+    pairs: Eigenpairs, solver: Eigensolver, shape: tuple[int, int]
+) -> tuple[Floats, Floats]:
+    """Return eigenvalues and eigenvectors; refuse what has another shape or no real numbers."""
+    n, k = shape
+    values, vectors = np.asarray(pairs.eigenvalues), np.asarray(pairs.eigenvectors)
+    if values.shape != (k,) or vectors.shape != shape:
+        raise InvalidSpectrumError(
+            f"{solver!r} must return shapes ({k},) and ({n}, {k}),"
+            f" got {values.shape} and {vectors.shape}"
+        )
+    if values.dtype.kind not in "fiu" or vectors.dtype.kind not in "fiu":
+        raise InvalidSpectrumError(
+            f"{solver!r} must return real numbers, got {values.dtype} and {vectors.dtype}"
+        )
+    return values, vectors
+
+
+def _sorted(values: Floats, vectors: Floats) -> tuple[Floats, Floats]:
+    """Return the pairs in ascending order, without a copy where they are."""
+    order = np.argsort(values, kind="stable")
+    if np.array_equal(order, np.arange(len(order))):
+        return values, vectors
+    return values[order], vectors[:, order]
 
 
 def _component_indices(laplacian: Laplacian) -> list[Ints]:
@@ -279,75 +384,12 @@ def _component_indices(laplacian: Laplacian) -> list[Ints]:
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
 
 
-def _merge(tally: _Tally, n: int, k: int) -> Eigenpairs:
-    """Return the k lowest pairs (or all there are) of the components solved, on all n points."""
-    pairs = list(tally.solved.values())
-    parts = [tally.parts[i] for i in tally.solved]
-    if not pairs:
-        return Eigenpairs(np.empty(0), np.empty((n, 0)))
-    values = np.concatenate([p.eigenvalues for p in pairs])
-    owner = np.repeat(np.arange(len(pairs)), [len(p.eigenvalues) for p in pairs])
-    column = np.concatenate([np.arange(len(p.eigenvalues)) for p in pairs])
-    lowest = np.lexsort((column, values))[:k]  # where values are equal, constants come first
-    vectors = np.zeros((n, len(lowest)))
-    for j, source in enumerate(lowest):
-        part = owner[source]
-        vectors[parts[part], j] = pairs[part].eigenvectors[:, column[source]]
-    return Eigenpairs(values[lowest], vectors)
-
-
-def _rescued(
-    laplacian: Laplacian, k: int, solver: Eigensolver, name: str, tally: _Tally, start: float
-) -> Spectrum | None:
-    """Certify what was solved before a failure, if anything was."""
-    pairs = _merge(tally, laplacian.n, k)
-    return _pack(laplacian, pairs, solver, name, tally, start) if len(pairs.eigenvalues) else None
-
-
 def _open_modes(error: NotConvergedError, partial: Spectrum) -> int:
     """How many of the modes rescued are among those that had not converged."""
     if error.pairs is None or error.converged is None:
         return 0
     values = np.asarray(error.pairs.eigenvalues)[~error.converged]
     return int((values <= partial.eigenvalues[-1]).sum())
-
-
-def _solve_connected(
-    laplacian: Laplacian, k: int, solver: Eigensolver, tally: _Tally
-) -> Eigenpairs:
-    """Call the backend on one component, check the form of its answer, and sort it."""
-    start = time.perf_counter()
-    if k == 0:
-        return Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)))
-    if laplacian.n == 1:  # an isolated point: nothing to solve
-        value = laplacian.stiffness.diagonal() / laplacian.mass
-        return Eigenpairs(value, 1 / np.sqrt(laplacian.mass)[:, None])
-    try:
-        pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
-    except NotConvergedError as error:
-        nothing = Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)))
-        tally.add(error.pairs or nothing, time.perf_counter() - start)
-        raise
-    values, vectors = np.asarray(pairs.eigenvalues), np.asarray(pairs.eigenvectors)
-    if values.shape != (k,) or vectors.shape != (laplacian.n, k):
-        raise InvalidSpectrumError(
-            f"{solver!r} must return shapes ({k},) and ({laplacian.n}, {k}),"
-            f" got {values.shape} and {vectors.shape}"
-        )
-    if values.dtype.kind not in "fiu" or vectors.dtype.kind not in "fiu":
-        raise InvalidSpectrumError(
-            f"{solver!r} must return real numbers, got {values.dtype} and {vectors.dtype}"
-        )
-    tally.add(pairs, time.perf_counter() - start)
-    order = np.argsort(values, kind="stable")
-    if not np.array_equal(order, np.arange(k)):
-        values, vectors = values[order], vectors[:, order]
-    if values[0] < -_NEGATIVE * laplacian.eigenvalue_spacing:
-        raise InvalidSpectrumError(
-            f"{solver!r} returned a negative eigenvalue ({values[0]:.3e}); is the stiffness"
-            " positive semi-definite? (Where entries spread over many decades, so does rounding.)"
-        )
-    return _with_exact_constant(laplacian, np.maximum(values, 0.0), vectors)
 
 
 def _with_exact_constant(laplacian: Laplacian, values: Floats, vectors: Floats) -> Eigenpairs:
@@ -370,54 +412,9 @@ def _with_exact_constant(laplacian: Laplacian, values: Floats, vectors: Floats) 
     others = ritz_rotation(laplacian.stiffness, laplacian.mass, vectors[:, near] @ axes[:, 1:])
     values[near] = np.append(-1.0, np.maximum(others[0], 0.0))  # the constant comes first
     vectors[:, near] = np.column_stack([np.full(laplacian.n, constant), others[1]])
-    order = np.argsort(values, kind="stable")
-    if not np.array_equal(order, np.arange(len(order))):
-        values, vectors = values[order], vectors[:, order]
+    values, vectors = _sorted(values, vectors)
     values[0] = 0.0
     return Eigenpairs(values, vectors)
-
-
-def _pack(
-    laplacian: Laplacian,
-    pairs: Eigenpairs,
-    solver: Eigensolver,
-    name: str,
-    tally: _Tally,
-    start: float,
-) -> Spectrum:
-    """Check and certify `pairs`, and say where they come from."""
-    solved = time.perf_counter()
-    order = np.argsort(pairs.eigenvalues, kind="stable")
-    vectors = pairs.eigenvectors
-    if not np.array_equal(order, np.arange(len(order))):
-        vectors = vectors[:, order]
-    values = np.maximum(pairs.eigenvalues[order], 0.0)
-    spectrum = Spectrum(values, vectors, laplacian.mass).certify(laplacian)
-    assert spectrum.certificate is not None
-    if (error := spectrum.certificate.orthonormality_error) > _ORTHONORMAL:
-        raise InvalidSpectrumError(
-            f"{name} returned modes that are not M-orthonormal: |U^T M U - I| is {error:.2e}"
-        )
-    spectrum = with_excess(spectrum, laplacian)
-    tally.book("certify", time.perf_counter() - solved)
-    provenance = Provenance(
-        solver=name,
-        operator=laplacian.operator,
-        seed=None if (seed := getattr(solver, "seed", None)) is None else int(seed),
-        seconds=_seconds(laplacian, tally, start),
-        input_hash=_fingerprint(laplacian),
-        version=VERSION,
-        iterations=tally.iterations,
-        accuracy=getattr(solver, "accuracy", ""),
-        name=str(getattr(solver, "name", type(solver).__name__.lower())),
-    )
-    return spectrum.described(spectrum.certificate, provenance)
-
-
-def _seconds(laplacian: Laplacian, tally: _Tally, start: float) -> dict[str, float]:
-    """Wall time by stage, what is in none of them included."""
-    other = time.perf_counter() - start - sum(tally.seconds.values())
-    return {"assembly": laplacian.seconds, **tally.seconds, "other": max(other, 0.0)}
 
 
 def _fingerprint(laplacian: Laplacian) -> str:

@@ -30,8 +30,9 @@ def basis_with_kernel(subspace: Subspace, operator: Laplacian | Coarse) -> NDArr
     basis = np.asarray(subspace(operator.points, mass))
     if basis.ndim != 2 or len(basis) != operator.n or basis.dtype.kind != "f":
         raise InvalidInputError(
-            f"`subspace` must return a real array of shape ({operator.n}, m),"
-            f" got {basis.shape} of {basis.dtype}"
+            "subspace",
+            f"return a real array of shape ({operator.n}, m)",
+            f"{basis.shape} of {basis.dtype}",
         )
     if not operator.kernel_dimension or (basis[0, 0] != 0 and np.ptp(basis[:, 0]) == 0):
         return basis  # most begin with the constant

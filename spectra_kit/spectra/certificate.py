@@ -105,13 +105,13 @@ class Certificate(Rebuilt):
                 object.__setattr__(self, name, frozen(real_array(name, getattr(self, name))))
         if self.residuals.ndim != 1 or self.relative_residuals.shape != self.residuals.shape:
             raise InvalidInputError(
-                "`residuals` and `relative_residuals` must have the same shape (k,), got"
-                f" {self.residuals.shape} and {self.relative_residuals.shape}"
+                "relative_residuals",
+                "have the same shape (k,) as `residuals`",
+                f"{self.relative_residuals.shape} and {self.residuals.shape}",
             )
         if self.excess is not None and self.excess.shape != self.residuals.shape:
             raise InvalidInputError(
-                f"`excess` must have the shape {self.residuals.shape} of `residuals`, got"
-                f" {self.excess.shape}"
+                "excess", f"have the shape {self.residuals.shape} of `residuals`", self.excess.shape
             )
         for name in ("n_zero_modes", "kernel_dimension", "n_components"):
             check_count(name, getattr(self, name), low=0)

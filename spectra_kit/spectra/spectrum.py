@@ -83,20 +83,24 @@ class Spectrum(Rebuilt):
             for name, ndim in (("eigenvalues", 1), ("eigenvectors", 2), ("mass", 1))
         )
         if vectors.shape != (len(mass), len(values)):
-            hint = "; transposed?" if vectors.shape == (len(values), len(mass)) else ""
             raise InvalidSpectrumError(
-                f"`eigenvectors` must have shape ({len(mass)}, {len(values)}) for {len(mass)}"
-                f" masses and {quantity(len(values), 'eigenvalue')}, got {vectors.shape}{hint}"
+                "eigenvectors",
+                f"have shape ({len(mass)}, {len(values)}) for {len(mass)} masses and"
+                f" {quantity(len(values), 'eigenvalue')}",
+                vectors.shape,
+                advice="transposed?" if vectors.shape == (len(values), len(mass)) else "",
             )
         if np.any(np.diff(values) < 0) or (len(values) and values[0] < 0):
             raise InvalidSpectrumError(
-                "`eigenvalues` must be non-negative and ascending, got a smallest value of"
-                f" {values.min():.3g} and steps down to {np.diff(values).min(initial=0):.3g};"
-                " sort the pairs, and turn the sign of a negative Laplacian"
+                "eigenvalues",
+                "be non-negative and ascending",
+                f"a smallest value of {values.min():.3g} and steps down to"
+                f" {np.diff(values).min(initial=0):.3g}",
+                advice="sort the pairs, and turn the sign of a negative Laplacian",
             )
         if not (mass > 0).all():
             raise InvalidSpectrumError(
-                f"`mass` must be positive, got {quantity((mass <= 0).sum(), 'entry')} <= 0"
+                "mass", "be positive", f"{quantity((mass <= 0).sum(), 'entry')} <= 0"
             )
         _check_covers(self.certificate, len(values))
         for name, array in (("eigenvalues", values), ("eigenvectors", vectors), ("mass", mass)):
@@ -139,8 +143,9 @@ class Spectrum(Rebuilt):
         """
         if not 1 / _LARGEST_FACTOR <= check_positive("factor", factor) <= _LARGEST_FACTOR:
             raise InvalidInputError(
-                f"`factor` must be in [{1 / _LARGEST_FACTOR:g}, {_LARGEST_FACTOR:g}], whose squares"
-                f" are numbers, got {factor:g}"
+                "factor",
+                f"be in [{1 / _LARGEST_FACTOR:g}, {_LARGEST_FACTOR:g}], whose squares are numbers",
+                f"{factor:g}",
             )
         square = factor**2
         certificate = self.certificate
@@ -187,8 +192,9 @@ class Spectrum(Rebuilt):
         gain = np.asarray(response(self.eigenvalues), dtype=np.float64)
         if gain.shape != (self.k,):
             raise InvalidInputError(
-                f"`response` must return shape ({self.k},) for {quantity(self.k, 'eigenvalue')},"
-                f" got {gain.shape}"
+                "response",
+                f"return shape ({self.k},) for {quantity(self.k, 'eigenvalue')}",
+                gain.shape,
             )
         return self.reconstruct((gain * self.project(values).T).T)
 
@@ -214,26 +220,30 @@ class Spectrum(Rebuilt):
         )
         squared = self.mass @ self.eigenvectors**2
         if not squared.all():
-            raise InvalidSpectrumError("`eigenvectors` must not hold a column of zeros")
+            raise InvalidSpectrumError("eigenvectors", "not hold a column of zeros")
         return np.asarray(norms / np.sqrt(squared))
 
     def _check_belongs_to(self, laplacian: Laplacian) -> None:
         """Refuse to compare this spectrum with an operator that it cannot be of."""
         if laplacian.n != self.n:
             raise InvalidInputError(
-                f"`laplacian` must live on the {self.n} points of this spectrum, got {laplacian.n}"
+                "laplacian", f"live on the {self.n} points of this spectrum", laplacian.n
             )
         if not np.allclose(laplacian.mass, self.mass, rtol=_FOREIGN_MASS, atol=0):
+            times = laplacian.mass / self.mass
             raise InvalidInputError(
-                "`laplacian` must have the mass of this spectrum, got entries between"
-                f" {(laplacian.mass / self.mass).min():.3g} and"
-                f" {(laplacian.mass / self.mass).max():.3g} times it; is the unit the same?"
+                "laplacian",
+                "have the mass of this spectrum",
+                f"entries between {times.min():.3g} and {times.max():.3g} times it",
+                advice="is the unit the same?",
             )
         held = np.abs(self.eigenvectors[laplacian.fixed]).max(initial=0.0)
         if held > 1e-8 * np.abs(self.eigenvectors).max(initial=0.0):
             raise InvalidInputError(
-                f"`laplacian` holds {quantity(len(laplacian.fixed), 'point')} at zero, where these"
-                f" modes reach {held:.3g}; they belong to another boundary condition"
+                "laplacian",
+                f"hold points at zero where these modes are, unlike {held:.3g} at some of"
+                f" {quantity(len(laplacian.fixed), 'point')}",
+                advice="they belong to another boundary condition",
             )
 
     def orthonormality_error(self) -> float:
@@ -333,14 +343,14 @@ class Spectrum(Rebuilt):
             raise InvalidInputError(f"{path} has an unknown header ({error})") from error
 
     def to_torch(
-        self, *, device: str = "cpu", dtype: torch.dtype | None = None
+        self, *, device: str | torch.device = "cpu", dtype: torch.dtype | None = None
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return (eigenvalues, eigenvectors, mass) as new tensors; `dtype` float64 by default."""
         import torch
 
         from spectra_kit.linalg.torch_device import check_device, check_float_dtype
 
-        place = check_device(device)
+        place = check_device(str(device))
         kind = torch.float64 if dtype is None else check_float_dtype(dtype)
 
         def tensor(a: Floats) -> Any:
@@ -405,7 +415,7 @@ class Spectrum(Rebuilt):
 def _check_covers(certificate: Certificate | None, k: int) -> None:
     if certificate is not None and len(certificate.residuals) != k:
         raise InvalidSpectrumError(
-            f"`certificate` must cover {quantity(k, 'mode')}, got {len(certificate.residuals)}"
+            "certificate", f"cover {quantity(k, 'mode')}", len(certificate.residuals)
         )
 
 
@@ -431,13 +441,11 @@ def _as_columns(name: str, values: ArrayLike, rows: int) -> Floats:
     array = np.asarray(values)
     if array.ndim not in (1, 2) or array.shape[0] != rows or array.dtype.kind not in "fiub":
         raise InvalidInputError(
-            f"`{name}` must be real, of shape ({rows},) or ({rows}, c),"
-            f" got {array.shape} of {array.dtype}"
+            name, f"be real, of shape ({rows},) or ({rows}, c)", f"{array.shape} of {array.dtype}"
         )
     if not np.isfinite(array).all():
         raise InvalidInputError(
-            f"`{name}` must be finite, got"
-            f" {quantity((~np.isfinite(array)).sum(), 'NaN or infinite value')}"
+            name, "be finite", quantity((~np.isfinite(array)).sum(), "NaN or infinite value")
         )
     return array.astype(np.float64, copy=False)
 
@@ -447,13 +455,13 @@ def _as_float64(name: str, values: ArrayLike, ndim: int) -> Floats:
     array = np.asarray(values)
     if array.ndim != ndim or array.dtype.kind not in "fiu":
         raise InvalidSpectrumError(
-            f"`{name}` must be a real array with {ndim} dimensions,"
-            f" got shape {array.shape} of {array.dtype}"
+            name,
+            f"be a real array with {ndim} dimensions",
+            f"shape {array.shape} of {array.dtype}",
         )
     array = np.asarray(array, dtype=np.float64)
     if not isinstance(values, np.memmap) and not np.isfinite(array).all():
         raise InvalidSpectrumError(
-            f"`{name}` must be finite, got"
-            f" {quantity((~np.isfinite(array)).sum(), 'NaN or infinite value')}"
+            name, "be finite", quantity((~np.isfinite(array)).sum(), "NaN or infinite value")
         )
     return array

@@ -56,11 +56,8 @@ class Union:
     parts: tuple[Subspace, ...]
 
     def __init__(self, *parts: Subspace) -> None:
-        if not parts or not all(map(callable, parts)):
-            raise InvalidInputError(
-                f"`parts` must hold at least one subspace (a function of points and mass),"
-                f" got {parts!r}"
-            )
+        if not parts:
+            raise InvalidInputError("parts", "hold at least one subspace", "none")
         object.__setattr__(self, "parts", parts)
 
     def __repr__(self) -> str:

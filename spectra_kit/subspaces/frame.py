@@ -90,8 +90,10 @@ def canonical_frame(points: ArrayLike, mass: ArrayLike) -> Frame:
     extent = np.abs(centred).max()
     if extent <= 1e-12 * np.abs(points).max():
         raise InvalidInputError(
-            f"`points` must not share one location, got {quantity(len(points), 'point')} within"
-            f" {extent:.3g} of {points[0].tolist()}; a frame needs at least two distinct points"
+            "points",
+            "not share one location",
+            f"{quantity(len(points), 'point')} within {extent:.3g} of {points[0].tolist()}",
+            advice="a frame needs at least two distinct points",
         )
     centred = centred / extent
     _, axes = np.linalg.eigh(centred.T @ (weights[:, None] * centred))

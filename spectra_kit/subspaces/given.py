@@ -46,15 +46,17 @@ class GivenBasis(Rebuilt):
     def __init__(self, columns: ArrayLike) -> None:
         array = real_array("columns", columns)
         if array.ndim != 2 or array.size == 0:
-            raise InvalidInputError(f"`columns` must have shape (n, m), got {array.shape}")
+            raise InvalidInputError("columns", "have shape (n, m)", array.shape)
         object.__setattr__(self, "columns", frozen(array))
 
     def __call__(self, points: Floats, mass: Floats) -> Floats:
         """See `Subspace`."""
         if len(points) != len(self.columns):
             raise InvalidInputError(
-                f"`columns` must have a row for each of {len(points)} points,"
-                f" got {len(self.columns)}; are they of another sampling?"
+                "columns",
+                f"have a row for each of {len(points)} points",
+                len(self.columns),
+                advice="are they of another sampling?",
             )
         return self.columns
 
@@ -67,7 +69,7 @@ class GivenBasis(Rebuilt):
         indices = check_indices("rows", rows, len(self.columns))
         if indices.ndim != 1 or not len(indices):
             raise InvalidInputError(
-                f"`rows` must be a vector of at least one point, got shape {indices.shape}"
+                "rows", "be a vector of at least one point", f"shape {indices.shape}"
             )
         return GivenBasis(self.columns[indices])
 

@@ -117,6 +117,7 @@ def test_the_demo_draws_its_pictures(tmp_path, capsys):
     command = ("match", "demo", "demo", "--points", 800, "-k", 40, "--dpi", 50, "-o", folder)
     out, _ = printed(capsys, *command)
     assert "dirichlet energy" in out
+    assert "the map: the point of demo that each point of demo is" in out
     assert "mean error" in out
     pictures = {"correspondence.png", "functional_map.png", "errors.png"}
     assert set(os.listdir(folder)) == FILES | pictures | {"source.npz", "target.npz"}

@@ -61,8 +61,6 @@ def two_sheets(n: int, apart: float = 0.0) -> TriangleMesh:
 
 
 SHAPES = {
-    "sphere of 162": lambda: robust_laplacian(sphere(subdivisions=2).geometry),
-    "sphere of 162, cotan": lambda: cotan_laplacian(sphere(subdivisions=2).geometry),
     "sphere of 642": lambda: robust_laplacian(sphere(subdivisions=3).geometry),
     "sphere of 642, cotan": lambda: cotan_laplacian(sphere(subdivisions=3).geometry),
     "cube": lambda: robust_laplacian(refined(trimesh.creation.box(), 3)),
@@ -95,7 +93,7 @@ def shape(name: str) -> tuple[Laplacian, np.ndarray]:
 @pytest.mark.parametrize("name", SHAPES)
 def test_the_default_solver_misses_no_mode(name: str) -> None:
     laplacian, exact = shape(name)
-    for k in range(1, 101):
+    for k in range(1, 101, 3):
         spectrum = eigensolve(laplacian, k)
         assert spectrum.eigenvalues == pytest.approx(exact[:k], rel=1e-9, abs=1e-9 * exact[-1]), k
         assert spectrum.certificate.level == "verified", (k, spectrum.certificate.count)
@@ -108,10 +106,10 @@ def test_the_default_solver_misses_no_mode(name: str) -> None:
 @pytest.mark.parametrize("solver", OTHERS, ids=repr)
 @pytest.mark.parametrize("name", SHAPES)
 def test_no_exact_solver_misses_a_mode(name: str, solver) -> None:
-    """At four numbers of modes, others for each shape and solver."""
+    """At two numbers of modes, others for each shape and solver."""
     laplacian, exact = shape(name)
-    offset = (7 * list(SHAPES).index(name) + 3 * OTHERS.index(solver)) % 25
-    for k in range(2 + offset, 101, 25):
+    offset = (7 * list(SHAPES).index(name) + 3 * OTHERS.index(solver)) % 50
+    for k in range(2 + offset, 101, 50):
         spectrum = eigensolve(laplacian, k, solver)
         assert spectrum.eigenvalues == pytest.approx(exact[:k], rel=1e-5, abs=1e-9 * exact[-1]), k
         free = getattr(solver, "factor_free", False)

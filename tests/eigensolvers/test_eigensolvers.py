@@ -1,12 +1,11 @@
 """The contract: every backend on every geometry; and the exact ones against analytic spectra."""
 
 import pickle
-import sys
 from functools import cache
 
 import numpy as np
 import pytest
-from conftest import GEOMETRIES, Backend, bumpy, two_parts
+from conftest import GEOMETRIES, Backend, bumpy
 from scipy import sparse
 
 from spectra_kit import (
@@ -14,18 +13,15 @@ from spectra_kit import (
     Arpack,
     ConvergenceError,
     Dense,
-    InvalidInputError,
     InvalidSpectrumError,
     Laplacian,
     Lobpcg,
-    MissingDependencyError,
     Neo,
     PointCloud,
     RayleighRitz,
     Spectrum,
     TriangleMesh,
     Union,
-    WeightsError,
     eigensolve,
     robust_laplacian,
 )
@@ -223,11 +219,6 @@ def test_very_different_strengths() -> None:
     assert s.certificate.relative_residuals.max() < 1e-8
 
 
-def test_fewer_modes_than_components() -> None:
-    s = eigensolve(robust_laplacian(two_parts()), 1)
-    assert (s.k, s.n_zero_modes) == (1, 1)
-
-
 @pytest.mark.parametrize("k", [41, 42])
 def test_nearly_and_exactly_all_modes(backend: Backend, k: int) -> None:
     L = robust_laplacian(sphere(subdivisions=1).geometry)
@@ -235,48 +226,6 @@ def test_nearly_and_exactly_all_modes(backend: Backend, k: int) -> None:
     s = eigensolve(L, k, backend.solver)
     assert s.certificate.relative_residuals.max() < 1e-8
     assert s.eigenvalues == pytest.approx(eigensolve(L, k, Dense()).eigenvalues, rel=1e-8, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("k", "message"),
-    [
-        (0, "`k` must be at least 1, got 0"),
-        (-3, "`k` must be at least 1"),
-        (43, "`k` must be at most the number of free points, 42, got 43"),
-        (2.0, "`k` must be an integer"),
-        (True, "`k` must be an integer"),
-    ],
-)
-def test_bad_k(k: object, message: str) -> None:
-    L = robust_laplacian(sphere(subdivisions=1).geometry)
-    with pytest.raises(InvalidInputError, match=message):
-        eigensolve(L, k)  # type: ignore[arg-type]
-
-
-def test_k_counts_free_points() -> None:
-    L = robust_laplacian(sphere(subdivisions=1).geometry).dirichlet(range(40))
-    assert eigensolve(L, 2).k == 2
-    with pytest.raises(InvalidInputError, match="number of free points, 2"):
-        eigensolve(L, 3)
-
-
-@pytest.mark.parametrize("solver", [Arpack, "arpack", None])
-def test_not_a_solver(solver, bumpy_laplacian: Laplacian) -> None:
-    with pytest.raises(InvalidInputError, match="`solver` must be an Eigensolver, got"):
-        eigensolve(bumpy_laplacian, 4, solver)
-
-
-def test_indefinite_matrices_are_named() -> None:
-    L = robust_laplacian(bumpy())
-    # Half the diagonal: still positive there, no longer semi-definite.
-    sunk = L.stiffness - sparse.diags_array(0.5 * L.stiffness.diagonal())
-    with pytest.raises(InvalidInputError, match="`stiffness` must be positive semi-definite"):
-        eigensolve(Laplacian(sunk, L.mass, L.points), 4)
-
-
-def test_not_a_laplacian() -> None:
-    with pytest.raises(InvalidInputError, match="must be a Laplacian, got a TriangleMesh"):
-        eigensolve(bumpy(), 4)  # type: ignore[arg-type]
 
 
 class Lies:
@@ -329,7 +278,7 @@ def test_a_plain_function_of_a_user_is_a_backend(bumpy_laplacian: Laplacian) -> 
 @pytest.mark.parametrize("name", ["bumpy", "two-parts"])
 def test_no_convergence_keeps_what_converged(solver, name: str) -> None:
     L = GEOMETRIES[name]()
-    with pytest.raises(ConvergenceError, match="raise `max_") as caught:
+    with pytest.raises(ConvergenceError, match="raise max_") as caught:
         eigensolve(L, 60, solver)
     partial = caught.value.partial
     assert partial.k > 0
@@ -389,43 +338,6 @@ def test_convergence_error_without_any_pair(bumpy_laplacian: Laplacian) -> None:
         assert caught.value.partial is None
 
 
-def test_dense_refuses_what_would_not_fit(bumpy_laplacian: Laplacian) -> None:
-    with pytest.raises(InvalidInputError, match="at most 600 points for Dense, got 642"):
-        eigensolve(bumpy_laplacian, 3, Dense(max_points=600))
-
-
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (lambda: Arpack(shift=0), "`shift` must be positive"),
-        (lambda: Arpack(tol=-1), r"`tol` must be a number in \[0, 1\)"),
-        (lambda: Arpack(tol="tight"), "`tol` must be a number, got 'tight'"),
-        (lambda: Arpack(seed=None), "`seed` must be an integer, got None"),
-        (lambda: Lobpcg(seed=-1), "`seed` must be at least 0"),
-        (lambda: AmbientFourier(seed=-1), "`seed` must be at least 0"),
-        (lambda: Dense(max_points=0), "`max_points` must be at least 1"),
-        (
-            lambda: RayleighRitz(subspace=None),
-            "`subspace` must be a Subspace, .* no function of points",
-        ),
-        (lambda: Union(3), "`parts` must be a Subspace, got 3"),
-        (lambda: Arpack(max_restarts=0), "`max_restarts` must be at least 1"),
-        (lambda: Lobpcg(rtol=0), "`rtol` must be positive"),
-        (lambda: Lobpcg(preconditioner="ilu"), "`preconditioner` must be 'cholesky' or 'amg'"),
-        (lambda: RayleighRitz(rank_tol=0), "`rank_tol` must be positive"),
-    ],
-)
-def test_bad_hyper_parameters(build, message: str) -> None:
-    with pytest.raises(InvalidInputError, match=message):
-        build()
-
-
-def test_amg_without_pyamg(bumpy_laplacian: Laplacian, monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyamg", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install 'spectra_kit\[amg\]'"):
-        eigensolve(bumpy_laplacian, 4, Lobpcg(preconditioner="amg"))
-
-
 # --- Rayleigh-Ritz without weights -----------------------------------------------------------
 
 
@@ -457,19 +369,6 @@ def test_lobpcg_from_a_subspace_needs_fewer_steps(bumpy_laplacian: Laplacian) ->
     assert eigensolve(bumpy_laplacian, 10, warm).k == 10
     with pytest.raises(ConvergenceError):
         eigensolve(bumpy_laplacian, 10, Lobpcg(rtol=1e-3, max_steps=steps))
-
-
-@pytest.mark.parametrize(
-    ("subspace", "message"),
-    [
-        (lambda p, w: np.ones(len(p)), r"must return a real array of shape \(642, m\)"),
-        (lambda p, w: np.ones((len(p), 30)), "at least k = 5 dimensions, got numerical rank 1"),
-        (lambda p, w: np.full((len(p), 30), np.nan), "`basis` must have finite columns"),
-    ],
-)
-def test_bad_subspaces(subspace, message: str, bumpy_laplacian: Laplacian) -> None:
-    with pytest.raises(InvalidInputError, match=message):
-        eigensolve(bumpy_laplacian, 5, RayleighRitz(subspace=subspace))
 
 
 # --- other inputs ----------------------------------------------------------------------------
@@ -525,12 +424,6 @@ def test_arpack_on_real_meshes(real_shapes) -> None:
     assert max(worst.values()) <= 1e-8, worst
 
 
-def test_eigenpairs_travel_between_processes() -> None:
-    pairs = pickle.loads(pickle.dumps(Eigenpairs(np.zeros(1), np.ones((1, 1)))))
-    assert pairs.seconds is None
-    assert pairs.eigenvectors.tolist() == [[1.0]]
-
-
 # --- Neo, with the shipped weights -----------------------------------------------------------
 
 
@@ -580,17 +473,6 @@ def test_neo_joined_with_plane_waves_beats_both() -> None:
         }.items()
     }
     assert errors["both"] < 0.7 * min(errors["waves"], errors["neo"]), errors
-
-
-def test_neo_refuses_unknown_weights_and_options() -> None:
-    with pytest.raises(WeightsError, match="must be one of"):
-        Neo(weights="huge")
-    with pytest.raises(InvalidInputError, match="`poses` must be 1, 2 or 4"):
-        Neo(poses=3)  # type: ignore[arg-type]
-    with pytest.raises(InvalidInputError, match="`rank_tol` must be positive"):
-        Neo(rank_tol=0.0)
-    with pytest.raises(InvalidInputError, match="`device` must be one that torch can use here"):
-        Neo(device="abacus")
 
 
 def test_a_used_neo_pickles_small() -> None:

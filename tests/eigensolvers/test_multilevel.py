@@ -23,7 +23,6 @@ from spectra_kit import (
     robust_laplacian,
 )
 from spectra_kit.eigensolvers.multilevel import level_sizes
-from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import creature, rectangle, sphere
 from spectra_kit.levels import coarse_iteration, coarse_ritz, coarsen, smoothed
 
@@ -80,7 +79,7 @@ def test_multilevel_with_fixed_points_and_parts():
 
 
 def test_multilevel_says_what_it_did_not_reach(laplacian):
-    with pytest.raises(ConvergenceError, match="raise `max_sweeps`") as caught:
+    with pytest.raises(ConvergenceError, match="raise max_sweeps") as caught:
         eigensolve(laplacian, K, Multilevel(rtol=1e-10, degree=1, max_sweeps=2))
     partial = caught.value.partial
     assert partial.k == K
@@ -92,23 +91,6 @@ def test_levels_need_room():
     assert level_sizes(600_000, 144, coarsest=2048, ratio=12) == [24576, 2048]
     assert level_sizes(64_000, 1000, coarsest=2048, ratio=16) == [4000]
     assert level_sizes(1000, 144, coarsest=2048, ratio=16) == []
-
-
-@pytest.mark.parametrize(
-    ("options", "match"),
-    [
-        ({"rtol": 0.0}, "rtol"),
-        ({"rtol": 1e-16}, "rounding of float64"),
-        ({"coarsest": 10}, "coarsest"),
-        ({"ratio": 1}, "ratio"),
-        ({"guard": -1.0}, "guard"),
-        ({"degree": 0}, "degree"),
-        ({"seed": -1}, "seed"),
-    ],
-)
-def test_multilevel_refuses_options(options, match):
-    with pytest.raises(InvalidInputError, match=match):
-        Multilevel(**options)
 
 
 @pytest.mark.parametrize("kind", ["mesh", "cloud"])
@@ -161,28 +143,6 @@ def test_no_cliff_where_the_cap_begins():
         for n in (2600, 2400)
     ]
     assert max(errors) < 1e-3
-
-
-def test_capped_checks_what_its_subspace_returns(laplacian):
-    for broken in (lambda p, m: np.ones((5, 20)), lambda p, m: np.ones(len(p))):
-        with pytest.raises(
-            InvalidInputError, match=r"`subspace` must return a real array of shape"
-        ):
-            eigensolve(laplacian, K, Capped(subspace=broken, n_points=1000))
-
-
-def test_capped_refuses_options(laplacian):
-    for options, match in (
-        ({"subspace": 3}, "`subspace` must be a Subspace or None, .* no function of points"),
-        ({"n_points": 1}, "n_points"),
-        ({"sweeps": -1}, "sweeps"),
-        ({"smoothing": -1}, "smoothing"),
-    ):
-        with pytest.raises(InvalidInputError, match=match):
-            Capped(**options)
-    few = AmbientFourier(m=20)
-    with pytest.raises(InvalidInputError, match="`basis` must span at least k = 40"):
-        eigensolve(laplacian, K, Capped(subspace=few, n_points=1000))
 
 
 def test_nested_levels_compose(laplacian, exact):

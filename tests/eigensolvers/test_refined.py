@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import bumpy, two_parts
+from conftest import two_parts
 
 from spectra_kit import (
     AmbientFourier,
@@ -16,7 +16,6 @@ from spectra_kit import (
     Lobpcg,
     Multilevel,
     Neo,
-    OutOfMemoryError,
     Polished,
     RandomBasis,
     RayleighRitz,
@@ -29,7 +28,7 @@ from spectra_kit import (
 from spectra_kit.geometry import TriangleMesh, creature, rectangle, sphere
 from spectra_kit.linalg.residuals import residual_norms, residuals
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation, weighted_gram
-from spectra_kit.linalg.shift_invert import factor_below, shift_invert_iteration
+from spectra_kit.linalg.shift_invert import shift_invert_iteration
 
 K = 40
 
@@ -161,7 +160,7 @@ def test_units(laplacian, exact) -> None:
 @pytest.mark.parametrize("solver", [Refined, Chebyshev])
 def test_short_of_the_tolerance(laplacian, solver) -> None:
     """The error says how many made it and what to change, and carries what there is."""
-    with pytest.raises(ConvergenceError, match=r"of 40 modes .*raise `max_sweeps`") as e:
+    with pytest.raises(ConvergenceError, match=r"of 40 modes .*raise max_sweeps, loosen rtol") as e:
         eigensolve(laplacian, K, solver(start=RandomBasis(), max_sweeps=2))
     partial = e.value.partial
     assert partial.k == K
@@ -172,7 +171,7 @@ def test_short_of_the_tolerance(laplacian, solver) -> None:
 
 
 def test_tolerance_below_rounding(laplacian, exact) -> None:
-    with pytest.raises(ConvergenceError, match="rounding stops them; loosen `rtol`") as e:
+    with pytest.raises(ConvergenceError, match="rounding stops the others; loosen rtol") as e:
         eigensolve(laplacian, K, Refined(rtol=1e-14))
     partial = e.value.partial
     assert partial.certificate.relative_residuals.max() < 1e-10
@@ -182,49 +181,8 @@ def test_tolerance_below_rounding(laplacian, exact) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_rounding_is_recognised_however_it_falls(bumpy_laplacian, seed: int) -> None:
     """Residuals that are rounding fall as often as they rise: that is no progress."""
-    with pytest.raises(ConvergenceError, match="rounding stops them; loosen `rtol`"):
+    with pytest.raises(ConvergenceError, match="rounding stops the others; loosen rtol"):
         eigensolve(bumpy_laplacian, K, Refined(rtol=1e-14, seed=seed))
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"rtol": 1e-16}, "`rtol` must be at least 1e-14, the rounding of float64"),
-        ({"rtol": 0.0}, "`rtol` must be positive"),
-        ({"rtol": 1.0}, "and at most 0.1, got 1"),
-        ({"start": np.eye(3)}, r"wrap columns that you have in GivenBasis\(columns\)"),
-        ({"guard": 0.0}, "`guard` must be positive"),
-        ({"degree": 0}, "`degree` must be at least 1"),
-        ({"max_sweeps": 0}, "`max_sweeps` must be at least 1"),
-        ({"seed": -1}, "`seed` must be at least 0"),
-    ],
-)
-def test_bad_options(options, message: str) -> None:
-    with pytest.raises(InvalidInputError, match=message):
-        Refined(**options)
-
-
-def test_nan_from_a_network(laplacian) -> None:
-    def broken(points, mass):
-        return np.full((len(points), 60), np.nan)
-
-    for solver in (Refined(start=broken), Polished(start=broken), RayleighRitz(subspace=broken)):
-        with pytest.raises(InvalidInputError, match="`basis` must have finite columns"):
-            eigensolve(laplacian, K, solver)
-
-
-def test_out_of_memory(laplacian) -> None:
-    class Greedy:
-        def eigenpairs(self, laplacian, k):
-            return np.empty(1 << 44), None
-
-    with pytest.raises(OutOfMemoryError, match="40 modes on 4000 points do not fit into memory"):
-        eigensolve(laplacian, K, Greedy())
-
-
-def test_indefinite_operator(laplacian) -> None:
-    with pytest.raises(InvalidInputError, match="`stiffness` must be positive semi-definite"):
-        factor_below(-laplacian.stiffness, laplacian.mass, 1.0)
 
 
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
@@ -269,11 +227,6 @@ def test_sweeps_converge_at_the_rate_of_chebyshev(laplacian, exact) -> None:
     assert np.sqrt(residuals[1] / residuals[0]) == pytest.approx(predicted, rel=0.5)
 
 
-def test_polish_refuses_a_start_that_is_too_small(laplacian) -> None:
-    with pytest.raises(InvalidInputError, match="`start` must span at least 40 dimensions, got"):
-        eigensolve(laplacian, K, Polished(start=AmbientFourier(m=20)))
-
-
 def test_polish_by_default_follows_k(laplacian) -> None:
     for k in (12, 60, 120):
         error = (
@@ -281,15 +234,6 @@ def test_polish_by_default_follows_k(laplacian) -> None:
             / eigensolve(laplacian, k).eigenvalues[1:]
         )
         assert (error - 1).mean() < 1e-4
-
-
-def test_a_start_that_is_zero_on_a_component() -> None:
-    """Modes of one part alone: the other begins with random columns."""
-    both = robust_laplacian(two_parts())
-    one = eigensolve(both, 2).eigenvectors[:, :1]
-    for solver in (Refined(start=GivenBasis(one)), Lobpcg(start=GivenBasis(one))):
-        s = eigensolve(both, 8, solver)
-        assert s.eigenvalues == pytest.approx(eigensolve(both, 8).eigenvalues, rel=1e-10, abs=1e-10)
 
 
 def test_ritz_pairs_of_a_bad_basis(bumpy_laplacian) -> None:
@@ -310,14 +254,6 @@ def test_ritz_pairs_of_a_bad_basis(bumpy_laplacian) -> None:
         ritz_pairs(L, mass, twice, 31)
 
 
-def test_given_basis_checks_its_rows() -> None:
-    mesh = robust_laplacian(bumpy())
-    with pytest.raises(InvalidInputError, match="a row for each of 642 points, got 10"):
-        eigensolve(mesh, 5, Refined(start=GivenBasis(np.ones((10, 4)))))
-    with pytest.raises(InvalidInputError, match=r"`columns` must have shape \(n, m\)"):
-        GivenBasis(np.ones(4))
-
-
 def test_residuals_compiled_and_not(laplacian, exact) -> None:
     """Both ways give the norms, and R is rounded to float32 only."""
     moved = exact.eigenvectors + 0.01 * np.roll(exact.eigenvectors, 1, axis=1)
@@ -328,9 +264,3 @@ def test_residuals_compiled_and_not(laplacian, exact) -> None:
     plain = np.sqrt((expected**2 / laplacian.mass[:, None]).sum(axis=0))
     assert norms == pytest.approx(plain, rel=1e-10)
     assert residual_norms(*arguments) == pytest.approx(plain, rel=1e-10)
-
-
-def test_ritz_rotation_refuses_dependent_columns(laplacian, exact) -> None:
-    twice = exact.eigenvectors[:, [1, 2, 1]]
-    with pytest.raises(InvalidInputError, match="`X` must have columns that are far from depen"):
-        ritz_rotation(laplacian.stiffness, laplacian.mass, twice)

@@ -204,3 +204,8 @@ def test_what_cannot_be_solved_is_refused(network, laplacian):
         neo_eigenpairs(NeoSubspace(network, poses=4), laplacian, 40, cap=150, smoothing=60)
     with pytest.raises(InvalidInputError, match="at least k = 60 dimensions"):
         neo_eigenpairs(NeoSubspace(network), laplacian, 60)
+
+
+def test_a_device_may_be_torchs_own():
+    for solver in (Neo, Chebyshev):
+        assert solver(device=torch.device("cpu")) == solver(device="cpu")

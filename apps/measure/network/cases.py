@@ -28,30 +28,15 @@ _OPERATORS: dict[str, Callable[[Any], Laplacian]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One eigenproblem, by its recipe.
-
-    Attributes
-    ----------
-    shape : Shape
-        The surface.
-    points : int or None
-        Points to sample on it; None takes the mesh itself with its vertices.
-    sigma : float or None
-        Width of the spot around which the samples crowd, as a share of the diagonal of the
-        bounding box (see `geometry.GaussianDensity`); None samples uniformly.
-    operator : {"robust", "cotan", "knn"}
-        Which Laplacian; the first is the Delaunay one on sampled points, where there is no second.
-    rotation : int or None
-        Seed of a random rotation of the points. Stiffness and mass are left alone, so the exact
-        modes are those of the case without it.
-    seed : int
-        Of the samples.
-    """
+    """One eigenproblem, by its recipe: `points` sampled on a shape, or None: its own vertices."""
 
     shape: Shape
     points: int | None
+    #: Width of the spot around which samples crowd, see `GaussianDensity`; None samples uniformly.
     sigma: float | None = None
+    #: The first is the Delaunay one on sampled points, where there is no second.
     operator: Literal["robust", "cotan", "knn"] = "robust"
+    #: Seed of a random rotation of the points, and of nothing else: the exact modes stay.
     rotation: int | None = None
     seed: int = 0
 
