@@ -295,6 +295,7 @@ BALL = ("ball.off", "--source", 0)
         ((*BALL, "--solver", "arpack", "-k", 0), "`-k` must be at least 1"),
         ((*BALL, "-k", 9), "-k has no effect without modes; choose what solves for them by --solv"),
         ((*BALL, "--poisson-rtol", -1), "`--poisson-rtol` must be positive"),
+        ((*BALL, "--poisson-rtol", 1), "`--poisson-rtol` must be less than 1"),
         ((*BALL, "--time-coefficient", 0), "`--time-coefficient` must be positive"),
         ((*BALL, "--spacing", 0), "`--spacing` must be positive"),
         ((*BALL, "--spectrum", "best"), "found no file 'best'"),
