@@ -6,6 +6,7 @@ import os
 import numpy as np
 import pytest
 import trimesh
+from conftest import creature
 from running import printed, record, refusal, write_shapes
 
 from spectra_kit.cli import main
@@ -14,7 +15,7 @@ from spectra_kit.cli.geodesic_sources import with_farthest
 from spectra_kit.cli.program import parse
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.geodesics import FacePoint, HeatGeodesics, Iterative, nearest_source
-from spectra_kit.geometry import TriangleMesh, creature, read, write
+from spectra_kit.geometry import TriangleMesh, read, write
 from spectra_kit.operators import intrinsic_delaunay
 from spectra_kit.viz.colours import UNKNOWN
 
