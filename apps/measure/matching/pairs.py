@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache, partial
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -38,19 +38,27 @@ BACKENDS: dict[str, Callable[[str], Eigensolver]] = {
 _HELD = 8  # spectra in the memory of a process
 
 
-@dataclass(frozen=True)
-class Basis:
+class Pair(NamedTuple):
+    """The names of two subjects."""
+
+    source: str
+    target: str
+
+    def __str__(self) -> str:
+        return "--".join(self)
+
+
+class Basis(NamedTuple):
     """Which modes: of meshes or of their vertices alone, by one of `BACKENDS`."""
 
     kind: Kind
     backend: str
 
     def __str__(self) -> str:
-        return f"{self.kind}-{self.backend}"
+        return "-".join(self)
 
 
-@dataclass(frozen=True)
-class Way:
+class Way(NamedTuple):
     """Which modes, and which of `METHODS` matches with them."""
 
     basis: Basis
@@ -65,17 +73,6 @@ class Way:
         own = METHODS[self.method].own
         label = self.method if own else f"{self.method}, {self.basis.backend}"
         return label + (", clouds" if self.basis.kind == "cloud" else "")
-
-
-@dataclass(frozen=True)
-class Pair:
-    """The names of two subjects."""
-
-    source: str
-    target: str
-
-    def __str__(self) -> str:
-        return f"{self.source}--{self.target}"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -140,10 +137,9 @@ class Pairs(Study[Way, Pair]):
 
     def facts(self, contender: Way, problem: Pair) -> dict[str, object]:
         """See `Study`; the spectra by their keys."""
-        names = (problem.source, problem.target)
         return {
-            "subjects": [self.spectra.subjects[name].digest for name in names],
-            "spectra": [self.spectra.key(contender.basis, name) for name in names],
+            "subjects": [self.spectra.subjects[name].digest for name in problem],
+            "spectra": [self.spectra.key(contender.basis, name) for name in problem],
             "method": contender.method,
             "python": self.pyfm_python if METHODS[contender.method].own else None,
             "geodesics": self.geodesics,
@@ -151,7 +147,7 @@ class Pairs(Study[Way, Pair]):
 
     def excuse(self, contender: Way, problem: Pair, before: Sequence[Result[Way, Pair]]) -> str:
         """See `Study`; without spectra there is no map."""
-        for name in (problem.source, problem.target):
+        for name in problem:
             if reason := self.unsolved.get((contender.basis, name)):
                 return f"{name}: {reason}"
         return ""
@@ -166,7 +162,7 @@ class Pairs(Study[Way, Pair]):
         if METHODS[contender.method].own and self.pyfm_python:
             run = partial(run, python=self.pyfm_python)
         basis = contender.basis
-        source, target = (self.spectra.subjects[n] for n in (problem.source, problem.target))
+        source, target = (self.spectra.subjects[name] for name in problem)
         a, b = (
             Side(geometry_of(s, basis.kind), _loaded(self.spectra.path(basis, s.name)))
             for s in (source, target)
@@ -220,7 +216,7 @@ def match_all(pairs: Pairs, *, jobs: int = 1, progress: bool = False) -> list[Re
         name: None
         for way, pair, _ in pairs.tasks()
         if (store.get(pairs.key(way, pair)) or {"status": ""})["status"] != "ok"
-        for name in (pair.source, pair.target)
+        for name in pair
     }
     spectra = replace(pairs.spectra, problems=list(names))
     solved = run(spectra, store, jobs=jobs, retry=True, progress=progress)
