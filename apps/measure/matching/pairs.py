@@ -18,22 +18,22 @@ from measure.store import Record, Store
 from measure.study import Result, Study, run
 from spectra_kit._files import atomic_path
 from spectra_kit._types import Ints
+from spectra_kit.catalogue import SOLVERS, SUBSPACES
 from spectra_kit.correspondence import way_back
-from spectra_kit.eigensolvers import Arpack, Eigensolver, Neo, Polished, Refined, eigensolve
-from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.eigensolvers import Eigensolver, eigensolve
+from spectra_kit.geometry import Geometry
 from spectra_kit.geometry.shapes import distinct_rows
-from spectra_kit.neo import NeoSubspace
-from spectra_kit.operators import delaunay_laplacian, robust_laplacian
+from spectra_kit.operators import laplacian
 from spectra_kit.spectra import Spectrum
 
 Kind = Literal["mesh", "cloud"]
 KINDS: tuple[Kind, ...] = ("mesh", "cloud")
 #: From the weights to what solves: ARPACK, the network alone, polished once, refined to the end.
 BACKENDS: dict[str, Callable[[str], Eigensolver]] = {
-    "exact": lambda weights: Arpack(),
-    "neo": lambda weights: Neo(weights=weights),
-    "neo-polished": lambda weights: Polished(start=NeoSubspace(weights), sweeps=1),
-    "neo-refined": lambda weights: Refined(start=NeoSubspace(weights)),
+    "exact": lambda weights: SOLVERS["arpack"](),
+    "neo": lambda weights: SOLVERS["neo"](weights=weights),
+    "neo-polished": lambda weights: SOLVERS["polished"](start=SUBSPACES["neo"](weights), sweeps=1),
+    "neo-refined": lambda weights: SOLVERS["refined"](start=SUBSPACES["neo"](weights)),
 }
 _HELD = 8  # spectra in the memory of a process
 
@@ -102,9 +102,8 @@ class Spectra(Study[Basis, str]):
     def measure(self, contender: Basis, problem: str) -> Record:
         """Solve into the file."""
         geometry = geometry_of(self.subjects[problem], contender.kind)
-        assemble = robust_laplacian if isinstance(geometry, TriangleMesh) else delaunay_laplacian
         solver = BACKENDS[contender.backend](self.weights)
-        spectrum = eigensolve(assemble(geometry), self.k, solver)
+        spectrum = eigensolve(laplacian(geometry), self.k, solver)
         path = self.path(contender, problem)
         path.parent.mkdir(exist_ok=True)
         spectrum.save(path)
