@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import creature
 from running import printed, refusal
 
 from spectra_kit import Lobpcg, eigensolve, robust_laplacian
@@ -18,7 +19,7 @@ from spectra_kit.cli import info, main
 from spectra_kit.cli.folder import check_folder, together
 from spectra_kit.cli.program import COMMANDS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
-from spectra_kit.geometry import PointCloud, TriangleMesh, creature, sphere, write
+from spectra_kit.geometry import PointCloud, TriangleMesh, sphere, write
 
 NAMES = [command.name for command in COMMANDS if command.name != "completion"]
 
