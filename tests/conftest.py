@@ -27,6 +27,7 @@ from spectra_kit import (
     Refined,
     TriangleMesh,
     cotan_laplacian,
+    geometry,
     knn_laplacian,
     robust_laplacian,
 )
@@ -83,6 +84,10 @@ def refused(
     with pytest.raises(InvalidInputError) as caught:
         call(*given, **options)
     assert str(caught.value).startswith(f"`{argument}` must {expected}")
+
+
+# It takes a third of a second to make one, and many tests ask for the same.
+creature = cache(geometry.creature)
 
 
 def bumpy(n: int = 642) -> TriangleMesh:

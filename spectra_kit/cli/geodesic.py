@@ -48,7 +48,8 @@ _FIELD, _CONVERGENCE = "field.png", "convergence.png"
 def geodesic_distances(asked: program.Geodesic) -> None:
     """Measure distances, write them with a report and pictures into one folder."""
     folder, heat = asked.output.output, asked.heat
-    check_positive("--poisson-rtol", heat.poisson_rtol)
+    if check_positive("--poisson-rtol", heat.poisson_rtol) >= 1:
+        raise InvalidInputError("--poisson-rtol", "be less than 1", heat.poisson_rtol)
     check_positive("--time-coefficient", heat.time_coefficient)
     if asked.output.spacing is not None:
         check_positive("--spacing", asked.output.spacing)

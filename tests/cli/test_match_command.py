@@ -6,20 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import creature
 from running import printed, record, refusal
 from scipy.spatial.transform import Rotation
 
 from spectra_kit.cli.quality import Side, doubts_of, quality_of
 from spectra_kit.correspondence import bijectivity_errors, way_back
 from spectra_kit.eigensolvers import eigensolve
-from spectra_kit.geometry import (
-    creature,
-    creature_pair,
-    mirrored,
-    permuted,
-    sphere,
-    write,
-)
+from spectra_kit.geometry import creature_pair, mirrored, permuted, sphere, write
 from spectra_kit.matching import match
 from spectra_kit.operators import robust_laplacian
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import bumpy, refused, two_parts
+from conftest import bumpy, creature, refused, two_parts
 from scipy.sparse.csgraph import floyd_warshall
 
 from spectra_kit import TriangleMesh, cotan_laplacian, eigensolve, robust_laplacian
@@ -21,7 +21,7 @@ from spectra_kit.correspondence import (
     orientation,
 )
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import creature, creature_pair, rectangle, sphere
+from spectra_kit.geometry import creature_pair, rectangle, sphere
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import creature, refused
 from scipy import sparse
 from scipy.spatial import cKDTree
 
@@ -16,7 +16,7 @@ from spectra_kit.functional_maps import (
     point_map_from_functional_map,
     precise_map,
 )
-from spectra_kit.geometry import TriangleMesh, creature
+from spectra_kit.geometry import TriangleMesh
 
 PRECISE_CASES = {  # q against the triangle (0,0) (1,0) (0,1)
     "inside": ([0.25, 0.25], [0.5, 0.25, 0.25]),

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import creature
 
 from spectra_kit import InvalidInputError, TriangleMesh, eigensolve, robust_laplacian
 from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
@@ -23,7 +24,7 @@ from spectra_kit.functional_maps._terms import (
     multiplication_operators,
     preserved,
 )
-from spectra_kit.geometry import creature, sphere
+from spectra_kit.geometry import sphere
 from spectra_kit.operators.oriented import oriented_triangles
 from spectra_kit.spectra import Spectrum
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import creature, refused
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -23,7 +23,6 @@ from spectra_kit.functional_maps import (
     zoomout_many,
 )
 from spectra_kit.functional_maps.zoomout import schedule
-from spectra_kit.geometry import creature
 
 N, K = 1500, 80
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import creature, refused
 
 from spectra_kit import InvalidInputError, PointCloud, Spectrum, TriangleMesh
 from spectra_kit.geodesics.sources import FacePoint, check_sources, nearest_source
-from spectra_kit.geometry import creature, sphere
+from spectra_kit.geometry import sphere
 
 RIGHT = TriangleMesh([[0, 0, 0], [3, 0, 0], [0, 4, 0], [9, 9, 9]], [[0, 1, 2]])
 

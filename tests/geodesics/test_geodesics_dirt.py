@@ -4,10 +4,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from conftest import creature
 
 from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics import Direct, HeatGeodesics, Iterative, exact_distances
-from spectra_kit.geometry import PointCloud, TriangleMesh, creature, rectangle, sphere
+from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
 from spectra_kit.operators import intrinsic_delaunay
 
 SOLVERS = [Direct(), Iterative(), Iterative(coarse="none", drop=None, relaxation=0.0)]

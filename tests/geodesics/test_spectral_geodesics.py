@@ -3,7 +3,7 @@
 import igl
 import numpy as np
 import pytest
-from conftest import refused, two_parts
+from conftest import creature, refused, two_parts
 from scipy.linalg import expm
 
 from spectra_kit import (
@@ -22,7 +22,7 @@ from spectra_kit.geodesics.spectral import (
     spectral_distance,
     spectral_heat,
 )
-from spectra_kit.geometry import creature, sphere, torus
+from spectra_kit.geometry import sphere, torus
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
 
 

@@ -6,14 +6,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import creature, refused
 from scipy import sparse
 from scipy.linalg import eigh
 from scipy.spatial import cKDTree
 
 from spectra_kit import Laplacian, TriangleMesh, cotan_laplacian, eigensolve, robust_laplacian
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import creature, rectangle, sphere
+from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.levels import Subset, coarsen, prolongation, well_spread
 
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import creature, refused
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from spectra_kit import InvalidInputError, TriangleMesh, cotan_laplacian, delaunay_laplacian
-from spectra_kit.geometry import creature, sphere
+from spectra_kit.geometry import sphere
 from spectra_kit.linalg import ConstantKernel, IncompleteCholesky, pcg
 from spectra_kit.linalg.incomplete_cholesky import untidy
 

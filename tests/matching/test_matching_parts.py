@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import creature, refused
 from scipy.spatial.transform import Rotation
 
 from spectra_kit import InvalidInputError, PointCloud, Spectrum, TriangleMesh, robust_laplacian
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.functional_maps import functional_map_from_point_map
-from spectra_kit.geometry import creature, mirrored, permuted, rectangle, sphere
+from spectra_kit.geometry import mirrored, permuted, rectangle, sphere
 from spectra_kit.matching import (
     MatchOptions,
     Prepared,

@@ -6,6 +6,7 @@ from functools import cache
 import igl
 import numpy as np
 import pytest
+from conftest import creature
 from scipy import sparse
 from scipy.spatial import Delaunay
 
@@ -20,7 +21,7 @@ from spectra_kit import (
     eigensolve,
     robust_laplacian,
 )
-from spectra_kit.geometry import creature, sphere, torus
+from spectra_kit.geometry import sphere, torus
 from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
 
 RNG = np.random.default_rng

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import creature, refused
 
 from spectra_kit import InvalidInputError, PointCloud, TriangleMesh
-from spectra_kit.geometry import creature, disk, rectangle, sample_with_origin, sphere, torus
+from spectra_kit.geometry import disk, rectangle, sample_with_origin, sphere, torus
 from spectra_kit.operators.oriented import (
     OrientedTriangles,
     area_form,
