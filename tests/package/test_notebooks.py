@@ -50,7 +50,7 @@ def test_git_ignores_what_notebooks_write(tmp_path: Path) -> None:
     folder.mkdir()
     code = "".join(c.source for path in NOTEBOOKS for c in read(path).cells)
     written = re.findall(r'"([\w.]+\.(?:png|gif|npz|html|safetensors))"', code)
-    assert len(written) > 9
+    assert len(written) > 4
     for name in (*written, "another.ipynb"):
         (folder / name).touch()
     subprocess.run([git, "init", "-q", str(tmp_path)], check=True)
