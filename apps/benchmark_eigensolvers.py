@@ -103,7 +103,10 @@ def _measure(args: argparse.Namespace) -> None:
     )
     results = run(study, store, limits=limits, retry=args.retry, progress=True)
     machine = describe_machine(
-        name=study.machine, threads=args.threads, device=args.device[-1], commit=args.commit
+        name=study.machine,
+        threads=args.threads,
+        device="cuda" if "cuda" in args.device else "cpu",
+        commit=args.commit,
     )
     paths = write_report(study, results, made, machine)
     print(paths[1].read_text())

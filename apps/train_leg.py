@@ -81,23 +81,29 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     from legs.packing import use_wheels
 
-    from spectra_kit.errors import SpectraKitError
-
+    if not args.pack:
+        use_wheels(args.wheels)
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
-        if args.pack:
-            _pack(args)
-        else:
-            use_wheels(args.wheels)
-            _train(args, began)
-    except SpectraKitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+        return _run(args, began)
     except ModuleNotFoundError as error:
         print(f"error: {error}; run with --pack where there is a network", file=sys.stderr)
         return 1
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _run(args: argparse.Namespace, began: float) -> int:
+    from spectra_kit.errors import SpectraKitError
+
+    try:
+        if args.pack:
+            _pack(args)
+        else:
+            _train(args, began)
+    except SpectraKitError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
     return 0
 
 

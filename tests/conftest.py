@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,6 +17,7 @@ from spectra_kit import (
     Arpack,
     Capped,
     Dense,
+    InvalidInputError,
     Laplacian,
     Lobpcg,
     Multilevel,
@@ -25,6 +27,7 @@ from spectra_kit import (
     Refined,
     TriangleMesh,
     cotan_laplacian,
+    geometry,
     knn_laplacian,
     robust_laplacian,
 )
@@ -72,6 +75,19 @@ def backend(request: pytest.FixtureRequest) -> Backend:
 @pytest.fixture(params=EXACT_BACKENDS, ids=str, scope="session")
 def exact_backend(request: pytest.FixtureRequest) -> Backend:
     return request.param
+
+
+def refused(
+    argument: str, expected: str, call: Callable[..., object], *given: object, **options: object
+) -> None:
+    """Assert that a call is refused for an argument, which must do or be what is expected."""
+    with pytest.raises(InvalidInputError) as caught:
+        call(*given, **options)
+    assert str(caught.value).startswith(f"`{argument}` must {expected}")
+
+
+# It takes a third of a second to make one, and many tests ask for the same.
+creature = cache(geometry.creature)
 
 
 def bumpy(n: int = 642) -> TriangleMesh:

@@ -66,8 +66,10 @@ def shapes_in(folder: Path, limit: int | None = None) -> tuple[Shape, ...]:
     paths = [path for path in entries if path.suffix.lower() in READERS][:limit]
     if not paths:
         raise InvalidInputError(
-            f"`folder` must hold meshes ({', '.join(sorted(READERS))}), found none in {folder};"
-            " check the path, or set SPECTRA_KIT_DATA"
+            "folder",
+            f"hold meshes ({', '.join(sorted(READERS))})",
+            f"none in {folder}",
+            advice="check the path, or set SPECTRA_KIT_DATA",
         )
     return tuple(map(shape_at, paths))
 
@@ -88,12 +90,10 @@ def shapes_named(names: Iterable[str]) -> tuple[Shape, ...]:
         if not path.is_file() and folder:
             path = folder / f"{name}.npz"
         if not path.is_file():
-            raise InvalidInputError(
-                f"`meshes` must name files, or, where SPECTRA_KIT_DATA is set, meshes in"
-                f" ood_public there; got {name!r}"
-            )
+            known = "name files, or, where SPECTRA_KIT_DATA is set, meshes in ood_public there"
+            raise InvalidInputError("meshes", known, repr(name))
         if path.stem in found:
-            raise InvalidInputError(f"`meshes` must have names of their own, got {path.stem} twice")
+            raise InvalidInputError("meshes", "have names of their own", f"{path.stem} twice")
         mesh = _mesh(read(path, kind="mesh"))
         found[path.stem] = Shape(path.stem, mesh.without_unreferenced())
     return tuple(found.values())

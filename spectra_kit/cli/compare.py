@@ -8,8 +8,8 @@ from spectra_kit._validate import check_count
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.comparing import check_pair, compared, reference_modes
 from spectra_kit.cli.inputs import prepare
-from spectra_kit.cli.options import PICTURES, up_of
 from spectra_kit.cli.output import check_output, finish, print_blocks
+from spectra_kit.cli.outputs import PICTURES, up_of
 from spectra_kit.cli.solving import SHOWN, shown_modes
 
 _DRAWN = (1, 2, 5, 10, 25)

@@ -15,8 +15,9 @@ from spectra_kit.cli.comparing import (
     reference_modes,
 )
 from spectra_kit.cli.inputs import prepare
-from spectra_kit.cli.options import refuse_given, up_of
+from spectra_kit.cli.options import refuse_given
 from spectra_kit.cli.output import check_output, print_blocks, print_json
+from spectra_kit.cli.outputs import up_of
 from spectra_kit.cli.progress import counted, say
 from spectra_kit.cli.words import stem
 from spectra_kit.explorer import Explorer, write_explorer

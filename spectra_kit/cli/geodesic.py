@@ -27,8 +27,9 @@ from spectra_kit.cli.geodesic_sources import (
     with_farthest,
 )
 from spectra_kit.cli.inputs import load_numbered
-from spectra_kit.cli.options import CoarseSolver, up_of
+from spectra_kit.cli.options import CoarseSolver
 from spectra_kit.cli.output import as_json, print_blocks, print_json
+from spectra_kit.cli.outputs import up_of
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import stem
 from spectra_kit.errors import InvalidInputError
@@ -47,7 +48,8 @@ _FIELD, _CONVERGENCE = "field.png", "convergence.png"
 def geodesic_distances(asked: program.Geodesic) -> None:
     """Measure distances, write them with a report and pictures into one folder."""
     folder, heat = asked.output.output, asked.heat
-    check_positive("--poisson-rtol", heat.poisson_rtol)
+    if check_positive("--poisson-rtol", heat.poisson_rtol) >= 1:
+        raise InvalidInputError("--poisson-rtol", "be less than 1", heat.poisson_rtol)
     check_positive("--time-coefficient", heat.time_coefficient)
     if asked.output.spacing is not None:
         check_positive("--spacing", asked.output.spacing)

@@ -6,13 +6,15 @@ import shutil
 import textwrap
 from collections.abc import Iterator, Sequence
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from spectra_kit.cli.options import DEMO, FORMATS
 from spectra_kit.cli.program import COMMANDS, Command, app
 
 _WIDTH = 80  # lines are shorter than this, or than a narrower terminal
+_SHOWN = (str, int, float, Path)  # defaults of these kinds
 _COLUMN = 24  # where the text of an option begins
 
 
@@ -54,8 +56,11 @@ Exit codes: 0 fine, 1 bug, 2 bad usage or file, 3 solver failed, 130 Ctrl-C
 
 def _groups(command: Command, width: int) -> Iterator[str]:
     """Each group of options under its name, as they follow each other."""
-    options = [o for o in app()[command.name].assemble_argument_collection() if o.show]
-    for group, members in groupby(options, key=_group):
+    options = [
+        o for o in app()[command.name].assemble_argument_collection(parse_docstring=True) if o.show
+    ]
+    shown = sorted(filter(attrgetter("show"), options), key=lambda o: _group(o).name == "general")
+    for group, members in groupby(shown, key=_group):
         listed, note = list(members), group.help
         lines = [f"{group.name}:"]
         if note:
@@ -73,22 +78,31 @@ def _group(option: Any) -> Any:
 
 def _head(option: Any) -> str:
     """The names of an option and what it takes."""
-    names = [name for name in option.names if name.startswith("-")]
-    if option.index is not None and not option.field_info.is_keyword_only:
-        return str(option.name.lstrip("-"))
+    names = sorted(option.parameter.name, key=len)
+    if option.index is not None:
+        return str(names[0].lstrip("-"))
     if option.is_flag():
         return ", ".join(names)
-    value = option.parameter.metavar or "{" + ",".join(option.get_choices() or ()) + "}"
+    choices = option.get_choices()
+    value = option.parameter.metavar or (f"{{{','.join(choices)}}}" if choices else _value(option))
     return ", ".join(f"{name} {value}" for name in names)
+
+
+def _value(option: Any) -> str:
+    kinds = {int: "N", float: "X", Path: "FILE", str: "NAME"}
+    return next(
+        word for kind, word in kinds.items() if kind in (*get_args(option.hint), option.hint)
+    )
 
 
 def _text(option: Any) -> str:
     """What an option does, and its default if it has one that this does not tell."""
-    text, default = str(option.parameter.help), option.field_info.default
-    told = "(default" in text or default is False
-    if told or not isinstance(default, str | int | float | Path):
-        return text
-    return f"{text} (default: {f'{default:g}' if isinstance(default, float) else default})"
+    text, default = " ".join(option.parameter.help.split()), option.field_info.default
+    if "(default" not in text and default is not False and isinstance(default, _SHOWN):
+        text += f" (default: {f'{default:g}' if isinstance(default, float) else default})"
+    if option.parameter.metavar and "one of" not in text and (names := option.get_choices()):
+        text += f"; one of {', '.join(names)}"
+    return text
 
 
 def _lines(head: str, text: str, width: int) -> Sequence[str]:

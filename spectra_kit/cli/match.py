@@ -12,8 +12,9 @@ from spectra_kit._validate import check_indices
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.folder import check_folder, drawing, together
 from spectra_kit.cli.inputs import assemble, load
-from spectra_kit.cli.options import DEMO, up_of
+from spectra_kit.cli.options import DEMO
 from spectra_kit.cli.output import as_json, print_blocks, print_json
+from spectra_kit.cli.outputs import up_of
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.quality import Errors, Side, doubts_of, errors_of, quality_of
 from spectra_kit.cli.solving import check_solvers, solve
@@ -74,6 +75,7 @@ def match_shapes(asked: program.Match) -> None:
         return
     print_blocks(
         *(tables.headline(side.name, side.geometry, side.laplacian) for side in (source, target)),
+        f"the map: the point of {source.name} that each point of {target.name} is",
         tables.pairs({name.replace("_", " "): _told(value) for name, value in quality.items()}),
         "\n".join(f"written: {path}" for path in written),
     )

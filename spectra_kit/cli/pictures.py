@@ -8,8 +8,8 @@ from pathlib import Path
 from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.inputs import prepare
-from spectra_kit.cli.options import PICTURES, up_of
 from spectra_kit.cli.output import check_output, print_blocks, print_json
+from spectra_kit.cli.outputs import PICTURES, up_of
 from spectra_kit.cli.progress import counted, step
 from spectra_kit.cli.solving import check_solvers, refuse_solving, saved, shown_modes, solve
 from spectra_kit.geometry import Geometry

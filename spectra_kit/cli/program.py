@@ -8,124 +8,110 @@ from functools import cache
 from importlib import import_module
 from typing import Annotated, Any, Literal
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, Group, Parameter
 from cyclopts.exceptions import MissingArgumentError, UnusedCliTokensError
 
-from spectra_kit.cli import options
-from spectra_kit.cli.options import DEMO, File, General, Operator, Reading, geometry
+from spectra_kit.cli import geodesic_options, options, outputs
+from spectra_kit.cli.options import DEMO, File, General, Operator, Reading, operand
 
 Shell = Literal["bash", "zsh", "fish"]
 
 
 @dataclass(frozen=True)
-class Info:
+class _OfFile:
+    file: Annotated[File, operand("FILE")]
+    reading: Reading = Reading()
+    general: General = General()
+
+
+@dataclass(frozen=True)
+class _OfOperator(_OfFile):
+    operator: Operator = Operator()
+
+
+@dataclass(frozen=True)
+class Info(_OfOperator):
     """Say what a file holds, what is wrong with it and what can be made of it."""
 
-    file: Annotated[File, geometry("FILE")]
-    reading: Reading = Reading()
     operator: options.LeanOperator = options.LeanOperator()
-    general: General = General()
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class Spectrum(_OfOperator):
     """Compute the lowest eigenvalues and eigenfunctions, each with a certificate of accuracy."""
 
-    file: Annotated[File, geometry("FILE")]
-    reading: Reading = Reading()
-    operator: Operator = Operator()
     solver: options.VerifiedSolver = options.VerifiedSolver()
-    output: options.SpectrumOutput = options.SpectrumOutput()
-    drawing: options.Resolution = options.Resolution()
-    general: General = General()
+    output: outputs.SpectrumOutput = outputs.SpectrumOutput()
+    drawing: outputs.Resolution = outputs.Resolution()
 
 
 @dataclass(frozen=True)
-class Modes:
+class Modes(_OfOperator):
     """Draw modes on the surface, with their zero lines, eigenvalues and residuals."""
 
-    file: Annotated[File, geometry("FILE")]
-    reading: Reading = Reading()
-    operator: Operator = Operator()
     solver: options.ShownSolver = options.ShownSolver()
-    output: options.ModesOutput = options.ModesOutput()
-    drawing: options.Drawing = options.Drawing()
-    general: General = General()
+    output: outputs.ModesOutput = outputs.ModesOutput()
+    drawing: outputs.Drawing = outputs.Drawing()
 
 
 @dataclass(frozen=True)
-class Animate:
+class Animate(_OfOperator):
     """Let modes swing, one after the other, in a GIF or an MP4."""
 
-    file: Annotated[File, geometry("FILE")]
-    reading: Reading = Reading()
-    operator: Operator = Operator()
     solver: options.ShownSolver = options.ShownSolver()
-    output: options.AnimateOutput = options.AnimateOutput()
-    drawing: options.View = options.View()
-    general: General = General()
+    output: outputs.AnimateOutput = outputs.AnimateOutput()
+    drawing: outputs.View = outputs.View()
 
 
 @dataclass(frozen=True)
-class Compare:
+class Compare(_OfOperator):
     """Set predicted modes beside exact ones: a table of errors, and a picture."""
 
-    file: Annotated[File, geometry("FILE")]
-    reading: Reading = Reading()
-    operator: Operator = Operator()
     solver: options.Predictor = options.Predictor()
-    output: options.CompareOutput = options.CompareOutput()
-    drawing: options.Drawing = options.Drawing()
-    general: General = General()
+    output: outputs.CompareOutput = outputs.CompareOutput()
+    drawing: outputs.Drawing = outputs.Drawing()
 
 
 @dataclass(frozen=True)
-class Explore:
+class Explore(_OfOperator):
     """Look at modes in the browser, exact and predicted side by side."""
 
-    file: Annotated[File, geometry("FILE")]
-    reading: Reading = Reading()
-    operator: Operator = Operator()
     solver: options.OptionalPredictor = options.OptionalPredictor()
-    output: options.ExploreOutput = options.ExploreOutput()
-    drawing: options.Upright = options.Upright()
-    general: General = General()
+    output: outputs.ExploreOutput = outputs.ExploreOutput()
+    drawing: outputs.Upright = outputs.Upright()
 
 
 @dataclass(frozen=True)
 class Match:
     """Find the source point that each target point is, and judge the map."""
 
-    source: Annotated[File, geometry("SOURCE")]
-    target: Annotated[File, geometry("TARGET")]
+    source: Annotated[File, operand("SOURCE")]
+    target: Annotated[File, operand("TARGET")]
     reading: Reading = Reading()
     known: options.Known = options.Known()
     operator: Operator = Operator()
     solver: options.MatchSolver = options.MatchSolver()
-    output: options.MatchOutput = options.MatchOutput()
-    drawing: options.FolderDrawing = options.FolderDrawing()
+    output: outputs.MatchOutput = outputs.MatchOutput()
+    drawing: outputs.FolderDrawing = outputs.FolderDrawing()
     general: General = General()
 
 
 @dataclass(frozen=True)
-class Geodesic:
+class Geodesic(_OfFile):
     """Measure distances along a surface, and draw them with isolines."""
 
-    file: Annotated[File, geometry("FILE")]
-    reading: Reading = Reading()
-    sources: options.Sources = options.Sources()
-    heat: options.Heat = options.Heat()
+    sources: geodesic_options.Sources = geodesic_options.Sources()
+    heat: geodesic_options.Heat = geodesic_options.Heat()
     solver: options.CoarseSolver = options.CoarseSolver()
-    output: options.GeodesicOutput = options.GeodesicOutput()
-    drawing: options.FolderDrawing = options.FolderDrawing()
-    general: General = General()
+    output: geodesic_options.GeodesicOutput = geodesic_options.GeodesicOutput()
+    drawing: outputs.FolderDrawing = outputs.FolderDrawing()
 
 
 @dataclass(frozen=True)
 class Completion:
     """Print what a shell needs to complete commands, options and file names."""
 
-    shell: Annotated[Shell, options.option("bash, zsh or fish", "SHELL")]
+    shell: Annotated[Shell, Parameter(name="SHELL", help="bash, zsh or fish", group=Group("input"))]
     general: General = General()
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.inputs import prepare
-from spectra_kit.cli.options import PICTURES
 from spectra_kit.cli.output import check_output, finish, print_blocks
+from spectra_kit.cli.outputs import PICTURES
 from spectra_kit.cli.progress import say, step
 from spectra_kit.cli.solving import SHOWN, check_solvers, shown_modes, solve
 from spectra_kit.eigensolvers import verify

@@ -27,6 +27,7 @@ _OPTIONS = {
     "robust_laplacian": "--operator robust",
     "delaunay_laplacian": "--operator delaunay",
     "Arpack": "--solver arpack",
+    "Multilevel": "--solver multilevel",
     "Refined": "--solver refined",
     "Polished": "--solver polished",
 }

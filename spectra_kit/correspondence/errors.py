@@ -207,14 +207,8 @@ def geodesic_errors(
 
     Parameters
     ----------
-    mesh : TriangleMesh
-        The source, with n1 vertices.
-    point_map : array_like of shape (n2,), integers
-        Source vertex of each target point.
-    truth : Truth
-        With c correspondences.
-    method : {"edges", "exact"}, default "edges"
-        See `geodesic_distances`.
+    mesh, point_map, truth, method
+        As of `map_errors`.
 
     Returns
     -------

@@ -119,10 +119,8 @@ def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
 
     Parameters
     ----------
-    spectrum : Spectrum
-        k modes; the zero modes among them tell the components apart.
-    sources : array_like of shape (s,)
-        Indices of points.
+    spectrum, sources
+        As of `biharmonic_distances`, like the errors.
 
     Returns
     -------
@@ -130,11 +128,6 @@ def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
         ``sqrt(area sum_i (u_i(x) - u_i(y))^2 / lambda_i)`` over the modes outside the kernel, in
         length, with the area of the component. Infinite between components; parts that are
         fixed to zero somewhere count as one.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no source, an index is out of range, or all modes are zero modes.
 
     Notes
     -----

@@ -11,7 +11,6 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.functional_maps._device import checked_device
 from spectra_kit.linalg.threads import in_threads, ranges, single_threaded_blas, thread_count
 
 if TYPE_CHECKING:
@@ -50,8 +49,6 @@ def nearest_rows(
     InvalidInputError
         If an array is not two-dimensional, not finite or empty, the widths differ, or torch cannot
         use `device`.
-    MissingDependencyError
-        If `device` is not ``"cpu"`` and there is no torch.
 
     Notes
     -----
@@ -75,8 +72,11 @@ def nearest_rows(
         )
     if device == "cpu":
         return nearest(Q, X, exact=exact)
-    place = checked_device(device)
     import torch
+
+    from spectra_kit.linalg.torch_device import check_device
+
+    place = check_device(device)
 
     there = (torch.tensor(np.array(rows), device=place) for rows in (Q, X))  # torch wants to write
     return nearest_torch(*there, exact=exact).cpu().numpy()

@@ -13,7 +13,6 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.functional_maps._device import checked_device
 from spectra_kit.functional_maps.checks import checked_pair, checked_samples, starting_map
 from spectra_kit.functional_maps.convert import Correspondence
 from spectra_kit.functional_maps.nearest import check_rows, nearest, nearest_torch
@@ -69,8 +68,6 @@ def zoomout(
         If a map does not fit the spectra, `k_final` is below the start or above the number of
         modes, the numbers of components differ, the samples are too few or out of range, or torch
         cannot use `device`.
-    MissingDependencyError
-        If `device` is not ``"cpu"`` and there is no torch.
 
     Notes
     -----
@@ -99,8 +96,11 @@ def zoomout(
     if device == "cpu":
         refined = _zoom(*arrays, rows, k_final, step, _NUMPY)
     else:
-        place = checked_device(device)
         import torch
+
+        from spectra_kit.linalg.torch_device import check_device
+
+        place = check_device(device)
 
         A, B, mass, start = (torch.tensor(x, device=place) for x in map(np.array, arrays))
         tools = _Tools(nearest_torch, torch.linalg.qr, _solve_torch)

@@ -172,7 +172,7 @@ class HeatStep:
         """L by rows and 1 / D of ``(I + L) D (I + L)^T``."""
         above = sparse.triu(self._matrix, 1, format="csr")
         above.sort_indices()
-        broken, upper, inverse = incomplete_factor(above, self._matrix.diagonal(), _DROP, None, 0.0)
+        broken, upper, inverse = incomplete_factor(above, self._matrix.diagonal(), _DROP, 0.0)
         if broken >= 0:
             raise InvalidInputError(
                 "geometry",

@@ -76,14 +76,13 @@ def factor_threshold(
     upper: Floats,
     diagonal: Floats,
     smallest: Floats,
-    max_fill: int,
     relaxation: float,
     inverse: Floats,
 ) -> tuple[int, NDArray[np.int64], NDArray[np.int32], Floats]:
     """Factorise by columns, left-looking; keep what exceeds ``smallest[k]`` in column k of L D.
 
-    Of these at most `max_fill`, the largest. What is dropped is treated as in
-    `factor_level_zero`. Returns the column where it broke down (or -1), and L^T by rows.
+    What is dropped is treated as in `factor_level_zero`. Returns the column where it broke down
+    (or -1), and L^T by rows.
     """
     n = len(diagonal)
     scale = diagonal.copy()
@@ -113,7 +112,7 @@ def factor_threshold(
                 position[column] = p + 1
                 following[column], head[out_columns[p + 1]] = head[out_columns[p + 1]], column
             column = after
-        kept = _kept(work, rows[:count], smallest[k], max_fill)
+        kept = _kept(work, rows[:count], smallest[k])
         for t in range(kept, count):
             lost = relaxation * work[rows[t]]
             diagonal[k] += lost
@@ -138,7 +137,7 @@ def factor_threshold(
 
 
 @register_jitable
-def _kept(work: Floats, rows: NDArray[np.int32], smallest: float, max_fill: int) -> int:
+def _kept(work: Floats, rows: NDArray[np.int32], smallest: float) -> int:
     """Move those of `rows` where `work` is largest to the front of it, ascending; count them."""
     kept = 0
     for t in range(len(rows)):
@@ -146,16 +145,13 @@ def _kept(work: Floats, rows: NDArray[np.int32], smallest: float, max_fill: int)
         if abs(work[i]) > smallest:
             rows[kept], rows[t] = i, rows[kept]
             kept += 1
-    if kept > max_fill:
-        _sort(rows, kept, work, True)
-        kept = max_fill
-    _sort(rows, kept, work, False)
+    _sort(rows, kept)
     return kept
 
 
 @register_jitable
-def _sort(rows: NDArray[np.int32], size: int, work: Floats, largest_first: bool) -> None:
-    """Sort the first `size` of `rows`: upwards, or by `work`, of equal ones the first.
+def _sort(rows: NDArray[np.int32], size: int) -> None:
+    """Sort the first `size` of `rows` upwards.
 
     Shell's sort, which numba compiles in a tenth of the time of numpy's.
     """
@@ -165,14 +161,8 @@ def _sort(rows: NDArray[np.int32], size: int, work: Floats, largest_first: bool)
     while gap > 0:
         for t in range(gap, size):
             row, at = rows[t], t
-            while at >= gap:
-                other = rows[at - gap]
-                before = other < row
-                if largest_first and abs(work[other]) != abs(work[row]):
-                    before = abs(work[other]) > abs(work[row])
-                if before:
-                    break
-                rows[at] = other
+            while at >= gap and rows[at - gap] > row:
+                rows[at] = rows[at - gap]
                 at -= gap
             rows[at] = row
         gap //= 3

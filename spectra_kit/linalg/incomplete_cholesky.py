@@ -9,7 +9,6 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
-from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg._checks import check_matrix, check_vector
 from spectra_kit.linalg.products import real_dtype
@@ -32,8 +31,6 @@ class IncompleteCholesky:
         textbooks. With it, an entry (of ``L D``) is kept where it exceeds `drop` times the norm of
         its column of A, be it fill or, as weak ones may drop out too, where A has an entry; with
         0, everything is kept: a complete factor.
-    max_fill : int, optional
-        Keep at most so many entries of a column of L, the largest; only with `drop`.
     relaxation : float, default 0.0
         Share in [0, 1] of every dropped entry that is taken from the diagonals of its row and
         column. With 1 the factor is exact on constants (Gustafsson's modified factor, whose
@@ -70,7 +67,7 @@ class IncompleteCholesky:
     to rounding with nothing below it is none of these: it ends a component of a singular matrix,
     whose last unknown is then held at zero.
 
-    The threshold factor is ICT(p, tau) (Saad, *Iterative Methods for Sparse Linear Systems*,
+    The threshold factor is ICT(tau) (Saad, *Iterative Methods for Sparse Linear Systems*,
     2003, section 10.8); relaxation after Gustafsson (*BIT* 18, 1978) and Axelsson & Lindskog
     (*Numer. Math.* 48, 1986). Both sweeps read rows, each from its own copy of L.
 
@@ -94,7 +91,6 @@ class IncompleteCholesky:
         matrix: sparse.csr_array,
         *,
         drop: float | None = None,
-        max_fill: int | None = None,
         relaxation: float = 0.0,
         reorder: bool | None = None,
         dtype: DTypeLike = np.float64,
@@ -103,7 +99,7 @@ class IncompleteCholesky:
         rows = check_matrix(matrix)
         kind = real_dtype("dtype", dtype)
         self.n: int = rows.shape[0]
-        self._kind = _check_options(drop, max_fill, relaxation, self.n)
+        self._kind = _check_options(drop, relaxation)
         self._order = np.arange(self.n, dtype=np.uint32)
         if untidy(rows) if reorder is None else reorder:
             self._order = reverse_cuthill_mckee(rows, symmetric_mode=True).astype(np.uint32)
@@ -116,7 +112,7 @@ class IncompleteCholesky:
         self.shift = 0.0
         while True:
             raised = diagonal * (1 + self.shift)
-            broken, upper, inverse = incomplete_factor(above, raised, drop, max_fill, relaxation)
+            broken, upper, inverse = incomplete_factor(above, raised, drop, relaxation)
             if broken < 0:
                 break
             if self.shift * _GROWTH > _LARGEST_SHIFT:
@@ -166,20 +162,13 @@ class IncompleteCholesky:
         return out
 
 
-def _check_options(drop: float | None, max_fill: int | None, relaxation: float, n: int) -> str:
+def _check_options(drop: float | None, relaxation: float) -> str:
     """Check them, and return what kind of factor they ask for."""
     if not 0 <= relaxation <= 1:
         raise InvalidInputError("relaxation", "be in [0, 1]", f"{relaxation!r}")
-    if drop is None and max_fill is not None:
-        raise InvalidInputError(
-            "max_fill", "come with `drop`", "it alone", advice="pass drop=0 to limit the fill only"
-        )
-    if max_fill is not None:
-        check_count("max_fill", max_fill, low=0)
     if drop is not None and not 0 <= drop < np.inf:
         raise InvalidInputError("drop", "be a finite number from 0 upwards", f"{drop!r}")
     kind = "level 0" if drop is None else f"drop={drop:g}"
-    kind += "" if max_fill is None else f", max_fill={max_fill}"
     return kind + (f", relaxation={relaxation:g}" if relaxation else "")
 
 
@@ -231,7 +220,6 @@ def incomplete_factor(
     above: sparse.csr_array,
     diagonal: Floats,
     drop: float | None,
-    max_fill: int | None,
     relaxation: float,
 ) -> tuple[int, sparse.csr_array, Floats]:
     """Factorise, in the order given; for those who need the entries themselves.
@@ -243,9 +231,7 @@ def incomplete_factor(
     diagonal : ndarray of shape (n,)
         That of A; overwritten.
     drop : float or None
-        As in `IncompleteCholesky`, like the next two.
-    max_fill : int or None
-        Entries of a column at most.
+        As in `IncompleteCholesky`.
     relaxation : float
         Share of what is dropped that goes to the diagonal.
 
@@ -260,7 +246,7 @@ def incomplete_factor(
     """
     from spectra_kit.linalg import _incomplete_kernels as kernels
 
-    n, inverse = len(diagonal), np.empty(len(diagonal))
+    inverse = np.empty(len(diagonal))
     if drop is None:
         upper = sparse.csr_array((above.data.copy(), above.indices, above.indptr), above.shape)
         broken = kernels.factor_level_zero(
@@ -269,9 +255,8 @@ def incomplete_factor(
         return broken, upper, inverse
     squares = sparse.csr_array((above.data**2, above.indices, above.indptr), above.shape)
     smallest = drop * np.sqrt(squares.sum(axis=0) + squares.sum(axis=1) + diagonal**2)
-    most = n if max_fill is None else max_fill
     broken, starts, columns, values = kernels.factor_threshold(
-        above.indptr, above.indices, above.data, diagonal, smallest, most, relaxation, inverse
+        above.indptr, above.indices, above.data, diagonal, smallest, relaxation, inverse
     )
     end = starts[-1]
     return broken, sparse.csr_array((values[:end], columns[:end], starts), above.shape), inverse

@@ -79,16 +79,6 @@ class PointNetPlusPlus(_Hierarchical):
     with c chosen so that the weights are as many as NEO's of the same width and depth; heads and
     latents of the configuration play no part. Activations are SiLU, normalisation is per point.
 
-    Parameters
-    ----------
-    config : NeoConfig
-        With ``backbone="pointnet++"``.
-
-    Raises
-    ------
-    MissingDependencyError
-        If PyTorch Geometric is not installed.
-
     References
     ----------
     Qi et al., *PointNet++: Deep Hierarchical Feature Learning on Point Sets in a Metric Space*,
@@ -130,16 +120,6 @@ class PointTransformer(_Hierarchical):
     Channels are c, 2c and 4c on the three levels, one block on each on the way down and on the
     way up, with c chosen so that the weights are as many as NEO's of the same width and depth;
     heads and latents of the configuration play no part. Normalisation is per point.
-
-    Parameters
-    ----------
-    config : NeoConfig
-        With ``backbone="point-transformer"``.
-
-    Raises
-    ------
-    MissingDependencyError
-        If PyTorch Geometric is not installed.
 
     References
     ----------

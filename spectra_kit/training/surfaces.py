@@ -31,16 +31,7 @@ def grid_mesh(points: Floats, *, wrap_v: bool = False) -> TriangleMesh:
 
 
 def join(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    """Put meshes side by side in one; nothing is welded.
-
-    Examples
-    --------
-    >>> from spectra_kit import TriangleMesh
-    >>> from spectra_kit.training.surfaces import join
-    >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
-    >>> join([mesh, mesh]).faces
-    array([[0, 1, 2], [3, 4, 5]])
-    """
+    """Put meshes side by side in one; nothing is welded."""
     offsets = np.cumsum([0] + [mesh.n for mesh in meshes[:-1]])
     return TriangleMesh(
         np.concatenate([mesh.points for mesh in meshes]),
@@ -49,16 +40,7 @@ def join(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
 
 
 def largest_part(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the connected component of the largest area.
-
-    Examples
-    --------
-    >>> from spectra_kit import TriangleMesh
-    >>> from spectra_kit.training.surfaces import join, largest_part
-    >>> small = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
-    >>> largest_part(join([small, small.with_points(3 * small.points)])).area
-    4.5
-    """
+    """Return the connected component of the largest area."""
     labels = mesh.component_labels[mesh.faces[:, 0]]
     largest = np.bincount(labels, weights=mesh.face_areas).argmax()
     return TriangleMesh(mesh.points, mesh.faces[labels == largest]).without_unreferenced()
@@ -138,15 +120,6 @@ def sweep(
     turns : float
         Turns of the section along the curve, besides those that close it; whole or half ones
         keep a closed tube smooth.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from spectra_kit.training.surfaces import sweep
-    >>> t = np.linspace(0, 2 * np.pi, 60, endpoint=False)
-    >>> circle = np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
-    >>> sweep(circle, 0.25, closed=True).area / (np.pi**2)
-    1.0
     """
     if closed:
         tangent = np.roll(curve, -1, axis=0) - np.roll(curve, 1, axis=0)
@@ -237,15 +210,6 @@ def bisected(mesh: TriangleMesh, longest: float) -> TriangleMesh:
 
     An edge is cut in all faces that share it, so no cracks open; the points in its middle may lie
     there twice.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from spectra_kit.training.surfaces import bisected, grid_mesh
-    >>> square = grid_mesh(np.array([[[0.0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]]))
-    >>> fine = bisected(square, 0.5)
-    >>> len(fine.faces), fine.area
-    (16, 1.0)
     """
     points, faces, done = mesh.points, mesh.faces, []
     while len(faces):

@@ -58,6 +58,7 @@ def animate_modes(
     geometry: Geometry,
     spectrum: Spectrum,
     *,
+    view: View = View(),
     modes: Sequence[int] | None = None,
     amplitude: float = 0.01,
     seconds_per_mode: float = 2.0,
@@ -65,7 +66,6 @@ def animate_modes(
     nodal_lines: bool = False,
     width: int = 480,
     progress: Callable[[int, int], None] | None = None,
-    view: View = View(),
 ) -> Film:
     """Let modes swing one after the other, in colour and along the normals, as an endless film.
 

@@ -33,9 +33,9 @@ _ROW = 0.27  # inches of one bar
 def plot_convergence(
     runs: Sequence[SolverRun],
     *,
+    page: Page = Page(),
     rtol: float = 1e-8,
     solve_name: str = "solve",
-    page: Page = Page(),
 ) -> Figure:
     """Draw the residuals of solvers against iterations and against the clock, and their stages.
 

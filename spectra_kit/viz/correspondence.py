@@ -43,13 +43,13 @@ def plot_correspondence(
     target: Geometry,
     point_map: ArrayLike,
     *,
+    view: View = View(),
+    page: Page = Page(),
     errors: MapErrors | None = None,
     transfer: Transfer = "colours",
     limit: float | None = None,
     error_label: str = "geodesic error, 100 / √area",
     names: tuple[str, str] = ("source", "target"),
-    view: View = View(),
-    page: Page = Page(),
 ) -> Figure:
     """Draw the source in colours, and the target in those that a point map gives it.
 
@@ -102,11 +102,11 @@ def plot_correspondence(
 def plot_correspondences(
     pairs: Sequence[MatchedPair],
     *,
+    view: View = View(),
+    page: Page = Page(),
     transfer: Transfer = "colours",
     limit: float | None = None,
     error_label: str = "geodesic error, 100 / √area",
-    view: View = View(),
-    page: Page = Page(),
 ) -> Figure:
     """Draw several matched pairs, one row each, from one side.
 

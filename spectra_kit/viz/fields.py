@@ -34,19 +34,17 @@ def plot_fields(
     geometry: Geometry,
     fields: Mapping[str, ArrayLike] | Sequence[tuple[str, ArrayLike]],
     *,
+    view: View = View(),
+    page: Page = Page(),
     symmetric: bool | None = None,
     share_limits: bool = False,
     lines: Lines = "none",
     columns: int | None = None,
-    view: View = View(),
-    page: Page = Page(),
 ) -> Figure:
     """Draw a gallery of functions on one geometry, all seen from the same side.
 
     Parameters
     ----------
-    geometry : TriangleMesh or PointCloud
-        A cloud is drawn as balls that overlap a little.
     fields : mapping of str to array_like of shape (n,), or sequence of such pairs
         What to write above each picture, and one finite value for each point.
     symmetric : bool, optional

@@ -33,17 +33,15 @@ def plot_panels(
     geometry: Geometry,
     rows: Sequence[Sequence[Panel]],
     *,
-    rows_named: Sequence[str],
-    columns_named: Sequence[str],
     view: View = View(),
     page: Page = Page(),
+    rows_named: Sequence[str],
+    columns_named: Sequence[str],
 ) -> Figure:
     """Draw a table of functions on one geometry, all seen from the same side.
 
     Parameters
     ----------
-    geometry : TriangleMesh or PointCloud
-        A cloud is drawn as balls that overlap a little.
     rows : sequence of sequences of Panel
         A full table. It is transposed where that fits the page better.
     rows_named, columns_named : sequence of str

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MARK = (24, 24, 40)  # the colour of what marks a source
-_THIN, _THICK = 0.8, 1.6  # of a line, in points (1/72 inch)
+_THIN, _THICK = 0.7, 1.3  # of a line, in points (1/72 inch)
 # Inches.
 _BALL = 0.07  # radius of the mark of a source
 _WIDEST, _TALLEST, _ROOM = 4.6, 4.6, 4.0
@@ -39,18 +39,16 @@ def plot_distance(
     geometry: Geometry,
     distance: ArrayLike,
     *,
+    view: View = View(),
+    page: Page = Page(),
     sources: ArrayLike | None = None,
     spacing: float | None = None,
     label: str = "distance",
-    view: View = View(),
-    page: Page = Page(),
 ) -> Figure:
     """Draw distances on a geometry in colours with evenly spaced lines, from two sides.
 
     Parameters
     ----------
-    geometry : TriangleMesh or PointCloud
-        A cloud is drawn as balls that overlap a little.
     distance : array_like of shape (n,)
         In the unit of length, >= 0; infinity is drawn in grey.
     sources : array_like of shape (s, 3), optional

@@ -68,9 +68,9 @@ def plot_functional_map(
 def plot_error_curves(
     errors: Mapping[str, ArrayLike],
     *,
+    page: Page = Page(),
     limit: float = 10.0,
     error_label: str = "geodesic error, 100 / √area",
-    page: Page = Page(),
 ) -> Figure:
     """Draw which share of the correspondences has at most which error.
 

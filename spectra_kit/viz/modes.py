@@ -35,11 +35,11 @@ def plot_modes(
     geometry: Geometry,
     spectrum: Spectrum,
     *,
+    view: View = View(),
+    page: Page = Page(),
     modes: Sequence[int] | None = None,
     nodal_lines: bool = True,
     columns: int | None = None,
-    view: View = View(),
-    page: Page = Page(),
 ) -> Figure:
     """Draw a gallery of modes, each with its number, eigenvalue and residual.
 
@@ -92,11 +92,11 @@ def plot_comparison(
     predicted: Spectrum,
     comparison: Comparison,
     *,
+    view: View = View(),
+    page: Page = Page(),
     modes: Sequence[int],
     names: tuple[str, str] = ("exact", "predicted"),
     nodal_lines: bool = True,
-    view: View = View(),
-    page: Page = Page(),
 ) -> Figure:
     """Draw chosen modes of two spectra and their difference, one row or column per mode.
 

@@ -33,11 +33,11 @@ _LINED = 14.0  # names further than this from their dot, in points, are tied to 
 def plot_pareto(
     points: Sequence[ParetoPoint],
     *,
+    page: Page = Page(),
     floor: float = 1e-12,
     marks: Mapping[str, float] | None = None,
     xlabel: str = "seconds",
     ylabel: str = "error",
-    page: Page = Page(),
 ) -> Figure:
     """Draw error against time, both logarithmic, and the front that nothing beats.
 

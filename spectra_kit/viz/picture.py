@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import re
 from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -24,6 +25,8 @@ _TYPES = {".png": "image/png", ".gif": "image/gif", ".svg": "image/svg+xml"}
 _PARAMETERS = "Parameters\n----------\n"
 _SHARED = {
     "path": "path : path-like, optional\n    The file to write; see `Picture`.",
+    "geometry": "geometry : TriangleMesh or PointCloud\n"
+    "    A cloud is drawn as balls that overlap a little.",
     "view": "view : View, optional\n    Where it is seen from.",
     "page": "page : Page, optional\n    Its head, and its resolution.",
 }
@@ -126,10 +129,14 @@ def written(
 def _documented(text: str, signature: inspect.Signature) -> str:
     """A docstring, with what all plots take and return added to its parameters."""
     start = text.index(_PARAMETERS) + len(_PARAMETERS)
-    end = text.index("\n\n", start)
-    shared = [entry for name, entry in _SHARED.items() if name in signature.parameters]
-    parameters = [_SHARED["path"], text[start:end], *shared]
-    return "\n".join([text[:start] + "\n".join(parameters), *_RETURNS, text[end:].lstrip("\n"), ""])
+    own, _, rest = text[start:].partition("\n\n")
+    names = ["path", *signature.parameters]
+    entries = {re.split("[ ,]", entry)[0]: entry for entry in re.split(r"\n(?=\w)", own)}
+    entries = {name: entry for name, entry in _SHARED.items() if name in names} | entries
+    ordered = sorted(entries, key=names.index)
+    return "\n".join(
+        [text[:start] + "\n".join(entries[name] for name in ordered), *_RETURNS, rest, ""]
+    )
 
 
 @checked

@@ -45,11 +45,11 @@ def plot_signatures(
     signature: ArrayLike,
     scales: ArrayLike,
     *,
+    view: View = View(),
+    page: Page = Page(),
     points: ArrayLike,
     kind: Kind = "heat",
     shown: ArrayLike | None = None,
-    view: View = View(),
-    page: Page = Page(),
 ) -> Figure:
     """Draw how a signature of some points changes with the scale, and all points at some scales.
 

@@ -36,9 +36,9 @@ _MANY = 120  # modes: more than so many get smaller markers
 def plot_spectrum(
     spectra: Spectrum | Mapping[str, Spectrum],
     *,
+    page: Page = Page(),
     weyl: bool = True,
     free_boundary: float = 0.0,
-    page: Page = Page(),
 ) -> Figure:
     """Draw eigenvalues against their number, what is certain of them, and how they differ.
 

@@ -83,8 +83,9 @@ def draw(request: Request, tell: Callable[[NDArray[np.uint8]], object]) -> None:
         off_screen=True, window_size=[columns * OVERSAMPLE, rows * OVERSAMPLE], lighting="none"
     )
     plotter.background_color = pv.Color("white")
-    window: Any = plotter.render_window
-    window.SetMultiSamples(0)  # VTK's own samples, on top of these, would cost most of all
+    if len(request["swings"]) > 1:  # a film: VTK's own samples on top of these would take longest
+        window: Any = plotter.render_window
+        window.SetMultiSamples(0)
     for direction, strength in LIGHTS:
         plotter.add_light(  # in the coordinates of the camera
             pv.Light(position=direction, intensity=strength, light_type="camera light")
@@ -121,7 +122,8 @@ def draw(request: Request, tell: Callable[[NDArray[np.uint8]], object]) -> None:
             **({} if surface.n_faces_strict else as_balls),
         )
     drawn = _add_lines(plotter, request)
-    lift = BEFORE * (float(np.max(request["line_widths"], initial=0)) + request["diameter"])
+    widths = request["line_widths"]
+    lift = BEFORE * ((float(np.median(widths)) if len(widths) else 0.0) + request["diameter"])
     for side in request["sides"]:
         _place_camera(plotter, request["box"], request["half_height"], side)
         for lines in drawn.values():

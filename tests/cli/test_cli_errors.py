@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import creature
 from running import printed, refusal
 
 from spectra_kit import Lobpcg, eigensolve, robust_laplacian
@@ -18,7 +19,7 @@ from spectra_kit.cli import info, main
 from spectra_kit.cli.folder import check_folder, together
 from spectra_kit.cli.program import COMMANDS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
-from spectra_kit.geometry import PointCloud, TriangleMesh, creature, sphere, write
+from spectra_kit.geometry import PointCloud, TriangleMesh, sphere, write
 
 NAMES = [command.name for command in COMMANDS if command.name != "completion"]
 
@@ -99,6 +100,7 @@ DIRICHLET = ("--boundary", "dirichlet")
         ("--boundary dirichlet needs", ("spectrum", BALL, *DIRICHLET)),
         ("--boundary dirichlet needs", ("spectrum", "cloud.ply", *DIRICHLET)),
         ("must be positive", ("spectrum", BALL, "--solver", "refined", "--rtol", "0")),
+        ("must be positive", ("spectrum", BALL, "--solver", "refined", "--rtol", "nan")),
         ("got arpack; choose one of those by --solver", ("spectrum", BALL, "--rtol", "1e-4")),
         ("got arpack and dense", ("compare", BALL, "--solver", "dense", "--rtol", "1e-4")),
         ("--rtol is for the solvers ", ("match", BALL, BALL, "--rtol", "1e-4")),
@@ -144,33 +146,16 @@ def test_what_makes_no_sense_is_refused(message, arguments, folder, inside, caps
     assert sorted(os.listdir(folder)) == before
 
 
-NUMBERS = {
-    **dict.fromkeys(("spectrum", "modes", "animate", "compare", "explore", "match"), "-k"),
-    "info": "--cloud",
-    "geodesic": "--farthest",
-}
-REALS = {
-    "modes": ("--turn",),
-    "spectrum": ("--solver=refined", "--rtol"),
-    "animate": ("--seconds",),
-    "geodesic": ("--method=plain", "--poisson-rtol", "--time-coefficient", "--spacing"),
-}
-
-
 @pytest.mark.parametrize("wrong", ["nan", "-1", "1e30", "", str(10**30), "spam"])
-@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("name", NAMES)
 def test_numbers_without_sense_are_refused(name, wrong, folder, capsys, tmp_path, monkeypatch):
     """With the name of the option."""
     monkeypatch.chdir(tmp_path)
     files = [str(folder / BALL)] * (2 if name == "match" else 1)
-    source = ["--source", "0"] if name == "geodesic" else []
-    besides = [option for option in REALS.get(name, ()) if "=" in option]
-    reals = [option for option in REALS.get(name, ()) if option not in besides]
-    for option in (NUMBERS[name], *(reals if wrong in ("nan", "", "spam") else ())):
-        assert main([name, *files, *source, *besides, option, wrong]) == 2
-        error = capsys.readouterr().err
-        assert option in error or f"`{option.strip('-')}`" in error, error
-        assert not list(tmp_path.iterdir())
+    option = {"info": "--cloud", "geodesic": "--farthest"}.get(name, "-k")
+    assert main([name, *files, option, wrong]) == 2
+    assert option in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -231,14 +216,10 @@ def test_an_output_never_replaces_an_input(capsys, tmp_path):
     again = ("spectrum", tmp_path / "ball.npz", "-k", 4, "-o", tmp_path / "ball.npz")
     assert "the output must not replace an input, got" in refusal(capsys, *again)
     assert (tmp_path / "ball.npz").read_bytes() == before
-
-
-def test_an_existing_output_is_replaced(folder, capsys, tmp_path):
-    for k in (4, 6):
-        out = tmp_path / "modes.npz"
-        assert main(["spectrum", str(folder / "ball.off"), "-k", str(k), "-o", str(out)]) == 0
-    assert np.load(out)["eigenvalues"].shape == (6,)
-    assert os.listdir(tmp_path) == ["modes.npz"]
+    for k in (4, 6):  # another output is replaced
+        printed(capsys, *again[:3], k, "-o", tmp_path / "modes.npz")
+    assert np.load(tmp_path / "modes.npz")["eigenvalues"].shape == (6,)
+    assert sorted(os.listdir(tmp_path)) == ["ball.npz", "modes.npz"]
 
 
 def test_exit_codes(bumpy_laplacian, capsys, monkeypatch):

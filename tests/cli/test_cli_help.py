@@ -56,6 +56,17 @@ def test_help_begins_with_a_purpose_and_examples_that_parse(name, capsys, monkey
     assert max(map(len, options.splitlines())) <= 60
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_every_option_of_the_help_can_be_given(name, capsys, monkeypatch):
+    files = {"match": ["a", "b"], "completion": ["bash"]}.get(name, ["a"])
+    text = help_of(capsys, monkeypatch, name)
+    for option in app()[name].assemble_argument_collection():
+        if option.show and option.index is None:
+            choices, (count, _) = option.get_choices(), option.token_count()
+            assert option.name in text
+            parse([name, *files, option.name, *[choices[0] if choices else "1"] * count])
+
+
 def test_one_word_has_one_meaning_over_all_commands():
     """An option of a name has the same type wherever it is, and takes the same choices."""
     meanings = {}

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import creature
 from PIL import Image
 from running import record
 
@@ -19,7 +20,7 @@ from spectra_kit import (
 )
 from spectra_kit.cli import main
 from spectra_kit.cli.comparing import is_exact, reference_name
-from spectra_kit.geometry import creature, read, rectangle, write
+from spectra_kit.geometry import read, rectangle, write
 
 DRAWN = ("--dpi", "40", "-q")
 

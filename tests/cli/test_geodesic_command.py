@@ -6,6 +6,7 @@ import os
 import numpy as np
 import pytest
 import trimesh
+from conftest import creature
 from running import printed, record, refusal
 
 from spectra_kit.cli import main
@@ -14,7 +15,7 @@ from spectra_kit.cli.geodesic_sources import with_farthest
 from spectra_kit.cli.program import parse
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.geodesics import FacePoint, HeatGeodesics, Iterative, nearest_source
-from spectra_kit.geometry import TriangleMesh, creature, read, rectangle, sphere, write
+from spectra_kit.geometry import TriangleMesh, read, rectangle, sphere, write
 from spectra_kit.operators import intrinsic_delaunay
 from spectra_kit.viz.colours import UNKNOWN
 
@@ -294,6 +295,7 @@ BALL = ("ball.off", "--source", 0)
         ((*BALL, "--solver", "arpack", "-k", 0), "`-k` must be at least 1"),
         ((*BALL, "-k", 9), "-k has no effect without modes; choose what solves for them by --solv"),
         ((*BALL, "--poisson-rtol", -1), "`--poisson-rtol` must be positive"),
+        ((*BALL, "--poisson-rtol", 1), "`--poisson-rtol` must be less than 1"),
         ((*BALL, "--time-coefficient", 0), "`--time-coefficient` must be positive"),
         ((*BALL, "--spacing", 0), "`--spacing` must be positive"),
         ((*BALL, "--spectrum", "best"), "found no file 'best'"),

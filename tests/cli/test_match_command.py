@@ -6,20 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import creature
 from running import printed, record, refusal
 from scipy.spatial.transform import Rotation
 
 from spectra_kit.cli.quality import Side, doubts_of, quality_of
 from spectra_kit.correspondence import bijectivity_errors, way_back
 from spectra_kit.eigensolvers import eigensolve
-from spectra_kit.geometry import (
-    creature,
-    creature_pair,
-    mirrored,
-    permuted,
-    sphere,
-    write,
-)
+from spectra_kit.geometry import creature_pair, mirrored, permuted, sphere, write
 from spectra_kit.matching import match
 from spectra_kit.operators import robust_laplacian
 
@@ -117,6 +111,7 @@ def test_the_demo_draws_its_pictures(tmp_path, capsys):
     command = ("match", "demo", "demo", "--points", 800, "-k", 40, "--dpi", 50, "-o", folder)
     out, _ = printed(capsys, *command)
     assert "dirichlet energy" in out
+    assert "the map: the point of demo that each point of demo is" in out
     assert "mean error" in out
     pictures = {"correspondence.png", "functional_map.png", "errors.png"}
     assert set(os.listdir(folder)) == FILES | pictures | {"source.npz", "target.npz"}

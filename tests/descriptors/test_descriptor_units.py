@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from conftest import creature
 from measure.matching.methods import Side, match_wks
 
 from spectra_kit import Spectrum, TriangleMesh, eigensolve, robust_laplacian
 from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
 from spectra_kit.functional_maps import fit_functional_map
-from spectra_kit.geometry import creature
 
 
 def solved(mesh: TriangleMesh) -> Side:

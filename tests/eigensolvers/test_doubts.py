@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from conftest import two_parts
+from conftest import creature, two_parts
 
 from spectra_kit import (
     AmbientFourier,
@@ -18,7 +18,7 @@ from spectra_kit import (
 )
 from spectra_kit.eigensolvers.doubts import DOUBTFUL, proved_excess, verdict
 from spectra_kit.errors import DoubtfulSpectrumWarning, SpectraKitWarning
-from spectra_kit.geometry import creature, sphere
+from spectra_kit.geometry import sphere
 
 K = 24
 ROUGH = RayleighRitz(subspace=AmbientFourier(m=60, bandwidth=2.5))

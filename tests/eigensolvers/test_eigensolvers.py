@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import GEOMETRIES, Backend, bumpy
+from conftest import GEOMETRIES, Backend, bumpy, creature
 from scipy import sparse
 
 from spectra_kit import (
@@ -26,7 +26,7 @@ from spectra_kit import (
     robust_laplacian,
 )
 from spectra_kit.eigensolvers import Eigenpairs, Eigensolver, NotConvergedError
-from spectra_kit.geometry import creature, rectangle, sphere, torus
+from spectra_kit.geometry import rectangle, sphere, torus
 
 K = 16
 

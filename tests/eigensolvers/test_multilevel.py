@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import bumpy, two_parts
+from conftest import bumpy, creature, two_parts
 from scipy.linalg import eigh
 
 from spectra_kit import (
@@ -23,7 +23,7 @@ from spectra_kit import (
     robust_laplacian,
 )
 from spectra_kit.eigensolvers.multilevel import level_sizes
-from spectra_kit.geometry import creature, rectangle, sphere
+from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.levels import coarse_iteration, coarse_ritz, coarsen, smoothed
 
 K = 40

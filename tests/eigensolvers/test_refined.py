@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import two_parts
+from conftest import creature, two_parts
 
 from spectra_kit import (
     AmbientFourier,
@@ -25,7 +25,7 @@ from spectra_kit import (
     eigensolve,
     robust_laplacian,
 )
-from spectra_kit.geometry import TriangleMesh, creature, rectangle, sphere
+from spectra_kit.geometry import TriangleMesh, rectangle, sphere
 from spectra_kit.linalg.residuals import residual_norms, residuals
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation, weighted_gram
 from spectra_kit.linalg.shift_invert import shift_invert_iteration

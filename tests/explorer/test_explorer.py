@@ -23,6 +23,7 @@ from spectra_kit.viz.contours import triangles_of
 from spectra_kit.viz.render import ball_diameter
 from spectra_kit.viz.signs import display_signs
 
+SMALL = sphere(subdivisions=1).geometry
 PACKAGE = Path(walk.__code__.co_filename).parent
 
 
@@ -315,30 +316,38 @@ def test_progress_is_told(mesh, exact, tmp_path):
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
-def test_what_cannot_be_shown_is_refused(mesh, exact, predicted, tmp_path):
-    path = tmp_path / "page.html"
-    small = sphere(subdivisions=1).geometry
-    none = Spectrum(np.empty(0), np.empty((mesh.n, 0)), exact.mass)
-    with pytest.raises(InvalidInputError, match=r"`path` must end in \.html, got .*page\.txt"):
-        write_explorer(tmp_path / "page.txt", mesh, exact)
-    with pytest.raises(InvalidInputError, match=r"the folder .* does not exist"):
-        write_explorer(tmp_path / "nowhere" / "page.html", mesh, exact)
-    with pytest.raises(InvalidInputError, match="must have the 642 points of the spectrum, got 42"):
-        write_explorer(path, small, exact)
-    with pytest.raises(InvalidInputError, match="at least one mode to show"):
-        write_explorer(path, mesh, none)
-    with pytest.raises(InvalidInputError, match="`names` must be a tuple of 2 strings"):
-        write_explorer(path, mesh, exact, names=("one",))
-    with pytest.raises(InvalidInputError, match="pass `predicted` as well"):
-        write_explorer(path, mesh, exact, comparison=compare_spectra(exact, predicted))
-    comparison = compare_spectra(exact, predicted)
-    with pytest.raises(InvalidInputError, match="must be of these spectra of 4 and 8 modes"):
-        write_explorer(path, mesh, exact.truncate(4), predicted, comparison=comparison)
-    with pytest.raises(InvalidInputError, match="`predicted` must live on the 642 points"):
-        write_explorer(path, mesh, exact, Spectrum(np.zeros(1), np.ones((2, 1)), np.ones(2)))
-    with pytest.raises(InvalidInputError, match="`max_points` must be at least 4, got 3"):
-        write_explorer(path, mesh, exact, max_points=3)
-    assert not path.exists()
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"path": "page.txt"}, r"`path` must end in \.html, got 'page\.txt'"),
+        ({"path": "nowhere/page.html"}, r"the folder .* does not exist"),
+        ({"geometry": SMALL}, "`geometry` must have the 642 points of the spectrum, got 42"),
+        ({"exact": lambda e: e.truncate(1).nonzero()}, "`exact` must have at least one mode"),
+        ({"names": ("one",)}, "`names` must be a tuple of 2 strings"),
+        ({"predicted": None, "comparison": compare_spectra}, "pass `predicted` as well"),
+        (
+            {"exact": lambda e: e.truncate(4), "comparison": compare_spectra},
+            "`comparison` must be of these spectra of 4 and 8 modes",
+        ),
+        (
+            {"predicted": Spectrum(np.zeros(1), np.ones((2, 1)), np.ones(2))},
+            "`predicted` must live on the 642 points",
+        ),
+        ({"max_points": 3}, "`max_points` must be at least 4, got 3"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused(
+    mesh, exact, predicted, tmp_path, monkeypatch, changed, message
+):
+    monkeypatch.chdir(tmp_path)
+    if "comparison" in changed:
+        changed = changed | {"comparison": compare_spectra(exact, predicted)}
+    if "exact" in changed:
+        changed = changed | {"exact": changed["exact"](exact)}
+    good = {"path": "page.html", "geometry": mesh, "exact": exact, "predicted": predicted}
+    with pytest.raises(InvalidInputError, match=message):
+        write_explorer(**good | changed)
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_program_was_built_from_its_sources():

@@ -1,13 +1,12 @@
 """Point maps, functional maps and precise maps turn into one another as the conventions say."""
 
-import sys
-
 import numpy as np
 import pytest
+from conftest import creature, refused
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from spectra_kit import InvalidInputError, MissingDependencyError, Spectrum, robust_laplacian
+from spectra_kit import InvalidInputError, Spectrum, robust_laplacian
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.functional_maps import (
     Correspondence,
@@ -17,7 +16,7 @@ from spectra_kit.functional_maps import (
     point_map_from_functional_map,
     precise_map,
 )
-from spectra_kit.geometry import TriangleMesh, creature
+from spectra_kit.geometry import TriangleMesh
 
 PRECISE_CASES = {  # q against the triangle (0,0) (1,0) (0,1)
     "inside": ([0.25, 0.25], [0.5, 0.25, 0.25]),
@@ -115,22 +114,12 @@ def test_a_device_that_is_not_there_is_refused(device: str) -> None:
         nearest_rows([[0.0]], [[0.0]], device=device)
 
 
-def test_without_torch_there_is_one_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingDependencyError, match="got 'cuda': pip install torch"):
-        nearest_rows([[0.0]], [[0.0]], device="cuda")
-    assert nearest_rows([[0.0]], [[0.0]]).tolist() == [0]
-
-
 def test_rows_must_fit() -> None:
-    with pytest.raises(InvalidInputError, match="`queries` must be two-dimensional and not empty"):
-        nearest_rows(np.zeros(3), np.zeros((2, 3)))
-    with pytest.raises(InvalidInputError, match="`points` must be two-dimensional and not empty"):
-        nearest_rows(np.zeros((1, 3)), np.zeros((0, 3)))
+    refused("queries", "be two-dimensional and", nearest_rows, np.zeros(3), np.zeros((2, 3)))
+    refused("points", "be two-dimensional and", nearest_rows, np.zeros((1, 3)), np.zeros((0, 3)))
     with pytest.raises(InvalidInputError, match="rows of one length, got 3 and 2"):
         nearest_rows(np.zeros((1, 3)), np.zeros((1, 2)))
-    with pytest.raises(InvalidInputError, match="`points` must be finite"):
-        nearest_rows(np.zeros((1, 2)), [[0.0, np.nan]])
+    refused("points", "be finite", nearest_rows, np.zeros((1, 2)), [[0.0, np.nan]])
 
 
 def test_a_reordered_copy_in_another_unit_has_the_identity(spectrum, copy, shuffle) -> None:
@@ -172,9 +161,9 @@ def test_maps_must_fit(spectrum, copy) -> None:
         functional_map_from_point_map(spectrum, copy, np.full(n, n))
     with pytest.raises(InvalidInputError, match="`point_map` must hold integers"):
         functional_map_from_point_map(spectrum, copy, np.zeros(n))
-    with pytest.raises(InvalidInputError, match=r"`k of the source` must be in \[1, 40\], got 41"):
+    with pytest.raises(InvalidInputError, match=r"`k of the source` must be in \[1,"):
         functional_map_from_point_map(spectrum, copy, np.zeros(n, dtype=int), k=41)
-    with pytest.raises(InvalidInputError, match=r"`k of the target` must be in \[1, 6\], got 7"):
+    with pytest.raises(InvalidInputError, match=r"`k of the target` must be in \[1,"):
         functional_map_from_point_map(spectrum, other, np.zeros(other.n, dtype=int), k=(5, 7))
     with pytest.raises(InvalidInputError, match=r"must have shape \(k2, k1\).* got \(41, 3\)"):
         point_map_from_functional_map(spectrum, copy, np.zeros((41, 3)))
@@ -239,13 +228,10 @@ def test_a_vertex_without_triangles_stands_for_itself(mesh, spectrum) -> None:
 
 
 def test_precise_maps_must_fit(spectrum, copy) -> None:
-    with pytest.raises(InvalidInputError, match=r"`faces of the source` must be in \[0, 700\)"):
+    with pytest.raises(InvalidInputError, match=r"`faces of the source` must be in \[0,"):
         precise_map(spectrum, copy, np.eye(3), [[0, 1, 700]])
-    with pytest.raises(
-        InvalidInputError, match="`precise` must be a scipy sparse array, got a list"
-    ):
-        functional_map_from_precise_map(spectrum, copy, [0, 1, 2])
+    refused("precise", "be a scipy", functional_map_from_precise_map, spectrum, copy, [0, 1, 2])
     with pytest.raises(InvalidInputError, match="`data of precise` must be finite"):
         functional_map_from_precise_map(spectrum, copy, np.nan * sparse.eye_array(700))
-    with pytest.raises(InvalidInputError, match=r"`precise` must have shape \(700, 700\)"):
+    with pytest.raises(InvalidInputError, match=r"`precise` must have shape \(700,"):
         functional_map_from_precise_map(spectrum, copy, sparse.csr_array((700, 3)))

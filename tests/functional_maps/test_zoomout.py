@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
+from conftest import creature, refused
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from spectra_kit import (
     InvalidInputError,
-    MissingDependencyError,
     Spectrum,
     TriangleMesh,
     robust_laplacian,
@@ -25,7 +23,6 @@ from spectra_kit.functional_maps import (
     zoomout_many,
 )
 from spectra_kit.functional_maps.zoomout import schedule
-from spectra_kit.geometry import creature
 
 N, K = 1500, 80
 
@@ -230,37 +227,26 @@ def test_what_cannot_be_refined_is_refused(spectrum, bent) -> None:
     for refine in (zoomout, bijective_zoomout):
         with pytest.raises(InvalidInputError, match=r"at most 30, got 60: .* 80 modes, .* 30;"):
             refine(spectrum, few, C, k_final=60)
-        with pytest.raises(InvalidInputError, match="`k_final` must be at least 1, got 0"):
-            refine(spectrum, bent, C, k_final=0)
+        refused("k_final", "be at least", refine, spectrum, bent, C, k_final=0)
         with pytest.raises(InvalidInputError, match=r"of `initial`, \(10, 10\), got 9; end later"):
             refine(spectrum, bent, C, k_final=9)
-        with pytest.raises(InvalidInputError, match="`step` must be at least 1, got 0"):
-            refine(spectrum, bent, C, k_final=20, step=0)
+        refused("step", "be at least", refine, spectrum, bent, C, k_final=20, step=0)
         with pytest.raises(InvalidInputError, match="same number of components, got 1 and 2 zero"):
             refine(spectrum, two, C, k_final=20)
-        with pytest.raises(InvalidInputError, match=r"`initial` must be in \[0, 1500\), got 1500"):
-            refine(spectrum, bent, np.full(N, N), k_final=20)
-        with pytest.raises(InvalidInputError, match=r"`k_start` must be in \[1, 10\], got 11"):
-            refine(spectrum, bent, C, k_final=20, k_start=11)
-        with pytest.raises(InvalidInputError, match=r"`k_start` must be in \[1, 20\], got 21"):
+        refused("initial", "be in [0,", refine, spectrum, bent, np.full(N, N), k_final=20)
+        refused("k_start", "be in [1,", refine, spectrum, bent, C, k_final=20, k_start=11)
+        with pytest.raises(InvalidInputError, match=r"`k_start` must be in \[1,"):
             refine(spectrum, bent, np.arange(N), k_final=20, k_start=21)
-        with pytest.raises(InvalidInputError, match="`initial` must be finite"):
-            refine(spectrum, bent, C * np.nan, k_final=20)
+        refused("initial", "be finite", refine, spectrum, bent, C * np.nan, k_final=20)
     with pytest.raises(InvalidInputError, match="same number of components"):
         icp(spectrum, two, C)
-    with pytest.raises(InvalidInputError, match="`functional_map` must have shape"):
-        icp(spectrum, bent, np.eye(81))
-    with pytest.raises(InvalidInputError, match="`iterations` must be at least 0"):
-        icp(spectrum, bent, C, iterations=-1)
+    refused("functional_map", "have shape", icp, spectrum, bent, np.eye(81))
+    refused("iterations", "be at least", icp, spectrum, bent, C, iterations=-1)
 
 
-def test_a_device_that_is_not_there_is_refused(spectrum, bent, monkeypatch) -> None:
+def test_a_device_that_is_not_there_is_refused(spectrum, bent) -> None:
     with pytest.raises(InvalidInputError, match=r"`device` .* got 'quantum' \(.*\); try 'cpu'"):
         zoomout(spectrum, bent, np.eye(5), k_final=6, device="quantum")
-    monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingDependencyError, match="'cpu' without PyTorch, got 'cuda': pip"):
-        zoomout(spectrum, bent, np.eye(5), k_final=6, device="cuda")
-    zoomout(spectrum, bent, np.eye(5), k_final=6)
 
 
 SAMPLES = {
@@ -287,13 +273,9 @@ def test_samples_must_fit(spectrum, bent, message) -> None:
 
 def test_candidates_must_fit() -> None:
     rows, maps = np.random.default_rng(7).normal(size=(30, 12)), np.eye(4)[None]
-    with pytest.raises(InvalidInputError, match="`target_rows` must have at least `k_final` = 12"):
-        zoomout_many(rows, rows[:, :11], maps, k_final=12)
-    with pytest.raises(InvalidInputError, match="`target_rows` must hold at least `k_final` = 12"):
-        zoomout_many(rows, rows[:11], maps, k_final=12)
-    with pytest.raises(InvalidInputError, match=r"`maps` must have shape \(c, k2, k1\).* \(4, 4\)"):
-        zoomout_many(rows, rows, maps[0], k_final=12)
+    refused("target_rows", "have at least", zoomout_many, rows, rows[:, :11], maps, k_final=12)
+    refused("target_rows", "hold at least", zoomout_many, rows, rows[:11], maps, k_final=12)
+    refused("maps", "have shape (c,", zoomout_many, rows, rows, maps[0], k_final=12)
     with pytest.raises(InvalidInputError, match=r"k2 in \[1, 3\], got \(1, 4, 4\)"):
         zoomout_many(rows, rows, maps, k_final=3)
-    with pytest.raises(InvalidInputError, match="`maps` must be finite"):
-        zoomout_many(rows, rows, np.full((1, 4, 4), np.inf), k_final=12)
+    refused("maps", "be finite", zoomout_many, rows, rows, np.full((1, 4, 4), np.inf), k_final=12)

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from conftest import creature, refused
 
 from spectra_kit import InvalidInputError, PointCloud, Spectrum, TriangleMesh
 from spectra_kit.geodesics.sources import FacePoint, check_sources, nearest_source
-from spectra_kit.geometry import creature, sphere
+from spectra_kit.geometry import sphere
 
 RIGHT = TriangleMesh([[0, 0, 0], [3, 0, 0], [0, 4, 0], [9, 9, 9]], [[0, 1, 2]])
 
@@ -145,6 +146,8 @@ def test_nearest_source_leaves_out_faces_without_area():
         ([False, True, False, False], None, "must hold integers, got dtype bool"),
         ([0.0], None, "must hold integers, got dtype float64"),
         ("nose", None, "must hold integers"),
+        ({1, 2}, None, "must hold integers"),
+        (2**70, None, r"must be in \[0, 4\), got 1180591620717411303424"),
         ([[0, 1], [1, 2]], None, r"one index or a vector of them, got shape \(2, 2\)"),
         ([[0, 1], [1]], None, "must have rows of one length"),
         (3, None, "got vertex 3, which no face uses"),
@@ -172,8 +175,7 @@ def test_checked_sources_belong_to_their_geometry(ball):
     checked = check_sources(0, ball)
     with pytest.raises(InvalidInputError, match="geometry of 4 points, got those of one of 162"):
         check_sources(checked, RIGHT)
-    with pytest.raises(InvalidInputError, match="`weights` must be None"):
-        check_sources(checked, ball, [1.0])
+    refused("weights", "be None", check_sources, checked, ball, [1.0])
 
 
 @pytest.mark.parametrize(
@@ -193,10 +195,8 @@ def test_bad_face_points_are_refused(face, barycentric, message):
 
 
 def test_bad_coordinates_are_refused(ball):
-    with pytest.raises(InvalidInputError, match=r"`coordinate` must have shape \(3,\), got \(2,\)"):
-        nearest_source(ball, [0.0, 1.0])
-    with pytest.raises(InvalidInputError, match="`coordinate` must be finite"):
-        nearest_source(ball, [0.0, np.inf, 0.0])
+    refused("coordinate", "have shape (3,)", nearest_source, ball, [0.0, 1.0])
+    refused("coordinate", "be finite", nearest_source, ball, [0.0, np.inf, 0.0])
     with pytest.raises(InvalidInputError, match="a face of positive area, got 1 without"):
         nearest_source(TriangleMesh(np.eye(3), [[0, 1, 1]]), [0.0, 0.0, 0.0])
 

@@ -4,10 +4,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from conftest import creature
 
 from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning, InvalidInputError
-from spectra_kit.geodesics import Direct, FacePoint, HeatGeodesics, Iterative, exact_distances
-from spectra_kit.geometry import PointCloud, TriangleMesh, creature, rectangle, sphere
+from spectra_kit.geodesics import Direct, HeatGeodesics, Iterative, exact_distances
+from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
 from spectra_kit.operators import intrinsic_delaunay
 
 SOLVERS = [Direct(), Iterative(), Iterative(coarse="none", drop=None, relaxation=0.0)]
@@ -355,69 +356,6 @@ def test_the_kind_of_array_does_not_matter(solver) -> None:
             np.testing.assert_array_equal(found.distance, wanted.distance)
             np.testing.assert_array_equal(np.array(coordinates), kept[0])
             np.testing.assert_array_equal(faces, kept[1])
-
-
-MASK = np.isin(np.arange(BALL.n), [3, 4, 5])
-
-
-@pytest.mark.parametrize(
-    "sources",
-    [
-        [3, 4, 5], (5, 4, 3), range(3, 6), np.array([3, 4, 5], dtype=np.uint8), MASK,
-        [np.int32(3), np.int64(4), 5], np.array([3, 9, 4, 9, 5])[::2],
-        [FacePoint(int(np.argmax(BALL.faces[:, 0] == 3)), (1, 0, 0)), np.int64(4), 5],
-    ],
-    ids=str,
-)  # fmt: skip
-def test_many_ways_to_name_sources(sources) -> None:
-    geodesics = HeatGeodesics(BALL)
-    wanted = geodesics.distance([3, 4, 5]).distance
-    np.testing.assert_allclose(geodesics.distance(sources).distance, wanted, atol=1e-12)
-    assert not wanted[3:6].any()
-
-
-def test_a_source_named_twice_is_one() -> None:
-    geodesics = HeatGeodesics(BALL)
-    once, twice = (geodesics.distance(s).distance for s in (3, [3, 3]))
-    np.testing.assert_allclose(twice, once, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("sources", "message"),
-    [
-        ([], "at least one source"),
-        (np.empty(0, dtype=int), "at least one source"),
-        (np.zeros(BALL.n, dtype=bool), "at least one source"),
-        (-1, r"must be in \[0, 642\), got -1"),
-        ([0, BALL.n], r"must be in \[0, 642\), got 642"),
-        (2**70, "must be in .0, 642., got 1180591620717411303424"),
-        (True, "must hold integers, got dtype bool"),
-        ([True, False], "must hold integers, got dtype bool"),
-        (np.ones(3, dtype=bool), r"mask must have shape \(642,\)"),
-        ({1, 2}, "must hold integers"),
-        (None, "must hold integers"),
-        ("7", "must hold integers"),
-        (7.0, "must hold integers, got dtype float64"),
-        (np.array([np.nan]), "must hold integers"),
-        ([[1, 2]], "one index or a vector"),
-        ([[1], [2, 3]], "rows of one length"),
-        ([FacePoint(0, (1, 0, 0)), -1], "must be in"),
-        ([FacePoint(0, (1, 0, 0)), True], "must be an integer"),
-        (FacePoint(10**6, (1, 0, 0)), "`face` must be in"),
-    ],
-    ids=str,
-)
-def test_sources_that_are_refused(sources, message) -> None:
-    with pytest.raises(InvalidInputError, match=message):
-        HeatGeodesics(BALL).distance(sources)
-
-
-@pytest.mark.parametrize(
-    "weights", [[1.0], [1, 2, 3], [1, 0], [1, -1], [1, np.nan], [1, np.inf], "ab", [[1, 1]], 2.0]
-)
-def test_weights_that_are_refused(weights) -> None:
-    with pytest.raises(InvalidInputError, match="`weights` must"):
-        HeatGeodesics(BALL).distance([3, 4], weights=weights)
 
 
 def test_weights_of_any_size_in_any_unit() -> None:

@@ -4,6 +4,7 @@ import igl
 import numpy as np
 import potpourri3d as pp3d
 import pytest
+from conftest import creature
 from scipy import sparse
 from scipy.spatial import Delaunay
 
@@ -20,7 +21,7 @@ from spectra_kit.geodesics import (
     geodesic_distance,
 )
 from spectra_kit.geodesics.heat_step import HeatStep
-from spectra_kit.geometry import PointCloud, TriangleMesh, creature, rectangle, sphere
+from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
 from spectra_kit.linalg import LinearSolution
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
 

@@ -2,16 +2,12 @@
 
 import numpy as np
 import pytest
+from conftest import creature
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from spectra_kit import PointCloud
-from spectra_kit.geometry import (
-    creature,
-    estimate_normals,
-    orient_normals,
-    torus,
-)
+from spectra_kit.geometry import estimate_normals, orient_normals, torus
 from spectra_kit.geometry.signs import (
     agree_on_signs,
     symmetric_votes,

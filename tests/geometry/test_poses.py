@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from conftest import creature
 
 from spectra_kit.eigensolvers import eigensolve
-from spectra_kit.geometry import creature, creature_pair, mirrored, permuted
+from spectra_kit.geometry import creature_pair, mirrored, permuted
 from spectra_kit.operators import robust_laplacian
 
 

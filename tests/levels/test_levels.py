@@ -6,13 +6,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from conftest import creature, refused
 from scipy import sparse
 from scipy.linalg import eigh
 from scipy.spatial import cKDTree
 
 from spectra_kit import Laplacian, TriangleMesh, cotan_laplacian, eigensolve, robust_laplacian
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import creature, rectangle, sphere
+from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.levels import Subset, coarsen, prolongation, well_spread
 
 
@@ -168,6 +169,5 @@ def test_fewer_points_than_parts_are_refused():
             np.vstack([ball.points, ball.points + 5]), np.vstack([ball.faces, ball.faces + ball.n])
         )
     )
-    with pytest.raises(InvalidInputError, match="`n_points` must be at least 2, one for each"):
-        well_spread(two, 1)
+    refused("n_points", "be at least", well_spread, two, 1)
     assert (well_spread(two, 2).indices // ball.n).tolist() == [0, 1]

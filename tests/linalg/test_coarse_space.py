@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy import sparse
 
 from spectra_kit import InvalidInputError, delaunay_laplacian, eigensolve
@@ -141,21 +142,14 @@ def test_what_is_refused(body):
         CoarseSpace(Y)
     with pytest.raises(InvalidInputError, match="must be given, got both"):
         CoarseSpace(Y, energies=energies, matrix=A)
-    with pytest.raises(InvalidInputError, match="`energies` must be positive"):
-        CoarseSpace(Y, energies=0 * energies)
-    with pytest.raises(InvalidInputError, match=r"`energies` must have shape \(16,\), got \(3,\)"):
-        CoarseSpace(Y, energies=energies[:3])
-    with pytest.raises(InvalidInputError, match=r"`basis` must have shape \(n, k\).*columns"):
-        CoarseSpace(Y.T, energies=energies)
-    with pytest.raises(InvalidInputError, match="`basis` must be finite"):
-        CoarseSpace(np.where(Y > 0, np.inf, Y), energies=energies)
-    with pytest.raises(InvalidInputError, match=r"`matrix` must have shape \(1200, 1200\)"):
-        CoarseSpace(Y, matrix=sparse.eye_array(3, format="csr"))
-    with pytest.raises(InvalidInputError, match="`basis` must not lie in the kernel"):
-        CoarseSpace(np.ones((body.n, 2)), matrix=A)
+    refused("energies", "be positive", CoarseSpace, Y, energies=0 * energies)
+    refused("energies", "have shape (16,)", CoarseSpace, Y, energies=energies[:3])
+    refused("basis", "have shape (n,", CoarseSpace, Y.T, energies=energies)
+    refused("basis", "be finite", CoarseSpace, np.where(Y > 0, np.inf, Y), energies=energies)
+    refused("matrix", "have shape (1200,", CoarseSpace, Y, matrix=sparse.eye_array(3, format="csr"))
+    refused("basis", "not lie in", CoarseSpace, np.ones((body.n, 2)), matrix=A)
     coarse = CoarseSpace(Y, energies=energies)
-    with pytest.raises(InvalidInputError, match=r"`rhs` must have shape \(1200,\)"):
-        coarse.solve(body.b[:5])
+    refused("rhs", "have shape (1200,)", coarse.solve, body.b[:5])
     small = IncompleteCholesky(sparse.eye_array(3, format="csr"))
     with pytest.raises(InvalidInputError, match="of one size, got 3 and 1200 points"):
         AdditiveTwoLevel(small, coarse)

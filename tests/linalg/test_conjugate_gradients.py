@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy import sparse
 from scipy.sparse.linalg import splu, spsolve
 
@@ -275,10 +276,7 @@ def test_more_than_rounding_allows_is_not_claimed(body):
 def test_indefinite_matrices_are_recognised(body):
     values = np.linspace(-1, 5, body.n)
     indefinite = sparse.csr_array(sparse.diags_array(values))
-    with pytest.raises(
-        InvalidInputError, match="`matrix` must be symmetric positive semi-definite"
-    ):
-        pcg(indefinite, np.ones(body.n))
+    refused("matrix", "be symmetric positive", pcg, indefinite, np.ones(body.n))
 
     # Energies that cancel: the direction has none, but is not in the kernel either.
     for matrix, rhs in (([[1.0, 0], [0, -1]], [1.0, 1]), ([[0, 1.0], [1, 0]], [1.0, 0])):
@@ -298,50 +296,38 @@ def test_indefinite_matrices_are_recognised(body):
         def solve(self, rhs):
             return np.array([-rhs[1], rhs[0]])
 
-    with pytest.raises(InvalidInputError, match=r"`preconditioner` must be.*of energy 0 "):
+    with pytest.raises(InvalidInputError, match="`preconditioner` must be"):
         pcg(sparse.eye_array(2, format="csr"), [1.0, 0], preconditioner=Turning())
 
-    with pytest.raises(InvalidInputError, match="`preconditioner` must be symmetric positive semi"):
+    with pytest.raises(InvalidInputError, match="`preconditioner` must be symmetric positive"):
         pcg(body.A, body.b, preconditioner=Negative())
 
 
 def test_what_is_refused(body):
     A, b, kernel = body.A, body.b, body.kernel
-    with pytest.raises(
-        InvalidInputError, match=r"`rhs` must sum to zero on each component.*mean of 1"
-    ):
-        pcg(A, b + 1, kernel=kernel)
-    with pytest.raises(InvalidInputError, match=r"`rhs` must have shape \(\d+,\), got \(3,\)"):
-        pcg(A, b[:3])
-    with pytest.raises(InvalidInputError, match="`rhs` must be finite"):
-        pcg(A, np.where(np.arange(body.n) == 5, np.nan, b))
-    with pytest.raises(InvalidInputError, match="`start` must have shape"):
-        pcg(A, b, start=b[:3])
-    with pytest.raises(InvalidInputError, match="`start` must be finite"):
-        pcg(A, b, start=np.full(body.n, np.inf))
-    with pytest.raises(InvalidInputError, match="`rtol` must be a number from 0 upwards, got -1"):
-        pcg(A, b, rtol=-1)
-    with pytest.raises(InvalidInputError, match="`max_iterations` must be at least 0"):
-        pcg(A, b, max_iterations=-1)
-    with pytest.raises(InvalidInputError, match=r"`preconditioner` must be of size \d+, got 3"):
+    refused("rhs", "sum to zero", pcg, A, b + 1, kernel=kernel)
+    refused("rhs", "have shape (", pcg, A, b[:3])
+    refused("rhs", "be finite", pcg, A, np.where(np.arange(body.n) == 5, np.nan, b))
+    refused("start", "have shape", pcg, A, b, start=b[:3])
+    refused("start", "be finite", pcg, A, b, start=np.full(body.n, np.inf))
+    refused("rtol", "be a number", pcg, A, b, rtol=-1)
+    refused("max_iterations", "be at least", pcg, A, b, max_iterations=-1)
+    with pytest.raises(InvalidInputError, match="`preconditioner` must be of size"):
         pcg(A, b, preconditioner=IncompleteCholesky(sparse.eye_array(3, format="csr")))
-    with pytest.raises(InvalidInputError, match=r"`kernel` must have \d+ labels"):
-        pcg(A, b, kernel=ConstantKernel([0, 0]))
+    refused("kernel", "have", pcg, A, b, kernel=ConstantKernel([0, 0]))
     with pytest.raises(InvalidInputError, match="constants that `matrix` maps to zero"):
         pcg(sparse.csr_array(A + sparse.eye_array(body.n)), b, kernel=kernel)
     halves = ConstantKernel((np.arange(body.n) > body.n // 2).astype(int))  # not its components
     with pytest.raises(InvalidInputError, match="constants that `matrix` maps to zero"):
         pcg(A, b, kernel=halves)
     for labels in ([0.5, 1.0], [-2, 0], [[0, 0]], []):
-        with pytest.raises(InvalidInputError, match="`labels` must be integers from -1 upwards"):
-            ConstantKernel(labels)
+        refused("labels", "be integers from", ConstantKernel, labels)
 
     class Short:
         def solve(self, rhs):
             return rhs[:3]
 
-    with pytest.raises(InvalidInputError, match=r"`preconditioner.solve\(...\)` must have shape"):
-        pcg(A, b, preconditioner=Short())
+    refused("preconditioner.solve(...)", "have shape", pcg, A, b, preconditioner=Short())
 
 
 def test_an_inconsistent_system_without_a_kernel_does_not_converge(body):

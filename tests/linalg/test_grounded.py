@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
@@ -67,17 +68,15 @@ def test_nothing_but_kernel():
 def test_what_is_refused(laplacian):
     A, n = laplacian.stiffness, laplacian.n
     kernel = ConstantKernel(np.zeros(n, int))
-    with pytest.raises(InvalidInputError, match="`rhs` must sum to zero on each component"):
-        GroundedCholesky(A, kernel).solve(np.ones(n))
-    with pytest.raises(InvalidInputError, match="`rhs` must be finite"):
-        GroundedCholesky(A, kernel).solve(np.full(n, np.nan))
+    refused("rhs", "sum to zero", GroundedCholesky(A, kernel).solve, np.ones(n))
+    refused("rhs", "be finite", GroundedCholesky(A, kernel).solve, np.full(n, np.nan))
     with pytest.raises(InvalidInputError, match="`matrix` must be symmetric"):
         GroundedCholesky(sparse.csr_array(np.array([[1.0, 0.5], [0.0, 1.0]])))
     with pytest.raises(InvalidInputError, match="must be symmetric positive definite"):
         GroundedCholesky(sparse.csr_array(np.array([[1.0, 2.0], [2.0, 1.0]])))
     # Definite, but a solution has no correct digit: the residual is that of its rounding.
     hilbert = sparse.csr_array(1 / (1.0 + np.add.outer(np.arange(12), np.arange(12))))
-    with pytest.raises(InvalidInputError, match="`matrix` must be nonsingular apart from `kernel`"):
+    with pytest.raises(InvalidInputError, match="`matrix` must be nonsingular apart"):
         GroundedCholesky(hilbert).solve((-1.0) ** np.arange(12))
 
 

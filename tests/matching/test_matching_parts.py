@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import creature, refused
 from scipy.spatial.transform import Rotation
 
 from spectra_kit import InvalidInputError, PointCloud, Spectrum, TriangleMesh, robust_laplacian
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.functional_maps import functional_map_from_point_map
-from spectra_kit.geometry import creature, mirrored, permuted, rectangle, sphere
+from spectra_kit.geometry import mirrored, permuted, rectangle, sphere
 from spectra_kit.matching import (
     MatchOptions,
     Prepared,
@@ -89,8 +90,7 @@ def test_a_flat_sheet_has_no_curvature() -> None:
 
 def test_what_cannot_be_prepared_is_refused(mesh, source) -> None:
     spectrum = source.spectrum.rescale(mesh.area**0.5)
-    with pytest.raises(InvalidInputError, match="`n_samples` must be at least 200, got 199"):
-        prepare(spectrum, n_samples=199)
+    refused("n_samples", "be at least", prepare, spectrum, n_samples=199)
     with pytest.raises(
         InvalidInputError, match=r"at least 30 modes to be matched, got 29; solve for"
     ):

@@ -8,6 +8,7 @@ import benchmark_geodesics as app
 import numpy as np
 import pytest
 import torch
+from conftest import creature
 from measure import store
 from measure.geodesics.contenders import (
     AUTOMATIC,
@@ -38,7 +39,7 @@ from measure.tables import ratio
 
 from spectra_kit import Neo
 from spectra_kit.geodesics import exact_distances, geodesic_distance
-from spectra_kit.geometry import creature, sphere, write
+from spectra_kit.geometry import sphere, write
 from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 
 QUICK = ["--quick", "--repeats", "1", "--sources", "2", "--exact-sources", "2", "--warm", "2"]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import bumpy
+from conftest import bumpy, creature
 from measure.matching import methods
 from measure.matching.measures import THRESHOLDS, best_candidate, measure_map
 from measure.matching.methods import METHODS, Entry, Outcome, Side
@@ -26,7 +26,7 @@ from spectra_kit import TriangleMesh, eigensolve, robust_laplacian
 from spectra_kit.correspondence import geodesic_errors, way_back
 from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
 from spectra_kit.functional_maps import functional_map_from_point_map
-from spectra_kit.geometry import creature, permuted
+from spectra_kit.geometry import permuted
 
 APP = Path(__file__).parents[2] / "apps" / "match_faust.py"
 K = 40

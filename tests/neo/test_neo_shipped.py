@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from conftest import creature
 from safetensors.torch import load_file
 
 from spectra_kit import RayleighRitz, eigensolve, robust_laplacian
 from spectra_kit.eigensolvers.neo import Neo
-from spectra_kit.geometry import creature
 from spectra_kit.linalg import orthonormalize
 from spectra_kit.neo import WEIGHTS, NeoSubspace, load_pretrained
 from spectra_kit.subspaces import AmbientFourier

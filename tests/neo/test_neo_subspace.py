@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import torch
+from conftest import creature
 
 from spectra_kit.eigensolvers import Capped, Chebyshev, Neo, RayleighRitz, eigensolve
 from spectra_kit.errors import InvalidInputError, WeightsError
-from spectra_kit.geometry import PointCloud, creature
+from spectra_kit.geometry import PointCloud
 from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace, neo_eigenpairs, save_weights
 from spectra_kit.operators import robust_laplacian
 from spectra_kit.subspaces.frame import POSES

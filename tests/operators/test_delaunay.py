@@ -213,36 +213,26 @@ def test_operator_is_recorded() -> None:
 
 
 POINTS = ball(50)
-BAD = {
-    "mollify": (
-        lambda: delaunay_laplacian(PointCloud(POINTS), mollify_factor=0),
-        "`mollify_factor` must be positive",
-    ),
-    "few neighbours": (
-        lambda: delaunay_laplacian(PointCloud(POINTS), n_neighbors=2),
-        "`n_neighbors` must be at least 3",
-    ),
-    "few points": (lambda: delaunay_laplacian(PointCloud(POINTS[:3])), "at least 4 points"),
-    "twice": (
-        lambda: delaunay_laplacian(PointCloud(np.vstack([POINTS, POINTS[:2]]))),
-        "2 duplicate points",
-    ),
-    "line": (
+BAD = [
+    (lambda: delaunay_laplacian(PointCloud(POINTS), mollify_factor=0), "`mollify_factor` must be"),
+    (lambda: delaunay_laplacian(PointCloud(POINTS), n_neighbors=2), "`n_neighbors` must be at"),
+    (lambda: delaunay_laplacian(PointCloud(POINTS[:3])), "at least 4 points"),
+    (lambda: delaunay_laplacian(PointCloud(np.vstack([POINTS, POINTS[:2]]))), "2 duplicate points"),
+    (
         lambda: delaunay_laplacian(PointCloud(np.arange(10.0)[:, None] * [1, 2, 3])),
         "points on one line",
     ),
-    "a line beside a ball": (
+    (
         lambda: delaunay_laplacian(
             PointCloud(np.vstack([POINTS, [5, 0, 0] + np.arange(90.0)[:, None] * [0.01, 0, 0]]))
         ),
-        r"points in no triangle \(such as \d+\): their neighbours lie on one line",
+        "points in no triangle",
     ),
-}
+]
 
 
-@pytest.mark.parametrize("case", BAD)
-def test_bad_input(case: str) -> None:
-    build, message = BAD[case]
+@pytest.mark.parametrize(("build", "message"), BAD)
+def test_bad_input(build, message) -> None:
     with pytest.raises(InvalidInputError, match=message):
         build()
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import ablate_neo as ablate
 import numpy as np
 import pytest
-from conftest import ellipsoids
+from conftest import creature, ellipsoids
 from PIL import Image
 
-from spectra_kit.geometry import creature, write
+from spectra_kit.geometry import write
 from spectra_kit.neo import NeoConfig, load_pretrained
 from spectra_kit.training.shards import write_shard
 

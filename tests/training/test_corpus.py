@@ -137,6 +137,7 @@ def test_bisection_cuts_edges_and_keeps_the_surface_whole():
     assert np.linalg.norm(a - b, axis=1).max() <= 0.2
     assert fine.area == pytest.approx(long.area)
     assert (fine.with_merged_vertices().unique_edges[1] == 2).all()  # no crack opens
+    assert surfaces.largest_part(surfaces.join([ball, fine])).area == pytest.approx(fine.area)
 
 
 def test_symmetric_things_have_a_mirror():

@@ -9,10 +9,11 @@ import imageio.v3 as iio
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from conftest import creature
 from PIL import Image
 
 from spectra_kit import Dense, eigensolve, robust_laplacian
-from spectra_kit.geometry import creature, sphere
+from spectra_kit.geometry import sphere
 from spectra_kit.viz import View, animate_modes
 from spectra_kit.viz.animation import _inner_radii, _shifts
 

@@ -47,32 +47,21 @@ def measure_map(
     best: Ints | None = None,
     geodesics: Geodesics = "edges",
 ) -> Measured:
-    """Measure an outcome, in hundredths of the root of the source's area.
+    """Measure a map between vertices, in hundredths of the root of the source's area.
 
-    Parameters
-    ----------
-    source, target : Subject
-        Of one class.
-    outcome : Outcome
-        Of a method; its map is between vertices.
-    back : array_like of shape (n1,), integers
-        Target vertex of each source vertex; see `correspondence.way_back`.
-    best : array_like of shape (n2,), integers, optional
-        Map of the candidate that is best by the truth, if another than the chosen one.
-    geodesics : {"edges", "exact"}, default "edges"
-        How errors are measured; see `correspondence.geodesic_distances`.
+    `back` is the target vertex of each source vertex (see `correspondence.way_back`), `best` the
+    map of the candidate that is best by the truth, if another than the chosen one. Distances are
+    those on the source's mesh, also between clouds.
 
     Returns
     -------
     dict
         ``direct``, ``symmetric``, ``either``: mean errors against the truth, its mirror image, and
         the smaller one at each correspondence. ``flipped``: left for right, see `MapErrors`.
-        ``auc``, ``auc_either``: of direct and smaller errors up to 10; ``accuracy`` and
-        ``accuracy_either``: their shares up to each of `THRESHOLDS`. ``coverage``, ``energy``,
-        ``orientation``: see `correspondence`. ``bijectivity``: mean distance to where the
-        transposed functional map leads back, along edges. ``oracle``: direct error of the best
-        finalist. ``margin``, ``ambiguous``, ``seconds``, ``cpu_seconds``: as in `Outcome`. NaN is
-        what cannot be known. Distances are those on the source's mesh, also between clouds.
+        ``auc``, ``accuracy``, and these of the smaller errors: shares up to 10, and up to each of
+        `THRESHOLDS`. ``bijectivity``: mean distance to where the transposed functional map leads
+        back, along edges. ``oracle``: direct error of the best finalist. Others as in `Outcome` and
+        `correspondence`; NaN is what cannot be known.
     """
     truth, p = truth_between(source, target), outcome.point_map
     errors = map_errors(source.mesh, p, truth, method=geodesics)
@@ -115,24 +104,9 @@ def best_candidate(
     A yardstick for the choice among them, no bound: candidates that were dropped before are not
     seen, and the chosen one is finished by the whole method, the others by plain ZoomOut alone.
 
-    Parameters
-    ----------
-    source, target : Subject
-        Of one class.
-    spectra : (Spectrum, Spectrum)
-        Of source and target, at least as large as the candidates.
-    candidates : sequence of ndarray of shape (k, k)
-        Functional maps, the chosen one first.
-    vertices : ndarray of shape (n1,)
-        The source vertex of each point of the source's spectrum.
-    points : ndarray, integers
-        The point of the target's spectrum at each target vertex.
-
-    Returns
-    -------
-    ndarray of shape (n2,) or None
-        Point map between the points of the spectra after ZoomOut to all modes; None if the chosen
-        candidate is the best one.
+    `candidates` are functional maps, the chosen one first; if that is the best, the answer is None,
+    otherwise a map between the points of the spectra. `vertices` are the source vertices of the
+    points of the source's spectrum, `points` those of the target's spectrum at its vertices.
     """
     a, b = (s.rescale(1 / np.sqrt(s.area)) for s in spectra)
     truth = truth_between(source, target)

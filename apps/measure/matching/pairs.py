@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache, partial
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -18,39 +18,47 @@ from measure.store import Record, Store
 from measure.study import Result, Study, run
 from spectra_kit._files import atomic_path
 from spectra_kit._types import Ints
+from spectra_kit.catalogue import SOLVERS, SUBSPACES
 from spectra_kit.correspondence import way_back
-from spectra_kit.eigensolvers import Arpack, Eigensolver, Neo, Polished, Refined, eigensolve
-from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.eigensolvers import Eigensolver, eigensolve
+from spectra_kit.geometry import Geometry
 from spectra_kit.geometry.shapes import distinct_rows
-from spectra_kit.neo import NeoSubspace
-from spectra_kit.operators import delaunay_laplacian, robust_laplacian
+from spectra_kit.operators import laplacian
 from spectra_kit.spectra import Spectrum
 
 Kind = Literal["mesh", "cloud"]
 KINDS: tuple[Kind, ...] = ("mesh", "cloud")
 #: From the weights to what solves: ARPACK, the network alone, polished once, refined to the end.
 BACKENDS: dict[str, Callable[[str], Eigensolver]] = {
-    "exact": lambda weights: Arpack(),
-    "neo": lambda weights: Neo(weights=weights),
-    "neo-polished": lambda weights: Polished(start=NeoSubspace(weights), sweeps=1),
-    "neo-refined": lambda weights: Refined(start=NeoSubspace(weights)),
+    "exact": lambda weights: SOLVERS["arpack"](),
+    "neo": lambda weights: SOLVERS["neo"](weights=weights),
+    "neo-polished": lambda weights: SOLVERS["polished"](start=SUBSPACES["neo"](weights), sweeps=1),
+    "neo-refined": lambda weights: SOLVERS["refined"](start=SUBSPACES["neo"](weights)),
 }
 _HELD = 8  # spectra in the memory of a process
 
 
-@dataclass(frozen=True)
-class Basis:
+class Pair(NamedTuple):
+    """The names of two subjects."""
+
+    source: str
+    target: str
+
+    def __str__(self) -> str:
+        return "--".join(self)
+
+
+class Basis(NamedTuple):
     """Which modes: of meshes or of their vertices alone, by one of `BACKENDS`."""
 
     kind: Kind
     backend: str
 
     def __str__(self) -> str:
-        return f"{self.kind}-{self.backend}"
+        return "-".join(self)
 
 
-@dataclass(frozen=True)
-class Way:
+class Way(NamedTuple):
     """Which modes, and which of `METHODS` matches with them."""
 
     basis: Basis
@@ -65,17 +73,6 @@ class Way:
         own = METHODS[self.method].own
         label = self.method if own else f"{self.method}, {self.basis.backend}"
         return label + (", clouds" if self.basis.kind == "cloud" else "")
-
-
-@dataclass(frozen=True)
-class Pair:
-    """The names of two subjects."""
-
-    source: str
-    target: str
-
-    def __str__(self) -> str:
-        return f"{self.source}--{self.target}"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -105,9 +102,8 @@ class Spectra(Study[Basis, str]):
     def measure(self, contender: Basis, problem: str) -> Record:
         """Solve into the file."""
         geometry = geometry_of(self.subjects[problem], contender.kind)
-        assemble = robust_laplacian if isinstance(geometry, TriangleMesh) else delaunay_laplacian
         solver = BACKENDS[contender.backend](self.weights)
-        spectrum = eigensolve(assemble(geometry), self.k, solver)
+        spectrum = eigensolve(laplacian(geometry), self.k, solver)
         path = self.path(contender, problem)
         path.parent.mkdir(exist_ok=True)
         spectrum.save(path)
@@ -140,10 +136,9 @@ class Pairs(Study[Way, Pair]):
 
     def facts(self, contender: Way, problem: Pair) -> dict[str, object]:
         """See `Study`; the spectra by their keys."""
-        names = (problem.source, problem.target)
         return {
-            "subjects": [self.spectra.subjects[name].digest for name in names],
-            "spectra": [self.spectra.key(contender.basis, name) for name in names],
+            "subjects": [self.spectra.subjects[name].digest for name in problem],
+            "spectra": [self.spectra.key(contender.basis, name) for name in problem],
             "method": contender.method,
             "python": self.pyfm_python if METHODS[contender.method].own else None,
             "geodesics": self.geodesics,
@@ -151,7 +146,7 @@ class Pairs(Study[Way, Pair]):
 
     def excuse(self, contender: Way, problem: Pair, before: Sequence[Result[Way, Pair]]) -> str:
         """See `Study`; without spectra there is no map."""
-        for name in (problem.source, problem.target):
+        for name in problem:
             if reason := self.unsolved.get((contender.basis, name)):
                 return f"{name}: {reason}"
         return ""
@@ -166,7 +161,7 @@ class Pairs(Study[Way, Pair]):
         if METHODS[contender.method].own and self.pyfm_python:
             run = partial(run, python=self.pyfm_python)
         basis = contender.basis
-        source, target = (self.spectra.subjects[n] for n in (problem.source, problem.target))
+        source, target = (self.spectra.subjects[name] for name in problem)
         a, b = (
             Side(geometry_of(s, basis.kind), _loaded(self.spectra.path(basis, s.name)))
             for s in (source, target)
@@ -220,7 +215,7 @@ def match_all(pairs: Pairs, *, jobs: int = 1, progress: bool = False) -> list[Re
         name: None
         for way, pair, _ in pairs.tasks()
         if (store.get(pairs.key(way, pair)) or {"status": ""})["status"] != "ok"
-        for name in (pair.source, pair.target)
+        for name in pair
     }
     spectra = replace(pairs.spectra, problems=list(names))
     solved = run(spectra, store, jobs=jobs, retry=True, progress=progress)

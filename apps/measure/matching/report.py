@@ -120,8 +120,8 @@ def write_report(results: Results, pairs: Pairs, protocol: Protocol) -> Path:
 
 
 def _names(way: Way, pair: Pair | None = None) -> dict[str, str]:
-    names = {"kind": way.basis.kind, "backend": way.basis.backend, "method": way.method}
-    return names if pair is None else {"source": pair.source, "target": pair.target, **names}
+    names = {**way.basis._asdict(), "method": way.method}
+    return names if pair is None else {**pair._asdict(), **names}
 
 
 def _line(result: Result[Way, Pair]) -> dict[str, Any]:
@@ -283,7 +283,7 @@ def draw_extremes(
 
 def _drawn(pairs: Pairs, way: Way, pair: Pair, name: str) -> MatchedPair:
     """With direct errors along edges on all target points, that of the nearest landmark each."""
-    source, target = (pairs.spectra.subjects[n] for n in (pair.source, pair.target))
+    source, target = (pairs.spectra.subjects[name] for name in pair)
     point_map = np.load(pairs.map_path(way, pair)).astype(np.int64)
     truth = truth_between(source, target)
     errors = geodesic_errors(source.mesh, point_map, truth)

@@ -52,7 +52,7 @@ class Accuracy(Study[Method, Case]):
 
     def facts(self, contender: Method, problem: Case) -> dict[str, object]:
         """See `Study`."""
-        return {**self._exact_facts(problem), **problem.facts(), **contender.facts()}
+        return {**self._exact_facts(problem), **problem.facts(), "method": contender.facts}
 
     def measure(self, contender: Method, problem: Case) -> Record:
         """Return the errors of each mode, NaN where there is none, and what the solves took.

@@ -3,61 +3,42 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from scipy.stats import special_ortho_group
 
 from measure.shapes import Shape
 from spectra_kit._validate import check_count
+from spectra_kit.catalogue import OPERATORS
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, repair, sample
 from spectra_kit.geometry.sampling import GaussianDensity
-from spectra_kit.operators import Laplacian, cotan_laplacian, knn_laplacian, robust_laplacian
+from spectra_kit.operators import Laplacian
 from spectra_kit.training.families import FAMILIES
 from spectra_kit.training.samples import CorpusConfig, draw_source, make_surface
 
-_OPERATORS: dict[str, Callable[[Any], Laplacian]] = {
-    "robust": robust_laplacian,
-    "cotan": cotan_laplacian,
-    "knn": knn_laplacian,
-}
+Operator = Literal["robust", "cotan", "knn"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One eigenproblem, by its recipe.
-
-    Attributes
-    ----------
-    shape : Shape
-        The surface.
-    points : int or None
-        Points to sample on it; None takes the mesh itself with its vertices.
-    sigma : float or None
-        Width of the spot around which the samples crowd, as a share of the diagonal of the
-        bounding box (see `geometry.GaussianDensity`); None samples uniformly.
-    operator : {"robust", "cotan", "knn"}
-        Which Laplacian; the first is the Delaunay one on sampled points, where there is no second.
-    rotation : int or None
-        Seed of a random rotation of the points. Stiffness and mass are left alone, so the exact
-        modes are those of the case without it.
-    seed : int
-        Of the samples.
-    """
+    """One eigenproblem, by its recipe: `points` sampled on a shape, or None: its own vertices."""
 
     shape: Shape
     points: int | None
+    #: Width of the spot around which samples crowd, see `GaussianDensity`; None samples uniformly.
     sigma: float | None = None
-    operator: Literal["robust", "cotan", "knn"] = "robust"
+    #: The first is the Delaunay one on sampled points, where there is no second.
+    operator: Operator = "robust"
+    #: Seed of a random rotation of the points, and of nothing else: the exact modes stay.
     rotation: int | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.operator not in _OPERATORS:
-            raise InvalidInputError("operator", f"be one of {', '.join(_OPERATORS)}", self.operator)
+        if self.operator not in (known := get_args(Operator)):
+            raise InvalidInputError("operator", f"be one of {', '.join(known)}", self.operator)
         if self.operator == "cotan" and self.points is not None:
             raise InvalidInputError(
                 f"`operator` cotan needs a mesh, got {self.points} sampled points; take points=None"
@@ -99,7 +80,8 @@ class Case:
 
     def laplacian(self) -> Laplacian:
         """Assemble the operator, before any rotation."""
-        return _OPERATORS[self.operator](self.geometry())
+        assembled: Laplacian = OPERATORS[self.operator](self.geometry())
+        return assembled
 
     def turned(self, laplacian: Laplacian) -> Laplacian:
         """Rotate the points of the operator by this case's rotation, if it has one."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from measure.network.cases import Case
-from measure.network.methods import Method, Network, Waves
+from measure.network.methods import Method
 from measure.store import Record
 from spectra_kit._types import Floats
 
@@ -61,27 +61,13 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One line of a table: a method on several cases.
+    """One line of a table: a method on cases, with a record of `Accuracy.measure` for each."""
 
-    Attributes
-    ----------
-    labels : mapping of str to str or int
-        Columns that tell the rows apart.
-    method : Method
-        What was measured.
-    cases : tuple of Case
-        On what.
-    records : tuple of dict
-        Of `Accuracy.measure`, for each case.
-    failures : tuple of str
-        What could not be measured, and why.
-    """
-
-    labels: Labels
+    labels: Labels  #: columns that tell the rows apart
     method: Method
     cases: tuple[Case, ...]
     records: tuple[Record, ...]
-    failures: tuple[str, ...] = field(default=(), kw_only=True)
+    failures: tuple[str, ...] = ()  #: what could not be measured, and why
 
     @property
     def place(self) -> Place:
@@ -119,9 +105,9 @@ def of_accuracy(rows: Sequence[Row]) -> list[Finding]:
     """
     found = []
     for row in rows:
-        if isinstance(row.method, Network) and row.method.poses == 1:
+        if row.method.poses == 1:
             found += _of_one_pose(row, rows)
-    return found + [_in_time(row, rows) for row in rows if isinstance(row.method, Network)]
+    return found + [_in_time(row, rows) for row in rows if row.method.poses]
 
 
 def _of_one_pose(row: Row, rows: Sequence[Row]) -> list[Finding]:
@@ -131,7 +117,7 @@ def _of_one_pose(row: Row, rows: Sequence[Row]) -> list[Finding]:
     rivals = [
         other
         for other in _beside(row, rows)
-        if isinstance(other.method, Waves) and other.method.columns == row.method.columns
+        if other.method.group == "plane waves" and other.method.columns == row.method.columns
     ]
     if rivals:
         rival = min(rivals, key=Row.mean)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from functools import cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,157 +12,112 @@ import torch
 
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.neo import NeoSubspace
-from spectra_kit.neo.pretrained import load_pretrained
+from spectra_kit.neo import NeoSubspace, load_pretrained
 from spectra_kit.subspaces import AmbientFourier
 
 Poses = Literal[1, 2, 4]
 Precision = Literal["float32", "bfloat16", "float16"]
 
 
-class Method(ABC):
-    """A subspace by its recipe: methods that are equal measure the same.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Method:
+    """A subspace with a name.
 
     Attributes
     ----------
+    name : str
+        For tables and figures.
+    group : {"network", "plane waves", "both"}
+        What its functions come from.
+    facts : dict
+        Everything that decides the basis and the time it takes, as JSON.
+    basis : callable
+        From points and mass to the functions on the device, shape (n, columns); the constant is
+        among them.
+    columns : int
+        Of the basis.
     device : str
-        Where its basis lies, and the algebra runs.
+        Where the basis lies, and the algebra runs.
+    poses : int
+        In how many a network predicts; 0 without one, or where it is not alone.
     """
 
-    device: str
+    name: str
+    group: Literal["network", "plane waves", "both"]
+    facts: dict[str, Any]
+    basis: Callable[[Floats, Floats], torch.Tensor]
+    columns: int
+    device: str = "cpu"
+    poses: int = 0
 
     def __str__(self) -> str:
         return self.name
 
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """For tables and figures."""
 
-    @property
-    @abstractmethod
-    def columns(self) -> int:
-        """Of the basis; the constant function is among them."""
+def network(
+    weights: str,
+    *,
+    poses: Poses = 1,
+    dtype: Precision = "float32",
+    weighted: bool = True,
+    device: str = "cpu",
+) -> Method:
+    """Return a trained network as a method, by its name or file.
 
-    @abstractmethod
-    def facts(self) -> dict[str, Any]:
-        """Return everything that decides the basis and the time it takes, as JSON."""
-
-    @abstractmethod
-    def basis(self, points: Floats, mass: Floats) -> torch.Tensor:
-        """Return the functions on the device, shape (n, columns)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Network(Method):
-    """A trained network, as `neo.NeoSubspace` takes it.
-
-    Attributes
-    ----------
-    weights : str
-        A name, or a file.
-    poses : {1, 2, 4}
-        In how many it predicts.
-    dtype : {"float32", "bfloat16", "float16"}
-        Of the network.
-    weighted : bool
-        False gives the attention masses of one; frame and Rayleigh-Ritz keep the true ones.
+    If it is not `weighted`, the attention gets masses of one; frame and Rayleigh-Ritz keep the
+    true ones.
     """
+    subspace = NeoSubspace(weights, poses=poses, dtype=dtype, device=device)
 
-    weights: str
-    poses: Poses = 1
-    dtype: Precision = "float32"
-    weighted: bool = True
-    device: str = "cpu"
+    def basis(points: Floats, mass: Floats) -> torch.Tensor:
+        frame = subspace.frame(points, mass)
+        return subspace.predict(points, mass if weighted else np.ones(len(mass)), frame)
 
-    @property
-    def name(self) -> str:
-        """Of the weights, and the number of poses."""
-        return f"neo {label(self.weights)}, {self.poses} pose{'s' * (self.poses > 1)}"
-
-    @property
-    def m(self) -> int:
-        """Functions in one pose."""
-        return load_pretrained(self.weights).config.m
-
-    @property
-    def columns(self) -> int:
-        """The constant, and m for each pose."""
-        return 1 + self.poses * self.m
-
-    def facts(self) -> dict[str, Any]:
-        """See `Method`; the weights by their hash."""
-        return {"neo": {**asdict(self), "weights": load_pretrained(self.weights).sha256}}
-
-    def basis(self, points: Floats, mass: Floats) -> torch.Tensor:
-        """See `Method`."""
-        network = _loaded(self)
-        frame = network.frame(points, mass)
-        return network.predict(points, mass if self.weighted else np.ones(len(mass)), frame)
+    options = {"poses": poses, "dtype": dtype, "weighted": weighted, "device": device}
+    return Method(
+        name=f"neo {label(weights)}, {poses} pose{'s' * (poses > 1)}",
+        group="network",
+        facts={"neo": load_pretrained(weights).sha256, **options},
+        basis=basis,
+        columns=1 + poses * functions_of(weights),
+        device=device,
+        poses=poses,
+    )
 
 
-@cache
-def _loaded(method: Network) -> NeoSubspace:
-    return NeoSubspace(method.weights, poses=method.poses, dtype=method.dtype, device=method.device)
+def waves(m: int, bandwidth: float, *, device: str = "cpu") -> Method:
+    """Return `AmbientFourier` as a method: m plane waves; the best bandwidth grows with m."""
+    subspace = AmbientFourier(m=m, bandwidth=bandwidth)
+
+    def basis(points: Floats, mass: Floats) -> torch.Tensor:
+        writable = np.require(subspace(points, mass), requirements=["C", "W"])  # as torch needs it
+        return torch.from_numpy(writable).to(device)
+
+    return Method(
+        name=f"fourier m={m}, bandwidth {bandwidth:g}",
+        group="plane waves",
+        facts={"fourier": m, "bandwidth": bandwidth, "device": device},
+        basis=basis,
+        columns=m,
+        device=device,
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Waves(Method):
-    """`AmbientFourier`: m plane waves; the best bandwidth grows with m."""
-
-    m: int
-    bandwidth: float
-    device: str = "cpu"
-
-    @property
-    def name(self) -> str:
-        """Their number and bandwidth."""
-        return f"fourier m={self.m}, bandwidth {self.bandwidth:g}"
-
-    @property
-    def columns(self) -> int:
-        """All of them."""
-        return self.m
-
-    def facts(self) -> dict[str, Any]:
-        """See `Method`."""
-        return {"fourier": asdict(self)}
-
-    def basis(self, points: Floats, mass: Floats) -> torch.Tensor:
-        """See `Method`."""
-        waves = AmbientFourier(m=self.m, bandwidth=self.bandwidth)(points, mass)
-        writable = np.require(waves, requirements=["C", "W"])  # as torch needs it
-        return torch.from_numpy(writable).to(self.device)
+def joined(parts: Sequence[Method]) -> Method:
+    """Return the functions of several methods of one device together."""
+    return Method(
+        name=" + ".join(part.name for part in parts),
+        group="both",
+        facts={"union": [part.facts for part in parts]},
+        basis=lambda points, mass: torch.cat([part.basis(points, mass) for part in parts], dim=1),
+        columns=sum(part.columns for part in parts),
+        device=parts[0].device,
+    )
 
 
-@dataclass(frozen=True)
-class Joined(Method):
-    """The functions of several methods of one device."""
-
-    parts: tuple[Method, ...]
-
-    @property
-    def device(self) -> str:  # type: ignore[override]
-        """Of the first."""
-        return self.parts[0].device
-
-    @property
-    def name(self) -> str:
-        """Of all."""
-        return " + ".join(part.name for part in self.parts)
-
-    @property
-    def columns(self) -> int:
-        """Of all."""
-        return sum(part.columns for part in self.parts)
-
-    def facts(self) -> dict[str, Any]:
-        """See `Method`."""
-        return {"union": [part.facts() for part in self.parts]}
-
-    def basis(self, points: Floats, mass: Floats) -> torch.Tensor:
-        """See `Method`."""
-        return torch.cat([part.basis(points, mass) for part in self.parts], dim=1)
+def functions_of(weights: str) -> int:
+    """Return how many functions a network predicts in one pose."""
+    return load_pretrained(weights).config.m
 
 
 def label(weights: str) -> str:

@@ -12,14 +12,15 @@ from measure.network.accuracy import Accuracy
 from measure.network.cases import Case
 from measure.network.findings import Finding, Labels, Row
 from measure.network.methods import (
-    Joined,
     Method,
-    Network,
     Poses,
     Precision,
-    Waves,
     check_labels,
+    functions_of,
+    joined,
     label,
+    network,
+    waves,
 )
 from measure.shapes import Shape
 from measure.store import Store
@@ -34,50 +35,20 @@ Methods = Iterable[tuple[Labels, Method]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Settings:
-    """What all questions are asked about.
+    """What all questions are asked about."""
 
-    Attributes
-    ----------
-    sets : mapping of str to tuple of Shape
-        Shapes by the name of their set; statistics are taken over a set.
-    weights : tuple of str
-        Networks; questions about one network take the first.
-    agnostic : tuple of str
-        Networks that were trained without masses.
-    k : int
-        Modes.
-    points : tuple of int
-        Sampled on every shape.
-    focus : int
-        Points where a question looks at one number of them.
-    poses : tuple of {1, 2, 4}
-        Of the networks.
-    fourier : tuple of int
-        Plane waves, beside as many as a network has functions in one pose.
-    few : int, optional
-        Shapes of each set on clouds of more than 16,384 points; by default all.
-    bandwidths : tuple of float
-        Of the plane waves; comparisons are made with the best.
-    sigma : float
-        Of non-uniform samples; see `Case`.
-    rotations : int
-        Of each cloud.
-    device : str
-        For networks and dense algebra.
-    """
-
-    sets: Mapping[str, tuple[Shape, ...]]
-    weights: tuple[str, ...]
-    agnostic: tuple[str, ...] = ()
-    k: int = 96
-    points: tuple[int, ...] = (512, 2048, 8192, 65536)
-    focus: int = 8192
+    sets: Mapping[str, tuple[Shape, ...]]  #: statistics are taken over each
+    weights: tuple[str, ...]  #: questions about one network take the first
+    agnostic: tuple[str, ...] = ()  #: networks that were trained without masses
+    k: int = 96  #: modes
+    points: tuple[int, ...] = (512, 2048, 8192, 65536)  #: sampled on every shape
+    focus: int = 8192  #: points where a question looks at one number of them
     poses: tuple[Poses, ...] = (1, 2, 4)
-    fourier: tuple[int, ...] = (640,)
-    few: int | None = None
-    bandwidths: tuple[float, ...] = (7.0, 10.0)
-    sigma: float = 0.25
-    rotations: int = 10
+    fourier: tuple[int, ...] = (640,)  #: plane waves, beside as many as a network has functions
+    few: int | None = None  #: shapes of each set on clouds of more than 16,384 points
+    bandwidths: tuple[float, ...] = (7.0, 10.0)  #: comparisons are made with the best
+    sigma: float = 0.25  #: of non-uniform samples
+    rotations: int = 10  #: of each cloud
     device: str = "cpu"
 
     def __post_init__(self) -> None:
@@ -88,47 +59,32 @@ class Settings:
             )
         check_labels([*self.weights, *self.agnostic])
 
-    def network(self, weights: str | None = None, **options: Any) -> Network:
+    def network(self, weights: str | None = None, **options: Any) -> Method:
         """Return a network on the device of the settings, by default the first."""
-        return Network(weights=weights or self.weights[0], device=self.device, **options)
+        return network(weights or self.weights[0], device=self.device, **options)
 
-    def waves(self, m: int) -> list[Waves]:
+    def waves(self, m: int) -> list[Method]:
         """Return m plane waves at every bandwidth."""
-        return [Waves(m=m, bandwidth=b, device=self.device) for b in self.bandwidths]
+        return [waves(m, bandwidth, device=self.device) for bandwidth in self.bandwidths]
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """Rows of a table, each a method in a place, and the arithmetic on them.
-
-    Attributes
-    ----------
-    title, note : str
-        For the report.
-    places : callable
-        From settings to cases that are summarised together, and labels that tell them apart.
-    methods : callable
-        From settings to methods, and labels that tell them apart.
-    findings : callable
-        From rows to findings.
-    """
+    """Each of some methods in each of some places is a row of a table; arithmetic on the rows."""
 
     title: str
     note: str
-    places: Callable[[Settings], Places]
-    methods: Callable[[Settings], Methods]
+    places: Callable[[Settings], Places]  #: cases that are summarised together, with labels
+    methods: Callable[[Settings], Methods]  #: with labels that tell them apart
     findings: Callable[[Sequence[Row]], list[Finding]]
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What was found: rows of the table, and ratios and verdicts.
+    """What was found: rows of the table, and ratios and verdicts."""
 
-    `study` measured it, and `name` is the question's in `QUESTIONS`.
-    """
-
-    name: str
-    study: Accuracy
+    name: str  #: of the question
+    study: Accuracy  #: that measured it
     rows: tuple[Row, ...]
     findings: tuple[Finding, ...]
 
@@ -237,11 +193,12 @@ def _all(settings: Settings) -> Methods:
     for weights in settings.weights:
         one = settings.network(weights)
         methods += [settings.network(weights, poses=poses) for poses in settings.poses]
-        rivals = settings.waves(1 + one.m)
-        methods += [*rivals, *(Joined((one, rival)) for rival in rivals)]
+        rivals = settings.waves(1 + functions_of(weights))
+        methods += [*rivals, *(joined([one, rival]) for rival in rivals)]
     for m in settings.fourier:
         methods += settings.waves(m)
-    return [({"solver": method.name}, method) for method in dict.fromkeys(methods)]
+    # Each once: networks of one size have the same rivals.
+    return [({"solver": name}, one) for name, one in {one.name: one for one in methods}.items()]
 
 
 def _precisions(settings: Settings) -> Methods:
@@ -257,9 +214,8 @@ def _attentions(settings: Settings) -> Methods:
 
 
 def _sizes(settings: Settings) -> Methods:
-    networks = [settings.network(weights) for weights in settings.weights]
-    for one in sorted(networks, key=lambda network: network.m):
-        yield {"m": one.m, "weights": label(one.weights)}, one
+    for weights in sorted(settings.weights, key=functions_of):
+        yield {"m": functions_of(weights), "weights": label(weights)}, settings.network(weights)
 
 
 QUESTIONS: dict[str, Question] = {

@@ -12,14 +12,12 @@ from matplotlib.axes import Axes
 from measure import figures, tables
 from measure.machine import describe_machine, machine_line
 from measure.network.findings import Finding, Row, undominated
-from measure.network.methods import Joined, Network, Waves
 from measure.network.questions import Answer
 from measure.store import Record
 from spectra_kit._types import Floats
 from spectra_kit.viz import Page, ParetoPoint, plot_comparison
 
 ERRORS = {"span": "span error", "vector": "eigenvector error", "value": "eigenvalue error"}
-_GROUPS = {Network: "network", Waves: "plane waves", Joined: "both"}
 _LINES = 6  # in one panel
 _DRAWN = 3  # modes of a shape
 _ROUNDING = 1e-10
@@ -88,7 +86,7 @@ def _row_record(row: Row) -> Record:
     """Statistics over cases, per mode, and the mean of each case."""
     record: Record = {
         **row.labels,
-        "method": row.method.facts(),
+        "method": row.method.facts,
         "functions": row.method.columns,
         "failures": row.failures,
     }
@@ -267,7 +265,7 @@ def _against_time(rows: Sequence[Row], title: str, path: Path) -> Path:
     points = [
         ParetoPoint(
             name=row.method.name,
-            group=_GROUPS[type(row.method)],
+            group=row.method.group,
             seconds=row.seconds,
             error=row.mean(),
         )
@@ -314,8 +312,8 @@ def _best_bandwidths(rows: Sequence[Row]) -> list[Row]:
     """All networks, and of the methods with plane waves only the best of each size."""
     best: dict[object, Row] = {}
     for row in rows:
-        alone = isinstance(row.method, Network)
-        key: object = id(row) if alone else (type(row.method), row.method.columns)
+        method = row.method
+        key = method.name if method.poses else (method.group, method.columns)
         if key not in best or row.mean() < best[key].mean():
             best[key] = row
     return list(best.values())
