@@ -14,23 +14,16 @@ import pytest
 
 from spectra_kit import (
     AmbientFourier,
-    Arpack,
-    Capped,
-    Dense,
     InvalidInputError,
     Laplacian,
     Lobpcg,
-    Multilevel,
-    Neo,
-    Polished,
-    RayleighRitz,
-    Refined,
     TriangleMesh,
     cotan_laplacian,
     geometry,
     knn_laplacian,
     robust_laplacian,
 )
+from spectra_kit.catalogue import SOLVERS
 from spectra_kit.eigensolvers import Eigensolver
 from spectra_kit.geometry import rectangle, sphere, torus
 
@@ -47,24 +40,40 @@ class Backend:
         return repr(self.solver)
 
 
-EXACT_BACKENDS = [
-    Backend(Arpack(), 1e-8),
-    Backend(Dense(), 1e-8),
-    Backend(Lobpcg(), 1e-8),
-    Backend(Lobpcg(preconditioner="amg"), 1e-8),
-    Backend(Refined(), 1e-8),
-    Backend(Multilevel(rtol=1e-8), 1e-8),
-]
-# Relative residuals of a smooth approximation are of order one: its few high frequencies weigh in
-# the M^-1 norm with their eigenvalue. Accuracy of the eigenvalues is tested where it is claimed.
-APPROXIMATE_BACKENDS = [
-    Backend(RayleighRitz(subspace=AmbientFourier(m=300, bandwidth=6.0)), 3.0),
-    Backend(Polished(), 0.05),
-    # The order of the points decides which of them make the subset.
-    Backend(Capped(n_points=150, sweeps=3), 3.0, rounding=1e-2),
-    # A float32 network: rounding of its features moves the predicted span a little.
-    Backend(Neo(poses=1), 3.0, rounding=1e-3),
-]
+# What a solver is given and promises where that is not the default: a new one needs no line here.
+OPTIONS = {
+    "multilevel": {"rtol": 1e-8},
+    "fourier": {"subspace": AmbientFourier(m=300, bandwidth=6.0)},
+    "capped": {"n_points": 150, "sweeps": 3},
+    "neo": {"poses": 1},
+}
+RESIDUAL = {"polished": 0.05}
+ROUNDING = {
+    "capped": 1e-2,  # the order of the points decides which of them make the subset
+    "neo": 1e-3,  # a float32 network: rounding of its features moves the predicted span a little
+}
+
+
+def backends(*, approximate: bool) -> list[Backend]:
+    """Solvers of the catalogue.
+
+    Relative residuals of a smooth approximation are of order one: its few high frequencies weigh
+    in the M^-1 norm with their eigenvalue. Accuracy of the eigenvalues is tested where it is
+    claimed.
+    """
+    return [
+        Backend(
+            entry(**OPTIONS.get(name, {})),
+            RESIDUAL.get(name, 3.0 if approximate else 1e-8),
+            ROUNDING.get(name, 1e-6),
+        )
+        for name, entry in SOLVERS.items()
+        if (entry.accuracy == "approximate") == approximate
+    ]
+
+
+APPROXIMATE_BACKENDS = backends(approximate=True)
+EXACT_BACKENDS = [*backends(approximate=False), Backend(Lobpcg(preconditioner="amg"), 1e-8)]
 
 
 @pytest.fixture(params=EXACT_BACKENDS + APPROXIMATE_BACKENDS, ids=str, scope="session")

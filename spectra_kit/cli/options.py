@@ -99,7 +99,7 @@ class LeanOperator(Operator):
     """By default the same of meshes as `robust`, made in a seventh of its memory."""
 
     operator: OperatorName | None = "delaunay"
-    """Laplacian"""
+    """Laplacian (default: delaunay, which of a mesh is robust with less memory)"""
 
 
 @grouped("solver")

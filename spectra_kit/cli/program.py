@@ -316,14 +316,14 @@ def parse(arguments: Sequence[str]) -> Asked:
     command = NAMED.get(next(iter(arguments), ""))
     if not arguments:
         raise UsageError("a command is required", None)
+    if {"-h", "--help"}.intersection(arguments):  # found here, it costs no console
+        return Asked(command)
     try:
         # A lone hyphen is no option, but what it means elsewhere.
         words = ["/dev/stdin" if word == "-" else word for word in arguments]
         found, bound, _ = app().parse_args(words)
     except CycloptsError as error:
         raise UsageError(_told(error, command), command) from error
-    if command is None or found is not command.asked:
-        return Asked(command)
     return Asked(command, found(*bound.args, **bound.kwargs))
 
 

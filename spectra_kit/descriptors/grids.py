@@ -94,14 +94,9 @@ def wave_energies(
 
     Notes
     -----
-    For 100 energies, the choice of Aubry et al. (2011): seven steps wide, two widths
-    away from either end. Here the width does not depend on the number of energies, which only
-    decides how finely the bands are sampled.
-
-    References
-    ----------
-    M. Aubry, U. Schlickewei, D. Cremers, "The wave kernel signature: a quantum mechanical approach
-    to shape analysis", ICCV Workshops, 2011.
+    For 100 energies, the choice of Aubry et al. (2011, see `wave_kernel_signature`): seven steps
+    wide, two widths away from either end. Here the width does not depend on the number of energies,
+    which only decides how finely the bands are sampled.
 
     Examples
     --------

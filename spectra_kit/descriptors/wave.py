@@ -98,13 +98,8 @@ def landmark_wave_kernel_signature(
         k modes; zero modes are left out.
     landmarks : array_like of shape (l,)
         Indices of points. On a second surface, give those of the same places in the same order.
-    energies : array_like of shape (e,), optional
-        Logarithms of eigenvalues; by default those of `wave_energies`.
-    count : int, default 100
-        Number of energies where none are given.
-    width : float, optional
-        Standard deviation of the band around each energy, dimensionless; by default the one of
-        `wave_energies`.
+    energies, count, width
+        As of `wave_kernel_signature`.
 
     Returns
     -------

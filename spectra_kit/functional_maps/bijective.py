@@ -33,16 +33,8 @@ def bijective_zoomout(
 
     Parameters
     ----------
-    source, target : Spectrum
-        Of the two surfaces, in any units, with at least `k_final` modes each.
-    initial : array_like of shape (k2, k1) or (n2,)
-        A functional map of source to target, or the source point of each target point.
-    k_final : int
-        Number of modes to end with.
-    k_start : int, optional
-        Number of modes to start with; see `zoomout`.
-    step : int, default 5
-        Modes to add in each iteration.
+    source, target, initial, k_final, k_start, step
+        As of `zoomout`.
     features : (array_like of shape (n1, p), array_like of shape (n2, p)), optional
         Functions known on the source and on the target, such as smoothed mean curvature: more
         columns in which neighbours are to be near. The scale is their weight: a column with mean

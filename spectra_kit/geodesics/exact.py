@@ -11,11 +11,12 @@ from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import check_indices, quantity
+from spectra_kit._validate import check_indices
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.geometry.units import component_units
+from spectra_kit.operators.checks import check_three_corners
 
 if TYPE_CHECKING:
     from spectra_kit.geodesics._exact_kernels import Soup
@@ -144,14 +145,7 @@ def _soup(mesh: TriangleMesh) -> tuple[Soup, Floats]:
     """Return what `propagate` needs to know of the triangles, and what counts as 1 (n,)."""
     from spectra_kit.geodesics._exact_kernels import Soup
 
-    repeated = (mesh.faces == np.roll(mesh.faces, 1, axis=1)).any(axis=1)
-    if repeated.any():
-        raise InvalidInputError(
-            f"`mesh` has {quantity(repeated.sum(), 'face')} with a vertex twice (the first is"
-            f" {int(np.argmax(repeated))})",
-            advice="drop them with {}",
-            remedies=("mesh.without_degenerate_faces()",),
-        )
+    check_three_corners(mesh)
     faces = mesh.faces
     tails, heads = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     # In units of each component, no power of a length overflows.

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from spectra_kit._types import Floats, Ints
 from spectra_kit.geometry.shapes import PointCloud
 from spectra_kit.geometry.signs import agree_on_signs, symmetric_votes, turn_outwards
-from spectra_kit.operators._checks import check_cloud_usable, unit_of
+from spectra_kit.operators.checks import check_cloud_usable, unit_of
 from spectra_kit.operators.local_delaunay import local_triangles
 
 _NORMALS_VOTE = 0.1  # of a shared triangle's vote: it joins fans that share none

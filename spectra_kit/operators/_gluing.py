@@ -14,7 +14,7 @@ from spectra_kit._validate import quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 from spectra_kit.linalg.threads import in_threads, ranges
-from spectra_kit.operators._checks import unit_of, units_of
+from spectra_kit.operators.checks import unit_of, units_of
 from spectra_kit.operators.local_delaunay import local_triangles
 
 Ints = NDArray[np.int32]

@@ -14,7 +14,7 @@ from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.operators._checks import (
+from spectra_kit.operators.checks import (
     check_distinct,
     check_faces_usable,
     check_mollify_factor,

@@ -21,12 +21,12 @@ from spectra_kit._validate import (
 )
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.operators._checks import (
+from spectra_kit.operators._gluing import glued_cloud, glued_mesh
+from spectra_kit.operators.checks import (
     check_cloud_usable,
     check_faces_usable,
     check_mollify_factor,
 )
-from spectra_kit.operators._gluing import glued_cloud, glued_mesh
 from spectra_kit.operators.laplacian import Laplacian
 
 Corners = NDArray[np.int32]

@@ -27,8 +27,8 @@ from spectra_kit._validate import (
 )
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.operators._checks import check_faces_usable, units_of
 from spectra_kit.operators._fans import oriented_fans
+from spectra_kit.operators.checks import check_faces_usable, units_of
 
 _BLOCK = 1024  # triangles
 # Volume over area^(3/2), 0.094 for a ball and 0.03 for a body; below it there is no inside.

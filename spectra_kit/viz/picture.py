@@ -99,10 +99,15 @@ def written(
     """
 
     def decorate(draw: Callable[Options, Drawn]) -> Plot[Options]:
+        own, kind = inspect.signature(draw), inspect.Parameter.POSITIONAL_OR_KEYWORD
+        needed = [p.name for p in own.parameters.values() if p.kind is kind]
+
         @wraps(draw)
         def plot(*args: Any, **options: Any) -> Picture:
             path = options.pop("path", None)
-            if args and (args[0] is None or isinstance(args[0], str | os.PathLike)):
+            given = len(args) + sum(name in options for name in needed)
+            # A geometry may be a path, too.
+            if args and (given > len(needed) or _ends_in(args[0], suffixes)):
                 path, *args = args  # type: ignore[assignment]
             _check_path(path, suffixes)
             drawn = draw(*args, **options)
@@ -114,8 +119,6 @@ def written(
                 write(drawn, part := folder / f"picture{suffixes[0]}")
                 return Picture(content=part.read_bytes())
 
-        own = inspect.signature(draw)
-        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
         path = inspect.Parameter("path", kind, annotation="str | os.PathLike[str] | None")
         plot.__signature__ = own.replace(  # type: ignore[attr-defined]
             parameters=[path, *own.parameters.values()], return_annotation="Picture"
@@ -144,13 +147,16 @@ def _check_path(path: PathLike | None, suffixes: tuple[str, ...]) -> None:
     """Refuse a path that nothing could be written to."""
     if path is None:
         return
-    suffix = Path(path).suffix.lower()
-    if suffix not in suffixes:
+    if not _ends_in(path, suffixes):
         *most, last = suffixes
         raise InvalidInputError("path", f"end in {', '.join(most)} or {last}", repr(str(path)))
     check_target(path)
-    if suffix == ".mp4":
+    if _ends_in(path, (".mp4",)):
         optional("imageio_ffmpeg", extra="video", needed_by="MP4", otherwise="write a .gif")
+
+
+def _ends_in(path: object, suffixes: tuple[str, ...]) -> bool:
+    return isinstance(path, str | os.PathLike) and Path(path).suffix.lower() in suffixes
 
 
 def save(figure: Figure, path: PathLike) -> None:

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from spectra_kit.cli import main
+from spectra_kit.geometry import rectangle, sphere, write
 
 
 def printed(capsys, *arguments):
@@ -32,3 +33,12 @@ def refusal(capsys, *arguments):
     assert err.startswith("error: ")
     assert err.count("\n") == 1
     return err
+
+
+def write_shapes(folder):
+    """Write a sphere, its points and a sheet as ball.off, cloud.ply and sheet.off."""
+    ball = sphere(subdivisions=3).geometry
+    write(ball, folder / "ball.off")
+    write(ball.as_cloud(), folder / "cloud.ply")
+    write(rectangle(n=400).geometry, folder / "sheet.off")
+    return ball

@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 from conftest import bumpy, two_parts
-from running import printed, record, refusal
+from running import printed, record, refusal, write_shapes
 
 from spectra_kit import (
     AmbientFourier,
@@ -26,10 +26,7 @@ from spectra_kit.geometry import TriangleMesh, rectangle, sphere, write
 def files(tmp_path_factory):
     """Small files of every kind."""
     folder = tmp_path_factory.mktemp("files")
-    ball = sphere(subdivisions=3).geometry
-    write(ball, folder / "sphere.off")
-    write(ball.as_cloud(), folder / "cloud.ply")
-    write(rectangle(n=400).geometry, folder / "sheet.obj")
+    ball = write_shapes(folder)
     write(two_parts(), folder / "parts.ply")
     write(bumpy(), folder / "bumpy.off")
     dirty = TriangleMesh(
@@ -47,7 +44,7 @@ def files(tmp_path_factory):
 def test_spectrum_of_the_sphere(files, capsys, tmp_path, solver):
     saved = tmp_path / "SPHERE.NPZ"
     result = record(
-        capsys, "spectrum", files / "sphere.off", "-k", 9, "--solver", solver, "-o", saved
+        capsys, "spectrum", files / "ball.off", "-k", 9, "--solver", solver, "-o", saved
     )
     exact = np.repeat([0.0, 2.0, 6.0], [1, 3, 5])
     np.testing.assert_allclose(result["eigenvalues"], exact, rtol=2e-2, atol=1e-9)
@@ -142,7 +139,7 @@ def test_operators(files, capsys, operator):
 
 def test_dirichlet_boundary(files, capsys):
     """The lowest eigenvalue of a rectangle 1 x golden ratio with fixed boundary."""
-    result = record(capsys, "spectrum", files / "sheet.obj", "-k", 2, "--boundary", "dirichlet")
+    result = record(capsys, "spectrum", files / "sheet.off", "-k", 2, "--boundary", "dirichlet")
     golden = (1 + 5**0.5) / 2
     assert result["eigenvalues"][0] == pytest.approx(np.pi**2 * (1 + golden**-2), rel=2e-2)
     assert result["certificate"]["n_zero_modes"] == 0
@@ -161,9 +158,9 @@ def test_spectrum_table(files, capsys):
 
 def test_info_takes_the_operator_that_needs_little_memory(files, capsys):
     """It is the robust one to rounding, and needs no library that a want of memory would end."""
-    found = record(capsys, "info", files / "sphere.off")["operator"]
+    found = record(capsys, "info", files / "ball.off")["operator"]
     assert found["operator"].startswith("delaunay_laplacian(mesh")
-    other = record(capsys, "info", files / "sphere.off", "--operator", "robust")["operator"]
+    other = record(capsys, "info", files / "ball.off", "--operator", "robust")["operator"]
     assert other["operator"].startswith("robust_laplacian(mesh")
     for fact in ("operator area", "operator components", "zero modes", "eigenvalue spacing"):
         assert found[fact] == pytest.approx(other[fact], rel=1e-12)
@@ -175,7 +172,7 @@ def test_repair_is_told(files, capsys):
     out, err = printed(capsys, "spectrum", dirty, "-k", 4, "--repair")
     assert err == "repaired: 1 merged point, 1 degenerate face, 1 unreferenced vertex\n"
     assert "642 vertices" in out
-    _, err = printed(capsys, "info", files / "sphere.off", "--repair")
+    _, err = printed(capsys, "info", files / "ball.off", "--repair")
     assert err == "repaired: nothing to do\n"
 
 
@@ -233,7 +230,7 @@ def test_info(files, capsys):
 
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_options_reach_the_solvers_that_take_them(files, capsys):
-    ball = files / "sphere.off"
+    ball = files / "ball.off"
     takers = {
         "rtol": {"refined", "multilevel", "lobpcg", "chebyshev"},
         "start": {"refined", "polished", "capped", "lobpcg", "chebyshev"},
@@ -256,7 +253,7 @@ def test_options_reach_the_solvers_that_take_them(files, capsys):
 @pytest.mark.parametrize("solver", ["refined", "polished", "capped"])
 def test_every_start_is_enough_for_a_comparison_of_few_modes(files, capsys, solver, start):
     """A comparison solves for more modes than were asked for; the starts must span them."""
-    command = ("compare", files / "sphere.off", "-k", 1, "--solver", solver, "--start", start)
+    command = ("compare", files / "ball.off", "-k", 1, "--solver", solver, "--start", start)
     assert record(capsys, *command)["predicted"]["certificate"]["n_zero_modes"] == 1
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from conftest import creature
-from running import printed, record, refusal
+from running import printed, record, refusal, write_shapes
 
 from spectra_kit.cli import main
 from spectra_kit.cli.geodesic_solver import linear_solver, why_without_modes
@@ -15,7 +15,7 @@ from spectra_kit.cli.geodesic_sources import with_farthest
 from spectra_kit.cli.program import parse
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.geodesics import FacePoint, HeatGeodesics, Iterative, nearest_source
-from spectra_kit.geometry import TriangleMesh, read, rectangle, sphere, write
+from spectra_kit.geometry import TriangleMesh, read, write
 from spectra_kit.operators import intrinsic_delaunay
 from spectra_kit.viz.colours import UNKNOWN
 
@@ -26,10 +26,7 @@ FILES = {"distance.npy", "distance.ply", "report.json"}
 def files(tmp_path_factory):
     """A sphere, an animal, a sheet and two balls, as files."""
     folder = tmp_path_factory.mktemp("shapes")
-    ball = sphere(subdivisions=3).geometry
-    write(ball, folder / "ball.off")
-    write(ball.as_cloud(), folder / "cloud.ply")
-    write(rectangle(n=400).geometry, folder / "sheet.off")
+    ball = write_shapes(folder)
     write(creature(1500), folder / "animal.ply")
     pair = TriangleMesh(
         np.vstack([ball.points, ball.points + [3, 0, 0]]),

@@ -16,10 +16,6 @@ from spectra_kit import (
     robust_laplacian,
 )
 from spectra_kit.descriptors import (
-    biharmonic_distances,
-    commute_time_distances,
-    diffusion_distances,
-    farthest_points,
     global_point_signature,
     heat_kernel,
     heat_kernel_signature,
@@ -27,7 +23,6 @@ from spectra_kit.descriptors import (
     landmark_heat_kernel_signature,
     landmark_wave_kernel_signature,
     normalize_descriptors,
-    shape_dna,
     wave_energies,
     wave_kernel_signature,
 )
@@ -347,31 +342,3 @@ ONE_VALUE = Spectrum(np.array([0.0, 2.0, 2.0]), np.eye(3), np.ones(3))
 def test_bad_input_is_refused(bumps, call, message):
     with pytest.raises(InvalidInputError, match=message):
         call(bumps)
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        heat_times,
-        wave_energies,
-        heat_kernel_signature,
-        wave_kernel_signature,
-        global_point_signature,
-        shape_dna,
-        lambda mesh: wave_kernel_signature(mesh, [0.0]),
-        lambda mesh: heat_kernel_signature(mesh, [1.0]),
-        lambda mesh: heat_kernel(mesh, [0], [1.0]),
-        lambda mesh: landmark_heat_kernel_signature(mesh, [0]),
-        lambda mesh: landmark_wave_kernel_signature(mesh, [0]),
-        lambda mesh: diffusion_distances(mesh, [0], time=1.0),
-        lambda mesh: biharmonic_distances(mesh, [0]),
-        lambda mesh: commute_time_distances(mesh, [0]),
-        lambda mesh: farthest_points(mesh, 3),
-        lambda mesh: normalize_descriptors(mesh, np.ones((mesh.n, 1))),
-    ],
-)
-def test_a_mesh_is_no_spectrum(call):
-    with pytest.raises(
-        InvalidInputError, match="must be a Spectrum, got a TriangleMesh; solve for"
-    ):
-        call(bumpy())

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 from conftest import refused
+from one_system import body_of_all
 from scipy import sparse
 
-from spectra_kit import InvalidInputError, delaunay_laplacian, eigensolve
-from spectra_kit.geometry import creature
+from spectra_kit import InvalidInputError
 from spectra_kit.linalg import (
     AdditiveTwoLevel,
     CoarseSpace,
-    ConstantKernel,
     IncompleteCholesky,
     ProjectedTwoLevel,
     pcg,
@@ -19,23 +18,9 @@ from spectra_kit.linalg import (
 RNG = np.random.default_rng(0)
 
 
-class Body:
-    """A Laplacian with modes of it, and a system to solve."""
-
-    def __init__(self):
-        self.laplacian = delaunay_laplacian(creature(1200, seed=1).as_cloud())
-        self.A, self.n = self.laplacian.stiffness, self.laplacian.n
-        spectrum = eigensolve(self.laplacian, 17)
-        self.all_modes = spectrum.eigenvectors
-        self.Y, self.energies = spectrum.nonzero().eigenvectors, spectrum.nonzero().eigenvalues
-        self.kernel = ConstantKernel(np.zeros(self.n, int))
-        self.b = self.kernel.remove(self.A @ np.linalg.norm(self.laplacian.points, axis=1))
-        self.factor = IncompleteCholesky(self.A)
-
-
-@pytest.fixture(scope="module")
+@pytest.fixture
 def body():
-    return Body()
+    return body_of_all()
 
 
 def test_it_solves_exactly_within_its_span(body):
@@ -146,12 +131,12 @@ def test_what_is_refused(body):
     refused("energies", "have shape (16,)", CoarseSpace, Y, energies=energies[:3])
     refused("basis", "have shape (n,", CoarseSpace, Y.T, energies=energies)
     refused("basis", "be finite", CoarseSpace, np.where(Y > 0, np.inf, Y), energies=energies)
-    refused("matrix", "have shape (1200,", CoarseSpace, Y, matrix=sparse.eye_array(3, format="csr"))
+    refused("matrix", "have shape (1000,", CoarseSpace, Y, matrix=sparse.eye_array(3, format="csr"))
     refused("basis", "not lie in", CoarseSpace, np.ones((body.n, 2)), matrix=A)
     coarse = CoarseSpace(Y, energies=energies)
-    refused("rhs", "have shape (1200,)", coarse.solve, body.b[:5])
+    refused("rhs", "have shape (1000,)", coarse.solve, body.b[:5])
     small = IncompleteCholesky(sparse.eye_array(3, format="csr"))
-    with pytest.raises(InvalidInputError, match="of one size, got 3 and 1200 points"):
+    with pytest.raises(InvalidInputError, match="of one size, got 3 and 1000 points"):
         AdditiveTwoLevel(small, coarse)
     with pytest.raises(InvalidInputError, match="and a matrix of 3"):
         ProjectedTwoLevel(small, coarse, sparse.eye_array(3, format="csr"))

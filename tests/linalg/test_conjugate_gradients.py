@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from conftest import refused
+from one_system import body_of_all
 from scipy import sparse
 from scipy.sparse.linalg import splu, spsolve
 
-from spectra_kit import ConvergenceError, InvalidInputError, delaunay_laplacian, eigensolve
-from spectra_kit.geometry import creature, rectangle, sphere
+from spectra_kit import ConvergenceError, InvalidInputError, delaunay_laplacian
+from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.linalg import (
     AdditiveTwoLevel,
     CoarseSpace,
@@ -21,27 +22,9 @@ from spectra_kit.linalg import (
 RNG = np.random.default_rng(0)
 
 
-class Body:
-    """A Neumann Laplacian, a right-hand side, its solution, and modes."""
-
-    def __init__(self):
-        self.laplacian = delaunay_laplacian(creature(1000, seed=0).as_cloud())
-        self.A = self.laplacian.stiffness
-        self.n = self.laplacian.n
-        self.kernel = ConstantKernel(self.laplacian.component_labels)
-        self.spectrum = eigensolve(self.laplacian, 25).nonzero()
-        self.x = self.kernel.remove(np.linalg.norm(self.laplacian.points, axis=1))
-        self.b = self.kernel.remove(self.A @ self.x)
-        self.factor = IncompleteCholesky(self.A)
-        self.coarse = CoarseSpace(self.spectrum.eigenvectors, energies=self.spectrum.eigenvalues)
-        dense = self.A.toarray()
-        self.eigenvalues = np.linalg.eigvalsh(dense)
-        self.root = np.linalg.cholesky(dense + np.ones(dense.shape) / self.n)
-
-
-@pytest.fixture(scope="module")
+@pytest.fixture
 def body():
-    return Body()
+    return body_of_all()
 
 
 def preconditioners(body):

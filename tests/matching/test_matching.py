@@ -35,7 +35,7 @@ from spectra_kit.matching import (
     prepare,
 )
 
-K = 150
+K = 100
 TURN = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
 TURN *= np.linalg.det(TURN)
 
@@ -56,7 +56,7 @@ def moved(geometry: Geometry, scale: float = 25.4) -> Geometry:
 
 @pytest.fixture(scope="module")
 def mesh() -> TriangleMesh:
-    return creature(1000)
+    return creature(700)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def cloud(mesh) -> PointCloud:
 # --- copies ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("k", [30, 70, 150])
+@pytest.mark.parametrize("k", [30, K])
 @pytest.mark.parametrize("seen", ["geometry", "spectrum alone"])
 def test_a_copy_gives_the_permutation(mesh, spectrum, copy, k, seen) -> None:
     shuffled, target, truth = copy
@@ -108,7 +108,7 @@ def test_a_copy_gives_the_permutation(mesh, spectrum, copy, k, seen) -> None:
     assert found.orientation == (pytest.approx(1) if seen == "geometry" else None)
 
 
-@pytest.mark.parametrize(("n", "seed"), [(600, 0), (1800, 0), (1000, 3)])
+@pytest.mark.parametrize(("n", "seed"), [(500, 0), (1400, 3)])
 def test_copies_of_other_sizes_and_animals(n, seed) -> None:
     mesh = creature(n, seed=seed)
     shuffled, truth = permuted(mesh, seed=2)
@@ -214,7 +214,7 @@ def test_a_mirrored_copy_is_seen_as_one(mesh, source, axis, flipped) -> None:
         assert (found.point_map == truth).all()
         assert found.orientation == pytest.approx(-1)
         assert found.candidates[0].mirrored
-        assert "k=150, mirrored" in repr(found)
+        assert f"k={K}, mirrored" in repr(found)
     kept = match(source, target, mirrored=False)
     assert not kept.mirrored
     assert not any(c.mirrored for c in kept.candidates)
@@ -328,7 +328,7 @@ def ellipsoids(axes: tuple[float, float, float]) -> tuple[TriangleMesh, Triangle
     return ball.with_points(ball.points * axes), ball.with_points((ball.points @ TURN) * axes)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulMatchWarning")
 def test_a_map_of_a_surface_of_revolution_is_a_turn_or_ambiguous(seed) -> None:
     """Bases within its eigenspaces are what rounding makes them, and so is the map found."""
@@ -439,7 +439,7 @@ def test_of_unequal_spectra_the_longer_is_truncated(source, spectrum, mesh) -> N
     short = prepare(spectrum.truncate(60), mesh)
     np.testing.assert_array_equal(source.truncate(60).wave, short.wave)
     np.testing.assert_array_equal(source.truncate(60).surface.curvature, short.surface.curvature)
-    assert source.truncate(150) is source
+    assert source.truncate(K) is source
     both = match(short, short)
     for pair in ((source, short), (short, source)):
         found = match(*pair)
@@ -466,4 +466,4 @@ def test_what_cannot_be_matched_is_refused(mesh, spectrum, source) -> None:
     refused("target_geometry", spectrum, source, target_geometry=mesh)
     refused("spectrum", source, spectrum.truncate(29))
     refused("landmarks", source, source, landmarks=([], []))
-    refused("landmarks of the source", source, source, landmarks=([1000], [0]))
+    refused("landmarks of the source", source, source, landmarks=([700], [0]))

@@ -10,17 +10,7 @@ import pytest
 import torch
 from conftest import creature
 from measure import store
-from measure.geodesics.contenders import (
-    AUTOMATIC,
-    CONTENDERS,
-    DIRECT,
-    ICPCG,
-    LIBIGL,
-    MANY,
-    PLAIN,
-    ROBUST,
-    UNAIDED,
-)
+from measure.geodesics import contenders as who
 from measure.geodesics.report import meshes
 from measure.geodesics.studies import (
     EIGENSOLVERS,
@@ -81,10 +71,10 @@ def test_everything_is_measured_of_every_contender(measured):
     out, _, _ = measured
     records = Store(out)._records.values()
     assert {record["status"] for record in records} == {"ok"}
-    for study, names in (("accuracy", CONTENDERS), ("modes", EIGENSOLVERS)):
+    for study, names in (("accuracy", who.CONTENDERS), ("modes", EIGENSOLVERS)):
         assert {r["contender"] for r in records if r["study"] == study} == set(names)
     times = [record for record in records if record["study"] == "times"]
-    assert len(times) == len(CONTENDERS) + len(MANY)
+    assert len(times) == len(who.CONTENDERS) + len(who.MANY)
     for record in times:
         assert 0 < record["seconds"] < 60
         stages = sum(record["stages"].values())
@@ -107,31 +97,33 @@ def test_numbers_are_those_of_the_library(measured, accuracy):
     np.testing.assert_array_equal(exact, exact_distances(shape.mesh, sources[0]))
     away = np.arange(N) != sources[0]
     truth = np.mean(np.abs(field.distance - exact)[away] / exact[away])
-    assert accuracy[DIRECT]["errors"][0]["mean"] == pytest.approx(truth, rel=1e-6)
+    assert accuracy[who.DIRECT]["errors"][0]["mean"] == pytest.approx(truth, rel=1e-6)
     # Other packages, the same mean.
-    for name in (ROBUST, PLAIN, LIBIGL):
-        pairs = zip(accuracy[name]["errors"], accuracy[DIRECT]["errors"], strict=True)
+    for name in (who.ROBUST, who.PLAIN, who.LIBIGL):
+        pairs = zip(accuracy[name]["errors"], accuracy[who.DIRECT]["errors"], strict=True)
         assert all(a["mean"] == pytest.approx(b["mean"], rel=0.1) for a, b in pairs)
 
 
 def test_solvers_agree_and_modes_save_iterations(accuracy):
-    ours = [name for name in CONTENDERS if name not in (ROBUST, PLAIN, LIBIGL)]
+    ours = [name for name in who.CONTENDERS if name not in (who.ROBUST, who.PLAIN, who.LIBIGL)]
     assert max(accuracy[name]["difference"] for name in ours) < 1e-7
-    most = {name: accuracy[name]["iterations"] for name in CONTENDERS}
-    few = [max(most[name]) for name in CONTENDERS if name.startswith("additive")]
-    assert max(few) < 0.6 * min(most[ICPCG])
-    assert most[DIRECT] == [None, None]
+    most = {name: accuracy[name]["iterations"] for name in who.CONTENDERS}
+    few = [max(most[name]) for name in who.CONTENDERS if name.startswith("additive")]
+    assert max(few) < 0.6 * min(most[who.ICPCG])
+    assert most[who.DIRECT] == [None, None]
 
 
 def test_tables_are_computed_from_the_records(measured, accuracy):
     _, report, _ = measured
     assert "the seconds are not comparable" in report
-    middle = {name: np.median(accuracy[name]["iterations"]) for name in (ICPCG, ADDITIVE)}
+    middle = {name: np.median(accuracy[name]["iterations"]) for name in (who.ICPCG, ADDITIVE)}
     for name in middle:
         count, saved = re.search(rf"\| {name} +\| +(\d+) \(([\d.]+)\) \|", report).groups()
         assert int(count) == round(middle[name])
-        assert float(saved) == pytest.approx(middle[ICPCG] / middle[name], abs=0.006)
-    means = [np.mean([e["mean"] for e in accuracy[name]["errors"]]) for name in (DIRECT, ROBUST)]
+        assert float(saved) == pytest.approx(middle[who.ICPCG] / middle[name], abs=0.006)
+    means = [
+        np.mean([e["mean"] for e in accuracy[name]["errors"]]) for name in (who.DIRECT, who.ROBUST)
+    ]
     worst = re.search(r"mean error over that of potpourri3d +\| +([\d.]+) \|", report)[1]
     assert float(worst) == pytest.approx(means[0] / means[1], abs=6e-4)
     # No mesh is large.
@@ -147,11 +139,11 @@ def test_on_the_sphere_errors_fall_alike(tmp_path):
     means = {(r.contender, str(r.problem)): r.record["mean"] for r in results}
     for kind in ("mesh", "cloud"):
         names = [str(Ball(kind, count)) for count in (2, 3, 4)]
-        direct = [means[DIRECT, name] for name in names]
+        direct = [means[who.DIRECT, name] for name in names]
         assert all(finer < coarser for coarser, finer in pairwise(direct))
-        np.testing.assert_allclose(direct, [means[ROBUST, name] for name in names], rtol=0.25)
+        np.testing.assert_allclose(direct, [means[who.ROBUST, name] for name in names], rtol=0.25)
     assert [r.record["points"] for r in results[::3]][:3] == [162, 642, 2562]
-    assert (PLAIN, str(balls[-1])) not in means
+    assert (who.PLAIN, str(balls[-1])) not in means
 
 
 # --- parts ---
@@ -161,10 +153,10 @@ def test_what_lacks_modes_or_truth_is_left_out(tmp_path):
     shape = Shape("ball", sphere(subdivisions=1).geometry)
     _, exact, accuracy, _ = studies(tmp_path, [shape])
     assert accuracy.excuse(ADDITIVE, shape, []) == "there are no exact modes"
-    assert accuracy.excuse(DIRECT, shape, []) == "there are no exact distances"
+    assert accuracy.excuse(who.DIRECT, shape, []) == "there are no exact distances"
     run(exact, Store(tmp_path), jobs=0)
-    assert accuracy.excuse(DIRECT, shape, []) == accuracy.excuse(ROBUST, shape, []) == ""
-    assert accuracy.excuse(ICPCG, shape, []) == "the direct solver has failed"
+    assert accuracy.excuse(who.DIRECT, shape, []) == accuracy.excuse(who.ROBUST, shape, []) == ""
+    assert accuracy.excuse(who.ICPCG, shape, []) == "the direct solver has failed"
 
 
 @pytest.mark.parametrize("changed", ["mesh", "code", "machine", "weights"])
@@ -231,20 +223,20 @@ def test_the_spectrum_is_paid_by_those_who_use_it():
         modes = [Result("exact", shape, 0, {"status": "ok", "seconds": 5.0})]
         return meshes({"modes": modes, "first": first})[0]
 
-    assert mesh(AUTOMATIC, "two-level").seconds_in_all(AUTOMATIC) == 7.0
+    assert mesh(who.AUTOMATIC, "two-level").seconds_in_all(who.AUTOMATIC) == 7.0
     # What is automatic and solves directly leaves the modes alone.
-    assert mesh(AUTOMATIC, "direct").seconds_in_all(AUTOMATIC) == 2.0
-    assert mesh(UNAIDED, "iterative").seconds_in_all(UNAIDED) == 2.0
-    assert mesh(ICPCG, "", status="failed").seconds_in_all(ICPCG) is None
+    assert mesh(who.AUTOMATIC, "direct").seconds_in_all(who.AUTOMATIC) == 2.0
+    assert mesh(who.UNAIDED, "iterative").seconds_in_all(who.UNAIDED) == 2.0
+    assert mesh(who.ICPCG, "", status="failed").seconds_in_all(who.ICPCG) is None
 
 
 def test_meshes_gather_what_failed_too():
     shape = Shape("ball", sphere(subdivisions=1).geometry)
-    failed = [Result(DIRECT, shape, 0, {"status": "failed", "reason": "no"})]
+    failed = [Result(who.DIRECT, shape, 0, {"status": "failed", "reason": "no"})]
     (mesh,) = meshes(dict.fromkeys(("modes", "accuracy", "first", "many"), failed))
     assert mesh.title == "ball (42)"
-    assert mesh.error(DIRECT) is mesh.iterations(DIRECT) is mesh.seconds(DIRECT) is None
-    assert ratio(mesh.error(DIRECT), 1.0) is None
+    assert mesh.error(who.DIRECT) is mesh.iterations(who.DIRECT) is mesh.seconds(who.DIRECT) is None
+    assert ratio(mesh.error(who.DIRECT), 1.0) is None
 
 
 def test_counts_are_positive(tmp_path, capsys):

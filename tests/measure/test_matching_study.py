@@ -499,6 +499,8 @@ def test_the_app_says_what_is_wrong_and_can_be_interrupted(app, tmp_path, capsys
     assert "name a folder with --data" in capsys.readouterr().err
     assert app([out, "--data", str(tmp_path)]) == 2
     assert "must hold .npz files" in capsys.readouterr().err
+    assert app([out, "--demo", "--jobs", "-1"]) == 2
+    assert "`jobs` must be at least 0" in capsys.readouterr().err
     few = ["--demo", "--pairs", "1", "--jobs", "0", "--no-pictures", "--methods", PLAIN]
     assert app([out, *few, "-k", "9999", "--geodesics", "exact"]) == 1
     report = capsys.readouterr().out

@@ -226,6 +226,8 @@ def test_bad_requests(animal, tmp_path):
         Case(shape=animal, points=100, operator="cotan")
     with pytest.raises(InvalidInputError, match="at least one shape and one network, got 0 and 1"):
         Settings(sets={"real": ()}, weights=("small",))
+    with pytest.raises(InvalidInputError, match="`k` must be at least 1"):
+        Settings(sets={"demo": (animal,)}, weights=("small",), k=0)
     with pytest.raises(InvalidInputError, match="`name` must be one of"):
         ask("beauty", Settings(sets={"demo": (animal,)}, weights=("small",)), Store(tmp_path))
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from spectra_kit import eigensolve, robust_laplacian, viz
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
-from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
+from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
 from spectra_kit.metrics import compare_spectra
 from spectra_kit.viz import Page, Panel, View, drawer
 from spectra_kit.viz.pen import short
@@ -431,6 +431,13 @@ def test_one_process_draws_all_pictures_until_it_dies(monkeypatch):
     assert [process.poll() is None for process in processes] == [False] * len(processes)
 
 
-def test_a_mesh_may_be_one_triangle():
+def test_a_geometry_may_be_a_file_and_so_may_the_picture(tmp_path):
     lone = TriangleMesh(SQUARE.points[:3], [[0, 1, 2]])
-    assert viz.plot_fields(lone, {"x": lone.points[:, 0]}, page=Page(dpi=30)).content
+    write(lone, mesh := tmp_path / "lone.obj")
+    options = {"fields": {"x": lone.points[:, 0]}, "page": Page(dpi=30)}
+    path = tmp_path / "x.png"
+    for picture in (viz.plot_fields(mesh, **options), viz.plot_fields(path, mesh, **options)):
+        assert (picture.content or path.read_bytes()).startswith(b"\x89PNG")
+    assert viz.plot_fields(path=path, geometry=mesh, **options).path == path
+    with pytest.raises(InvalidInputError, match="`path` must be a string, path or None, got a Tri"):
+        viz.plot_modes(lone, SPECTRUM, lone)

@@ -140,6 +140,9 @@ class Preparation(Study[str, Problem]):
         return self.file(contender, problem, ".npz").exists()
 
 
+Solved = Result[Contender, Problem]
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Solves(Study[Contender, Problem]):
     """Every method on every problem, each time in a process of its own that is warm.
@@ -171,12 +174,7 @@ class Solves(Study[Contender, Problem]):
             "machine": self.machine,
         }
 
-    def excuse(
-        self,
-        contender: Contender,
-        problem: Problem,
-        before: Sequence[Result[Contender, Problem]],
-    ) -> str:
+    def excuse(self, contender: Contender, problem: Problem, before: Sequence[Solved]) -> str:
         """Leave out what is not there, what has failed here, and what was too slow before."""
         if not contender.method.present:
             return f"not installed: pip install {contender.method.needs}"

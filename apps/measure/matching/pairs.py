@@ -18,6 +18,7 @@ from measure.store import Record, Store
 from measure.study import Result, Study, run
 from spectra_kit._files import atomic_path
 from spectra_kit._types import Ints
+from spectra_kit._validate import check_count
 from spectra_kit.catalogue import SOLVERS, SUBSPACES
 from spectra_kit.correspondence import way_back
 from spectra_kit.eigensolvers import Eigensolver, eigensolve
@@ -210,6 +211,7 @@ def match_all(pairs: Pairs, *, jobs: int = 1, progress: bool = False) -> list[Re
     Each process has one thread, so times of one job are those of many; with 0 all is done in this
     process. What failed is tried again.
     """
+    check_count("jobs", jobs, low=0)
     store = Store(pairs.folder)
     names = {
         name: None

@@ -25,6 +25,7 @@ from measure.network.methods import (
 from measure.shapes import Shape
 from measure.store import Store
 from measure.study import Result, run
+from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
 
 _LARGE = 16_384  # points: an exact solve takes seconds beyond
@@ -57,6 +58,7 @@ class Settings:
                 "`sets` and `weights` must hold at least one shape and one network, got"
                 f" {sum(map(len, self.sets.values()))} and {len(self.weights)}"
             )
+        check_count("k", self.k, low=1)
         check_labels([*self.weights, *self.agnostic])
 
     def network(self, weights: str | None = None, **options: Any) -> Method:

@@ -14,6 +14,7 @@ _SMALLEST, _LARGEST = 1e-130, 1e130  # extents, of which squares and products ar
 
 
 def check_mollify_factor(value: float) -> None:
+    """Refuse factors that are not positive, or above 1."""
     if check_positive("mollify_factor", value) > 1:
         raise InvalidInputError(
             "mollify_factor",
@@ -34,6 +35,11 @@ def check_faces_usable(mesh: TriangleMesh) -> None:
             advice="drop them with {}",
             remedies=("mesh.without_unreferenced()",),
         )
+    check_three_corners(mesh)
+
+
+def check_three_corners(mesh: TriangleMesh) -> None:
+    """Refuse faces that name a vertex twice."""
     repeated = (mesh.faces == np.roll(mesh.faces, 1, axis=1)).any(axis=1)
     if repeated.any():
         raise InvalidInputError(

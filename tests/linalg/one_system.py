@@ -1,0 +1,33 @@
+"""One system for all solvers."""
+
+from functools import cache
+
+import numpy as np
+
+from spectra_kit import delaunay_laplacian, eigensolve
+from spectra_kit.geometry import creature
+from spectra_kit.linalg import CoarseSpace, ConstantKernel, IncompleteCholesky
+
+
+class Body:
+    """A Neumann Laplacian, a right-hand side, its solution, and modes."""
+
+    def __init__(self):
+        self.laplacian = delaunay_laplacian(creature(1000, seed=0).as_cloud())
+        self.A, self.n = self.laplacian.stiffness, self.laplacian.n
+        self.kernel = ConstantKernel(self.laplacian.component_labels)
+        modes = eigensolve(self.laplacian, 25)
+        self.spectrum, self.all_modes = modes.nonzero(), modes.eigenvectors[:, :17]
+        self.Y, self.energies = self.all_modes[:, 1:], modes.eigenvalues[1:17]
+        self.x = self.kernel.remove(np.linalg.norm(self.laplacian.points, axis=1))
+        self.b = self.kernel.remove(self.A @ self.x)
+        self.factor = IncompleteCholesky(self.A)
+        self.coarse = CoarseSpace(self.spectrum.eigenvectors, energies=self.spectrum.eigenvalues)
+        dense = self.A.toarray()
+        self.eigenvalues = np.linalg.eigvalsh(dense)
+        self.root = np.linalg.cholesky(dense + np.ones(dense.shape) / self.n)
+
+
+@cache
+def body_of_all() -> Body:
+    return Body()
