@@ -37,7 +37,7 @@ class Toy(Study[str, int]):
                 time.sleep(60)
         path = self.file(contender, problem, ".npy")
         np.save(path, np.arange(problem))
-        threads = os.environ["OMP_NUM_THREADS"]
+        threads = os.environ.get("OMP_NUM_THREADS", "")
         return {"total": problem, "threads": threads, "files": [f"files/{path.name}"]}
 
 
