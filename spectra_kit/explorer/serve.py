@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import webbrowser
 from collections.abc import Callable
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -67,6 +68,10 @@ def _handler(content: bytes) -> type[BaseHTTPRequestHandler]:
     """What answers to a request for ``/`` of a browser of this machine, and to no other."""
 
     class Handler(BaseHTTPRequestHandler):
+        def handle(self) -> None:
+            with suppress(ConnectionError):  # a browser may leave before all is sent
+                super().handle()
+
         def do_GET(self) -> None:  # named by http.server
             # A page from elsewhere may have its name resolved to this machine, and then counts as
             # one of this server to the browser: but its requests name it.

@@ -3,6 +3,7 @@
 import json
 import signal
 import socket
+import struct
 import subprocess
 import sys
 from http.client import HTTPConnection
@@ -55,6 +56,12 @@ def test_the_page_and_nothing_else_is_served_to_this_machine_until_ctrl_c(tmp_pa
                 status, body = answer(port, path, Host=host)
                 assert (status, page in body) == (403, False)
         assert answer(port)[0] == 403
+        # One that leaves, by a reset, before the page is sent: nothing is said of it.
+        with socket.create_connection(("127.0.0.1", port), timeout=5) as left:
+            left.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            left.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+            left.recv(1)
+        assert answer(port, Host=f"127.0.0.1:{port}") == (200, page)
         if sys.platform.startswith("linux"):  # where all of 127/8 is this machine
             with pytest.raises(OSError, match="refused"):
                 socket.create_connection(("127.0.0.2", port), timeout=5)
