@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidFileError, InvalidInputError
 
 Target = TypeVar("Target", bound=Callable[..., Any])
 
@@ -336,6 +336,9 @@ def _made(name: str, value: Any, kinds: Mapping[str, _Kind], given: Mapping[str,
     elif kind.made_of is not None:
         try:
             made = kind.made_of(value)
+        except InvalidFileError as error:  # as of `read`: with the path, and what is wrong with it
+            problem = InvalidInputError(name, kind.expected, got, advice=str(error.problem))
+            raise InvalidFileError(error.path, problem) from error
         except InvalidInputError as error:
             advice = error.advice if error.argument == "thing" else str(error)
             raise InvalidInputError(name, kind.expected, got, advice=advice) from error

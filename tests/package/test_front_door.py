@@ -17,7 +17,7 @@ from test_wrong_arguments import DrawnError, call_of, example, here, surface
 
 import spectra_kit as sk
 from spectra_kit._checked import _LATE
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh
 
 __all__ = ["here"]  # the fixture: a folder with a mesh in a file; nothing is drawn
@@ -118,6 +118,13 @@ def test_what_cannot_be_one(wrong: Any, got: str, advice: str) -> None:
     assert (error.value.argument, error.value.got) == ("geometry", got)
     assert error.value.expected == "be a TriangleMesh or PointCloud"
     assert advice in error.value.advice
+
+
+def test_a_file_that_is_refused_is_told_as_read_tells_it() -> None:
+    with pytest.raises(InvalidFileError) as error:
+        sk.laplacian("none.ply")
+    assert str(error.value.path) == "none.ply"
+    assert str(error.value).startswith("none.ply: `geometry` must be a TriangleMesh or PointCloud")
 
 
 def test_swapped_arguments_are_told_before_a_path_is_read() -> None:
