@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import signal
 import time
 
 import numpy as np
@@ -32,6 +33,10 @@ class Toy(Study[str, int]):
             raise InvalidInputError("`problem` must be easier")
         if contender == "dies":
             os._exit(7)
+        if contender == "leaves a child":  # with all that it had open
+            if os.fork() == 0:
+                time.sleep(60)
+            os.kill(os.getpid(), signal.SIGKILL)
         if contender == "waits":
             with clocked():
                 time.sleep(60)
