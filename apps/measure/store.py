@@ -45,13 +45,8 @@ class Store:
         self._path = folder / "measurements.jsonl"
         self._records: dict[str, Record] = {}
         (folder / "files").mkdir(parents=True, exist_ok=True)
-        with self._alone() as file:
-            data = file.read()
-            whole = data[: data.rfind(b"\n") + 1]
-            if len(whole) < len(data):  # cut short by a crash: measured again
-                file.truncate(len(whole))
-        text = whole.decode(errors="replace")
-        for number, line in enumerate(text.splitlines(), start=1):
+        whole = self._repaired() if self._path.exists() else b""
+        for number, line in enumerate(whole.decode(errors="replace").splitlines(), start=1):
             try:
                 record = json.loads(line)
                 self._records[record["key"]] = {**record, "status": record["status"]}
@@ -77,6 +72,15 @@ class Store:
             file.write(line.encode())
         self._records[key] = json.loads(line)  # as it will be read
         return self._records[key]
+
+    def _repaired(self) -> bytes:
+        """Return the whole lines; drop what a crash has cut short, to be measured again."""
+        with self._alone() as file:
+            data = file.read()
+            whole = data[: data.rfind(b"\n") + 1]
+            if len(whole) < len(data):
+                file.truncate(len(whole))
+        return whole
 
     @contextmanager
     def _alone(self) -> Iterator[IO[bytes]]:
