@@ -62,3 +62,12 @@ def toy(folder, contenders=("a", "b"), problems=(1, 2), kind=Toy, **options):
 def calls(folder):
     path = folder / "calls"
     return path.read_text().splitlines() if path.exists() else []
+
+
+def clock_ones(size):
+    """Clock that many numbers, and a pause."""
+    with clocked() as found:
+        ones = np.ones(size)
+        time.sleep(0.05)
+    assert len(ones) == size
+    return vars(found)
