@@ -237,7 +237,8 @@ def _numbers(letters: str, *, scalar: bool = True) -> _Kind:
     def accepts(value: Any) -> bool:
         try:
             array = np.asarray(value)
-        except (ValueError, TypeError):  # rows of several lengths, a tensor on another device
+        # Rows of several lengths; a tensor on another device, or one whose gradient is wanted.
+        except (ValueError, TypeError, RuntimeError):
             return False
         if array.ndim == 0 and not scalar:
             return False
@@ -268,7 +269,9 @@ def _sequence(base: type, args: tuple[Any, ...]) -> _Kind:
     kinds = [_kind(a) for a in args if a is not ...]
 
     def accepts(value: Any) -> bool:
-        if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
+        if isinstance(value, str | bytes) or not isinstance(value, Sequence | np.ndarray):
+            return False
+        if isinstance(value, np.ndarray) and not value.ndim:
             return False
         if not several and len(value) != len(kinds):
             return False
@@ -360,7 +363,8 @@ def _described(value: Any, kind: _Kind) -> str:
             return _RAGGED
     if kind.of == "items" and isinstance(value, Sequence | Mapping) and len(repr(value)) < 60:
         return repr(value)
-    return _with_article(type(value).__name__)
+    held = ", which must be detached first" if getattr(value, "requires_grad", None) is True else ""
+    return _with_article(type(value).__name__) + held
 
 
 def _with_article(name: str) -> str:

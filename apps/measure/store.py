@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import spectra_kit
-from spectra_kit._files import atomic_path
 from spectra_kit._version import VERSION
 from spectra_kit.errors import InvalidInputError
 
@@ -44,12 +45,8 @@ class Store:
         self._path = folder / "measurements.jsonl"
         self._records: dict[str, Record] = {}
         (folder / "files").mkdir(parents=True, exist_ok=True)
-        text = self._path.read_text(errors="replace") if self._path.exists() else ""
-        if text and not text.endswith("\n"):  # cut short by a crash: measured again
-            text = text[: text.rfind("\n") + 1]
-            with atomic_path(self._path) as part:
-                part.write_text(text)
-        for number, line in enumerate(text.splitlines(), start=1):
+        whole = self._repaired() if self._path.exists() else b""
+        for number, line in enumerate(whole.decode(errors="replace").splitlines(), start=1):
             try:
                 record = json.loads(line)
                 self._records[record["key"]] = {**record, "status": record["status"]}
@@ -71,10 +68,27 @@ class Store:
         """Append a record and return it."""
         record = {"key": key, **record, "time": datetime.now(UTC).isoformat(timespec="seconds")}
         line = json.dumps(record) + "\n"
-        with self._path.open("a") as file:
-            file.write(line)
+        with self._alone() as file:
+            file.write(line.encode())
         self._records[key] = json.loads(line)  # as it will be read
         return self._records[key]
+
+    def _repaired(self) -> bytes:
+        """Return the whole lines; drop what a crash has cut short, to be measured again."""
+        with self._alone() as file:
+            data = file.read()
+            whole = data[: data.rfind(b"\n") + 1]
+            if len(whole) < len(data):
+                file.truncate(len(whole))
+        return whole
+
+    @contextmanager
+    def _alone(self) -> Iterator[IO[bytes]]:
+        """Open the file, to read and to append, while no other run does: two may share a folder."""
+        with self._path.open("a+b") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)  # until it is closed
+            file.seek(0)
+            yield file
 
 
 def digest(facts: Mapping[str, object]) -> str:

@@ -123,6 +123,9 @@ class Worker:
                         raise FailedError(value)
                     running = kind == "clock" and value
                     deadline = time.monotonic() + self._limits.seconds if running else math.inf
+                elif self._process.poll() is not None and not self._link.poll():
+                    # What it has started may hold its end of the link open.
+                    raise StoppedError(self._last_words())
                 elif time.monotonic() > deadline:
                     self.close()
                     raise StoppedError(f"took more than {self._limits.seconds:g} s")

@@ -188,8 +188,13 @@ def within(
     if stalled:
         found += "; rounding stops the others"
         raise NotConvergedError(found, pairs, good, advice="loosen {}", remedies=("rtol",))
-    advice = {"advice": "raise {}, loosen {}, or use {}"}
-    raise NotConvergedError(found, pairs, good, **advice, remedies=("max_sweeps", "rtol", "Arpack"))
+    raise NotConvergedError(
+        found,
+        pairs,
+        good,
+        advice="raise {}, loosen {}, or use {}",
+        remedies=("max_sweeps", "rtol", "Arpack"),
+    )
 
 
 def _iterate(

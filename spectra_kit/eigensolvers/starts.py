@@ -34,6 +34,7 @@ def basis_with_kernel(subspace: Subspace, operator: Laplacian | Coarse) -> NDArr
             f"return a real array of shape ({operator.n}, m)",
             f"{basis.shape} of {basis.dtype}",
         )
-    if not operator.kernel_dimension or (basis[0, 0] != 0 and np.ptp(basis[:, 0]) == 0):
+    first = basis[:, :1]  # none, of a basis without columns
+    if not operator.kernel_dimension or (first[:1].any() and np.ptp(first) == 0):
         return basis  # most begin with the constant
     return np.column_stack([np.ones(operator.n, basis.dtype), basis])

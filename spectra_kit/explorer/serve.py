@@ -46,8 +46,9 @@ def serve(
     check_count("port", port, low=0, high=65535)
     if not Path(page).is_file():
         raise InvalidInputError("page", "be a file", repr(str(page)))
+    handler = _handler(Path(page).read_bytes())
     try:
-        server = ThreadingHTTPServer((_HOST, port), _handler(Path(page).read_bytes()))
+        server = ThreadingHTTPServer((_HOST, port), handler)
     except OSError as error:
         raise InvalidInputError(
             "port", "be one to listen on", f"{port} ({error})", advice="0 takes any that is free"

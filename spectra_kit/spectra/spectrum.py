@@ -17,7 +17,7 @@ from spectra_kit._display import draw
 from spectra_kit._spectrum_file import read_spectrum_file, write_spectrum_file
 from spectra_kit._types import Floats
 from spectra_kit._validate import Rebuilt, check_count, check_positive, frozen, quantity
-from spectra_kit.errors import InvalidInputError, InvalidSpectrumError
+from spectra_kit.errors import InvalidFileError, InvalidInputError, InvalidSpectrumError
 from spectra_kit.linalg.residuals import residual_norms
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
@@ -341,6 +341,8 @@ class Spectrum(Rebuilt):
             )
         except TypeError as error:
             raise InvalidInputError(f"{path} has an unknown header ({error})") from error
+        except InvalidInputError as error:
+            raise InvalidFileError(path, error) from error
 
     def to_torch(
         self, *, device: str | torch.device = "cpu", dtype: torch.dtype | None = None

@@ -156,7 +156,7 @@ class SampleStream:
         end = time.monotonic() + timeout
         while self._next - self._start < n:
             self._check()
-            if time.monotonic() > end:
+            if self._stop.is_set() or time.monotonic() > end:  # closed: none will come
                 return False
             self._stop.wait(_LOOK)
         return True

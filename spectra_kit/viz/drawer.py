@@ -54,7 +54,7 @@ class _Drawer:
     """A running worker. It ends with this process, or when it has nothing to draw for a while."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
-        self._complaints = tempfile.TemporaryFile("w+")  # noqa: SIM115  # as long as the process
+        self._complaints = tempfile.TemporaryFile("w+", errors="replace")  # noqa: SIM115  # as long as the process
         self._process = subprocess.Popen(
             # -P: the folder of the worker must not shadow other modules.
             [sys.executable, "-P", str(_WORKER)],

@@ -92,8 +92,9 @@ def shape(name: str) -> tuple[Laplacian, np.ndarray]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHAPES)
 def test_the_default_solver_misses_no_mode(name: str) -> None:
+    """At every third number of modes, with another start for each shape: all of them come up."""
     laplacian, exact = shape(name)
-    for k in range(1, 101, 3):
+    for k in range(1 + list(SHAPES).index(name) % 3, 101, 3):
         spectrum = eigensolve(laplacian, k)
         assert spectrum.eigenvalues == pytest.approx(exact[:k], rel=1e-9, abs=1e-9 * exact[-1]), k
         assert spectrum.certificate.level == "verified", (k, spectrum.certificate.count)

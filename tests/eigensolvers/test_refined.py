@@ -48,6 +48,7 @@ STARTS = {
     "network": Neo().subspace,
     "random": RandomBasis(m=60, seed=3),
     "too few columns": RandomBasis(m=5),
+    "no columns": lambda points, mass: np.empty((len(points), 0)),
     "constants alone": lambda points, mass: np.ones((len(points), 3)),
     "union": Union(AmbientFourier(m=50, bandwidth=4.0), RandomBasis(m=20)),
 }

@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 from http.client import HTTPConnection
+from pathlib import Path
 
 import pytest
 
@@ -75,7 +76,7 @@ def test_the_page_and_nothing_else_is_served_to_this_machine_until_ctrl_c(tmp_pa
         process.communicate()
 
 
-def test_what_cannot_be_served_is_refused(tmp_path):
+def test_what_cannot_be_served_is_refused(tmp_path, monkeypatch):
     page = tmp_path / "page.html"
     with pytest.raises(InvalidInputError, match="`page` must be a file"):
         serve(page)
@@ -86,6 +87,13 @@ def test_what_cannot_be_served_is_refused(tmp_path):
         port = taken.getsockname()[1]
         with pytest.raises(InvalidInputError, match=f"`port` must be one to listen on, got {port}"):
             serve(page, port=port)
+
+    def unreadable(self):
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr(Path, "read_bytes", unreadable)
+    with pytest.raises(PermissionError, match=r"page\.html"):  # it is not the port's fault
+        serve(page)
 
 
 def test_the_browser_opens_the_page(tmp_path, monkeypatch):

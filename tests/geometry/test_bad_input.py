@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from spectra_kit import _validate, geometry
 from spectra_kit.errors import InvalidInputError
@@ -34,6 +35,12 @@ TRANSPOSED = "did you pass its transpose?"
         (np.zeros((2, 5, 3)), "have shape (n, 3)", "(2, 5, 3)", ""),
         (np.zeros((4, 3), dtype=complex), "hold real numbers", "dtype complex128", ""),
         ([["a", "b", "c"]], "hold real numbers", "dtype <U1", ""),
+        (
+            torch.zeros(4, 3, requires_grad=True),
+            "hold real numbers",
+            "a Tensor, which must be detached first",
+            "",
+        ),
     ],
 )
 def test_bad_points(make, points, expected, got, advice):

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +27,8 @@ from measure.shapes import (
 from measure.store import Store, code_digest
 from measure.study import run
 from measure.tables import number, plain, ratio, table, write_csv, write_json
-from measure.worker import FailedError, Limits, StoppedError, Worker, clocked
-from toy_study import Lasting, Toy, calls, toy
+from measure.worker import FailedError, Limits, StoppedError, Worker
+from toy_study import Lasting, Toy, calls, clock_ones, toy
 
 from spectra_kit import PointCloud, robust_laplacian
 from spectra_kit._version import VERSION
@@ -96,6 +97,27 @@ def test_a_store_that_was_cut_short_anywhere_goes_on(tmp_path):
     path.write_text('{"no": 1}\n')
     with pytest.raises(InvalidInputError, match=r"line 1 of .* must be a measurement"):
         Store(tmp_path)
+
+
+def test_a_store_is_not_repaired_while_another_run_writes_to_it(tmp_path):
+    first = Store(tmp_path)
+    with ThreadPoolExecutor(1) as other, first._alone() as file:
+        file.write(b'{"key": "0", ')
+        file.flush()
+        second = other.submit(Store, tmp_path)
+        time.sleep(0.2)
+        assert not second.done()
+        file.write(b'"status": "ok"}\n')
+        file.close()
+        assert second.result(10).get("0") == {"key": "0", "status": "ok"}
+
+
+def test_a_process_that_dies_is_not_waited_for_because_of_its_child(tmp_path):
+    start = time.monotonic()
+    (result,) = run(toy(tmp_path, ["leaves a child"], [1]), Store(tmp_path))
+    assert result.record["status"] == "stopped"
+    assert result.reason.startswith("the process was killed")
+    assert time.monotonic() - start < 50
 
 
 def test_what_fails_is_remembered_until_it_is_to_be_tried_again(tmp_path):
@@ -189,12 +211,11 @@ def _serving(folder):
 
 
 def test_a_clock_measures_time_and_memory():
-    with clocked() as found:
-        array = np.ones(8_000_000)  # beyond what malloc may take from memory that was freed
-        time.sleep(0.05)
-    assert 0.05 <= found.seconds < 5
-    assert found.peak_bytes >= 0.9 * array.nbytes
-    assert found.waited_seconds >= 0
+    with Worker(Limits()) as worker:  # a heap that is new has no freed memory to take again
+        found = worker.call(clock_ones, size := 8_000_000)
+    assert 0.05 <= found["seconds"] < 5
+    assert found["peak_bytes"] >= 0.9 * 8 * size
+    assert found["waited_seconds"] >= 0
 
 
 def test_a_machine_is_described():

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import signal
 import time
 
 import numpy as np
@@ -32,6 +33,10 @@ class Toy(Study[str, int]):
             raise InvalidInputError("`problem` must be easier")
         if contender == "dies":
             os._exit(7)
+        if contender == "leaves a child":  # with all that it had open
+            if os.fork() == 0:
+                time.sleep(60)
+            os.kill(os.getpid(), signal.SIGKILL)
         if contender == "waits":
             with clocked():
                 time.sleep(60)
@@ -57,3 +62,12 @@ def toy(folder, contenders=("a", "b"), problems=(1, 2), kind=Toy, **options):
 def calls(folder):
     path = folder / "calls"
     return path.read_text().splitlines() if path.exists() else []
+
+
+def clock_ones(size):
+    """Clock that many numbers, and a pause."""
+    with clocked() as found:
+        ones = np.ones(size)
+        time.sleep(0.05)
+    assert len(ones) == size
+    return vars(found)

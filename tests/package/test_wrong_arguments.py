@@ -467,6 +467,8 @@ def anything() -> dict[str, Any]:
         "ragged": [[1.0], [1.0, 2.0]],
         "objects": np.array([object()]),
         "complex array": np.ones(3, dtype=complex),
+        "array of no dimensions": np.array(3),
+        "bytes": b"\x01\x02",
         "boolean array": np.ones(5, dtype=bool),
         "four axes": np.ones((2, 2, 2, 2)),
         "NaN array": np.full((162, 3), np.nan),

@@ -417,8 +417,9 @@ def test_fields_that_cannot_be_are_refused(tmp_path, spectrum, edit) -> None:
     change, message = EDITS[edit]
     path = edited(tmp_path / "s.npz", spectrum, change)
     for mmap in (False, True):
-        with pytest.raises(InvalidInputError, match=message):
+        with pytest.raises(InvalidInputError, match=message) as caught:
             Spectrum.load(path, mmap=mmap)
+        assert str(caught.value).startswith(str(path))
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,8 @@ def test_reading_waits_for_nothing():
     assert (len(corpus), corpus.n_points, corpus.k, len(stream)) == (0, 100, 4, 0)
     assert stream.report().samples == 0
     assert not stream.ready(8, timeout=0)
+    stream.close()
+    assert not stream.ready(8, timeout=1e9)  # none will come
 
 
 def test_a_dead_worker_is_an_error_and_not_a_hang():

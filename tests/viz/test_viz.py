@@ -354,6 +354,7 @@ def without(fake, tmp_path, monkeypatch):
             "raise ImportError('libGL.so.1: cannot open')",
             r"\(ImportError: libGL.so.1.* apt-get",
         ),
+        (r"import os; os.write(2, b'\xff\n'); raise ImportError('no GL')", r"\(ImportError: no GL"),
         ("import os; os.abort()", r"could not draw \(it crashed\).* apt-get install libegl1"),
     ],
 )
