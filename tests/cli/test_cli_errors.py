@@ -405,7 +405,9 @@ def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_p
     write(swapped, other)
     assert "holds modes of something else" in refusal(capsys, "explore", other, *command)
     assert not page.exists()
-    assert "found no file" in refusal(capsys, "modes", ball, "--spectrum", tmp_path / "none.npz")
+    assert "there is no such file" in refusal(
+        capsys, "modes", ball, "--spectrum", tmp_path / "none.npz"
+    )
     assert "not a whole spectrum file" in refusal(capsys, "modes", ball, "--spectrum", ball)
 
 
