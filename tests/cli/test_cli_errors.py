@@ -102,6 +102,8 @@ DIRICHLET = ("--boundary", "dirichlet")
         ("must be positive", ("spectrum", BALL, "--solver", "refined", "--rtol", "0")),
         ("must be positive", ("spectrum", BALL, "--solver", "refined", "--rtol", "nan")),
         ("got arpack; choose one of those by --solver", ("spectrum", BALL, "--rtol", "1e-4")),
+        ("got arpack; choose", ("compare", BALL, "--solver", "arpack", "--rtol", "1e-4")),
+        ("`-k` must be at least 30, got 5", ("match", BALL, BALL, "-k", "5")),
         ("got arpack and dense", ("compare", BALL, "--solver", "dense", "--rtol", "1e-4")),
         ("--rtol is for the solvers ", ("match", BALL, BALL, "--rtol", "1e-4")),
         ("--start is for the solvers ", ("spectrum", BALL, "--start", "random")),
