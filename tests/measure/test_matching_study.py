@@ -123,7 +123,7 @@ def test_bad_requests(zoo, tmp_path):
     ):
         refused(argument, expected, call, *given)
     for call, match in (
-        (lambda: subjects_in(tmp_path), r"cat0.npz is not a whole subject"),
+        (lambda: subjects_in(tmp_path), r"cat0.npz: not a whole subject"),
         (lambda: truth_between(a, b), r"share their landmarks, got 2 of a and 1 of b"),
         (lambda: make_protocol("all-pairs", zoo[:1]), r"'all-pairs' must have a pair, found no"),
         (lambda: make_protocol("ren-300", zoo, listed=tmp_path / "list"), r"line 1 .* two names"),
