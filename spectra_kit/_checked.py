@@ -312,6 +312,7 @@ def _several(kind: _Kind | None) -> str:
 _ADVICE = {
     "Laplacian": ("", "build one with laplacian(geometry)"),
     "Spectrum": ("", "solve for one: spectrum(mesh, 50)"),
+    "Prepared": ("", "pass prepare(spectrum, geometry), or a spectrum with its geometry by name"),
     "Eigensolver": ("which has no method eigenpairs(laplacian, k)", "pass one such as Arpack()"),
     "Subspace": (
         "which is no function of points and mass",
@@ -354,8 +355,8 @@ def _made(name: str, value: Any, kinds: Mapping[str, _Kind], given: Mapping[str,
             problem = InvalidInputError(name, kind.expected, got, advice=str(error.problem))
             raise InvalidFileError(error.path, problem) from error
         except InvalidInputError as error:
-            advice = error.advice if error.argument == "thing" else str(error)
-            raise InvalidInputError(name, kind.expected, got, advice=advice) from error
+            told = error.advice if error.argument == "thing" else str(error)
+            raise InvalidInputError(name, kind.expected, got, advice=told) from error
         if kind.accepts(made):
             return made
         got = f"{got}, which holds a {type(made).__name__}"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from spectra_kit._types import Ints
-from spectra_kit._validate import check_indices
+from spectra_kit._validate import check_count, check_indices
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.folder import check_folder, drawing, together
 from spectra_kit.cli.inputs import assemble, load
@@ -24,6 +24,7 @@ from spectra_kit.geometry import Geometry, creature_pair, write
 from spectra_kit.geometry.formats._arrays import text_lines, whole
 from spectra_kit.geometry.formats.numpy_arrays import read_npy
 from spectra_kit.matching import Match, match, prepare
+from spectra_kit.matching.prepare import LOWEST_K
 
 _MAPS = ("point_map.npy", "functional_map.npy", "report.json")
 _SIDES = ("source.npz", "target.npz")
@@ -39,6 +40,7 @@ def match_shapes(asked: program.Match) -> None:
             "--landmarks and --truth number the points of the files, which --repair and --cloud"
             " change; repair or sample first, and match what came out"
         )
+    check_count("-k", asked.solver.k, low=LOWEST_K)
     check_solvers(asked.solver, asked.reading.seed, asked.solver.solver)
     check_folder(folder, _files(asked), _MAPS + _SIDES + _PICTURES, _inputs(asked))
     geometries, truth = _geometries(asked)

@@ -31,13 +31,14 @@ def check_solvers(asked: AnySolver, seed: int, *names: str) -> None:
     """Refuse options that none of these solvers takes, and values that they refuse themselves."""
     if asked.k is not None:
         check_count("-k", asked.k, low=1)
+    got = listed([*dict.fromkeys(names)])
     for option in _TOLD:
         takers = [name for name in SOLVERS if _takes(name, option, asked)]
         default = getattr(AnySolver, option)
         if getattr(asked, option) != default and not set(names) & set(takers):
             raise InvalidInputError(
-                f"--{option} is for the solvers {listed(takers)}, got {listed(names)}; choose one"
-                " of those by --solver, or leave it out"
+                f"--{option} is for the solvers {listed(takers)}, got {got}; choose"
+                " one of those by --solver, or leave it out"
             )
     for name in names:
         make_solver(name, asked, asked.k or 1, seed)

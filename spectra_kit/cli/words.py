@@ -30,6 +30,9 @@ _OPTIONS = {
     "Multilevel": "--solver multilevel",
     "Refined": "--solver refined",
     "Polished": "--solver polished",
+    # What no command can be told.
+    **dict.fromkeys(("max_steps", "max_sweeps", "max_restarts", "max_points", "tol"), ""),
+    'kind="cloud"': "",
 }
 
 
@@ -40,6 +43,8 @@ class _Told(Protocol):
 
 def option_of(name: str) -> str:
     """Return the option that stands for an argument, a method or a class; or its name.
+
+    Nothing stands for what no command can be told.
 
     Examples
     --------

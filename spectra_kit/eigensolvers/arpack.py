@@ -121,8 +121,8 @@ class Arpack:
                 f"ARPACK found {len(error.eigenvalues)} of {quantity(k, 'mode')} in"
                 f" {quantity(self.max_restarts, 'restart')}",
                 pairs,
-                advice="raise {}, or loosen {}",
-                remedies=("max_restarts", "tol"),
+                advice=("raise {}", "loosen {}", "use {}"),
+                remedies=("max_restarts", "tol", "Multilevel"),
             ) from error
         except ArpackError as error:  # such as no shift that it could apply, within a wide cluster
             raise NotConvergedError(

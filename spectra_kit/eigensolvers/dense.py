@@ -59,7 +59,7 @@ class Dense:
                 "laplacian",
                 f"have at most {self.max_points} points for Dense",
                 laplacian.n,
-                advice="use {}, or raise `{}`",
+                advice=("use {}", "raise `{}`"),
                 remedies=("Arpack", "max_points"),
             )
         start = time.perf_counter()

@@ -146,7 +146,7 @@ class Lobpcg:
                 f"LOBPCG brought {int(good.sum())} of {quantity(k, 'mode')} to rtol = {self.rtol:g}"
                 f" in {steps} steps (largest relative residual {relative.max():.1e})",
                 Eigenpairs(values[good], pairs.eigenvectors[:, good]),
-                advice="raise {}, loosen {}, or use {}",
+                advice=("raise {}", "loosen {}", "use {}"),
                 remedies=("max_steps", "rtol", "Arpack"),
             )
         return pairs

@@ -192,7 +192,7 @@ def within(
         found,
         pairs,
         good,
-        advice="raise {}, loosen {}, or use {}",
+        advice=("raise {}", "loosen {}", "use {}"),
         remedies=("max_sweeps", "rtol", "Arpack"),
     )
 

@@ -318,8 +318,10 @@ class HeatGeodesics:
         sourced_points = np.isin(system.labels, sourced) & system.inside
         if (cut := int((heat.values[sourced_points] == 0).sum())) > 0:
             raise InvalidInputError(
-                f"`boundary` must not be 'dirichlet' here: the cold boundary cuts {cut} points off"
-                " from the sources, as at a strip one triangle wide; use 'neumann' or 'average'"
+                "boundary",
+                "be 'neumann' or 'average' here",
+                f"'dirichlet', which cuts {cut} points off from the sources, as at a strip one"
+                " triangle wide",
             )
         return heat
 
@@ -347,6 +349,7 @@ def _from_sources(potential: Floats, sources: Sources, labels: Ints) -> Floats:
 
 def _cold() -> InvalidInputError:
     return InvalidInputError(
-        "`sources` must not all lie on the boundary of their component, which"
-        " boundary='dirichlet' keeps cold; use 'neumann' or 'average'"
+        "sources",
+        "leave the boundary of their component, which boundary='dirichlet' keeps cold",
+        advice="use 'neumann' or 'average'",
     )

@@ -273,8 +273,10 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
     size, away = np.abs([low, high]).max(), np.abs(target).max()
     if away > _FAR * size > 0:
         raise InvalidInputError(
-            f"`coordinate` must lie nearer: at {away:.3g}, where the points reach {size:.3g},"
-            " rounding decides which of them is the nearest; is the unit the same?"
+            "coordinate",
+            f"lie near the points, which reach {size:.3g}",
+            f"{away:.3g}",
+            advice="is the unit the same?",
         )
     unit = box_unit(geometry.points)
     points, target = geometry.points / unit, target / unit
@@ -300,9 +302,7 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
 
 def _same(sources: Sources, geometry: HasPoints, weights: ArrayLike | None) -> Sources:
     if weights is not None:
-        raise InvalidInputError(
-            "`weights` must be None where `sources` are checked ones, which hold their heat"
-        )
+        raise InvalidInputError("weights", "be None where `sources` are checked, and hold them")
     if sources.n != geometry.n:
         raise InvalidInputError(
             "sources",
@@ -325,7 +325,7 @@ def _named(sources: Any, geometry: HasPoints) -> list[int | FacePoint]:
     if isinstance(sources, np.ndarray) and sources.dtype == bool:
         if sources.shape != (geometry.n,):
             raise InvalidInputError(
-                f"`sources` as a mask must have shape ({geometry.n},), got {sources.shape}"
+                "sources", f"have shape ({geometry.n},) as a mask", sources.shape
             )
         sources = np.flatnonzero(sources)
     if isinstance(sources, Sequence) and not sources:
@@ -347,9 +347,11 @@ def _spread(source: int | FacePoint, geometry: HasPoints) -> tuple[Ints, Floats,
         return np.array([source]), np.ones(1), np.zeros(1)
     if not isinstance(geometry, TriangleMesh):
         raise InvalidInputError(
-            f"`sources` has a FacePoint, which needs the faces of a TriangleMesh, got a"
-            f" {type(geometry).__name__}; on a cloud, name the nearest point, and for a spectrum"
-            " or triangulation pass `check_sources(sources, mesh)`"
+            "sources",
+            "be vertices where `geometry` has no faces",
+            f"a FacePoint on a {type(geometry).__name__}",
+            advice="on a cloud, name the nearest point; for a spectrum or triangulation pass"
+            " `check_sources(sources, mesh)`",
         )
     corners, shares = _corners(source, geometry), np.array(source.barycentric)
     lengths = np.linalg.norm(geometry.points[corners] - source.position(geometry), axis=1)

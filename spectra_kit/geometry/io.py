@@ -129,7 +129,7 @@ def _geometry(points: Any, faces: Any, kind: str | None) -> Geometry:
     if kind == "mesh":
         raise InvalidInputError(
             "holds points without faces, expected a mesh",
-            advice="use {}",
+            advice=("use {}",),
             remedies=('kind="cloud"',),
         )
     return PointCloud(points)

@@ -79,9 +79,11 @@ def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> G
     stiffness, mass = _laplacian(corners, lengths, twins, cloud.n, copies)
     if not mass.all():
         raise InvalidInputError(
-            f"`geometry` has {quantity((mass == 0).sum(), 'point')} in no triangle (such as"
-            f" {int(np.argmin(mass))}): their neighbours lie on one line;"
-            " remove such curves first"
+            "geometry",
+            "have triangles at all points",
+            f"{quantity((mass == 0).sum(), 'point')} in no triangle (such as"
+            f" {int(np.argmin(mass))}), whose neighbours lie on one line",
+            advice="remove such curves first",
         )
     return Glued(corners, lengths * unit, copies, boundary, stiffness, mass * unit**2)
 

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
-from spectra_kit._validate import check_count
+from spectra_kit._validate import check_count, quantity
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators.checks import (
@@ -155,13 +155,17 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     unit = units_of(mesh)
     if (flat := int(mesh.degenerate_faces(1e-14).sum())) > 0:
         raise InvalidInputError(
-            f"`mesh` has {flat} faces of zero area, on which cotangents do not exist",
+            "mesh",
+            "have faces on which cotangents exist",
+            quantity(flat, "face") + " of zero area",
             advice="use {}, or drop them with {}",
             remedies=("robust_laplacian", "mesh.without_degenerate_faces()"),
         )
     if (twice := len(mesh.faces) - len(mesh.without_duplicate_faces().faces)) > 0:
         raise InvalidInputError(
-            f"`mesh` has {twice} duplicate faces, which would count their area twice",
+            "mesh",
+            "have each face once",
+            quantity(twice, "duplicate face"),
             advice="use {}, or drop them with {}",
             remedies=("robust_laplacian", "mesh.without_duplicate_faces()"),
         )
@@ -235,9 +239,10 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     W = (W + W.T) / 2
     if not (density := W.sum(axis=1)).all():
         raise InvalidInputError(
-            f"`geometry` has points without neighbours, such as {int(np.argmin(density))}: all"
-            f" others are more than {unit_of(geometry) * np.sqrt(700 * epsilon):.3g} away;"
-            " remove outliers first"
+            "geometry",
+            f"have neighbours within {unit_of(geometry) * np.sqrt(700 * epsilon):.3g} of all points",
+            f"points without, such as {int(np.argmin(density))}",
+            advice="remove outliers first",
         )
     inverse_density = sparse.diags_array(1 / density)
     K = inverse_density @ W @ inverse_density

@@ -85,8 +85,7 @@ class IntrinsicTriangulation(Rebuilt):
         lengths = real_array("lengths", self.lengths)
         if corners.ndim != 2 or corners.shape[1] != 3 or lengths.shape != corners.shape:
             raise InvalidInputError(
-                "`corners` and `lengths` must have the same shape (f, 3),"
-                f" got {corners.shape} and {lengths.shape}"
+                "lengths", f"have the shape (f, 3) of `corners`, {corners.shape}", lengths.shape
             )
         if not (lengths > 0).all():
             raise InvalidInputError(

@@ -350,9 +350,7 @@ def skew(oriented: OrientedTriangles, f: ArrayLike, g: ArrayLike) -> Floats:
     _, first, second = _along_sides(_functions("f", f, oriented.n), oriented.faces)
     _, along, across = _along_sides(_functions("g", g, oriented.n), oriented.faces)
     if first.shape != along.shape:
-        raise InvalidInputError(
-            f"`f` and `g` must have the same number of columns, got {shape} and {np.shape(g)}"
-        )
+        raise InvalidInputError("g", f"have as many columns as `f`, {shape}", np.shape(g))
     share = oriented.weights * (first * across - second * along) / 2
     corners = oriented.faces.ravel()
 

@@ -295,7 +295,7 @@ BALL = ("ball.off", "--source", 0)
         ((*BALL, "--poisson-rtol", 1), "`--poisson-rtol` must be less than 1"),
         ((*BALL, "--time-coefficient", 0), "`--time-coefficient` must be positive"),
         ((*BALL, "--spacing", 0), "`--spacing` must be positive"),
-        ((*BALL, "--spectrum", "best"), "found no file 'best'"),
+        ((*BALL, "--spectrum", "best"), "best: there is no such file"),
         ((*BALL, "--spectrum", "ball.off"), "ball.off"),
         ((*BALL, "--spectrum", "animal.npz"), "must have the 642 points"),
         ((*BALL, "--method", "projected"), "--method projected needs modes"),

@@ -132,7 +132,7 @@ def test_bad_requests(zoo, tmp_path):
     a, b = Subject("a", mesh, [0, 1]), Subject("b", mesh, [0])
     for call, match in [
         (lambda: subjects_in(tmp_path / "empty"), r"`folder` must hold .npz files with V, F, corr"),
-        (lambda: subjects_in(tmp_path), r"cat0.npz is not a whole subject"),
+        (lambda: subjects_in(tmp_path), r"cat0.npz: not a whole subject"),
         (lambda: Subject("a", mesh, [642]), r"`landmarks of a` must be in \[0, 642\)"),
         (lambda: Subject("a", mesh, [0, 1], [0]), r"`mirrored of a` must have shape \(2,\), got"),
         (lambda: truth_between(a, b), r"share their landmarks, got 2 of a and 1 of b"),
