@@ -44,4 +44,4 @@ def divergences(corners: Ints, lengths: Floats, vectors: Floats, n: int) -> Floa
     along, across = vectors.T
     one, two = (y * along - x * across) / 2, lengths[:, 0] * across / 2
     shares = np.stack([-(one + two), one, two], axis=1)
-    return np.bincount(corners.ravel(), shares.ravel(), minlength=n)
+    return np.bincount(corners.ravel(), shares.ravel(), minlength=n).astype(np.float64)
