@@ -16,7 +16,7 @@ from running import printed, refusal
 
 from spectra_kit import Lobpcg, eigensolve, robust_laplacian
 from spectra_kit.cli import info, main
-from spectra_kit.cli.folder import check_folder, together
+from spectra_kit.cli.output import check_folder, together
 from spectra_kit.cli.program import COMMANDS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry import PointCloud, TriangleMesh, sphere, write
@@ -405,7 +405,9 @@ def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_p
     write(swapped, other)
     assert "holds modes of something else" in refusal(capsys, "explore", other, *command)
     assert not page.exists()
-    assert "found no file" in refusal(capsys, "modes", ball, "--spectrum", tmp_path / "none.npz")
+    assert "there is no such file" in refusal(
+        capsys, "modes", ball, "--spectrum", tmp_path / "none.npz"
+    )
     assert "not a whole spectrum file" in refusal(capsys, "modes", ball, "--spectrum", ball)
 
 

@@ -331,7 +331,7 @@ def test_another_configuration_or_length_is_refused(folder):
 @pytest.mark.parametrize("record", [b"{", b"[1]", b"null", b"\xff", b"[" * 100_000])
 def test_a_damaged_record_is_refused(tmp_path, record):
     (tmp_path / "corpus.json").write_bytes(record)
-    with pytest.raises(InvalidInputError, match=r"corpus.json is not a whole record of a corpus"):
+    with pytest.raises(InvalidInputError, match=r"corpus.json: not a whole record of a corpus"):
         generate(tmp_path, 1, config=TINY)
 
 

@@ -126,7 +126,7 @@ def test_bad_pools_are_refused(folder, tmp_path):
     with pytest.raises(InvalidInputError, match=r"must hold chunks pool_\*.npz and a manifest"):
         open_pool(tmp_path, "train")
     (tmp_path / "text.npz").write_text("no")
-    with pytest.raises(InvalidInputError, match=r"text.npz is not a whole mesh pool"):
+    with pytest.raises(InvalidInputError, match=r"text.npz: not a whole mesh pool"):
         open_pool(tmp_path / "text.npz", "train")
     np.savez(tmp_path / "half.npz", V=np.zeros((1, 3)))
     with pytest.raises(InvalidInputError, match=r"without \['F', 'voff', 'foff', 'ids'\]"):
