@@ -355,10 +355,8 @@ def geodesic_distance(
 
     Parameters
     ----------
-    geometry, spectrum, solver, time_coefficient, boundary
-        As of `HeatGeodesics`.
-    sources, weights
-        As of its method `distance`.
+    geometry, sources, spectrum, weights, solver, time_coefficient, boundary
+        As of `HeatGeodesics` and of its method ``distance``.
 
     Returns
     -------
