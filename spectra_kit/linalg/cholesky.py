@@ -8,6 +8,7 @@ from scipy import sparse
 
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg._checks import check_matrix
 
 _MAX_ENTRIES = 2**31 - 1  # cholespy indexes with 32-bit integers
 
@@ -23,7 +24,7 @@ class SparseCholesky:
     Raises
     ------
     InvalidInputError
-        If `matrix` is not square, or not numerically positive definite.
+        If `matrix` is not square and finite, or not numerically positive definite.
 
     Notes
     -----
@@ -41,24 +42,13 @@ class SparseCholesky:
     """
 
     def __init__(self, matrix: sparse.csr_array) -> None:
-        rows, columns = matrix.shape
-        if rows != columns or matrix.nnz > _MAX_ENTRIES:
-            raise InvalidInputError(
-                "matrix",
-                f"be square with at most {_MAX_ENTRIES} entries",
-                f"shape {matrix.shape} with {matrix.nnz}",
-            )
-        self.n = rows
-        rowwise = sparse.csr_array(matrix, dtype=np.float64)
-        rowwise.sort_indices()
+        rows = check_matrix(matrix)
+        if rows.nnz > _MAX_ENTRIES:
+            raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", rows.nnz)
+        self.n: int = rows.shape[0]
+        parts = (np.array(part) for part in (rows.indptr, rows.indices, rows.data))  # not read-only
         try:
-            self._factor = cholespy.CholeskySolverD(
-                rows,
-                rowwise.indptr.astype(np.int32),
-                rowwise.indices.astype(np.int32),
-                rowwise.data,
-                cholespy.MatrixType.CSR,
-            )
+            self._factor = cholespy.CholeskySolverD(self.n, *parts, cholespy.MatrixType.CSR)
         except ValueError as error:
             raise InvalidInputError(
                 f"`matrix` could not be factorised ({error});"

@@ -6,7 +6,7 @@ import torch
 from scipy import linalg, sparse
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import rectangle, sphere
+from spectra_kit.geometry import sphere
 from spectra_kit.levels import smoothed as smoothed_numpy
 from spectra_kit.linalg import chebyshev
 from spectra_kit.linalg.chebyshev import chebyshev_eigenpairs
@@ -21,13 +21,11 @@ def noise(n, b, seed=0):
     return torch.randn(n, b, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
 
 
-@pytest.fixture(scope="module", params=["sphere", "rectangle-cloud", "irregular"])
+@pytest.fixture(scope="module", params=["sphere", "irregular"])
 def laplacian(request):
-    """Clusters of equal eigenvalues; a boundary; triangles and masses of very different size."""
+    """Clusters of equal eigenvalues; triangles and masses of very different size."""
     if request.param == "sphere":
         return cotan_laplacian(sphere(subdivisions=3).geometry)
-    if request.param == "rectangle-cloud":
-        return robust_laplacian(rectangle(n=600).geometry.as_cloud())
     ball = sphere(subdivisions=3).geometry
     stretched = ball.points * np.exp(1.5 * ball.points[:, [0]]) * [1, 1, 2]
     return robust_laplacian(type(ball)(stretched, ball.faces))
@@ -45,7 +43,7 @@ def refine(laplacian, start, k, device="cpu", **options):
         start.to(device),
         k,
         spacing=laplacian.eigenvalue_spacing,
-        **options,
+        **{"block": k + max(8, k // 2), **options},
     )
 
 
@@ -56,7 +54,7 @@ def true_residuals(laplacian, values, vectors):
 
 
 @pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-10])
+@pytest.mark.parametrize("rtol", [1e-4, 1e-10])
 def test_a_random_start_is_driven_to_the_tolerance(laplacian, exact, rtol, device):
     k = 23  # on the sphere this cuts the cluster of l = 4
     pairs = refine(laplacian, noise(laplacian.n, 32), k, rtol=rtol, device=device)
@@ -72,40 +70,25 @@ def test_a_random_start_is_driven_to_the_tolerance(laplacian, exact, rtol, devic
     np.testing.assert_allclose(gram, np.eye(k), atol=1e-12)
 
 
-def test_a_good_start_takes_less_work(laplacian, exact):
+def test_a_better_start_takes_less_work(laplacian, exact):
+    """Random, near, exact but for two of the lowest modes, and exact, which is left as it is."""
     near = torch.from_numpy(exact[1][:, :32]) + 1e-3 * noise(laplacian.n, 32)
-    good = refine(laplacian, near, 20, rtol=1e-8)
-    random = refine(laplacian, noise(laplacian.n, 32), 20, rtol=1e-8)
-    assert good.converged
-    assert good.products < 0.9 * random.products
-    np.testing.assert_allclose(good.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
+    columns = [j for j in range(34) if j not in (1, 5)]
+    lacking = torch.from_numpy(exact[1][:, columns]) + 1e-6 * noise(laplacian.n, 32)
+    starts = (noise(laplacian.n, 32), near, lacking, torch.from_numpy(exact[1][:, :32]))
+    runs = [refine(laplacian, start, 20, rtol=1e-8) for start in starts]
+    for pairs in runs:
+        assert pairs.converged
+        np.testing.assert_allclose(pairs.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
+    assert runs[1].products < 0.9 * runs[0].products
+    assert runs[3].sweeps == 0
 
 
-@pytest.mark.parametrize("start", ["near", "random"])
-def test_sweeps_become_careful_where_quick_ones_do_not_do(laplacian, exact, start, monkeypatch):
+def test_sweeps_become_careful_where_quick_ones_do_not_do(laplacian, exact, monkeypatch):
     """Mass added nearly everywhere: another operator altogether, whose sweeps gain little."""
     monkeypatch.setattr(chebyshev, "_STIFF", 0.2)
     monkeypatch.setattr(chebyshev, "_FAR", 1.0)
-    columns = noise(laplacian.n, 32)
-    if start == "near":
-        columns = torch.from_numpy(exact[1][:, :32]) + 1e-3 * columns
-    pairs = refine(laplacian, columns, 20, rtol=1e-8)
-    assert pairs.converged
-    np.testing.assert_allclose(pairs.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
-
-
-def test_an_exact_start_is_left_as_it_is(laplacian, exact):
-    pairs = refine(laplacian, torch.from_numpy(exact[1][:, :20]), 16, rtol=1e-8)
-    assert pairs.converged
-    assert pairs.sweeps == 0
-    np.testing.assert_allclose(pairs.eigenvalues, exact[0][:16], atol=1e-10 * exact[0][16])
-
-
-def test_modes_that_a_start_lacks_are_found(laplacian, exact):
-    """Exact vectors with two of the lowest left out: rounding and the guards bring them back."""
-    columns = [j for j in range(34) if j not in (1, 5)]
-    start = torch.from_numpy(exact[1][:, columns]) + 1e-6 * noise(laplacian.n, 32)
-    pairs = refine(laplacian, start, 20, rtol=1e-8)
+    pairs = refine(laplacian, noise(laplacian.n, 32), 20, rtol=1e-8)
     assert pairs.converged
     np.testing.assert_allclose(pairs.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
 
@@ -130,6 +113,7 @@ def test_units_do_not_matter(laplacian):
         start,
         16,
         rtol=1e-6,
+        block=24,
         spacing=laplacian.eigenvalue_spacing / area,
     )
     assert there.converged
@@ -138,19 +122,19 @@ def test_units_do_not_matter(laplacian):
     assert difference.abs().max() < 1e-10 * pairs.eigenvalues[-1]
 
 
-def test_too_few_sweeps_are_said_to_be_too_few(laplacian):
-    pairs = refine(laplacian, noise(laplacian.n, 24), 16, rtol=1e-8, max_sweeps=1)
+@pytest.mark.parametrize(("options", "sweeps"), [({"max_sweeps": 1}, 1), ({"rtol": 1e-18}, 30)])
+def test_what_was_not_reached_is_told(laplacian, exact, options, sweeps):
+    """Too few sweeps; and a tolerance below rounding, which is given up soon."""
+    pairs = refine(
+        laplacian, noise(laplacian.n, 32), 20, **{"rtol": 1e-8, "max_sweeps": 99} | options
+    )
     assert not pairs.converged
-    assert pairs.sweeps == 1
+    assert pairs.sweeps <= sweeps
     residuals = true_residuals(laplacian, pairs.eigenvalues.numpy(), pairs.eigenvectors.numpy())
-    np.testing.assert_allclose(pairs.residuals, residuals, rtol=1e-6)
-
-
-def test_a_tolerance_below_rounding_is_given_up_soon(laplacian, exact):
-    pairs = refine(laplacian, noise(laplacian.n, 32), 20, rtol=1e-18, max_sweeps=100)
-    assert not pairs.converged
-    assert pairs.sweeps < 30
-    np.testing.assert_allclose(pairs.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
+    if sweeps == 1:
+        np.testing.assert_allclose(pairs.residuals, residuals, rtol=1e-6)
+    else:
+        np.testing.assert_allclose(pairs.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
 
 
 def test_bad_starts_and_operators_are_refused(laplacian):
@@ -163,14 +147,13 @@ def test_bad_starts_and_operators_are_refused(laplacian):
         shifted(hollow, (0.0, 1.0))
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_the_bound_is_never_below_the_spectrum(seed):
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(2, 60))
-    A = sparse.random_array((n, n), density=0.2, rng=rng, data_sampler=rng.standard_normal)
-    A = sparse.csr_array((A + A.T) * 10.0 ** rng.integers(-8, 8))
-    top = np.linalg.eigvalsh(A.toarray())[-1]
-    assert top <= spectral_bound(sparse_tensor(A))
+def test_the_bound_is_never_below_the_spectrum():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(2, 60))
+        A = sparse.random_array((n, n), density=0.2, rng=rng, data_sampler=rng.standard_normal)
+        A = sparse.csr_array((A + A.T) * 10.0 ** rng.integers(-8, 8))
+        assert np.linalg.eigvalsh(A.toarray())[-1] <= spectral_bound(sparse_tensor(A))
 
 
 def test_the_bound_is_sharp_on_laplacians(laplacian):
@@ -182,7 +165,7 @@ def test_the_bound_is_sharp_on_laplacians(laplacian):
 
 
 @pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("degree", [1, 2, 6, 13])
+@pytest.mark.parametrize("degree", [1, 6])
 def test_smoothing_equals_the_numpy_twin(laplacian, exact, degree, device):
     values, modes = exact[0][:20], exact[1][:, :20]
     rough = modes + 0.1 * modes.std() * np.random.default_rng(0).standard_normal(modes.shape)
@@ -192,10 +175,3 @@ def test_smoothing_equals_the_numpy_twin(laplacian, exact, degree, device):
     twin = smoothed_numpy(laplacian, values, rough, degree=degree)
     assert np.abs(twin - rough).max() > 0.01 * np.abs(rough).max()  # there was something to do
     np.testing.assert_allclose(found.cpu(), twin, atol=1e-5 * np.abs(rough).max())
-
-
-def test_smoothing_leaves_modes_as_they_are(laplacian, exact):
-    values, modes = (torch.from_numpy(a[..., :20].copy()) for a in exact)
-    L, mass = sparse_tensor(laplacian.stiffness), torch.tensor(laplacian.mass)
-    kept = smoothed(L, mass, values, modes)
-    assert (kept - modes).abs().max() < 1e-7 * modes.abs().max()

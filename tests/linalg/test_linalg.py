@@ -77,4 +77,4 @@ def test_cholesky_solves_like_lu() -> None:
 def test_cholesky_refuses_indefinite_and_rectangular() -> None:
     with pytest.raises(InvalidInputError, match="must be symmetric positive definite"):
         SparseCholesky(sparse.csr_array([[1.0, 2.0], [2.0, 1.0]]))
-    refused("matrix", "be square", SparseCholesky, sparse.csr_array(np.ones((2, 3))))
+    refused("matrix", "be a square", SparseCholesky, sparse.csr_array(np.ones((2, 3))))

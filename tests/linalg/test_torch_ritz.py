@@ -45,7 +45,7 @@ def ill_conditioned(n, m, smallest, seed=0):
     return left * singular @ right
 
 
-@pytest.mark.parametrize("smallest", [1e-3, 1e-7, 1e-9])
+@pytest.mark.parametrize("smallest", [1e-3, 1e-9])
 def test_bases_with_small_directions_keep_them_and_become_orthonormal(smallest):
     basis, mass = ill_conditioned(300, 16, smallest), torch.ones(300, dtype=torch.float64)
     Y = orthonormalize(basis, mass)
@@ -64,25 +64,17 @@ def test_the_cut_is_on_relative_singular_values(rank_tol, rank):
     assert Y.shape[1] == rank
 
 
-def test_masses_and_column_scales_are_taken_care_of(problem):
+def test_scales_zeros_and_repetitions(problem, monkeypatch):
     _, mass, _, vectors = problem
     scales = torch.logspace(-12, 12, 20, dtype=torch.float64)
     Y = orthonormalize(vectors[:, :20] * scales, 1e-6 * mass)
     assert Y.shape[1] == 20
     assert gram_error(Y, 1e-6 * mass) < 1e-12
-
-
-def test_zero_and_repeated_columns_go():
     basis = torch.tensor([[1.0, 2, 0, 0], [1, 2, 0, 1], [1, 2, 0, 0]])
     assert orthonormalize(basis, torch.ones(3)).shape == (3, 2)
-
-
-def test_blocks_of_rows_change_nothing(problem, monkeypatch):
-    _, mass, _, vectors = problem
-    basis = vectors[:, :9] + vectors[:, 1:10]
-    whole = orthonormalize(basis, mass)
+    whole = orthonormalize(vectors[:, :9], mass)
     monkeypatch.setattr(module, "_ROWS", 17)
-    blocked = orthonormalize(basis, mass)
+    blocked = orthonormalize(vectors[:, :9], mass)
     torch.testing.assert_close(blocked @ blocked.mT, whole @ whole.mT)
 
 
@@ -106,14 +98,6 @@ def test_an_invariant_subspace_gives_the_exact_spectrum(problem):
     assert set(pairs.seconds) == {"orthonormalize", "project", "eigh", "settle"}
 
 
-def test_ritz_values_bound_the_spectrum_from_above(problem):
-    L, mass, values, _ = problem
-    basis = torch.randn(120, 70, generator=torch.Generator().manual_seed(0))
-    pairs = rayleigh_ritz(sparse_tensor(L), mass, basis, 70)
-    assert (pairs.eigenvalues.numpy() >= values[:70] - 1e-12).all()
-    assert gram_error(pairs.eigenvectors, mass) < 1e-12
-
-
 def test_too_small_a_subspace_and_bad_columns_are_refused(problem):
     L, mass, _, vectors = problem
     with pytest.raises(InvalidInputError, match=r"at least k = 4 dimensions, got numerical rank 3"):
@@ -126,10 +110,10 @@ def test_too_small_a_subspace_and_bad_columns_are_refused(problem):
         orthonormalize(torch.zeros(120, 2), mass)
 
 
-@pytest.mark.parametrize("smallest", [1e-2, 1e-3, 1e-4, 1e-6])
+@pytest.mark.parametrize("smallest", [1e-2, 1e-6])
 def test_single_precision_columns_cost_no_mode(smallest):
     """However small the directions a mode hides in: rounding must not put others in its place."""
-    laplacian = cotan_laplacian(sphere(subdivisions=4).geometry)
+    laplacian = cotan_laplacian(sphere(subdivisions=3).geometry)
     L, mass = sparse_tensor(laplacian.stiffness), torch.tensor(laplacian.mass)
     _, low = sparse.linalg.eigsh(
         laplacian.stiffness, 64, sparse.diags_array(laplacian.mass), -0.1, v0=np.ones(laplacian.n)
@@ -153,7 +137,7 @@ def test_a_mass_matrix_need_not_be_diagonal(problem):
         torch.testing.assert_close(gram, torch.eye(10, dtype=torch.float64))
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16, torch.float16])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
 def test_columns_of_any_precision_give_pairs_in_double(problem, dtype):
     L, mass, values, vectors = problem
     pairs = rayleigh_ritz(sparse_tensor(L), mass, vectors[:, :12].to(dtype), 10)
