@@ -41,13 +41,8 @@ VIEW = "buffer byteOffset byteLength byteStride target"
 
 # What JSON of another form than the format's makes Python raise.
 BROKEN = (
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    ArithmeticError,
-    RuntimeError,
-    OSError,
+    *(ValueError, LookupError, TypeError, AttributeError),
+    *(OverflowError, RecursionError, OSError),
 )
 
 

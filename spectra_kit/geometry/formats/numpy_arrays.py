@@ -19,8 +19,10 @@ from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
 # What NumPy, zipfile and the decompressors raise on damaged files; an OSError here is a seek to a
 # bad place, a RuntimeError an encrypted array or a header of a thousand brackets.
-BROKEN = (ValueError, TypeError, LookupError, SyntaxError, EOFError, OSError, OverflowError)
-BROKEN += (RuntimeError, TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError)
+BROKEN = (
+    *(ValueError, TypeError, LookupError, SyntaxError, EOFError, OSError, OverflowError),
+    *(RuntimeError, TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError),
+)
 POINTS, FACES = ("points", "V", "vertices", "verts"), ("faces", "F")
 
 
@@ -85,9 +87,11 @@ def read_npz(path: Path) -> Arrays:
 
 def write_npz(geometry: Geometry, path: Path) -> None:
     """Write the arrays as they are."""
-    faces = {"faces": geometry.faces} if isinstance(geometry, TriangleMesh) else {}
     with path.open("wb") as file:
-        np.savez(file, points=geometry.points, **faces)
+        if isinstance(geometry, TriangleMesh):
+            np.savez(file, points=geometry.points, faces=geometry.faces)
+        else:
+            np.savez(file, points=geometry.points)
 
 
 def _check_beginning(path: Path, start: bytes, kind: str) -> None:
