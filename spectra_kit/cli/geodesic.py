@@ -39,7 +39,7 @@ from spectra_kit.geometry import Geometry
 from spectra_kit.geometry.formats import ply
 from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.spectra import Spectrum
-from spectra_kit.viz.distance_scale import distance_colours
+from spectra_kit.viz.colours import distance_colours
 
 _NUMBERS = ("distance.npy", "distance.ply", "report.json")
 _FIELD, _CONVERGENCE = "field.png", "convergence.png"

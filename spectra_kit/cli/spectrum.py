@@ -51,7 +51,7 @@ def spectrum(asked: program.Spectrum) -> None:
 
     def draw(path: Path) -> None:
         from spectra_kit.viz import Page, plot_spectrum
-        from spectra_kit.viz.boundary import free_boundary
+        from spectra_kit.viz.spectra import free_boundary
 
         plot_spectrum(
             path,

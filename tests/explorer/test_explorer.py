@@ -18,10 +18,10 @@ from spectra_kit.explorer.display import for_display
 from spectra_kit.explorer.payload import walk
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
 from spectra_kit.metrics import align_modes, compare_spectra
-from spectra_kit.viz.boundary import free_boundary
 from spectra_kit.viz.contours import triangles_of
 from spectra_kit.viz.render import ball_diameter
 from spectra_kit.viz.signs import display_signs
+from spectra_kit.viz.spectra import free_boundary
 
 SMALL = sphere(subdivisions=1).geometry
 PACKAGE = Path(walk.__code__.co_filename).parent

@@ -23,12 +23,17 @@ from spectra_kit.viz import (
     plot_functional_map,
     plot_modes,
 )
-from spectra_kit.viz.colours import diverging_colours, sequential_colours
+from spectra_kit.viz.colours import (
+    SQUARES,
+    diverging_colours,
+    named_squares,
+    sequential_colours,
+    texture_colours,
+)
 from spectra_kit.viz.contours import level_lines, triangles_of
 from spectra_kit.viz.fields import _panel
 from spectra_kit.viz.panels import Panel, symmetric_limit
 from spectra_kit.viz.render import Scene, render
-from spectra_kit.viz.texture import SQUARES, named_squares, texture_colours
 
 LEVELS = np.array([-0.5, 0.0, 0.5])
 WHITE = np.full((2, 3), 255, np.uint8)

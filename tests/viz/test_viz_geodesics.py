@@ -6,9 +6,9 @@ from drawing import SQUARE, can_draw, grey, page  # noqa: F401
 
 from spectra_kit.geometry import PointCloud, TriangleMesh, sphere
 from spectra_kit.viz import Page, SolverRun, View, plot_distance
-from spectra_kit.viz.colours import UNKNOWN
+from spectra_kit.viz.colours import UNKNOWN, distance_colours
+from spectra_kit.viz.contours import distance_levels, round_number
 from spectra_kit.viz.convergence import convergence_figure
-from spectra_kit.viz.distance_scale import distance_colours, distance_levels, round_number
 from spectra_kit.viz.isolines import distance_lines
 
 

@@ -16,12 +16,12 @@ from spectra_kit.descriptors import (
     wave_energies,
     wave_kernel_signature,
 )
-from spectra_kit.viz import Page, ParetoPoint, View, pareto_front
+from spectra_kit.viz import Page, Panel, ParetoPoint, View, pareto_front
 from spectra_kit.viz.axes import LINE_COLOURS
 from spectra_kit.viz.labels import place_labels
-from spectra_kit.viz.marks import with_balls
 from spectra_kit.viz.pareto import pareto_figure
-from spectra_kit.viz.signatures import _panel, _pictures, draw_curves
+from spectra_kit.viz.render import with_balls
+from spectra_kit.viz.signatures import _pictures, draw_curves
 from spectra_kit.viz.spectra import spectrum_figure, weyl_law
 
 LAPLACIAN = robust_laplacian(BALL)
@@ -301,7 +301,7 @@ def test_balls_have_the_colours_of_their_curves_and_hidden_ones_are_told(as_clou
     aim = np.array([[-0.5, 0, 0.86], [0.5, 0, 0.86], [0, 0, -1]])
     points = np.linalg.norm(seen[:, None] - aim, axis=2).argmin(axis=0)
     pictures, visible = _pictures(
-        geometry, [_panel(seen[:, 1], "")], points, View().rotation(geometry), 60
+        geometry, [Panel(values=seen[:, 1], low=-1.0, limit=1.0)], points, View().rotation(geometry), 60
     )
     assert visible.tolist() == [True, True, False]
     [picture] = pictures.astype(int)
