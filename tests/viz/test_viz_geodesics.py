@@ -53,7 +53,7 @@ def test_nothing_is_drawn_between_a_number_and_infinity():
 
 @pytest.mark.parametrize("kind", [TriangleMesh, PointCloud])
 def test_a_page_shows_two_sides_with_their_sources(kind, tmp_path):
-    ball = sphere(subdivisions=4).geometry
+    ball = sphere(subdivisions=3).geometry
     distance = np.arccos(np.clip(ball.points @ [0.0, 0.0, 1.0], -1, 1))
     geometry = ball if kind is TriangleMesh else ball.as_cloud()
     top = ball.points[[ball.points[:, 2].argmax()]]
