@@ -17,7 +17,7 @@ from spectra_kit import (
 )
 from spectra_kit.catalogue import SOLVERS
 from spectra_kit.cli import main, solving
-from spectra_kit.cli.comparing import ritz_subspace
+from spectra_kit.cli.compare import ritz_subspace
 from spectra_kit.errors import SpectraKitWarning
 from spectra_kit.geometry import TriangleMesh, rectangle, sphere, write
 

@@ -16,7 +16,7 @@ from running import printed, refusal
 
 from spectra_kit import Lobpcg, eigensolve, robust_laplacian
 from spectra_kit.cli import info, main
-from spectra_kit.cli.folder import check_folder, together
+from spectra_kit.cli.output import check_folder, together
 from spectra_kit.cli.program import COMMANDS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry import PointCloud, TriangleMesh, sphere, write
