@@ -188,18 +188,9 @@ def geodesic_errors(
     *,
     method: Literal["edges", "exact"] = "edges",
 ) -> Floats:
-    """Measure how far a point map is from the truth, whatever its mirror image.
+    """Return the direct errors of `map_errors`, shape (c,), in the order of the truth.
 
-    Parameters
-    ----------
-    mesh, point_map, truth, method
-        As of `map_errors`.
-
-    Returns
-    -------
-    ndarray of shape (c,)
-        The direct errors of `map_errors`, in hundredths of the root of the source's area, and in
-        the order of the truth; pictures want `map_errors` itself, which knows the points.
+    Pictures want `map_errors` itself, which knows the points.
 
     Examples
     --------

@@ -121,12 +121,8 @@ def landmark_heat_kernel_signature(
         k modes; zero modes take part.
     landmarks : array_like of shape (l,)
         Indices of points. On a second surface, give those of the same places in the same order.
-    times : array_like of shape (t,), optional
-        In length^2, positive; by default ``heat_times(spectrum, count)``.
-    count : int, default 16
-        Number of times where none are given.
-    scaled : bool, default False
-        Divide by the heat trace of each time, as in `heat_kernel_signature`.
+    times, count, scaled
+        As of `heat_kernel_signature`.
 
     Returns
     -------

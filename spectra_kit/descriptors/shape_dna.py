@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,8 +63,6 @@ def shape_dna(
     >>> shape_dna(spectrum, normalize="first")
     array([1., 2.])
     """
-    if normalize is not None and normalize not in get_args(Normalization):
-        raise InvalidInputError("normalize", "be 'area', 'weyl', 'first' or None", f"{normalize!r}")
     values = outside_kernel(spectrum).eigenvalues
     if count is not None:
         values = values[: check_count("count", count, low=1, high=len(values))]
@@ -78,19 +76,9 @@ def shape_dna(
 
 @checked
 def shape_dna_distance(a: ArrayLike, b: ArrayLike, *, weight: Weighting | None = "index") -> float:
-    """Distance of two surfaces by their ShapeDNA; see `shape_dna_distances`.
+    """Distance of two surfaces by their ShapeDNA, each of shape (count,).
 
-    Parameters
-    ----------
-    a, b : array_like of shape (count,)
-        As `shape_dna` returns them, with the same normalisation.
-    weight : {"index", "inverse"} or None, default "index"
-        As in `shape_dna_distances`.
-
-    Returns
-    -------
-    float
-        Zero for isometric surfaces, in the unit of `a` and `b`.
+    What `shape_dna_distances` finds for two rows.
 
     Examples
     --------

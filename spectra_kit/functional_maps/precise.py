@@ -116,13 +116,6 @@ def functional_map_from_precise_map(
            [0.5, 0.5]])
     """
     k1, k2 = check_sizes(k, source, target)
-    if not sparse.issparse(precise):
-        raise InvalidInputError(
-            "precise",
-            "be a sparse array as `precise_map` returns it",
-            type(precise).__name__,
-            advice="for a list of source points there is functional_map_from_point_map",
-        )
     if precise.shape != (target.n, source.n):
         raise InvalidInputError(
             "precise",

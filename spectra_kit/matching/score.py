@@ -212,10 +212,8 @@ def coverage_over_chance(source: Spectrum, target: Spectrum, point_map: Ints) ->
 
 def _square(functional_map: Floats, source: Prepared, target: Prepared) -> Floats:
     """Return the map as a finite array of shape (k, k), k within the modes of both."""
-    array, most = (
-        real_array("functional_map", functional_map),
-        min(source.spectrum.k, target.spectrum.k),
-    )
+    array = real_array("functional_map", functional_map)
+    most = min(source.spectrum.k, target.spectrum.k)
     if array.ndim != 2 or array.shape[0] != array.shape[1] or not 1 <= len(array) <= most:
         raise InvalidInputError(
             "functional_map", f"have shape (k, k), 1 <= k <= {most}", array.shape
