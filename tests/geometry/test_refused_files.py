@@ -175,7 +175,7 @@ def test_cut_files_are_refused(files, tmp_path):
     for name, whole in files.items():
         path = tmp_path / name
         # The last number of a text may lose digits unnoticed; up to there every cut shows.
-        for size in np.linspace(1, len(whole) - 5, 40).astype(int):
+        for size in np.linspace(1, len(whole) - 5, 20).astype(int):
             path.write_bytes(whole[:size])
             try:
                 read(path)
@@ -188,7 +188,7 @@ def test_cut_files_are_refused(files, tmp_path):
 def test_damaged_bytes_never_raise_anything_else(files, tmp_path):
     rng = np.random.default_rng(0)
     for name, whole in files.items():
-        for _ in range(30):
+        for _ in range(20):
             damaged = np.frombuffer(whole, np.uint8).copy()
             damaged[rng.integers(min(len(whole), 400), size=3)] = rng.integers(256, size=3)
             (tmp_path / name).write_bytes(damaged.tobytes())

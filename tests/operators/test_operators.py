@@ -206,7 +206,7 @@ def user_made(stiffness=None, mass=(1, 1, 1, 1)) -> Laplacian:
         (lambda: cotan_laplacian(LINE), "mesh", "have faces on which cotangents exist, got 1 face"),
         (lambda: cotan_laplacian(COPY), "mesh", "have each face once, got 1 duplicate face"),
         (lambda: cotan_laplacian(FAR), "mesh", "be a TriangleMesh"),
-        (lambda: knn_laplacian(FAR), "geometry", "have neighbours within"),
+        (lambda: knn_laplacian(FAR), "geometry", "have neighbours of all points"),
         (lambda: knn_laplacian(DENSE, n_neighbors=5), "geometry", "have neighbours at distances"),
         (lambda: knn_laplacian(COPY, n_neighbors=4), "n_neighbors", "be in [1, 3]"),
     ],
