@@ -55,12 +55,11 @@ def shape_dna(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.descriptors import shape_dna
-    >>> spectrum = Spectrum(np.array([0.0, 1.0, 2.0]), np.eye(3), np.full(3, 2.0))
-    >>> shape_dna(spectrum)
+    >>> import spectra_kit as sk
+    >>> spectrum = sk.Spectrum(np.array([0.0, 1.0, 2.0]), np.eye(3), np.full(3, 2.0))
+    >>> sk.descriptors.shape_dna(spectrum)
     array([ 6., 12.])
-    >>> shape_dna(spectrum, normalize="first")
+    >>> sk.descriptors.shape_dna(spectrum, normalize="first")
     array([1., 2.])
     """
     values = outside_kernel(spectrum).eigenvalues
@@ -82,8 +81,8 @@ def shape_dna_distance(a: ArrayLike, b: ArrayLike, *, weight: Weighting | None =
 
     Examples
     --------
-    >>> from spectra_kit.descriptors import shape_dna_distance
-    >>> shape_dna_distance([1.0, 2.0], [1.0, 4.0])
+    >>> import spectra_kit as sk
+    >>> sk.descriptors.shape_dna_distance([1.0, 2.0], [1.0, 4.0])
     1.0
     """
     first, second = _positive("a", a), _positive("b", b)
@@ -123,8 +122,8 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
 
     Examples
     --------
-    >>> from spectra_kit.descriptors import shape_dna_distances
-    >>> shape_dna_distances([[1.0, 2.0], [1.0, 4.0], [4.0, 2.0]], weight=None)
+    >>> import spectra_kit as sk
+    >>> sk.descriptors.shape_dna_distances([[1.0, 2.0], [1.0, 4.0], [4.0, 2.0]], weight=None)
     array([[0.  , 2.  , 3.  ],
            [2.  , 0.  , 3.6...],
            [3.  , 3.6..., 0.  ]])

@@ -102,10 +102,9 @@ def prepare(
 
     Examples
     --------
-    >>> from spectra_kit import prepare
     >>> import spectra_kit as sk
     >>> mesh = sk.geometry.creature(1000)
-    >>> prepare(sk.spectrum(mesh, 60), mesh)
+    >>> sk.prepare(sk.spectrum(mesh, 60), mesh)
     Prepared(n=1000, k=60, from spectrum and geometry)
     """
     check_count("n_samples", n_samples, low=200)
