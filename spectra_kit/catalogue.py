@@ -4,8 +4,8 @@ Each name stands here once; the command line, its help and the studies read it h
 thing is imported when it is asked for, so that to list the names costs nothing.
 
 >>> from spectra_kit.catalogue import OPERATORS, SOLVERS
->>> list(OPERATORS)
-['robust', 'cotan', 'knn', 'delaunay']
+>>> "knn" in OPERATORS
+True
 >>> SOLVERS["arpack"].summary
 'Lanczos on a sparse factor'
 >>> SOLVERS["arpack"](seed=1)

@@ -46,7 +46,7 @@ class SparseCholesky:
         if rows.nnz > _MAX_ENTRIES:
             raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", rows.nnz)
         self.n: int = rows.shape[0]
-        parts = (np.array(part) for part in (rows.indptr, rows.indices, rows.data))  # not read-only
+        parts = (np.require(part, None, "W") for part in (rows.indptr, rows.indices, rows.data))
         try:
             self._factor = cholespy.CholeskySolverD(self.n, *parts, cholespy.MatrixType.CSR)
         except ValueError as error:
@@ -57,7 +57,7 @@ class SparseCholesky:
 
     def solve(self, rhs: Floats) -> Floats:
         """Solve ``matrix @ x = rhs`` for `rhs` of shape (n,) or (n, s)."""
-        rhs = np.ascontiguousarray(rhs, dtype=np.float64)
+        rhs = np.require(rhs, np.float64, ["C", "W"])  # cholespy takes no read-only array
         solution = np.empty_like(rhs)
         self._factor.solve(rhs, solution)
         return solution

@@ -32,13 +32,17 @@ def stiffness():
 
 
 @pytest.mark.parametrize("reorder", [True, False])
-@pytest.mark.parametrize("relaxation", [0.0, 0.9])
-def test_a_path_is_factorised_exactly(reorder, relaxation):
-    matrix = path(200, ends=2.0)
-    factor = IncompleteCholesky(matrix, reorder=reorder, relaxation=relaxation)
-    rhs = RNG.standard_normal(200)
-    assert factor.fill == 199
-    np.testing.assert_allclose(factor.solve(rhs), spsolve(matrix.tocsc(), rhs), rtol=1e-9)
+def test_where_nothing_is_dropped_the_factor_is_exact(stiffness, reorder):
+    line, held = path(200, ends=2.0), stiffness + 1e-3 * sparse.eye_array(stiffness.shape[0])
+    for matrix, options in (
+        (line, {}),
+        (line, {"relaxation": 0.9}),
+        (sparse.csr_array(held), {"drop": 0.0}),
+    ):
+        factor = IncompleteCholesky(matrix, reorder=reorder, **options)
+        rhs = RNG.standard_normal(matrix.shape[0])
+        np.testing.assert_allclose(factor.solve(rhs), spsolve(matrix.tocsc(), rhs), rtol=1e-9)
+    assert IncompleteCholesky(line).fill == 199
 
 
 def test_level_zero_matches_its_definition(stiffness):
@@ -58,14 +62,6 @@ def test_full_relaxation_is_exact_on_constants(stiffness, drop):
     np.testing.assert_allclose(factor.solve(matrix @ ones), ones, rtol=1e-10)
 
 
-@pytest.mark.parametrize("reorder", [True, False])
-def test_without_dropping_the_factor_is_complete(stiffness, reorder):
-    matrix = sparse.csr_array(stiffness + 1e-3 * sparse.eye_array(stiffness.shape[0]))
-    rhs = RNG.standard_normal(matrix.shape[0])
-    x = IncompleteCholesky(matrix, drop=0.0, reorder=reorder).solve(rhs)
-    np.testing.assert_allclose(x, spsolve(matrix.tocsc(), rhs), rtol=1e-9)
-
-
 def test_a_singular_matrix_is_inverted_on_its_range(stiffness):
     n = stiffness.shape[0]
     both = sparse.csr_array(sparse.block_diag([stiffness, path(50), sparse.csr_array((1, 1))]))
@@ -79,7 +75,7 @@ def test_a_singular_matrix_is_inverted_on_its_range(stiffness):
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"relaxation": 0.97}, {"drop": 0.03}, {"drop": 0.01, "relaxation": 0.9}],
+    [{}, {"relaxation": 0.97}, {"drop": 0.01, "relaxation": 0.9}],
     ids=str,
 )
 @pytest.mark.parametrize("matrix", ["delaunay", "obtuse"])
