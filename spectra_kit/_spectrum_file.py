@@ -82,7 +82,7 @@ def read_spectrum_file(
 
 
 def _named(provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the provenance with the solver's name and accuracy, added where the file lacks them."""
+    """Return the provenance with the name and accuracy of the solver, where the file lacks them."""
     made = str(provenance["solver"])
     name = "" if made == "user" else made.partition("(")[0].lower()
     if made.startswith("RayleighRitz(subspace=AmbientFourier("):
