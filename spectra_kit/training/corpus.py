@@ -221,7 +221,7 @@ def produced(
     )
     try:
         first = islice(todo, _AHEAD * workers)
-        ahead = deque(executor.submit(_make_packed, config, i) for i in first)
+        ahead = deque(executor.submit(packed_sample, config, i) for i in first)
         yield _in_order(executor, config, ahead, todo)
     finally:
         executor.shutdown(cancel_futures=True)
@@ -236,7 +236,7 @@ def _in_order(
     while ahead:
         try:
             sample = ahead.popleft().result()
-            ahead.extend(executor.submit(_make_packed, config, i) for i in islice(todo, 1))
+            ahead.extend(executor.submit(packed_sample, config, i) for i in islice(todo, 1))
         except BrokenProcessPool as error:
             raise WorkerError(
                 "a process that makes samples has died, perhaps for lack of memory",
@@ -245,7 +245,7 @@ def _in_order(
         yield sample
 
 
-def _make_packed(config: CorpusConfig, index: int) -> Sample:
+def packed_sample(config: CorpusConfig, index: int) -> Sample:
     """Make a sample in the precisions of the shards: a quarter of the bytes to send."""
     full = make_sample(config, index)
     return Sample(

@@ -4,16 +4,15 @@ import multiprocessing
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import produced_here
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
-from spectra_kit.training import corpus as making
 from spectra_kit.training import stream as streaming
 from spectra_kit.training.corpus import CorpusConfig, WorkerError, generate, make_sample
 from spectra_kit.training.shards import open_shards
@@ -32,13 +31,7 @@ def shards(tmp_path_factory):
 
 @pytest.fixture
 def in_this_process(monkeypatch):
-    """Make the samples of streams here, which starts nothing."""
-
-    @contextmanager
-    def produced(config, indices, workers):
-        yield (making._make_packed(config, index) for index in indices)
-
-    monkeypatch.setattr(streaming, "produced", produced)
+    monkeypatch.setattr(streaming, "produced", produced_here)
 
 
 def assert_same(corpus, other, indices):
