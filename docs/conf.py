@@ -5,6 +5,7 @@ Nothing is fetched, neither while the pages are built nor when they are read.
 
 import sys
 from pathlib import Path
+from pydoc import locate
 
 from numpydoc.xref import DEFAULT_LINKS
 
@@ -12,6 +13,9 @@ import spectra_kit
 from spectra_kit._version import VERSION
 
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
+for page in Path(__file__).parent.glob("api/generated/*.rst"):  # of a build before
+    if locate(page.stem) is None:  # a name that is no longer there
+        page.unlink()
 
 project = "spectra_kit"
 author = "The spectra_kit authors"

@@ -12,6 +12,7 @@ import os
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from functools import wraps
 from itertools import chain, repeat
 from types import UnionType
@@ -63,12 +64,17 @@ def _checked_function(function: Callable[..., Any]) -> Callable[..., Any]:
         nonlocal signature
         if signature is None:  # at the first call: annotations may name what is defined below
             signature = _signature(function)
-        positional, rest, named, kinds = signature
-        if len(args) > len(positional) and named and not rest:
-            called = function.__qualname__.removesuffix(".__init__")
+        positional, rest, by_name, names, kinds = signature
+        called = function.__qualname__.removesuffix(".__init__")
+        if len(args) > len(positional) and by_name and not rest:
             raise InvalidInputError(
-                f"{called} takes its options by name", advice=f"write {called}({named}=...)"
+                f"{called} takes its options by name", advice=f"write {called}({by_name[0]}=...)"
             )
+        for name in options:
+            if names and name not in names:
+                near = get_close_matches(name, names, 1)
+                hint = f"; did you mean `{near[0]}`?" if near else ""
+                raise TypeError(f"{called} takes no argument `{name}`{hint}")
         given = [*zip(chain(positional, repeat(rest)), args, strict=False), *options.items()]
         for i, (name, value) in enumerate(given):
             kind = kinds.get(name)
@@ -110,7 +116,8 @@ class _Kind:
 class _Signature(NamedTuple):
     positional: list[str]
     rest: str  # of ``*args``
-    named: str  # the first argument that is given by its name alone
+    by_name: list[str]  # alone
+    names: list[str]  # all, if no others are taken
     kinds: dict[str, _Kind]
 
 
@@ -140,7 +147,8 @@ def _signature(function: Callable[..., Any]) -> _Signature:
     return _Signature(
         names(inspect.Parameter.POSITIONAL_OR_KEYWORD),
         "".join(names(inspect.Parameter.VAR_POSITIONAL)),
-        "".join(names(inspect.Parameter.KEYWORD_ONLY)[:1]),
+        names(inspect.Parameter.KEYWORD_ONLY),
+        [] if names(inspect.Parameter.VAR_KEYWORD) else [*kinds],
         {name: kind for name, kind in kinds.items() if kind is not None},
     )
 
@@ -240,7 +248,7 @@ def _numbers(letters: str, *, scalar: bool = True) -> _Kind:
         # Rows of several lengths; a tensor on another device, or one whose gradient is wanted.
         except (ValueError, TypeError, RuntimeError):
             return False
-        if array.ndim == 0 and not scalar:
+        if (array.ndim == 0 and not scalar) or np.ma.is_masked(value):
             return False
         return array.dtype.kind in letters or (array.size == 0 and array.dtype.kind == "f")
 
@@ -304,6 +312,7 @@ def _several(kind: _Kind | None) -> str:
 _ADVICE = {
     "Laplacian": ("", "build one with laplacian(geometry)"),
     "Spectrum": ("", "solve for one: spectrum(mesh, 50)"),
+    "Prepared": ("", "pass prepare(spectrum, geometry), or a spectrum with its geometry by name"),
     "Eigensolver": ("which has no method eigenpairs(laplacian, k)", "pass one such as Arpack()"),
     "Subspace": (
         "which is no function of points and mass",
@@ -327,6 +336,9 @@ def _made(name: str, value: Any, kinds: Mapping[str, _Kind], given: Mapping[str,
     got, lack, advice = _described(value, kind), kind.lack, kind.advice
     if got == _RAGGED:
         raise InvalidInputError(name, "have rows of one length", got)
+    if np.ma.is_masked(value):
+        n = int(np.ma.getmaskarray(value).sum())
+        raise InvalidInputError(name, "be whole", f"{n} masked entries", advice="leave them out")
     for other in kinds.keys() & given.keys() - {name}:
         if kinds[other].accepts(value) and kind.accepts(given[other]):
             raise InvalidInputError(
@@ -343,8 +355,8 @@ def _made(name: str, value: Any, kinds: Mapping[str, _Kind], given: Mapping[str,
             problem = InvalidInputError(name, kind.expected, got, advice=str(error.problem))
             raise InvalidFileError(error.path, problem) from error
         except InvalidInputError as error:
-            advice = error.advice if error.argument == "thing" else str(error)
-            raise InvalidInputError(name, kind.expected, got, advice=advice) from error
+            told = error.advice if error.argument == "thing" else str(error)
+            raise InvalidInputError(name, kind.expected, got, advice=told) from error
         if kind.accepts(made):
             return made
         got = f"{got}, which holds a {type(made).__name__}"

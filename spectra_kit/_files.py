@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from spectra_kit.errors import InvalidInputError, SpectraKitError
+from spectra_kit.errors import InvalidFileError, InvalidInputError, SpectraKitError
 
 _ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 _LONGEST_SUFFIX = 32  # bytes; no format has a longer one, and names have room for 255
@@ -187,8 +187,8 @@ def parsing(path: str | os.PathLike[str], what: str, *, remedy: str) -> Iterator
 
     Raises
     ------
-    InvalidInputError
-        Naming the file, `what` it must be, and the `remedy`.
+    InvalidFileError
+        Saying `what` the file must be, and the `remedy`.
     """
     try:
         yield
@@ -196,7 +196,8 @@ def parsing(path: str | os.PathLike[str], what: str, *, remedy: str) -> Iterator
         raise
     except (*_DAMAGE, OSError) as error:
         told = str(error).split("\n")[0] or type(error).__name__
-        raise InvalidInputError(f"{path} is not a whole {what} ({told})", advice=remedy) from error
+        problem = InvalidInputError(f"not a whole {what} ({told})", advice=remedy)
+        raise InvalidFileError(path, problem) from error
 
 
 def check_target(path: str | os.PathLike[str]) -> Path:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from spectra_kit._files import atomic_path, parsing
 from spectra_kit.catalogue import SOLVERS
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidFileError, InvalidInputError
 
 # 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`
 FORMAT_VERSION = 4
@@ -56,7 +56,7 @@ def read_spectrum_file(
 ) -> tuple[dict[str, Any], dict[str, Any] | None, dict[str, Any]]:
     """Return the arrays, the certificate's fields (or None) and the provenance's fields."""
     if not path.is_file():
-        raise InvalidInputError(f"`path` must be a spectrum file, found no file {str(path)!r}")
+        raise InvalidFileError(path, f"there is no such file; looked from {Path.cwd()}")
     with (
         parsing(path, "spectrum file", remedy="write it again with Spectrum.save"),
         zipfile.ZipFile(path) as archive,
@@ -66,10 +66,10 @@ def read_spectrum_file(
         if header["format"] != "spectra_kit spectrum":
             raise KeyError("format")
         if header["version"] > FORMAT_VERSION:
-            raise InvalidInputError(
-                f"{path} has format version {header['version']}, this spectra_kit reads up to"
-                f" {FORMAT_VERSION}",
-                advice="upgrade it",
+            raise InvalidFileError(
+                path,
+                f"it has format version {header['version']}, this spectra_kit reads up to"
+                f" {FORMAT_VERSION}; upgrade it",
             )
         certificate, provenance = header["certificate"], _named(header["provenance"])
         if certificate is not None:
@@ -127,9 +127,7 @@ def _map_member(path: Path, raw: IO[bytes], archive: zipfile.ZipFile, name: str)
     """Map ``name.npy`` read-only, straight out of the archive."""
     info = archive.getinfo(f"{name}.npy")
     if info.compress_type != zipfile.ZIP_STORED:
-        raise InvalidInputError(
-            f"{path} is compressed and cannot be mapped", advice="load it without mmap"
-        )
+        raise InvalidFileError(path, "it is compressed and cannot be mapped; load it without mmap")
     raw.seek(info.header_offset + 26)
     name_length, extra_length = struct.unpack("<HH", raw.read(4))
     raw.seek(info.header_offset + _LOCAL_HEADER + name_length + extra_length)

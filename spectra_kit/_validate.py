@@ -188,7 +188,7 @@ def _form(value: object) -> str:
         return f"<{len(value)} of {type(value[0]).__qualname__}>"
     if hasattr(value, "nnz"):
         return f"<sparse {value.shape}, {value.nnz} entries>"  # type: ignore[attr-defined]
-    return repr(value)
+    return repr(dict(value) if isinstance(value, Mapping) else value)
 
 
 class Rebuilt(Brief):

@@ -12,11 +12,13 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+Advice = str | tuple[str, ...]
+
 
 class _Advised(Exception):  # noqa: N818  # the part that errors and warnings share
     """What was found, and what to do about it, apart: so that it can be told in other words."""
 
-    def __init__(self, *facts: object, advice: str = "", remedies: tuple[str, ...] = ()) -> None:
+    def __init__(self, *facts: object, advice: Advice = "", remedies: tuple[str, ...] = ()) -> None:
         super().__init__(*facts)
         self.advice, self.remedies = advice, remedies
 
@@ -27,15 +29,23 @@ class _Advised(Exception):  # noqa: N818  # the part that errors and warnings sh
         ----------
         word : callable, optional
             Takes a name as Python has it and returns what its reader calls it, as the command line
-            does; by default it stays as it is.
+            does; by default it stays as it is. Where it returns nothing, that alternative is left
+            out.
 
         Returns
         -------
         str
             One line.
         """
-        advice = self.advice.format(*map(word, self.remedies)) if self.remedies else self.advice
-        return "; ".join(filter(None, (self._finding(word), advice)))
+        return "; ".join(filter(None, (self._finding(word), self._advised(word))))
+
+    def _advised(self, word: Callable[[str], str]) -> str:
+        words = map(word, self.remedies)
+        if isinstance(self.advice, str):
+            return self.advice.format(*words) if self.remedies else self.advice
+        pairs = zip(self.advice, words, strict=True)
+        *others, last = [""] + [text.format(known) for text, known in pairs if known]
+        return ", ".join([*others[1:], f"or {last}" if others[1:] else last])
 
     def _finding(self, word: Callable[[str], str]) -> str:
         return " ".join(map(str, self.args))
@@ -49,8 +59,9 @@ class SpectraKitError(_Advised):
 
     Attributes
     ----------
-    advice : str
-        What to do next; ``{}`` stands where each of the `remedies` is named.
+    advice : str or tuple of str
+        What to do next; ``{}`` stands where each of the `remedies` is named. Of a tuple, the
+        alternatives, each has one.
     remedies : tuple of str
         The arguments and calls that the advice names, as Python has them.
     """
@@ -65,7 +76,7 @@ class _ArgumentError(SpectraKitError):
         expected: str = "",
         got: object = "",
         *,
-        advice: str = "",
+        advice: Advice = "",
         remedies: tuple[str, ...] = (),
     ) -> None:
         super().__init__(argument, expected, got, advice=advice, remedies=remedies)
@@ -89,7 +100,7 @@ class InvalidInputError(_ArgumentError, ValueError):
         What it must be or do: "be positive", "have shape (n, 3)".
     got : object, optional
         What arrived, as it is to be shown.
-    advice : str, optional
+    advice : str or tuple of str, optional
         As in `SpectraKitError`.
     remedies : tuple of str, optional
         As in `SpectraKitError`.

@@ -7,7 +7,7 @@ larger ones are refused. Meshes of other toolkits need no adapter: see `geometry
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,24 +24,6 @@ if TYPE_CHECKING:
     import torch
 
 _NEGATIVE = 1e-6  # relative to Weyl's spacing 4 pi / area: ARPACK's rounding of a zero mode
-
-
-class PyfmArrays(TypedDict):
-    """Attributes of pyFM's ``TriMesh``."""
-
-    stiffness: sparse.csc_matrix
-    mass: sparse.dia_matrix
-    eigenvalues: Any
-    eigenvectors: Any
-
-
-class GeomfumArrays(TypedDict):
-    """Arguments of geomfum's ``Laplacian`` and ``LaplaceEigenBasis``."""
-
-    stiffness_matrix: sparse.csc_matrix
-    mass_matrix: sparse.dia_matrix
-    vals: Any
-    vecs: Any
 
 
 @checked
@@ -69,13 +51,6 @@ def from_arrays(
     -------
     Spectrum
         Without a certificate; ``.certify(laplacian)`` adds one.
-
-    Raises
-    ------
-    InvalidInputError
-        If the columns are not M-orthonormal to 1e-4, or eigenvalues are clearly negative.
-    InvalidSpectrumError
-        If shapes disagree or eigenvalues descend.
 
     Examples
     --------
@@ -128,11 +103,6 @@ def to_pyvista(geometry: Geometry, **point_arrays: ArrayLike | Spectrum) -> Any:
     pyvista.PolyData
         A copy: points, triangles if there are any, and `point_data`.
 
-    Raises
-    ------
-    InvalidInputError
-        If an array has not one row for each point.
-
     Examples
     --------
     >>> import spectra_kit as sk
@@ -161,7 +131,7 @@ def to_pyvista(geometry: Geometry, **point_arrays: ArrayLike | Spectrum) -> Any:
 
 
 @checked
-def to_pyfm(spectrum: Spectrum, laplacian: Laplacian) -> PyfmArrays:
+def to_pyfm(spectrum: Spectrum, laplacian: Laplacian) -> dict[str, Any]:
     """Return the attributes that make a pyFM ``TriMesh`` use this spectrum.
 
     Assign them after construction, ``for name, a in arrays.items(): setattr(mesh, name, a)``;
@@ -178,13 +148,8 @@ def to_pyfm(spectrum: Spectrum, laplacian: Laplacian) -> PyfmArrays:
     dict
         ``stiffness`` and ``mass`` (sparse, (n, n)), ``eigenvalues`` (k,), ``eigenvectors`` (n, k).
     """
-    _check_pair(spectrum, laplacian)
-    return PyfmArrays(
-        stiffness=sparse.csc_matrix(laplacian.stiffness),
-        mass=sparse.diags(spectrum.mass),
-        eigenvalues=np.array(spectrum.eigenvalues),
-        eigenvectors=np.array(spectrum.eigenvectors),
-    )
+    names = ("stiffness", "mass", "eigenvalues", "eigenvectors")
+    return dict(zip(names, _arrays(spectrum, laplacian), strict=True))
 
 
 @checked
@@ -196,34 +161,18 @@ def from_pyfm(
 
 
 @checked
-def to_geomfum(spectrum: Spectrum, laplacian: Laplacian) -> GeomfumArrays:
+def to_geomfum(spectrum: Spectrum, laplacian: Laplacian) -> dict[str, Any]:
     """Return the arrays of geomfum's ``Laplacian`` and ``LaplaceEigenBasis``.
 
-    Parameters
-    ----------
-    spectrum : Spectrum
-    laplacian : Laplacian
-        The one it was computed from.
-
-    Returns
-    -------
-    dict
-        ``stiffness_matrix``, ``mass_matrix`` (sparse, (n, n)), ``vals`` (k,), ``vecs`` (n, k).
+    As `to_pyfm`, as ``stiffness_matrix``, ``mass_matrix``, ``vals`` and ``vecs``.
     """
-    _check_pair(spectrum, laplacian)
-    return GeomfumArrays(
-        stiffness_matrix=sparse.csc_matrix(laplacian.stiffness),
-        mass_matrix=sparse.diags(spectrum.mass),
-        vals=np.array(spectrum.eigenvalues),
-        vecs=np.array(spectrum.eigenvectors),
-    )
+    names = ("stiffness_matrix", "mass_matrix", "vals", "vecs")
+    return dict(zip(names, _arrays(spectrum, laplacian), strict=True))
 
 
 @checked
 def from_geomfum(
-    eigenvalues: ArrayLike,
-    eigenvectors: ArrayLike,
-    mass: Annotated[ArrayLike, sparse.sparray],
+    eigenvalues: ArrayLike, eigenvectors: ArrayLike, mass: Annotated[ArrayLike, sparse.sparray]
 ) -> Spectrum:
     """Return the spectrum of geomfum's ``basis.vals, basis.vecs, laplacian.mass_matrix``."""
     return from_arrays(eigenvalues, eigenvectors, mass, solver="geomfum")
@@ -277,11 +226,6 @@ def from_diffusion_net(operators: tuple[Any, ...]) -> Spectrum:
     -------
     Spectrum
         Without a certificate.
-
-    Raises
-    ------
-    InvalidInputError
-        If `operators` has neither seven nor four entries.
     """
     if len(operators) == 7:
         operators = operators[1:5]
@@ -299,6 +243,13 @@ def from_diffusion_net(operators: tuple[Any, ...]) -> Spectrum:
 def _to_cpu(array: Any) -> Any:
     """Return a tensor's values where NumPy can see them."""
     return array.detach().cpu() if hasattr(array, "detach") else array
+
+
+def _arrays(spectrum: Spectrum, laplacian: Laplacian) -> tuple[Any, ...]:
+    """Return stiffness, mass, eigenvalues and eigenvectors, of their own memory."""
+    _check_pair(spectrum, laplacian)
+    matrices = sparse.csc_matrix(laplacian.stiffness), sparse.diags(spectrum.mass)
+    return *matrices, np.array(spectrum.eigenvalues), np.array(spectrum.eigenvectors)
 
 
 def _check_pair(spectrum: Spectrum, laplacian: Laplacian) -> None:

@@ -75,16 +75,9 @@ class Comparison(Brief):
     n_zero_modes: int
 
     def __post_init__(self) -> None:
-        for name in (
-            "eigenvalues",
-            "predicted_eigenvalues",
-            "match",
-            "span_error",
-            "vector_error",
-            "eigenvalue_error",
-            "cluster_error",
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                object.__setattr__(self, name, frozen(value))
 
     @property
     def k(self) -> int:
@@ -131,12 +124,6 @@ def span_error(basis: NDArray[np.floating], mass: Floats, eigenvectors: Floats) 
     -------
     ndarray of shape (k,)
         ``1 - |Y^T M u_i|^2``, between 0 (inside the span) and 1 (orthogonal to it).
-
-    Raises
-    ------
-    InvalidInputError
-        If the arrays disagree in n, `basis` is not finite or all zero, or `eigenvectors` are not
-        M-orthonormal.
 
     Notes
     -----
@@ -230,9 +217,10 @@ def compare_spectra(
     Parameters
     ----------
     exact : Spectrum
-        The truth, k modes or more. One more than k tells whether the last cluster is complete.
+        The truth, k M-orthonormal modes or more. One more than k tells whether the last cluster is
+        complete.
     predicted : Spectrum
-        k modes or more; all of them may be paired with the first k exact ones.
+        Of the same operator, k such modes or more; all may be paired with the first k exact ones.
     k : int, optional
         Modes to compare; by default as many as both have.
     basis : ndarray of shape (n, m), optional
@@ -246,12 +234,6 @@ def compare_spectra(
     -------
     Comparison
         The errors per mode; their means are properties.
-
-    Raises
-    ------
-    InvalidInputError
-        If the spectra belong to different points, masses or operators, the modes of one are not
-        M-orthonormal, `k` is out of range, or `cluster_gap` is negative.
 
     Notes
     -----
@@ -327,11 +309,6 @@ def align_modes(
     -------
     ndarray of shape (n, k)
         M-orthonormal inside each cluster; column i belongs beside exact mode i.
-
-    Raises
-    ------
-    InvalidInputError
-        As `compare_spectra`.
 
     Examples
     --------

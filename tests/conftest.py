@@ -18,8 +18,10 @@ from spectra_kit import (
     InvalidInputError,
     Laplacian,
     Lobpcg,
+    Spectrum,
     TriangleMesh,
     cotan_laplacian,
+    eigensolve,
     geometry,
     knn_laplacian,
     robust_laplacian,
@@ -55,35 +57,20 @@ ROUNDING = {
 }
 
 
-def backends(*, approximate: bool) -> list[Backend]:
-    """Solvers of the catalogue.
-
-    Relative residuals of a smooth approximation are of order one: its few high frequencies weigh
-    in the M^-1 norm with their eigenvalue. Accuracy of the eigenvalues is tested where it is
-    claimed.
-    """
-    return [
-        Backend(
-            entry(**OPTIONS.get(name, {})),
-            RESIDUAL.get(name, 3.0 if approximate else 1e-8),
-            ROUNDING.get(name, 1e-6),
-        )
-        for name, entry in SOLVERS.items()
-        if (entry.accuracy == "approximate") == approximate
-    ]
+# Relative residuals of a smooth approximation are of order one: its few high frequencies weigh in
+# the M^-1 norm with their eigenvalue. Accuracy of the eigenvalues is tested where it is claimed.
+BACKENDS = [
+    Backend(
+        entry(**OPTIONS.get(name, {})),
+        RESIDUAL.get(name, 3.0 if entry.accuracy == "approximate" else 1e-8),
+        ROUNDING.get(name, 1e-6),
+    )
+    for name, entry in SOLVERS.items()
+] + [Backend(Lobpcg(preconditioner="amg"), 1e-8)]
 
 
-APPROXIMATE_BACKENDS = backends(approximate=True)
-EXACT_BACKENDS = [*backends(approximate=False), Backend(Lobpcg(preconditioner="amg"), 1e-8)]
-
-
-@pytest.fixture(params=EXACT_BACKENDS + APPROXIMATE_BACKENDS, ids=str, scope="session")
+@pytest.fixture(params=BACKENDS, ids=str, scope="session")
 def backend(request: pytest.FixtureRequest) -> Backend:
-    return request.param
-
-
-@pytest.fixture(params=EXACT_BACKENDS, ids=str, scope="session")
-def exact_backend(request: pytest.FixtureRequest) -> Backend:
     return request.param
 
 
@@ -100,6 +87,7 @@ def refused(
 creature = cache(geometry.creature)
 
 
+@cache
 def bumpy(n: int = 642) -> TriangleMesh:
     """A sphere with bumps of no symmetry: every low eigenvalue is simple."""
     ball = sphere(subdivisions=3 if n <= 642 else 4).geometry
@@ -108,24 +96,31 @@ def bumpy(n: int = 642) -> TriangleMesh:
     return TriangleMesh(p * (1 + wave[:, None]) * [1.0, 1.3, 1.7], ball.faces)
 
 
+def joined(*meshes: TriangleMesh) -> TriangleMesh:
+    """Several meshes as one, where they are."""
+    first = np.cumsum([0, *(mesh.n for mesh in meshes)])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, first[:-1], strict=True)]
+    return TriangleMesh(np.vstack([mesh.points for mesh in meshes]), np.vstack(faces))
+
+
+def moved(mesh: TriangleMesh, *to: float, scale: float = 1.0) -> TriangleMesh:
+    """A mesh scaled, then moved."""
+    return mesh.with_points(scale * mesh.points + to)
+
+
 def two_parts(gap: float = 5.0) -> TriangleMesh:
     """A sphere and a smaller bumpy body beside it: two components."""
-    a, b = sphere(subdivisions=2).geometry, bumpy()
-    points = np.vstack([a.points, 0.5 * b.points + [gap, 0, 0]])
-    return TriangleMesh(points, np.vstack([a.faces, b.faces + a.n]))
+    return joined(sphere(subdivisions=2).geometry, moved(bumpy(), gap, 0, 0, scale=0.5))
 
 
-GEOMETRIES = {
-    "sphere-mesh": lambda: robust_laplacian(sphere(subdivisions=3).geometry),
-    "sphere-cotan": lambda: cotan_laplacian(sphere(subdivisions=3).geometry),
-    "sphere-cloud": lambda: robust_laplacian(sphere(subdivisions=3).geometry.as_cloud()),
-    "sphere-knn": lambda: knn_laplacian(sphere(subdivisions=3).geometry),
-    "rectangle": lambda: robust_laplacian(rectangle(n=600).geometry),
-    "rectangle-dirichlet": lambda: _dirichlet_rectangle(),
-    "torus": lambda: robust_laplacian(torus().geometry),
-    "bumpy": lambda: robust_laplacian(bumpy()),
-    "two-parts": lambda: robust_laplacian(two_parts()),
-}
+def two_sheets(n: int = 300, apart: float = 0.0) -> TriangleMesh:
+    """Two sheets, joined along their boundary: half of all modes are odd across them."""
+    sheet = rectangle(n=n).geometry
+    inner = np.setdiff1d(range(sheet.n), sheet.boundary_vertices)
+    back = np.arange(sheet.n)
+    back[inner] = sheet.n + np.arange(len(inner))
+    points = np.vstack([sheet.points, sheet.points[inner] + [0, 0, apart]])
+    return TriangleMesh(points, np.vstack([sheet.faces, back[sheet.faces][:, ::-1]]))
 
 
 def _dirichlet_rectangle() -> Laplacian:
@@ -133,9 +128,14 @@ def _dirichlet_rectangle() -> Laplacian:
     return robust_laplacian(mesh).dirichlet(mesh.boundary_vertices)
 
 
-@cache  # pytest makes a fixture anew whenever it comes back to a parameter
-def laplacian_of(name: str) -> Laplacian:
-    return GEOMETRIES[name]()
+GEOMETRIES = {
+    "sphere-knn": lambda: knn_laplacian(sphere(subdivisions=3).geometry),
+    "rectangle-cloud": lambda: robust_laplacian(rectangle(n=600).geometry.as_cloud()),
+    "rectangle-dirichlet": _dirichlet_rectangle,
+    "torus-cotan": lambda: cotan_laplacian(torus(n=500).geometry),
+    "two-parts": lambda: robust_laplacian(two_parts()),
+}
+laplacian_of = cache(lambda name: GEOMETRIES[name]())  # pytest makes fixtures anew
 
 
 @pytest.fixture(params=GEOMETRIES, scope="session")
@@ -146,6 +146,25 @@ def any_laplacian(request: pytest.FixtureRequest) -> Laplacian:
 @pytest.fixture(scope="session")
 def bumpy_laplacian() -> Laplacian:
     return robust_laplacian(bumpy())
+
+
+@pytest.fixture(scope="session")
+def animal() -> Laplacian:
+    return robust_laplacian(creature(4000, seed=0))
+
+
+@pytest.fixture(scope="session")
+def animal_spectrum(animal: Laplacian) -> Spectrum:
+    return eigensolve(animal, 70)
+
+
+def whole_spectrum(laplacian: Laplacian) -> tuple[np.ndarray, np.ndarray]:
+    """All eigenvalues and modes on the free points, by LAPACK."""
+    free = laplacian.free
+    root = 1 / np.sqrt(laplacian.mass[free])
+    stiffness = laplacian.stiffness[free][:, free].toarray()
+    values, vectors = np.linalg.eigh(root[:, None] * stiffness * root)
+    return np.maximum(values, 0), vectors * root[:, None]
 
 
 def data_folder() -> Path | None:

@@ -13,8 +13,8 @@ from typing import Any
 
 from spectra_kit._version import VERSION
 from spectra_kit.cli.help import help_text
-from spectra_kit.cli.options import General, refuse_unused
-from spectra_kit.cli.program import UsageError, parse
+from spectra_kit.cli.options import refuse_unused
+from spectra_kit.cli.program import NAMED, UsageError, parse
 from spectra_kit.cli.progress import telling
 from spectra_kit.cli.words import told
 from spectra_kit.errors import (
@@ -52,78 +52,43 @@ def main(argv: Sequence[str] | None = None, *, ready: Callable[[], object] = lam
     if argv is None:
         _prepare_streams()
         argv = sys.argv[1:]
+    asked: Any = None
     try:
         if argv[:1] == ["--version"]:
-            return _show(f"spectra_kit {VERSION}\n")
-        asked = parse(argv)
-        if asked.command is None or asked.options is None:
-            return _show(help_text(asked.command))
-    except UsageError as error:
-        return _complain_of_usage(error)
-    except BrokenPipeError:  # whoever read the help has seen enough
-        _drop_stdout()
-        return 0
-    except OSError as error:
-        return _tell(error)
-    command = asked.command.load()
-    ready()
-    return _run(command, asked.options)
-
-
-def _show(text: str) -> int:
-    """Write what was asked for about the program itself; return the exit code."""
-    sys.stdout.write(text)
-    return _flushed()
-
-
-def _complain_of_usage(error: UsageError) -> int:
-    """Show how it is used, what was wrong, and what may have been meant."""
-    usage = error.command.usage if error.command else "usage: spectra-kit COMMAND FILE [options]"
-    message = str(error)
-    if "Did you mean" not in message:
-        name = f" {error.command.name}" if error.command else ""
-        message += f"; see spectra-kit{name} --help"
-    _complain(f"{usage}\nerror: {message}")
-    return _BAD_INPUT
-
-
-def _run(command: Callable[[Any], None], options: Any) -> int:
-    """Run a command and tell its errors on stderr, in a line each; return the exit code."""
-    general: General = options.general
-    try:
-        with telling(quiet=general.quiet):
-            refuse_unused(options)
-            command(options)
-        return _flushed()
-    except BrokenPipeError as error:
-        if error.filename is not None:  # a pipe that was to hold a file
-            return _tell(error)
-        _drop_stdout()  # its reader, such as `head`, has seen enough
-        return 0
+            sys.stdout.write(f"spectra_kit {VERSION}\n")
+        elif {"-h", "--help"}.intersection(argv):  # found here, it costs no console
+            sys.stdout.write(help_text(NAMED.get(argv[0])))
+        else:
+            asked = parse(argv)
+            command = asked.load()
+            ready()
+            with telling(quiet=asked.quiet):
+                refuse_unused(asked)
+                command(asked)
+        sys.stdout.flush()
     except KeyboardInterrupt:
         _complain("interrupted")
         return _INTERRUPTED
     except Exception as error:  # noqa: BLE001  # a person reads this: a line, not a traceback
-        if general.debug:
+        if isinstance(error, BrokenPipeError) and error.filename is None:
+            _drop_stdout()  # its reader, such as `head`, has seen enough
+            return 0
+        if asked is not None and asked.debug:
             traceback.print_exc()
-        return _tell(error)
-
-
-def _flushed() -> int:
-    """Return the exit code once stdout has taken everything, or takes no more."""
-    try:
-        sys.stdout.flush()
-    except BrokenPipeError:
-        _drop_stdout()
-    except OSError as error:
         return _tell(error)
     return 0
 
 
 def _tell(error: Exception) -> int:
-    """Write the line that an error deserves; return its exit code."""
+    """Write the lines that an error deserves, behind what was printed; return its exit code."""
     code, message = _judged(error)
-    _flush_stdout()
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _drop_stdout()
+    if isinstance(error, UsageError):
+        command = error.command
+        _complain(command.usage if command else "usage: spectra-kit COMMAND FILE [options]")
     _complain(f"error: {message}")
     return code
 
@@ -134,6 +99,10 @@ def _judged(error: Exception) -> tuple[int, str]:
         return _SOLVER_FAILED, told(error)
     if isinstance(error, SpectraKitError):
         return _BAD_INPUT, told(error)
+    if isinstance(error, UsageError):
+        name = f" {error.command.name}" if error.command else ""
+        hint = "" if "Did you mean" in str(error) else f"; see spectra-kit{name} --help"
+        return _BAD_INPUT, f"{error}{hint}"
     if isinstance(error, OSError):
         what = (error.strerror or str(error)).lower()
         return _BAD_INPUT, f"{error.filename}: {what}" if error.filename else what
@@ -149,14 +118,6 @@ def _complain(text: str) -> None:
     """Write a line to stderr; where that is full, the exit code has to do."""
     with suppress(OSError):
         sys.stderr.write(f"{text}\n")
-
-
-def _flush_stdout() -> None:
-    """Show what was printed before an error; a stdout that takes no more is dropped."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        _drop_stdout()
 
 
 def _prepare_streams() -> None:

@@ -57,7 +57,7 @@ def compare_solvers(
     sources: Sources,
 ) -> list[Compared]:
     """Measure every solver on the same problem, from the arrays of the geometry on."""
-    time_coefficient = asked.heat.time_coefficient
+    time_coefficient = asked.time_coefficient
     contenders = {
         name: _ours(geometry, sources, name, solver, spectrum, time_coefficient)
         for name, (solver, spectrum) in _solvers(asked, triangulation).items()
@@ -112,15 +112,15 @@ def _solvers(
     asked: program.Geodesic, triangulation: IntrinsicTriangulation
 ) -> dict[str, tuple[Direct | Iterative, Spectrum | None]]:
     """Return the solvers by name, each with the modes that it uses."""
-    laplacian, rtol = triangulation.laplacian, asked.heat.poisson_rtol
+    laplacian, rtol = triangulation.laplacian, asked.poisson_rtol
     shipped = Iterative(rtol=rtol)
-    modes = number_of_modes(asked.solver, laplacian, usual=_MODES)
+    modes = number_of_modes(asked, laplacian, usual=_MODES)
     few = min(modes, shipped.modes)
 
     def spectrum(solver: str, n: int, start: str | None = None) -> Spectrum:
-        told = replace(asked.solver, start=start, rtol=None)
+        told = replace(asked, start=start, rtol=None)
         k = min(n + laplacian.kernel_dimension, laplacian.n)
-        return solve(laplacian, k, solver, told, asked.reading.seed)
+        return solve(laplacian, k, solver, told)
 
     exact = spectrum("arpack", modes)
     # One base for all that differ in the coarse space alone: level 0, as in the paper.

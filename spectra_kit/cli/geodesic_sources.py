@@ -20,27 +20,23 @@ Source = int | FacePoint
 
 def check_named(asked: program.Geodesic) -> int:
     """Refuse what needs no geometry to be seen wrong; return how many farthest points to add."""
-    named, reading = asked.sources, asked.reading
-    farthest = check_count("--farthest", named.farthest, low=0)
-    if not (named.source or named.at or named.face or farthest):
-        if asked.file != DEMO:
+    check_count("--farthest", asked.farthest, low=0)
+    if asked.file != DEMO:
+        if not (asked.source or asked.at or asked.face or asked.farthest):
             raise InvalidInputError(
                 "distances need at least one source; name some by --source, --at, --face or"
                 " --farthest"
             )
-        farthest = 1
-    if asked.file != DEMO and (
-        (reading.cloud is not None and (named.source or named.face))
-        or (reading.repair and named.face)
-    ):
-        raise InvalidInputError(
-            "--source and --face number the points and faces of the file, which --cloud changes,"
-            " and --repair the faces; name places by --at instead"
-        )
-    for face, *_ in named.face:
+        sampled = asked.cloud is not None and (asked.source or asked.face)
+        if sampled or (asked.repair and asked.face):
+            raise InvalidInputError(
+                "--source and --face number the points and faces of the file, which --cloud"
+                " changes, and --repair the faces; name places by --at instead"
+            )
+    for face, *_ in asked.face:
         if not face.is_integer():
             raise InvalidInputError(f"--face must begin with the number of a face, got {face:g}")
-    return farthest
+    return asked.farthest or int(not (asked.source or asked.at or asked.face))
 
 
 def named_sources(
@@ -50,15 +46,14 @@ def named_sources(
 
     `numbers` has the new number of each point of the file, where a repair changed them.
     """
-    named = asked.sources
-    check_count("--farthest", named.farthest, low=0, high=geometry.n)
+    check_count("--farthest", asked.farthest, low=0, high=geometry.n)
     n = geometry.n if numbers is None else len(numbers)
-    points = check_indices("--source", np.array(named.source, dtype=object), n)
+    points = check_indices("--source", np.array(asked.source, dtype=object), n)
     if numbers is not None:
         points = _renumbered(points, numbers)
     found: list[Source] = points.tolist()
-    found += [nearest_source(geometry, place) for place in named.at]
-    return found + [FacePoint(int(face), (a, b, c)) for face, a, b, c in named.face]
+    found += [nearest_source(geometry, place) for place in asked.at]
+    return found + [FacePoint(int(face), (a, b, c)) for face, a, b, c in asked.face]
 
 
 def _renumbered(points: Ints, numbers: Ints) -> Ints:
@@ -82,15 +77,15 @@ def with_farthest(
 
     Without sources the first is the farthest from point 0, which is none itself.
     """
-    if not count:
-        return sources
-    chosen = list(sources)
-    nearest = distance(chosen or [0])
-    for i in range(count):
-        chosen.append(int(np.argmax(nearest)))
-        if i + 1 < count:
-            latest = distance(chosen[-1:])
-            nearest = latest if len(chosen) == 1 else np.minimum(nearest, latest)
+    if count and not sources:
+        first = int(np.argmax(distance([0])))
+        return with_farthest([first], count - 1, distance)
+    chosen, latest = list(sources), list(sources)
+    nearest: Floats = np.array(np.inf)
+    for _ in range(count):
+        nearest = np.minimum(nearest, distance(latest))
+        latest = [int(np.argmax(nearest))]
+        chosen += latest
     return chosen
 
 
@@ -103,13 +98,3 @@ def positions(sources: list[Source], geometry: Geometry) -> Floats:
         elif isinstance(geometry, TriangleMesh):
             found.append(source.position(geometry))
     return np.array(found)
-
-
-def source_records(sources: list[Source]) -> list[dict[str, object]]:
-    """What each source is, for the report."""
-    return [
-        {"face": source.face, "barycentric": source.barycentric}
-        if isinstance(source, FacePoint)
-        else {"point": source}
-        for source in sources
-    ]

@@ -5,20 +5,19 @@ from __future__ import annotations
 import shutil
 import textwrap
 from collections.abc import Iterator, Sequence
-from itertools import groupby
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, get_args
 
-from spectra_kit.cli.options import DEMO, FORMATS
-from spectra_kit.cli.program import COMMANDS, Command, app
+from spectra_kit.cli.options import DEMO, FORMATS, Command
+from spectra_kit.cli.program import COMMANDS, app
 
 _WIDTH = 80  # lines are shorter than this, or than a narrower terminal
 _SHOWN = (str, int, float, Path)  # defaults of these kinds
 _COLUMN = 24  # where the text of an option begins
+_GROUPS = ("input", "sources", "method", "operator", "solver", "output", "drawing", "general")
 
 
-def help_text(command: Command | None) -> str:
+def help_text(command: type[Command] | None) -> str:
     """Return the help of a command: what it does, by example, and what it takes.
 
     Without one, that of the whole program: what comes in, what goes out, and in which order one
@@ -28,13 +27,12 @@ def help_text(command: Command | None) -> str:
         return _story()
     width = min(shutil.get_terminal_size().columns, _WIDTH) - 1
     examples = "\n".join(f"  spectra-kit {line}" for line in command.examples)
-    keys = textwrap.fill(command.keys, width, initial_indent="  ", subsequent_indent="  ")
     blocks = [
         command.usage,
-        textwrap.fill(command.asked.__doc__ or "", width),
+        textwrap.fill(command.__doc__ or "", width),
         f"examples:\n{examples}",
         *_groups(command, width),
-        f"keys of the --json object:\n{keys}",
+        "\n".join(["keys of the --json object:", *_wrapped(command.keys, width, 2)]),
     ]
     return "\n\n".join(blocks) + "\n"
 
@@ -54,26 +52,28 @@ Exit codes: 0 fine, 1 bug, 2 bad usage or file, 3 solver failed, 130 Ctrl-C
 """
 
 
-def _groups(command: Command, width: int) -> Iterator[str]:
-    """Each group of options under its name, as they follow each other."""
-    options = [
-        o for o in app()[command.name].assemble_argument_collection(parse_docstring=True) if o.show
-    ]
-    shown = sorted(filter(attrgetter("show"), options), key=lambda o: _group(o).name == "general")
-    for group, members in groupby(shown, key=_group):
-        listed, note = list(members), group.help
-        lines = [f"{group.name}:"]
-        if note:
-            lines += [*textwrap.wrap(note, width, initial_indent="  ", subsequent_indent="  "), ""]
-        if group.name == "general":
+def _groups(command: type[Command], width: int) -> Iterator[str]:
+    """Each group of options under its name, places before options."""
+    options = app()[command.name].assemble_argument_collection(parse_docstring=True)
+    for name in _GROUPS:
+        members = [o for o in options if o.show and _group(command, o.field_info.name) == name]
+        if not members:
+            continue
+        lines = [f"{name}:"]
+        if note := command.notes.get(name):
+            lines += [*_wrapped(note, width, 2), ""]
+        if name == "general":
             lines += _lines("-h, --help", "show this and exit", width)
-        for option in listed:
+        for option in sorted(members, key=lambda o: o.index is None):
             lines += _lines(_head(option), _text(option), width)
         yield "\n".join(lines)
 
 
-def _group(option: Any) -> Any:
-    return option.parameter.group[0]
+def _group(command: type[Command], option: str) -> str:
+    """The group of the class that has an option first; what a command has alone is output."""
+    classes = map(vars, reversed(command.__mro__))
+    owner = next(c for c in classes if option in c.get("__annotations__", ()))
+    return str(owner.get("group", "output"))
 
 
 def _head(option: Any) -> str:
@@ -107,10 +107,14 @@ def _text(option: Any) -> str:
 
 def _lines(head: str, text: str, width: int) -> Sequence[str]:
     """Two columns; the second begins on the next line where the first is too long."""
-    margin = " " * _COLUMN
-    wrapped = textwrap.wrap(
-        text, width, initial_indent=margin, subsequent_indent=margin, break_on_hyphens=False
-    )
+    wrapped = _wrapped(text, width, _COLUMN)
     if len(head) + 4 > _COLUMN:
         return [f"  {head}", *wrapped]
     return [f"  {head}".ljust(_COLUMN) + wrapped[0][_COLUMN:], *wrapped[1:]]
+
+
+def _wrapped(text: str, width: int, margin: int) -> list[str]:
+    indent = " " * margin
+    return textwrap.wrap(
+        text, width, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False
+    )

@@ -10,7 +10,7 @@ import numpy as np
 from spectra_kit import catalogue
 from spectra_kit._types import Ints
 from spectra_kit._validate import check_count, quantity
-from spectra_kit.cli.options import DEMO, FORMATS, Operator, Reading
+from spectra_kit.cli.options import DEMO, FORMATS, OnOne, Operator, Reading
 from spectra_kit.cli.progress import say, step
 from spectra_kit.cli.words import did_you_mean
 from spectra_kit.errors import InvalidInputError
@@ -25,35 +25,33 @@ _REMOVED = {
 }
 
 
-def load(file: str, reading: Reading, *, pose: int = 0) -> Geometry:
-    """Read or make a geometry; repair and sample it where that was asked for."""
-    return load_numbered(file, reading, pose=pose)[0]
+def load(file: str, asked: Reading, *, pose: int = 0) -> tuple[Geometry, Ints | None]:
+    """Read or make a geometry; repair and sample it where that was asked for.
 
-
-def load_numbered(file: str, reading: Reading, *, pose: int = 0) -> tuple[Geometry, Ints | None]:
-    """Do the same, and return the new number of each point of the file where it was repaired."""
+    Where it was repaired, the new number of each point of the file is returned too.
+    """
     geometry: Geometry
     numbers = None
     if file == DEMO:
         with step("making the demo"):
-            geometry = creature(reading.points, seed=reading.seed, pose=pose)
+            geometry = creature(asked.points, seed=asked.seed, pose=pose)
     else:
         _check_there(Path(file))
         with step(f"reading {file}"):
             geometry = read(file)
-    if reading.repair:
+    if asked.repair:
         with step("repairing"):
             repaired = repair(geometry)
         geometry, numbers = repaired.geometry, repaired.new_index
         counts = dataclasses.asdict(repaired.report)
         done = ", ".join(quantity(n, _REMOVED[what]) for what, n in counts.items() if n)
         say(f"repaired: {done or 'nothing to do'}")
-    if reading.cloud is not None:
+    if asked.cloud is not None:
         if not isinstance(geometry, TriangleMesh):
             raise InvalidInputError("--cloud samples a mesh, and this file holds a point cloud")
-        check_count("--cloud", reading.cloud, low=1)
-        with step(f"sampling {reading.cloud:,} points"):
-            geometry = sample(geometry, reading.cloud, seed=reading.seed)
+        check_count("--cloud", asked.cloud, low=1)
+        with step(f"sampling {asked.cloud:,} points"):
+            geometry = sample(geometry, asked.cloud, seed=asked.seed)
     return geometry, numbers
 
 
@@ -74,11 +72,11 @@ def _check_there(path: Path) -> None:
         raise InvalidInputError(f"{path}: there is no such file; {meant}")
 
 
-def prepare(file: str, reading: Reading, operator: Operator) -> tuple[Geometry, Laplacian]:
+def prepare(asked: OnOne) -> tuple[Geometry, Laplacian]:
     """Read a geometry and assemble its operator."""
-    geometry = load(file, reading)
+    geometry, _ = load(asked.file, asked)
     with step(f"assembling the Laplacian of {geometry.n:,} points"):
-        assembled = assemble(operator, geometry)
+        assembled = assemble(asked, geometry)
     if assembled.n_components > 1:
         # Corners that are not joined make a part of every face: each mode then lives on one.
         joined = geometry.n - len(np.unique(geometry.points, axis=0))
@@ -92,8 +90,7 @@ def prepare(file: str, reading: Reading, operator: Operator) -> tuple[Geometry, 
 
 def assemble(asked: Operator, geometry: Geometry) -> Laplacian:
     """Assemble the operator with its boundary condition."""
-    is_mesh = isinstance(geometry, TriangleMesh)
-    if asked.operator == "cotan" and not is_mesh:
+    if asked.operator == "cotan" and not isinstance(geometry, TriangleMesh):
         raise InvalidInputError("--operator cotan needs a mesh; use another for points")
     build = catalogue.OPERATORS[asked.operator] if asked.operator else laplacian
     assembled: Laplacian = build(geometry)

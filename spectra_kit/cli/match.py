@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from spectra_kit._types import Ints
-from spectra_kit._validate import check_indices
+from spectra_kit._validate import check_count, check_indices
 from spectra_kit.cli import program, tables
-from spectra_kit.cli.folder import check_folder, drawing, together
 from spectra_kit.cli.inputs import assemble, load
 from spectra_kit.cli.options import DEMO
-from spectra_kit.cli.output import as_json, print_blocks, print_json
-from spectra_kit.cli.outputs import up_of
+from spectra_kit.cli.output import as_json, check_folder, drawing, tell, together
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.quality import Errors, Side, doubts_of, errors_of, quality_of
 from spectra_kit.cli.solving import check_solvers, solve
@@ -24,6 +22,14 @@ from spectra_kit.geometry import Geometry, creature_pair, write
 from spectra_kit.geometry.formats._arrays import text_lines, whole
 from spectra_kit.geometry.formats.numpy_arrays import read_npy
 from spectra_kit.matching import Match, match, prepare
+from spectra_kit.matching.prepare import LOWEST_K
+from spectra_kit.viz import (
+    Page,
+    View,
+    plot_correspondence,
+    plot_error_curves,
+    plot_functional_map,
+)
 
 _MAPS = ("point_map.npy", "functional_map.npy", "report.json")
 _SIDES = ("source.npz", "target.npz")
@@ -33,26 +39,41 @@ _PICTURES = ("correspondence.png", "functional_map.png", "errors.png")
 
 def match_shapes(asked: program.Match) -> None:
     """Match, judge the map, write maps, report and pictures into one folder."""
-    folder, known = asked.output.output, asked.known
-    if asked.reading.changed and (known.landmarks or known.truth):
+    folder = asked.output
+    # The demo is one animal in two poses, whose true map is known.
+    is_demo = asked.source == asked.target == DEMO and asked.cloud is None
+    renumbered = asked.repair or asked.cloud is not None
+    if renumbered and (asked.landmarks or asked.truth):
         raise InvalidInputError(
             "--landmarks and --truth number the points of the files, which --repair and --cloud"
             " change; repair or sample first, and match what came out"
         )
-    check_solvers(asked.solver, asked.reading.seed, asked.solver.solver)
-    check_folder(folder, _files(asked), _MAPS + _SIDES + _PICTURES, _inputs(asked))
-    geometries, truth = _geometries(asked)
-    if known.truth:
-        truth = _read_truth(known.truth, *(g.n for g in geometries))
-    landmarks = None
-    if known.landmarks:
-        landmarks = _read_landmarks(known.landmarks, *(g.n for g in geometries))
-    source, target = (
-        _solve(asked, name, geometry)
-        for name, geometry in zip((asked.source, asked.target), geometries, strict=True)
-    )
+    check_count("-k", asked.k, low=LOWEST_K)
+    check_solvers(asked, asked.solver)
+    # Where the maps number other points than those of files that exist, these are written too.
+    sides = _SIDES if renumbered or DEMO in (asked.source, asked.target) else ()
+    drawn = _PICTURES if asked.truth or is_demo else _PICTURES[:2]
+    pictures = () if asked.no_pictures else drawn
+    files = (*_MAPS, *sides, *pictures)
+    check_folder(folder, files, _MAPS + _SIDES + _PICTURES, asked.inputs)
+
+    truth = landmarks = None
+    one: Geometry
+    other: Geometry
+    if is_demo:
+        fewer = max(9 * asked.points // 10, 500)
+        one, other, truth = creature_pair(asked.points, fewer, seed=asked.seed)
+    else:
+        one, _ = load(asked.source, asked, pose=1)
+        other, _ = load(asked.target, asked, pose=2)
+    if asked.truth:
+        truth = _read_truth(asked.truth, one.n, other.n)
+    if asked.landmarks:
+        landmarks = _read_landmarks(asked.landmarks, one.n, other.n)
+    source = _solve(asked, asked.source, one)
+    target = _solve(asked, asked.target, other)
     with step("matching"):
-        found, quality = _matched(source, target, landmarks, _MIRRORED[known.sides])
+        found, quality = _matched(source, target, landmarks, _MIRRORED[asked.sides])
     with step("judging the map"):
         quality |= quality_of(source, target, found.point_map)
         errors = None if truth is None else errors_of(source, found.point_map, truth)
@@ -64,16 +85,21 @@ def match_shapes(asked: program.Match) -> None:
         "landmarks": 0 if landmarks is None else len(landmarks[0]),
         "match": quality,
     }
-    sides = (source, target) if _writes_sides(asked) else ()
-    with step(f"writing {folder}"):
-        written = _write(folder, found, record, sides)
-    if not asked.drawing.no_pictures:
-        with drawing(_pictures(folder, errors), kept=f"the numbers in {folder} are whole"):
-            written += _draw(asked, source, target, found, errors)
-    if asked.general.json:
-        print_json(**record, written=[str(path) for path in written])
-        return
-    print_blocks(
+    writing = together(folder, report=_MAPS[2], replacing=_PICTURES)
+    with step(f"writing {folder}"), writing as part:
+        np.save(part / _MAPS[0], found.point_map)
+        np.save(part / _MAPS[1], found.functional_map)
+        (part / _MAPS[2]).write_text(as_json(record))
+        for name, side in zip(sides, (source, target), strict=False):
+            write(side.geometry, part / name)
+    paths = [folder / name for name in pictures]
+    if paths:
+        with drawing(paths, kept=f"the numbers in {folder} are whole"):
+            _draw(asked, paths, source, target, found, errors)
+    written = [str(folder / name) for name in files]
+    tell(
+        asked,
+        {**record, "written": written},
         *(tables.headline(side.name, side.geometry, side.laplacian) for side in (source, target)),
         f"the map: the point of {source.name} that each point of {target.name} is",
         tables.pairs({name.replace("_", " "): _told(value) for name, value in quality.items()}),
@@ -81,45 +107,10 @@ def match_shapes(asked: program.Match) -> None:
     )
 
 
-def _writes_sides(asked: program.Match) -> bool:
-    """Whether the maps number other points than those of files that exist."""
-    return asked.reading.changed or DEMO in (asked.source, asked.target)
-
-
-def _is_demo_pair(asked: program.Match) -> bool:
-    return asked.source == asked.target == DEMO and asked.reading.cloud is None
-
-
-def _files(asked: program.Match) -> tuple[str, ...]:
-    """Names of all that will be written."""
-    truth = asked.known.truth or _is_demo_pair(asked)
-    pictures = () if asked.drawing.no_pictures else _PICTURES if truth else _PICTURES[:2]
-    return _MAPS + (_SIDES if _writes_sides(asked) else ()) + pictures
-
-
-def _inputs(asked: program.Match) -> set[Path]:
-    """Files that are read."""
-    names = (asked.source, asked.target, asked.known.landmarks, asked.known.truth)
-    return {Path(name) for name in names if name not in (DEMO, None)}
-
-
-def _geometries(asked: program.Match) -> tuple[tuple[Geometry, Geometry], Ints | None]:
-    """Read or make both; the demo is one animal in two poses, whose true map is known."""
-    names = (asked.source, asked.target)
-    if _is_demo_pair(asked):
-        n = asked.reading.points
-        source, target, truth = creature_pair(n, max(9 * n // 10, 500), seed=asked.reading.seed)
-        return (source, target), truth
-    read = [load(name, asked.reading, pose=pose) for pose, name in enumerate(names, start=1)]
-    return (read[0], read[1]), None
-
-
 def _solve(asked: program.Match, name: str, geometry: Geometry) -> Side:
     with step(f"{name}: assembling the Laplacian of {geometry.n:,} points"):
-        laplacian = assemble(asked.operator, geometry)
-    solver = asked.solver
-    spectrum = solve(laplacian, solver.k, solver.solver, solver, asked.reading.seed)
-    return Side(name, geometry, laplacian, spectrum)
+        laplacian = assemble(asked, geometry)
+    return Side(name, geometry, laplacian, solve(laplacian, asked.k, asked.solver, asked))
 
 
 def _matched(
@@ -127,11 +118,9 @@ def _matched(
 ) -> tuple[Match, tables.Record]:
     """The maps, and what the match says of itself."""
     start = time.perf_counter()
-    prepared = [prepare(side.spectrum, side.geometry) for side in (source, target)]
+    first, second = (prepare(side.spectrum, side.geometry) for side in (source, target))
     middle = time.perf_counter()
-    found = match(
-        prepared[0], prepared[1], landmarks=landmarks, mirrored=mirrored, k=source.spectrum.k
-    )
+    found = match(first, second, landmarks=landmarks, mirrored=mirrored, k=source.spectrum.k)
     return found, {
         "prepare_seconds": middle - start,
         "match_seconds": time.perf_counter() - middle,
@@ -162,10 +151,11 @@ def _read_landmarks(path: Path, n_source: int, n_target: int) -> tuple[Ints, Int
         rows.append((source, target))
     if not rows:
         raise InvalidInputError(f"{path}: must hold lines of two integers, got none")
+    sources, targets = zip(*rows, strict=True)
     try:
         return (
-            check_indices("source landmarks", [source for source, _ in rows], n_source),
-            check_indices("target landmarks", [target for _, target in rows], n_target),
+            check_indices("source landmarks", sources, n_source),
+            check_indices("target landmarks", targets, n_target),
         )
     except InvalidInputError as error:
         raise InvalidInputError(f"{path}: {error}; are the columns exchanged?") from error
@@ -199,61 +189,32 @@ def _side_record(side: Side) -> tables.Record:
     }
 
 
-def _write(
-    folder: Path, found: Match, record: tables.Record, sides: tuple[Side, ...]
-) -> list[Path]:
-    """The two maps, the report, and the shapes they belong to, all or none."""
-    points, functions, report = _MAPS
-    with together(folder, report=report, replacing=_PICTURES) as part:
-        np.save(part / points, found.point_map)
-        np.save(part / functions, found.functional_map)
-        (part / report).write_text(as_json(record))
-        for name, side in zip(_SIDES, sides, strict=False):
-            write(side.geometry, part / name)
-    return [folder / name for name in (*_MAPS, *_SIDES[: len(sides)])]
-
-
-def _pictures(folder: Path, errors: Errors | None) -> list[Path]:
-    return [folder / name for name in (_PICTURES[:2] if errors is None else _PICTURES)]
-
-
 def _draw(
     asked: program.Match,
+    paths: list[Path],
     source: Side,
     target: Side,
     found: Match,
     errors: Errors | None,
-) -> list[Path]:
-    from spectra_kit.viz import (
-        Page,
-        View,
-        plot_correspondence,
-        plot_error_curves,
-        plot_functional_map,
-    )
-
-    folder, dpi = asked.output.output, asked.drawing.dpi
-    paths = _pictures(folder, errors)
-    names = tuple(stem(side.name) for side in (source, target))
+) -> None:
+    names = (stem(source.name), stem(target.name))
     title = " to ".join(names)
+    page = Page(title, dpi=asked.dpi)
     plot_correspondence(
         paths[0],
         source.geometry,
         target.geometry,
         found.point_map,
-        errors=None if errors is None else errors.known,
+        errors=errors.known if errors else None,
         error_label=errors.label if errors else "",
-        view=View(up_of(asked.drawing, source.name), asked.drawing.turn),
-        names=(names[0], names[1]) if names[0] != names[1] else ("source", "target"),
-        page=Page(title, f"{source.geometry.n:,} and {target.geometry.n:,} points", dpi),
+        view=View(asked.upwards, asked.turn),
+        names=names if names[0] != names[1] else ("source", "target"),
+        page=Page(title, f"{source.geometry.n:,} and {target.geometry.n:,} points", asked.dpi),
     )
-    page = Page(title, dpi=dpi)
     plot_functional_map(paths[1], found.functional_map, page=page)
-    if errors is not None:
-        plot_error_curves(
-            paths[2], {title: errors.known.direct}, error_label=errors.label, page=page
-        )
-    return paths
+    if errors:
+        curves = {title: errors.known.direct}
+        plot_error_curves(paths[2], curves, error_label=errors.label, page=page)
 
 
 def _told(value: object) -> object:

@@ -1,38 +1,41 @@
-"""What can be asked for: one frozen dataclass for each group of options.
+"""What several commands can be told: each option once, with its type, its default and its help.
 
-Each option stands once, with its type, its default and, below it, its help; a command takes a few
-groups (see `program`), and its functions the groups that they need.
+A command (see `program`) is a frozen dataclass of all its options; here are those that it shares.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from spectra_kit.catalogue import OPERATORS, SOLVERS, SUBSPACES
 from spectra_kit.errors import InvalidInputError
 
 DEMO = "demo"
 FORMATS = "obj, off, ply, stl, glb, gltf, xyz, npy, npz"
+PICTURES = (".png", ".pdf", ".svg")
 NETWORK = ("weights", "poses", "dtype", "device")  # what the network alone may be told
 _DRAWN = ("dpi", "up", "turn")
-_OPERANDS = ("file", "source", "target")
 
 
-def grouped(name: str, note: str = "") -> Parameter:
-    """Return what makes a dataclass a group of options, under their own names."""
-    return Parameter(name="*", group=Group(name, help=note), negative="")
+def _integers(_: object, tokens: Sequence[Any]) -> tuple[int, ...]:
+    text = tokens[0].value
+    try:
+        return tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"expected numbers like 1,2,5,10, got {text!r}") from None
 
 
 def operand(name: str) -> Parameter:
     """Return what is named by its place, as geometries are."""
     text = f"a mesh or point cloud ({FORMATS}), or {DEMO!r} for an animal made on the spot"
-    return Parameter(name=name, help=text, group=Group("input"))
+    return Parameter(name=name, help=text)
 
 
 if TYPE_CHECKING:
@@ -40,17 +43,57 @@ if TYPE_CHECKING:
 else:  # a text; but of a path the shell knows how to complete it
     File = str | Path
 
+Axis = Literal["x", "y", "z"]
 Count = Annotated[int, Parameter(name="-k", metavar="K")]
+Indices = Annotated[tuple[int, ...], Parameter(converter=_integers, n_tokens=1, metavar="I,J,...")]
+Output = Annotated[Path, Parameter(alias="-o")]
+OperatorName = Annotated[str, Parameter(choices=[*OPERATORS])]
 SolverName = Annotated[str, Parameter(choices=[*SOLVERS], metavar="NAME")]
 OptionalName = Annotated[str, Parameter(choices=[*SOLVERS, "none"], metavar="NAME")]
 StartName = Annotated[str, Parameter(choices=[s for s in SUBSPACES if s != "given"])]
-OperatorName = Annotated[str, Parameter(choices=[*OPERATORS])]
 
 
-@grouped("input")
 @dataclass(frozen=True, kw_only=True)
-class Reading:
+class Command:
+    """What every command can be told, and what is told of it."""
+
+    name: ClassVar[str]  # as typed
+    usage: ClassVar[str]
+    outcome: ClassVar[str]  # what one gets, in a few words
+    examples: ClassVar[tuple[str, ...]]  # the first one stands in the story
+    keys: ClassVar[str]  # of the object that --json prints
+    run: ClassVar[str]  # a module of this package, and in it the function that does it
+    operands: ClassVar[str] = "FILE [options]"
+    group: ClassVar[str] = "general"  # of the options that a class adds, in the help
+    notes: ClassVar[Mapping[str, str]] = {  # on groups
+        "output": "a file of that name is replaced, once the new one is whole"
+    }
+
+    json: bool = False
+    """print one JSON object instead of tables"""
+    quiet: Annotated[bool, Parameter(alias="-q")] = False
+    """show no progress"""
+    debug: bool = False
+    """show the traceback of an error"""
+
+    def __init_subclass__(cls) -> None:
+        cls.name = cls.__name__.lower()
+        cls.usage = f"usage: spectra-kit {cls.name} {cls.operands}"
+
+    @classmethod
+    def load(cls) -> Callable[[Any], None]:
+        """Import what the command needs, and return its function."""
+        module, _, function = cls.run.partition(".")
+        run: Callable[[Any], None]
+        run = getattr(import_module(f"spectra_kit.cli.{module}"), function)
+        return run
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading(Command):
     """What is done to geometries as they are read."""
+
+    group = "input"
 
     points: int = 8000
     """vertices of the demo, 500 or more"""
@@ -62,30 +105,27 @@ class Reading:
     """of everything random"""
 
     @property
-    def changed(self) -> bool:
-        """Whether points are numbered otherwise than in their file."""
-        return self.repair or self.cloud is not None
+    def inputs(self) -> list[Path]:
+        """The files that are read."""
+        named = ("file", "source", "target", "spectrum", "landmarks", "truth")
+        given = (getattr(self, name, None) for name in named)
+        return [Path(file) for file in given if isinstance(file, str | Path) and file != DEMO]
 
 
-@grouped("input")
+@dataclass(frozen=True)
+class OneFile(Reading):
+    """The geometry of a command that takes one."""
+
+    group = "input"
+
+    file: Annotated[File, operand("FILE")]
+
+
 @dataclass(frozen=True, kw_only=True)
-class Known:
-    """What is known of how two geometries correspond."""
-
-    landmarks: Path | None = None
-    """corresponding points: a line for each with its number on the source and on the target,
-    counted from 0"""
-    sides: Literal["either", "kept", "reversed"] = "either"
-    """whether the map may mirror (default: either, mirrored only if that is clearly better)"""
-    truth: Path | None = None
-    """the true source point of each target point, an .npy file to measure errors by (negative:
-    unknown)"""
-
-
-@grouped("operator")
-@dataclass(frozen=True, kw_only=True)
-class Operator:
+class Operator(Reading):
     """The Laplacian, and what holds at the boundary."""
+
+    group = "operator"
 
     operator: OperatorName | None = None
     """Laplacian (default: robust for meshes, delaunay for clouds)"""
@@ -93,19 +133,16 @@ class Operator:
     """of a mesh with a boundary"""
 
 
-@grouped("operator")
 @dataclass(frozen=True, kw_only=True)
-class LeanOperator(Operator):
-    """By default the same of meshes as `robust`, made in a seventh of its memory."""
-
-    operator: OperatorName | None = "delaunay"
-    """Laplacian (default: delaunay, which of a mesh is robust with less memory)"""
+class OnOne(OneFile, Operator):
+    """A command that works with the Laplacian of one geometry."""
 
 
-@grouped("solver")
 @dataclass(frozen=True, kw_only=True)
-class AnySolver:
+class Solver(Reading):
     """An eigensolver, how many modes, and what it may be told."""
+
+    group = "solver"
 
     k: Count | None = None
     """number of modes"""
@@ -125,63 +162,34 @@ class AnySolver:
     """of neo and chebyshev: cpu, cuda"""
 
 
-@grouped("solver")
 @dataclass(frozen=True, kw_only=True)
-class Solver(AnySolver):
-    """The eigensolver of modes that are asked for by their number."""
+class Verified(Solver):
+    """A solver whose modes may be counted."""
 
-    k: Count = 96
-    """number of modes"""
-    solver: SolverName = "arpack"
-
-
-@grouped("solver")
-@dataclass(frozen=True, kw_only=True)
-class VerifiedSolver(Solver):
-    """One whose modes may be counted."""
+    group = "solver"
 
     verify: bool = False
     """count the eigenvalues to prove that no mode was missed (a few factorisations)"""
 
 
-@grouped("solver")
 @dataclass(frozen=True, kw_only=True)
-class MatchSolver(Solver):
-    """One of as many modes as a match uses."""
+class Spared(Solver):
+    """A solver that is not needed where the modes are saved."""
 
-    k: Count = 150
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Spared(AnySolver):
-    """One that is not needed where the modes are saved."""
+    group = "solver"
 
     spectrum: Path | None = None
     """take the modes from this file, written by spectra-kit spectrum -o, and solve nothing"""
 
-    @property
-    def files(self) -> list[Path]:
-        """What is read in its place."""
-        return [self.spectrum] if self.spectrum else []
 
-
-@grouped("solver")
 @dataclass(frozen=True, kw_only=True)
-class ShownSolver(_Spared):
-    """One that finds what is to be shown, unless it is saved."""
-
-    k: Count | None = None
-    """number of modes (default: as many as are shown)"""
-    solver: SolverName = "arpack"
-
-
-@grouped("solver")
-@dataclass(frozen=True, kw_only=True)
-class Predictor(_Spared):
+class Predictor(Spared):
     """What predicts, and the truth it is held against."""
 
+    group = "solver"
+
     k: Count = 96
-    solver: SolverName | None = None
+    solver: OptionalName | None = None
     """what predicts (default: neo)"""
     against: SolverName = "arpack"
     """what solves for the truth, one of the same"""
@@ -189,57 +197,77 @@ class Predictor(_Spared):
     """take the truth from this file, written by spectra-kit spectrum -o, and solve for none"""
 
 
-@grouped("solver")
 @dataclass(frozen=True, kw_only=True)
-class OptionalPredictor(Predictor):
-    """The same; with ``none`` there is nothing but the truth."""
+class Resolution(Command):
+    """How fine pictures are drawn."""
 
-    solver: OptionalName | None = None
-    """what predicts, or none (default: neo)"""
+    group = "drawing"
+
+    dpi: int = 200
+    """pixels per inch, 600 for print"""
 
 
-@grouped("modes", "for the coarse space of the linear solver, which may do without")
 @dataclass(frozen=True, kw_only=True)
-class CoarseSolver(_Spared):
-    """What solves for the modes of a coarse space, if any."""
+class Upright(Command):
+    """What points up in pictures."""
 
-    k: Count | None = None
-    """number of modes (default: 24 beside those of eigenvalue 0, to compare 96)"""
-    solver: SolverName | None = None
-    """what solves for modes (default: none)"""
+    group = "drawing"
+
+    up: Axis | None = None
+    """axis that points up in the picture (default: chosen by the shape)"""
+
+    @property
+    def upwards(self) -> Axis | None:
+        """The axis that points up: the one asked for, or that of the demo; None to look."""
+        first = getattr(self, "file", None) or getattr(self, "source", None)
+        return self.up or ("z" if first == DEMO else None)
 
 
-@grouped("general")
 @dataclass(frozen=True, kw_only=True)
-class General:
-    """What every command takes."""
+class Turned(Upright):
+    """From where pictures are drawn."""
 
-    json: bool = False
-    """print one JSON object instead of tables"""
-    quiet: Annotated[bool, Parameter(alias="-q")] = False
-    """show no progress"""
-    debug: bool = False
-    """show the traceback of an error"""
+    group = "drawing"
+
+    turn: float = 0.0
+    """turn it about that axis by X degrees, its front to the right; 180 shows the other side"""
 
 
-def refuse_given(group: object, names: Sequence[str], why: str) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Drawing(Turned, Resolution):
+    """From where pictures are drawn, and how fine."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FolderDrawing(Drawing):
+    """The same, of pictures in a folder."""
+
+    group = "drawing"
+    notes: ClassVar[Mapping[str, str]] = {
+        "output": "the folder is made; files of an earlier run in it are replaced"
+    }
+
+    no_pictures: bool = False
+    """write numbers only"""
+
+
+def refuse_given(asked: Command, names: Sequence[str], why: str) -> None:
     """Refuse options that change nothing as things are: who gives one expects something of it."""
-    for field in fields(group):  # type: ignore[arg-type]  # a group is a dataclass
-        if field.name in names and getattr(group, field.name) != field.default:
+    for field in fields(asked):
+        if field.name in names and getattr(asked, field.name) != field.default:
             raise InvalidInputError(
                 f"--{field.name.replace('_', '-')} has no effect {why}, or leave it out"
             )
 
 
-def refuse_unused(asked: Any) -> None:
+def refuse_unused(asked: Command) -> None:
     """Refuse what is for the demo on files alone, and what is for pictures where none is drawn."""
     given = vars(asked)
-    if "reading" in given and DEMO not in (given.get(name) for name in _OPERANDS):
-        refuse_given(asked.reading, ["points"], f"on files; name {DEMO!r} instead")
-    if drawing := given.get("drawing"):
-        if getattr(drawing, "no_pictures", False):
-            refuse_given(drawing, _DRAWN, "with --no-pictures; let them be drawn")
-        elif getattr(asked.output, "picture", ...) is None:
-            refuse_given(drawing, _DRAWN, "without a picture; name one by --picture")
-        if not math.isfinite(turn := getattr(drawing, "turn", 0.0)):
-            raise InvalidInputError("--turn", "be a finite number of degrees", turn)
+    if DEMO not in (given.get(name) for name in ("file", "source", "target")):
+        refuse_given(asked, ["points"], f"on files; name {DEMO!r} instead")
+    if given.get("no_pictures"):
+        refuse_given(asked, _DRAWN, "with --no-pictures; let them be drawn")
+    elif given.get("picture", ...) is None:
+        refuse_given(asked, _DRAWN, "without a picture; name one by --picture")
+    if not math.isfinite(turn := given.get("turn", 0.0)):
+        raise InvalidInputError("--turn", "be a finite number of degrees", turn)

@@ -1,56 +1,89 @@
-"""Where the commands write: blocks of text or JSON to stdout, files where it was asked for."""
+"""Where the commands write: text or JSON to stdout, files and folders where it was asked for."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from spectra_kit._files import is_special
-from spectra_kit.cli.folder import drawing
+from spectra_kit._files import is_special, naming, replace, temporary_folder, undivided
+from spectra_kit.cli.options import Command
+from spectra_kit.cli.progress import say, step
 from spectra_kit.errors import InvalidInputError
 
 
-def check_output(path: Path, suffixes: Sequence[str], inputs: Iterable[str | Path] = ()) -> None:
+def check_output(path: Path, suffixes: Sequence[str], inputs: Iterable[Path]) -> None:
     """Refuse a bad output path before the work, not after it; and one that would eat an input."""
+    cannot = f"cannot write {str(path)!r}"
     if path.suffix.lower() not in suffixes:
         known = " or ".join(suffixes)
         raise InvalidInputError(f"the output must be a {known} file, got {str(path)!r}")
     if not path.parent.is_dir():
-        raise InvalidInputError(
-            f"cannot write {str(path)!r}: there is no folder {str(path.parent)!r}; make it first"
-        )
+        raise InvalidInputError(f"{cannot}: there is no folder {str(path.parent)!r}; make it first")
     if path.is_dir():
-        raise InvalidInputError(f"cannot write {str(path)!r}: a folder has that name")
+        raise InvalidInputError(f"{cannot}: a folder has that name")
     if not os.access(path if is_special(path) else path.parent, os.W_OK):
         what = "it" if is_special(path) else f"the folder {str(path.parent)!r}"
-        raise InvalidInputError(
-            f"cannot write {str(path)!r}: {what} is not yours to write to; name another place"
-        )
-    if path.resolve() in {Path(name).resolve() for name in inputs}:
+        raise InvalidInputError(f"{cannot}: {what} is not yours to write to; name another place")
+    if path.resolve() in {file.resolve() for file in inputs}:
         raise InvalidInputError(
             f"the output must not replace an input, got {str(path)!r} as both; name another file"
         )
 
 
-def print_blocks(*blocks: str) -> None:
-    """Write blocks of text, an empty line between them."""
-    sys.stdout.write("\n\n".join(blocks) + "\n")
-
-
-def print_json(**record: object) -> None:
-    """Write one object; JSON knows no NaN: null stands for it."""
-    sys.stdout.write(as_json(record))
-
-
-def finish(
-    json: bool, picture: Path | None, draw: Callable[[Path], object], *, kept: str, **record: object
+def check_folder(
+    folder: Path, files: Sequence[str], known: Sequence[str], inputs: Iterable[Path]
 ) -> None:
-    """Draw where that was asked for; print the JSON after that, also where it ends early."""
+    """Refuse to write over an input, or beside files of an earlier run that would stay.
+
+    `files` are the names that will be written, `known` all that the command ever writes.
+    """
+    elsewhere = "name another folder with --output"
+    if not folder.parent.is_dir():
+        raise InvalidInputError(
+            f"cannot make {str(folder)!r}: there is no {str(folder.parent)!r}; make that first"
+        )
+    if folder.exists() and not folder.is_dir():
+        raise InvalidInputError(f"cannot make the folder {str(folder)!r}: a file has that name")
+    if odd := [name for name in files if is_special(folder / name)]:
+        raise InvalidInputError(
+            f"{str(folder)!r} must hold plain files where the output goes, got a pipe or a device"
+            f" as {', '.join(odd)}; {elsewhere}"
+        )
+    read = {path.resolve() for path in inputs}
+    there = [name for name in known if (folder / name).exists()]
+    if taken := [name for name in files if (folder / name).resolve() in read]:
+        raise InvalidInputError(
+            f"the output must not replace an input, got {', '.join(taken)} in {str(folder)!r} as"
+            f" one; {elsewhere}"
+        )
+    if left := [n for n in there if n not in files and (folder / n).resolve() not in read]:
+        raise InvalidInputError(
+            f"{str(folder)!r} must hold no other result, got {', '.join(left)}, which would stay"
+            f" beside the new one; remove what is old, or {elsewhere}"
+        )
+
+
+def tell(asked: Command, record: Mapping[str, object], *blocks: str) -> None:
+    """Write a result to stdout: one object if that was asked for, else blocks of text."""
+    sys.stdout.write(as_json(record) if asked.json else "\n\n".join(blocks) + "\n")
+
+
+def tell_with_picture(
+    asked: Command,
+    record: Mapping[str, object],
+    *blocks: str,
+    picture: Path | None,
+    draw: Callable[[Path], object],
+    kept: str = "the numbers are whole",
+) -> None:
+    """Draw where that was asked for, and write the result, also where the drawing ends early."""
     drawn = None
     try:
         if picture:
@@ -58,46 +91,32 @@ def finish(
                 draw(picture)
             drawn = str(picture)
     finally:
-        if json:
-            print_json(**record, picture=drawn)
-    if drawn and not json:
-        print_blocks(f"picture: {drawn}")
+        shown = [f"picture: {drawn}"] if drawn else []
+        tell(asked, {**record, "picture": drawn}, *blocks, *shown)
 
 
-def as_json(record: object) -> str:
-    """Return JSON in which an array of numbers is one line.
+def as_json(record: Mapping[str, object]) -> str:
+    """Return JSON in which an array of numbers is one line; it knows no NaN: null stands for it.
 
     Examples
     --------
     >>> import numpy as np
     >>> from spectra_kit.cli.output import as_json
-    >>> print(as_json({"k": 2, "eigenvalues": np.array([0.0, 2.5])}), end="")
+    >>> print(as_json({"k": 2, "eigenvalues": np.array([0.0, np.inf])}), end="")
     {
       "k": 2,
-      "eigenvalues": [0.0, 2.5]
+      "eigenvalues": [0.0, null]
     }
     """
-    return _indented(_plain(record), "") + "\n"
-
-
-def _indented(value: object, margin: str) -> str:
-    """Objects line by line, and lists of objects; whatever else on one line."""
-    inner = margin + "  "
-    if isinstance(value, dict) and value:
-        parts = [f"{json.dumps(key)}: {_indented(item, inner)}" for key, item in value.items()]
-        opening, closing = "{}"
-    elif isinstance(value, list) and any(isinstance(item, dict) for item in value):
-        parts = [_indented(item, inner) for item in value]
-        opening, closing = "[]"
-    else:
-        return json.dumps(value, allow_nan=False)
-    lines = ",\n".join(inner + part for part in parts)
-    return f"{opening}\n{lines}\n{margin}{closing}"
+    text = json.dumps(_plain(record), indent=2, allow_nan=False, separators=(", ", ": "))
+    # No string holds the end of a line: what begins with one is a list.
+    text = re.sub(r"\[\n[^][{}]*?\n *\]", lambda found: re.sub(r"\n *", "", found[0]), text)
+    return text.replace(", \n", ",\n") + "\n"
 
 
 def _plain(value: object) -> object:
     """Return `value` as JSON has it."""
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | list | tuple):
         return [_plain(item) for item in value]
@@ -108,3 +127,51 @@ def _plain(value: object) -> object:
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
+
+
+@contextmanager
+def drawing(pictures: Sequence[Path], *, kept: str) -> Iterator[None]:
+    """Show that pictures are drawn; where that ends early, say what is `kept` and what is missing.
+
+    The numbers took longer than their pictures, and are whole: Ctrl-C does not throw them away.
+    """
+    before = [_state(path) for path in pictures]
+    try:
+        with step("drawing"):
+            yield
+    except BaseException:
+        drawn = zip(pictures, before, strict=True)
+        missing = [str(path) for path, old in drawn if _state(path) in (None, old)]
+        say(f"{kept}, but not drawn: {', '.join(missing)}")
+        raise
+
+
+def _state(path: Path) -> tuple[int, int] | None:
+    """What changes when a file is replaced; None where there is none."""
+    if not path.exists():
+        return None
+    status = path.stat()
+    return status.st_ino, status.st_mtime_ns
+
+
+@contextmanager
+def together(folder: Path, *, report: str, replacing: Iterable[str]) -> Iterator[Path]:
+    """Yield an empty folder, whose files move into `folder` when the block ends well.
+
+    So what is interrupted leaves nothing, or the whole result of an earlier run. The pictures of
+    that run, `replacing`, go in the same moment: they would show another result than the numbers.
+    No signal comes between; should the process be killed there, or the power fail, then `report`
+    is missing, which goes first and comes last: it never stands beside numbers of another run.
+    """
+    beside = folder if folder.is_dir() else folder.parent
+    with ExitStack() as stack:
+        with naming(folder):
+            part = stack.enter_context(temporary_folder(beside))
+        yield part
+        done = sorted(part.iterdir(), key=lambda path: path.name == report)
+        with undivided():
+            folder.mkdir(exist_ok=True)
+            for old in (report, *replacing):
+                (folder / old).unlink(missing_ok=True)
+            for path in done:
+                replace(path, folder / path.name)

@@ -1,293 +1,304 @@
-"""The commands, in the order in which one meets them, and what each takes."""
+"""The commands, in the order in which one meets them, and what each can be told."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
-from typing import Annotated, Any, Literal
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
 
-from cyclopts import App, CycloptsError, Group, Parameter
+from cyclopts import App, CycloptsError, Parameter
 from cyclopts.exceptions import MissingArgumentError, UnusedCliTokensError
 
-from spectra_kit.cli import geodesic_options, options, outputs
-from spectra_kit.cli.options import DEMO, File, General, Operator, Reading, operand
-
-Shell = Literal["bash", "zsh", "fish"]
+from spectra_kit.cli import options
+from spectra_kit.cli.options import DEMO, Count, Indices, OnOne, Output, SolverName
 
 
-@dataclass(frozen=True)
-class _OfFile:
-    file: Annotated[File, operand("FILE")]
-    reading: Reading = Reading()
-    general: General = General()
-
-
-@dataclass(frozen=True)
-class _OfOperator(_OfFile):
-    operator: Operator = Operator()
-
-
-@dataclass(frozen=True)
-class Info(_OfOperator):
+@dataclass(frozen=True, kw_only=True)
+class Info(OnOne):
     """Say what a file holds, what is wrong with it and what can be made of it."""
 
-    operator: options.LeanOperator = options.LeanOperator()
+    outcome = "what a file holds"
+    examples = ("info bunny.obj", "info scan.ply --repair", "info bunny.obj --json")
+    keys = "input, kind, diagnosis, problems, operator"
+    run = "info.info"
+
+    operator: options.OperatorName | None = "delaunay"
+    """Laplacian (default: delaunay, which of a mesh is robust with less memory)"""
 
 
-@dataclass(frozen=True)
-class Spectrum(_OfOperator):
+@dataclass(frozen=True, kw_only=True)
+class Spectrum(OnOne, options.Verified, options.Resolution):
     """Compute the lowest eigenvalues and eigenfunctions, each with a certificate of accuracy."""
 
-    solver: options.VerifiedSolver = options.VerifiedSolver()
-    output: outputs.SpectrumOutput = outputs.SpectrumOutput()
-    drawing: outputs.Resolution = outputs.Resolution()
+    outcome = "certified modes"
+    examples = (
+        "spectrum bunny.obj -o bunny.npz",
+        "spectrum bunny.obj --solver multilevel --rtol 1e-8 --verify",
+        f"spectrum {DEMO} -k 24 --picture spectrum.png",
+    )
+    keys = "input, geometry, eigenvalues, certificate, provenance, verdict, output, picture"
+    run = "modes.spectrum"
+
+    k: Count = 96
+    solver: SolverName = "arpack"
+    output: Output | None = None
+    """write the spectrum to this .npz file (default: none)"""
+    picture: Path | None = None
+    """draw eigenvalues, Weyl's law and residuals (.png, .pdf, .svg) (default: none)"""
+    modes: Indices | None = None
+    """modes to show, counted from 0 (default: a handful)"""
 
 
-@dataclass(frozen=True)
-class Modes(_OfOperator):
+@dataclass(frozen=True, kw_only=True)
+class Shown(OnOne, options.Spared, options.Turned):
+    """Modes that are drawn: those asked for are solved for, unless they are saved."""
+
+    k: Count | None = None
+    """number of modes (default: as many as are shown)"""
+    solver: SolverName = "arpack"
+    output: Output = Path("modes.png")
+    modes: Indices | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Modes(Shown, options.Drawing):
     """Draw modes on the surface, with their zero lines, eigenvalues and residuals."""
 
-    solver: options.ShownSolver = options.ShownSolver()
-    output: outputs.ModesOutput = outputs.ModesOutput()
-    drawing: outputs.Drawing = outputs.Drawing()
+    outcome = "a picture of modes"
+    examples = (
+        "modes bunny.obj -o modes.png",
+        "modes bunny.obj --spectrum bunny.npz --modes 1,5,20",
+        f"modes {DEMO} -o modes.pdf --dpi 600",
+    )
+    keys = "input, geometry, eigenvalues, certificate, provenance, verdict, modes, picture"
+    run = "modes.modes"
+
+    output: Output = Path("modes.png")
+    """the picture (.png, .pdf, .svg)"""
+    modes: Indices | None = None
+    """modes to show, counted from 0 (default: the first 12 that are not constant)"""
+    columns: int | None = None
+    """modes in a row (default: as fits)"""
+    no_lines: bool = False
+    """leave the zero lines out"""
 
 
-@dataclass(frozen=True)
-class Animate(_OfOperator):
+@dataclass(frozen=True, kw_only=True)
+class Animate(Shown):
     """Let modes swing, one after the other, in a GIF or an MP4."""
 
-    solver: options.ShownSolver = options.ShownSolver()
-    output: outputs.AnimateOutput = outputs.AnimateOutput()
-    drawing: outputs.View = outputs.View()
+    outcome = "modes that swing"
+    examples = (
+        "animate bunny.obj -o modes.gif",
+        "animate bunny.obj --spectrum bunny.npz --modes 7",
+        f"animate {DEMO} -o modes.mp4 --width 720 --fps 30",
+    )
+    keys = "input, geometry, eigenvalues, certificate, provenance, verdict, modes, animation"
+    run = "modes.animate"
+
+    output: Output = Path("modes.gif")
+    """the animation: .gif, or .mp4 where imageio-ffmpeg is installed"""
+    modes: Indices | None = None
+    """modes to show, counted from 0 (default: the first 6 that are not constant)"""
+    seconds: float = 2.0
+    """that each mode is shown"""
+    fps: int = 20
+    """frames per second"""
+    width: int = 480
+    """pixels"""
 
 
-@dataclass(frozen=True)
-class Compare(_OfOperator):
+@dataclass(frozen=True, kw_only=True)
+class Compare(OnOne, options.Predictor, options.Drawing):
     """Set predicted modes beside exact ones: a table of errors, and a picture."""
 
-    solver: options.Predictor = options.Predictor()
-    output: outputs.CompareOutput = outputs.CompareOutput()
-    drawing: outputs.Drawing = outputs.Drawing()
+    outcome = "predicted and exact"
+    examples = (
+        "compare bunny.obj -o errors.png",
+        "compare bunny.obj --spectrum bunny.npz --solver polished",
+        f"compare {DEMO} --cloud 8000 --json",
+    )
+    keys = "input, geometry, reference, predicted, comparison, verdict, picture"
+    run = "compare.compare"
+
+    solver: SolverName | None = None
+    picture: Output | None = None
+    """draw exact | predicted | difference of the chosen modes (.png, .pdf, .svg) (default: none)"""
+    modes: Indices | None = None
+    """modes to show, counted from 0 (default: a handful)"""
 
 
-@dataclass(frozen=True)
-class Explore(_OfOperator):
+@dataclass(frozen=True, kw_only=True)
+class Explore(OnOne, options.Predictor, options.Upright):
     """Look at modes in the browser, exact and predicted side by side."""
 
-    solver: options.OptionalPredictor = options.OptionalPredictor()
-    output: outputs.ExploreOutput = outputs.ExploreOutput()
-    drawing: outputs.Upright = outputs.Upright()
+    outcome = "modes in the browser"
+    examples = (
+        "explore bunny.obj -o bunny.html",
+        "explore bunny.obj --serve",
+        f"explore {DEMO} -k 24 --solver none",
+    )
+    keys = "input, geometry, reference, predicted, comparison, verdict, explorer, url"
+    run = "explore.explore"
+
+    solver: options.OptionalName | None = None
+    """what predicts, or none (default: neo)"""
+    html: Output | None = None
+    """the page to write: one file that needs no network (default: the name of FILE with .html, in
+    the current folder)"""
+    serve: bool = False
+    """serve the page to this machine alone, too, until Ctrl-C"""
+    max_points: int = 50_000
+    """show at most so many points of a larger geometry"""
+    port: int = 0
+    """of --serve (default: a free one)"""
+    no_browser: bool = False
+    """with --serve, do not open a browser"""
 
 
 @dataclass(frozen=True)
-class Match:
+class _Pair(options.Reading):
+    group = "input"
+
+    source: Annotated[options.File, options.operand("SOURCE")]
+    target: Annotated[options.File, options.operand("TARGET")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Known(_Pair):
+    group = "input"
+
+    landmarks: Path | None = None
+    """corresponding points: a line for each with its number on the source and on the target,
+    counted from 0"""
+    sides: Literal["either", "kept", "reversed"] = "either"
+    """whether the map may mirror (default: either, mirrored only if that is clearly better)"""
+    truth: Path | None = None
+    """the true source point of each target point, an .npy file to measure errors by (negative:
+    unknown)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Match(_Known, options.Operator, options.Solver, options.FolderDrawing):
     """Find the source point that each target point is, and judge the map."""
 
-    source: Annotated[File, operand("SOURCE")]
-    target: Annotated[File, operand("TARGET")]
-    reading: Reading = Reading()
-    known: options.Known = options.Known()
-    operator: Operator = Operator()
-    solver: options.MatchSolver = options.MatchSolver()
-    output: outputs.MatchOutput = outputs.MatchOutput()
-    drawing: outputs.FolderDrawing = outputs.FolderDrawing()
-    general: General = General()
+    outcome = "corresponding points"
+    examples = (
+        "match cat.off lion.off -o maps",
+        "match cat.off lion.off --landmarks pairs.txt",
+        f"match {DEMO} {DEMO} --points 2000",
+    )
+    keys = "source, target, landmarks, match, written"
+    run = "match.match_shapes"
+    operands = "SOURCE TARGET [options]"
+
+    k: Count = 150
+    solver: SolverName = "arpack"
+    output: Output = Path("match")
+    """folder for the maps, the report and the pictures"""
 
 
-@dataclass(frozen=True)
-class Geodesic(_OfFile):
+@dataclass(frozen=True, kw_only=True)
+class _Sources(options.Command):
+    group = "sources"
+
+    source: Annotated[tuple[int, ...], Parameter(consume_multiple=True, metavar="INDEX ...")] = ()
+    """points of the file, counted from 0"""
+    at: Annotated[tuple[tuple[float, float, float], ...], Parameter(metavar="X Y Z")] = ()
+    """the point of the surface nearest to this place (may be repeated)"""
+    face: Annotated[
+        tuple[tuple[float, float, float, float], ...], Parameter(metavar="F B0 B1 B2")
+    ] = ()
+    """a point of a face, by its barycentric coordinates (may be repeated)"""
+    farthest: int = 0
+    """add N points, each the farthest from all sources before it (the first, where there are none,
+    from point 0)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Heat(options.Command):
+    group = "method"
+
+    method: Literal["auto", "direct", "iterative", "projected", "plain"] = "auto"
+    """of the linear systems: direct, by a factor; or by conjugate gradients with incomplete
+    Cholesky: plain, or with a coarse space of modes added (iterative) or projected out (projected)
+    (default: auto, whichever should be quicker)"""
+    poisson_rtol: float = 1e-8
+    """relative residual at which iterations stop"""
+    time_coefficient: float = 1.0
+    """the heat diffuses for X squared typical edge lengths; more is smoother"""
+    heat_boundary: Literal["neumann", "dirichlet", "average"] = "neumann"
+    """what heat does at a boundary: neumann, stay; dirichlet, leave; average, the mean of both"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Geodesic(options.OneFile, options.Spared, _Sources, _Heat, options.FolderDrawing):
     """Measure distances along a surface, and draw them with isolines."""
 
-    sources: geodesic_options.Sources = geodesic_options.Sources()
-    heat: geodesic_options.Heat = geodesic_options.Heat()
-    solver: options.CoarseSolver = options.CoarseSolver()
-    output: geodesic_options.GeodesicOutput = geodesic_options.GeodesicOutput()
-    drawing: outputs.FolderDrawing = outputs.FolderDrawing()
-
-
-@dataclass(frozen=True)
-class Completion:
-    """Print what a shell needs to complete commands, options and file names."""
-
-    shell: Annotated[Shell, Parameter(name="SHELL", help="bash, zsh or fish", group=Group("input"))]
-    general: General = General()
-
-
-@dataclass(frozen=True)
-class Command:
-    """One of the commands.
-
-    Attributes
-    ----------
-    asked : type
-        A dataclass of groups of options; its docstring is what the command does.
-    outcome : str
-        What one gets, in a few words.
-    examples : tuple of str
-        Without the name of the program; the first one stands in the story.
-    keys : str
-        Of the object that ``--json`` prints.
-    run : str
-        The module of this package, and in it the function that takes what was asked for.
-    operands : str
-        What stands before the options.
-    """
-
-    asked: type
-    outcome: str
-    examples: tuple[str, ...]
-    keys: str
-    run: str
-    operands: str = "FILE [options]"
-
-    @property
-    def name(self) -> str:
-        """As typed."""
-        return self.asked.__name__.lower()
-
-    @property
-    def usage(self) -> str:
-        """One line; to list every option again would fill ten."""
-        return f"usage: spectra-kit {self.name} {self.operands}"
-
-    def load(self) -> Callable[[Any], None]:
-        """Import what the command needs, and return its function."""
-        module, _, function = self.run.partition(".")
-        run: Callable[[Any], None]
-        run = getattr(import_module(f"spectra_kit.cli.{module}"), function)
-        return run
-
-
-COMMANDS = (
-    Command(
-        Info,
-        "what a file holds",
-        ("info bunny.obj", "info scan.ply --repair", "info bunny.obj --json"),
-        "input, kind, diagnosis, problems, operator",
-        "info.info",
-    ),
-    Command(
-        Spectrum,
-        "certified modes",
-        (
-            "spectrum bunny.obj -o bunny.npz",
-            "spectrum bunny.obj --solver multilevel --rtol 1e-8 --verify",
-            f"spectrum {DEMO} -k 24 --picture spectrum.png",
-        ),
-        "input, geometry, eigenvalues, certificate, provenance, verdict, output, picture",
-        "spectrum.spectrum",
-    ),
-    Command(
-        Modes,
-        "a picture of modes",
-        (
-            "modes bunny.obj -o modes.png",
-            "modes bunny.obj --spectrum bunny.npz --modes 1,5,20",
-            f"modes {DEMO} -o modes.pdf --dpi 600",
-        ),
-        "input, geometry, eigenvalues, certificate, provenance, verdict, modes, picture",
-        "pictures.modes",
-    ),
-    Command(
-        Animate,
-        "modes that swing",
-        (
-            "animate bunny.obj -o modes.gif",
-            "animate bunny.obj --spectrum bunny.npz --modes 7",
-            f"animate {DEMO} -o modes.mp4 --width 720 --fps 30",
-        ),
-        "input, geometry, eigenvalues, certificate, provenance, verdict, modes, animation",
-        "pictures.animate",
-    ),
-    Command(
-        Compare,
-        "predicted and exact",
-        (
-            "compare bunny.obj -o errors.png",
-            "compare bunny.obj --spectrum bunny.npz --solver polished",
-            f"compare {DEMO} --cloud 8000 --json",
-        ),
-        "input, geometry, reference, predicted, comparison, verdict, picture",
-        "compare.compare",
-    ),
-    Command(
-        Explore,
-        "modes in the browser",
-        (
-            "explore bunny.obj -o bunny.html",
-            "explore bunny.obj --serve",
-            f"explore {DEMO} -k 24 --solver none",
-        ),
-        "input, geometry, reference, predicted, comparison, verdict, explorer, url",
-        "explore.explore",
-    ),
-    Command(
-        Match,
-        "corresponding points",
-        (
-            "match cat.off lion.off -o maps",
-            "match cat.off lion.off --landmarks pairs.txt",
-            f"match {DEMO} {DEMO} --points 2000",
-        ),
-        "source, target, landmarks, match, written",
-        "match.match_shapes",
-        "SOURCE TARGET [options]",
-    ),
-    Command(
-        Geodesic,
-        "distances along it",
-        (
-            "geodesic bunny.obj --source 7",
-            "geodesic bunny.obj --at 0.1 0.2 0.0 --farthest 3 -o far",
-            f"geodesic {DEMO} --compare",
-        ),
+    outcome = "distances along it"
+    examples = (
+        "geodesic bunny.obj --source 7",
+        "geodesic bunny.obj --at 0.1 0.2 0.0 --farthest 3 -o far",
+        f"geodesic {DEMO} --compare",
+    )
+    keys = (
         "input, kind, points, faces, operator, operator area, operator components, zero modes,"
         " fixed points, eigenvalue spacing, heat_boundary, sources, method, choice,"
         " time_coefficient, time_step, iterations, relative_residual, heat, seconds, spectrum,"
         " largest_distance, mean_distance, points_not_reached, spectrum_unused, comparison,"
-        " written",
-        "geodesic.geodesic_distances",
-    ),
-    Command(
-        Completion,
-        "for your shell",
-        (
-            "completion bash >> ~/.bashrc",
-            "completion zsh > ~/.zfunc/_spectra-kit",
-            "completion fish > ~/.config/fish/completions/spectra-kit.fish",
-        ),
-        "shell, script",
-        "completion.completion",
-        "SHELL",
-    ),
-)
-NAMED = {command.name: command for command in COMMANDS}
+        " written"
+    )
+    run = "geodesic.geodesic_distances"
+    notes: ClassVar[Mapping[str, str]] = {
+        **options.FolderDrawing.notes,
+        "sources": "the distance is to the nearest of them all; the demo has one by default",
+        "solver": "of modes for the coarse space of the linear solver, which may do without",
+    }
+
+    k: Count | None = None
+    """number of modes (default: 24 beside those of eigenvalue 0, to compare 96)"""
+    solver: SolverName | None = None
+    """what solves for modes (default: none)"""
+    output: Output = Path("geodesic")
+    """folder for the distances, the report and the pictures"""
+    compare: bool = False
+    """also solve by every solver, and draw and print how each converges"""
+    spacing: float | None = None
+    """between two isolines (default: 20 to 40 lines)"""
+
+
+@dataclass(frozen=True)
+class Completion(options.Command):
+    """Print what a shell needs to complete commands, options and file names."""
+
+    group = "input"
+    outcome = "for your shell"
+    examples = (
+        "completion bash >> ~/.bashrc",
+        "completion zsh > ~/.zfunc/_spectra-kit",
+        "completion fish > ~/.config/fish/completions/spectra-kit.fish",
+    )
+    keys = "shell, script"
+    run = "info.completion"
+    operands = "SHELL"
+
+    shell: Annotated[
+        Literal["bash", "zsh", "fish"], Parameter(name="SHELL", help="bash, zsh or fish")
+    ]
+
+
+COMMANDS = (Info, Spectrum, Modes, Animate, Compare, Explore, Match, Geodesic, Completion)
+NAMED: dict[str, type[options.Command]] = {command.name: command for command in COMMANDS}
 
 
 class UsageError(Exception):
     """The command line was not understood; `command` is the one that it was for, if known."""
 
-    def __init__(self, message: str, command: Command | None) -> None:
+    def __init__(self, message: str, command: type[options.Command] | None) -> None:
         super().__init__(message)
         self.command = command
-
-
-@dataclass(frozen=True)
-class Asked:
-    """What a command line asks for.
-
-    Attributes
-    ----------
-    command : Command or None
-        None is the whole program, of which there is only help.
-    options : object, optional
-        What the command is to do, of its type `asked`; without it help was asked for.
-    """
-
-    command: Command | None
-    options: Any = None
 
 
 @cache
@@ -296,38 +307,37 @@ def app() -> App:
     program = App(
         name="spectra-kit",
         version_flags=(),
-        default_parameter=Parameter(allow_repeating=True),  # the last one counts
+        # Of an option that is given twice, the last one counts.
+        default_parameter=Parameter(allow_repeating=True, negative=""),
         print_error=False,
         exit_on_error=False,
     )
     for command in COMMANDS:
-        program.command(command.asked, name=command.name)
+        program.command(command, name=command.name)
     return program
 
 
-def parse(arguments: Sequence[str]) -> Asked:
-    """Read a command line, without the name of the program.
+def parse(arguments: Sequence[str]) -> Any:
+    """Return the command that a command line asks for, without the name of the program.
 
     Raises
     ------
     UsageError
         If it is not understood; with what may have been meant.
     """
-    command = NAMED.get(next(iter(arguments), ""))
     if not arguments:
         raise UsageError("a command is required", None)
-    if {"-h", "--help"}.intersection(arguments):  # found here, it costs no console
-        return Asked(command)
     try:
         # A lone hyphen is no option, but what it means elsewhere.
         words = ["/dev/stdin" if word == "-" else word for word in arguments]
         found, bound, _ = app().parse_args(words)
     except CycloptsError as error:
+        command = NAMED.get(arguments[0])
         raise UsageError(_told(error, command), command) from error
-    return Asked(command, found(*bound.args, **bound.kwargs))
+    return found(*bound.args, **bound.kwargs)
 
 
-def _told(error: CycloptsError, command: Command | None) -> str:
+def _told(error: CycloptsError, command: type[options.Command] | None) -> str:
     """Say what is wrong with a command line, in one line and as the help has it."""
     if command and isinstance(error, MissingArgumentError) and error.keyword is None:
         return f"{command.operands.removesuffix(' [options]')} is required"

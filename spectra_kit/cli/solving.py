@@ -9,7 +9,7 @@ from typing import Any
 
 from spectra_kit._validate import check_count, quantity
 from spectra_kit.catalogue import SOLVERS, SUBSPACES
-from spectra_kit.cli.options import NETWORK, AnySolver, refuse_given
+from spectra_kit.cli.options import NETWORK, Solver, refuse_given
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import listed
 from spectra_kit.eigensolvers import Eigensolver, Neo, eigensolve
@@ -27,20 +27,20 @@ _SAME = (10.0, 1e-6)  # residuals of a saved mode may grow by this factor and th
 _TOLD = ("rtol", "start", *NETWORK)  # what only some solvers may be told
 
 
-def check_solvers(asked: AnySolver, seed: int, *names: str) -> None:
+def check_solvers(asked: Solver, *names: str) -> None:
     """Refuse options that none of these solvers takes, and values that they refuse themselves."""
     if asked.k is not None:
         check_count("-k", asked.k, low=1)
     for option in _TOLD:
         takers = [name for name in SOLVERS if _takes(name, option, asked)]
-        default = getattr(AnySolver, option)
-        if getattr(asked, option) != default and not set(names) & set(takers):
+        if getattr(asked, option) != getattr(Solver, option) and not set(names) & set(takers):
+            got = listed([*dict.fromkeys(names)])
             raise InvalidInputError(
-                f"--{option} is for the solvers {listed(takers)}, got {listed(names)}; choose one"
-                " of those by --solver, or leave it out"
+                f"--{option} is for the solvers {listed(takers)}, got {got}; choose one of those"
+                " by --solver, or leave it out"
             )
     for name in names:
-        make_solver(name, asked, asked.k or 1, seed)
+        make_solver(name, asked, 1)
 
 
 def _fields(name: str) -> dict[str, Any]:
@@ -48,7 +48,7 @@ def _fields(name: str) -> dict[str, Any]:
     return {field.name: field.default for field in dataclasses.fields(SOLVERS[name].made_by)}
 
 
-def _takes(name: str, option: str, asked: AnySolver) -> bool:
+def _takes(name: str, option: str, asked: Solver) -> bool:
     """Whether a solver, or the subspace that it is to begin with, takes an option."""
     known = _fields(name)
     starts = "start" in known or known.get("subspace", ...) is None
@@ -57,67 +57,67 @@ def _takes(name: str, option: str, asked: AnySolver) -> bool:
     return option in known or (option in NETWORK and starts and asked.start == "neo")
 
 
-def make_solver(name: str, asked: AnySolver, k: int, seed: int) -> Eigensolver:
-    """Return the solver of a name for k modes, told what it takes."""
-    known = _fields(name)
-    told = {option: getattr(asked, option) for option in ("rtol", *NETWORK) if option in known}
-    told = {option: value for option, value in told.items() if value is not None}
-    if "seed" in known:
-        told["seed"] = seed
-    if "start" in known and asked.start:
-        told["start"] = _start(asked.start, asked, k, seed)
-    elif name == "fourier":
-        told["subspace"] = SUBSPACES["fourier"](seed=seed)
+def make_solver(name: str, asked: Solver, k: int) -> Eigensolver:
+    """Return the solver of a name for k modes, or as many as were asked for, told what it takes."""
+    known, k = _fields(name), asked.k or k
+    told = {
+        option: value
+        for option in ("rtol", "seed", *NETWORK)
+        if option in known and (value := getattr(asked, option)) is not None
+    }
+    if name == "fourier":
+        told["subspace"] = SUBSPACES["fourier"](seed=asked.seed)
     elif "subspace" in known:
-        told["subspace"] = _start(asked.start or "fourier", asked, k, seed)
+        told["subspace"] = _start(asked.start or "fourier", asked, k)
+    elif "start" in known and asked.start:
+        told["start"] = _start(asked.start, asked, k)
     solver: Eigensolver = SOLVERS[name](**told)
     return solver
 
 
-def _start(name: str, asked: AnySolver, k: int, seed: int) -> Subspace:
+def _start(name: str, asked: Solver, k: int) -> Subspace:
     """Return the subspace of a name, large enough for k modes and a few more."""
     if name == "neo":
         return Neo(**{option: getattr(asked, option) for option in NETWORK}).subspace
     if name == "random":
-        subspace: Subspace = SUBSPACES["random"](m=k + max(k // 2, 2 * EXTRA), seed=seed)
+        subspace: Subspace = SUBSPACES["random"](m=k + max(k // 2, 2 * EXTRA), seed=asked.seed)
         return subspace
-    return dataclasses.replace(plane_waves(k), seed=seed)
+    return dataclasses.replace(plane_waves(k), seed=asked.seed)
 
 
-def solve(laplacian: Laplacian, k: int, name: str, asked: AnySolver, seed: int) -> Spectrum:
+def solve(laplacian: Laplacian, k: int, name: str, asked: Solver) -> Spectrum:
     """Solve for `k` modes by the solver of a name."""
-    solver = make_solver(name, asked, asked.k or k, seed)
+    solver = make_solver(name, asked, k)
     with step(f"solving for {quantity(k, 'mode')} by {name}"):
         return eigensolve(laplacian, k, solver)
 
 
-def refuse_solving(asked: AnySolver, *more: str) -> None:
+def refuse_solving(asked: Solver) -> None:
     """Refuse options of solvers where modes come from a file."""
-    refuse_given(asked, ("solver", *_TOLD, *more), "on modes of a file; leave --spectrum out")
+    refuse_given(asked, ("solver", *_TOLD), "on modes of a file; leave --spectrum out")
 
 
 def saved(path: Path, laplacian: Laplacian) -> Spectrum:
     """Read a spectrum, and make sure by its residuals that it is one of this operator."""
+    wrong = f"{path} holds modes of something else"
+    hint = "give the file and the options it was made with, or leave --spectrum out"
     with step(f"reading {path}"):
         spectrum = Spectrum.load(path)
-        wrong = f"{path} holds modes of something else"
-        hint = "give the file and the options it was made with, or leave --spectrum out"
         try:
             certified = spectrum.certify(laplacian)
         except InvalidInputError as error:
             raise InvalidInputError(f"{wrong}: {error}; {hint}") from error
-        if spectrum.certificate is None:
-            return certified
-        factor, slack = _SAME
-        now, then = certified.certificate, spectrum.certificate
-        assert now is not None
-        if (now.relative_residuals > factor * then.relative_residuals + slack).any():
-            raise InvalidInputError(
-                f"{wrong}: their relative residuals were up to"
-                f" {then.relative_residuals.max():.1e} and are {now.relative_residuals.max():.1e}"
-                f" by {laplacian.operator}; {hint}"
-            )
-        return spectrum
+    now, then = certified.certificate, spectrum.certificate
+    if then is None or now is None:
+        return certified
+    factor, slack = _SAME
+    if (now.relative_residuals > factor * then.relative_residuals + slack).any():
+        raise InvalidInputError(
+            f"{wrong}: their relative residuals were up to"
+            f" {then.relative_residuals.max():.1e} and are {now.relative_residuals.max():.1e}"
+            f" by {laplacian.operator}; {hint}"
+        )
+    return spectrum
 
 
 def shown_modes(asked: Sequence[int] | None, usual: Iterable[int], k: int) -> tuple[int, ...]:

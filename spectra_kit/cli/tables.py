@@ -64,7 +64,7 @@ def certificate_lines(spectrum: Spectrum) -> str:
             "zero modes": _kernel(spectrum),
             "lowest modes": _certificate(spectrum).completeness,
             **_doubted(spectrum),
-            "seconds": _seconds(spectrum),
+            "seconds": seconds(spectrum.provenance.seconds),
         }
     )
 
@@ -273,7 +273,7 @@ def _doubted(spectrum: Spectrum) -> dict[str, str]:
     return {"verdict": verdict(spectrum) or nothing}
 
 
-def _seconds(spectrum: Spectrum) -> str:
-    stages = {name: t for name, t in spectrum.provenance.seconds.items() if t >= 0.005}
-    listed = ", ".join(f"{name} {t:.2f}" for name, t in stages.items())
-    return f"{sum(spectrum.provenance.seconds.values()):.2f}" + (f"  ({listed})" if listed else "")
+def seconds(stages: Mapping[str, float]) -> str:
+    """Return the sum, and what is worth telling of its parts."""
+    listed = ", ".join(f"{name} {t:.2f}" for name, t in stages.items() if t >= 0.005)
+    return f"{sum(stages.values()):.2f}" + (f"  ({listed})" if listed else "")

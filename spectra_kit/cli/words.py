@@ -8,15 +8,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from spectra_kit.catalogue import OPERATORS, SOLVERS
+
 _OPTIONS = {
     "k": "-k",
     "n_points": "--points",
-    "modes": "--modes",
-    "rtol": "--rtol",
-    "seed": "--seed",
-    "dpi": "--dpi",
-    "turn": "--turn",
-    "landmarks": "--landmarks",
+    **{name: f"--{name}" for name in ("modes", "rtol", "seed", "dpi", "turn", "landmarks")},
     "name_or_path": "--weights",
     "coordinate": "--at",
     "mesh.without_unreferenced()": "--repair",
@@ -24,12 +21,11 @@ _OPTIONS = {
     "mesh.without_duplicate_faces()": "--repair",
     "mesh.with_merged_vertices()": "--repair",
     "cloud.without_duplicates()": "--repair",
-    "robust_laplacian": "--operator robust",
-    "delaunay_laplacian": "--operator delaunay",
-    "Arpack": "--solver arpack",
-    "Multilevel": "--solver multilevel",
-    "Refined": "--solver refined",
-    "Polished": "--solver polished",
+    **{f"{name}_laplacian": f"--operator {name}" for name in OPERATORS},
+    **{name.capitalize(): f"--solver {name}" for name in SOLVERS},
+    # What no command can be told.
+    **dict.fromkeys(("max_steps", "max_sweeps", "max_restarts", "max_points", "tol"), ""),
+    'kind="cloud"': "",
 }
 
 
@@ -40,6 +36,8 @@ class _Told(Protocol):
 
 def option_of(name: str) -> str:
     """Return the option that stands for an argument, a method or a class; or its name.
+
+    Nothing stands for what no command can be told.
 
     Examples
     --------
@@ -53,9 +51,8 @@ def option_of(name: str) -> str:
 
 def told(message: object) -> str:
     """Return an error, a warning or a problem with options in place of arguments and methods."""
-    if isinstance(message, _Told):
-        return message.told(option_of)
-    return str(message)  # a warning of another package
+    # A warning may be another package's.
+    return message.told(option_of) if isinstance(message, _Told) else str(message)
 
 
 def stem(file: str) -> str:

@@ -31,11 +31,6 @@ class Truth(Rebuilt):
     symmetric : array_like of shape (c,), integers, optional
         The mirror images of `source`, where the geometry has a symmetry.
 
-    Raises
-    ------
-    InvalidInputError
-        If an array holds no integers, a negative one, or has another shape.
-
     Examples
     --------
     >>> from spectra_kit.correspondence import Truth
@@ -86,11 +81,6 @@ class MapErrors(Rebuilt):
         The target point of each: the order is that of the truth, not of the points.
     symmetric : array_like of shape (c,), optional
         Against the mirror image of the truth.
-
-    Raises
-    ------
-    InvalidInputError
-        If the arrays differ in shape, an error is negative or NaN, or `target` holds no indices.
 
     Examples
     --------
@@ -163,11 +153,6 @@ def map_errors(
     MapErrors
         ``100 d(point_map[truth.target], truth.source) / sqrt(area)``, d on the source; infinite
         where a point went to another component. In the order of the truth.
-
-    Raises
-    ------
-    InvalidInputError
-        If `point_map` or `truth` has an index out of range, or `truth` is no Truth.
 
     Notes
     -----

@@ -42,11 +42,6 @@ def geodesic_distances(
     ndarray of shape (q,)
         In the length unit of `mesh`; infinite between components.
 
-    Raises
-    ------
-    InvalidInputError
-        If `starts` and `ends` differ in shape, an index is out of range, or `method` is another.
-
     See Also
     --------
     spectra_kit.geodesics.exact_distances : To all vertices, from the nearest of several.

@@ -70,12 +70,6 @@ def dirichlet_energy(source: Laplacian, target: Laplacian, point_map: ArrayLike)
         Delaunay), more for a map onto the source that stretches unevenly, 0 for a constant one;
         jumps cost most.
 
-    Raises
-    ------
-    InvalidInputError
-        If `source` or `target` is no Laplacian, or `point_map` has another length than target
-        points, or an index out of range.
-
     Notes
     -----
     Ezuz, Solomon and Ben-Chen, *Reversible Harmonic Maps between Discrete Surfaces*, 2019; the
@@ -159,10 +153,9 @@ def way_back(source: Spectrum, target: Spectrum, point_map: ArrayLike) -> Ints:
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import eigensolve, robust_laplacian
+    >>> import spectra_kit as sk
     >>> from spectra_kit.correspondence import way_back
-    >>> from spectra_kit.geometry import creature
-    >>> spectrum = eigensolve(robust_laplacian(creature(600)), 40)
+    >>> spectrum = sk.spectrum(sk.geometry.creature(600), 40)
     >>> bool((way_back(spectrum, spectrum, range(600)) == np.arange(600)).all())
     True
     """
@@ -195,11 +188,6 @@ def orientation(
         From -1 to 1: signed area of the mapped target triangles, seen along the normals of the
         source, over their unsigned area. Near 1 the map keeps orientation, near -1 it mirrors;
         near 0 it does not know, or half of it is flipped. 0 for a constant map.
-
-    Raises
-    ------
-    InvalidInputError
-        If an array has another shape or an index is out of range.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Distances between points that all paths count in, not the shortest alone."""
+"""Distances between points that all paths count in, and the embedding by the modes themselves."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.spatial.distance import cdist
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import check_positive
+from spectra_kit._validate import check_count, check_positive
 from spectra_kit.descriptors._checks import check_sources, outside_kernel
 from spectra_kit.spectra import Spectrum
 
@@ -32,21 +32,11 @@ def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) 
         ``sqrt(sum_i exp(-2 lambda_i t) (u_i(x) - u_i(y))^2)``, in 1/length: the L2 norm of
         ``k_t(x, .) - k_t(y, .)``. Finite between components too, which share no heat.
 
-    Raises
-    ------
-    InvalidInputError
-        If there is no source, an index is out of range, or `time` is not positive.
-
     Notes
     -----
-    Coifman and Lafon (2006), with the heat kernel as the diffusion. Averaged over all
-    pairs of points, k modes leave about ``exp(-2 lambda_k t) / (4 pi t)`` out of the square
-    (Weyl's law).
-
-    References
-    ----------
-    R. R. Coifman, S. Lafon, "Diffusion maps", Applied and Computational Harmonic Analysis 21(1),
-    2006.
+    Coifman and Lafon, *Diffusion maps*, Applied and Computational Harmonic Analysis 2006, with the
+    heat kernel as the diffusion. Averaged over all pairs of points, k modes leave about
+    ``exp(-2 lambda_k t) / (4 pi t)`` out of the square (Weyl's law).
 
     Examples
     --------
@@ -80,21 +70,12 @@ def biharmonic_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
         ``sqrt(sum_i (u_i(x) - u_i(y))^2 / lambda_i^2)`` over the modes outside the kernel, in
         length. Infinite between components; parts that are fixed to zero somewhere count as one.
 
-    Raises
-    ------
-    InvalidInputError
-        If there is no source, an index is out of range, or all modes are zero modes.
-
     Notes
     -----
-    Lipman et al. (2010). The sum grows with k and converges: averaged over all pairs
-    of points, k modes leave about ``1 / (2 pi lambda_k)``, or ``area / (8 pi^2 k)``, out of the
-    square (Weyl's law; exact on the sphere, where the whole is radius^2 / (2 pi)).
-
-    References
-    ----------
-    Y. Lipman, R. M. Rustamov, T. A. Funkhouser, "Biharmonic distance", ACM Transactions on
-    Graphics 29(3), 2010.
+    Lipman, Rustamov and Funkhouser, *Biharmonic distance*, ACM Transactions on Graphics 2010. The
+    sum grows with k and converges: averaged over all pairs of points, k modes leave about
+    ``1 / (2 pi lambda_k)``, or ``area / (8 pi^2 k)``, out of the square (Weyl's law; exact on the
+    sphere, where the whole is radius^2 / (2 pi)).
 
     Examples
     --------
@@ -131,18 +112,11 @@ def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
 
     Notes
     -----
-    Qiu and Hancock (2007), after Fouss et al. (2007). With all n modes of a mesh the
-    sum is the effective resistance of its edges. There is no limit for finer meshes or
+    Qiu and Hancock, *Clustering and embedding using commute times*, PAMI 2007, after Fouss et al.,
+    *Random-walk computation of similarities between nodes of a graph*, 2007. With all n modes of a
+    mesh the sum is the effective resistance of its edges. There is no limit for finer meshes or
     more modes: two points of a surface never meet, and the square grows by about
     ``area / (2 pi) log k``. Compare values of one k only; `biharmonic_distances` converge.
-
-    References
-    ----------
-    H. Qiu, E. R. Hancock, "Clustering and embedding using commute times", IEEE Transactions on
-    Pattern Analysis and Machine Intelligence 29(11), 2007.
-
-    F. Fouss, A. Pirotte, J.-M. Renders, M. Saerens, "Random-walk computation of similarities
-    between nodes of a graph", IEEE Transactions on Knowledge and Data Engineering 19(3), 2007.
 
     Examples
     --------
@@ -162,6 +136,47 @@ def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     area = np.bincount(labels, spectrum.mass)[labels[sources]]
     distances = np.sqrt(area)[:, None] * cdist(embedding[sources], embedding)
     return _infinite_between(labels, sources, distances)
+
+
+@checked
+def global_point_signature(spectrum: Spectrum, count: int | None = None) -> Floats:
+    """Each point as its values in the first modes, over the roots of their eigenvalues (GPS).
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        k modes; zero modes are left out.
+    count : int, optional
+        Number of modes; by default all outside the kernel.
+
+    Returns
+    -------
+    ndarray of shape (n, count)
+        ``u_i(x) / sqrt(lambda_i)``, dimensionless. Signs, and bases inside eigenspaces, are those
+        of the spectrum: compare two surfaces by what does not see them, as the distances
+        within each (`commute_time_distances` are the square root of the area times these).
+
+    Notes
+    -----
+    Rustamov, *Laplace-Beltrami eigenfunctions for deformation invariant shape representation*, SGP
+    2007. Inner products of rows are Green's function of the Laplacian, which on a surface has no
+    finite value on the diagonal: norms grow as the root of log k.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from spectra_kit import Spectrum
+    >>> from spectra_kit.descriptors import global_point_signature
+    >>> spectrum = Spectrum(np.array([0.0, 4.0, 25.0]), np.eye(3), np.ones(3))
+    >>> global_point_signature(spectrum)
+    array([[0. , 0. ],
+           [0.5, 0. ],
+           [0. , 0.2]])
+    """
+    modes = outside_kernel(spectrum)
+    if count is not None:
+        modes = modes.truncate(check_count("count", count, low=1, high=modes.k))
+    return np.asarray(modes.eigenvectors / np.sqrt(modes.eigenvalues))
 
 
 def biharmonic_embedding(spectrum: Spectrum) -> Floats:

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
-from scipy import sparse
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigsh
 
 from spectra_kit._checked import checked
+from spectra_kit._clock import Clock
 from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg import SparseCholesky
+from spectra_kit.linalg.shift_invert import shifted_factor
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
-
-Factor = TypeVar("Factor")
 
 # Lanczos needs a subspace well above k; below this multiple of it the dense solver is as fast.
 _DENSE_RATIO = 3
@@ -88,10 +84,10 @@ class Arpack:
         """See `Eigensolver.eigenpairs`."""
         if _DENSE_RATIO * k >= laplacian.n:
             return Dense().eigenpairs(laplacian, k)
-        start = time.perf_counter()
+        clock = Clock()
         sigma = -self.shift * laplacian.eigenvalue_spacing
-        factor = shifted_factor(laplacian, sigma, SparseCholesky)
-        factored = time.perf_counter()
+        factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma, SparseCholesky)
+        clock.stage("factor")
         # ARPACK takes a Ritz value below eps^(2/3) = 4e-11 for converged when it is so absolutely,
         # not relatively: in units of the spacing they are all far above that, whatever the input's.
         # A power of two near the spacing changes no digit.
@@ -121,8 +117,8 @@ class Arpack:
                 f"ARPACK found {len(error.eigenvalues)} of {quantity(k, 'mode')} in"
                 f" {quantity(self.max_restarts, 'restart')}",
                 pairs,
-                advice="raise {}, or loosen {}",
-                remedies=("max_restarts", "tol"),
+                advice=("raise {}", "loosen {}", "use {}"),
+                remedies=("max_restarts", "tol", "Multilevel"),
             ) from error
         except ArpackError as error:  # such as no shift that it could apply, within a wide cluster
             raise NotConvergedError(
@@ -130,24 +126,5 @@ class Arpack:
                 advice="ask for more modes, or use {} or {}",
                 remedies=("Multilevel", "Refined"),
             ) from error
-        return Eigenpairs(
-            unit / values + sigma,
-            vectors / root[:, None],
-            {"factor": factored - start, "lanczos": time.perf_counter() - factored},
-        )
-
-
-def shifted_factor(
-    laplacian: Laplacian, sigma: float, factorise: Callable[[sparse.csr_array], Factor]
-) -> Factor:
-    """Factorise ``L - sigma M``, positive definite for sigma < 0."""
-    shifted = laplacian.stiffness - sigma * sparse.diags_array(laplacian.mass)
-    try:
-        return factorise(sparse.csr_array(shifted))
-    except InvalidInputError as error:
-        raise InvalidInputError(
-            "stiffness",
-            f"be positive semi-definite, but with {-sigma:.3g} M added to it a Cholesky factor does"
-            " not exist",
-            advice="is its sign right, and is it symmetric?",
-        ) from error
+        clock.stage("lanczos")
+        return Eigenpairs(unit / values + sigma, vectors / root[:, None], clock.seconds)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._clock import Clock
 from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
@@ -21,13 +20,14 @@ from spectra_kit.linalg.products import spmm
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import Subspace, restricted
+from spectra_kit.subspaces.given import OnPoints
 
 _GUARD = 0.5  # columns that are swept beyond k, relative to k
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class Capped:
+class Capped(OnPoints):
     """Evaluate a subspace on a well-spread subset, solve there, and carry the modes to all points.
 
     Approximate; the certificate says by how much. What grows with the resolution is a sparse
@@ -88,15 +88,15 @@ class Capped:
             if self.sweeps:
                 return Polished(start=subspace, sweeps=self.sweeps).eigenpairs(laplacian, k)
             return RayleighRitz(subspace=subspace).eigenpairs(laplacian, k)
-        begin = time.perf_counter()
+        clock = Clock()
         level = coarsen(laplacian, self.n_points)
-        coarsened = time.perf_counter()
+        clock.stage("coarsen")
         basis = basis_with_kernel(restricted(subspace, level.subset.indices), level)
-        predicted = time.perf_counter()
+        clock.stage("subspace")
         guard = max(8, round(_GUARD * k)) if self.sweeps else 0
         pairs = coarse_ritz(level, basis, k, guard=guard)
         pairs = coarse_iteration(level, pairs, k, max_sweeps=self.sweeps)
-        solved = time.perf_counter()
+        clock.stage("coarse")
         values = pairs.eigenvalues[:k]
         vectors = np.asarray(spmm(level.prolongation, pairs.eigenvectors[:, :k]))
         if self.smoothing:
@@ -106,18 +106,5 @@ class Capped:
                 values, vectors = ritz_rotation(L, mass, smooth)
             except InvalidInputError:  # what they had beyond others was rough
                 values, vectors, _ = ritz_pairs(L, mass, np.hstack([smooth, vectors]), k)
-        return Eigenpairs(
-            values,
-            vectors,
-            {
-                "coarsen": coarsened - begin,
-                "subspace": predicted - coarsened,
-                "coarse": solved - predicted,
-                "carry": time.perf_counter() - solved,
-            },
-            self.sweeps,
-        )
-
-    def restricted(self, rows: NDArray[np.int64]) -> Capped:
-        """Return this solver for the points `rows` of its Laplacian alone."""
-        return replace(self, subspace=restricted(self.subspace, rows))
+        clock.stage("carry")
+        return Eigenpairs(values, vectors, clock.seconds, self.sweeps)

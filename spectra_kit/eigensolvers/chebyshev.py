@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from spectra_kit._checked import checked
-from spectra_kit._types import Ints
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.refined import DENSE_RATIO, check_sweeping, within
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size, plane_waves
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.subspaces import Subspace, restricted
+from spectra_kit.subspaces import Subspace
+from spectra_kit.subspaces.given import OnPoints
 
 if TYPE_CHECKING:
     import torch
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class Chebyshev:
+class Chebyshev(OnPoints):
     """Like `Refined`, but by sparse products alone: no factor, and on a GPU if you like.
 
     Parameters
@@ -128,7 +128,3 @@ class Chebyshev:
             clock.stage("transfer")
         pairs = Eigenpairs(values, vectors, clock.seconds, found.sweeps)
         return within(self.rtol, laplacian, pairs, residuals, stalled=found.stalled)
-
-    def restricted(self, rows: Ints) -> Chebyshev:
-        """Return this solver for the points `rows` of its Laplacian alone."""
-        return replace(self, start=restricted(self.start, rows))

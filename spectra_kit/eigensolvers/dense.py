@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import ClassVar
@@ -12,6 +11,7 @@ from scipy import sparse
 from scipy.linalg import eigh
 
 from spectra_kit._checked import checked
+from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
@@ -59,14 +59,14 @@ class Dense:
                 "laplacian",
                 f"have at most {self.max_points} points for Dense",
                 laplacian.n,
-                advice="use {}, or raise `{}`",
+                advice=("use {}", "raise `{}`"),
                 remedies=("Arpack", "max_points"),
             )
-        start = time.perf_counter()
+        clock = Clock()
         root = np.sqrt(laplacian.mass)
         with blas_threads_for(laplacian.n**2):
             values, vectors = _lowest(laplacian.stiffness, root, k)
-        return Eigenpairs(values, vectors / root[:, None], {"dense": time.perf_counter() - start})
+        return Eigenpairs(values, vectors / root[:, None], {"dense": clock.total})
 
 
 def _lowest(stiffness: sparse.csr_array, root: Floats, k: int) -> tuple[Floats, Floats]:

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._checked import checked
+from spectra_kit._clock import Clock
 from spectra_kit._optional import optional
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive, quantity
-from spectra_kit.eigensolvers.arpack import shifted_factor
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.starts import basis_with_kernel
 from spectra_kit.linalg import SparseLDL, orthonormalize
+from spectra_kit.linalg.shift_invert import shifted_factor
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.subspaces import Subspace, restricted
+from spectra_kit.subspaces import Subspace
+from spectra_kit.subspaces.given import OnPoints
 
 _DENSE_RATIO = 5  # below this multiple of the block the trial space is most of the whole space
 _NEXT = 1e-2  # relative residual by which the mode after the wanted ones is known not to be lower
@@ -31,7 +31,7 @@ _GUARD = 0.15  # extra vectors relative to k: the last wanted modes converge at 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class Lobpcg:
+class Lobpcg(OnPoints):
     """LOBPCG with a Cholesky or an algebraic multigrid preconditioner.
 
     Parameters
@@ -103,13 +103,13 @@ class Lobpcg:
             return self._iterated(laplacian, k, block)
 
     def _iterated(self, laplacian: Laplacian, k: int, block: int) -> Eigenpairs:
-        begin = time.perf_counter()
+        clock = Clock()
         # The standard form: orthonormality is Euclidean, and the residual is that of `Certificate`.
         root = np.sqrt(laplacian.mass)
         inverse_root = sparse.diags_array(1 / root)
         standard = sparse.csr_array(inverse_root @ laplacian.stiffness @ inverse_root)
         precondition = self._preconditioner(laplacian, root)
-        prepared = time.perf_counter()
+        clock.stage("precondition")
         spacing = laplacian.eigenvalue_spacing
         known = self._predicted(laplacian, k)
         searching = self.factor_free and self.start is not None
@@ -135,25 +135,17 @@ class Lobpcg:
         values, vectors, residual = values[:k], vectors[:, :k], residual[:k]
         relative = residual / np.maximum(values, spacing)
         good = relative <= self.rtol
-        pairs = Eigenpairs(
-            values,
-            vectors / root[:, None],
-            {"precondition": prepared - begin, "lobpcg": time.perf_counter() - prepared},
-            steps,
-        )
+        clock.stage("lobpcg")
+        pairs = Eigenpairs(values, vectors / root[:, None], clock.seconds, steps)
         if not good.all():
             raise NotConvergedError(
                 f"LOBPCG brought {int(good.sum())} of {quantity(k, 'mode')} to rtol = {self.rtol:g}"
                 f" in {steps} steps (largest relative residual {relative.max():.1e})",
                 Eigenpairs(values[good], pairs.eigenvectors[:, good]),
-                advice="raise {}, loosen {}, or use {}",
+                advice=("raise {}", "loosen {}", "use {}"),
                 remedies=("max_steps", "rtol", "Arpack"),
             )
         return pairs
-
-    def restricted(self, rows: NDArray[np.int64]) -> Lobpcg:
-        """Return this solver for the points `rows` of its Laplacian alone."""
-        return self if self.start is None else replace(self, start=restricted(self.start, rows))
 
     def _tolerance(self, k: int, spacing: float) -> Callable[[Floats], Floats]:
         """Return how large the residual norm of each Ritz value may be."""
@@ -178,7 +170,7 @@ class Lobpcg:
         sigma = -self.shift * laplacian.eigenvalue_spacing
         column = root[:, None]
         if self.preconditioner == "cholesky":
-            factor = shifted_factor(laplacian, sigma, SparseLDL)
+            factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma, SparseLDL)
             return lambda x: column * factor.solve(column * x)
         pyamg = optional("pyamg", extra="amg", needed_by='Lobpcg(preconditioner="amg")')
         shifted = laplacian.stiffness - sigma * sparse.diags_array(laplacian.mass)
@@ -203,23 +195,9 @@ def lobpcg(
 ) -> tuple[Floats, Floats, Floats, int]:
     """Find the k lowest eigenpairs of a symmetric `operator` from b >= k orthonormal columns.
 
-    Parameters
-    ----------
-    operator : sparse array of shape (n, n)
-    start : ndarray of shape (n, b)
-        Orthonormal; the b - k columns beyond k guard the last wanted modes.
-    precondition : callable
-        Approximate inverse, (n, j) to (n, j).
-    tolerance : callable
-        Largest allowed residual norm of each of the k Ritz values.
-    k, max_steps : int
+    Returns them with their residual norms, and the steps taken. `precondition` is an approximate
+    inverse, `tolerance` the largest allowed residual norm of each Ritz value.
 
-    Returns
-    -------
-    eigenvalues (k,), eigenvectors (n, k), residual norms (k,), steps taken
-
-    Notes
-    -----
     scipy's LOBPCG iterates until the guard columns have converged too, to one absolute tolerance
     for all modes; here only the k wanted ones count, each by its own. The trial space is
     orthonormalised as a whole (Duersch et al., *A Robust and Efficient Implementation of LOBPCG*,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from spectra_kit._checked import checked
+from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
@@ -109,38 +109,24 @@ class Multilevel:
             return replace(self._finest, start=RandomBasis(m=block, seed=self.seed)).eigenpairs(
                 laplacian, k
             )
-        begin = time.perf_counter()
+        clock = Clock()
         levels: list[Coarse] = []
         for size in sizes:
             levels.append(coarsen(levels[-1] if levels else laplacian, size))
-        coarsened = time.perf_counter()
+        clock.stage("coarsen")
         start = coarse_start(levels, k, block, seed=self.seed)
         if laplacian.kernel_dimension:
             start[:, 0] = 1.0  # what it is up to rounding
-        solved = time.perf_counter()
+        clock.stage("coarse")
         pairs = replace(self._finest, start=GivenBasis(start)).eigenpairs(laplacian, k)
-        seconds = {"coarsen": coarsened - begin, "coarse": solved - coarsened}
-        return pairs._replace(seconds=seconds | dict(pairs.seconds or {}))
+        return pairs._replace(seconds=clock.seconds | dict(pairs.seconds or {}))
 
 
 def level_sizes(n: int, block: int, *, coarsest: int, ratio: int) -> list[int]:
     """Return how many points the levels below the finest have, from finer to coarser.
 
-    Parameters
-    ----------
-    n : int
-        Points of the operator itself.
-    block : int
-        Vectors to iterate on.
-    coarsest : int
-        Points wanted at the coarsest level; raised to 4 for each vector, capped at n / 4.
-    ratio : int
-        Between neighbouring levels; a finer one is added as long as it has at most n / ratio.
-
-    Returns
-    -------
-    list of int
-        Empty where `n` is too small for a level that holds the block.
+    The coarsest has 4 for each vector of the block at least and n / 4 at most; where that cannot
+    be there is none. A finer one is added as long as it has at most n / ratio.
 
     Examples
     --------
@@ -158,17 +144,7 @@ def level_sizes(n: int, block: int, *, coarsest: int, ratio: int) -> list[int]:
 
 
 def coarse_start(levels: list[Coarse], k: int, block: int, *, seed: int) -> Floats:
-    """Return approximate low modes on all points, of shape (n, block), from coarser levels.
-
-    Parameters
-    ----------
-    levels : list of Coarse
-        From the finest to the coarsest.
-    k, block : int
-        Wanted modes, and those with their guard.
-    seed : int
-        Of the random start.
-    """
+    """Return k low modes and their guard on all points, (n, block)."""
     bottom = levels[-1]
     noise = np.random.default_rng(seed).standard_normal((bottom.n, block))
     pairs = coarse_ritz(bottom, noise, 1, guard=block - 1)  # what the level has room for

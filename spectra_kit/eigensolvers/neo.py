@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from spectra_kit._checked import checked
+from spectra_kit._clock import Clock
 from spectra_kit._validate import Rebuilt, check_count, check_positive
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.eigensolvers.dense import Dense
@@ -125,7 +125,7 @@ class Neo(Rebuilt):
             smoothing=self.smoothing,
             rank_tol=self.rank_tol,
         )
-        start = time.perf_counter()
+        clock = Clock()
         found = Eigenpairs(np.asarray(values.cpu().numpy()), np.asarray(vectors.cpu().numpy()))
-        seconds["transfer"] += time.perf_counter() - start
+        seconds["transfer"] += clock.total
         return found._replace(seconds=seconds)

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from spectra_kit._checked import checked
+from spectra_kit._clock import Clock
 from spectra_kit._validate import check_positive
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.starts import basis_with_kernel
 from spectra_kit.linalg.ritz import ritz_pairs
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.subspaces import AmbientFourier, Subspace, restricted
+from spectra_kit.subspaces import AmbientFourier, Subspace
+from spectra_kit.subspaces.given import OnPoints
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class RayleighRitz:
+class RayleighRitz(OnPoints):
     """Turn a subspace into an eigensolver; approximate, and certified like any other.
 
     Components with no more than twice as many points as the subspace has functions are solved
@@ -75,22 +73,15 @@ class RayleighRitz:
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
-        start = time.perf_counter()
+        clock = Clock()
         if laplacian.n <= max(3, 2 * k):  # no room for an approximation, or not even a plane
             return Dense().eigenpairs(laplacian, k)
         basis = basis_with_kernel(self.subspace, laplacian)
         if laplacian.n <= 2 * basis.shape[1]:
             return Dense().eigenpairs(laplacian, k)
-        predicted = time.perf_counter()
+        clock.stage("subspace")
         values, vectors, _ = ritz_pairs(
             laplacian.stiffness, laplacian.mass, basis, k, rank_tol=self.rank_tol
         )
-        return Eigenpairs(
-            values,
-            vectors,
-            {"subspace": predicted - start, "rayleigh_ritz": time.perf_counter() - predicted},
-        )
-
-    def restricted(self, rows: NDArray[np.int64]) -> RayleighRitz:
-        """Return this solver for the points `rows` of its Laplacian alone."""
-        return replace(self, subspace=restricted(self.subspace, rows))
+        clock.stage("rayleigh_ritz")
+        return Eigenpairs(values, vectors, clock.seconds)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from spectra_kit._checked import checked
-from spectra_kit._types import Floats, Ints
+from spectra_kit._clock import Clock
+from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs, NotConvergedError
 from spectra_kit.eigensolvers.dense import Dense
@@ -17,7 +17,8 @@ from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size, plane
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.shift_invert import Refinement, shift_invert_iteration
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.subspaces import Subspace, restricted
+from spectra_kit.subspaces import Subspace
+from spectra_kit.subspaces.given import OnPoints
 
 DENSE_RATIO = 5  # below this multiple of the block the trial space is most of the whole space
 _SMALLEST_RTOL = 1e-14  # residuals below this are rounding, whatever the operator
@@ -26,7 +27,7 @@ _LARGEST_RTOL = 0.1  # beyond it a residual says nothing
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class Refined:
+class Refined(OnPoints):
     """Start from any subspace and iterate until every mode has the residual asked for.
 
     Parameters
@@ -94,14 +95,10 @@ class Refined:
         pairs, reached = _iterate(self, laplacian, k, rtol=self.rtol, sweeps=self.max_sweeps)
         return within(self.rtol, laplacian, pairs, reached.residuals, stalled=reached.stalled)
 
-    def restricted(self, rows: Ints) -> Refined:
-        """Return this solver for the points `rows` of its Laplacian alone."""
-        return replace(self, start=restricted(self.start, rows))
-
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class Polished:
+class Polished(OnPoints):
     """A predicted subspace and a fixed number of sweeps over it: cheap, no promise.
 
     The certificate says what was reached; `Refined` goes on until it is enough.
@@ -153,10 +150,6 @@ class Polished:
             return Dense().eigenpairs(laplacian, k)
         return _iterate(self, laplacian, k, rtol=0.0, sweeps=self.sweeps, least_rank=k)[0]
 
-    def restricted(self, rows: Ints) -> Polished:
-        """Return this solver for the points `rows` of its Laplacian alone."""
-        return replace(self, start=restricted(self.start, rows))
-
 
 def check_sweeping(rtol: float, guard: float, max_sweeps: int, seed: int) -> None:
     """Refuse options of a block iteration that are out of range."""
@@ -192,7 +185,7 @@ def within(
         found,
         pairs,
         good,
-        advice="raise {}, loosen {}, or use {}",
+        advice=("raise {}", "loosen {}", "use {}"),
         remedies=("max_sweeps", "rtol", "Arpack"),
     )
 
@@ -207,9 +200,9 @@ def _iterate(
     least_rank: int = 0,
 ) -> tuple[Eigenpairs, Refinement]:
     """Predict, then sweep."""
-    begin = time.perf_counter()
+    clock = Clock()
     basis = basis_with_kernel(plane_waves(k) if solver.start is None else solver.start, laplacian)
-    predicted = time.perf_counter()
+    clock.stage("subspace")
     refinement = shift_invert_iteration(
         laplacian.stiffness,
         laplacian.mass,
@@ -226,7 +219,7 @@ def _iterate(
     pairs = Eigenpairs(
         refinement.eigenvalues,
         refinement.eigenvectors,
-        {"subspace": predicted - begin, **refinement.seconds},
+        clock.seconds | refinement.seconds,
         refinement.sweeps,
     )
     return pairs, refinement

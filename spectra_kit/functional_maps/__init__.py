@@ -19,10 +19,6 @@ convert   `point_map_from_functional_map`,                    one kind of map to
           `precise_map`, `functional_map_from_precise_map`    with points inside triangles
 ========  ==================================================  ===================================
 
-ZoomOut comes in three variants: one way on all points or on samples (`zoomout`), both ways on all
-points with features besides (`bijective_zoomout`), and many candidates at once on samples
-(`zoomout_many`).
-
 A fit may be flipped, and no refinement turns it round; `spectra_kit.matching` sees to that.
 
 >>> import spectra_kit as sk
@@ -38,16 +34,15 @@ A fit may be flipped, and no refinement turns it round; `spectra_kit.matching` s
 (Correspondence(600 points, functional map 40 x 40), True)
 """
 
-from spectra_kit.functional_maps.bijective import bijective_zoomout
 from spectra_kit.functional_maps.convert import (
     Correspondence,
     functional_map_from_point_map,
     point_map_from_functional_map,
 )
 from spectra_kit.functional_maps.fit import FitWeights, fit_functional_map
-from spectra_kit.functional_maps.icp import icp
 from spectra_kit.functional_maps.nearest import nearest_rows
 from spectra_kit.functional_maps.precise import functional_map_from_precise_map, precise_map
+from spectra_kit.functional_maps.refine import bijective_zoomout, icp
 from spectra_kit.functional_maps.zoomout import zoomout, zoomout_many
 
 __all__ = [

@@ -26,16 +26,8 @@ def minimise(
 ) -> Floats:
     """Return the C of shape (k2, k1) of least energy with ``C @ constants[0] = constants[1]``.
 
-    Parameters
-    ----------
-    mask : ndarray of shape (k2, k1)
-        The energy holds ``sum mask C^2``, weight included.
-    preserved, commuting : sequence
-        The other terms.
-    constants : (ndarray of shape (k1,), ndarray of shape (k2,))
-        Coefficients of the function 1.
-    dense : int
-        Largest number of unknowns for the dense solve; the rest goes to conjugate gradients.
+    The energy is ``sum mask C^2`` and the other terms; systems with operators of more than `dense`
+    unknowns go to conjugate gradients. `constants` are the coefficients of the function 1.
     """
     k2, k1 = mask.shape
     # A reflection of the source's coefficients makes constants the first of them: C = Y Q, and

@@ -34,23 +34,6 @@ Landmarks = tuple[ArrayLike, ArrayLike]
 class FitWeights:
     """Weights of the terms of `fit_functional_map` beside the descriptors, which have 1.
 
-    Parameters
-    ----------
-    commutativity : float, default 1.0
-        With the Laplacians, ``|C Lambda_1 - Lambda_2 C|^2``, masked.
-    multiplication : float, default 1.0
-        With multiplication by each descriptor; 0 leaves it out.
-    orientation : float, default 0.0
-        With the orientation operator of each descriptor, which only maps that keep the orientation
-        do; 0 leaves it out.
-    landmarks : float, default 1.0
-        Of carrying the delta function of each landmark to that of the other.
-
-    Raises
-    ------
-    InvalidInputError
-        If a weight is negative or not finite.
-
     Examples
     --------
     >>> from spectra_kit.functional_maps import FitWeights
@@ -58,10 +41,13 @@ class FitWeights:
     1.0
     """
 
+    #: With the Laplacians, ``|C Lambda_1 - Lambda_2 C|^2``, masked.
     commutativity: float = 1.0
-    multiplication: float = 1.0
+    multiplication: float = 1.0  #: With multiplication by each descriptor; 0 leaves it out.
+    #: With the orientation operator of each descriptor, which only maps that keep the orientation
+    #: do; 0 leaves it out.
     orientation: float = 0.0
-    landmarks: float = 1.0
+    landmarks: float = 1.0  #: Of carrying the delta function of each landmark to that of the other.
 
     def __post_init__(self) -> None:
         check_weights(vars(self))
@@ -86,7 +72,7 @@ def fit_functional_map(
     Parameters
     ----------
     source, target : Spectrum
-        Of the two surfaces, in any units.
+        Of the two surfaces, in any units, of as many components.
     source_descriptors, target_descriptors : array_like of shape (n1, p) and (n2, p)
         Functions that correspond, column by column, in one unit. What is constant in them does not
         matter. They weigh as they are: where columns should count alike, or the surfaces are in
@@ -112,10 +98,6 @@ def fit_functional_map(
 
     Raises
     ------
-    InvalidInputError
-        If arrays do not fit the spectra, the surfaces differ in their number of components,
-        landmarks are empty, no triangles come with a positive weight of the orientation, or weights
-        of very different size make a singular system.
     ConvergenceError
         If a large fit with operators is too badly conditioned for conjugate gradients.
 
@@ -141,14 +123,11 @@ def fit_functional_map(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.eigensolvers import eigensolve
+    >>> import spectra_kit as sk
     >>> from spectra_kit.functional_maps import fit_functional_map
-    >>> from spectra_kit.geometry import creature
-    >>> from spectra_kit.operators import robust_laplacian
-    >>> mesh = creature(800)
-    >>> spectrum = eigensolve(robust_laplacian(mesh), 20)
-    >>> copy = eigensolve(robust_laplacian(mesh.with_points(1000 * mesh.points)), 20)
-    >>> f = np.sin(3 * mesh.points)
+    >>> mesh = sk.geometry.creature(800)
+    >>> spectrum, f = sk.spectrum(mesh, 20), np.sin(3 * mesh.points)
+    >>> copy = sk.spectrum(mesh.with_points(1000 * mesh.points), 20)
     >>> C = fit_functional_map(spectrum, copy, f, f, k=20)
     >>> bool(np.allclose(np.abs(C), np.eye(20), atol=1e-5))
     True

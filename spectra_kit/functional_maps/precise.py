@@ -36,11 +36,6 @@ def precise_map(
         Barycentric coordinates: rows of at most three positive entries that sum to 1. The map times
         values on the source's vertices, or its vertices themselves, gives those on the target.
 
-    Raises
-    ------
-    InvalidInputError
-        If `functional_map` does not fit the spectra, or `faces` do not fit the source.
-
     Notes
     -----
     Ezuz and Ben-Chen 2017, Deblurring and denoising of maps between shapes, section 4.1: each row
@@ -50,12 +45,10 @@ def precise_map(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.eigensolvers import eigensolve
+    >>> import spectra_kit as sk
     >>> from spectra_kit.functional_maps import precise_map
-    >>> from spectra_kit.geometry import creature
-    >>> from spectra_kit.operators import robust_laplacian
-    >>> mesh = creature(500)
-    >>> s = eigensolve(robust_laplacian(mesh), 20)
+    >>> mesh = sk.geometry.creature(500)
+    >>> s = sk.spectrum(mesh, 20)
     >>> P = precise_map(s, s, np.eye(20), mesh.faces)
     >>> bool(np.allclose(P @ mesh.points, mesh.points))
     True
@@ -110,12 +103,6 @@ def functional_map_from_precise_map(
     -------
     ndarray of shape (k2, k1)
         ``U2.T @ M2 @ (precise @ U1)`` at unit area.
-
-    Raises
-    ------
-    InvalidInputError
-        If `precise` is not sparse, not finite or of another shape, or there are fewer modes than
-        `k`.
 
     Examples
     --------

@@ -39,9 +39,9 @@ def zoomout(
     Parameters
     ----------
     source, target : Spectrum
-        Of the two surfaces, in any units, with at least `k_final` modes each.
+        Of the two surfaces, in any units, of as many components, with at least `k_final` modes.
     initial : array_like of shape (k2, k1) or (n2,)
-        A functional map of source to target, or the source point of each target point.
+        A functional map, or a point map.
     k_final : int
         Number of modes to end with.
     k_start : int, optional
@@ -62,13 +62,6 @@ def zoomout(
     Correspondence
         The point map, and the functional map of `k_final` x `k_final` that it induces.
 
-    Raises
-    ------
-    InvalidInputError
-        If a map does not fit the spectra, `k_final` is below the start or above the number of
-        modes, the numbers of components differ, the samples are too few or out of range, or torch
-        cannot use `device`.
-
     Notes
     -----
     Each iteration projects the point map onto `step` more modes and looks up the nearest row of
@@ -79,11 +72,9 @@ def zoomout(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.eigensolvers import eigensolve
+    >>> import spectra_kit as sk
     >>> from spectra_kit.functional_maps import zoomout
-    >>> from spectra_kit.geometry import creature
-    >>> from spectra_kit.operators import robust_laplacian
-    >>> s = eigensolve(robust_laplacian(creature(500)), 30)
+    >>> s = sk.spectrum(sk.geometry.creature(500), 30)
     >>> refined = zoomout(s, s, np.eye(8), k_final=30)
     >>> bool((refined.point_map == np.arange(500)).all())
     True
@@ -189,12 +180,6 @@ def zoomout_many(
         Refined candidates: the least-squares fits on the samples.
     point_maps : ndarray of shape (c, s2)
         Source sample of each target sample, by the refined maps.
-
-    Raises
-    ------
-    InvalidInputError
-        If a shape does not fit, a value is not finite, or there are fewer target samples than
-        `k_final`.
 
     Notes
     -----

@@ -1,9 +1,8 @@
 """Geodesic distances: by the heat method, exactly, or from the modes alone."""
 
 from spectra_kit.geodesics.exact import exact_distances
-from spectra_kit.geodesics.heat import HeatGeodesics
+from spectra_kit.geodesics.heat import HeatGeodesics, geodesic_distance
 from spectra_kit.geodesics.heat_step import Heat
-from spectra_kit.geodesics.one_off import geodesic_distance
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import Automatic, Direct, Iterative
 from spectra_kit.geodesics.sources import FacePoint, Sources, check_sources, nearest_source

@@ -46,6 +46,22 @@ class Soup(NamedTuple):
     """Of each vertex: shortest paths may bend there."""
 
 
+class Window(NamedTuple):
+    """What leaves a face through a part of a side; in the frame of that side."""
+
+    b0: float
+    b1: float
+    """The part."""
+    x: float
+    y: float
+    """Where the paths come from, y behind the side."""
+    before: float
+    """How long they are up to there."""
+    v: int
+    birth: int
+    """From which vertex they came, and its `Front.births` when they left it."""
+
+
 class Front(NamedTuple):
     """What is known, and what is still to do."""
 
@@ -158,7 +174,8 @@ def _start(soup: Soup, front: Front, v: int) -> int:
     for i in range(soup.first[v], soup.first[v + 1]):
         t = _next(soup.corners[i])
         x, y = soup.apex_x[t], soup.apex_y[t]
-        count += _add(soup, front, t, 0.0, lengths[t], x, y, d, v, front.births[v], 0.0)
+        window = Window(0.0, lengths[t], x, y, d, v, front.births[v])
+        count += _add(soup, front, t, window, 0.0)
     return count
 
 
@@ -166,8 +183,8 @@ def _start(soup: Soup, front: Front, v: int) -> int:
 def _go_on(soup: Soup, front: Front, item: int) -> int:
     """Let a window shine through the other faces on its edge."""
     s, v, birth = front.whole[item, 0], front.whole[item, 1], front.whole[item, 2]
-    b0, b1 = front.reals[item, 0], front.reals[item, 1]
-    x, y, before = front.reals[item, 2], front.reals[item, 3], front.reals[item, 4]
+    r = front.reals[item]
+    window = Window(r[0], r[1], r[2], r[3], r[4], v, birth)
     front.free[front.size[2]] = item
     front.size[2] += 1
     if birth != front.births[v]:
@@ -176,23 +193,25 @@ def _go_on(soup: Soup, front: Front, item: int) -> int:
     t = soup.around[s]
     two_faces = soup.around[t] == s
     if not (two_faces or t == s):
-        b0, b1 = _unmatched(soup, front, s, b0, b1, x, y, before)
-        if b1 - b0 <= _THIN * length:
+        window = _unmatched(soup, front, s, window)
+        if window.b1 - window.b0 <= _THIN * length:
             return 0
+    turned = _turned(window, length)
     while t != s:
-        if soup.tails[t] == soup.tails[s]:  # wound the other way: the same direction on the edge
-            count += _cross(soup, front, t, b0, b1, x, y, before, v, birth, two_faces)
-        else:
-            e0, e1, z = length - b1, length - b0, length - x
-            count += _cross(soup, front, t, e0, e1, z, y, before, v, birth, two_faces)
+        same = soup.tails[t] == soup.tails[s]  # wound the other way: one direction on the edge
+        count += _cross(soup, front, t, window if same else turned, two_faces)
         t = soup.around[t]
     return count
 
 
 @register_jitable
-def _unmatched(
-    soup: Soup, front: Front, s: int, b0: float, b1: float, x: float, y: float, before: float
-) -> tuple[float, float]:
+def _turned(w: Window, length: float) -> Window:
+    """Return the same window in the direction from the head of its side to the tail."""
+    return Window(length - w.b1, length - w.b0, length - w.x, w.y, w.before, w.v, w.birth)
+
+
+@register_jitable
+def _unmatched(soup: Soup, front: Front, s: int, window: Window) -> Window:
     """Return the part of a window to which no other through the edge has ways as short.
 
     Where sheets part at an edge and join again at another, windows would multiply without end.
@@ -201,20 +220,20 @@ def _unmatched(
     while t != s:
         edge, t = min(edge, t), soup.around[t]
     length, turned = soup.lengths[s], soup.tails[edge] != soup.tails[s]
-    if turned:
-        b0, b1, x = length - b1, length - b0, length - x
+    w = _turned(window, length) if turned else window
+    b0, b1, x, y = w.b0, w.b1, w.x, w.y
     i = front.latest[edge]
     while i >= 0 and b1 > b0:
         other = front.passed[i]
         low, high = max(b0, other[0]), min(b1, other[1])
         if low < high and (low == b0 or high == b1):
-            least = min(_behind(low, x, y, before, other), _behind(high, x, y, before, other))
+            least = min(_behind(low, w, other), _behind(high, w, other))
             if other[3] != y:
                 # Their difference is least at an end, or where both come from one direction.
                 p = (x * other[3] - other[2] * y) / (other[3] - y)
                 if low < p < high:
-                    least = min(least, _behind(p, x, y, before, other))
-            if least >= -_TIE * (before + y):
+                    least = min(least, _behind(p, w, other))
+            if least >= -_TIE * (w.before + y):
                 if low == b0:
                     b0 = high
                 else:
@@ -223,43 +242,32 @@ def _unmatched(
     if b1 > b0:
         new = front.size[3]
         front.size[3] += 1
-        front.passed[new, 0], front.passed[new, 1] = b0, b1
-        front.passed[new, 2], front.passed[new, 3], front.passed[new, 4] = x, y, before
+        row = front.passed[new]
+        row[0], row[1], row[2], row[3], row[4] = b0, b1, x, y, w.before
         front.following[new] = front.latest[edge]
         front.latest[edge] = new
-    return (length - b1, length - b0) if turned else (b0, b1)
+    w = Window(b0, b1, x, y, w.before, w.v, w.birth)
+    return _turned(w, length) if turned else w
 
 
 @register_jitable
-def _behind(p: float, x: float, y: float, before: float, other: Floats) -> float:
+def _behind(p: float, w: Window, other: Floats) -> float:
     """Return how much longer the way of one window to the point at p is than that of another."""
-    return float(before + np.hypot(p - x, y) - other[4] - np.hypot(p - other[2], other[3]))
+    return float(w.before + np.hypot(p - w.x, w.y) - other[4] - np.hypot(p - other[2], other[3]))
 
 
 @register_jitable
-def _cross(
-    soup: Soup,
-    front: Front,
-    t: int,
-    b0: float,
-    b1: float,
-    x: float,
-    y: float,
-    before: float,
-    v: int,
-    birth: int,
-    two_faces: bool,
-) -> int:
+def _cross(soup: Soup, front: Front, t: int, w: Window, two_faces: bool) -> int:
     """Let the paths through part of side t cross its face to the other two sides."""
     right = _next(t)
     left = _next(right)
     split, split_at = front.split, front.split_at
     length, ax, ay = soup.lengths[t], soup.apex_x[t], soup.apex_y[t]
-    at = x + (ax - x) * y / (y + ay)  # where the ray to the apex crosses the side
-    goes_left, goes_right = at > b0, at < b1
+    at = w.x + (ax - w.x) * w.y / (w.y + ay)  # where the ray to the apex crosses the side
+    goes_left, goes_right = at > w.b0, at < w.b1
     touch = _TOUCH * length
-    if b0 - touch <= at <= b1 + touch:
-        far = before + np.hypot(ax - x, ay + y)
+    if w.b0 - touch <= at <= w.b1 + touch:
+        far = w.before + np.hypot(ax - w.x, ay + w.y)
         _reach(soup, front, soup.tails[left], far)
         # Of the windows that see an apex, only the nearest sheds shortest paths on both sides of it
         # (Chen and Han); another does so on that side where it lies from the nearest. That holds
@@ -273,21 +281,29 @@ def _cross(
             goes_right = False
     count = 0
     if goes_left:
-        # Coordinates along the side from the tail of t to the apex, which `left` runs against.
-        L = soup.lengths[left]
-        ex, ey = ax / L, ay / L
-        u0 = _meet(b0, x, y, ex, ey)
-        u1 = L if at <= b1 else min(_meet(b1, x, y, ex, ey), L)
-        z, h = L - (x * ex - y * ey), y * ex + x * ey
-        count += _add(soup, front, left, L - u1, L - u0, z, h, before, v, birth, 1.0)
+        L, part = _unfolded(soup, left, w, ax, ay, at <= w.b1)
+        count += _add(soup, front, left, _turned(part, L), 1.0)
     if goes_right:  # the same in the mirror, where `right` runs from its tail
-        L, x = soup.lengths[right], length - x
-        ex, ey = (length - ax) / L, ay / L
-        u0 = _meet(length - b1, x, y, ex, ey)
-        u1 = L if at >= b0 else min(_meet(length - b0, x, y, ex, ey), L)
-        z, h = x * ex - y * ey, y * ex + x * ey
-        count += _add(soup, front, right, u0, u1, z, h, before, v, birth, -1.0)
+        mirror = _turned(w, length)
+        L, part = _unfolded(soup, right, mirror, length - ax, ay, at >= w.b0)
+        count += _add(soup, front, right, part, -1.0)
     return count
+
+
+@register_jitable
+def _unfolded(
+    soup: Soup, side: int, w: Window, ax: float, ay: float, whole: bool
+) -> tuple[float, Window]:
+    """Return the length of a side from the tail to the apex (ax, ay), and what w lights of it.
+
+    Up to the apex if it is `whole`; in coordinates along the side from the tail.
+    """
+    L = soup.lengths[side]
+    ex, ey = ax / L, ay / L
+    u0 = _meet(w.b0, w.x, w.y, ex, ey)
+    u1 = L if whole else min(_meet(w.b1, w.x, w.y, ex, ey), L)
+    x, y = w.x * ex - w.y * ey, w.y * ex + w.x * ey
+    return L, Window(u0, u1, x, y, w.before, w.v, w.birth)
 
 
 @register_jitable
@@ -298,26 +314,15 @@ def _meet(b: float, x: float, y: float, ex: float, ey: float) -> float:
 
 
 @register_jitable
-def _add(
-    soup: Soup,
-    front: Front,
-    t: int,
-    b0: float,
-    b1: float,
-    x: float,
-    y: float,
-    before: float,
-    v: int,
-    birth: int,
-    entered: float,
-) -> int:
+def _add(soup: Soup, front: Front, t: int, window: Window, entered: float) -> int:
     """Keep a window on side t, unless a corner of its face has shorter ways to all of it.
 
     The paths entered the face by the side at the head of t (1), by that at its tail (-1), or at
     its apex (0). The tests are those of Xin and Wang.
     """
     length, d = soup.lengths[t], front.d
-    b0, b1 = max(b0, 0.0), min(b1, length)
+    x, y, before = window.x, window.y, window.before
+    b0, b1 = max(window.b0, 0.0), min(window.b1, length)
     if b1 - b0 <= _THIN * length or y <= 0:
         return 0
     r0, r1 = np.hypot(b0 - x, y), np.hypot(b1 - x, y)
@@ -340,7 +345,7 @@ def _add(
         front.size[1] += 1
     reals, whole = front.reals[w], front.whole[w]
     reals[0], reals[1], reals[2], reals[3], reals[4] = b0, b1, x, y, before
-    whole[0], whole[1], whole[2] = t, v, birth
+    whole[0], whole[1], whole[2] = t, window.v, window.birth
     _push(front.keys, front.items, front.size, before + (y if b0 <= x <= b1 else min(r0, r1)), w)
     return 1
 

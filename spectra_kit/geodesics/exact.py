@@ -58,10 +58,6 @@ def exact_distances(
 
     Raises
     ------
-    InvalidInputError
-        If `mesh` is a cloud or has faces that name a vertex twice, there is no source, one is out
-        of range, at a vertex that no face uses or inside a face, a target is out of range, or a
-        distance is.
     ConvergenceError
         If paths would go round and round triangles that are extremely thin; `partial` then holds
         distances that may be too long.
@@ -79,8 +75,7 @@ def exact_distances(
     vertices with more than a full turn of faces around, or on the boundary. At an edge of more
     than two faces a window keeps the part that no other reaches as soon.
 
-    A face without area has paths across it like any other: it counts as one whose heights are
-    1e-12 of its sides.
+    A face without area counts as one whose heights are 1e-12 of its sides.
 
     References
     ----------

@@ -81,12 +81,6 @@ class HeatGeodesics:
     time_steps : ndarray of shape (n_components,)
         Of each component of `triangulation`, in length^2.
 
-    Raises
-    ------
-    InvalidInputError
-        If an argument is of another kind, `spectrum` has another number of points, or
-        `intrinsic_delaunay` refuses the geometry.
-
     Notes
     -----
     Heat u spreads from the sources for a short time t, ``(M + t L) u = b``; unit vectors X point
@@ -190,16 +184,9 @@ class HeatGeodesics:
         return self._distance(check_sources(sources, self._geometry, weights), *self._options(1))
 
     def distances(self, sources: Sequence[SourcesLike]) -> list[DistanceField]:
-        """Measure a distance field for each of many sources, or sets of sources.
+        """Measure a field for each of many sources, or sets of them, as `distance` takes them.
 
-        Parameters
-        ----------
-        sources : sequence of whatever `distance` takes
-            Their number decides what `Automatic` does.
-
-        Returns
-        -------
-        list of DistanceField
+        Their number decides what `Automatic` does.
         """
         checked = [check_sources(one, self._geometry) for one in sources]
         options, why = self._options(len(checked))
@@ -270,9 +257,8 @@ class HeatGeodesics:
 
     def _heat_steps(self, options: Direct | Iterative) -> dict[int, Mapping[Boundary, HeatStep]]:
         """Return for each size of triangles the step of each boundary condition that takes part."""
-        wanted: tuple[Boundary, ...] = (self._boundary,)
-        if self._boundary == "average":
-            wanted = ("neumann", "dirichlet")
+        both: tuple[Boundary, ...] = ("neumann", "dirichlet")
+        wanted = both if self._boundary == "average" else (self._boundary,)
         system, inside = self._system, self._system.inside
         if inside.all():
             wanted = ("neumann",)
@@ -318,16 +304,17 @@ class HeatGeodesics:
         sourced_points = np.isin(system.labels, sourced) & system.inside
         if (cut := int((heat.values[sourced_points] == 0).sum())) > 0:
             raise InvalidInputError(
-                f"`boundary` must not be 'dirichlet' here: the cold boundary cuts {cut} points off"
-                " from the sources, as at a strip one triangle wide; use 'neumann' or 'average'"
+                "boundary",
+                "be 'neumann' or 'average' here",
+                f"'dirichlet', which cuts {cut} points off from the sources, as at a strip one"
+                " triangle wide",
             )
         return heat
 
     def _options(self, count: int) -> tuple[Direct | Iterative, str]:
         if not isinstance(self._solver, Automatic):
             return self._solver, "as asked"
-        count = max(count, self._solver.n_sources)
-        return self._solver.choose(self.triangulation.n, count)
+        return self._solver.choose(self.triangulation.n, max(count, self._solver.n_sources))
 
 
 def _from_sources(potential: Floats, sources: Sources, labels: Ints) -> Floats:
@@ -347,6 +334,50 @@ def _from_sources(potential: Floats, sources: Sources, labels: Ints) -> Floats:
 
 def _cold() -> InvalidInputError:
     return InvalidInputError(
-        "`sources` must not all lie on the boundary of their component, which"
-        " boundary='dirichlet' keeps cold; use 'neumann' or 'average'"
+        "sources",
+        "leave the boundary of their component, which boundary='dirichlet' keeps cold",
+        advice="use 'neumann' or 'average'",
     )
+
+
+@checked
+def geodesic_distance(
+    geometry: Geometry | IntrinsicTriangulation,
+    sources: SourcesLike,
+    *,
+    spectrum: Spectrum | None = None,
+    weights: ArrayLike | None = None,
+    solver: Solver = Automatic(),  # noqa: B008
+    time_coefficient: float = 1.0,
+    boundary: Boundary = "neumann",
+) -> DistanceField:
+    """Measure distances to one set of sources; for several sets keep a `HeatGeodesics`.
+
+    Parameters
+    ----------
+    geometry, sources, spectrum, weights, solver, time_coefficient, boundary
+        As of `HeatGeodesics` and of its method ``distance``.
+
+    Returns
+    -------
+    DistanceField
+        The distances, and how they were found.
+
+    See Also
+    --------
+    exact_distances : Of the polyhedron, exactly.
+    spectral_distance : Roughly, from modes alone.
+    spectra_kit.correspondence.geodesic_distances : Between pairs of vertices, along edges.
+
+    Examples
+    --------
+    >>> from spectra_kit import geodesic_distance
+    >>> from spectra_kit.geometry import rectangle
+    >>> field = geodesic_distance(rectangle(n=1000).geometry, 0)
+    >>> field.choice
+    'direct: 1... points are few'
+    """
+    geodesics = HeatGeodesics(
+        geometry, spectrum, solver=solver, time_coefficient=time_coefficient, boundary=boundary
+    )
+    return geodesics.distance(sources, weights=weights)

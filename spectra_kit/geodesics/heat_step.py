@@ -77,25 +77,20 @@ class Heat:
                 f"{int(inside.sum())} of shape {inside.shape}",
             )
 
-        def move(values: NDArray[Any]) -> NDArray[Any]:
-            every = np.zeros(len(inside), values.dtype)
-            every[inside] = values
-            return every
-
-        return self.moved(move)
+        place = np.maximum(np.cumsum(inside) - 1, 0)
+        return self.moved(lambda values: np.where(inside, values[place], 0).astype(values.dtype))
 
     def plus(self, other: Heat) -> Heat:
         """Return the sum of two heats."""
-        exponents = np.maximum(
-            np.where(self.values > 0, self.exponents, np.iinfo(np.int32).min // 4),
-            np.where(other.values > 0, other.exponents, np.iinfo(np.int32).min // 4),
+        low = np.iinfo(np.int32).min // 4
+        exponents = np.maximum(*(np.where(h.values > 0, h.exponents, low) for h in (self, other)))
+        exponents = np.where(exponents > low, exponents, 0)
+        values = sum(
+            np.ldexp(h.values, np.minimum(h.exponents - exponents, 0)) for h in (self, other)
         )
-        exponents = np.where((self.values > 0) | (other.values > 0), exponents, 0)
-        values = np.ldexp(self.values, np.minimum(self.exponents - exponents, 0))
-        values += np.ldexp(other.values, np.minimum(other.exponents - exponents, 0))
         method = self.method if self.method == other.method else f"{self.method}, {other.method}"
         return Heat(
-            values,
+            np.asarray(values),
             exponents.astype(np.int32),
             method,
             self.iterations + other.iterations,
@@ -207,47 +202,37 @@ class HeatStep:
             If the iteration does not reach its accuracy, as it may not where triangles differ in
             size by orders of magnitude.
         """
-        if self._inside is not None:
-            return self._solve(rhs[self._inside]).spread(self._inside)
-        return self._solve(rhs)
-
-    def _solve(self, rhs: Floats) -> Heat:
-        clock = Clock()
-        rhs = rhs / self._unit
+        inside, clock = self._inside, Clock()
+        rhs = (rhs if inside is None else rhs[inside]) / self._unit
         largest = (rhs / self._mass).max()  # no u is larger, by the maximum principle
-        found = self._of_size_one(rhs / largest, clock)
-        return replace(found, values=largest * found.values)
+        found = self._direct(rhs / largest, clock) or self._iterate(rhs / largest, clock)
+        found = replace(found, values=largest * found.values)
+        return found if inside is None else found.spread(inside)
 
-    def _of_size_one(self, rhs: Floats, clock: Clock) -> Heat:
-        """Return u for a `rhs` with which it is at most 1."""
-        sources = np.flatnonzero(rhs)
-        if self._complete is not None:
-            reached = np.isin(self._labels, np.unique(self._labels[sources]))
-            lifted = np.ldexp(rhs, _LIFT)
-            u = self._complete.solve(lifted)
-            if (u[reached] > _FLOOR).all() and np.isfinite(u).all():
-                return self._direct(lifted, np.where(reached, u, 0.0), clock)
-        cost = dijkstra(self._costs, indices=sources, min_only=True)
-        reached = np.isfinite(cost)
-        guess = np.where(reached, np.rint(np.where(reached, cost, 0.0) / -np.log(2)), 0.0)
-        return self._iterate(rhs, guess.astype(np.int32), clock)
-
-    def _direct(self, lifted: Floats, u: Floats, clock: Clock) -> Heat:
+    def _direct(self, rhs: Floats, clock: Clock) -> Heat | None:
+        """Return u, at most 1, by the complete factor; None without one, or if it underflows."""
         from spectra_kit.geodesics._kernels import residual
 
-        A = self._matrix
+        if self._complete is None:
+            return None
+        reached = np.isin(self._labels, self._labels[rhs > 0])
+        lifted, A = np.ldexp(rhs, _LIFT), self._matrix
+        u = self._complete.solve(lifted)
+        if not ((u[reached] > _FLOOR).all() and np.isfinite(u).all()):
+            return None
+        u = np.where(reached, u, 0.0)
         share = residual(A.indptr, A.indices, A.data, lifted, u, np.empty_like(u))
         values, exponents = np.frexp(u)
         return Heat(values, exponents - _LIFT, "Cholesky", 0, share, clock.total)
 
-    def _iterate(self, rhs: Floats, exponents: Ints, clock: Clock) -> Heat:
+    def _iterate(self, rhs: Floats, clock: Clock) -> Heat:
         from spectra_kit.geodesics._heat_iteration import iterate
 
-        lower, inverse = self._incomplete
-        end = iterate(self._matrix, lower, inverse, rhs, exponents, accuracy=_ACCURACY)
-        heat = Heat(
-            end.x, end.exponents, "incomplete Cholesky", end.iterations, end.share, clock.total
-        )
+        cost = dijkstra(self._costs, indices=np.flatnonzero(rhs), min_only=True)
+        guess = np.where(np.isfinite(cost), np.rint(cost / -np.log(2)), 0.0).astype(np.int32)
+        end = iterate(self._matrix, *self._incomplete, rhs, guess, accuracy=_ACCURACY)
+        method = "incomplete Cholesky"
+        heat = Heat(end.x, end.exponents, method, end.iterations, end.share, clock.total)
         if end.share <= _ACCURACY and (end.x >= 0).all():
             return heat
         raise ConvergenceError(

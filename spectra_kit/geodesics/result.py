@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -11,11 +12,13 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from spectra_kit._checked import checked
+from spectra_kit._display import draw
 from spectra_kit._types import Floats
 from spectra_kit._validate import Rebuilt, frozen
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.geodesics.solvers import Direct, Iterative
 from spectra_kit.geodesics.sources import Sources
+from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.linalg.solution import LinearSolution
 
 
@@ -78,6 +81,11 @@ class DistanceField(Rebuilt):
     def reached(self) -> NDArray[np.bool_]:
         """Points on a component with a source, shape (n,)."""
         return np.isfinite(self.distance)
+
+    def plot(self, geometry: Geometry, path: str | os.PathLike[str] | None = None) -> Any:
+        """Draw it on its geometry, sources at points marked; see `viz.plot_distance`."""
+        at = self.sources.vertices[self.sources.offsets == 0]
+        return draw("plot_distance", path, geometry, self.distance, sources=geometry.points[at])
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
         """Return `distance`."""

@@ -45,10 +45,7 @@ class Direct:
     'Cholesky'
     """
 
-    @property
-    def name(self) -> str:
-        """What it is, in a word."""
-        return "direct"
+    name = "direct"
 
 
 @checked
@@ -190,7 +187,7 @@ class IterativePoisson:
         order: NDArray[np.int64],
     ) -> None:
         self._matrix, self._kernel = matrix, kernel
-        base = IncompleteCholesky(
+        self._preconditioner: Preconditioner = IncompleteCholesky(
             matrix,
             drop=options.drop,
             relaxation=options.relaxation,
@@ -201,13 +198,12 @@ class IterativePoisson:
         if spectrum is not None and options.coarse != "none":
             exact = options.coarse == "projected"
             self._coarse = coarse_space(matrix, spectrum, order, options.modes, exact=exact)
-        self._preconditioner: Preconditioner
         if self._coarse is None:
-            self._preconditioner, options = base, replace(options, coarse="none")
+            options = replace(options, coarse="none")
         elif options.coarse == "projected":
-            self._preconditioner = ProjectedTwoLevel(base, self._coarse, matrix)
+            self._preconditioner = ProjectedTwoLevel(self._preconditioner, self._coarse, matrix)
         else:
-            self._preconditioner = AdditiveTwoLevel(base, self._coarse)
+            self._preconditioner = AdditiveTwoLevel(self._preconditioner, self._coarse)
         #: As they came, but for modes that are not there.
         self.options = options
 

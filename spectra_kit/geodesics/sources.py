@@ -33,11 +33,6 @@ class FacePoint:
     barycentric : array_like of shape (3,)
         Weights of the corners of the face, in its order: not negative, and of sum 1.
 
-    Raises
-    ------
-    InvalidInputError
-        If `face` is negative, or the coordinates are not barycentric.
-
     See Also
     --------
     nearest_source : The point of a mesh that is nearest to a coordinate.
@@ -72,14 +67,7 @@ class FacePoint:
     barycentric: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        weights = real_array("barycentric", self.barycentric)
-        if weights.shape != (3,):
-            raise InvalidInputError(
-                "barycentric",
-                "have shape (3,)",
-                weights.shape,
-                advice="one weight for each corner of the face",
-            )
+        weights = np.array(self.barycentric)
         if weights.min() < -_ROUNDING or abs(weights.sum() - 1) > _ROUNDING:
             raise InvalidInputError(
                 "barycentric",
@@ -103,11 +91,6 @@ class FacePoint:
         -------
         ndarray of shape (3,)
             In the unit of `mesh`.
-
-        Raises
-        ------
-        InvalidInputError
-            If `mesh` has no such face.
         """
         return np.asarray(np.array(self.barycentric) @ mesh.points[_corners(self, mesh)])
 
@@ -133,8 +116,9 @@ class Sources:
     >>> from spectra_kit.geodesics import check_sources
     >>> from spectra_kit.geometry import PointCloud
     >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    >>> check_sources([2, 0], cloud).vertices
-    array([0, 2])
+    >>> found = check_sources([2, 0], cloud)
+    >>> found.vertices, found.right_hand_side()
+    (array([0, 2]), array([1., 0., 1.]))
     """
 
     n: int
@@ -143,21 +127,7 @@ class Sources:
     offsets: Floats
 
     def right_hand_side(self) -> Floats:
-        """Return the heat at all points: the right side of the heat step.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            Integrated, as a mass is.
-
-        Examples
-        --------
-        >>> from spectra_kit.geodesics import check_sources
-        >>> from spectra_kit.geometry import PointCloud
-        >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-        >>> check_sources(2, cloud).right_hand_side()
-        array([0., 0., 1.])
-        """
+        """Return the heat at all points, shape (n,), integrated: right side of the heat step."""
         heat = np.zeros(self.n)
         heat[self.vertices] = self.heat
         return heat
@@ -199,12 +169,6 @@ def check_sources(
         The heat of a point of a face goes to its corners by its barycentric coordinates, so that
         one at a corner is that vertex, and the heat stays linear across the face.
 
-    Raises
-    ------
-    InvalidInputError
-        If there is no source, one is out of range, at a vertex without a face or on a face of what
-        has none, or `weights` are not s positive numbers.
-
     Examples
     --------
     >>> from spectra_kit.geodesics import FacePoint, check_sources
@@ -215,7 +179,12 @@ def check_sources(
     (array([0, 1, 2]), array([1. , 0.5, 0.5]), array([0. , 2.5, 2.5]))
     """
     if isinstance(sources, Sources):
-        return _same(sources, geometry, weights)
+        if weights is not None:
+            raise InvalidInputError("weights", "be None where `sources` are checked, and hold them")
+        if sources.n != geometry.n:
+            expected = f"belong to the geometry of {geometry.n} points"
+            raise InvalidInputError("sources", expected, f"those of one of {sources.n}")
+        return sources
     named = _named(sources, geometry)
     if not named:
         raise InvalidInputError("sources", "name at least one source", "none")
@@ -251,11 +220,6 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
         The nearest point of the faces of a mesh, put on a corner or side within 1e-9 of it (in
         barycentric coordinates); the index of the nearest point of a cloud.
 
-    Raises
-    ------
-    InvalidInputError
-        If `coordinate` has another shape or is not finite, or all faces have zero area.
-
     Examples
     --------
     >>> from spectra_kit.geodesics import nearest_source
@@ -273,8 +237,10 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
     size, away = np.abs([low, high]).max(), np.abs(target).max()
     if away > _FAR * size > 0:
         raise InvalidInputError(
-            f"`coordinate` must lie nearer: at {away:.3g}, where the points reach {size:.3g},"
-            " rounding decides which of them is the nearest; is the unit the same?"
+            "coordinate",
+            f"lie near the points, which reach {size:.3g}",
+            f"{away:.3g}",
+            advice="is the unit the same?",
         )
     unit = box_unit(geometry.points)
     points, target = geometry.points / unit, target / unit
@@ -298,20 +264,6 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
     return FacePoint(int(proper[face[0]]), tuple((weights / weights.sum()).tolist()))
 
 
-def _same(sources: Sources, geometry: HasPoints, weights: ArrayLike | None) -> Sources:
-    if weights is not None:
-        raise InvalidInputError(
-            "`weights` must be None where `sources` are checked ones, which hold their heat"
-        )
-    if sources.n != geometry.n:
-        raise InvalidInputError(
-            "sources",
-            f"belong to the geometry of {geometry.n} points",
-            f"those of one of {sources.n}",
-        )
-    return sources
-
-
 def _named(sources: Any, geometry: HasPoints) -> list[int | FacePoint]:
     """Return the sources one by one."""
     if isinstance(sources, FacePoint):
@@ -325,7 +277,7 @@ def _named(sources: Any, geometry: HasPoints) -> list[int | FacePoint]:
     if isinstance(sources, np.ndarray) and sources.dtype == bool:
         if sources.shape != (geometry.n,):
             raise InvalidInputError(
-                f"`sources` as a mask must have shape ({geometry.n},), got {sources.shape}"
+                "sources", f"have shape ({geometry.n},) as a mask", sources.shape
             )
         sources = np.flatnonzero(sources)
     if isinstance(sources, Sequence) and not sources:
@@ -347,9 +299,11 @@ def _spread(source: int | FacePoint, geometry: HasPoints) -> tuple[Ints, Floats,
         return np.array([source]), np.ones(1), np.zeros(1)
     if not isinstance(geometry, TriangleMesh):
         raise InvalidInputError(
-            f"`sources` has a FacePoint, which needs the faces of a TriangleMesh, got a"
-            f" {type(geometry).__name__}; on a cloud, name the nearest point, and for a spectrum"
-            " or triangulation pass `check_sources(sources, mesh)`"
+            "sources",
+            "be vertices where `geometry` has no faces",
+            f"a FacePoint on a {type(geometry).__name__}",
+            advice="on a cloud, name the nearest point; for a spectrum or triangulation pass"
+            " `check_sources(sources, mesh)`",
         )
     corners, shares = _corners(source, geometry), np.array(source.barycentric)
     lengths = np.linalg.norm(geometry.points[corners] - source.position(geometry), axis=1)
@@ -363,14 +317,12 @@ def _corners(point: FacePoint, mesh: TriangleMesh) -> Ints:
 
 def _check_referenced(vertices: Ints, geometry: HasPoints) -> None:
     if isinstance(geometry, TriangleMesh):
-        used = np.zeros(geometry.n, dtype=bool)
-        used[geometry.faces] = True
-        if not used[vertices].all():
-            lone = vertices[np.argmin(used[vertices])]
+        lone = np.setdiff1d(vertices, geometry.referenced_vertices)
+        if len(lone):
             raise InvalidInputError(
                 "sources",
                 "lie on the surface",
-                f"vertex {lone}, which no face uses",
+                f"vertex {lone[0]}, which no face uses",
                 advice="drop such vertices with {}",
                 remedies=("mesh.without_unreferenced()",),
             )

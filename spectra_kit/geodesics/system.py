@@ -18,6 +18,7 @@ from spectra_kit.errors import DoubtfulDistanceWarning
 from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.linalg.incomplete_cholesky import untidy
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
+from spectra_kit.operators.triangle_calculus import apexes
 
 Ints = NDArray[np.int32]
 
@@ -30,24 +31,10 @@ _LEVEL = 0.05  # share of such triangles that deserves a warning; a few lie at a
 class System:
     """What both steps of the heat method work on; place i in memory holds point ``order[i]``.
 
-    Attributes
-    ----------
-    order : ndarray of shape (n,)
-        That of the input, unless neighbours are scattered over memory (as in a shuffled mesh or
-        most clouds), where incomplete factors are bad and everything waits for memory: then
-        reverse Cuthill-McKee.
-    stiffness : csr_array of shape (n, n)
-        L.
-    mass, points, labels : ndarray of shape (n,), (n, 3), (n,)
-        M, coordinates, and connected components.
-    corners, lengths : ndarray of shape (f, 3)
-        Triangles, see `IntrinsicTriangulation`.
-    share : float
-        How much each counts.
-    inside : ndarray of shape (n,), bool
-        Points that are not on the boundary.
-    unit : ndarray of shape (n,)
-        The length that counts as 1 in all of these: the spacing of the component of each point.
+    `order` is that of the input, unless neighbours are scattered over memory (as in a shuffled
+    mesh or most clouds), where incomplete factors are bad and everything waits for memory: then
+    reverse Cuthill-McKee. `corners`, `lengths` and `share` are those of `IntrinsicTriangulation`;
+    `unit` (n,) is the length that counts as 1: the spacing of the component of each point.
     """
 
     order: NDArray[np.int64]
@@ -58,7 +45,7 @@ class System:
     corners: Ints
     lengths: Floats
     share: float
-    inside: Bools
+    inside: Bools  # not on the boundary
     unit: Floats
 
     @staticmethod
@@ -99,9 +86,7 @@ class System:
 
     @cached_property
     def _apexes(self) -> Floats:
-        from spectra_kit.operators.triangle_calculus import apexes
-
-        return np.asarray(apexes(self.lengths))
+        return apexes(self.lengths)
 
     def inwards(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return `values` (n,) in the order of the input in that of memory."""

@@ -69,7 +69,9 @@ def adapted(thing: Any) -> Geometry:
         return _of_pyvista(thing)
     if isinstance(thing, tuple | list) and len(thing) == 2 and all(map(_is_table, thing)):
         return TriangleMesh(*thing)
-    if isinstance(thing, Sequence) or hasattr(thing, "__array__"):
+    if not isinstance(thing, bytes) and (
+        isinstance(thing, Sequence) or hasattr(thing, "__array__")
+    ):
         return PointCloud(thing)
     raise _refused(thing, _OTHERS)
 
@@ -77,14 +79,17 @@ def adapted(thing: Any) -> Geometry:
 def _of_trimesh(thing: Any) -> Geometry:
     if hasattr(thing, "faces"):
         return TriangleMesh(np.asarray(thing.vertices), np.asarray(thing.faces))
-    if hasattr(thing, "vertices") and not hasattr(thing, "entities"):
+    if hasattr(thing, "entities"):
+        raise _refused(thing, "curves are no surface; its vertices, an array, make a cloud")
+    if hasattr(thing, "vertices"):
         return PointCloud(np.asarray(thing.vertices))
     raise _refused(thing, "of a Scene, scene.to_mesh() makes one mesh")
 
 
 def _of_pyvista(thing: Any) -> Geometry:
     if not hasattr(thing, "GetNumberOfPolys"):
-        raise _refused(thing, "its surface is extract_surface().triangulate()")
+        whole = "combine()." if hasattr(thing, "combine") else ""
+        raise _refused(thing, f"its surface is {whole}extract_surface().triangulate()")
     if thing.GetNumberOfLines() or thing.GetNumberOfStrips():
         raise _refused(thing, "it has lines or strips; triangulate() leaves triangles alone")
     if not thing.GetNumberOfPolys():

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy import sparse
 
 from spectra_kit._validate import frozen
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.levels.subset import Operator, Subset
+from spectra_kit.levels.subset import Subset
 from spectra_kit.linalg.threads import in_threads, shares
+
+if TYPE_CHECKING:
+    from spectra_kit.levels.coarse import Coarse
+    from spectra_kit.operators.laplacian import Laplacian
 
 _REACH = 2.5  # radius of influence of a point, in radii of the subset: some 15 reach each point
 _FLAT = 0.02  # share of the widest variance below which neighbours lie on a line
 
 
-def prolongation(operator: Operator, subset: Subset) -> sparse.csr_array:
+def prolongation(operator: Laplacian | Coarse, subset: Subset) -> sparse.csr_array:
     """Return the matrix that carries values on a subset to all points.
 
     Parameters

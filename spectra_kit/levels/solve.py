@@ -35,6 +35,7 @@ class CoarsePairs(NamedTuple):
     eigenvectors: Floats
 
 
+@single_threaded_blas()
 def coarse_ritz(
     level: Coarse, basis: NDArray[np.floating], k: int, *, guard: int = 0
 ) -> CoarsePairs:
@@ -61,11 +62,6 @@ def coarse_ritz(
     InvalidInputError
         If the numerical rank of `basis` is below k, or it holds NaN, infinity or only zeros.
     """
-    with single_threaded_blas():
-        return _ritz(level, basis, k, guard)
-
-
-def _ritz(level: Coarse, basis: NDArray[np.floating], k: int, guard: int) -> CoarsePairs:
     Y = orthonormalize(basis, level.lumped)  # nearly so in the mass of the level, too
     inside, gram = (Y.T @ spmm(matrix, Y) for matrix in (level.stiffness, level.mass))
     # But where two sheets meet, different columns may be carried to the same function.

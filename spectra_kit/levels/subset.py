@@ -2,46 +2,24 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spectra_kit._types import Floats, Ints
+from spectra_kit._types import Ints
 from spectra_kit._validate import check_count, frozen
 from spectra_kit.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from spectra_kit.levels.coarse import Coarse
+    from spectra_kit.operators.laplacian import Laplacian
 
 # Radius of the balls, where the subset has one point per unit of area and all points `c` times as
 # many: 0.99 - 0.37 / sqrt(c). Measured on meshes; the first guess is the last one there.
 _PACKED, _GRAINY = 0.99, 0.37
 _ROUNDS = 6  # of correction of the radius
 _FEWEST = 0.9  # of the points asked for that are near enough
-
-
-@runtime_checkable
-class Operator(Protocol):
-    """What a level is made from: a `Laplacian`, or a `Coarse` one."""
-
-    @property
-    def stiffness(self) -> sparse.csr_array:
-        """Its off-diagonal pattern says which points are neighbours."""
-
-    @property
-    def points(self) -> Floats:
-        """Coordinates of shape (n, 3), in length."""
-
-    @property
-    def n(self) -> int:
-        """Number of points."""
-
-    @property
-    def area(self) -> float:
-        """Total mass, in length^2."""
-
-    @property
-    def eigenvalue_spacing(self) -> float:
-        """Typical gap between neighbouring eigenvalues, in 1/length^2."""
 
 
 class Subset(NamedTuple):
@@ -60,7 +38,7 @@ class Subset(NamedTuple):
     radius: float
 
 
-def well_spread(operator: Operator, n_points: int) -> Subset:
+def well_spread(operator: Laplacian | Coarse, n_points: int) -> Subset:
     """Choose about `n_points` points, evenly spread over the surface whatever the sampling.
 
     Parameters

@@ -17,73 +17,6 @@ Ints = NDArray[np.int64] | NDArray[np.uint32]
 
 
 @compiled()
-def solve_column(
-    starts: Ints,
-    rows: Ints,
-    lower: Reals,
-    inverse: Reals,
-    groups: Ints,
-    order: Ints,
-    rhs: Reals,
-    out: Reals,
-) -> None:
-    """Write to `out` the solution of ``P (I + L) D (I + L)^T P^T x = rhs``, both (n,).
-
-    L is stored by columns, ``rows[starts[j]:starts[j + 1]]`` below the diagonal; `inverse` holds
-    1 / D. Columns ``groups[g]`` to ``groups[g + 1]``, four at most, have the same rows below
-    them: where there are four, one look at a row serves all.
-    """
-    n = len(inverse)
-    y = np.empty(n, lower.dtype)
-    for j in range(n):
-        y[j] = rhs[order[j]]
-    for g in range(len(groups) - 1):
-        a, b = groups[g], groups[g + 1]
-        if b - a == 4:
-            p0, p1, p2, p3 = starts[a], starts[a + 1], starts[a + 2], starts[a + 3]
-            y0 = y[a]
-            y1 = y[a + 1] - lower[p0] * y0
-            y2 = y[a + 2] - lower[p0 + 1] * y0 - lower[p1] * y1
-            y3 = y[a + 3] - lower[p0 + 2] * y0 - lower[p1 + 1] * y1 - lower[p2] * y2
-            y[a + 1], y[a + 2], y[a + 3] = y1, y2, y3
-            c0, c1, c2, c3 = lower[p0 + 3 : p1], lower[p1 + 2 : p2], lower[p2 + 1 : p3], lower[p3:]
-            below = rows[p3 : starts[b]]
-            for t in range(len(below)):
-                y[below[t]] -= (c0[t] * y0 + c1[t] * y1) + (c2[t] * y2 + c3[t] * y3)
-        else:
-            for j in range(a, b):
-                yj = y[j]
-                for p in range(starts[j], starts[j + 1]):
-                    y[rows[p]] -= lower[p] * yj
-    for g in range(len(groups) - 2, -1, -1):
-        a, b = groups[g], groups[g + 1]
-        if b - a == 4:
-            p0, p1, p2, p3 = starts[a], starts[a + 1], starts[a + 2], starts[a + 3]
-            y0, y1 = y[a] * inverse[a], y[a + 1] * inverse[a + 1]
-            y2, y3 = y[a + 2] * inverse[a + 2], y[a + 3] * inverse[a + 3]
-            c0, c1, c2, c3 = lower[p0 + 3 : p1], lower[p1 + 2 : p2], lower[p2 + 1 : p3], lower[p3:]
-            below = rows[p3 : starts[b]]
-            for t in range(len(below)):
-                yi = y[below[t]]
-                y0 -= c0[t] * yi
-                y1 -= c1[t] * yi
-                y2 -= c2[t] * yi
-                y3 -= c3[t] * yi
-            y2 = y2 - lower[p2] * y3
-            y1 = y1 - lower[p1] * y2 - lower[p1 + 1] * y3
-            y0 = y0 - lower[p0] * y1 - lower[p0 + 1] * y2 - lower[p0 + 2] * y3
-            y[a], y[a + 1], y[a + 2], y[a + 3] = y0, y1, y2, y3
-        else:
-            for j in range(b - 1, a - 1, -1):
-                yj = y[j] * inverse[j]
-                for p in range(starts[j], starts[j + 1]):
-                    yj -= lower[p] * y[rows[p]]
-                y[j] = yj
-    for j in range(n):
-        out[order[j]] = y[j]
-
-
-@compiled()
 def solve_columns(
     starts: Ints,
     rows: Ints,
@@ -96,10 +29,12 @@ def solve_columns(
     first: int,
     last: int,
 ) -> None:
-    """Do the same for the columns `first` to `last` of `rhs` and `out`, both (n, s).
+    """Write the solution of ``P (I + L) D (I + L)^T P^T x = rhs`` to `out`, both (n, s).
 
-    Each entry of the factor is read once for all of these columns, which is where the time goes.
-    The operations on each are those of `solve_column`, in the same order.
+    For the columns `first` to `last`: each entry of the factor is read once for all of them, which
+    is where the time goes. L is stored by columns, ``rows[starts[j]:starts[j + 1]]`` below the
+    diagonal; `inverse` holds 1 / D. Columns ``groups[g]`` to ``groups[g + 1]``, four at most, have
+    the same rows below them: where there are four, one look at a row serves all.
     """
     n = len(inverse)
     width = last - first

@@ -27,31 +27,13 @@ _CUT_GROWTH = 2.0  # of the lower end of the damped interval, per sweep
 
 
 class FilteredPairs(NamedTuple):
-    """What `chebyshev_eigenpairs` found.
-
-    Attributes
-    ----------
-    eigenvalues : Tensor of shape (k,)
-        Ascending, float64, in 1/length^2.
-    eigenvectors : Tensor of shape (n, k)
-        M-orthonormal, float64.
-    residuals : Tensor of shape (k,)
-        ``||L u - lambda M u||`` in the M^-1 norm, in 1/length^2.
-    sweeps : int
-        Filters applied.
-    products : int
-        Sum of their degrees: products of L with a block.
-    converged : bool
-        Whether every residual is within the tolerance.
-    stalled : bool
-        Whether it gave up because the residuals no longer fell: rounding.
-    """
+    """What `chebyshev_eigenpairs` found, whether it `converged`, or `stalled` at rounding."""
 
     eigenvalues: Tensor
     eigenvectors: Tensor
-    residuals: Tensor
+    residuals: Tensor  # ||L u - lambda M u|| in the M^-1 norm
     sweeps: int
-    products: int
+    products: int  # of L with a block, over all sweeps
     converged: bool
     stalled: bool
 
@@ -64,47 +46,16 @@ def chebyshev_eigenpairs(
     *,
     rtol: float,
     spacing: float,
-    block: int | None = None,
+    block: int,
     max_sweeps: int = 30,
     seed: int = 0,
 ) -> FilteredPairs:
     """Refine a block of columns until it holds the k lowest eigenpairs of L u = lambda M u.
 
-    Parameters
-    ----------
-    stiffness : sparse CSR Tensor of shape (n, n)
-        L, symmetric and positive semi-definite, float64, its diagonal stored.
-    mass : Tensor of shape (n,)
-        Diagonal of M, in length^2.
-    start : Tensor of shape (n, m)
-        Columns; the closer to the wanted span, the less is left to do.
-    k : int
-        Pairs wanted.
-    rtol : float
-        Converged where ``||L u - lambda M u||`` in the M^-1 norm is at most
-        ``rtol * max(lambda, spacing)``.
-    spacing : float
-        Typical gap of neighbouring eigenvalues, in 1/length^2.
-    block : int, optional
-        Ritz vectors to iterate on, by default ``1.5 k``, which takes the least time: those beyond k
-        guard the last wanted modes. Random ones are added where the start has too few.
-    max_sweeps : int, default 30
-        Filters before giving up.
-    seed : int, default 0
-        Of the random columns.
+    Converged where ``||L u - lambda M u||`` in the M^-1 norm is at most
+    ``rtol * max(lambda, spacing)``. `block` Ritz vectors are iterated on: those beyond k guard the
+    last wanted modes. Random ones are added where the start has too few.
 
-    Returns
-    -------
-    FilteredPairs
-        The best found so far where `converged` is False; what to do about it is the caller's.
-
-    Raises
-    ------
-    InvalidInputError
-        If `start` holds NaN, or no diagonal is stored.
-
-    Notes
-    -----
     Subspace iteration with a Chebyshev polynomial p of M^-1 L (Zhou, Saad, Tiago and Chelikowsky,
     *Self-consistent-field calculations using Chebyshev-filtered subspace iteration*, J. Comput.
     Phys. 2006): at most one in size from the highest Ritz value of the block to the top of the
@@ -121,22 +72,7 @@ def chebyshev_eigenpairs(
     modes are tried: random columns, filtered twice and orthogonal to the block, join a last
     Rayleigh-Ritz. If a Ritz value falls, the iteration goes on with these, and with twice as many
     the next time. That makes it unlikely that a mode is missed; only a count can prove it.
-
-    Examples
-    --------
-    >>> import torch
-    >>> from scipy import sparse
-    >>> from spectra_kit.linalg.chebyshev import chebyshev_eigenpairs
-    >>> from spectra_kit.linalg.torch_device import sparse_tensor
-    >>> diagonals, offsets = [2.0, -1, -1, -1, -1], [0, 1, -1, 99, -99]
-    >>> ring = sparse.diags_array(diagonals, offsets=offsets, shape=(100, 100))
-    >>> ring = sparse_tensor(ring.tocsr())
-    >>> block = torch.randn(100, 9, generator=torch.Generator().manual_seed(0))
-    >>> pairs = chebyshev_eigenpairs(ring, torch.ones(100), block, 5, rtol=1e-9, spacing=0.002)
-    >>> pairs.eigenvalues.abs()
-    tensor([0.0000, 0.0039, 0.0039, 0.0158, 0.0158], dtype=torch.float64)
     """
-    block = k + max(8, k // 2) if block is None else block
     values, X, _ = leading_ritz_pairs(stiffness, mass, start, block)
     if len(values) < block:
         drawn = np.random.default_rng(seed).standard_normal((len(X), block - len(values)))

@@ -8,6 +8,7 @@ from scipy import sparse
 
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg._checks import check_matrix
 
 _MAX_ENTRIES = 2**31 - 1  # cholespy indexes with 32-bit integers
 
@@ -23,7 +24,7 @@ class SparseCholesky:
     Raises
     ------
     InvalidInputError
-        If `matrix` is not square, or not numerically positive definite.
+        If `matrix` is not square and finite, or not numerically positive definite.
 
     Notes
     -----
@@ -41,24 +42,13 @@ class SparseCholesky:
     """
 
     def __init__(self, matrix: sparse.csr_array) -> None:
-        rows, columns = matrix.shape
-        if rows != columns or matrix.nnz > _MAX_ENTRIES:
-            raise InvalidInputError(
-                "matrix",
-                f"be square with at most {_MAX_ENTRIES} entries",
-                f"shape {matrix.shape} with {matrix.nnz}",
-            )
-        self.n = rows
-        rowwise = sparse.csr_array(matrix, dtype=np.float64)
-        rowwise.sort_indices()
+        rows = check_matrix(matrix)
+        if rows.nnz > _MAX_ENTRIES:
+            raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", rows.nnz)
+        self.n: int = rows.shape[0]
+        parts = (np.require(part, None, "W") for part in (rows.indptr, rows.indices, rows.data))
         try:
-            self._factor = cholespy.CholeskySolverD(
-                rows,
-                rowwise.indptr.astype(np.int32),
-                rowwise.indices.astype(np.int32),
-                rowwise.data,
-                cholespy.MatrixType.CSR,
-            )
+            self._factor = cholespy.CholeskySolverD(self.n, *parts, cholespy.MatrixType.CSR)
         except ValueError as error:
             raise InvalidInputError(
                 f"`matrix` could not be factorised ({error});"
@@ -67,7 +57,7 @@ class SparseCholesky:
 
     def solve(self, rhs: Floats) -> Floats:
         """Solve ``matrix @ x = rhs`` for `rhs` of shape (n,) or (n, s)."""
-        rhs = np.ascontiguousarray(rhs, dtype=np.float64)
+        rhs = np.require(rhs, np.float64, ["C", "W"])  # cholespy takes no read-only array
         solution = np.empty_like(rhs)
         self._factor.solve(rhs, solution)
         return solution

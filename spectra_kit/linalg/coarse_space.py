@@ -46,18 +46,7 @@ class Preconditioner(Protocol):
     """
 
     def solve(self, rhs: Floats) -> Floats:
-        """Apply it.
-
-        Parameters
-        ----------
-        rhs : ndarray of shape (n,)
-            Not to be written to.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            A new array.
-        """
+        """Return its product with `rhs` (n,), which is not written to: a new array (n,)."""
 
 
 class CoarseSpace:
@@ -88,8 +77,8 @@ class CoarseSpace:
     Raises
     ------
     InvalidInputError
-        If neither or both of `energies` and `matrix` are given, if shapes disagree, if a value is
-        not finite or an energy not positive, or if nothing of the basis is left.
+        If neither or both of `energies` and `matrix` are given, if shapes disagree (from `solve`
+        too), if a value is not finite or an energy not positive, or if nothing is left of Y.
 
     Examples
     --------
@@ -137,23 +126,7 @@ class CoarseSpace:
         return f"CoarseSpace(n={self.n}, dimension={self.dimension})"
 
     def solve(self, rhs: Floats) -> Floats:
-        """Solve within the span.
-
-        Parameters
-        ----------
-        rhs : ndarray of shape (n,)
-            Any.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            ``Y E^-1 Y^T rhs``.
-
-        Raises
-        ------
-        InvalidInputError
-            If `rhs` is of another shape.
-        """
+        """Return ``Y E^-1 Y^T rhs`` for `rhs` of shape (n,)."""
         out = np.zeros(self.n)
         self.add_to(out, in_threads(call, self.restrictions(rhs)))
         return out

@@ -29,16 +29,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 def compiled(**options: Any) -> Callable[[F], F]:
     """Return a decorator that has numba compile a function when it is first called.
 
-    Parameters
-    ----------
-    **options
-        Of `numba.njit`. The interpreter lock is released inside.
-
-    Returns
-    -------
-    callable
-        The decorator. The function must not use compiled functions of other files: what is kept
-        is found again by the text of its own.
+    With the `options` of `numba.njit`; the interpreter lock is released inside. The function must
+    not use compiled functions of other files: what is kept is found again by the text of its own.
 
     Examples
     --------

@@ -21,36 +21,8 @@ def smoothed(
 ) -> Tensor:
     """Return approximate modes without the high frequencies of their residuals.
 
-    The twin of `levels.smoothed`, where the method is described.
-
-    Parameters
-    ----------
-    stiffness : sparse CSR Tensor of shape (n, n)
-        L, symmetric and positive semi-definite, float64.
-    mass : Tensor of shape (n,)
-        Diagonal of M, float64, in length^2.
-    values : Tensor of shape (k,)
-        Approximate eigenvalues, float64, in 1/length^2.
-    vectors : Tensor of shape (n, k)
-        The modes, float64.
-    degree : int, default 6
-        Products with L, of float32 but for the first.
-
-    Returns
-    -------
-    Tensor of shape (n, k)
-        float64, not orthonormal.
-
-    Examples
-    --------
-    >>> import torch
-    >>> from scipy import sparse
-    >>> from spectra_kit.linalg.filters import smoothed
-    >>> from spectra_kit.linalg.torch_device import sparse_tensor
-    >>> path = sparse.csr_array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
-    >>> mode = torch.tensor([[1.0], [0.0], [-1.0]]).double()
-    >>> smoothed(sparse_tensor(path), torch.ones(3), torch.ones(1), mode).flatten()
-    tensor([ 1., 0., -1.], dtype=torch.float64)
+    The twin of `levels.smoothed`, where the method is described. float64 in and out; of `degree`
+    products with L all but the first are of float32.
     """
     diagonal = csr_diagonal(stiffness)
     diagonal = diagonal.clamp_min(_FLOOR * float(diagonal.quantile(0.5)))
@@ -81,15 +53,6 @@ def spectral_bound(operator: Tensor) -> float:
     For any positive x the spectral radius of ``|S|``, and so every eigenvalue of S, is at most
     ``max_i (|S| x)_i / x_i`` (Collatz and Wielandt); a few power steps on x bring that close to
     the radius. For an L with non-negative weights it is below twice the largest eigenvalue.
-
-    Examples
-    --------
-    >>> from scipy import sparse
-    >>> from spectra_kit.linalg.filters import spectral_bound
-    >>> from spectra_kit.linalg.torch_device import sparse_tensor
-    >>> path = sparse_tensor(sparse.csr_array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]]))
-    >>> round(spectral_bound(path), 4)  # 3 is attained
-    3.0000
     """
     magnitude = csr_like(operator, operator.values().double().abs())
     x = torch.ones(operator.shape[0], 1, dtype=torch.float64, device=operator.device)

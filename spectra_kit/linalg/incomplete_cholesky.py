@@ -137,23 +137,7 @@ class IncompleteCholesky:
         return self._entries
 
     def solve(self, rhs: Floats) -> Floats:
-        """Apply the inverse of the factor.
-
-        Parameters
-        ----------
-        rhs : ndarray of shape (n,)
-            Any.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            The x of ``P (I + L) D (I + L)^T P^T x = rhs``.
-
-        Raises
-        ------
-        InvalidInputError
-            If `rhs` is of another shape.
-        """
+        """Return the x (n,) of ``P (I + L) D (I + L)^T P^T x = rhs`` for `rhs` of shape (n,)."""
         from spectra_kit.linalg._incomplete_kernels import solve_factor
 
         out, work = np.empty(self.n), np.empty(self.n)
@@ -180,28 +164,9 @@ def _indefinite(reason: str) -> InvalidInputError:
 
 
 def untidy(matrix: sparse.csr_array) -> bool:
-    """Return whether neighbours are far apart in the order of the unknowns, as in a shuffled mesh.
+    """Return whether neighbours are more than n / 20 places apart on average.
 
-    Parameters
-    ----------
-    matrix : csr_array of shape (n, n)
-        Whose entries say who are neighbours.
-
-    Returns
-    -------
-    bool
-        Whether they are more than n / 20 places apart on average, so that incomplete factors gain
-        by another order.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scipy import sparse
-    >>> from spectra_kit.linalg.incomplete_cholesky import untidy
-    >>> path = sparse.eye_array(100, k=1, format="csr") + sparse.eye_array(100, k=-1, format="csr")
-    >>> shuffle = np.random.default_rng(0).permutation(100)
-    >>> untidy(path), untidy(path[shuffle][:, shuffle])
-    (False, True)
+    As in a shuffled mesh, whose incomplete factors gain by another order.
     """
     n = matrix.shape[0]
     own = np.repeat(np.arange(n, dtype=matrix.indices.dtype), np.diff(matrix.indptr))
@@ -224,25 +189,8 @@ def incomplete_factor(
 ) -> tuple[int, sparse.csr_array, Floats]:
     """Factorise, in the order given; for those who need the entries themselves.
 
-    Parameters
-    ----------
-    above : csr_array of shape (n, n)
-        A above its diagonal, columns ascending.
-    diagonal : ndarray of shape (n,)
-        That of A; overwritten.
-    drop : float or None
-        As in `IncompleteCholesky`.
-    relaxation : float
-        Share of what is dropped that goes to the diagonal.
-
-    Returns
-    -------
-    broken : int
-        Row of a breakdown, or -1.
-    upper : csr_array of shape (n, n)
-        L^T above its diagonal of ones.
-    inverse : ndarray of shape (n,)
-        1 / D.
+    `above` holds A above its diagonal, columns ascending; its `diagonal` is overwritten. Returns
+    the row of a breakdown (or -1), L^T above its diagonal of ones, and 1 / D.
     """
     from spectra_kit.linalg import _incomplete_kernels as kernels
 

@@ -12,6 +12,7 @@ from scipy import sparse
 from spectra_kit._types import Floats
 from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
+from spectra_kit.linalg._checks import check_matrix
 from spectra_kit.linalg.products import real_dtype
 from spectra_kit.linalg.threads import in_threads, shares, thread_count
 
@@ -53,7 +54,7 @@ class SparseLDL:
     ------
     InvalidInputError
         If `matrix` is not square, not finite, singular, or not positive definite where that is
-        asked.
+        asked; from `solve`, if `rhs` has another number of rows or `dtype` is another.
     OutOfMemoryError
         If the factor does not fit into memory.
 
@@ -62,7 +63,7 @@ class SparseLDL:
     Ordered by approximate minimum degree and factorised by QDLDL (Stellato et al., *OSQP*, 2020);
     solved by compiled loops, with up to 64 right-hand sides in a row of memory and one such
     block for each thread. The bits of a solution depend neither on the number of threads nor on
-    the other right-hand sides. For blocks; `SparseCholesky` is as fast with one column at a time.
+    the other right-hand sides. For blocks; `SparseCholesky` is faster with one column at a time.
 
     Examples
     --------
@@ -79,8 +80,7 @@ class SparseLDL:
     def __init__(self, matrix: sparse.csr_array, *, definite: bool = True) -> None:
         import qdldl
 
-        _check_matrix(matrix)
-        upper = sparse.csc_matrix(sparse.triu(matrix, format="csc"), dtype=np.float64)
+        upper = sparse.csc_matrix(sparse.triu(check_matrix(matrix), format="csc"))
         diagonal = upper.diagonal()
         if not diagonal.all():  # qdldl wants every diagonal entry stored
             raise _singular(f"its diagonal has {quantity((diagonal == 0).sum(), 'zero')}")
@@ -129,19 +129,10 @@ class SparseLDL:
         return Inertia(negative, int(zero.sum()), self.n - negative - int(zero.sum()))
 
     def backward_error(self, weight: Floats) -> float:
-        """Bound how far the product of the factors is from the matrix.
+        """Bound ``||W^-1/2 (A - P (I + L) D (I + L)^T P^T) W^-1/2||``, W = diag(`weight`) positive.
 
-        Parameters
-        ----------
-        weight : ndarray of shape (n,)
-            Positive: W, diagonal.
-
-        Returns
-        -------
-        float
-            At least ``||W^-1/2 (A - P (I + L) D (I + L)^T P^T) W^-1/2||`` (2-norm), by which
-            `inertia` is certain: the negative eigenvalues of ``A + bound W`` are no more than
-            those it counts, and those of ``A - bound W`` no fewer. Infinite if it overflows.
+        By so much `inertia` is certain: the negative eigenvalues of ``A + bound W`` are no more
+        than those it counts, and those of ``A - bound W`` no fewer. Infinite if it overflows.
 
         Notes
         -----
@@ -166,26 +157,12 @@ class SparseLDL:
         return (longest + 6) * _EPS * bound if np.isfinite(bound) else np.inf
 
     def solve(self, rhs: NDArray[np.floating], *, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """Solve ``A x = rhs``.
+        """Solve ``A x = rhs`` for `rhs` of shape (n,) or (n, s), in C order (any other is copied).
 
-        Parameters
-        ----------
-        rhs : ndarray of shape (n,) or (n, s)
-            C order is read as it is, any other is copied.
-        dtype : {float64, float32}, default float64
-            Of the arithmetic and of the solution. float32 halves memory and time; its error is
-            some 1e-7 times the condition of A.
-
-        Returns
-        -------
-        ndarray of the shape of `rhs`
-
-        Raises
-        ------
-        InvalidInputError
-            If `rhs` has another number of rows, or `dtype` is neither of the two.
+        In float32 if that is the `dtype`, which halves memory and time; the error is some 1e-7
+        times the condition of A.
         """
-        from spectra_kit.linalg._kernels import solve_column, solve_columns
+        from spectra_kit.linalg._kernels import solve_columns
 
         real = real_dtype("dtype", dtype)
         rhs = np.ascontiguousarray(rhs, dtype=real)
@@ -194,14 +171,11 @@ class SparseLDL:
         lower, inverse = self._single if real == np.float32 else (self._lower, self._inverse)
         out = np.empty(rhs.shape, real)
         factor = (self._starts, self._rows, lower, inverse, self._groups, self._order)
-        if not rhs.size:
-            return out
-        if rhs.size == self.n:
-            solve_column(*factor, rhs.reshape(-1), out.reshape(-1))
-            return out
-        columns = rhs.shape[1]
+        columns = rhs.size // self.n
+        block = (rhs.reshape(self.n, columns), out.reshape(self.n, columns))
         blocks = max(-(-columns // _WIDE), min(thread_count(), -(-columns // _NARROW)))
-        in_threads(solve_columns, ((*factor, rhs, out, *cut) for cut in shares(columns, blocks)))
+        cuts = shares(columns, blocks) if columns else []
+        in_threads(solve_columns, ((*factor, *block, *cut) for cut in cuts))
         return out
 
     @cached_property
@@ -221,18 +195,6 @@ def _groups(starts: NDArray[np.int64], rows: NDArray[np.uint32]) -> NDArray[np.i
     runs = np.flatnonzero(np.r_[True, ~joined])
     place = np.arange(n) - np.repeat(runs, np.diff(np.r_[runs, n]))
     return np.append(np.flatnonzero(place % 4 == 0), n)
-
-
-def _check_matrix(matrix: sparse.csr_array) -> None:
-    rows, columns = matrix.shape
-    if rows != columns:
-        raise InvalidInputError("matrix", "be square", f"shape {matrix.shape}")
-    if not np.isfinite(matrix.data).all():
-        raise InvalidInputError(
-            "matrix",
-            "be finite",
-            f"{int((~np.isfinite(matrix.data)).sum())} NaN or infinite entries",
-        )
 
 
 def _singular(why: str) -> InvalidInputError:

@@ -17,31 +17,7 @@ def residuals(
 ) -> tuple[Singles, Floats]:
     """Return ``R = L U - M U diag(values)`` and the M^-1 norms of its columns.
 
-    Parameters
-    ----------
-    stiffness : sparse array of shape (n, n)
-        L, in CSR form.
-    mass : ndarray of shape (n,)
-        Diagonal of M, positive.
-    values : ndarray of shape (k,)
-    vectors : ndarray of shape (n, k)
-        U.
-
-    Returns
-    -------
-    ndarray of shape (n, k), float32
-        R, computed in float64 and rounded.
-    ndarray of shape (k,)
-        ``||r||`` in the M^-1 norm, of the R before rounding.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scipy import sparse
-    >>> from spectra_kit.linalg.residuals import residuals
-    >>> path = sparse.csr_array([[1.0, -1.0], [-1.0, 1.0]])
-    >>> residuals(path, np.ones(2), np.array([0.0]), np.ones((2, 1)))[1]
-    array([0.])
+    R in float32, but computed, like the norms, in float64.
     """
     from spectra_kit.linalg._filter_kernels import residual_rows
 
@@ -65,17 +41,6 @@ def residual_norms(
     """Return the norms that `residuals` does, without the rows `left_out` and without R.
 
     By SciPy and NumPy alone: every spectrum is certified, also where nothing can be compiled.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scipy import sparse
-    >>> from spectra_kit.linalg.residuals import residual_norms
-    >>> path = sparse.csr_array([[1.0, -1.0], [-1.0, 1.0]])
-    >>> residual_norms(path, np.ones(2), np.array([0.0]), np.array([[0.0], [1.0]]))
-    array([1.4142...])
-    >>> residual_norms(path, np.ones(2), np.zeros(1), np.eye(2)[:, 1:], left_out=np.array([0]))
-    array([1.])
     """
     U = np.ascontiguousarray(vectors)
     # In units of the largest entry of M^-1 L, squares neither overflow nor vanish.

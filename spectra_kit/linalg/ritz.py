@@ -22,17 +22,7 @@ _ROUNDING = 1e-11  # deviation from M-orthonormality that is not worth a correct
 
 
 class RitzPairs(NamedTuple):
-    """The lowest eigenpairs inside a subspace.
-
-    Attributes
-    ----------
-    eigenvalues : ndarray of shape (k,)
-        Ascending.
-    eigenvectors : ndarray of shape (n, k)
-        M-orthonormal columns.
-    rank : int
-        Numerical rank of the basis.
-    """
+    """The lowest eigenpairs inside a subspace, M-orthonormal, and the rank of the basis."""
 
     eigenvalues: Floats
     eigenvectors: Floats
@@ -49,43 +39,7 @@ def ritz_pairs(
 ) -> RitzPairs:
     """Return the k lowest Ritz pairs of ``L u = lambda M u`` in the span of `basis`.
 
-    Parameters
-    ----------
-    stiffness : sparse array of shape (n, n)
-        L, symmetric positive semi-definite.
-    mass : ndarray of shape (n,)
-        Diagonal of M, positive.
-    basis : ndarray of shape (n, m)
-        Columns of any scale, dependent ones allowed.
-    k : int
-        Pairs to return.
-    rank_tol : float, default 1e-10
-        Relative cut on the singular values of the basis; see `orthonormalize`.
-
-    Returns
-    -------
-    RitzPairs
-
-    Raises
-    ------
-    InvalidInputError
-        If the numerical rank of `basis` is below k, or it holds NaN, infinity or only zeros.
-
-    Notes
-    -----
-    The long side of the basis is read three times: for the Gram matrix ``Y^T M Y``, for
-    ``Y^T L Y``, and to lift the k wanted vectors. Where rounding of the first left these short of
-    orthonormal, their own k x k problem takes it out. Only a badly conditioned basis, of which
-    more is wanted than one Gram matrix resolves (`rank_tol` below 1e-6), is orthonormalised first.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scipy import sparse
-    >>> from spectra_kit.linalg.ritz import ritz_pairs
-    >>> path = sparse.csr_array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
-    >>> ritz_pairs(path, np.ones(3), np.eye(3), 2).eigenvalues.round(6)
-    array([0., 1.])
+    As `ritz_pairs_at_most`, but a numerical rank below k is refused.
     """
     pairs = ritz_pairs_at_most(stiffness, mass, basis, k, rank_tol=rank_tol)
     if pairs.rank < k:
@@ -97,6 +51,7 @@ def ritz_pairs(
     return pairs
 
 
+@single_threaded_blas()
 def ritz_pairs_at_most(
     stiffness: sparse.csr_array,
     mass: Floats,
@@ -105,18 +60,14 @@ def ritz_pairs_at_most(
     *,
     rank_tol: float = 1e-10,
 ) -> RitzPairs:
-    """Return what `ritz_pairs` does, or as many pairs as the basis has dimensions."""
-    with single_threaded_blas():
-        return _ritz_pairs(stiffness, mass, basis, k, rank_tol)
+    """Return the k lowest Ritz pairs, or as many as the basis has dimensions.
 
-
-def _ritz_pairs(
-    stiffness: sparse.csr_array,
-    mass: Floats,
-    basis: NDArray[np.floating],
-    k: int,
-    rank_tol: float,
-) -> RitzPairs:
+    Its columns are of any scale, and may be dependent; see `orthonormalize` for `rank_tol`. The
+    long side of the basis is read three times: for the Gram matrix ``Y^T M Y``, for ``Y^T L Y``,
+    and to lift the k wanted vectors. Where rounding of the first left these short of orthonormal,
+    their own k x k problem takes it out. Only a badly conditioned basis, of which more is wanted
+    than one Gram matrix resolves (`rank_tol` below 1e-6), is orthonormalised first.
+    """
     Y = np.ascontiguousarray(basis, dtype=np.float64)
     gram = weighted_gram(Y, mass)
     scale = np.sqrt(np.diag(gram))
@@ -141,45 +92,28 @@ def _ritz_pairs(
     return RitzPairs(inside[:k], U, rank)
 
 
+@single_threaded_blas()
 def ritz_rotation(stiffness: sparse.csr_array, mass: Floats, X: Floats) -> tuple[Floats, Floats]:
     """Return all Ritz pairs in the span of columns that are far from dependent.
 
-    Parameters
-    ----------
-    stiffness, mass
-        As in `ritz_pairs`.
-    X : ndarray of shape (n, b)
-        Columns with a Gram matrix of moderate condition, such as M-orthonormal ones that were
-        corrected a little.
-
-    Returns
-    -------
-    eigenvalues (b,), eigenvectors (n, b)
-
-    Raises
-    ------
-    InvalidInputError
-        If the columns are dependent.
+    Such as M-orthonormal ones that were corrected a little; dependent ones are refused.
     """
-    with single_threaded_blas():
-        for _ in range(
-            2
-        ):  # rounding in a Gram matrix grows by the inverse of its lowest eigenvalue
-            inside, gram = projected(stiffness, X), weighted_gram(X, mass)
-            scale = np.sqrt(np.diag(gram))
-            try:
-                values, rotation = eigh(inside, gram)
-                lowest = np.linalg.eigvalsh(gram / scale / scale[:, None]).min(initial=1.0)
-            except np.linalg.LinAlgError as error:
-                raise InvalidInputError(
-                    "X",
-                    "have columns that are far from dependent",
-                    f"{X.shape[1]} with a Gram matrix that is not positive definite ({error})",
-                    advice="use `ritz_pairs`",
-                ) from error
-            X = lifted(X, rotation)
-            if lowest > _WELL_SPREAD:
-                break
+    for _ in range(2):  # rounding in a Gram matrix grows by the inverse of its lowest eigenvalue
+        inside, gram = projected(stiffness, X), weighted_gram(X, mass)
+        scale = np.sqrt(np.diag(gram))
+        try:
+            values, rotation = eigh(inside, gram)
+            lowest = np.linalg.eigvalsh(gram / scale / scale[:, None]).min(initial=1.0)
+        except np.linalg.LinAlgError as error:
+            raise InvalidInputError(
+                "X",
+                "have columns that are far from dependent",
+                f"{X.shape[1]} with a Gram matrix that is not positive definite ({error})",
+                advice="use `ritz_pairs`",
+            ) from error
+        X = lifted(X, rotation)
+        if lowest > _WELL_SPREAD:
+            break
     return values, X
 
 
@@ -206,8 +140,7 @@ def lifted(Y: Floats, rotation: Floats) -> Floats:
     def fill(rows: slice) -> None:
         np.matmul(Y[rows], rotation, out=U[rows])
 
-    with single_threaded_blas():
-        in_threads(fill, ((slice(*rows),) for rows in ranges(len(Y), _ROWS)))
+    in_threads(fill, ((slice(*rows),) for rows in ranges(len(Y), _ROWS)))
     return U
 
 

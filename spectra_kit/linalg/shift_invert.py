@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,8 @@ from spectra_kit.linalg.residuals import residuals
 from spectra_kit.linalg.ritz import ritz_pairs_at_most, ritz_rotation
 from spectra_kit.linalg.threads import in_threads, shares, single_threaded_blas
 
+Factor = TypeVar("Factor")
+
 _COLUMNS = 80  # filtered together, at most: bounds the temporaries
 _SHIFT = 1 / 8  # of the guard eigenvalue: strong on the last modes, kind to float32 on the first
 _STALLED = 0.7  # a sweep that leaves more than this of the best residuals gains nothing,
@@ -31,53 +32,39 @@ _OUTGROWN = 1 / 4  # a shift this many times larger than wanted, or smaller, wan
 
 
 class Refinement(NamedTuple):
-    """What `shift_invert_iteration` reached.
-
-    Attributes
-    ----------
-    eigenvalues : ndarray of shape (k,)
-    eigenvectors : ndarray of shape (n, k)
-        M-orthonormal.
-    residuals : ndarray of shape (k,)
-        ``||L u - lambda M u||`` in the M^-1 norm.
-    sweeps : int
-        Filters applied.
-    solves : int
-        Columns that were solved for with the factor.
-    stalled : bool
-        Whether it gave up because the residuals no longer fell: rounding.
-    seconds : dict of str to float
-        Wall time of ``factor``, ``filter``, ``rayleigh_ritz`` and ``residuals``.
-    """
+    """What `shift_invert_iteration` reached, and whether it `stalled` at rounding."""
 
     eigenvalues: Floats
     eigenvectors: Floats
-    residuals: Floats
+    residuals: Floats  # ||L u - lambda M u|| in the M^-1 norm
     sweeps: int
-    solves: int
     stalled: bool
     seconds: dict[str, float]
 
 
-@dataclass(frozen=True)
-class ShiftedFactor:
+class ShiftedFactor(NamedTuple):
     """``L - sigma M`` with sigma < 0, factorised."""
 
     factor: SparseLDL
     sigma: float
 
 
-def factor_below(stiffness: sparse.csr_array, mass: Floats, guard: float) -> ShiftedFactor:
-    """Factorise ``L - sigma M`` with the shift that suits modes up to the eigenvalue `guard`."""
-    sigma = -_SHIFT * guard
+def shifted_factor(
+    stiffness: sparse.csr_array,
+    mass: Floats,
+    sigma: float,
+    factorise: Callable[[sparse.csr_array], Factor],
+) -> Factor:
+    """Factorise ``L - sigma M``, positive definite for sigma < 0."""
     try:
-        factor = SparseLDL(sparse.csr_array(stiffness - sigma * sparse.diags_array(mass)))
+        return factorise(sparse.csr_array(stiffness - sigma * sparse.diags_array(mass)))
     except InvalidInputError as error:
         raise InvalidInputError(
-            f"`stiffness` must be positive semi-definite, but with {-sigma:.3g} M added to it a"
-            " Cholesky factor does not exist; is its sign right, and is it symmetric?"
+            "stiffness",
+            f"be positive semi-definite, but with {-sigma:.3g} M added to it a Cholesky factor does"
+            " not exist",
+            advice="is its sign right, and is it symmetric?",
         ) from error
-    return ShiftedFactor(factor, sigma)
 
 
 def shift_invert_iteration(
@@ -96,44 +83,12 @@ def shift_invert_iteration(
 ) -> Refinement:
     """Drive the span of `start` to the k lowest eigenpairs of ``L u = lambda M u``.
 
-    Parameters
-    ----------
-    stiffness : sparse array of shape (n, n)
-        L, symmetric positive semi-definite.
-    mass : ndarray of shape (n,)
-        Diagonal of M, positive.
-    start : ndarray of shape (n, m)
-        Any columns; the closer to the wanted span, the fewer sweeps.
-    k : int
-        Wanted pairs.
-    tolerance : callable
-        Largest allowed residual norm of each Ritz value.
-    spacing : float
-        Typical gap between neighbouring eigenvalues; those far below it are taken for zero.
-    block : int
-        Ritz vectors to iterate on, k < block; those beyond k guard the last wanted ones.
-    degree : int, default 4
-        Of the filter: solves of each column in a sweep.
-    max_sweeps : int, default 30
-        Filters before giving up; one at least is applied, to whatever start.
-    least_rank : int, default 0
-        Rank below which a start is refused; random columns make up for what `block` lacks.
-    seed : int, default 0
-        Of all random columns.
+    Until the residual norm of each Ritz value is at most `tolerance` of it. Of the `block` Ritz
+    vectors those beyond k guard the last wanted ones; random columns make up for what the start
+    lacks, but a rank below `least_rank` is refused. At least one filter of this `degree`, which is
+    the number of solves of each column, is applied to whatever start. Eigenvalues far below the
+    `spacing` are taken for zero.
 
-    Returns
-    -------
-    Refinement
-        Converged where ``residuals <= tolerance(eigenvalues)``.
-
-    Raises
-    ------
-    InvalidInputError
-        If `start` holds NaN or infinity, or its rank is below `least_rank`, or
-        `stiffness` is not semi-definite.
-
-    Notes
-    -----
     A sweep applies a Chebyshev polynomial p of ``T = (L - sigma M)^-1 M`` that is small on the
     eigenvalues of T beyond the guard and large on the wanted ones (Zhou, Saad, Tiago and
     Chelikowsky, *Self-consistent-field calculations using Chebyshev-filtered subspace iteration*,
@@ -177,7 +132,7 @@ def shift_invert_iteration(
     clock.stage("rayleigh_ritz")
     R, norms = residuals(stiffness, mass, values, X)
     clock.stage("residuals")
-    best, solves, sweeps, idle = norms[:k], 0, 0, 0
+    best, sweeps, idle = norms[:k], 0, 0
     while True:
         open_modes = norms[:k] > unit * tolerance(values[:k] / unit)
         done = not open_modes.any() and sweeps > 0
@@ -188,7 +143,7 @@ def shift_invert_iteration(
         guard = max(float(values[-1]), _ZERO * unit * spacing) * (1 + 2 / block)
         wanted = _SHIFT * guard
         if shifted is None or not _OUTGROWN < wanted / -shifted.sigma < 1 / _OUTGROWN:
-            shifted = factor_below(stiffness, mass, guard)
+            shifted = ShiftedFactor(shifted_factor(stiffness, mass, -wanted, SparseLDL), -wanted)
             clock.stage("factor")
         probes = _filtered_noise(shifted, mass, X, guard, degree, rng) if sweeps == 0 else None
         # Guard columns move with the wanted ones; wanted ones that have converged stay.
@@ -207,7 +162,6 @@ def shift_invert_iteration(
         clock.stage("rayleigh_ritz")
         R, norms = residuals(stiffness, mass, values, X)
         clock.stage("residuals")
-        solves += degree * len(active) + (2 * degree * _PROBES if sweeps == 0 else 0)
         sweeps += 1
         fell = values[:k].sum() < (1 - _STILL) * trace
         # Against the best so far: where they are rounding, residuals fall as often as they rise.
@@ -220,7 +174,6 @@ def shift_invert_iteration(
         X[:, :k] / np.sqrt(unit),
         norms[:k] / unit,
         sweeps,
-        solves,
         idle == 2,
         clock.seconds,
     )

@@ -38,22 +38,7 @@ def torch_threads_for(entries: int) -> Iterator[None]:
 
 
 def sparse_tensor(csr: sparse.csr_array, device: str = "cpu") -> Tensor:
-    """Return a SciPy array as a float64 sparse CSR tensor.
-
-    Parameters
-    ----------
-    csr : csr_array of shape (n, n)
-        For instance ``laplacian.stiffness``.
-    device : str, default "cpu"
-        Where to put it.
-
-    Examples
-    --------
-    >>> from scipy import sparse
-    >>> from spectra_kit.linalg.torch_device import sparse_tensor
-    >>> sparse_tensor(sparse.csr_array([[0.0, 2.0], [0.0, 0.0]])).values()
-    tensor([2.], dtype=torch.float64)
-    """
+    """Return a SciPy array as a float64 sparse CSR tensor on a device."""
     return _csr_tensor(
         torch.tensor(csr.indptr),
         torch.tensor(csr.indices),

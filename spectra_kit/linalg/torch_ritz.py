@@ -25,16 +25,9 @@ _NOTHING = 1e-13  # share of the largest squared norm: orthonormal columns may b
 
 
 class RitzPairs(NamedTuple):
-    """The lowest eigenpairs inside a subspace.
+    """The lowest eigenpairs inside a subspace, float64, M-orthonormal, and what they took.
 
-    Attributes
-    ----------
-    eigenvalues : Tensor of shape (k,)
-        Ascending, float64, in 1/length^2.
-    eigenvectors : Tensor of shape (n, k)
-        M-orthonormal, float64.
-    seconds : dict of str to float
-        ``orthonormalize``, ``project``, ``eigh`` (with the lift) and ``settle``.
+    The stages are ``orthonormalize``, ``project``, ``eigh`` (with the lift) and ``settle``.
     """
 
     eigenvalues: Tensor
@@ -43,41 +36,10 @@ class RitzPairs(NamedTuple):
 
 
 def orthonormalize(basis: Tensor, mass: Tensor, *, rank_tol: float = 1e-10) -> Tensor:
-    """Return an M-orthonormal basis of the numerical range of `basis`.
+    """Return an M-orthonormal basis of the numerical range of `basis`, in float64.
 
-    Repeated Cholesky-QR in the eigenvector form (SVQB, Stathopoulos and Wu 2002): the long side
-    sees only matrix products, all m x m algebra is float64. One Gram matrix of float64 resolves
-    singular values down to 1e-8 of the largest, so smaller ones are first raised by a bounded
-    factor and resolved in the next pass, until the Gram matrix is the identity. The accumulated
-    triangle then holds the singular values of the columns, on which the cut is made.
-
-    Parameters
-    ----------
-    basis : Tensor of shape (n, m)
-        Columns, any precision; they may be dependent.
-    mass : Tensor of shape (n,)
-        Positive masses, in length^2.
-    rank_tol : float, default 1e-10
-        Directions whose singular value (columns scaled to unit M-norm) is below this share of the
-        largest are dropped. The share is meaningful down to about 1e-14.
-
-    Returns
-    -------
-    Tensor of shape (n, r)
-        float64, r <= m.
-
-    Raises
-    ------
-    InvalidInputError
-        If `basis` holds NaN or infinite values, or only zeros.
-
-    Examples
-    --------
-    >>> import torch
-    >>> from spectra_kit.linalg.torch_ritz import orthonormalize
-    >>> basis = torch.tensor([[1.0, 2.0, 0.0], [1.0, 2.0, 1.0]])
-    >>> orthonormalize(basis, torch.ones(2)).shape
-    torch.Size([2, 2])
+    The twin of `linalg.orthonormalize`, where the method is described: the long side sees only
+    matrix products, all m x m algebra is float64.
     """
     root = mass.double().sqrt().unsqueeze(1)
     Q = torch.empty(basis.shape, dtype=torch.float64, device=basis.device)  # the one large copy
@@ -127,43 +89,8 @@ def rayleigh_ritz(
     """Return the k lowest Ritz pairs of L u = lambda M u in the span of `basis`.
 
     NEO paper, Eqs. "m_qr", "project_operators" and "uplift": Y M-orthonormal,
-    ``L^ = Y^T L Y``, ``L^ v = lambda v``, ``u = Y v``.
-
-    Parameters
-    ----------
-    stiffness : sparse CSR Tensor of shape (n, n)
-        L, symmetric and positive semi-definite, float64; see `torch_device.sparse_tensor`.
-    mass : Tensor of shape (n,), or sparse CSR Tensor of shape (n, n)
-        Diagonal of M, or M itself, float64, in length^2.
-    basis : Tensor of shape (n, m)
-        Any precision, any scale, dependent columns allowed.
-    k : int
-        Pairs to return.
-    rank_tol : float, default 1e-10
-        See `orthonormalize`, to which a badly conditioned basis is handed.
-    clock : Clock, optional
-        To book the stages on, beside what is there already.
-
-    Returns
-    -------
-    RitzPairs
-        Every Ritz value is at least the true eigenvalue of the same number.
-
-    Raises
-    ------
-    InvalidInputError
-        If the numerical rank of the basis is below k, or it holds NaN.
-
-    Examples
-    --------
-    >>> import torch
-    >>> from scipy import sparse
-    >>> from spectra_kit.linalg.torch_device import sparse_tensor
-    >>> from spectra_kit.linalg.torch_ritz import rayleigh_ritz
-    >>> path = sparse.csr_array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
-    >>> pairs = rayleigh_ritz(sparse_tensor(path), torch.ones(3), torch.eye(3), 2)
-    >>> pairs.eigenvalues.abs()
-    tensor([0.0, 1.0], dtype=torch.float64)
+    ``L^ = Y^T L Y``, ``L^ v = lambda v``, ``u = Y v``. `mass` is the diagonal of M, or M itself as
+    a sparse tensor; the stages are booked on the `clock`. A rank below k is refused.
     """
     pairs = leading_ritz_pairs(stiffness, mass, basis, k, rank_tol=rank_tol, clock=clock)
     if (rank := len(pairs.eigenvalues)) < k:
@@ -214,11 +141,6 @@ def ritz_rotation(
     """Return all Ritz pairs in the span of columns that are far from dependent.
 
     Such as M-orthonormal ones that were corrected a little; twin of `linalg.ritz.ritz_rotation`.
-
-    Raises
-    ------
-    InvalidInputError
-        If their Gram matrix is not positive definite.
     """
     clock = clock or device_clock(columns.device)
     for _ in range(2):  # what rounding in an ill-conditioned Gram matrix left oblique is put right

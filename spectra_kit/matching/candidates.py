@@ -34,21 +34,10 @@ def sign_candidates(
     mirrored: bool = False,
     options: MatchOptions = DEFAULT,
 ) -> Floats:
-    """Return candidate functional maps, grown from all signs and likely orders of low modes.
+    """Return functional maps, (16, 30, 30), grown from all signs and likely orders of low modes.
 
-    Parameters
-    ----------
-    source, target : Prepared
-        The surfaces.
-    mirrored : bool, default False
-        Look for maps that mirror. Needs both geometries.
-    options : MatchOptions
-        How many, and by what they grow.
-
-    Returns
-    -------
-    ndarray of shape (16, 30, 30)
-        Functional maps (k2, k1) of source to target, the 16 that fit best on the way.
+    They are those that fit best on the way; with `mirrored`, which needs both geometries, of those
+    that mirror.
     """
     first, second = (side.samples[: options.growing_samples] for side in (source, target))
     a, b = source.spectrum, target.spectrum

@@ -32,27 +32,10 @@ def smoothed_mean_curvature(
 ) -> Floats:
     """Return twice the signed mean curvature of the surface, smoothed by a short heat flow.
 
-    Parameters
-    ----------
-    spectrum : Spectrum
-        Of the surface, in the units of `points`.
-    points : ndarray of shape (n, 3)
-        Of the surface.
-    oriented : OrientedTriangles
-        Which side is out.
-    modes : tuple of int
-        One column for each: heat flows for the time 1 / lambda of that mode.
-
-    Returns
-    -------
-    ndarray of shape (n, len(modes))
-        In 1/length; positive where the surface is convex.
-
-    Notes
-    -----
-    The mean curvature normal is the Laplacian of the coordinates, ``2 H n = L x``; with the heat
-    flow, ``n . U diag(lambda exp(-t lambda)) U^T M x``. Bending a surface changes it at the bends
-    only. It does not see reflections.
+    In 1/length, positive where the surface is convex; a column for each of `modes`, with heat that
+    flows for the time 1 / lambda of that mode. The mean curvature normal is the Laplacian of the
+    coordinates, ``2 H n = L x``; with the heat flow, ``n . U diag(lambda exp(-t lambda)) U^T M x``.
+    Bending a surface changes it at the bends only. It does not see reflections.
     """
     normals = outward_normals(points, oriented)
     coefficients = spectrum.project(points)

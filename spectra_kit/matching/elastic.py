@@ -33,28 +33,12 @@ def elastic_point_map(
 ) -> Ints:
     """Refine a map by bending the source as rigidly as possible onto the target.
 
-    Parameters
-    ----------
-    source, target : Surface
-        At unit area.
-    way_there : ndarray of shape (n1,)
-        The target point of each source point, to begin with.
-    mirrored : bool, default False
-        Whether the target is a mirror image of the source.
-    options : MatchOptions
-        How stiff, and how often.
-
-    Returns
-    -------
-    ndarray of shape (n2,)
-        The source point of each target point.
-
-    Notes
-    -----
-    Each round lowers ``1/2 sum_ij w_ij |(y_i - y_j) - R_i (x_i - x_j)|^2 + p sum_i m_i |y_i -
-    c_i|^2``, where i j runs over all edges in both directions, over positions y and rotations R in
-    turn (Sorkine and Alexa, *As-Rigid-As-Possible Surface Modeling*, SGP 2007, with cotangent
-    weights w), c being the target points; then the nearest in position and normal become the new c.
+    From the target point of each source point, `way_there`, to the source point of each target
+    point, (n2,); with `mirrored`, the target is a mirror image. Each round lowers
+    ``1/2 sum_ij w_ij |(y_i - y_j) - R_i (x_i - x_j)|^2 + p sum_i m_i |y_i - c_i|^2``, where i j
+    runs over all edges in both directions, over positions y and rotations R in turn (Sorkine and
+    Alexa, *As-Rigid-As-Possible Surface Modeling*, SGP 2007, with cotangent weights w), c being the
+    target points; then the nearest in position and normal become the new c.
     """
     points = source.points * ([-1.0, 1.0, 1.0] if mirrored else 1.0)
     oriented = source.oriented.reversed() if mirrored else source.oriented

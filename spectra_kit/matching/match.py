@@ -79,12 +79,6 @@ def match(
     Match
         The point map, the functional map, and how sure they are.
 
-    Raises
-    ------
-    InvalidInputError
-        If a spectrum has fewer than 30 modes or several components, `k` is below 30, `mirrored`
-        is given without both geometries, or landmarks are empty, unpaired or out of range.
-
     Warns
     -----
     DoubtfulMatchWarning
@@ -94,12 +88,11 @@ def match(
     --------
     >>> import numpy as np
     >>> from spectra_kit import match, prepare
-    >>> from spectra_kit.eigensolvers import eigensolve
+    >>> import spectra_kit as sk
     >>> from spectra_kit.geometry import creature, mirrored
-    >>> from spectra_kit.operators import robust_laplacian
-    >>> animal = creature(600)
+    >>> animal = sk.geometry.creature(600)
     >>> image = mirrored(animal)
-    >>> a, b = (prepare(eigensolve(robust_laplacian(m), 60), m) for m in (animal, image))
+    >>> a, b = (prepare(sk.spectrum(m, 60), m) for m in (animal, image))
     >>> found = match(a, b)
     >>> found.mirrored, bool((found.point_map == np.arange(600)).all())
     (True, True)

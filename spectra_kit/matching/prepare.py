@@ -24,28 +24,15 @@ _CURVATURES = (80, 40, 20, 10)  # modes whose heat times smooth the curvature, f
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Surface(Rebuilt):
-    """What the geometry of a surface adds to its spectrum, at unit area.
+    """What the geometry of a surface adds to its spectrum, at unit area."""
 
-    Attributes
-    ----------
-    points : ndarray of shape (n, 3)
-        Positions.
-    mass : ndarray of shape (n,)
-        Of the spectrum.
-    oriented : OrientedTriangles
-        Which side is out.
-    curvature : ndarray of shape (n, 4)
-        Smoothed mean curvature, fine to coarse: minus its mean, divided by its standard deviation
-        (zero where it does not vary).
-    form : ndarray of shape (q, q, q)
-        Area form of the lowest modes: ``form[a, b, c]`` is the integral of ``u_a du_b ^ du_c``.
-    """
-
-    points: Floats
-    mass: Floats
-    oriented: OrientedTriangles
+    points: Floats  # (n, 3)
+    mass: Floats  # (n,), of the spectrum
+    oriented: OrientedTriangles  # which side is out
+    #: Smoothed mean curvature, (n, 4), fine to coarse: minus its mean, divided by its standard
+    #: deviation (zero where it does not vary).
     curvature: Floats
-    form: Floats
+    form: Floats  # (q, q, q): the integrals of ``u_a du_b ^ du_c`` of the lowest modes
 
     def __post_init__(self) -> None:
         for name in ("points", "mass", "curvature", "form"):
@@ -79,18 +66,7 @@ class Prepared(Rebuilt):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def truncate(self, k: int) -> Prepared:
-        """Return the surface prepared with its first k modes alone.
-
-        Parameters
-        ----------
-        k : int
-            At least 30, and at most as many as there are.
-
-        Returns
-        -------
-        Prepared
-            As if it had been made of a truncated spectrum.
-        """
+        """Return the surface prepared with its first k modes alone, 30 or more."""
         if check_count("k", k, low=LOWEST_K, high=self.spectrum.k) == self.spectrum.k:
             return self
         surface = self.surface
@@ -113,8 +89,9 @@ def prepare(
     spectrum : Spectrum
         Of one connected surface, in any unit, with at least 30 modes.
     geometry : TriangleMesh or PointCloud, optional
-        The surface, in the same unit: its sides and its curvature. Without it, a match cannot tell
-        left from right, and hardly the front from the back.
+        The surface, in the same unit, its faces of one winding (`operators.oriented_triangles`):
+        its sides and its curvature. Without it, a match cannot tell left from right, and hardly the
+        front from the back.
     n_samples : int, default 600
         Points on which candidates are refined; capped at n.
 
@@ -123,21 +100,12 @@ def prepare(
     Prepared
         At unit area, for any number of matches.
 
-    Raises
-    ------
-    InvalidInputError
-        If the spectrum has fewer than 30 modes or several components, `n_samples` is below 200,
-        the geometry has other points or another area, or its faces have no consistent winding
-        (`operators.oriented_triangles`).
-
     Examples
     --------
     >>> from spectra_kit import prepare
-    >>> from spectra_kit.eigensolvers import eigensolve
-    >>> from spectra_kit.geometry import creature
-    >>> from spectra_kit.operators import robust_laplacian
-    >>> mesh = creature(1000)
-    >>> prepare(eigensolve(robust_laplacian(mesh), 60), mesh)
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.creature(1000)
+    >>> prepare(sk.spectrum(mesh, 60), mesh)
     Prepared(n=1000, k=60, from spectrum and geometry)
     """
     check_count("n_samples", n_samples, low=200)

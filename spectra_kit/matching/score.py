@@ -150,12 +150,11 @@ def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.eigensolvers import eigensolve
+    >>> import spectra_kit as sk
     >>> from spectra_kit.geometry import creature, mirrored
     >>> from spectra_kit.matching import orientation_of, prepare
-    >>> from spectra_kit.operators import robust_laplacian
-    >>> animal = creature(600)
-    >>> spectrum = eigensolve(robust_laplacian(animal), 30)
+    >>> animal = sk.geometry.creature(600)
+    >>> spectrum = sk.spectrum(animal, 30)
     >>> a, b = prepare(spectrum, animal), prepare(spectrum, mirrored(animal))
     >>> print(orientation_of(a, a, np.eye(30)), orientation_of(a, b, np.eye(30)))
     1.0 -1.0

@@ -223,5 +223,4 @@ def find_weights(name_or_path: str | os.PathLike[str]) -> WeightsFile:
         )
     if not path.is_file():
         raise WeightsError(f"the weights file {path} does not exist", advice="check the path")
-    with path.open("rb") as file:
-        return WeightsFile(path, hashlib.file_digest(file, "sha256").hexdigest())
+    return WeightsFile(path, hashlib.sha256(path.read_bytes()).hexdigest())

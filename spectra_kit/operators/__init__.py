@@ -7,8 +7,12 @@
 (162, 1)
 """
 
-from spectra_kit.operators.assemble import cotan_laplacian, knn_laplacian, robust_laplacian
-from spectra_kit.operators.default import laplacian
+from spectra_kit.operators.assemble import (
+    cotan_laplacian,
+    knn_laplacian,
+    laplacian,
+    robust_laplacian,
+)
 from spectra_kit.operators.delaunay import delaunay_laplacian
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian

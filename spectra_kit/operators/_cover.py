@@ -13,20 +13,19 @@ import math
 import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
+from scipy import sparse
 
 from spectra_kit.linalg.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
 
 _COINCIDENT = 1e-12  # triangles smaller than this, in a geometry of size 1, are mollified to it
 _TIE = 1e-12  # cosines that differ by less are equal, but for rounding
 _NONE, _PAIRED = -1, -2
-_AFTER, _BEFORE = (1, 2, 0), (2, 0, 1)  # corners of a triangle
+_BEFORE = (2, 0, 1)  # corners of a triangle
 
 
-@compiled()
 def side_lengths(points: Floats, triangles: Ints, mollify: float) -> Floats:
     """Return the length of each side ``c`` to ``c + 1`` of each triangle, shape (t, 3).
 
@@ -35,48 +34,29 @@ def side_lengths(points: Floats, triangles: Ints, mollify: float) -> Floats:
     of Sharp and Crane with an offset for each corner instead of one for all, which would smear
     the dense parts of a cloud.
     """
-    offset = np.zeros(len(points))
-    lengths = np.empty((len(triangles), 3))
-    for t in range(len(triangles)):
-        side = lengths[t]
-        for c in range(3):
-            side[c] = _distance(points, triangles[t, c], triangles[t, _AFTER[c]])
-        wanted = max(mollify * (side[0] + side[1] + side[2]) / 3, mollify * _COINCIDENT)
-        for c in range(3):
-            slack = side[c] + side[_BEFORE[c]] - side[_AFTER[c]]
-            offset[triangles[t, c]] = max(offset[triangles[t, c]], (wanted - slack) / 2)
-    for t in range(len(triangles)):
-        for c in range(3):
-            lengths[t, c] += offset[triangles[t, c]]
-            lengths[t, c] += offset[triangles[t, _AFTER[c]]]
-    return lengths
+    corners = points[triangles]
+    sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    wanted = np.maximum(mollify * sides.sum(axis=1) / 3, mollify * _COINCIDENT)
+    slack = sides + np.roll(sides, 1, axis=1) - np.roll(sides, -1, axis=1)
+    offsets = np.zeros(len(points))
+    np.maximum.at(offsets, triangles, (wanted[:, None] - slack) / 2)
+    longer = offsets[triangles]
+    return np.asarray(sides + longer + np.roll(longer, -1, axis=1))
 
 
-@compiled()
-def sides_by_corner(triangles: Ints, n: int) -> tuple[Longs, Ints, Ints]:
+def sides_by_corner(triangles: Ints, n: int) -> tuple[Ints, Ints, Ints]:
     """Sort the sides ``3 t + c`` by their lower corner; return their upper ones beside them.
 
     Those of point i are at ``starts[i]`` to ``starts[i + 1]``.
     """
-    starts = np.zeros(n + 1, np.int64)
-    for t in range(len(triangles)):
-        for c in range(3):
-            starts[min(triangles[t, c], triangles[t, _AFTER[c]]) + 1] += 1
-    for i in range(n):
-        starts[i + 1] += starts[i]
-    free = starts[:-1].copy()
-    sides, uppers = np.empty(3 * len(triangles), np.int32), np.empty(3 * len(triangles), np.int32)
-    for t in range(len(triangles)):
-        for c in range(3):
-            a, b = triangles[t, c], triangles[t, _AFTER[c]]
-            at = free[min(a, b)]
-            free[min(a, b)] += 1
-            sides[at], uppers[at] = 3 * t + c, max(a, b)
-    return starts, sides, uppers
+    tails, heads = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    places = np.minimum(tails, heads), np.arange(len(tails), dtype=np.int32)
+    table = sparse.csr_array((np.maximum(tails, heads), places), shape=(n, len(tails)))
+    return table.indptr, table.indices, table.data
 
 
 @compiled()
-def pair_sides(triangles: Ints, starts: Longs, sides: Ints, uppers: Ints, twins: Ints) -> bool:
+def pair_sides(triangles: Ints, starts: Ints, sides: Ints, uppers: Ints, twins: Ints) -> bool:
     """Glue the two triangles at each edge; return whether there are two that may be, at all.
 
     They must run along it in opposite directions, and be no copies of each other (see `glue`).
@@ -109,7 +89,7 @@ def pair_sides(triangles: Ints, starts: Longs, sides: Ints, uppers: Ints, twins:
 def glue(
     points: Floats,
     triangles: Ints,
-    starts: Longs,
+    starts: Ints,
     sides: Ints,
     uppers: Ints,
     sharpest: float,
@@ -201,12 +181,3 @@ def _direction(points: Floats, low: int, high: int, apex: int, out: Floats) -> N
     if norm > 0:
         for r in range(3):
             out[r] /= math.sqrt(norm)
-
-
-@register_jitable
-def _distance(points: Floats, a: int, b: int) -> float:
-    return math.sqrt(
-        (points[a, 0] - points[b, 0]) ** 2
-        + (points[a, 1] - points[b, 1]) ** 2
-        + (points[a, 2] - points[b, 2]) ** 2
-    )

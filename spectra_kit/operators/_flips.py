@@ -1,4 +1,4 @@
-"""Delaunay flips on half-edges, and the weights of what they leave; numba.
+"""Delaunay flips on half-edges; numba.
 
 Half-edge ``3 t + c`` runs along side c of triangle t, from corner c to corner c + 1; its twin runs
 the other way.
@@ -81,29 +81,6 @@ def _flip(tails: Ints, lengths: Floats, twins: Ints, h: int, g: int) -> None:
             if partner[j] == old[i]:
                 other = new[i]
         twins[new[j]], twins[other] = other, new[j]
-
-
-@compiled(error_model="numpy")
-def edge_weights(
-    tails: Ints, lengths: Floats, twins: Ints, n: int
-) -> tuple[Ints, Ints, Floats, Floats]:
-    """Return both ends and the cotangent weight of each edge, and the area of each corner."""
-    kept = 0
-    for h in range(len(tails)):
-        kept += h < twins[h] and tails[h] != tails[_next(h)]
-    rows, columns = np.empty(kept, np.int32), np.empty(kept, np.int32)
-    values, mass = np.empty(kept), np.zeros(n)
-    e = 0
-    for h in range(len(tails)):
-        if h < twins[h] and tails[h] != tails[_next(h)]:
-            rows[e], columns[e] = tails[h], tails[_next(h)]
-            values[e] = (_cotangent(lengths, h) + _cotangent(lengths, twins[h] + 0)) / 2
-            e += 1
-    for face in range(len(tails) // 3):
-        third = _area(lengths, 3 * face) / 3
-        for c in range(3):
-            mass[tails[3 * face + c]] += third
-    return rows, columns, values, mass
 
 
 @register_jitable

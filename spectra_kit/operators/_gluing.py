@@ -79,9 +79,11 @@ def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> G
     stiffness, mass = _laplacian(corners, lengths, twins, cloud.n, copies)
     if not mass.all():
         raise InvalidInputError(
-            f"`geometry` has {quantity((mass == 0).sum(), 'point')} in no triangle (such as"
-            f" {int(np.argmin(mass))}): their neighbours lie on one line;"
-            " remove such curves first"
+            "geometry",
+            "have triangles at all points",
+            f"{quantity((mass == 0).sum(), 'point')} in no triangle (such as"
+            f" {int(np.argmin(mass))}), whose neighbours lie on one line",
+            advice="remove such curves first",
         )
     return Glued(corners, lengths * unit, copies, boundary, stiffness, mass * unit**2)
 
@@ -90,7 +92,7 @@ def _front_and_back(
     points: Floats,
     triangles: Ints,
     lengths: Floats,
-    sides: tuple[Longs, Ints, Ints],
+    sides: tuple[Ints, Ints, Ints],
     *,
     sharpest: float,
 ) -> tuple[Ints, Floats, Ints]:
@@ -122,9 +124,15 @@ def _laplacian(
     corners: Ints, lengths: Floats, twins: Ints, n: int, copies: int
 ) -> tuple[sparse.csr_array, Floats]:
     """Return stiffness and lumped mass of one copy of the surface."""
-    from spectra_kit.operators._flips import edge_weights
-
-    rows, columns, weights, mass = edge_weights(corners.reshape(-1), lengths.reshape(-1), twins, n)
+    a, b, c = lengths, np.roll(lengths, -1, axis=1), np.roll(lengths, 1, axis=1)
+    squares = (a + b + c) * (b + c - a) * (c + a - b) * (a + b - c)  # of four times the area
+    areas = np.sqrt(np.maximum(squares, 0.0)) / 4
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cotangents = ((b * b + c * c - a * a) / (4 * areas)).ravel()
+    tails, heads = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+    edges = np.flatnonzero((np.arange(len(twins)) < twins) & (tails != heads))
+    weights = (cotangents[edges] + cotangents[twins[edges]]) / 2
+    mass = np.bincount(tails, np.repeat(areas[:, 0] / 3, 3), n)
     if not np.isfinite(weights).all():
         raise InvalidInputError(
             "mollify_factor",
@@ -132,7 +140,7 @@ def _laplacian(
             f"{quantity((~np.isfinite(weights)).sum(), 'edge')} of triangles of no area",
             advice="raise it",
         )
-    upper = sparse.csr_array((weights / copies, (rows, columns)), shape=(n, n))
+    upper = sparse.csr_array((weights / copies, (tails[edges], heads[edges])), shape=(n, n))
     adjacency = upper + upper.T
     return sparse.diags_array(adjacency.sum(axis=1)) - adjacency, mass / copies
 

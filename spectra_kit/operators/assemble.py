@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
-from spectra_kit._validate import check_count
+from spectra_kit._validate import check_count, quantity
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators.checks import (
@@ -27,6 +27,29 @@ from spectra_kit.operators.laplacian import Laplacian, with_zero_sums
 # What robust_laplacian 1.1 took of address space, on meshes of 2,000 to 400,000 faces (1,550 to
 # 2,540), and some more.
 _BYTES_PER_FACE = 3_000
+
+
+@checked
+def laplacian(geometry: Geometry) -> Laplacian:
+    """Build the Laplacian that fits: `robust_laplacian` of a mesh, `delaunay_laplacian` of a cloud.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        With n points.
+
+    Returns
+    -------
+    Laplacian
+        Neumann; mass in the squared length unit of `geometry`.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> sk.laplacian(sk.geometry.sphere(subdivisions=2).geometry).n
+    162
+    """
+    return robust_laplacian(geometry)
 
 
 @checked
@@ -70,10 +93,8 @@ def robust_laplacian(
     Meshes are handed to the library robust_laplacian. Its operator of clouds does not converge:
     each triangle is found by three points, and it glues these copies to each other, which the edge
     flips then deflate. The eigenvalues 2, 6, 12 of the unit sphere come out as 1.90, 5.69, 11.37 on
-    8,000 random directions (``default_rng(1).standard_normal``, normalised), 5 % low as they are on
-    2,000; those of `delaunay_laplacian` are 2.00, 5.99, 11.96. And it fits the plane of a point
-    around the sum of its k neighbours over k + 1, so its triangles depend on where the origin is:
-    of 32,000 directions it finds 64 % of the area, after a shift by (3, 3, 3) 98 %.
+    8,000 random directions, 5 % low as they are on 2,000; those of `delaunay_laplacian` are 2.00,
+    5.99, 11.96. And its triangles depend on where the origin is.
 
     References
     ----------
@@ -95,9 +116,8 @@ def robust_laplacian(
     _check_room(len(geometry.faces) * _BYTES_PER_FACE)
     unit, faces = _mean_edges(geometry), np.array(geometry.faces)
     stiffness, mass = rl.mesh_laplacian(geometry.points / unit[:, None], faces, mollify_factor)
-    stiffness = with_zero_sums(stiffness)
     return Laplacian(
-        stiffness,
+        with_zero_sums(stiffness),
         mass.diagonal() * unit**2,
         geometry.points,
         operator=f"robust_laplacian(mesh, mollify_factor={mollify_factor:g})",
@@ -111,8 +131,8 @@ def _check_room(size: int) -> None:
         np.empty(size, dtype=np.uint8)
     except MemoryError as error:
         raise OutOfMemoryError(
-            f"robust_laplacian needs up to {size / 1e9:.1f} GB, more than there is;"
-            " use delaunay_laplacian, which needs less, or a coarser geometry"
+            f"robust_laplacian needs up to {size / 1e9:.1f} GB, more than there is",
+            advice="use delaunay_laplacian, which needs less, or a coarser geometry",
         ) from error
 
 
@@ -133,11 +153,6 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     Laplacian
         Neumann, positive semi-definite (libigl's matrix with its sign turned).
 
-    Raises
-    ------
-    InvalidInputError
-        If `mesh` is a cloud, a vertex belongs to no face, or a face is degenerate or duplicated.
-
     References
     ----------
     Pinkall and Polthier, *Computing Discrete Minimal Surfaces and Their Conjugates*, 1993.
@@ -155,13 +170,17 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     unit = units_of(mesh)
     if (flat := int(mesh.degenerate_faces(1e-14).sum())) > 0:
         raise InvalidInputError(
-            f"`mesh` has {flat} faces of zero area, on which cotangents do not exist",
+            "mesh",
+            "have faces on which cotangents exist",
+            quantity(flat, "face") + " of zero area",
             advice="use {}, or drop them with {}",
             remedies=("robust_laplacian", "mesh.without_degenerate_faces()"),
         )
     if (twice := len(mesh.faces) - len(mesh.without_duplicate_faces().faces)) > 0:
         raise InvalidInputError(
-            f"`mesh` has {twice} duplicate faces, which would count their area twice",
+            "mesh",
+            "have each face once",
+            quantity(twice, "duplicate face"),
             advice="use {}, or drop them with {}",
             remedies=("robust_laplacian", "mesh.without_duplicate_faces()"),
         )
@@ -193,11 +212,6 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     Laplacian
         ``L = D - K`` with mass ``D`` (row sums of K): **dimensionless**, its eigenvalues are in
         [0, 2] whatever the unit of length.
-
-    Raises
-    ------
-    InvalidInputError
-        If there are not more points than `n_neighbors`, or points coincide.
 
     Notes
     -----
@@ -235,9 +249,10 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     W = (W + W.T) / 2
     if not (density := W.sum(axis=1)).all():
         raise InvalidInputError(
-            f"`geometry` has points without neighbours, such as {int(np.argmin(density))}: all"
-            f" others are more than {unit_of(geometry) * np.sqrt(700 * epsilon):.3g} away;"
-            " remove outliers first"
+            "geometry",
+            "have neighbours of all points, near enough for weights",
+            f"none near point {int(np.argmin(density))}",
+            advice="remove outliers first",
         )
     inverse_density = sparse.diags_array(1 / density)
     K = inverse_density @ W @ inverse_density

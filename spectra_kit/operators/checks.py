@@ -30,8 +30,10 @@ def check_faces_usable(mesh: TriangleMesh) -> None:
     used[mesh.faces] = True
     if not used.all():
         raise InvalidInputError(
-            f"`mesh` has {quantity((~used).sum(), 'vertex')} that no face uses (the first is"
-            f" {int(np.argmin(used))}), so they have no area",
+            "mesh",
+            "have a face at every vertex",
+            f"{quantity((~used).sum(), 'vertex')} that no face uses (the first is"
+            f" {int(np.argmin(used))})",
             advice="drop them with {}",
             remedies=("mesh.without_unreferenced()",),
         )
@@ -43,7 +45,9 @@ def check_three_corners(mesh: TriangleMesh) -> None:
     repeated = (mesh.faces == np.roll(mesh.faces, 1, axis=1)).any(axis=1)
     if repeated.any():
         raise InvalidInputError(
-            f"`mesh` has {quantity(repeated.sum(), 'face')} with a vertex twice (the first is"
+            "mesh",
+            "have three corners to a face",
+            f"{quantity(repeated.sum(), 'face')} with a vertex twice (the first is"
             f" {int(np.argmax(repeated))})",
             advice="drop them with {}",
             remedies=("mesh.without_degenerate_faces()",),
@@ -107,8 +111,9 @@ def check_distinct(points: NDArray[np.float64]) -> None:
     if same.any():
         first, second = sorted(int(i) for i in order[np.argmax(same) :][:2])
         raise InvalidInputError(
-            f"`geometry` has {quantity(same.sum(), 'duplicate point')} (such as {first} and"
-            f" {second})",
+            "geometry",
+            "have distinct points",
+            f"{quantity(same.sum(), 'duplicate point')} (such as {first} and {second})",
             advice="drop them with {}, or join the corners of a mesh with {}",
             remedies=("cloud.without_duplicates()", "mesh.with_merged_vertices()"),
         )

@@ -28,6 +28,7 @@ from spectra_kit.operators.checks import (
     check_mollify_factor,
 )
 from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.operators.triangle_calculus import areas, divergences, gradients
 
 Corners = NDArray[np.int32]
 
@@ -56,11 +57,6 @@ class IntrinsicTriangulation(Rebuilt):
     laplacian : Laplacian
         Of piecewise linear functions on these triangles, Neumann, on n points.
 
-    Raises
-    ------
-    InvalidInputError
-        If shapes disagree, an index is out of range, or a length is not positive.
-
     Examples
     --------
     >>> from spectra_kit import intrinsic_delaunay
@@ -85,8 +81,7 @@ class IntrinsicTriangulation(Rebuilt):
         lengths = real_array("lengths", self.lengths)
         if corners.ndim != 2 or corners.shape[1] != 3 or lengths.shape != corners.shape:
             raise InvalidInputError(
-                "`corners` and `lengths` must have the same shape (f, 3),"
-                f" got {corners.shape} and {lengths.shape}"
+                "lengths", f"have the shape (f, 3) of `corners`, {corners.shape}", lengths.shape
             )
         if not (lengths > 0).all():
             raise InvalidInputError(
@@ -112,7 +107,7 @@ class IntrinsicTriangulation(Rebuilt):
     @property
     def n(self) -> int:
         """Number of points."""
-        return self.laplacian.n
+        return len(self.points)
 
     @property
     def operator(self) -> str:
@@ -127,8 +122,6 @@ class IntrinsicTriangulation(Rebuilt):
     @cached_property
     def face_areas(self) -> Floats:
         """Area of each triangle, shape (f,), in length^2; not multiplied by `share`."""
-        from spectra_kit.operators.triangle_calculus import areas
-
         return frozen(areas(self.lengths))
 
     @property
@@ -162,16 +155,8 @@ class IntrinsicTriangulation(Rebuilt):
         ndarray of shape (f, 2)
             In the unit of `values` over length, in a frame of each triangle: x runs along side 0,
             y points to corner 2. Frames of different triangles have nothing to do with each other.
-
-        Raises
-        ------
-        InvalidInputError
-            If `values` has another shape or is not finite.
         """
-        from spectra_kit.operators.triangle_calculus import gradients
-
-        function = _of_shape("values", values, (self.n,))
-        return np.asarray(gradients(self.corners, self.lengths, function))
+        return gradients(self.corners, self.lengths, _of_shape("values", values, (self.n,)))
 
     def divergence(self, vectors: ArrayLike) -> Floats:
         """Return the integrated divergence, with its sign turned: the adjoint of `gradient`.
@@ -186,14 +171,7 @@ class IntrinsicTriangulation(Rebuilt):
         ndarray of shape (n,)
             For any function v, ``v @ divergence(X)`` is the integral of ``<grad v, X>`` over the
             surface, so ``divergence(gradient(u))`` is ``laplacian.stiffness @ u``.
-
-        Raises
-        ------
-        InvalidInputError
-            If `vectors` has another shape or is not finite.
         """
-        from spectra_kit.operators.triangle_calculus import divergences
-
         field = _of_shape("vectors", vectors, (len(self.corners), 2))
         return np.asarray(self.share * divergences(self.corners, self.lengths, field, self.n))
 
@@ -264,11 +242,7 @@ def intrinsic_delaunay(
         glued = glued_cloud(geometry, mollify_factor, neighbors)
         operator = f"delaunay_laplacian(mollify_factor={mollify_factor:g}, n_neighbors={neighbors})"
     laplacian = Laplacian(
-        glued.stiffness,
-        glued.mass,
-        geometry.points,
-        operator=operator,
-        seconds=clock.total,
+        glued.stiffness, glued.mass, geometry.points, operator=operator, seconds=clock.total
     )
     return IntrinsicTriangulation(
         glued.corners, glued.lengths, 1 / glued.copies, glued.boundary, laplacian

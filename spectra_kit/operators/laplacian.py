@@ -43,12 +43,6 @@ class Laplacian(Rebuilt):
     fixed : array_like of int, default ()
         Points held at zero (homogeneous Dirichlet). None of them means Neumann.
 
-    Raises
-    ------
-    InvalidInputError
-        If the sizes disagree, a value is not finite, the mass is not positive and diagonal, or L
-        is not symmetric or has a negative diagonal entry.
-
     Examples
     --------
     >>> from scipy import sparse
@@ -104,8 +98,7 @@ class Laplacian(Rebuilt):
 
         ``4 median(diag L) / tr M``: on a surface mesh of equilateral triangles within a tenth of
         Weyl's ``4 pi / area``, and of the right unit for any other pair. Shifts and the test
-        for zero modes are relative to it, component by component, so nothing depends on
-        millimetres or metres. Where L is mostly zero, Weyl's own value stands in.
+        for zero modes are relative to it. Where L is mostly zero, Weyl's own value stands in.
         """
         typical = float(np.median(self.stiffness.diagonal()))
         return (4 * typical if typical > 0 else 4 * np.pi) / self.area
@@ -138,9 +131,8 @@ class Laplacian(Rebuilt):
     def constant_components(self) -> NDArray[np.bool_]:
         """Components on which constants have no energy, shape (n_components,).
 
-        Neumann: all. One that touches a fixed point, or whose user-made L has a potential, has
-        none. What the rounding of L can make up is no potential, however large needles make its
-        entries. (In float32 the rounding of L looks like one.)
+        Neumann: all. One that touches a fixed point, or whose user-made L has a potential beyond
+        the rounding of its entries, has none. (In float32 the rounding of L looks like one.)
         """
         free, labels = self.free, self.component_labels[self.free]
         sums, rounding = _row_sums(self.stiffness)
@@ -264,5 +256,4 @@ def with_zero_sums(stiffness: sparse.sparray) -> sparse.csr_array:
 
 def _row_sums(stiffness: sparse.csr_array) -> tuple[Floats, Floats]:
     """Return the sum of each row, and what rounding can make of one that is zero."""
-    magnitudes = np.asarray(abs(stiffness).sum(axis=1))
-    return np.asarray(stiffness.sum(axis=1)), _ROUNDING * magnitudes
+    return np.asarray(stiffness.sum(axis=1)), _ROUNDING * np.asarray(abs(stiffness).sum(axis=1))

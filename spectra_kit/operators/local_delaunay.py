@@ -22,12 +22,16 @@ def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools, Floa
 
     Of shapes (t, 3), (n,) and (n,). The first corner of a triangle is the point whose star it
     belongs to, so a consistent triangle is there three times.
+
+    The triangle (0, p, q) belongs to the star of 0 if a sphere through its corners, centred in the
+    tangent plane of 0, has no point inside. With (x, y) the projection of a point and z its
+    squared distance in space, that is the convex hull of all (x, y) / z and the origin: one
+    angular sort. The origin is itself a corner of that hull where the star is open.
     """
-    from spectra_kit.operators._stars import stars, triangles
+    from spectra_kit.operators._hulls import hulls
 
     tree = cKDTree(points)
     n = len(points)
-    owners = np.arange(n, dtype=np.int32)
     nearest, farthest = np.empty(n), np.empty(n)
     neighbors = np.empty((n, n_neighbors), dtype=np.int32)
     blocks = [slice(*rows) for rows in ranges(n, _BLOCK)]
@@ -45,8 +49,37 @@ def local_triangles(points: Floats, n_neighbors: int) -> tuple[Ints, Bools, Floa
     ties = _TIE * nearest**2 * np.random.default_rng(0).random(n)
     links, sizes = np.empty_like(neighbors), np.empty(n, dtype=np.int32)
     closed = np.empty(n, dtype=bool)
-    in_threads(
-        stars,
-        ((points, owners[b], neighbors[b], ties, links[b], sizes[b], closed[b]) for b in blocks),
-    )
-    return triangles(owners, links, sizes, closed), closed, farthest
+
+    def stars(b: slice) -> None:
+        near = neighbors[b]
+        offsets = points[near] - points[b, None]
+        z = np.square(offsets).sum(axis=2)
+        u, v = _tangents(offsets, z)
+        z += ties[b, None] - ties[near]
+        x, y = (np.einsum("pkr,pr->pk", offsets, axis) / z for axis in (u, v))
+        hulls(x, y, near, links[b], sizes[b], closed[b])
+
+    in_threads(stars, ((b,) for b in blocks))
+    counts = np.where(closed, sizes, np.maximum(sizes - 1, 0))
+    owner = np.repeat(np.arange(n), counts)
+    corner = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+    following = (corner + 1) % sizes[owner]
+    triangles = np.column_stack([owner, links[owner, corner], links[owner, following]])
+    return triangles.astype(np.int32), closed, farthest
+
+
+def _tangents(offsets: Floats, squares: Floats) -> tuple[Floats, Floats]:
+    """Return orthonormal frames (p, 3) of the planes fitted to points and their neighbours.
+
+    Weights ``(1 - (d / d_max)^2)^2`` fade the farthest out: more of the curvature stays local.
+    """
+    weights = (1 - squares / (1.001 * squares[:, -1:])) ** 2
+    weighted = weights[:, :, None] * offsets
+    sums = weighted.sum(axis=1)
+    moments = weighted.transpose(0, 2, 1) @ offsets
+    moments -= sums[:, :, None] * sums[:, None] / (1 + weights.sum(axis=1))[:, None, None]
+    axes = np.linalg.eigh(moments)[1]  # of the least spread first
+    normals, along = axes[:, :, 0], axes[:, :, 2]
+    largest = np.abs(normals).argmax(axis=1)[:, None]  # is positive: all flat stars turn alike
+    normals = normals * np.sign(np.take_along_axis(normals, largest, axis=1))
+    return along, np.cross(normals, along)

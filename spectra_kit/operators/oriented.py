@@ -55,12 +55,6 @@ class OrientedTriangles(Rebuilt):
         Share of the triangles whose corners agree on the side: 1 for a mesh; for a cloud, a sign of
         how far its orientation can be trusted.
 
-    Raises
-    ------
-    InvalidInputError
-        If shapes disagree, an index is out of range, a weight is not positive or an
-        area is negative.
-
     Examples
     --------
     >>> from spectra_kit.operators import OrientedTriangles
@@ -143,18 +137,15 @@ def oriented_triangles(geometry: Geometry, *, n_neighbors: int = 30) -> Oriented
     >>> from spectra_kit.operators import area_form, oriented_triangles
     >>> mesh = sphere(subdivisions=3).geometry
     >>> inside_out = TriangleMesh(mesh.points, mesh.faces[:, ::-1])
-    >>> print(area_form(oriented_triangles(inside_out), mesh.points)[0, 1, 2])
+    >>> for one in (inside_out, mesh.as_cloud()):
+    ...     print(area_form(oriented_triangles(one), mesh.points)[0, 1, 2])
     4.15
-    >>> print(area_form(oriented_triangles(mesh.as_cloud()), mesh.points)[0, 1, 2])
     4.15
     """
-    if isinstance(geometry, TriangleMesh):
-        return _of_mesh(geometry)
-    faces, areas, consistent = oriented_fans(geometry, n_neighbors)
-    return OrientedTriangles(faces, np.full(len(faces), 1 / 3), areas, geometry.n, consistent)
-
-
-def _of_mesh(mesh: TriangleMesh) -> OrientedTriangles:
+    if not isinstance(geometry, TriangleMesh):
+        faces, areas, consistent = oriented_fans(geometry, n_neighbors)
+        return OrientedTriangles(faces, np.full(len(faces), 1 / 3), areas, geometry.n, consistent)
+    mesh = geometry
     check_faces_usable(mesh)
     piece, closed = _pieces(mesh)
     unit = units_of(mesh)
@@ -190,9 +181,9 @@ def _pieces(mesh: TriangleMesh) -> tuple[Ints, NDArray[np.bool_]]:
         (np.ones(len(edge)), (np.arange(len(edge)) // 3, edge)), shape=(f, len(edges))
     )
     count, piece = connected_components(incidence @ incidence.T, directed=False)
-    is_open = np.zeros(count, dtype=bool)
-    is_open[piece[(surplus != 0)[edge].reshape(f, 3).any(axis=1)]] = True
-    return piece.astype(np.int64), ~is_open
+    closed = np.ones(count, dtype=bool)
+    closed[piece[np.flatnonzero(surplus[edge]) // 3]] = False
+    return piece.astype(np.int64), closed
 
 
 def _signed_volumes(points: Floats, faces: Ints, piece: Ints) -> Floats:
@@ -223,11 +214,6 @@ def area_form(oriented: OrientedTriangles, functions: ArrayLike) -> Floats:
         ``T[a, b, c]``, in the cube of the unit of the functions: a two-form needs no metric, so
         the unit of length does not enter. Antisymmetric in b and c; on a closed surface
         changes sign with every swap of two indices.
-
-    Raises
-    ------
-    InvalidInputError
-        If `functions` has another shape or is not finite.
 
     Notes
     -----
@@ -280,11 +266,6 @@ def orientation_operator(
     ndarray of shape (p, k, k)
         ``O[p, i, j]``, scale-free in the metric; antisymmetric in i and j on a closed surface.
 
-    Raises
-    ------
-    InvalidInputError
-        If an array has another shape or is not finite.
-
     Notes
     -----
     The operator ``g -> n . (grad f x grad g)`` in the basis, which commutes with maps that keep
@@ -331,11 +312,6 @@ def skew(oriented: OrientedTriangles, f: ArrayLike, g: ArrayLike) -> Floats:
         In the units of f and g over length^2: the integral of ``df ^ dg`` over the triangles around
         a point, divided by their area; 0 where that is 0.
 
-    Raises
-    ------
-    InvalidInputError
-        If an array has another shape or is not finite.
-
     Examples
     --------
     >>> import numpy as np
@@ -350,9 +326,7 @@ def skew(oriented: OrientedTriangles, f: ArrayLike, g: ArrayLike) -> Floats:
     _, first, second = _along_sides(_functions("f", f, oriented.n), oriented.faces)
     _, along, across = _along_sides(_functions("g", g, oriented.n), oriented.faces)
     if first.shape != along.shape:
-        raise InvalidInputError(
-            f"`f` and `g` must have the same number of columns, got {shape} and {np.shape(g)}"
-        )
+        raise InvalidInputError("g", f"have as many columns as `f`, {shape}", np.shape(g))
     share = oriented.weights * (first * across - second * along) / 2
     corners = oriented.faces.ravel()
 
@@ -381,9 +355,6 @@ def _blocks(oriented: OrientedTriangles) -> Iterator[tuple[Ints, Floats]]:
 
 
 def _along_sides(f: Floats, faces: Ints) -> tuple[Floats, Floats, Floats]:
-    """Return the sum of `f` over the corners, and its rise along the first and the last side.
-
-    All of shape (k, faces).
-    """
+    """Return (k, faces): the sum over the corners, the rises along the first and the last side."""
     a, b, c = (f[corner].T for corner in faces.T)
     return np.add(a + b, c, order="C"), np.subtract(b, a, order="C"), np.subtract(c, a, order="C")

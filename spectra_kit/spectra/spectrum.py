@@ -329,8 +329,8 @@ class Spectrum(Rebuilt):
 
         Raises
         ------
-        InvalidInputError
-            If the file is not a spectrum, is truncated, or has a newer format version.
+        InvalidFileError
+            If the file is not there or no spectrum, is truncated, or has a newer format version.
         """
         arrays, certificate, provenance = read_spectrum_file(Path(path), mmap=mmap)
         try:
@@ -340,7 +340,7 @@ class Spectrum(Rebuilt):
                 provenance=Provenance(**provenance),
             )
         except TypeError as error:
-            raise InvalidInputError(f"{path} has an unknown header ({error})") from error
+            raise InvalidFileError(path, f"it has an unknown header ({error})") from error
         except InvalidInputError as error:
             raise InvalidFileError(path, error) from error
 

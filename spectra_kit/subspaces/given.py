@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
-from typing import TypeVar
+from dataclasses import dataclass, fields, replace
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -109,6 +109,24 @@ class RandomBasis:
     def __call__(self, points: Floats, mass: Floats) -> Floats:
         """See `Subspace`."""
         return np.random.default_rng(self.seed).standard_normal((len(points), self.m))
+
+
+class OnPoints:
+    """Mixin of a frozen dataclass that holds subspaces: restricted, it holds the restricted ones.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from spectra_kit import GivenBasis, Refined
+    >>> Refined(start=GivenBasis(np.eye(4))).restricted(np.array([2, 3])).start.columns.shape
+    (2, 4)
+    """
+
+    def restricted(self, rows: Ints) -> Self:
+        """Return the same for the points `rows` of its Laplacian alone."""
+        held = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        changed = {name: restricted(value, rows) for name, value in held.items()}
+        return replace(self, **changed)  # type: ignore[type-var]
 
 
 @checked

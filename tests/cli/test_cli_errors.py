@@ -16,7 +16,7 @@ from running import printed, refusal
 
 from spectra_kit import Lobpcg, eigensolve, robust_laplacian
 from spectra_kit.cli import info, main
-from spectra_kit.cli.folder import check_folder, together
+from spectra_kit.cli.output import check_folder, together
 from spectra_kit.cli.program import COMMANDS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry import PointCloud, TriangleMesh, sphere, write
@@ -102,6 +102,8 @@ DIRICHLET = ("--boundary", "dirichlet")
         ("must be positive", ("spectrum", BALL, "--solver", "refined", "--rtol", "0")),
         ("must be positive", ("spectrum", BALL, "--solver", "refined", "--rtol", "nan")),
         ("got arpack; choose one of those by --solver", ("spectrum", BALL, "--rtol", "1e-4")),
+        ("got arpack; choose", ("compare", BALL, "--solver", "arpack", "--rtol", "1e-4")),
+        ("`-k` must be at least 30, got 5", ("match", BALL, BALL, "-k", "5")),
         ("got arpack and dense", ("compare", BALL, "--solver", "dense", "--rtol", "1e-4")),
         ("--rtol is for the solvers ", ("match", BALL, BALL, "--rtol", "1e-4")),
         ("--start is for the solvers ", ("spectrum", BALL, "--start", "random")),
@@ -110,7 +112,7 @@ DIRICHLET = ("--boundary", "dirichlet")
         ("must be in [500, 5000000], got 10", ("spectrum", "demo", "--points", "10")),
         ("must be in [500, 5000000]", ("spectrum", "demo", "--points", "60000000000")),
         ("must be in [10, 2400], got 0", ("modes", BALL, "-k", "4", "--dpi", "0")),
-        ("must lie nearer: at 1e+300, where", ("geodesic", BALL, "--at", "1e300", "0", "0")),
+        ("must lie near the points, which reach", ("geodesic", BALL, "--at", "1e300", "0", "0")),
         ("`--source` must be in [0, 162)", ("geodesic", BALL, "--source", str(10**30))),
         # What has no effect as things are.
         ("--device is for the solvers chebyshev and neo", ("spectrum", BALL, "--device", "cuda")),
@@ -403,7 +405,9 @@ def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_p
     write(swapped, other)
     assert "holds modes of something else" in refusal(capsys, "explore", other, *command)
     assert not page.exists()
-    assert "found no file" in refusal(capsys, "modes", ball, "--spectrum", tmp_path / "none.npz")
+    assert "there is no such file" in refusal(
+        capsys, "modes", ball, "--spectrum", tmp_path / "none.npz"
+    )
     assert "not a whole spectrum file" in refusal(capsys, "modes", ball, "--spectrum", ball)
 
 

@@ -48,7 +48,7 @@ def test_help_begins_with_a_purpose_and_examples_that_parse(name, capsys, monkey
     examples = re.findall(r"^  spectra-kit (.*)$", text, flags=re.MULTILINE)
     assert 2 <= len(examples) <= 3
     for example in examples:
-        assert parse(example.split(" >")[0].split()).command.name == name
+        assert parse(example.split(" >")[0].split()).name == name
     for flag in ("--json", "--quiet", "--debug", "--help"):
         assert flag in text.split("general:")[1]
     narrow = help_of(capsys, monkeypatch, name, width=60)

@@ -19,7 +19,7 @@ from spectra_kit import (
     robust_laplacian,
 )
 from spectra_kit.cli import main
-from spectra_kit.cli.comparing import is_exact, reference_name
+from spectra_kit.cli.compare import is_exact, reference_name
 from spectra_kit.geometry import read, rectangle, write
 
 DRAWN = ("--dpi", "40", "-q")

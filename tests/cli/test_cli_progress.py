@@ -58,11 +58,11 @@ def left_over(text):
     return [line for line in lines if line]
 
 
-def test_a_long_step_turns_a_wheel_and_says_how_long_it_took(terminal):
+def test_a_long_step_counts_the_seconds_and_says_how_many_it_took(terminal):
     with terminal, step("working"):
         time.sleep(1.15)
     text = terminal.text
-    assert re.search(r"\r[⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏] working  0\.\d s", text)
+    assert re.search(r"\rworking  0\.\d s", text)
     assert re.fullmatch(r"working: done in 1\.\d s", *left_over(text))
     assert max(map(len, re.split(r"[\r\n]", text))) <= 79  # one line, never wrapped
     assert "\x1b" not in text
@@ -79,7 +79,7 @@ def test_a_short_step_leaves_nothing(terminal):
 def test_a_long_text_is_cut_to_the_terminal(terminal):
     with terminal, step("x" * 300):
         time.sleep(0.15)
-    assert max(map(len, terminal.text.split("\r"))) == 79
+    assert 60 < max(map(len, terminal.text.split("\r"))) <= 79
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])

@@ -5,7 +5,7 @@ import pytest
 from conftest import bumpy, two_parts
 from scipy.linalg import expm
 from scipy.special import spence
-from test_descriptors import harmonics, shuffled
+from test_descriptors import harmonics
 
 from spectra_kit import Dense, InvalidInputError, Spectrum, cotan_laplacian, eigensolve
 from spectra_kit.descriptors import (
@@ -13,20 +13,8 @@ from spectra_kit.descriptors import (
     commute_time_distances,
     diffusion_distances,
     farthest_points,
-    global_point_signature,
 )
 from spectra_kit.geometry import rectangle, sphere, torus
-
-DISTANCES = {
-    "diffusion": lambda s, sources: diffusion_distances(s, sources, time=0.1),
-    "biharmonic": biharmonic_distances,
-    "commute-time": commute_time_distances,
-}
-
-
-@pytest.fixture(params=DISTANCES.values(), ids=DISTANCES)
-def distances(request):
-    return request.param
 
 
 @pytest.fixture(scope="module")
@@ -61,31 +49,6 @@ def test_biharmonic_distance_of_the_sphere():
     np.testing.assert_allclose(found**2, expected, atol=2 * left_out)
 
 
-def test_biharmonic_distance_of_a_meshed_sphere():
-    ball = sphere(subdivisions=3).geometry
-    spectrum = eigensolve(cotan_laplacian(ball), 100)
-    found = biharmonic_distances(spectrum, [0])[0]
-    expected = biharmonic_on_the_sphere(np.clip(ball.points @ ball.points[0], -1, 1))
-    np.testing.assert_allclose(found**2, expected, atol=0.01 * expected.max())
-
-
-def test_what_truncation_leaves_out(bumps):
-    # On average over pairs, the part of the sum from mode 20 to mode 39, by Weyl's law.
-    def mean_square(distance, k):
-        squared = distance(bumps.truncate(k), range(bumps.n)) ** 2
-        return bumps.mass @ squared @ bumps.mass / bumps.area**2
-
-    def part(distance, tail):
-        few, many = bumps.eigenvalues[[19, 39]]
-        found = mean_square(distance, 40) - mean_square(distance, 20)
-        assert found == pytest.approx(tail(few) - tail(many), rel=0.2)
-
-    t = 0.1
-    part(biharmonic_distances, lambda value: 1 / (2 * np.pi * value))
-    part(commute_time_distances, lambda value: -bumps.area / (2 * np.pi) * np.log(value))
-    part(DISTANCES["diffusion"], lambda value: np.exp(-2 * value * t) / (4 * np.pi * t))
-
-
 def test_diffusion_distances_are_those_of_heat_kernels(complete):
     spectrum, laplacian = complete
     generator = laplacian.stiffness.toarray() / laplacian.mass[:, None]
@@ -106,12 +69,6 @@ def test_commute_times_are_resistances(complete):
     np.testing.assert_allclose(found**2, laplacian.area * resistance, atol=1e-9)
 
 
-def test_commute_times_are_distances_of_point_signatures(bumps):
-    gps = global_point_signature(bumps)
-    expected = np.linalg.norm(gps[5] - gps, axis=1) * bumps.area**0.5
-    np.testing.assert_allclose(commute_time_distances(bumps, [5])[0], expected, atol=1e-12)
-
-
 def test_biharmonic_distances_solve_two_poisson_problems(complete):
     spectrum, laplacian = complete
     n, mass = spectrum.n, laplacian.mass
@@ -121,21 +78,6 @@ def test_biharmonic_distances_solve_two_poisson_problems(complete):
         potential -= mass @ potential / mass.sum()
         found = biharmonic_distances(spectrum, [x])[0, y]
         assert found == pytest.approx(np.sqrt(mass @ potential**2), rel=1e-9)
-
-
-def test_they_are_metrics(bumps, distances):
-    d = distances(bumps, range(0, bumps.n, 10))[:, ::10]
-    np.testing.assert_allclose(d, d.T)
-    assert not np.diag(d).any()
-    assert (d[:, None, :] <= d[:, :, None] + d[None] + 1e-12).all()
-
-
-def test_bases_of_eigenspaces_do_not_matter(distances):
-    spectrum, _ = harmonics()
-    sources = [0, 5]
-    np.testing.assert_allclose(
-        distances(shuffled(spectrum), sources), distances(spectrum, sources), atol=1e-12
-    )
 
 
 def test_distances_scale(bumps):
@@ -201,15 +143,6 @@ def test_farthest_points_are_greedy(bumps):
     assert chosen[0] == middle.argmax()
     assert farthest_points(bumps, 3, start=7)[0] == 7
     np.testing.assert_array_equal(farthest_points(bumps, 5), chosen[:5])
-
-
-def test_farthest_points_do_not_depend_on_order_signs_or_scale(bumps):
-    rng = np.random.default_rng(0)
-    order, signs = rng.permutation(bumps.n), rng.choice([-1.0, 1.0], bumps.k)
-    moved = Spectrum(bumps.eigenvalues, bumps.eigenvectors[order] * signs, bumps.mass[order])
-    expected = farthest_points(bumps, 20)
-    np.testing.assert_array_equal(order[farthest_points(moved, 20)], expected)
-    np.testing.assert_array_equal(farthest_points(bumps.rescale(100.0), 20), expected)
 
 
 def test_every_component_gets_a_point_first(pair):

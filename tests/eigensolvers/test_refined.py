@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import creature, two_parts
+from conftest import two_parts
 
 from spectra_kit import (
     AmbientFourier,
@@ -25,22 +25,12 @@ from spectra_kit import (
     eigensolve,
     robust_laplacian,
 )
-from spectra_kit.geometry import TriangleMesh, rectangle, sphere
+from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.linalg.residuals import residual_norms, residuals
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation, weighted_gram
 from spectra_kit.linalg.shift_invert import shift_invert_iteration
 
 K = 40
-
-
-@pytest.fixture(scope="module")
-def laplacian() -> Laplacian:
-    return robust_laplacian(creature(4000, seed=0))
-
-
-@pytest.fixture(scope="module")
-def exact(laplacian: Laplacian):
-    return eigensolve(laplacian, 70)
 
 
 STARTS = {
@@ -54,115 +44,100 @@ STARTS = {
 }
 
 
-@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-10])
-@pytest.mark.parametrize("start", STARTS)
-def test_any_start_reaches_any_tolerance(laplacian, exact, start: str, rtol: float) -> None:
-    s = eigensolve(laplacian, K, Refined(start=STARTS[start], rtol=rtol))
+@pytest.mark.parametrize(
+    ("start", "rtol"),
+    [("waves", 1e-3), ("waves", 1e-10), *((start, 1e-6) for start in list(STARTS)[1:])],
+)
+def test_any_start_reaches_any_tolerance(animal, animal_spectrum, start: str, rtol: float) -> None:
+    s = eigensolve(animal, K, Refined(start=STARTS[start], rtol=rtol))
     assert s.certificate.relative_residuals.max() <= rtol
     # The error of a Ritz value is quadratic in its residual.
-    assert s.eigenvalues == pytest.approx(exact.eigenvalues[:K], rel=max(10 * rtol**2, 1e-11))
+    assert s.eigenvalues == pytest.approx(
+        animal_spectrum.eigenvalues[:K], rel=max(10 * rtol**2, 1e-11)
+    )
     assert s.provenance.iterations >= 1
 
 
 @pytest.mark.parametrize("options", [{"cls": Chebyshev, "max_sweeps": 90}, {"cls": Lobpcg}])
-def test_other_methods(laplacian, exact, options) -> None:
+def test_other_methods(animal, animal_spectrum, options) -> None:
     solver = options.pop("cls")(start=AmbientFourier(m=100), rtol=1e-6, **options)
-    s = eigensolve(laplacian, K, solver)
+    s = eigensolve(animal, K, solver)
     assert s.certificate.relative_residuals.max() <= 1e-6 * (1 + 1e-6)
-    assert s.eigenvalues == pytest.approx(exact.eigenvalues[:K], rel=1e-10)
+    assert s.eigenvalues == pytest.approx(animal_spectrum.eigenvalues[:K], rel=1e-10)
     assert s.provenance.iterations >= 1
 
 
-def test_the_methods_agree_on_what_converged_means(laplacian) -> None:
+def test_the_methods_agree_on_what_converged_means(animal) -> None:
     """A start that has already converged takes no sweep, whoever made it."""
-    tight = eigensolve(laplacian, K, Refined(rtol=1e-10))
+    tight = eigensolve(animal, K, Refined(rtol=1e-10))
     for solver, sweeps in ((Refined, 1), (Chebyshev, 0), (Lobpcg, 0)):
         again = solver(start=GivenBasis(tight.eigenvectors), rtol=1e-8)
-        assert eigensolve(laplacian, K, again).provenance.iterations == sweeps
+        assert eigensolve(animal, K, again).provenance.iterations == sweeps
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-12, 1e-9, 1e-8, 1e-7, 1e-6, 1e-4])
-@pytest.mark.parametrize("missing", [(7,), (0, K - 1), (K - 2, K - 1, K)])
-def test_modes_that_the_start_lacks_are_found(laplacian, exact, noise: float, missing) -> None:
-    """Neither silently left out, nor taken for rounding while they come up."""
-    columns = np.delete(exact.eigenvectors, missing, axis=1)
-    columns = columns + noise * np.random.default_rng(0).standard_normal(columns.shape)
-    s = eigensolve(laplacian, K, Refined(start=GivenBasis(columns)))
-    assert s.eigenvalues == pytest.approx(exact.eigenvalues[:K], rel=1e-10, abs=1e-10)
-
-
-@pytest.fixture(scope="module")
-def ball():
-    laplacian = robust_laplacian(sphere(subdivisions=4).geometry)
-    return laplacian, eigensolve(laplacian, 36)
-
-
-@pytest.mark.parametrize("k", range(15, 27))
 @pytest.mark.parametrize(
-    "solver", [Refined(), Multilevel(rtol=1e-8)], ids=["Refined", "Multilevel"]
+    ("noise", "missing"),
+    [(0.0, (7,)), (1e-12, (0, K - 1)), (1e-8, (K - 2, K - 1, K)), (1e-6, (7,)), (1e-4, (0, K - 1))],
 )
-def test_k_inside_a_cluster(ball, k: int, solver) -> None:
+def test_modes_that_the_start_lacks_are_found(animal, animal_spectrum, noise, missing) -> None:
+    """Neither silently left out, nor taken for rounding while they come up."""
+    columns = np.delete(animal_spectrum.eigenvectors, missing, axis=1)
+    columns = columns + noise * np.random.default_rng(0).standard_normal(columns.shape)
+    s = eigensolve(animal, K, Refined(start=GivenBasis(columns)))
+    assert s.eigenvalues == pytest.approx(animal_spectrum.eigenvalues[:K], rel=1e-10, abs=1e-10)
+
+
+def test_k_inside_a_cluster() -> None:
     """On the sphere, where the guards may end anywhere in a shell of equal eigenvalues."""
-    laplacian, exact = ball
-    s = eigensolve(laplacian, k, solver)
-    assert s.certificate.relative_residuals.max() <= 1e-8
-    assert s.eigenvalues == pytest.approx(exact.eigenvalues[:k], rel=1e-10, abs=1e-10)
+    laplacian = robust_laplacian(sphere(subdivisions=4).geometry)
+    exact = eigensolve(laplacian, 36).eigenvalues
+    for k in (15, 16, 17, 21, 24):
+        for solver in (Refined(), Multilevel(rtol=1e-8)):
+            s = eigensolve(laplacian, k, solver)
+            assert s.certificate.relative_residuals.max() <= 1e-8
+            assert s.eigenvalues == pytest.approx(exact[:k], rel=1e-10, abs=1e-10)
 
 
-def test_a_better_start_takes_fewer_sweeps(laplacian, exact) -> None:
+def test_a_better_start_takes_fewer_sweeps(animal, animal_spectrum) -> None:
     sweeps = [
-        eigensolve(laplacian, K, Refined(start=start)).provenance.iterations
-        for start in (GivenBasis(exact.eigenvectors), STARTS["network"], RandomBasis(m=60))
+        eigensolve(animal, K, Refined(start=start)).provenance.iterations
+        for start in (
+            GivenBasis(animal_spectrum.eigenvectors),
+            STARTS["network"],
+            RandomBasis(m=60),
+        )
     ]
     assert sweeps[0] == 1
     assert sweeps[0] < sweeps[1] < sweeps[2]
 
 
-def test_frames_of_an_animation() -> None:
-    """The modes of one frame are a good start for the next."""
-    mesh = creature(2500, seed=0)
-    modes = eigensolve(robust_laplacian(mesh), 60).eigenvectors
-
-    p = np.array(mesh.points)
-    p[:, 1] += 0.01 * p[:, 0] ** 2
-    moved = robust_laplacian(TriangleMesh(p, mesh.faces))
-    warm, cold = (
-        eigensolve(moved, K, Refined(start=start, rtol=1e-6)).provenance.iterations
-        for start in (GivenBasis(modes), RandomBasis(m=60))
-    )
-    assert warm < cold
-
-
 def test_components_and_fixed_points() -> None:
-    both = robust_laplacian(two_parts())
-    columns = np.random.default_rng(0).standard_normal((both.n, 60))
-    mesh = rectangle(n=2000).geometry
+    mesh = rectangle(n=1000).geometry
     held = cotan_laplacian(mesh).dirichlet(mesh.boundary_vertices)
-    for laplacian in (both, held):
-        columns = np.random.default_rng(0).standard_normal((laplacian.n, 60))
-        for start in (GivenBasis(columns), Union(GivenBasis(columns), AmbientFourier(m=64))):
+    for laplacian in (robust_laplacian(two_parts()), held):
+        columns = GivenBasis(np.random.default_rng(0).standard_normal((laplacian.n, 60)))
+        exact = eigensolve(laplacian, 12).eigenvalues
+        for start in (columns, Union(columns, AmbientFourier(m=64))):
             s = eigensolve(laplacian, 12, Refined(start=start, rtol=1e-9))
             assert s.certificate.relative_residuals.max() <= 1e-9
-            assert s.eigenvalues == pytest.approx(
-                eigensolve(laplacian, 12).eigenvalues, rel=1e-10, abs=1e-12
-            )
+            assert s.eigenvalues == pytest.approx(exact, rel=1e-10, abs=1e-12)
 
 
-def test_units(laplacian, exact) -> None:
+def test_units(animal, animal_spectrum) -> None:
     """Lengths in other units: the same sweeps, eigenvalues in 1/length^2."""
-    sweeps = eigensolve(laplacian, K, Refined(rtol=1e-6)).provenance.iterations
-    for unit in (1e-3, 1e3, 1e-18, 1e18):
-        scaled = Laplacian(laplacian.stiffness, laplacian.mass * unit**2, laplacian.points * unit)
+    sweeps = eigensolve(animal, K, Refined(rtol=1e-6)).provenance.iterations
+    for unit in (1e-3, 1e18):
+        scaled = Laplacian(animal.stiffness, animal.mass * unit**2, animal.points * unit)
         s = eigensolve(scaled, K, Refined(rtol=1e-6))
-        assert s.eigenvalues * unit**2 == pytest.approx(exact.eigenvalues[:K], rel=1e-10)
+        assert s.eigenvalues * unit**2 == pytest.approx(animal_spectrum.eigenvalues[:K], rel=1e-10)
         assert s.provenance.iterations == sweeps
 
 
 @pytest.mark.parametrize("solver", [Refined, Chebyshev])
-def test_short_of_the_tolerance(laplacian, solver) -> None:
+def test_short_of_the_tolerance(animal, solver) -> None:
     """The error says how many made it and what to change, and carries what there is."""
     with pytest.raises(ConvergenceError, match=r"of 40 modes .*raise max_sweeps, loosen rtol") as e:
-        eigensolve(laplacian, K, solver(start=RandomBasis(), max_sweeps=2))
+        eigensolve(animal, K, solver(start=RandomBasis(), max_sweeps=2))
     partial = e.value.partial
     assert partial.k == K
     made_it = (partial.certificate.relative_residuals <= 1e-8).sum()
@@ -171,28 +146,30 @@ def test_short_of_the_tolerance(laplacian, solver) -> None:
     assert partial.provenance.iterations == 2
 
 
-def test_tolerance_below_rounding(laplacian, exact) -> None:
+def test_tolerance_below_rounding(animal, animal_spectrum) -> None:
     with pytest.raises(ConvergenceError, match="rounding stops the others; loosen rtol") as e:
-        eigensolve(laplacian, K, Refined(rtol=1e-14))
+        eigensolve(animal, K, Refined(rtol=1e-14))
     partial = e.value.partial
     assert partial.certificate.relative_residuals.max() < 1e-10
-    assert partial.eigenvalues == pytest.approx(exact.eigenvalues[:K], rel=1e-11, abs=1e-11)
+    assert partial.eigenvalues == pytest.approx(
+        animal_spectrum.eigenvalues[:K], rel=1e-11, abs=1e-11
+    )
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_rounding_is_recognised_however_it_falls(bumpy_laplacian, seed: int) -> None:
+def test_rounding_is_recognised_however_it_falls(bumpy_laplacian) -> None:
     """Residuals that are rounding fall as often as they rise: that is no progress."""
-    with pytest.raises(ConvergenceError, match="rounding stops the others; loosen rtol"):
-        eigensolve(bumpy_laplacian, K, Refined(rtol=1e-14, seed=seed))
+    for seed in range(3):
+        with pytest.raises(ConvergenceError, match="rounding stops the others; loosen rtol"):
+            eigensolve(bumpy_laplacian, K, Refined(rtol=1e-14, seed=seed))
 
 
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
-def test_polish_gains_with_each_sweep_and_degree(laplacian, exact) -> None:
+def test_polish_gains_with_each_sweep_and_degree(animal, animal_spectrum) -> None:
     start = AmbientFourier(m=100, bandwidth=4.0)
 
     def error(solver) -> float:
-        values = eigensolve(laplacian, K, solver).eigenvalues
-        return np.abs(values[1:] / exact.eigenvalues[1:K] - 1).mean()
+        values = eigensolve(animal, K, solver).eigenvalues
+        return np.abs(values[1:] / animal_spectrum.eigenvalues[1:K] - 1).mean()
 
     raw = error(RayleighRitz(subspace=start))
     once, steeper, twice = (
@@ -204,37 +181,34 @@ def test_polish_gains_with_each_sweep_and_degree(laplacian, exact) -> None:
     assert twice < steeper / 10
 
 
-def test_sweeps_converge_at_the_rate_of_chebyshev(laplacian, exact) -> None:
+def test_sweeps_converge_at_the_rate_of_chebyshev(animal, animal_spectrum) -> None:
     """In the long run the last wanted mode gains on the last of the block as the filter says."""
     block, degree = 60, 4
     residuals = [
         shift_invert_iteration(
-            laplacian.stiffness,
-            laplacian.mass,
-            AmbientFourier(m=60, bandwidth=4.0)(laplacian.points, laplacian.mass),
+            animal.stiffness,
+            animal.mass,
+            AmbientFourier(m=60, bandwidth=4.0)(animal.points, animal.mass),
             K,
             tolerance=np.zeros_like,
-            spacing=laplacian.eigenvalue_spacing,
+            spacing=animal.eigenvalue_spacing,
             block=block,
             degree=degree,
             max_sweeps=sweeps,
         ).residuals[K - 1]
         for sweeps in (5, 7)
     ]
-    edge = exact.eigenvalues[block - 1] * (1 + 2 / block)
-    x = 2 * (edge + edge / 8) / (exact.eigenvalues[[K - 1, block - 1]] + edge / 8) - 1
+    edge = animal_spectrum.eigenvalues[block - 1] * (1 + 2 / block)
+    x = 2 * (edge + edge / 8) / (animal_spectrum.eigenvalues[[K - 1, block - 1]] + edge / 8) - 1
     wanted, guard = np.polynomial.Chebyshev.basis(degree)(x)
     predicted = guard / wanted
     assert np.sqrt(residuals[1] / residuals[0]) == pytest.approx(predicted, rel=0.5)
 
 
-def test_polish_by_default_follows_k(laplacian) -> None:
-    for k in (12, 60, 120):
-        error = (
-            eigensolve(laplacian, k, Polished()).eigenvalues[1:]
-            / eigensolve(laplacian, k).eigenvalues[1:]
-        )
-        assert (error - 1).mean() < 1e-4
+def test_polish_by_default_follows_k(animal, animal_spectrum) -> None:
+    for k in (12, 60):
+        values = eigensolve(animal, k, Polished()).eigenvalues[1:]
+        assert (values / animal_spectrum.eigenvalues[1:k] - 1).mean() < 1e-4
 
 
 def test_ritz_pairs_of_a_bad_basis(bumpy_laplacian) -> None:
@@ -255,13 +229,13 @@ def test_ritz_pairs_of_a_bad_basis(bumpy_laplacian) -> None:
         ritz_pairs(L, mass, twice, 31)
 
 
-def test_residuals_compiled_and_not(laplacian, exact) -> None:
+def test_residuals_compiled_and_not(animal, animal_spectrum) -> None:
     """Both ways give the norms, and R is rounded to float32 only."""
-    moved = exact.eigenvectors + 0.01 * np.roll(exact.eigenvectors, 1, axis=1)
-    arguments = laplacian.stiffness, laplacian.mass, exact.eigenvalues, moved
+    moved = animal_spectrum.eigenvectors + 0.01 * np.roll(animal_spectrum.eigenvectors, 1, axis=1)
+    arguments = animal.stiffness, animal.mass, animal_spectrum.eigenvalues, moved
     R, norms = residuals(*arguments)
-    expected = laplacian.stiffness @ moved - laplacian.mass[:, None] * moved * exact.eigenvalues
+    expected = animal.stiffness @ moved - animal.mass[:, None] * moved * animal_spectrum.eigenvalues
     assert np.abs(R - expected).max() <= 1e-7 * np.abs(expected).max()
-    plain = np.sqrt((expected**2 / laplacian.mass[:, None]).sum(axis=0))
+    plain = np.sqrt((expected**2 / animal.mass[:, None]).sum(axis=0))
     assert norms == pytest.approx(plain, rel=1e-10)
     assert residual_norms(*arguments) == pytest.approx(plain, rel=1e-10)

@@ -12,7 +12,6 @@ import spectra_kit as sk
 from spectra_kit.errors import InvalidInputError, MissingDependencyError, WeightsError
 from spectra_kit.geometry import sphere
 from spectra_kit.linalg.ritz import ritz_rotation
-from spectra_kit.linalg.shift_invert import factor_below
 
 BALL = sk.robust_laplacian(sphere(subdivisions=3).geometry)
 SMALL = sk.robust_laplacian(sphere(subdivisions=1).geometry)
@@ -118,10 +117,7 @@ def test_what_is_refused(call, argument: str, expected: str) -> None:
             lambda: ritz_rotation(BALL.stiffness, BALL.mass, np.ones((642, 2))),
             "`X` must have columns that are far from depen",
         ),
-        (
-            lambda: factor_below(-BALL.stiffness, BALL.mass, 1.0),
-            "`stiffness` must be positive semi-definite",
-        ),
+        (lambda: solve(sk.Refined(), 4, sunk()), "`stiffness` must be positive semi-definite"),
         (lambda: sk.Neo(device="abacus"), "`device` must be one that torch can use here"),
         (lambda: sk.Polished(sk.Neo()), r"Polished takes its options by name; write .*start="),
     ],

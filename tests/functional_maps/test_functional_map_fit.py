@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from conftest import creature
+from conftest import creature, refused
 
-from spectra_kit import InvalidInputError, TriangleMesh, eigensolve, robust_laplacian
+from spectra_kit import TriangleMesh, eigensolve, robust_laplacian
 from spectra_kit.descriptors import normalize_descriptors, wave_kernel_signature
 from spectra_kit.errors import ConvergenceError
 from spectra_kit.functional_maps import (
@@ -19,9 +19,7 @@ from spectra_kit.functional_maps._terms import (
     Commuting,
     Preserved,
     commuting,
-    few_combinations,
     laplacian_mask,
-    multiplication_operators,
     preserved,
 )
 from spectra_kit.geometry import sphere
@@ -37,14 +35,14 @@ def wks(spectrum: Spectrum, count: int = 20) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def animal() -> tuple[TriangleMesh, Spectrum]:
-    mesh = creature(700)
+    mesh = creature(500)
     return mesh, eigensolve(robust_laplacian(mesh), 40)
 
 
 @pytest.fixture(scope="module")
 def bent() -> tuple[TriangleMesh, Spectrum]:
     """The same animal in another pose, its points in the same order."""
-    mesh = creature(700, pose=1)
+    mesh = creature(500, pose=1)
     return mesh, eigensolve(robust_laplacian(mesh), 40)
 
 
@@ -91,9 +89,8 @@ def by_lagrange_multipliers(mask, data, operators, constants):
     return solution[: k1 * k2].reshape(k2, k1)
 
 
-@pytest.mark.parametrize(("k1", "k2"), [(5, 5), (4, 7), (7, 4)])
-@pytest.mark.parametrize("dense", [2500, 0])
-@pytest.mark.parametrize("with_operators", [True, False])
+@pytest.mark.parametrize(("k1", "k2"), [(1, 3), (5, 5), (4, 7), (7, 4)])
+@pytest.mark.parametrize(("dense", "with_operators"), [(2500, True), (0, True), (0, False)])
 def test_the_minimum_is_that_of_the_quadratic_program(k1, k2, dense, with_operators) -> None:
     mask, data, operators, constants = random_energy(np.random.default_rng(k1), k1, k2)
     operators = operators if with_operators else []
@@ -101,12 +98,6 @@ def test_the_minimum_is_that_of_the_quadratic_program(k1, k2, dense, with_operat
     got = minimise(mask, data, operators, constants, dense=dense)
     assert np.allclose(got, expected, atol=1e-9)
     assert np.allclose(got @ constants[0], constants[1], atol=1e-13)
-
-
-def test_a_map_of_constants_alone() -> None:
-    mask, data, operators, _ = random_energy(np.random.default_rng(0), 1, 3)
-    C = minimise(mask, data, operators, (np.array([-1.0]), np.array([1.0, 0, 0])))
-    assert np.allclose(C, [[-1], [0], [0]])
 
 
 def test_conjugate_gradients_that_do_not_converge_say_so(monkeypatch) -> None:
@@ -136,31 +127,6 @@ def test_each_term_counts_one_for_a_random_map() -> None:
         assert np.mean(np.sum(mask * maps**2, axis=(1, 2))) == pytest.approx(1, rel=0.03)
 
 
-@pytest.mark.parametrize("kind", ["resolvent", "standard"])
-def test_masks_vanish_at_equal_eigenvalues_and_have_no_unit(kind) -> None:
-    source, target = np.array([0.0, 1, 2, 5]), np.array([0.0, 2, 3])
-    mask = laplacian_mask(kind, source, target)
-    assert (mask == 0).sum() == 2
-    assert mask[0, 0] == mask[1, 2] == 0
-    assert np.allclose(laplacian_mask(kind, 1e6 * source, 1e6 * target), mask)
-
-
-def test_combined_descriptors_make_the_same_sums(animal, bent) -> None:
-    (_, one), (_, other) = animal, bent
-    f, g = wks(one), wks(other)
-    fewer = few_combinations(one, other, f, g)
-    assert fewer[0].shape[1] < f.shape[1]
-    sums = [
-        np.einsum(
-            "pij,pkl->ijkl",
-            multiplication_operators(one, 6, a),
-            multiplication_operators(other, 6, b),
-        )
-        for a, b in ((f, g), fewer)
-    ]
-    assert np.allclose(*sums, atol=1e-8 * np.abs(sums[0]).max())
-
-
 # --- what the terms ask for -------------------------------------------------------------------
 
 
@@ -185,13 +151,7 @@ def test_rectangular_maps_between_poses_are_near_the_true_one(animal, bent, k) -
         C = fit_functional_map(one, other, wks(one), wks(other), k=k, mask=mask)
         assert C.shape == true.shape
         assert np.linalg.norm(C - true) < 0.4 * np.linalg.norm(true)
-
-
-def test_constants_go_to_constants_whatever_the_weights(animal, bent) -> None:
-    (_, one), (_, other) = animal, bent
-    C = fit_functional_map(one, other, wks(one)[:, ::-1], wks(other), k=(K, K + 3))
-    sign = np.sign(one.eigenvectors[0, 0] * other.eigenvectors[0, 0])
-    assert np.allclose(C[:, 0], sign * np.eye(K + 3)[0], atol=1e-6)
+        assert np.allclose(np.abs(C[:, 0]), np.eye(len(C))[0], atol=1e-6)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -217,24 +177,6 @@ def test_orientation_decides_between_left_and_right(symmetric, mirrored) -> None
     odd = np.diag(functional_map_from_point_map(spectrum, spectrum, mirror, k=20)) < 0
     assert odd.sum() > 5
     assert np.abs(C[odd]).max() < 1e-3
-
-
-def test_a_mirrored_copy_asks_for_the_mirrored_fit(animal) -> None:
-    mesh, spectrum = animal
-    image = oriented_triangles(mesh.with_points(mesh.points * [1, -1, 1]))
-    f = wks(spectrum)
-    for mirrored, close in ((True, True), (False, False)):
-        C = fit_functional_map(
-            spectrum,
-            spectrum,
-            f,
-            f,
-            k=K,
-            weights=FitWeights(orientation=1.0),
-            mirrored=mirrored,
-            oriented=(oriented_triangles(mesh), image),
-        )
-        assert (np.linalg.norm(C - np.eye(K)) < 1e-4) == close
 
 
 def test_landmarks_break_a_symmetry(symmetric) -> None:
@@ -265,52 +207,37 @@ def test_two_components_keep_their_areas_apart(animal) -> None:
 # --- what is refused --------------------------------------------------------------------------
 
 
-def test_bad_input_is_refused_by_name(animal, bent, symmetric) -> None:
+def test_what_cannot_be_fitted_is_refused(animal, bent, symmetric) -> None:
     (mesh, one), (_, other) = animal, bent
     f, g = wks(one), wks(other)
-    oriented = oriented_triangles(mesh)
-
-    def refused(match, f=f, g=g, **options):
-        with pytest.raises(InvalidInputError, match=match):
-            fit_functional_map(one, other, f, g, **{"k": K, **options})
-
-    refused(r"`source_descriptors` must have shape \(700, p\)", f=f.T)
-    refused(r"`target_descriptors` must have shape \(700, p\)", g=g[:, :0])
-    refused("must have the same number of columns, got 20 and 19", g=g[:, 1:])
-    refused("`k of the source` must be in", k=41)
-    refused("`mask` must be 'resolvent' or 'standard'", mask="soft")
-    orientation = FitWeights(orientation=1.0)
-    refused("`oriented` must be given", weights=orientation)
+    oriented, two = oriented_triangles(mesh), Spectrum(np.zeros(2), np.eye(2), np.ones(2))
+    turned = FitWeights(orientation=1.0)
     pair = (oriented, oriented_triangles(symmetric[0]))
-    refused("points of the spectra, got 700 and 642", weights=orientation, oriented=pair)
-    refused("`landmarks` must be two lists of one length, at least 1", landmarks=([], []))
-    refused("`landmarks` must be two lists of one length", landmarks=([1], [1, 2]))
-    refused("`landmarks of the target` must be in", landmarks=([1], [700]))
-    refused("`landmarks` must be a pair", landmarks=[1, 2])
-    refused("`descriptors` must not all be constant", f=0 * f + 0.1, g=0 * g + 0.7)
-
-
-@pytest.mark.parametrize("wrong", [-1.0, np.inf, "1"])
-@pytest.mark.parametrize("name", FitWeights.__dataclass_fields__)
-def test_wrong_weights_are_refused_by_name(name, wrong) -> None:
-    with pytest.raises(InvalidInputError) as caught:
-        FitWeights(**{name: wrong})
-    assert str(caught.value).startswith(f"`{name}` must be a")
-
-
-def test_operators_that_commute_with_every_map_are_refused() -> None:
-    with pytest.raises(InvalidInputError, match="`multiplication` must be 0 where"):
-        commuting("multiplication", np.eye(3)[None], np.eye(4)[None], 1.0)
-
-
-def test_a_singular_system_is_refused() -> None:
-    mask, data, _, constants = random_energy(np.random.default_rng(0), 5, 6)
-    with pytest.raises(InvalidInputError, match="got a singular system; bring them nearer"):
-        minimise(0 * mask, [Preserved(data[0].a[:, :1], data[0].b[:, :1], 1.0)], [], constants)
-
-
-def test_different_numbers_of_components_are_refused(animal) -> None:
-    _, one = animal
-    two = Spectrum(np.zeros(2), np.eye(2), np.ones(2))
-    with pytest.raises(InvalidInputError, match="same number of components"):
-        fit_functional_map(one, two, np.ones((700, 1)), np.ones((2, 1)), k=2)
+    given = {"source": one, "target": other, "source_descriptors": f, "target_descriptors": g}
+    for argument, expected, changes in (
+        ("source_descriptors", "have shape (500, p)", {"source_descriptors": f.T}),
+        ("target_descriptors", "have shape (500, p)", {"target_descriptors": g[:, :0]}),
+        ("source_descriptors` and `target_descriptors", "have the same number of columns",
+         {"target_descriptors": g[:, 1:]}),
+        ("k of the source", "be in [1, 40]", {"k": 41}),
+        ("mask", "be 'resolvent' or 'standard'", {"mask": "soft"}),
+        ("oriented", "be given where", {"weights": turned}),
+        ("oriented", "be on the 500 and 500 points", {"weights": turned, "oriented": pair}),
+        ("landmarks", "be two lists of one length, at least 1", {"landmarks": ([], [])}),
+        ("landmarks", "be two lists of one length", {"landmarks": ([1], [1, 2])}),
+        ("landmarks", "be a pair", {"landmarks": [1, 2]}),
+        ("landmarks of the target", "be in [0, 500)", {"landmarks": ([1], [500])}),
+        ("descriptors", "not all be constant",
+         {"source_descriptors": 0 * f + 0.1, "target_descriptors": 0 * g + 0.7}),
+        ("source` and `target", "have the same number of components",
+         {"target": two, "target_descriptors": np.ones((2, 20)), "k": 2}),
+    ):  # fmt: skip
+        refused(argument, expected, fit_functional_map, **{**given, "k": K, **changes})
+    for name in FitWeights.__dataclass_fields__:
+        for wrong in (-1.0, np.inf, "1"):
+            refused(name, "be a", FitWeights, **{name: wrong})
+    refused("multiplication", "be 0 where", commuting, "multiplication", np.eye(3)[None],
+            np.eye(4)[None], 1.0)  # fmt: skip
+    mask, [data], _, constants = random_energy(np.random.default_rng(0), 5, 6)
+    alone = Preserved(data.a[:, :1], data.b[:, :1], 1.0)
+    refused("weights", "leave the fit well", minimise, 0 * mask, [alone], [], constants)

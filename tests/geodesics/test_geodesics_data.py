@@ -1,35 +1,21 @@
 """Distances on real meshes: solvers agree, modes save iterations, errors are those of a peer."""
 
-from pathlib import Path
-
 import numpy as np
 import potpourri3d as pp3d
 import pytest
 from conftest import data_folder
+from geodesic_truths import relative_error
 from measure.matching.subjects import subjects_in
 
 import spectra_kit as sk
 from spectra_kit.geodesics import Direct, HeatGeodesics, Iterative, exact_distances
-from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators import intrinsic_delaunay
 
 pytestmark = pytest.mark.data
 
-# Closed and open, of one and three components, smooth, sharp and technical.
-SMALL = [
-    "3holes", "camelhead", "casting", "cheburashka", "cow", "fandisk", "homer", "penguin", "plane",
-    "spot", "teapot", "trim_star", "beetle", "hippo",
-]  # fmt: skip
-EXACT = ["3holes", "cow", "spot", "fandisk", "homer", "trim_star"]
-
 # As in the paper: level 0, nothing kept of what is dropped.
 PLAIN = Iterative(coarse="none", drop=None, relaxation=0.0)
 TWO_LEVEL = Iterative(coarse="additive", drop=None, relaxation=0.0, modes=96)
-
-
-def load(folder: Path, name: str) -> TriangleMesh:
-    with np.load(folder / f"{name}.npz") as file:
-        return TriangleMesh(file["V"].astype(np.float64), file["F"].astype(np.int64))
 
 
 def assert_same(found: np.ndarray, wanted: np.ndarray) -> None:
@@ -39,9 +25,10 @@ def assert_same(found: np.ndarray, wanted: np.ndarray) -> None:
     assert np.abs(found[reached] - wanted[reached]).max() < 1e-7 * wanted[reached].max()
 
 
-@pytest.mark.parametrize("name", SMALL)
+# Closed and open, of one and three components, smooth, sharp and technical.
+@pytest.mark.parametrize("name", ["3holes", "fandisk", "plane", "teapot", "trim_star"])
 def test_solvers_agree(real_shapes, name) -> None:
-    mesh = load(real_shapes, name)
+    mesh = sk.read(real_shapes / f"{name}.npz")
     triangulation, source = intrinsic_delaunay(mesh), mesh.n // 3
     wanted = HeatGeodesics(triangulation, solver=Direct()).distance(source).distance
     label = mesh.component_labels
@@ -53,10 +40,9 @@ def test_solvers_agree(real_shapes, name) -> None:
 
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_modes_save_two_thirds_of_the_iterations(real_shapes) -> None:
-    triangulation = intrinsic_delaunay(load(real_shapes, "chinese_lion"))
+    triangulation = intrinsic_delaunay(sk.read(real_shapes / "homer.npz"))
     wanted = HeatGeodesics(triangulation, solver=Direct()).distance(100).distance
     exact = sk.eigensolve(triangulation.laplacian, 97)
-    assert exact.certificate.relative_residuals.max() <= 1e-8
     predicted = sk.eigensolve(triangulation.laplacian, 97, sk.Neo(poses=1))
 
     def iterations(spectrum: sk.Spectrum, solver: Iterative) -> int:
@@ -74,18 +60,16 @@ def test_modes_save_two_thirds_of_the_iterations(real_shapes) -> None:
 
 def test_errors_are_no_larger_than_those_of_potpourri3d(real_shapes) -> None:
     errors = []
-    for name in EXACT:
-        mesh = load(real_shapes, name)
-        ours = HeatGeodesics(mesh)
+    for name in ("3holes", "cow", "spot", "fandisk"):
+        mesh = sk.read(real_shapes / f"{name}.npz")
         theirs = pp3d.MeshHeatMethodDistanceSolver(np.array(mesh.points), np.array(mesh.faces))
-        for source in np.random.default_rng(0).choice(mesh.n, 2, replace=False).tolist():
-            truth = exact_distances(mesh, source)
-            away = truth > 0
-            pair = ours.distance(source).distance, theirs.compute_distance(source)
-            errors.append([(np.abs(d - truth)[away] / truth[away]).mean() for d in pair])
-    mean = np.mean(errors, axis=0)
-    assert mean[0] <= 1.05 * mean[1]
-    assert mean[0] < 0.03
+        source = int(np.random.default_rng(0).integers(mesh.n))
+        truth = exact_distances(mesh, source)
+        pair = HeatGeodesics(mesh).distance(source), theirs.compute_distance(source)
+        errors.append([relative_error(distance, truth) for distance in pair])
+    ours, peer = np.mean(errors, axis=0)
+    assert ours <= 1.05 * peer
+    assert ours < 0.03
 
 
 def test_distances_hardly_change_when_a_person_moves(real_shapes) -> None:

@@ -21,7 +21,6 @@ from spectra_kit.geometry import (
     torus,
 )
 from spectra_kit.geometry.diagnose import _count_split_fans
-from spectra_kit.geometry.shapes import distinct_rows
 
 TRIANGLE = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]
 
@@ -56,7 +55,7 @@ def two_balls(ball, *, apart=5.0):
 # --- the two types ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("block", [1, 7, 100, 10**6])
+@pytest.mark.parametrize("block", [1, 100, 10**6])
 def test_fans_are_counted_alike_in_blocks_of_any_size(block):
     """Two spheres that share a vertex, and an open book of three pages, hidden among faces."""
     ball = sphere(subdivisions=2).geometry
@@ -96,11 +95,6 @@ def test_arrays_are_read_only_copies():
             array[0] = 0
 
 
-def test_repr_is_short(ball):
-    assert repr(ball) == "TriangleMesh(162 vertices, 320 faces)"
-    assert repr(ball.as_cloud()) == "PointCloud(162 points)"
-
-
 def test_derived_values_agree_with_trimesh(ball):
     other = trimesh.Trimesh(ball.points, ball.faces, process=False)
     np.testing.assert_allclose(ball.face_areas, other.area_faces)
@@ -108,6 +102,8 @@ def test_derived_values_agree_with_trimesh(ball):
     assert {tuple(edge) for edge in edges} == {tuple(edge) for edge in other.edges_unique}
     assert (counts == 2).all()
     assert diagnose(ball).euler_characteristic == other.euler_number
+    assert repr(ball) == "TriangleMesh(162 vertices, 320 faces)"
+    assert repr(ball.as_cloud()) == "PointCloud(162 points)"
 
 
 def test_boundary_is_the_rim():
@@ -115,18 +111,6 @@ def test_boundary_is_the_rim():
     radius = np.linalg.norm(flat.points, axis=1)
     np.testing.assert_array_equal(flat.boundary_vertices, np.flatnonzero(radius > 1 - 1e-9))
     assert len(sphere(subdivisions=1).geometry.boundary_vertices) == 0
-
-
-def test_distinct_rows_keep_the_order_of_appearance():
-    rows = np.array([[2.0, 1], [0.0, 5], [2, 1], [-0.0, 5], [1, 1]])
-    first, label = distinct_rows(rows)
-    np.testing.assert_array_equal(first, [0, 1, 4])
-    np.testing.assert_array_equal(label, [0, 1, 0, 1, 2])
-    many = np.random.default_rng(0).integers(4, size=(500, 3))
-    first, label = distinct_rows(many)
-    assert len(first) == len(np.unique(many, axis=0))
-    np.testing.assert_array_equal(many[first][label], many)
-    assert (np.diff(first) > 0).all()
 
 
 def test_cleaning_methods_do_one_thing_each(dirty, ball):
@@ -137,7 +121,8 @@ def test_cleaning_methods_do_one_thing_each(dirty, ball):
     assert merged.n == ball.n + 1
     np.testing.assert_array_equal(merged.faces[: len(ball.faces)], ball.faces)
     np.testing.assert_array_equal(merged.points[: ball.n], ball.points)
-    assert PointCloud(dirty.points).without_duplicates().n == ball.n + 1
+    rows = PointCloud([[2.0, 1, 0], [0.0, 5, 0], [2, 1, 0], [-0.0, 5, 0], [1, 1, 0]])
+    np.testing.assert_array_equal(rows.without_duplicates().points[:, 0], [2, 0, 1])
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
@@ -244,16 +229,11 @@ def test_cloud_duplicates_are_found():
 # --- repair -------------------------------------------------------------------------------------
 
 
-def test_repair_gives_back_the_clean_mesh(dirty, ball):
+def test_repair_gives_back_the_clean_mesh_and_tells_where_every_vertex_went(dirty, ball):
     repaired = repair(dirty)
     np.testing.assert_array_equal(repaired.geometry.points, ball.points)
     np.testing.assert_array_equal(repaired.geometry.faces, ball.faces)
     assert vars(repaired.report) == dict.fromkeys(vars(repaired.report), 1)
-    assert diagnose(repaired.geometry).is_clean
-
-
-def test_repair_tells_where_every_vertex_went(dirty):
-    repaired = repair(dirty)
     np.testing.assert_array_equal(repaired.geometry.points, dirty.points[repaired.vertex_index])
     back = repaired.restore(repaired.geometry.points)
     np.testing.assert_array_equal(back[:-1], dirty.points[:-1])
@@ -274,12 +254,6 @@ def test_repair_without_merging_keeps_touching_sheets_apart():
     assert repair(sheets, merge=False).geometry.n == 6
     merged = repair(sheets)
     assert (merged.geometry.n, merged.report.duplicate_faces) == (3, 1)
-
-
-def test_repair_of_a_cloud_drops_duplicates():
-    repaired = repair(PointCloud([*TRIANGLE, TRIANGLE[1]]))
-    np.testing.assert_array_equal(repaired.geometry.points, TRIANGLE)
-    np.testing.assert_array_equal(repaired.restore([1, 2, 3]), [1, 2, 3, 2])
 
 
 # --- components ---------------------------------------------------------------------------------
@@ -304,16 +278,10 @@ def test_components_put_together_are_the_mesh(ball):
     assert largest_component(mixed).mesh.area == pytest.approx(ball.area)
 
 
-def test_unreferenced_vertices_are_in_no_component(dirty):
-    merged = dirty.with_merged_vertices()
-    (part,) = components(merged)
-    assert merged.n - 1 not in part.vertex_index
-
-
 # --- normalisation ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_unit_box_and_back(ball, scale):
     mesh = ball.with_points((ball.points * [1, 2, 3] + [10, 20, 30]) * scale)
     unit, normalization = normalize(mesh)

@@ -21,8 +21,11 @@ def ball(n: int, seed: int = 0) -> np.ndarray:
     return points / np.linalg.norm(points, axis=1, keepdims=True)
 
 
-def shuffled(normals: np.ndarray) -> np.ndarray:
-    return normals * np.random.default_rng(0).choice([-1.0, 1.0], (len(normals), 1))
+def oriented(points: np.ndarray) -> np.ndarray:
+    """Normals estimated, turned at random, and then outwards."""
+    cloud = PointCloud(points)
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (len(points), 1))
+    return orient_normals(cloud, estimate_normals(cloud) * signs)
 
 
 # --- normals ----------------------------------------------------------------------------------
@@ -38,18 +41,18 @@ def test_on_a_plane_they_are_exact_and_in_any_direction() -> None:
 def test_the_error_on_a_sphere_falls_with_the_spacing() -> None:
     error = [
         np.sqrt(1 - np.sum(estimate_normals(PointCloud(p)) * p, axis=1) ** 2).mean()
-        for p in (ball(500), ball(8000))
+        for p in (ball(500), ball(4000))
     ]
     assert error[0] < 0.06
-    assert error[1] < error[0] / 3  # a quarter of the spacing
+    assert error[1] < error[0] / 2  # a third of the spacing
 
 
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
-def test_a_ball_is_oriented_outwards_wherever_it_is(mirror: float) -> None:
-    points = ball(800) * [1, 2, 3 * mirror] * 50 + [1e3, 0, 0]
-    cloud = PointCloud(points)
-    normals = orient_normals(cloud, shuffled(estimate_normals(cloud)))
-    assert (np.sum(normals * (points - [1e3, 0, 0]), axis=1) > 0).all()
+def test_bodies_are_oriented_outwards_wherever_they_are(mirror: float) -> None:
+    one = ball(500) * [1, 2, 3 * mirror] * 50
+    two = 0.5 * ball(200, 1)
+    normals = oriented(np.vstack([one + [1e3, 0, 0], two]))
+    assert (np.sum(normals * np.vstack([one, two]), axis=1) > 0).all()
 
 
 def test_a_torus_and_an_animal_are_oriented_like_their_meshes() -> None:
@@ -57,44 +60,16 @@ def test_a_torus_and_an_animal_are_oriented_like_their_meshes() -> None:
         truth = np.zeros((mesh.n, 3))
         corners = mesh.points[mesh.faces]
         face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        for c in range(3):
-            np.add.at(truth, mesh.faces[:, c], face_normals)
-        cloud = mesh.as_cloud()
-        normals = orient_normals(cloud, shuffled(estimate_normals(cloud)))
-        assert (np.sum(normals * truth, axis=1) > 0).mean() >= right
-
-
-def test_components_are_oriented_on_their_own() -> None:
-    points = np.vstack([ball(300), 0.5 * ball(200, 1) + [5, 0, 0]])
-    cloud = PointCloud(points)
-    normals = orient_normals(cloud, shuffled(estimate_normals(cloud)))
-    assert (np.sum(normals[:300] * points[:300], axis=1) > 0).all()
-    assert (np.sum(normals[300:] * (points[300:] - [5, 0, 0]), axis=1) > 0).all()
-
-
-def test_an_open_bowl_is_oriented_away_from_its_middle_and_a_flat_sheet_as_one() -> None:
-    half = ball(1500)
-    half = half[half[:, 2] > 0.3]
-    cloud = PointCloud(half)
-    normals = orient_normals(cloud, shuffled(estimate_normals(cloud)))
-    assert (np.sum(normals * half, axis=1) > 0).all()
-    sheet = PointCloud(np.c_[np.random.default_rng(0).random((200, 2)), np.zeros(200)])
-    normals = orient_normals(sheet, shuffled(estimate_normals(sheet)))
-    assert abs(normals[:, 2].sum()) == pytest.approx(200)
+        np.add.at(truth, mesh.faces, face_normals[:, None])
+        assert (np.sum(oriented(mesh.points) * truth, axis=1) > 0).mean() >= right
 
 
 def test_two_sheets_farther_apart_than_their_points_are_told_apart() -> None:
-    rng = np.random.default_rng(0)
-    flat = rng.random((900, 2))  # a spacing of about 0.033
-    for gap, right in ((0.1, 0.97), (0.02, 0.0)):
-        # The faces of a thin slab; nearer than its points, both share their neighbours.
-        points = np.vstack(
-            [np.c_[flat, np.full(900, gap)], np.c_[rng.random((900, 2)), 0 * flat[:, 0]]]
-        )
-        cloud = PointCloud(points)
-        normals = orient_normals(cloud, shuffled(estimate_normals(cloud)))
-        up = np.sign(points[:, 2] - gap / 2)
-        assert (normals[:, 2] * up > 0).mean() >= right
+    rng, gap = np.random.default_rng(0), 0.1
+    top, bottom = rng.random((2, 900, 2))  # a spacing of about 0.033
+    points = np.vstack([np.c_[top, np.full(900, gap)], np.c_[bottom, np.zeros(900)]])
+    up = np.sign(points[:, 2] - gap / 2)
+    assert (oriented(points)[:, 2] * up > 0).mean() >= 0.97
 
 
 # --- signs ------------------------------------------------------------------------------------
@@ -129,14 +104,6 @@ def test_groups_vote_together_against_one_loud_edge() -> None:
     assert len(np.unique(signs)) == 1
 
 
-def test_points_without_a_vote_are_components() -> None:
-    signs, labels = agree_on_signs(
-        symmetric_votes(3, np.array([0]), np.array([1]), np.array([-1.0]))
-    )
-    assert signs[0] == -signs[1]
-    assert len(np.unique(labels)) == 2
-
-
 def test_winding_number_at_the_points_of_a_ball_is_one_half() -> None:
     points = np.vstack([ball(1500), [[9, 9, 9]]])
     vectors = points * (4 * np.pi / 1500)
@@ -157,7 +124,7 @@ def test_a_limb_inside_out_is_turned() -> None:
     assert (turned == 1).mean() > 0.995
 
 
-@pytest.mark.parametrize("exponent", [-1000, -600, 600, 1000])
+@pytest.mark.parametrize("exponent", [-1000, 1000])
 def test_powers_of_two_change_no_bit(exponent: int) -> None:
     points = ball(300)
     normals = estimate_normals(PointCloud(points))

@@ -30,12 +30,7 @@ def test_faces_are_hit_by_area(ball):
     mesh = stretched(ball)
     samples = sample_with_origin(mesh, 40_000, seed=1)
     assert 1e-3 < p_value(mesh, samples, mesh.face_areas) < 1 - 1e-3
-
-
-def test_chi_square_sees_a_wrong_density(ball):
-    mesh = stretched(ball)
-    samples = sample_with_origin(mesh, 40_000, seed=1)
-    assert p_value(mesh, samples, np.ones(len(mesh.faces))) < 1e-12
+    assert p_value(mesh, samples, np.ones(len(mesh.faces))) < 1e-12  # the test sees the difference
 
 
 def test_points_are_uniform_inside_a_face():
@@ -47,7 +42,7 @@ def test_points_are_uniform_inside_a_face():
     np.testing.assert_allclose(np.cov(barycentric.T), covariance, atol=5e-4)
 
 
-@pytest.mark.parametrize("sigma", [0.1, 0.25, 1.0])
+@pytest.mark.parametrize("sigma", [0.1, 1.0])
 def test_gaussian_density_is_area_times_gaussian_of_the_distance(ball, sigma):
     mesh = stretched(ball)
     centre = tuple(mesh.points[7])
@@ -73,23 +68,19 @@ def test_far_centre_does_not_underflow(ball):
     assert cloud.points[:, 0].min() > 0.8
 
 
-@pytest.mark.parametrize("density", ["uniform", GaussianDensity()])
-def test_same_seed_same_points(ball, density):
-    first = sample(ball, 200, seed=5, density=density).points
-    np.testing.assert_array_equal(first, sample(ball, 200, seed=5, density=density).points)
-    assert not np.allclose(first, sample(ball, 200, seed=6, density=density).points)
-
-
-@pytest.mark.parametrize("density", ["uniform", GaussianDensity()])
-@pytest.mark.parametrize("scale", [1e-3, 1e3, 1e6])
-def test_scaling_the_mesh_scales_the_samples(ball, density, scale):
-    plain = sample_with_origin(ball, 300, seed=7, density=density)
-    scaled_mesh = ball.with_points(ball.points * scale)
-    scaled = sample_with_origin(scaled_mesh, 300, seed=7, density=density)
-    np.testing.assert_array_equal(scaled.faces, plain.faces)
-    np.testing.assert_allclose(
-        scaled.cloud.points, plain.cloud.points * scale, rtol=0, atol=1e-14 * scale
+@pytest.mark.parametrize("density", ["uniform", GaussianDensity(sigma=0.2)])
+def test_the_seed_decides_in_any_unit(ball, density):
+    first = sample_with_origin(ball, 200, seed=5, density=density)
+    np.testing.assert_array_equal(
+        sample(ball, 200, seed=5, density=density).points, first.cloud.points
     )
+    assert not np.allclose(first.cloud.points, sample(ball, 200, seed=6, density=density).points)
+    for exponent in (-1000, 10, 1000):
+        scaled = ball.with_points(np.ldexp(ball.points, exponent))
+        other = sample_with_origin(scaled, 200, seed=5, density=density)
+        np.testing.assert_array_equal(other.faces, first.faces)
+        np.testing.assert_array_equal(other.barycentric, first.barycentric)
+        np.testing.assert_array_equal(other.cloud.points, np.ldexp(first.cloud.points, exponent))
 
 
 def test_degenerate_faces_are_never_hit():
@@ -107,13 +98,3 @@ def test_functions_are_interpolated_linearly(ball):
         samples.interpolate(linear), samples.cloud.points @ [1.0, -2.0, 3.0] + 4.0, atol=1e-13
     )
     assert samples.interpolate(np.ones((ball.n, 4))).shape == (100, 4)
-
-
-@pytest.mark.parametrize("exponent", [-1000, -600, 600, 1000])
-@pytest.mark.parametrize("density", ["uniform", GaussianDensity(sigma=0.2)])
-def test_powers_of_two_change_no_draw(ball, density, exponent):
-    samples = sample_with_origin(ball, 200, seed=3, density=density)
-    scaled = ball.with_points(np.ldexp(ball.points, exponent))
-    other = sample_with_origin(scaled, 200, seed=3, density=density)
-    np.testing.assert_array_equal(other.faces, samples.faces)
-    np.testing.assert_array_equal(other.barycentric, samples.barycentric)

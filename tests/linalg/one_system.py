@@ -3,6 +3,7 @@
 from functools import cache
 
 import numpy as np
+from scipy import sparse
 
 from spectra_kit import delaunay_laplacian, eigensolve
 from spectra_kit.geometry import creature
@@ -13,7 +14,7 @@ class Body:
     """A Neumann Laplacian, a right-hand side, its solution, and modes."""
 
     def __init__(self):
-        self.laplacian = delaunay_laplacian(creature(1000, seed=0).as_cloud())
+        self.laplacian = delaunay_laplacian(creature(600, seed=0).as_cloud())
         self.A, self.n = self.laplacian.stiffness, self.laplacian.n
         self.kernel = ConstantKernel(self.laplacian.component_labels)
         modes = eigensolve(self.laplacian, 25)
@@ -31,3 +32,11 @@ class Body:
 @cache
 def body_of_all() -> Body:
     return Body()
+
+
+def path(n: int, ends: float = 1.0) -> sparse.csr_array:
+    """The 1-D Laplacian; singular for ends=1, with zeros beyond both ends for 2."""
+    diagonal = np.full(n, 2.0)
+    diagonal[[0, -1]] = ends
+    off = -np.ones(n - 1)
+    return sparse.csr_array(sparse.diags_array([off, diagonal, off], offsets=[-1, 0, 1]))

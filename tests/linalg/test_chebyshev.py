@@ -6,7 +6,7 @@ import torch
 from scipy import linalg, sparse
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import rectangle, sphere
+from spectra_kit.geometry import sphere
 from spectra_kit.levels import smoothed as smoothed_numpy
 from spectra_kit.linalg import chebyshev
 from spectra_kit.linalg.chebyshev import chebyshev_eigenpairs
@@ -17,20 +17,19 @@ from spectra_kit.operators import cotan_laplacian, robust_laplacian
 DEVICES = ["cpu"] + ["cuda"] * torch.cuda.is_available()
 
 
-def noise(n, b, seed=0):
-    return torch.randn(n, b, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+def noise(n, b):
+    return torch.randn(n, b, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
 
 
-@pytest.fixture(scope="module", params=["sphere", "rectangle-cloud", "irregular"])
+@pytest.fixture(scope="module", params=["sphere", "irregular"])
 def laplacian(request):
-    """Clusters of equal eigenvalues; a boundary; triangles and masses of very different size."""
-    if request.param == "sphere":
-        return cotan_laplacian(sphere(subdivisions=3).geometry)
-    if request.param == "rectangle-cloud":
-        return robust_laplacian(rectangle(n=600).geometry.as_cloud())
+    """Clusters of equal eigenvalues; triangles and masses of very different size."""
     ball = sphere(subdivisions=3).geometry
-    stretched = ball.points * np.exp(1.5 * ball.points[:, [0]]) * [1, 1, 2]
-    return robust_laplacian(type(ball)(stretched, ball.faces))
+    if request.param == "sphere":
+        return cotan_laplacian(ball)
+    return robust_laplacian(
+        ball.with_points(ball.points * np.exp(1.5 * ball.points[:, [0]]) * [1, 1, 2])
+    )
 
 
 @pytest.fixture(scope="module")
@@ -38,14 +37,15 @@ def exact(laplacian):
     return linalg.eigh(laplacian.stiffness.toarray(), np.diag(laplacian.mass))
 
 
-def refine(laplacian, start, k, device="cpu", **options):
+def refine(laplacian, start, k, device="cpu", area=1.0, **options):
+    """Refine, of the operator in another unit of area."""
     return chebyshev_eigenpairs(
         sparse_tensor(laplacian.stiffness, device),
-        torch.tensor(laplacian.mass, device=device),
+        torch.tensor(area * laplacian.mass, device=device),
         start.to(device),
         k,
-        spacing=laplacian.eigenvalue_spacing,
-        **options,
+        spacing=laplacian.eigenvalue_spacing / area,
+        **{"block": k + max(8, k // 2), "rtol": 1e-8, **options},
     )
 
 
@@ -56,7 +56,7 @@ def true_residuals(laplacian, values, vectors):
 
 
 @pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-10])
+@pytest.mark.parametrize("rtol", [1e-4, 1e-10])
 def test_a_random_start_is_driven_to_the_tolerance(laplacian, exact, rtol, device):
     k = 23  # on the sphere this cuts the cluster of l = 4
     pairs = refine(laplacian, noise(laplacian.n, 32), k, rtol=rtol, device=device)
@@ -72,82 +72,47 @@ def test_a_random_start_is_driven_to_the_tolerance(laplacian, exact, rtol, devic
     np.testing.assert_allclose(gram, np.eye(k), atol=1e-12)
 
 
-def test_a_good_start_takes_less_work(laplacian, exact):
-    near = torch.from_numpy(exact[1][:, :32]) + 1e-3 * noise(laplacian.n, 32)
-    good = refine(laplacian, near, 20, rtol=1e-8)
-    random = refine(laplacian, noise(laplacian.n, 32), 20, rtol=1e-8)
-    assert good.converged
-    assert good.products < 0.9 * random.products
-    np.testing.assert_allclose(good.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
+def test_a_better_start_takes_less_work(laplacian, exact, monkeypatch):
+    """Random, near, exact but for two of the lowest modes, of low rank, and exact: left as it is.
 
-
-@pytest.mark.parametrize("start", ["near", "random"])
-def test_sweeps_become_careful_where_quick_ones_do_not_do(laplacian, exact, start, monkeypatch):
-    """Mass added nearly everywhere: another operator altogether, whose sweeps gain little."""
+    And where mass added nearly everywhere makes another operator, whose sweeps gain little.
+    """
+    modes, random = torch.from_numpy(exact[1]), noise(laplacian.n, 32)
+    lacking = modes[:, [j for j in range(34) if j not in (1, 5)]] + 1e-6 * random
+    few = modes[:, [0, 1, 2, 2]]
+    starts = (random, modes[:, :32] + 1e-3 * random, lacking, few, few, modes[:, :32])
+    runs = [refine(laplacian, start, 20) for start in starts]
+    runs.append(refine(laplacian, few, 20, seed=1))
     monkeypatch.setattr(chebyshev, "_STIFF", 0.2)
     monkeypatch.setattr(chebyshev, "_FAR", 1.0)
-    columns = noise(laplacian.n, 32)
-    if start == "near":
-        columns = torch.from_numpy(exact[1][:, :32]) + 1e-3 * columns
-    pairs = refine(laplacian, columns, 20, rtol=1e-8)
-    assert pairs.converged
-    np.testing.assert_allclose(pairs.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
-
-
-def test_an_exact_start_is_left_as_it_is(laplacian, exact):
-    pairs = refine(laplacian, torch.from_numpy(exact[1][:, :20]), 16, rtol=1e-8)
-    assert pairs.converged
-    assert pairs.sweeps == 0
-    np.testing.assert_allclose(pairs.eigenvalues, exact[0][:16], atol=1e-10 * exact[0][16])
-
-
-def test_modes_that_a_start_lacks_are_found(laplacian, exact):
-    """Exact vectors with two of the lowest left out: rounding and the guards bring them back."""
-    columns = [j for j in range(34) if j not in (1, 5)]
-    start = torch.from_numpy(exact[1][:, columns]) + 1e-6 * noise(laplacian.n, 32)
-    pairs = refine(laplacian, start, 20, rtol=1e-8)
-    assert pairs.converged
-    np.testing.assert_allclose(pairs.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
-
-
-def test_random_columns_make_up_for_a_start_of_low_rank(laplacian, exact):
-    few = torch.from_numpy(exact[1][:, [0, 1, 2, 2]])
-    runs = [refine(laplacian, few, 20, rtol=1e-8, block=32, seed=seed) for seed in (0, 0, 1)]
+    runs.append(refine(laplacian, random, 20))
     for pairs in runs:
         assert pairs.converged
         np.testing.assert_allclose(pairs.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
-    torch.testing.assert_close(runs[0].eigenvectors, runs[1].eigenvectors, rtol=0, atol=0)
-    assert not torch.equal(runs[0].eigenvectors, runs[2].eigenvectors)
+    assert runs[1].products < 0.9 * runs[0].products
+    assert torch.equal(runs[3].eigenvectors, runs[4].eigenvectors)
+    assert runs[5].sweeps == 0
+    assert not torch.equal(runs[3].eigenvectors, runs[6].eigenvectors)  # of another seed
+    assert runs[7].products > runs[0].products
 
 
 def test_units_do_not_matter(laplacian):
-    start = noise(laplacian.n, 24)
-    pairs = refine(laplacian, start, 16, rtol=1e-6)
-    area = 1e-12
-    there = chebyshev_eigenpairs(
-        sparse_tensor(laplacian.stiffness),
-        torch.from_numpy(area * laplacian.mass),
-        start,
-        16,
-        rtol=1e-6,
-        spacing=laplacian.eigenvalue_spacing / area,
-    )
+    start, area = noise(laplacian.n, 24), 1e-12
+    here, there = (refine(laplacian, start, 16, rtol=1e-6, area=a) for a in (1.0, area))
     assert there.converged
-    assert there.products == pytest.approx(pairs.products, rel=0.02)
-    difference = area * there.eigenvalues - pairs.eigenvalues
-    assert difference.abs().max() < 1e-10 * pairs.eigenvalues[-1]
+    assert there.products == pytest.approx(here.products, rel=0.02)
+    difference = area * there.eigenvalues - here.eigenvalues
+    assert difference.abs().max() < 1e-10 * here.eigenvalues[-1]
 
 
-def test_too_few_sweeps_are_said_to_be_too_few(laplacian):
-    pairs = refine(laplacian, noise(laplacian.n, 24), 16, rtol=1e-8, max_sweeps=1)
-    assert not pairs.converged
-    assert pairs.sweeps == 1
+def test_what_was_not_reached_is_told(laplacian, exact):
+    """Too few sweeps; and a tolerance below rounding, which is given up soon."""
+    start = noise(laplacian.n, 32)
+    pairs = refine(laplacian, start, 20, max_sweeps=1)
+    assert (pairs.converged, pairs.sweeps) == (False, 1)
     residuals = true_residuals(laplacian, pairs.eigenvalues.numpy(), pairs.eigenvectors.numpy())
     np.testing.assert_allclose(pairs.residuals, residuals, rtol=1e-6)
-
-
-def test_a_tolerance_below_rounding_is_given_up_soon(laplacian, exact):
-    pairs = refine(laplacian, noise(laplacian.n, 32), 20, rtol=1e-18, max_sweeps=100)
+    pairs = refine(laplacian, start, 20, rtol=1e-18, max_sweeps=99)
     assert not pairs.converged
     assert pairs.sweeps < 30
     np.testing.assert_allclose(pairs.eigenvalues, exact[0][:20], atol=1e-10 * exact[0][20])
@@ -157,32 +122,27 @@ def test_bad_starts_and_operators_are_refused(laplacian):
     start = noise(laplacian.n, 12)
     start[3, 4] = torch.nan
     with pytest.raises(InvalidInputError, match="1 column with NaN or infinite values of 12"):
-        refine(laplacian, start, 8, rtol=1e-6)
+        refine(laplacian, start, 8)
     hollow = sparse_tensor(sparse.csr_array([[0.0, 1.0], [1.0, 2.0]]))
     with pytest.raises(InvalidInputError, match="must store all 2 entries of its diagonal, got 1"):
         shifted(hollow, (0.0, 1.0))
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_the_bound_is_never_below_the_spectrum(seed):
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(2, 60))
-    A = sparse.random_array((n, n), density=0.2, rng=rng, data_sampler=rng.standard_normal)
-    A = sparse.csr_array((A + A.T) * 10.0 ** rng.integers(-8, 8))
-    top = np.linalg.eigvalsh(A.toarray())[-1]
-    assert top <= spectral_bound(sparse_tensor(A))
-
-
-def test_the_bound_is_sharp_on_laplacians(laplacian):
-    operator = standard_form(
-        sparse_tensor(laplacian.stiffness), torch.tensor(laplacian.mass).sqrt()
-    )
+def test_the_bound_is_never_below_the_spectrum_and_sharp_on_laplacians(laplacian):
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(2, 60))
+        A = sparse.random_array((n, n), density=0.2, rng=rng, data_sampler=rng.standard_normal)
+        A = sparse.csr_array((A + A.T) * 10.0 ** rng.integers(-8, 8))
+        assert np.linalg.eigvalsh(A.toarray())[-1] <= spectral_bound(sparse_tensor(A))
+    root = torch.tensor(laplacian.mass).sqrt()
+    operator = standard_form(sparse_tensor(laplacian.stiffness), root)
     top = np.linalg.eigvalsh(operator.to_dense().numpy())[-1]
     assert top <= spectral_bound(operator) < 1.5 * top
 
 
 @pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("degree", [1, 2, 6, 13])
+@pytest.mark.parametrize("degree", [1, 6])
 def test_smoothing_equals_the_numpy_twin(laplacian, exact, degree, device):
     values, modes = exact[0][:20], exact[1][:, :20]
     rough = modes + 0.1 * modes.std() * np.random.default_rng(0).standard_normal(modes.shape)
@@ -192,10 +152,3 @@ def test_smoothing_equals_the_numpy_twin(laplacian, exact, degree, device):
     twin = smoothed_numpy(laplacian, values, rough, degree=degree)
     assert np.abs(twin - rough).max() > 0.01 * np.abs(rough).max()  # there was something to do
     np.testing.assert_allclose(found.cpu(), twin, atol=1e-5 * np.abs(rough).max())
-
-
-def test_smoothing_leaves_modes_as_they_are(laplacian, exact):
-    values, modes = (torch.from_numpy(a[..., :20].copy()) for a in exact)
-    L, mass = sparse_tensor(laplacian.stiffness), torch.tensor(laplacian.mass)
-    kept = smoothed(L, mass, values, modes)
-    assert (kept - modes).abs().max() < 1e-7 * modes.abs().max()

@@ -20,100 +20,91 @@ def raised(x):
 """
 
 
-def start(code: str, folder: Path, **environment: str) -> subprocess.Popen[str]:
-    """Run code in a process that finds modules in `folder`, with the caches told."""
-    kept = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
-    return subprocess.Popen(
-        [sys.executable, "-B", "-c", code],
-        cwd=folder,
-        env={**kept, "PYTHONPATH": f"{folder}:{ROOT}", **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
-def printed(process: subprocess.Popen[str]) -> str:
-    out, err = process.communicate()
-    assert process.returncode == 0, err
-    return out.strip()
-
-
-def call(argument: str, folder: Path, **environment: str) -> tuple[str, int]:
-    """Call `raised` in a process; return its result, and how often it was found in the cache."""
-    code = f"from loops import raised; print(raised({argument}), len(raised.stats.cache_hits))"
-    result, hits = printed(start(code, folder, **environment)).rsplit(maxsplit=1)
-    return result, int(hits)
-
-
 @pytest.fixture
-def loops(tmp_path: Path) -> Path:
+def loops(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file with a loop, and a cache folder of its own."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     folder = tmp_path / "code"
     folder.mkdir()
     (folder / "loops.py").write_text(LOOPS.format(step=1))
-    return folder
+    return folder / "loops.py"
 
 
-@pytest.mark.parametrize(
-    ("variable", "below"),
-    [("NUMBA_CACHE_DIR", "spectra_kit"), ("XDG_CACHE_HOME", "spectra_kit")]
-    if sys.platform == "linux"
-    else [("NUMBA_CACHE_DIR", "spectra_kit")],
-)
-def test_kept_in_the_cache_folder_alone(loops, tmp_path, variable: str, below: str) -> None:
-    cache = {variable: str(tmp_path / "cache")}
-    assert call("1.5", loops, **cache) == ("2.5", 0)
-    assert call("1.5", loops, **cache) == ("2.5", 1)
-    files = sorted(p for p in (tmp_path / "cache").rglob("*") if p.is_file())
-    assert [p.parent for p in files] == [tmp_path / "cache" / below]
-    assert sorted(loops.iterdir()) == [loops / "loops.py"]  # nothing beside the source
+def call(source: Path, argument: float = 1) -> tuple[float, int]:
+    """Call `raised`, new as in another process: its result, and how often it was in the cache."""
+    names = {"__name__": "loops"}
+    exec(compile(source.read_text(), str(source), "exec"), names)
+    raised = names["raised"]
+    return raised(argument), len(raised.stats.cache_hits)
 
 
-def test_a_changed_source_finds_nothing_old(loops, tmp_path) -> None:
-    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    source = loops / "loops.py"
-    before = source.stat()
-    assert call("1", loops, **cache) == ("2", 0)
-    source.write_text(LOOPS.format(step=3))  # as long, and as old
-    os.utime(source, ns=(before.st_atime_ns, before.st_mtime_ns))
-    assert call("1", loops, **cache) == ("4", 0)
-    source.write_text(LOOPS.format(step=1))  # and the way back costs nothing
-    assert call("1", loops, **cache) == ("2", 1)
+def kept(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob("*") if path.is_file()]
+
+
+@pytest.mark.parametrize("variable", ["NUMBA_CACHE_DIR", "XDG_CACHE_HOME"])
+@pytest.mark.skipif(sys.platform != "linux", reason="XDG")
+def test_kept_in_the_cache_folder_alone(loops, tmp_path, monkeypatch, variable: str) -> None:
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    monkeypatch.setenv(variable, str(tmp_path / "other"))
+    assert call(loops, 1.5) == (2.5, 0)
+    assert call(loops, 1.5) == (2.5, 1)
+    assert [path.parent for path in kept(tmp_path / "other")] == [tmp_path / "other/spectra_kit"]
+    assert sorted(loops.parent.iterdir()) == [loops]  # nothing beside the source
+
+
+def test_a_changed_source_finds_nothing_old(loops) -> None:
+    before = loops.stat()
+    assert call(loops) == (2, 0)
+    loops.write_text(LOOPS.format(step=3))  # as long, and as old
+    os.utime(loops, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert call(loops) == (4, 0)
+    loops.write_text(LOOPS.format(step=1))  # and the way back costs nothing
+    assert call(loops) == (2, 1)
 
 
 def test_a_damaged_file_is_compiled_again(loops, tmp_path) -> None:
-    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    call("1", loops, **cache)
-    (kept,) = (tmp_path / "cache" / "spectra_kit").iterdir()
-    kept.write_bytes(kept.read_bytes()[:-7])
-    assert call("1", loops, **cache) == ("2", 0)
-    assert call("1", loops, **cache) == ("2", 1)
+    call(loops)
+    (file,) = kept(tmp_path / "cache")
+    file.write_bytes(file.read_bytes()[:-7])
+    assert call(loops) == (2, 0)
+    assert call(loops) == (2, 1)
 
 
 @pytest.mark.parametrize(
-    "environment",
+    ("variable", "value"),
     [
-        {"NUMBA_CACHE_DIR": "/dev/null/cache"},  # no folder can be made there, not even by root
-        {"HOME": "/dev/null"},
-        {"HOME": "nowhere"},
+        ("NUMBA_CACHE_DIR", "/dev/null/cache"),  # no folder can be made there, not even by root
+        ("HOME", "/dev/null"),
+        ("HOME", "nowhere"),
     ],
-    ids=str,
 )
-def test_without_a_folder_nothing_is_kept(loops, environment) -> None:
-    assert call("1", loops, **environment) == ("2", 0)
-    assert sorted(loops.iterdir()) == [loops / "loops.py"]
+def test_without_a_folder_nothing_is_kept(loops, monkeypatch, variable: str, value: str) -> None:
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv(variable, value)
+    assert call(loops) == (2, 0)
+    assert call(loops) == (2, 0)
 
 
-def test_processes_that_begin_at_once(loops, tmp_path) -> None:
-    """Of signatures of their own and one that they share, each process finds its own later."""
-    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    code = "from loops import raised as f; print(f({0}), f(True), len(f.stats.cache_hits))"
-    both = [start(code.format(x), loops, **cache) for x in ("1", "1.5")]
-    for process in both:
-        process.wait()
-    assert [printed(p).split()[:2] for p in both] == [["2", "2"], ["2.5", "2"]]
-    for x, result in (("1", "2"), ("1.5", "2.5")):
-        assert printed(start(code.format(x), loops, **cache)).split() == [result, "2", "2"]
+def test_processes_that_begin_at_once(loops, monkeypatch) -> None:
+    """Of signatures of their own and one that they share, each is found by others later."""
+    code = "from loops import raised as f; print(f({}), f(True))"
+    path = f"{loops.parent}:{ROOT}"
+    both = [
+        subprocess.Popen(
+            [sys.executable, "-c", code.format(x)],
+            env={**os.environ, "PYTHONPATH": path},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for x in ("1", "1.5")
+    ]
+    assert [process.communicate()[0].split() for process in both] == [["2", "2"], ["2.5", "2"]]
+    monkeypatch.syspath_prepend(loops.parent)
+    monkeypatch.setitem(sys.modules, "loops", None)
+    del sys.modules["loops"]  # and at the end, too
+    assert [call(loops, x) for x in (1, 1.5, True)] == [(2, 1), (2.5, 1), (2, 1)]
 
 
 def test_every_compiled_loop_is_kept_like_this() -> None:

@@ -3,21 +3,17 @@
 import numpy as np
 import pytest
 from conftest import refused
+from one_system import path
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from spectra_kit import InvalidInputError, delaunay_laplacian
 from spectra_kit.geodesics import Direct, geodesic_distance
-from spectra_kit.geometry import rectangle, sphere, torus
+from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.linalg import ConstantKernel, GroundedCholesky
 from spectra_kit.operators import intrinsic_delaunay
 
 RNG = np.random.default_rng(0)
-
-
-@pytest.fixture(scope="module")
-def laplacian():
-    return delaunay_laplacian(torus().geometry.as_cloud())
 
 
 def test_eigenvectors_are_solutions():
@@ -30,54 +26,47 @@ def test_eigenvectors_are_solutions():
     np.testing.assert_allclose(x, ball.points[:, 0], atol=0.01)
 
 
-def test_against_scipy_and_whichever_point_is_held(laplacian):
-    A, n = laplacian.stiffness, laplacian.n
+def test_against_scipy_and_whichever_point_is_held():
+    A, n = path(200), 200
     kernel = ConstantKernel(np.zeros(n, int))
     rhs = kernel.remove(RNG.standard_normal(n))
     truth = np.zeros(n)
     truth[:-1] = spsolve(sparse.csc_array(A[:-1][:, :-1]), rhs[:-1])  # the last one here
     solution = GroundedCholesky(A, kernel).solution(rhs)
-    np.testing.assert_allclose(solution.x, truth - truth.mean(), atol=1e-10)
-    assert solution.converged
-    assert (solution.iterations, solution.method) == (0, "Cholesky")
-    assert solution.relative_residual < 1e-12
+    np.testing.assert_allclose(solution.x, truth - truth.mean(), atol=1e-10 * abs(truth).max())
+    assert (solution.converged, solution.iterations, solution.method) == (True, 0, "Cholesky")
+    assert solution.relative_residual < 1e-11
     assert solution.setup_seconds > 0
     assert solution.times == [solution.seconds]
 
 
-def test_components_with_and_without_a_kernel(laplacian):
-    held = sparse.csr_array(laplacian.stiffness + sparse.eye_array(laplacian.n))
-    A = sparse.csr_array(sparse.block_diag([held, laplacian.stiffness, sparse.csr_array((1, 1))]))
-    kernel = ConstantKernel([-1] * laplacian.n + [4] * laplacian.n + [2])  # labels with gaps
+def test_components_with_and_without_a_kernel():
+    A = sparse.csr_array(
+        sparse.block_diag([path(50, ends=2.0), path(60), sparse.csr_array((1, 1))])
+    )
+    kernel = ConstantKernel([-1] * 50 + [4] * 60 + [2])  # labels with gaps
     assert kernel.dimension == 2
-    x = kernel.remove(RNG.standard_normal(A.shape[0]))
+    x = kernel.remove(RNG.standard_normal(111))
     np.testing.assert_allclose(GroundedCholesky(A, kernel).solve(A @ x), x, atol=1e-10)
-
-
-def test_without_a_kernel():
-    A = sparse.csr_array(np.array([[2.0, -1.0], [-1.0, 2.0]]))
-    np.testing.assert_allclose(GroundedCholesky(A).solve([1.0, 1.0]), [1.0, 1.0])
-
-
-def test_nothing_but_kernel():
+    np.testing.assert_allclose(GroundedCholesky(path(50, ends=2.0)).solve((A @ x)[:50]), x[:50])
     lone = GroundedCholesky(sparse.csr_array((2, 2)), ConstantKernel([0, 1]))
     np.testing.assert_array_equal(lone.solve([0.0, 0.0]), [0.0, 0.0])
     assert lone.solution([0.0, 0.0]).relative_residual == 0
 
 
-def test_what_is_refused(laplacian):
-    A, n = laplacian.stiffness, laplacian.n
-    kernel = ConstantKernel(np.zeros(n, int))
-    refused("rhs", "sum to zero", GroundedCholesky(A, kernel).solve, np.ones(n))
-    refused("rhs", "be finite", GroundedCholesky(A, kernel).solve, np.full(n, np.nan))
-    with pytest.raises(InvalidInputError, match="`matrix` must be symmetric"):
-        GroundedCholesky(sparse.csr_array(np.array([[1.0, 0.5], [0.0, 1.0]])))
-    with pytest.raises(InvalidInputError, match="must be symmetric positive definite"):
-        GroundedCholesky(sparse.csr_array(np.array([[1.0, 2.0], [2.0, 1.0]])))
+def test_what_is_refused():
+    solve = GroundedCholesky(path(9), ConstantKernel(np.zeros(9, int))).solve
+    refused("rhs", "sum to zero", solve, np.ones(9))
+    refused("rhs", "be finite", solve, np.full(9, np.nan))
     # Definite, but a solution has no correct digit: the residual is that of its rounding.
-    hilbert = sparse.csr_array(1 / (1.0 + np.add.outer(np.arange(12), np.arange(12))))
-    with pytest.raises(InvalidInputError, match="`matrix` must be nonsingular apart"):
-        GroundedCholesky(hilbert).solve((-1.0) ** np.arange(12))
+    hilbert = 1 / (1.0 + np.add.outer(np.arange(12), np.arange(12)))
+    for matrix, rhs, message in (
+        ([[1.0, 0.5], [0.0, 1.0]], [1, 1], "must be symmetric"),
+        ([[1.0, 2.0], [2.0, 1.0]], [1, 1], "must be symmetric positive definite"),
+        (hilbert, (-1.0) ** np.arange(12), "must be nonsingular apart"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            GroundedCholesky(sparse.csr_array(np.array(matrix))).solve(rhs)
 
 
 def test_what_it_advises_for_flat_triangles_helps():

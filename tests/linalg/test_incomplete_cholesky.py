@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import creature, refused
+from conftest import refused
+from one_system import path
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
@@ -12,14 +13,6 @@ from spectra_kit.linalg import ConstantKernel, IncompleteCholesky, pcg
 from spectra_kit.linalg.incomplete_cholesky import untidy
 
 RNG = np.random.default_rng(0)
-
-
-def path(n, ends=1.0):
-    """The 1-D Laplacian; singular for ends=1, with zeros beyond both ends for 2."""
-    diagonal = np.full(n, 2.0)
-    diagonal[[0, -1]] = ends
-    off = -np.ones(n - 1)
-    return sparse.csr_array(sparse.diags_array([off, diagonal, off], offsets=[-1, 0, 1]))
 
 
 def dense(factor):
@@ -39,13 +32,17 @@ def stiffness():
 
 
 @pytest.mark.parametrize("reorder", [True, False])
-@pytest.mark.parametrize("relaxation", [0.0, 0.9])
-def test_a_path_is_factorised_exactly(reorder, relaxation):
-    matrix = path(200, ends=2.0)
-    factor = IncompleteCholesky(matrix, reorder=reorder, relaxation=relaxation)
-    rhs = RNG.standard_normal(200)
-    assert factor.fill == 199
-    np.testing.assert_allclose(factor.solve(rhs), spsolve(matrix.tocsc(), rhs), rtol=1e-9)
+def test_where_nothing_is_dropped_the_factor_is_exact(stiffness, reorder):
+    line, held = path(200, ends=2.0), stiffness + 1e-3 * sparse.eye_array(stiffness.shape[0])
+    for matrix, options in (
+        (line, {}),
+        (line, {"relaxation": 0.9}),
+        (sparse.csr_array(held), {"drop": 0.0}),
+    ):
+        factor = IncompleteCholesky(matrix, reorder=reorder, **options)
+        rhs = RNG.standard_normal(matrix.shape[0])
+        np.testing.assert_allclose(factor.solve(rhs), spsolve(matrix.tocsc(), rhs), rtol=1e-9)
+    assert IncompleteCholesky(line).fill == 199
 
 
 def test_level_zero_matches_its_definition(stiffness):
@@ -65,14 +62,6 @@ def test_full_relaxation_is_exact_on_constants(stiffness, drop):
     np.testing.assert_allclose(factor.solve(matrix @ ones), ones, rtol=1e-10)
 
 
-@pytest.mark.parametrize("reorder", [True, False])
-def test_without_dropping_the_factor_is_complete(stiffness, reorder):
-    matrix = sparse.csr_array(stiffness + 1e-3 * sparse.eye_array(stiffness.shape[0]))
-    rhs = RNG.standard_normal(matrix.shape[0])
-    x = IncompleteCholesky(matrix, drop=0.0, reorder=reorder).solve(rhs)
-    np.testing.assert_allclose(x, spsolve(matrix.tocsc(), rhs), rtol=1e-9)
-
-
 def test_a_singular_matrix_is_inverted_on_its_range(stiffness):
     n = stiffness.shape[0]
     both = sparse.csr_array(sparse.block_diag([stiffness, path(50), sparse.csr_array((1, 1))]))
@@ -86,7 +75,7 @@ def test_a_singular_matrix_is_inverted_on_its_range(stiffness):
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"relaxation": 0.97}, {"drop": 0.03}, {"drop": 0.01, "relaxation": 0.9}],
+    [{}, {"relaxation": 0.97}, {"drop": 0.01, "relaxation": 0.9}],
     ids=str,
 )
 @pytest.mark.parametrize("matrix", ["delaunay", "obtuse"])
@@ -100,11 +89,14 @@ def test_the_preconditioner_is_symmetric_and_definite(stiffness, matrix, options
 def test_more_fill_is_a_better_factor(stiffness):
     rhs = RNG.standard_normal(stiffness.shape[0])
     rhs -= rhs.mean()
-    factors = [IncompleteCholesky(stiffness, drop=drop) for drop in (None, 0.02, 0.005, 0.0)]
+    factors = [IncompleteCholesky(stiffness, drop=drop) for drop in (None, 0.02, 0.0)]
     its = [pcg(stiffness, rhs, preconditioner=factor).iterations for factor in factors]
     assert [f.fill for f in factors] == sorted(f.fill for f in factors)
     assert its == sorted(its, reverse=True)
     assert its[-1] == 1
+    single = IncompleteCholesky(stiffness, dtype=np.float32)  # what it is stored in changes little
+    assert abs(pcg(stiffness, rhs, preconditioner=single).iterations - its[0]) <= 1
+    assert (single.solve(rhs) != factors[0].solve(rhs)).any()
 
 
 def factorised(matrix, drop, relaxation):
@@ -168,18 +160,6 @@ def test_breakdown_raises_the_diagonal_and_says_so():
     np.testing.assert_allclose(found.x, x, rtol=1e-10)
 
 
-@pytest.mark.parametrize(("drop", "relaxation"), [(None, 0.0), (0.01, 0.97)])
-def test_storage_in_float32_changes_little(stiffness, drop, relaxation):
-    rhs = RNG.standard_normal(stiffness.shape[0])
-    rhs -= rhs.mean()
-    options = {"drop": drop, "relaxation": relaxation}
-    single, double = (
-        pcg(stiffness, rhs, preconditioner=IncompleteCholesky(stiffness, dtype=dtype, **options))
-        for dtype in (np.float32, np.float64)
-    )
-    assert abs(single.iterations - double.iterations) <= 1
-
-
 def test_hub_and_isolated_points():
     # A fan of 500 triangles about one vertex, and a point in none.
     n = 500
@@ -199,27 +179,17 @@ def test_hub_and_isolated_points():
         assert pcg(matrix, rhs, preconditioner=factor, kernel=kernel).converged
 
 
-def test_same_bits_again():
-    matrix = delaunay_laplacian(creature(600, seed=0).as_cloud()).stiffness
-    rhs = RNG.standard_normal(matrix.shape[0])
-    first, second = (
-        IncompleteCholesky(matrix, drop=0.01, relaxation=0.9).solve(rhs) for _ in range(2)
-    )
-    np.testing.assert_array_equal(first, second)
-
-
 def test_what_is_refused():
     eye = sparse.eye_array(3, format="csr")
-    with pytest.raises(InvalidInputError, match=r"relaxation.*\[0, 1\], got 1.5"):
-        IncompleteCholesky(eye, relaxation=1.5)
-    refused("drop", "be a finite", IncompleteCholesky, eye, drop=-1.0)
-    refused("dtype", "be float32 or", IncompleteCholesky, eye, dtype=np.int32)
-    with pytest.raises(InvalidInputError, match=r"square scipy sparse array.*\(3, 2\)"):
-        IncompleteCholesky(sparse.csr_array(np.ones((3, 2))))
-    with pytest.raises(InvalidInputError, match="`matrix` must be finite"):
-        IncompleteCholesky(sparse.csr_array(np.diag([1.0, np.nan, 1.0])))
-    with pytest.raises(InvalidInputError, match="diagonal goes down to -1"):
-        IncompleteCholesky(-1 * eye)
+    for argument, expected, matrix, options in (
+        ("relaxation", "be in [0, 1], got 1.5", eye, {"relaxation": 1.5}),
+        ("drop", "be a finite", eye, {"drop": -1.0}),
+        ("dtype", "be float32 or", eye, {"dtype": np.int32}),
+        ("matrix", "be a square scipy sparse array", sparse.csr_array(np.ones((3, 2))), {}),
+        ("matrix", "be finite", sparse.csr_array(np.diag([1.0, np.nan, 1.0])), {}),
+        ("matrix", "be positive semi-definite: its diagonal goes down to -1", -1 * eye, {}),
+    ):
+        refused(argument, expected, IncompleteCholesky, matrix, **options)
     with pytest.raises(InvalidInputError, match="breaks down in row 1, even with the diagonal"):
         IncompleteCholesky(sparse.csr_array(np.array([[1.0, 9.0], [9.0, 1.0]])), reorder=False)
     refused("rhs", "have shape (3,)", IncompleteCholesky(eye).solve, np.ones(2))

@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from spectra_kit import InvalidInputError
-from spectra_kit.linalg import Inertia, SparseLDL, products, spmm
+from spectra_kit.linalg import Inertia, SparseCholesky, SparseLDL, products, spmm
 
 
 def grid(side: int, shift: float = 0.0) -> sparse.csr_array:
@@ -22,23 +22,19 @@ def grid(side: int, shift: float = 0.0) -> sparse.csr_array:
     return sparse.csr_array(laplacian - shift * sparse.eye_array(side**2))
 
 
-def random_symmetric(n: int, seed: int) -> sparse.csr_array:
-    rng = np.random.default_rng(seed)
-    A = sparse.random_array((n, n), density=4 / n, rng=rng)
-    return sparse.csr_array(A + A.T + sparse.diags_array(rng.standard_normal(n)))
-
-
-@pytest.mark.parametrize("columns", [(), (1,), (3,), (64,), (131,)])
+@pytest.mark.parametrize("columns", [(), (0,), (3,), (131,)])
 @pytest.mark.parametrize("shift", [0.0, 0.3])
 def test_solves_like_lu(columns: tuple[int, ...], shift: float) -> None:
-    A = grid(30, shift)
-    b = np.random.default_rng(0).standard_normal((900, *columns))
-    x = SparseLDL(A, definite=shift == 0).solve(b)
+    A = grid(20, shift)
+    b = np.random.default_rng(0).standard_normal((400, *columns))
+    factor = SparseLDL(A, definite=shift == 0)
+    x = factor.solve(b)
     assert x.shape == b.shape
-    assert x.reshape(900, -1) == pytest.approx(
-        spsolve(sparse.csc_array(A), b.reshape(900, -1)).reshape(900, -1), rel=1e-8, abs=1e-9
-    )
-    assert np.abs(A @ x - b).max() < 1e-13 * abs(A).sum(axis=1).max() * np.abs(x).max()
+    if b.size:
+        assert x == pytest.approx(spsolve(sparse.csc_array(A), b), rel=1e-8, abs=1e-9)
+        assert np.abs(A @ x - b).max() < 1e-13 * abs(A).sum(axis=1).max() * np.abs(x).max()
+    assert factor.solve(np.ones(400, dtype=int)) == pytest.approx(factor.solve(np.ones(400)))
+    assert factor.fill >= (A.nnz - 400) / 2
 
 
 def test_float32_is_as_accurate_as_its_rounding() -> None:
@@ -48,75 +44,65 @@ def test_float32_is_as_accurate_as_its_rounding() -> None:
     exact, single = factor.solve(b), factor.solve(b, dtype=np.float32)
     assert single.dtype == np.float32
     condition = np.linalg.cond(A.toarray())
-    assert np.abs(single - exact).max() < 6e-8 * condition * np.abs(exact).max()
-    # As a preconditioner it loses nothing: one correction brings it to its square.
-    corrected = single.astype(float) + factor.solve(b - A @ single.astype(float), dtype=np.float32)
-    assert np.abs(corrected - exact).max() < 1e-11 * np.abs(exact).max()
+    assert 0 < np.abs(single - exact).max() < 6e-8 * condition * np.abs(exact).max()
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_bits_depend_neither_on_threads_nor_on_neighbours(monkeypatch, dtype) -> None:
-    A = grid(40)
-    b = np.random.default_rng(0).standard_normal((1600, 90)).astype(dtype)
+    A = grid(30)
+    b = np.random.default_rng(0).standard_normal((900, 90)).astype(dtype)
     factor = SparseLDL(A)
     monkeypatch.setattr(products, "_SMALL", 0)
     results = []
-    for threads in (1, 2, 5):
+    for threads in (1, 5):
         monkeypatch.setenv("NUMBA_NUM_THREADS", str(threads))
         results.append((factor.solve(b, dtype=dtype), spmm(A, b)))
-    for solved, product in results[1:]:
-        assert np.array_equal(solved, results[0][0])
-        assert np.array_equal(product, results[0][1])
+    for one, other in zip(*results, strict=True):
+        assert np.array_equal(one, other)
     assert np.array_equal(factor.solve(b[:, 7], dtype=dtype), results[0][0][:, 7])
     assert np.array_equal(factor.solve(np.asfortranarray(b), dtype=dtype), results[0][0])
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_inertia_counts_the_signs_of_the_eigenvalues(seed: int) -> None:
-    A = random_symmetric(80, seed)
-    values = np.linalg.eigvalsh(A.toarray())
-    expected = Inertia(int((values < 0).sum()), 0, int((values > 0).sum()))
-    assert SparseLDL(A, definite=False).inertia == expected
+def test_inertia_counts_the_signs_of_the_eigenvalues() -> None:
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        A = sparse.random_array((80, 80), density=0.05, rng=rng)
+        A = sparse.csr_array(A + A.T + sparse.diags_array(rng.standard_normal(80)))
+        values = np.linalg.eigvalsh(A.toarray())
+        expected = Inertia(int((values < 0).sum()), 0, int((values > 0).sum()))
+        assert SparseLDL(A, definite=False).inertia == expected
 
 
-def test_inertia_of_a_square_is_analytic() -> None:
-    wave = 2 - 2 * np.cos(np.pi * np.arange(1, 31) / 31)
-    values = np.add.outer(wave, wave).ravel()
-    for shift in (0.05, 0.51, 1.3, 4.01, 7.9):
-        inertia = SparseLDL(grid(30, shift), definite=False).inertia
-        assert inertia == ((values < shift).sum(), 0, (values > shift).sum())
-
-
-def test_no_columns_and_integers() -> None:
-    factor = SparseLDL(grid(3))
-    assert factor.solve(np.empty((9, 0))).shape == (9, 0)
-    assert factor.solve(np.ones(9, dtype=int)) == pytest.approx(factor.solve(np.ones(9)))
-    assert factor.fill >= 12
-
-
-def test_factor_refuses_what_it_cannot_factorise() -> None:
-    path = sparse.csr_array([[1.0, -1.0], [-1.0, 1.0]])
-    for definite in (True, False):
-        with pytest.raises(
-            InvalidInputError, match=r"\(a pivot is zero\); it is singular, or needs another shift"
-        ):
-            SparseLDL(path, definite=definite)
-        with pytest.raises(InvalidInputError, match="its diagonal has 2 zeros"):
-            SparseLDL(sparse.csr_array([[0.0, 1.0], [1.0, 0.0]]), definite=definite)
+def test_factors_refuse_what_they_cannot_factorise() -> None:
+    indefinite = sparse.csr_array([[1.0, 2.0], [2.0, 1.0]])
+    third = sparse.csr_array([[1 / 3, -1 / 3], [-1 / 3, 1 / 3 + 1e-17]])  # the last pivot is noise
+    huge = sparse.csr_array([[1e-200, 1e150], [1e150, 1e-200]])
+    for rows, message in (
+        ([[1.0, -1.0], [-1.0, 1.0]], r"\(a pivot is zero\); it is singular, or needs another"),
+        ([[0.0, 1.0], [1.0, 0.0]], "its diagonal has 2 zeros"),
+    ):
+        for definite in (True, False):
+            with pytest.raises(InvalidInputError, match=message):
+                SparseLDL(sparse.csr_array(rows), definite=definite)
     with pytest.raises(InvalidInputError, match="must be symmetric positive definite, got 1 of 2"):
-        SparseLDL(sparse.csr_array([[1.0, 2.0], [2.0, 1.0]]))
-    # Singular but for rounding: the last pivot is noise.
-    third = sparse.csr_array([[1 / 3, -1 / 3], [-1 / 3, 1 / 3 + 1e-17]])
+        SparseLDL(indefinite)
+    with pytest.raises(InvalidInputError, match="must be symmetric positive definite"):
+        SparseCholesky(indefinite)
     with pytest.raises(InvalidInputError, match=r"singular|positive definite"):
         SparseLDL(third)
-    refused("matrix", "be finite", SparseLDL, sparse.csr_array([[1.0, np.nan], [np.nan, 1.0]]))
-    refused("matrix", "be square", SparseLDL, sparse.csr_array(np.ones((2, 3))))
     with pytest.raises(InvalidInputError, match="a pivot is infinite"):
-        SparseLDL(sparse.csr_array([[1e-200, 1e150], [1e150, 1e-200]]), definite=False)
+        SparseLDL(huge, definite=False)
+    for factor in (SparseLDL, SparseCholesky):
+        nan = sparse.csr_array([[1.0, np.nan], [np.nan, 1.0]])
+        refused("matrix", "be finite", factor, nan)
+        refused("matrix", "be a square", factor, sparse.csr_array(np.ones((2, 3))))
+    solve = SparseLDL(grid(3)).solve
+    refused("rhs", "have shape (9,)", solve, np.ones(8))
+    refused("dtype", "be float32 or", solve, np.ones(9), dtype=np.int64)
 
 
 STARVED = """
-import resource, sys
+import resource
 import numpy as np
 from scipy import sparse
 from spectra_kit.linalg import SparseLDL
@@ -126,35 +112,27 @@ path = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(30, 30))
 square = sparse.kron(path, sparse.eye_array(30)) + sparse.kron(sparse.eye_array(30), path)
 cube = sparse.kron(square, sparse.eye_array(30)) + sparse.kron(sparse.eye_array(900), path)
 pages = int(open("/proc/self/statm").read().split()[0])
-limit = pages * resource.getpagesize() + int(sys.argv[1]) * 2**20
+limit = pages * resource.getpagesize() + 20 * 2**20
 resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 SparseLDL(sparse.csr_array(cube))
 """
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="counts memory as Linux does")
-@pytest.mark.parametrize("megabytes", [10, 30])
-def test_want_of_memory_is_an_error_of_its_own(megabytes: int) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", STARVED, str(megabytes)], capture_output=True, text=True, check=False
-    )
+def test_want_of_memory_is_an_error_of_its_own() -> None:
+    command = [sys.executable, "-c", STARVED]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert "OutOfMemoryError: the factor of 27000 unknowns does not fit" in done.stderr
 
 
-def test_solve_refuses_what_does_not_fit() -> None:
-    factor = SparseLDL(grid(3))
-    refused("rhs", "have shape (9,)", factor.solve, np.ones(8))
-    refused("dtype", "be float32 or", factor.solve, np.ones(9), dtype=np.int64)
-
-
-@pytest.mark.parametrize("dense_type", [np.float64, np.float32])
+@pytest.mark.parametrize("given", [np.float64, np.float32])
 @pytest.mark.parametrize("result", [None, np.float64, np.float32])
-def test_product_is_that_of_scipy(dense_type, result) -> None:
+def test_product_is_that_of_scipy(given, result) -> None:
     rng = np.random.default_rng(0)
     A = sparse.csr_array(sparse.random_array((700, 500), density=0.02, rng=rng))
-    dense = rng.standard_normal((500, 37)).astype(dense_type)
+    dense = rng.standard_normal((500, 37)).astype(given)
     Y = spmm(A, dense, dtype=result)
-    assert Y.dtype == (result or dense_type)
+    assert Y.dtype == (result or given)
     tolerance = 1e-14 if Y.dtype == np.float64 else 3e-6
     assert np.abs(Y - A @ dense.astype(float)).max() < tolerance
     assert np.array_equal(spmm(sparse.csc_array(A), np.asfortranarray(dense), dtype=result), Y)

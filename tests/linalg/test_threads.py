@@ -16,7 +16,7 @@ CODE = """
 import contextlib, glob, json, os, time
 import numpy as np, scipy.linalg
 import spectra_kit as sk
-from spectra_kit.descriptors import heat_kernel_signature, wave_kernel_signature
+from spectra_kit.descriptors import heat_kernel_signature
 
 def others():
     total = 0
@@ -38,19 +38,15 @@ small = sk.robust_laplacian(sk.geometry.sphere(subdivisions=2).geometry)
 s = sk.eigensolve(laplacian, 30)
 jobs = {
     "default": lambda: sk.eigensolve(laplacian, 30),
-    "default, tiny": lambda: sk.eigensolve(small, 30),
     "Dense, tiny": lambda: sk.eigensolve(small, 30, sk.Dense()),
     "Multilevel": lambda: sk.eigensolve(laplacian, 30, sk.Multilevel()),
     "Refined": lambda: sk.eigensolve(laplacian, 30, sk.Refined()),
     "Lobpcg": lambda: sk.eigensolve(laplacian, 30, sk.Lobpcg()),
-    "Polished": lambda: sk.eigensolve(laplacian, 30, sk.Polished()),
     "Capped": lambda: sk.eigensolve(laplacian, 30, sk.Capped()),
     "verify": lambda: sk.verify(s, laplacian),
     "HeatGeodesics": lambda: sk.HeatGeodesics(mesh, s).distance(0),
     "heat kernel": lambda: heat_kernel_signature(s),
-    "wave kernel": lambda: wave_kernel_signature(s),
     "project": lambda: s.reconstruct(s.project(np.ones((mesh.n, 20)))),
-    "prepare": lambda: sk.prepare(s, mesh),
     "match": lambda: sk.match(sk.prepare(s, mesh), sk.prepare(s, mesh)),
 }
 large = np.ones((600, 600))

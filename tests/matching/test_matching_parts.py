@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import creature, refused
+from conftest import creature
 from scipy.spatial.transform import Rotation
 
-from spectra_kit import InvalidInputError, PointCloud, Spectrum, TriangleMesh, robust_laplacian
+from spectra_kit import TriangleMesh, robust_laplacian
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.functional_maps import functional_map_from_point_map
 from spectra_kit.geometry import mirrored, permuted, rectangle, sphere
@@ -71,14 +71,11 @@ def test_a_unit_does_not_matter(mesh, source) -> None:
     assert same.spectrum.area == pytest.approx(1)
     assert (same.samples == source.samples).all()
     assert same.wave == pytest.approx(source.wave, rel=1e-9)
-    for name in ("points", "mass", "curvature", "form"):
-        assert getattr(same.surface, name) == pytest.approx(getattr(source.surface, name), abs=1e-8)
-
-
-def test_curvature_has_mean_zero_and_mean_square_one(source) -> None:
     curvature, mass = source.surface.curvature, source.surface.mass
     assert mass @ curvature == pytest.approx(np.zeros(4), abs=1e-9)
     assert mass @ curvature**2 == pytest.approx(np.ones(4))
+    for name in ("points", "mass", "curvature", "form"):
+        assert getattr(same.surface, name) == pytest.approx(getattr(source.surface, name), abs=1e-8)
 
 
 def test_a_flat_sheet_has_no_curvature() -> None:
@@ -86,35 +83,6 @@ def test_a_flat_sheet_has_no_curvature() -> None:
     assert (flat.surface.curvature == 0).all()
     assert repr(flat) == f"Prepared(n={flat.spectrum.n}, k=40, from spectrum and geometry)"
     assert repr(prepare(flat.spectrum)).endswith("from spectrum alone)")
-
-
-def test_what_cannot_be_prepared_is_refused(mesh, source) -> None:
-    spectrum = source.spectrum.rescale(mesh.area**0.5)
-    refused("n_samples", "be at least", prepare, spectrum, n_samples=199)
-    with pytest.raises(
-        InvalidInputError, match=r"at least 30 modes to be matched, got 29; solve for"
-    ):
-        prepare(spectrum.truncate(29))
-    two = Spectrum(
-        np.array([0.0, 0.0, *spectrum.eigenvalues[2:]]), spectrum.eigenvectors, spectrum.mass
-    )
-    with pytest.raises(InvalidInputError, match="got 2 zero modes; match component by component"):
-        prepare(two)
-    fixed = Spectrum(spectrum.eigenvalues[1:], spectrum.eigenvectors[:, 1:], spectrum.mass)
-    with pytest.raises(InvalidInputError, match="must hold the constant mode, got no zero mode"):
-        prepare(fixed)
-    with pytest.raises(
-        InvalidInputError, match="mesh or cloud of the spectrum, of 1000 points, got 600"
-    ):
-        prepare(spectrum, creature(600))
-    with pytest.raises(
-        InvalidInputError, match="in the unit of the spectrum, got 100 times its area"
-    ):
-        prepare(spectrum, mesh.with_points(10 * mesh.points))
-    faces = np.array(mesh.faces)
-    faces[::2] = faces[::2, ::-1]
-    with pytest.raises(InvalidInputError, match="faces of one winding"):
-        prepare(spectrum, TriangleMesh(mesh.points, faces))
 
 
 # --- curvature ------------------------------------------------------------------------------
@@ -139,17 +107,13 @@ def test_where_there_is_no_normal_it_is_zero() -> None:
 @pytest.mark.parametrize("radius", [1.0, 0.2])
 def test_the_mean_curvature_of_a_ball(radius) -> None:
     """The coordinates are its first modes, so smoothing only scales them: 2 H = 2 / r."""
-    ball = sphere(subdivisions=4, radius=radius).geometry
+    ball = sphere(subdivisions=3, radius=radius).geometry
     spectrum = eigensolve(robust_laplacian(ball), 30)
     modes = (5, 15, 29)
     curvature = smoothed_mean_curvature(spectrum, ball.points, oriented_triangles(ball), modes)
     first, cut = 2 / radius**2, spectrum.eigenvalues[list(modes)]
     expected = 2 / radius * np.exp(-first / cut)
-    assert curvature == pytest.approx(np.broadcast_to(expected, curvature.shape), rel=5e-3)
-
-
-def test_a_mirror_keeps_the_curvature(source, image) -> None:
-    assert image.surface.curvature == pytest.approx(source.surface.curvature, abs=1e-6)
+    assert curvature == pytest.approx(np.broadcast_to(expected, curvature.shape), rel=2e-2)
 
 
 # --- bending --------------------------------------------------------------------------------
@@ -192,27 +156,19 @@ def energy(mesh: TriangleMesh, mass: np.ndarray, bent: np.ndarray, goals: np.nda
     return total
 
 
-def test_a_rigid_motion_is_no_bend() -> None:
-    mesh = creature(600)
-    oriented, mass = oriented_triangles(mesh), robust_laplacian(mesh).mass
-    goals = mesh.points @ Rotation.from_rotvec([1, 2, -0.5]).as_matrix().T + [3, 4, 5]
-    bend = _bending(mesh.points, oriented, mass, PULL)
-    assert bend(goals, goals, 5) == pytest.approx(goals, abs=1e-9)
-    reached = bend(goals + 0.03 * np.sin(7 * mesh.points), goals, 100)  # from a dented start
-    assert reached == pytest.approx(goals, abs=1e-4)
-
-
 def test_bending_lowers_the_energy_every_time() -> None:
     mesh, pose = creature(500), creature(500, pose=2)
     oriented, mass = oriented_triangles(mesh), robust_laplacian(mesh).mass / mesh.area
     bend = _bending(mesh.points, oriented, mass, PULL)
     bent, goals = mesh.points, pose.points
     energies = [energy(mesh, mass, bent, goals)]
-    for _ in range(4):
+    for _ in range(3):
         bent = bend(bent, goals, 1)
         energies.append(energy(mesh, mass, bent, goals))
     assert (np.diff(energies) < 0).all()
     assert np.abs(bent - goals).max() < 0.5 * np.abs(mesh.points - goals).max()
+    moved = mesh.points @ Rotation.from_rotvec([1, 2, -0.5]).as_matrix().T + [3, 4, 5]
+    assert bend(moved, moved, 5) == pytest.approx(moved, abs=1e-9)  # a rigid motion is no bend
 
 
 def test_bending_repairs_a_noisy_map(source, image) -> None:
@@ -239,7 +195,7 @@ def test_the_map_of_a_copy_is_a_candidate(source, copy) -> None:
         assert left[best] < 0.5
 
 
-def test_the_map_to_the_mirror_is_a_mirrored_candidate(source, image) -> None:
+def test_mirrored_candidates_are_those_of_the_mirror_image(source, image) -> None:
     truth = true_map(source, image, np.arange(source.spectrum.n))[:30, :30]
     left = [
         ((sign_candidates(source, image, mirrored=mirrored) - truth) ** 2).sum(axis=(1, 2)).min()
@@ -293,16 +249,6 @@ def test_a_wrong_map_has_much_against_it(source) -> None:
     assert mismatches(source, source, rotated)["spacing"] > 0.1
 
 
-def test_orientation_counts_in_the_mismatches(source, image) -> None:
-    to_image = true_map(source, image, np.arange(source.spectrum.n))
-    for target, C, turned in ((source, np.eye(K), False), (image, to_image, True)):
-        right = mismatches(source, target, C, mirrored=turned)
-        wrong = mismatches(source, target, C, mirrored=not turned)
-        assert right.pop("orientation") == pytest.approx(0, abs=1e-9)
-        assert wrong.pop("orientation") == pytest.approx(1)
-        assert right == wrong
-
-
 def test_the_orientation_of_a_map(source, copy, image) -> None:
     target, truth = copy
     assert orientation_of(source, source, np.eye(K)) == pytest.approx(1)
@@ -311,6 +257,9 @@ def test_the_orientation_of_a_map(source, copy, image) -> None:
     assert orientation_of(source, target, 2 * C) == pytest.approx(1)  # of any scale
     there = true_map(source, image, np.arange(len(truth)))
     assert orientation_of(source, image, there) == pytest.approx(-1)
+    for turned, expected in ((True, 0), (False, 1)):
+        values = mismatches(source, image, there, mirrored=turned)
+        assert values["orientation"] == pytest.approx(expected, abs=1e-9)
     assert orientation_of(image, source, there.T) == pytest.approx(-1)
     assert orientation_of(source, prepare(target.spectrum), C) is None
     rotated = np.linalg.qr(np.random.default_rng(6).normal(size=(K, K)))[0]
@@ -322,11 +271,3 @@ def test_the_score_is_a_geometric_mean() -> None:
     low, high = score_of({"wave": 0.1, "embedding": 0.3}), score_of({"wave": 0.1, "embedding": 0.4})
     assert 0.1 < low < high < 0.4
     assert score_of({"wave": 0.0, "embedding": -1e-17}) == pytest.approx(1e-3)
-
-
-def test_clouds_are_prepared_as_their_meshes_are(mesh, source) -> None:
-    cloud = prepared(PointCloud(mesh.points))
-    C = true_map(source, cloud, np.arange(mesh.n))
-    assert orientation_of(source, cloud, C) > 0.9
-    fine = source.surface.curvature[:, 0], cloud.surface.curvature[:, 0]
-    assert np.corrcoef(*fine)[0, 1] > 0.8

@@ -2,7 +2,6 @@
 
 import dataclasses
 import re
-from itertools import pairwise
 
 import benchmark_geodesics as app
 import numpy as np
@@ -25,7 +24,6 @@ from measure.geodesics.studies import (
 from measure.shapes import Shape, shape_at
 from measure.store import Store
 from measure.study import Result, run
-from measure.tables import ratio
 
 from spectra_kit import Neo
 from spectra_kit.geodesics import exact_distances, geodesic_distance
@@ -34,7 +32,7 @@ from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 
 QUICK = ["--quick", "--repeats", "1", "--sources", "2", "--exact-sources", "2", "--warm", "2"]
 QUICK += ["--sphere", "2", "3"]
-N = 700
+N = 500
 
 
 def studies(folder, shapes):
@@ -82,14 +80,6 @@ def test_everything_is_measured_of_every_contender(measured):
         assert stages <= record["seconds"] * 1.05 + 1e-3, record["contender"]
 
 
-def test_a_finished_mesh_is_not_measured_again(measured, tmp_path, capsys):
-    out, _, _ = measured
-    lines = (out / "measurements.jsonl").read_text()
-    assert app.main([str(out), "--meshes", str(out.parent / "animal.npz"), *QUICK]) == 0
-    assert (out / "measurements.jsonl").read_text() == lines
-    assert "## In short" in capsys.readouterr().out
-
-
 def test_numbers_are_those_of_the_library(measured, accuracy):
     out, _, shape = measured
     sources, distances = studies(out, [shape])[1].distances(shape)
@@ -113,7 +103,7 @@ def test_solvers_agree_and_modes_save_iterations(accuracy):
     assert most[who.DIRECT] == [None, None]
 
 
-def test_tables_are_computed_from_the_records(measured, accuracy):
+def test_tables_are_computed_from_the_records(measured, accuracy, capsys):
     _, report, _ = measured
     assert "the seconds are not comparable" in report
     middle = {name: np.median(accuracy[name]["iterations"]) for name in (who.ICPCG, ADDITIVE)}
@@ -133,19 +123,6 @@ def test_tables_are_computed_from_the_records(measured, accuracy):
 ADDITIVE = "additive, 96 exact modes"
 
 
-def test_on_the_sphere_errors_fall_alike(tmp_path):
-    balls = [Ball(kind, count) for kind in ("mesh", "cloud") for count in (2, 3, 4)]
-    results = run(Balls(folder=tmp_path, problems=balls), Store(tmp_path), jobs=0)
-    means = {(r.contender, str(r.problem)): r.record["mean"] for r in results}
-    for kind in ("mesh", "cloud"):
-        names = [str(Ball(kind, count)) for count in (2, 3, 4)]
-        direct = [means[who.DIRECT, name] for name in names]
-        assert all(finer < coarser for coarser, finer in pairwise(direct))
-        np.testing.assert_allclose(direct, [means[who.ROBUST, name] for name in names], rtol=0.25)
-    assert [r.record["points"] for r in results[::3]][:3] == [162, 642, 2562]
-    assert (who.PLAIN, str(balls[-1])) not in means
-
-
 # --- parts ---
 
 
@@ -154,7 +131,9 @@ def test_what_lacks_modes_or_truth_is_left_out(tmp_path):
     _, exact, accuracy, _ = studies(tmp_path, [shape])
     assert accuracy.excuse(ADDITIVE, shape, []) == "there are no exact modes"
     assert accuracy.excuse(who.DIRECT, shape, []) == "there are no exact distances"
-    run(exact, Store(tmp_path), jobs=0)
+    (found,) = run(exact, Store(tmp_path), jobs=0)
+    first, second = found.record["sources"]  # one drawn, one as far as possible
+    assert shape.mesh.points[first] @ shape.mesh.points[second] < -0.99
     assert accuracy.excuse(who.DIRECT, shape, []) == accuracy.excuse(who.ROBUST, shape, []) == ""
     assert accuracy.excuse(who.ICPCG, shape, []) == "the direct solver has failed"
 
@@ -195,20 +174,6 @@ def test_what_changes_makes_another_key(tmp_path, monkeypatch, changed):
     )
 
 
-def test_sources_are_random_and_far(tmp_path):
-    shape = Shape("ball", sphere(subdivisions=3).geometry)
-    Store(tmp_path)  # makes its folders
-    drawn = [
-        Exact(folder=tmp_path, problems=[shape], count=4, seed=seed).measure("exact", shape)
-        for seed in (1, 2, 1)
-    ]
-    first, second, again = (record["sources"] for record in drawn)
-    assert len(set(first)) == 4
-    near = shape.mesh.points[first[:3]] @ shape.mesh.points.T
-    assert near.max(axis=0).argmin() == first[3]
-    assert first == again != second
-
-
 def test_errors_leave_out_sources_and_what_is_out_of_reach():
     exact = np.array([0.0, 1.0, 2.0, np.inf])
     found = relative_errors(np.array([5.0, 1.5, 2.0, 7.0]), exact, np.array([1.0, 1.0, 3.0, 1.0]))
@@ -227,18 +192,18 @@ def test_the_spectrum_is_paid_by_those_who_use_it():
     # What is automatic and solves directly leaves the modes alone.
     assert mesh(who.AUTOMATIC, "direct").seconds_in_all(who.AUTOMATIC) == 2.0
     assert mesh(who.UNAIDED, "iterative").seconds_in_all(who.UNAIDED) == 2.0
-    assert mesh(who.ICPCG, "", status="failed").seconds_in_all(who.ICPCG) is None
+    failed = mesh(who.ICPCG, "", status="failed")
+    assert failed.title == "ball (42)"
+    assert failed.seconds_in_all(who.ICPCG) is failed.seconds(who.ICPCG) is None
 
 
-def test_meshes_gather_what_failed_too():
-    shape = Shape("ball", sphere(subdivisions=1).geometry)
-    failed = [Result(who.DIRECT, shape, 0, {"status": "failed", "reason": "no"})]
-    (mesh,) = meshes(dict.fromkeys(("modes", "accuracy", "first", "many"), failed))
-    assert mesh.title == "ball (42)"
-    assert mesh.error(who.DIRECT) is mesh.iterations(who.DIRECT) is mesh.seconds(who.DIRECT) is None
-    assert ratio(mesh.error(who.DIRECT), 1.0) is None
-
-
-def test_counts_are_positive(tmp_path, capsys):
-    assert app.main([str(tmp_path), "--repeats", "0"]) == 2
-    assert "`repeats` must be at least 1, got 0" in capsys.readouterr().err
+def test_on_the_sphere_errors_fall(tmp_path):
+    balls = [Ball(kind, count) for kind in ("mesh", "cloud") for count in (2, 3)]
+    results = run(Balls(folder=tmp_path, problems=balls), Store(tmp_path), jobs=0)
+    assert [(r.contender, r.problem) for r in results[-2:]] == [
+        (who.DIRECT, balls[-1]), (who.ROBUST, balls[-1])
+    ]  # fmt: skip
+    means = {(r.contender, r.problem): r.record["mean"] for r in results}
+    for coarse, fine in (balls[:2], balls[2:]):
+        assert means[who.DIRECT, fine] < means[who.DIRECT, coarse]
+        assert means[who.DIRECT, fine] == pytest.approx(means[who.ROBUST, fine], rel=0.25)

@@ -112,28 +112,27 @@ def test_a_store_is_not_repaired_while_another_run_writes_to_it(tmp_path):
         assert second.result(10).get("0") == {"key": "0", "status": "ok"}
 
 
-def test_a_process_that_dies_is_not_waited_for_because_of_its_child(tmp_path):
-    start = time.monotonic()
-    (result,) = run(toy(tmp_path, ["leaves a child"], [1]), Store(tmp_path))
-    assert result.record["status"] == "stopped"
-    assert result.reason.startswith("the process was killed")
-    assert time.monotonic() - start < 50
-
-
 def test_what_fails_is_remembered_until_it_is_to_be_tried_again(tmp_path):
-    study = toy(tmp_path, ["fails", "dies", "a"])
+    study = toy(tmp_path, ["fails", "dies", "leaves a child", "a"])
+    start = time.monotonic()
     for _ in range(2):
         results = run(study, Store(tmp_path), jobs=1)
         assert [r.record["status"] for r in results] == [
-            *("failed", "stopped", "ok"),
-            *("skipped", "skipped", "ok"),
+            *("failed", "stopped", "stopped", "ok"),
+            *("skipped", "skipped", "skipped", "ok"),
         ]
         assert results[0].reason == "`problem` must be easier"
         assert results[1].reason == "the process ended with code 7"
-        assert results[3].reason == "not at 1"
-        assert len(calls(tmp_path)) == 4
+        assert results[2].reason.startswith("the process was killed")
+        assert results[4].reason == "not at 1"
+        assert len(calls(tmp_path)) == 5
+    assert time.monotonic() - start < 50  # it does not wait for the child
     run(study, Store(tmp_path), jobs=1, retry=True)
-    assert calls(tmp_path)[4:] == ["fails 1", "dies 1"]
+    assert calls(tmp_path)[5:] == ["fails 1", "dies 1", "leaves a child 1"]
+    lasting = toy(tmp_path, range(4), range(4), kind=Lasting)
+    found = {r.record["process"] for r in run(lasting, Store(tmp_path), jobs=2)}
+    assert len(found) == 2
+    assert os.getpid() not in found
 
 
 def test_limits_of_time_and_memory(tmp_path):
@@ -154,13 +153,6 @@ def test_a_worker_takes_calls_until_it_is_killed():
         worker.kill()
         with pytest.raises(StoppedError, match="as systems do when memory ends"):
             worker.call(abs, -3)
-
-
-def test_lasting_processes_work_side_by_side(tmp_path):
-    study = toy(tmp_path, range(4), range(4), kind=Lasting)
-    found = {r.record["process"] for r in run(study, Store(tmp_path), jobs=2)}
-    assert len(found) == 2
-    assert os.getpid() not in found
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["interrupt", "kill"])
@@ -230,6 +222,8 @@ def test_a_machine_is_described():
 
 def test_shapes_are_files_or_known(tmp_path, monkeypatch):
     ball = sphere(subdivisions=1).geometry
+    moved = ball.with_points(2 * ball.points)
+    assert Shape("a", ball).digest == Shape("b", ball).digest != Shape("a", moved).digest
     write(ball, tmp_path / "mine.ply")
     (tmp_path / "ood_public").mkdir()
     write(ball, tmp_path / "ood_public" / "igea.npz")
@@ -248,12 +242,6 @@ def test_shapes_are_files_or_known(tmp_path, monkeypatch):
     write(PointCloud(np.eye(3)), tmp_path / "cloud.ply")
     with pytest.raises(InvalidInputError, match=r"cloud\.ply"):
         shapes_named([str(tmp_path / "cloud.ply")])
-
-
-def test_a_digest_is_of_the_mesh():
-    ball = sphere(subdivisions=1).geometry
-    moved = ball.with_points(2 * ball.points)
-    assert Shape("a", ball).digest == Shape("b", ball).digest != Shape("a", moved).digest
 
 
 def test_operators_survive_the_file(tmp_path):

@@ -1,22 +1,17 @@
 """The study of matching: data, protocols, measurements, memory, report and app."""
 
 import csv
-import importlib.util
 import json
-import os
-import subprocess
-import sys
-import time
 from dataclasses import replace
-from pathlib import Path
 
+import match_faust as app
 import numpy as np
 import pytest
-from conftest import bumpy, creature
-from measure.matching import methods
+from conftest import bumpy, creature, refused
+from measure.matching import methods, pyfm_peer
 from measure.matching.measures import THRESHOLDS, best_candidate, measure_map
 from measure.matching.methods import METHODS, Entry, Outcome, Side
-from measure.matching.pairs import BACKENDS, KINDS, Basis, Pair, Pairs, Spectra, match_all, ways
+from measure.matching.pairs import BACKENDS, KINDS, Pair, Pairs, Spectra, match_all, ways
 from measure.matching.protocols import Protocol, make_protocol
 from measure.matching.report import summarize, write_report
 from measure.matching.subjects import Subject, demo_subjects, subjects_in, truth_between
@@ -28,14 +23,13 @@ from spectra_kit.errors import InvalidInputError, MissingDependencyError, Spectr
 from spectra_kit.functional_maps import functional_map_from_point_map
 from spectra_kit.geometry import permuted
 
-APP = Path(__file__).parents[2] / "apps" / "match_faust.py"
 K = 40
 PAIR, PLAIN = Pair("creature0", "creature1"), "wks-zoomout"
 
 
 @pytest.fixture(scope="module")
 def subjects():
-    return demo_subjects(700, poses=3)
+    return demo_subjects(500, poses=3)
 
 
 @pytest.fixture
@@ -59,10 +53,6 @@ def study(subjects, tmp_path):
     return pairs_of
 
 
-def matched(pairs):
-    return match_all(pairs, jobs=0)
-
-
 # --- subjects and protocols ---
 
 
@@ -84,14 +74,6 @@ def test_a_folder_of_subjects(tmp_path):
     np.testing.assert_array_equal(truth.target, [5, 6])
     np.testing.assert_array_equal(truth.symmetric, [1, 3])
     assert truth_between(found["cat2"], found["cat10"]).symmetric is None
-
-
-def test_a_subject_is_what_it_holds():
-    mesh = bumpy()
-    subject = Subject("a", mesh, np.arange(5))
-    assert subject.digest == Subject("b", TriangleMesh(mesh.points, mesh.faces), range(5)).digest
-    assert subject.digest != Subject("a", mesh, np.arange(1, 6)).digest
-    assert subject.digest != Subject("a", mesh, np.arange(5), np.arange(5)).digest
 
 
 @pytest.fixture(scope="module")
@@ -130,22 +112,22 @@ def test_bad_requests(zoo, tmp_path):
     (tmp_path / "cat0.npz").write_bytes(b"PK nothing")
     (tmp_path / "list").write_text("cat0 dog1 7\n")
     a, b = Subject("a", mesh, [0, 1]), Subject("b", mesh, [0])
-    for call, match in [
-        (lambda: subjects_in(tmp_path / "empty"), r"`folder` must hold .npz files with V, F, corr"),
-        (lambda: subjects_in(tmp_path), r"cat0.npz is not a whole subject"),
-        (lambda: Subject("a", mesh, [642]), r"`landmarks of a` must be in \[0, 642\)"),
-        (lambda: Subject("a", mesh, [0, 1], [0]), r"`mirrored of a` must have shape \(2,\), got"),
+    for argument, expected, call, *given in (
+        ("folder", "hold .npz files with V, F, corres", subjects_in, tmp_path / "empty"),
+        ("landmarks of a", "be in [0, 642)", Subject, "a", mesh, [642]),
+        ("mirrored of a", "have shape (2,)", Subject, "a", mesh, [0, 1], [0]),
+        ("poses", "be at least 2", lambda: demo_subjects(poses=1)),
+        ("name", "be one of random", make_protocol, "some", zoo),
+        ("listed", "be a file with two names", make_protocol, "ren-300", zoo),
+        ("count", "be at least 1", lambda: make_protocol("random", zoo, count=0)),
+    ):
+        refused(argument, expected, call, *given)
+    for call, match in (
+        (lambda: subjects_in(tmp_path), r"cat0.npz: not a whole subject"),
         (lambda: truth_between(a, b), r"share their landmarks, got 2 of a and 1 of b"),
-        (lambda: demo_subjects(poses=1), "`poses` must be at least 2"),
-        (lambda: make_protocol("some", zoo), "`name` must be one of random"),
         (lambda: make_protocol("all-pairs", zoo[:1]), r"'all-pairs' must have a pair, found no"),
-        (lambda: make_protocol("ren-300", zoo), "`listed` must be a file with two names"),
-        (
-            lambda: make_protocol("ren-300", zoo, listed=tmp_path / "list"),
-            r"line 1 of .* two names",
-        ),
-        (lambda: make_protocol("random", zoo, count=0), "`count` must be at least 1"),
-    ]:
+        (lambda: make_protocol("ren-300", zoo, listed=tmp_path / "list"), r"line 1 .* two names"),
+    ):
         with pytest.raises(InvalidInputError, match=match):
             call()
 
@@ -155,9 +137,10 @@ def test_bad_requests(zoo, tmp_path):
 
 @pytest.fixture(scope="module")
 def copies():
-    """An animal, its copy in another order, their spectra, and the true map."""
+    """An animal, its copy in another order and unit, their spectra, and the true map."""
     mesh = creature(700)
     copy, order = permuted(mesh, seed=1)
+    copy = copy.with_points(1000 * copy.points)
     a = Subject("a0", mesh, np.arange(mesh.n), np.roll(np.arange(mesh.n), 7))
     b = Subject("a1", copy, np.argsort(order))
     spectra = tuple(eigensolve(robust_laplacian(s.mesh), K) for s in (a, b))
@@ -194,6 +177,10 @@ def test_the_best_finalist_is_the_one_that_the_truth_prefers(copies):
     assert measure_map(a, b, wrong, back, best=best)["oracle"] == 0
     chosen = measure_map(a, b, wrong, back)  # the chosen one was the best
     assert chosen["oracle"] == chosen["direct"] > 10
+    few = [replace(x, landmarks=x.landmarks[:40], mirrored=None) for x in (a, b)]
+    edges, exact = (measure_map(*few, wrong, back, geodesics=how) for how in ("edges", "exact"))
+    assert 0.8 * edges["direct"] < exact["direct"] < edges["direct"]
+    assert exact["oracle"] == exact["direct"]
 
 
 def test_a_mirrored_map_counts_as_flipped(copies):
@@ -202,20 +189,6 @@ def test_a_mirrored_map_counts_as_flipped(copies):
     assert result["symmetric"] == result["either"] == 0
     assert result["flipped"]
     assert result["auc_either"] == 1 > result["auc"]
-
-
-def test_errors_can_be_those_of_exact_geodesics(copies):
-    a, b, spectra, order = copies
-    few = [replace(x, landmarks=x.landmarks[:40], mirrored=None) for x in (a, b)]
-    outcome = Outcome(a.mirrored[order], 0, 0, candidates=(np.eye(30),))
-    back = way_back(*spectra, outcome.point_map)
-    edges, exact = (
-        measure_map(*few, outcome, back, best=outcome.point_map, geodesics=method)
-        for method in ("edges", "exact")
-    )
-    assert 0.8 * edges["direct"] < exact["direct"] < edges["direct"]
-    assert exact["oracle"] == exact["direct"]
-    assert exact["bijectivity"] == edges["bijectivity"]
 
 
 def test_windings_of_the_files_do_not_count(copies):
@@ -248,28 +221,18 @@ def test_pyfm_may_be_away_or_fail(copies, tmp_path):
     cloud = replace(sides[0], geometry=a.mesh.as_cloud())
     with pytest.raises(InvalidInputError, match="must be meshes: pyFM knows no clouds"):
         methods.match_pyfm(cloud, sides[1])
-    if not importlib.util.find_spec("pyFM"):
-        with pytest.raises(MissingDependencyError, match=r"cannot be imported \(No module named"):
-            methods.match_pyfm(*sides)
     with pytest.raises(MissingDependencyError, match="the Python of pyFM must be a program, got"):
         methods.match_pyfm(*sides, python=str(tmp_path / "nowhere"))
-    broken = tmp_path / "python"
-    broken.write_text("#!/bin/sh\necho first >&2\necho 'ValueError: too few modes' >&2\nexit 1\n")
-    broken.chmod(0o755)
-    with pytest.raises(SpectraKitError, match=r"pyFM failed on this pair .*too few modes") as error:
-        methods.match_pyfm(*sides, python=str(broken))
-    assert not isinstance(error.value, MissingDependencyError)
-
-
-def test_ways_combine_but_who_solves_alone_is_asked_once():
-    found = ways(["mesh", "cloud"], ["exact", "neo"], [PLAIN, "pyfm"])
-    assert [way.label for way in found] == [
-        "wks-zoomout, exact",
-        "wks-zoomout, neo",
-        "wks-zoomout, exact, clouds",
-        "wks-zoomout, neo, clouds",
-        "pyfm",
-    ]
+    program = tmp_path / "python"
+    program.touch(0o755)
+    for status, error, match in (
+        (pyfm_peer.MISSING, MissingDependencyError, r"cannot be imported \(No module\)"),
+        (1, SpectraKitError, r"pyFM failed on this pair .*No module"),
+    ):
+        program.write_text(f"#!/bin/sh\necho first >&2\necho 'No module' >&2\nexit {status}\n")
+        with pytest.raises(error, match=match) as caught:
+            methods.match_pyfm(*sides, python=str(program))
+        assert type(caught.value) is error
 
 
 # --- running and remembering ---
@@ -277,8 +240,15 @@ def test_ways_combine_but_who_solves_alone_is_asked_once():
 
 def test_a_run_is_remembered_with_its_maps(study, monkeypatch):
     pairs = study(chosen=ways(["mesh", "cloud"], ["exact", "neo"], [PLAIN]))
-    first = matched(pairs)
+    first = match_all(pairs, jobs=0)
     assert [result.contender for result in first] == pairs.contenders
+    assert [way.label for way in [*pairs.contenders, *ways(KINDS, BACKENDS, ["pyfm"])]] == [
+        "wks-zoomout, exact",
+        "wks-zoomout, neo",
+        "wks-zoomout, exact, clouds",
+        "wks-zoomout, neo, clouds",
+        "pyfm",  # it solves by itself, and is asked once
+    ]
     assert len(list((pairs.folder / "spectra").iterdir())) == 8
     subjects = pairs.spectra.subjects
     for result in first:
@@ -289,12 +259,13 @@ def test_a_run_is_remembered_with_its_maps(study, monkeypatch):
 
     plain = METHODS[PLAIN]
     monkeypatch.setitem(METHODS, PLAIN, Entry(None))
-    assert [result.record for result in matched(pairs)] == [result.record for result in first]
+    again = match_all(pairs, jobs=0)
+    assert [result.record for result in again] == [result.record for result in first]
     monkeypatch.setitem(METHODS, PLAIN, plain)
     path = pairs.map_path(first[0].contender, PAIR)
     before = np.load(path)
-    path.unlink()  # a result without its map is no result
-    matched(pairs)
+    path.unlink()  # a result without its map is no result; another process finds the same
+    match_all(pairs, jobs=1)
     np.testing.assert_array_equal(np.load(path), before)
 
 
@@ -317,21 +288,6 @@ def test_everything_that_decides_a_result_is_in_its_key(study, subjects):
     assert study(pyfm_python="/other").key(way, PAIR) == keys[0]
 
 
-def test_vertices_at_one_place_are_one_point_of_a_cloud(study):
-    mesh = creature(700)
-    # A vertex of no extent is split off, as careless remeshing does: two at one place.
-    doubled = TriangleMesh(
-        np.vstack([mesh.points, mesh.points[5]]),
-        np.vstack([mesh.faces, [[5, mesh.n, int(mesh.faces[mesh.faces[:, 0] == 5][0, 1])]]]),
-    )
-    copy, order = permuted(doubled, seed=0)
-    two = {"a0": Subject("a0", doubled, range(701)), "a1": Subject("a1", copy, np.argsort(order))}
-    pairs = study(Pair("a0", "a1"), subjects=two, chosen=ways(["cloud"], methods=[PLAIN]))
-    [result] = matched(pairs)
-    assert result.record["direct"] == pytest.approx(0, abs=1e-9)
-    assert np.load(pairs.map_path(result.contender, result.problem)).shape == (701,)
-
-
 def test_an_interruption_loses_one_pair(study, monkeypatch):
     calls = []
 
@@ -344,63 +300,22 @@ def test_an_interruption_loses_one_pair(study, monkeypatch):
     monkeypatch.setitem(METHODS, PLAIN, Entry(interrupted))
     pairs = study(PAIR, Pair("creature1", "creature2"))
     with pytest.raises(KeyboardInterrupt):
-        matched(pairs)
+        match_all(pairs, jobs=0)
     assert not list(pairs.folder.rglob(".*"))
-    assert all(result.ok for result in matched(pairs))
+    assert all(result.ok for result in match_all(pairs, jobs=0))
     assert len(calls) == 3
 
 
 def test_failures_say_why(study):
     few = study(k=10)  # the fit needs 30
-    [result] = results = matched(few)
+    [result] = results = match_all(few, jobs=0)
     assert "k" in result.reason
-    [unsolved] = matched(study(k=5000))  # more than vertices
+    [unsolved] = match_all(study(k=5000), jobs=0)  # more than vertices
     assert unsolved.reason.startswith("creature0: ")
     assert "`k` must be" in unsolved.reason
     text = write_report(results, few, Protocol("random", (("a", "b"),))).read_text()
     assert "Nothing was measured" in text
     assert "Not matched" in text
-
-
-@pytest.mark.slow
-def test_processes_find_the_same_and_a_killed_app_goes_on_and_draws(tmp_path):
-    out = tmp_path / "out"
-    command = [sys.executable, str(APP), str(out), "--demo", "-k", str(K), "--pairs", "6"]
-    command += ["--methods", PLAIN, "--jobs", "2"]
-    environment = {**os.environ, "PYTHONPATH": str(APP.parents[1])}
-    process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment
-    )
-    journal = out / "measurements.jsonl"
-    deadline = time.monotonic() + 300
-    while not (journal.exists() and '"study": "pair"' in journal.read_text()):
-        assert time.monotonic() < deadline
-        assert process.poll() is None
-        time.sleep(0.05)
-    process.kill()  # no handler runs
-    process.wait()
-    before = journal.read_text().splitlines()[:-1]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
-    if "are not drawn" not in done.stderr:
-        assert done.stderr == ""  # no bar in a pipe
-        picture = out / "extremes-mesh-exact-wks-zoomout.png"
-        assert f"picture: {picture}" in done.stdout
-        assert picture.stat().st_size > 50_000
-    assert journal.read_text().splitlines()[: len(before)] == before
-    lines = list(csv.DictReader((out / "pairs.csv").read_text().splitlines()))
-    assert len(lines) == 6
-    # Nothing tidies up after a kill: a part of a file may lie there, but never under its real name.
-    maps = [path for path in out.rglob("maps/*/*.npy") if not path.name.startswith(".")]
-    assert sorted(path.stem.split("--")[2] for path in maps) == sorted(x["digest"] for x in lines)
-
-    bases = [Basis("mesh", "exact")]
-    subjects, [way] = demo_subjects(), ways(methods=[PLAIN])
-    spectra = Spectra(
-        folder=tmp_path, contenders=bases, problems=list(subjects), subjects=subjects, k=K
-    )
-    pair = Pair(lines[0]["source"], lines[0]["target"])
-    [alone] = matched(Pairs(folder=tmp_path, contenders=[way], problems=[pair], spectra=spectra))
-    assert alone.record["direct"] == pytest.approx(float(lines[0]["direct"]), rel=1e-6)
 
 
 # --- sums and report ---
@@ -484,25 +399,36 @@ def test_report_names_protocol_numbers_and_ratio(study):
 # --- the app ---
 
 
-@pytest.fixture(scope="module")
-def app():
-    specification = importlib.util.spec_from_file_location("match_faust", APP)
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module.main
+def test_the_app_matches_draws_and_goes_on(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(app, "demo_subjects", lambda: demo_subjects(500))
+    command = [str(tmp_path), "--demo", "--pairs", "2", "-k", "30", "--jobs", "0"]
+    command += ["--methods", PLAIN]
+    assert app.main(command) == 0
+    said, err = capsys.readouterr()
+    picture = tmp_path / "extremes-mesh-exact-wks-zoomout.png"
+    assert f"picture: {picture}" in said
+    assert picture.stat().st_size > 20_000
+    assert err == ""  # no bar in a pipe
+    lines = list(csv.DictReader((tmp_path / "pairs.csv").read_text().splitlines()))
+    maps = tmp_path.rglob("maps/*/*.npy")
+    assert sorted(path.stem.split("--")[2] for path in maps) == sorted(x["digest"] for x in lines)
+    journal = (tmp_path / "measurements.jsonl").read_text()
+    assert app.main([*command, "--no-pictures"]) == 0
+    assert (tmp_path / "measurements.jsonl").read_text() == journal
 
 
-def test_the_app_says_what_is_wrong_and_can_be_interrupted(app, tmp_path, capsys, monkeypatch):
+def test_the_app_says_what_is_wrong_and_can_be_interrupted(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("SPECTRA_KIT_DATA", raising=False)
     out = str(tmp_path / "out")
-    assert app([out]) == 2
-    assert "name a folder with --data" in capsys.readouterr().err
-    assert app([out, "--data", str(tmp_path)]) == 2
-    assert "must hold .npz files" in capsys.readouterr().err
-    assert app([out, "--demo", "--jobs", "-1"]) == 2
-    assert "`jobs` must be at least 0" in capsys.readouterr().err
     few = ["--demo", "--pairs", "1", "--jobs", "0", "--no-pictures", "--methods", PLAIN]
-    assert app([out, *few, "-k", "9999", "--geodesics", "exact"]) == 1
+    for command, said in (
+        ([], "name a folder with --data"),
+        (["--data", str(tmp_path)], "must hold .npz files"),
+        (["--demo", "--jobs", "-1"], "`jobs` must be at least 0"),
+    ):
+        assert app.main([out, *command]) == 2
+        assert said in capsys.readouterr().err
+    assert app.main([out, *few, "-k", "9999", "--geodesics", "exact"]) == 1
     report = capsys.readouterr().out
     assert "Not matched" in report
     assert "exact geodesic distances on the source" in report
@@ -511,14 +437,5 @@ def test_the_app_says_what_is_wrong_and_can_be_interrupted(app, tmp_path, capsys
         raise KeyboardInterrupt
 
     monkeypatch.setitem(METHODS, PLAIN, Entry(interrupted))
-    assert app([out, *few, "-k", str(K)]) == 130
+    assert app.main([out, *few, "-k", "30"]) == 130
     assert "the same command goes on from here" in capsys.readouterr().err
-
-
-@pytest.mark.data
-def test_pairs_of_the_real_set(real_shapes):
-    folder = real_shapes.parent / "faust_r"
-    subjects = subjects_in(folder)
-    assert len(make_protocol("all-pairs", subjects.values()).pairs) == 80 * 79
-    listed = make_protocol("ren-300", subjects.values(), listed=folder / "ren_pairs.txt")
-    assert len(listed.pairs) == 206

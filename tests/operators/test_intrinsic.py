@@ -6,14 +6,12 @@ from functools import cache
 import igl
 import numpy as np
 import pytest
-from conftest import creature
+from conftest import refused
 from scipy import sparse
 from scipy.spatial import Delaunay
 
 from spectra_kit import (
     Dense,
-    InvalidInputError,
-    Laplacian,
     PointCloud,
     TriangleMesh,
     cotan_laplacian,
@@ -21,7 +19,7 @@ from spectra_kit import (
     eigensolve,
     robust_laplacian,
 )
-from spectra_kit.geometry import sphere, torus
+from spectra_kit.geometry import sphere
 from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
 
 RNG = np.random.default_rng
@@ -88,24 +86,20 @@ def two_parts() -> TriangleMesh:
     return TriangleMesh(points, np.vstack([one.faces, other.faces + one.n]))
 
 
-MESHES = {
+GEOMETRIES = {
     "ball": ball,
     "ball of any winding": lambda: with_any_winding(ball()),
     "plate of slivers": lambda: flat_free(plate()),
     "moebius strip": moebius,
+    "two parts": two_parts,
     "three sheets": three_sheets,
     "copies": lambda: with_copies(ball()),
-    "two parts": two_parts,
-    "torus": lambda: torus(n=400).geometry,
-    "creature": lambda: creature(600, seed=0),
     "one triangle": lambda: TriangleMesh(np.eye(3), [[0, 1, 2]]),
     "pillow": lambda: TriangleMesh([[0, 0, 0], [1, 0, 0], [0.5, 0.1, 0]], [[0, 1, 2], [0, 2, 1]]),
-}
-CLOUDS = {
     "ball as a cloud": lambda: ball().as_cloud(),
     "plate as a cloud": lambda: plate(300, 1.0).as_cloud(),
 }
-GEOMETRIES = MESHES | CLOUDS
+MESHES, MANIFOLD = list(GEOMETRIES)[:9], list(GEOMETRIES)[:5]
 
 
 @cache
@@ -113,66 +107,49 @@ def made(name: str) -> TriangleMesh | PointCloud:
     return GEOMETRIES[name]()
 
 
-MANIFOLD = ["ball", "ball of any winding", "plate of slivers", "moebius strip", "two parts"]
-
-
-@pytest.fixture(params=GEOMETRIES)
-def triangulation(request: pytest.FixtureRequest) -> IntrinsicTriangulation:
-    return intrinsic_delaunay(made(request.param))
-
-
-@pytest.fixture(params=MESHES)
-def mesh(request: pytest.FixtureRequest) -> TriangleMesh:
-    return made(request.param)
-
-
-def energy(laplacian: Laplacian, u: np.ndarray) -> float:
-    return float(u @ (laplacian.stiffness @ u))
+@cache  # not when this file is read: kernels would be compiled in every process that collects it
+def triangulated(name: str = "ball") -> IntrinsicTriangulation:
+    return intrinsic_delaunay(made(name))
 
 
 # ----------------------------------------------------------------------------- calculus
 
 
-def test_divergence_of_the_gradient_is_the_laplacian(triangulation) -> None:
-    L = triangulation.laplacian.stiffness
-    for u in (RNG(0).standard_normal(triangulation.n), triangulation.points[:, 0]):
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_divergence_is_the_adjoint_of_the_gradient_and_both_make_the_laplacian(name: str) -> None:
+    triangulation = triangulated(name)
+    L, v = triangulation.laplacian.stiffness, RNG(0).standard_normal(triangulation.n)
+    for u in (v, triangulation.points[:, 0]):
         found = triangulation.divergence(triangulation.gradient(u))
         assert np.abs(found - L @ u).max() <= 1e-12 * abs(L).max() * np.abs(u).max()
-
-
-def test_divergence_is_the_adjoint_of_the_gradient(triangulation) -> None:
-    v = RNG(0).standard_normal(triangulation.n)
     X = RNG(1).standard_normal((len(triangulation.corners), 2))
     rises = (triangulation.gradient(v) * X).sum(axis=1)
     expected = triangulation.share * (triangulation.face_areas * rises).sum()
     assert v @ triangulation.divergence(X) == pytest.approx(expected, rel=1e-9)
 
 
-def test_laplacian_is_that_of_the_triangles(triangulation) -> None:
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_laplacian_is_that_of_the_triangles_and_an_m_matrix(name: str) -> None:
     # Cotangents by another path: squared lengths over areas, entry by entry.
+    triangulation = triangulated(name)
     a, b, c = (np.roll(triangulation.lengths, -k, axis=1) for k in range(3))
-    areas = triangulation.face_areas[:, None]
+    areas, n = triangulation.face_areas[:, None], triangulation.n
     weights = triangulation.share * (b**2 + c**2 - a**2) / (8 * areas)
     i, j = triangulation.corners, np.roll(triangulation.corners, -1, axis=1)
-    n = triangulation.n
-    half = sparse.csr_array((weights.ravel(), (i.ravel(), j.ravel())), shape=(n, n))
-    full = (half + half.T).tolil()
-    full.setdiag(0)
-    full = sparse.csr_array(full)
-    L, mass = triangulation.laplacian.stiffness, triangulation.laplacian.mass
-    expected = sparse.diags_array(full.sum(axis=1)) - full
-    assert abs(L - expected).max() <= 1e-9 * abs(L).max()
-    thirds = np.repeat(triangulation.share * triangulation.face_areas / 3, 3)
-    assert mass == pytest.approx(np.bincount(i.ravel(), thirds, n), rel=1e-8)
-
-
-def test_laplacian_is_an_m_matrix(triangulation) -> None:
-    dense = triangulation.laplacian.stiffness.toarray()
-    size = np.abs(dense).max()
-    assert np.array_equal(dense, dense.T)
-    assert (dense - np.diag(np.diag(dense))).max() <= 1e-9 * size
-    assert np.abs(dense.sum(axis=1)).max() <= 1e-12 * size
+    half = sparse.coo_array((weights.ravel(), (i.ravel(), j.ravel())), shape=(n, n)).toarray()
+    full = half + half.T
+    np.fill_diagonal(full, 0)
+    L = triangulation.laplacian.stiffness.toarray()
+    size = np.abs(L).max()
+    assert np.abs(L - (np.diag(full.sum(axis=1)) - full)).max() <= 1e-9 * size
+    assert np.array_equal(L, L.T)
+    assert (L - np.diag(np.diag(L))).max() <= 1e-9 * size
+    assert np.abs(L.sum(axis=1)).max() <= 1e-12 * size
     assert triangulation.laplacian.kernel_dimension == triangulation.laplacian.n_components
+    thirds = np.repeat(triangulation.share * triangulation.face_areas / 3, 3)
+    assert triangulation.laplacian.mass == pytest.approx(
+        np.bincount(i.ravel(), thirds, n), rel=1e-8
+    )
 
 
 def test_linear_functions_on_a_plate_of_slivers_have_their_gradient() -> None:
@@ -190,54 +167,45 @@ def test_linear_functions_on_a_plate_of_slivers_have_their_gradient() -> None:
     assert len(after - before) > 0.3 * len(after)  # most of them have been flipped
 
 
-def test_energy_of_a_smooth_function_converges() -> None:
-    # On the unit sphere, the integral of |grad z|^2 is 8 pi / 3.
-    errors = []
-    for subdivisions in (2, 3, 4):
-        triangulation = intrinsic_delaunay(sphere(subdivisions=subdivisions).geometry)
-        squares = (triangulation.gradient(triangulation.points[:, 2]) ** 2).sum(axis=1)
-        found = triangulation.share * (squares * triangulation.face_areas).sum()
-        errors.append(8 * np.pi / 3 - found)
-    assert np.log2(np.divide(errors[:-1], errors[1:])) == pytest.approx(2.0, abs=0.1)
-
-
 # ----------------------------------------------------------------------------- measures
 
 
-def test_area_of_a_mesh(mesh) -> None:
-    triangulation = intrinsic_delaunay(mesh)
+@pytest.mark.parametrize("name", MESHES)
+def test_area_boundary_and_spectrum_are_those_of_the_mesh(name: str) -> None:
+    mesh, triangulation = made(name), triangulated(name)
     assert triangulation.area == pytest.approx(mesh.area, rel=1e-9)
     assert triangulation.laplacian.area == pytest.approx(mesh.area, rel=1e-9)
-    assert triangulation.face_areas.shape == (len(triangulation.corners),)
-
-
-def test_boundary_of_a_mesh(mesh) -> None:
-    assert intrinsic_delaunay(mesh).boundary.tolist() == mesh.boundary_vertices.tolist()
+    assert triangulation.boundary.tolist() == mesh.boundary_vertices.tolist()
+    library = robust_laplacian(mesh)
+    k = min(12, mesh.n - 1)
+    ours, theirs = (
+        eigensolve(L, k, Dense()).eigenvalues for L in (triangulation.laplacian, library)
+    )
+    # At non-manifold edges the library glues others.
+    loose = {"three sheets": 5e-3, "copies": 1e-3}.get(name, 1e-6)
+    assert ours == pytest.approx(theirs, rel=loose, abs=1e-9 * theirs[-1])
+    if name in MANIFOLD:  # where the Delaunay triangulation is unique
+        difference = triangulation.laplacian.stiffness - library.stiffness
+        assert abs(difference).max() < 1e-8 * abs(library.stiffness).max()
+        assert triangulation.laplacian.mass == pytest.approx(library.mass, rel=1e-8)
 
 
 def test_each_triangle_once_where_the_mesh_is_closed_and_of_one_winding() -> None:
-    once, twice = (intrinsic_delaunay(made(name)) for name in list(MESHES)[:2])
+    once, twice = triangulated(), triangulated("ball of any winding")
     assert (once.share, twice.share) == (1.0, 0.5)
     assert len(twice.corners) == 2 * len(once.corners) == 2 * len(ball().faces)
     assert abs(once.laplacian.stiffness - twice.laplacian.stiffness).max() < 1e-12
     assert once.spacings == pytest.approx(twice.spacings, rel=1e-12)
 
 
-def test_spacing_of_equilateral_triangles() -> None:
-    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
-    tetrahedron = TriangleMesh(corners, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
-    assert intrinsic_delaunay(tetrahedron).spacings == pytest.approx([8**0.5])
-
-
 def test_boundary_of_clouds() -> None:
-    x, y = (c.ravel() for c in np.meshgrid(np.arange(12), np.arange(15), indexing="ij"))
+    x, y = np.indices((12, 15)).reshape(2, -1)
     border = np.flatnonzero((x == 0) | (x == 11) | (y == 0) | (y == 14))
     grid = PointCloud(np.c_[x, y, np.zeros(len(x))])
     assert intrinsic_delaunay(grid).boundary.tolist() == border.tolist()
-    for seed in range(3):
-        points = RNG(seed).standard_normal((3000, 3))
-        points /= np.linalg.norm(points, axis=1, keepdims=True)
-        assert len(intrinsic_delaunay(PointCloud(points)).boundary) == 0
+    points = RNG(0).standard_normal((3000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    assert len(intrinsic_delaunay(PointCloud(points)).boundary) == 0
 
 
 def test_boundary_of_a_random_disc() -> None:
@@ -252,53 +220,22 @@ def test_boundary_of_a_random_disc() -> None:
     assert gaps.max() < 10 * spacing
 
 
-# ----------------------------------------------------------------------------- other libraries
-
-
-@pytest.mark.parametrize("name", MANIFOLD)
-def test_equal_to_robust_laplacian_where_delaunay_is_unique(name: str) -> None:
-    mesh = made(name)
-    ours, library = delaunay_laplacian(mesh), robust_laplacian(mesh)
-    assert abs(ours.stiffness - library.stiffness).max() < 1e-8 * abs(library.stiffness).max()
-    assert ours.mass == pytest.approx(library.mass, rel=1e-8)
-
-
-@pytest.mark.parametrize("name", MESHES)
-def test_spectrum_of_robust_laplacian(name: str) -> None:
-    mesh = made(name)
-    k = min(12, mesh.n - 1)
-    ours = eigensolve(delaunay_laplacian(mesh), k, Dense())
-    library = eigensolve(robust_laplacian(mesh), k, Dense())
-    # Triangles of one circle have two Delaunay triangulations; at non-manifold edges the library
-    # glues others.
-    loose = {"torus": 5e-3, "three sheets": 5e-3, "copies": 1e-3}
-    size = library.eigenvalues[-1]
-    assert ours.eigenvalues == pytest.approx(
-        library.eigenvalues, rel=loose.get(name, 1e-6), abs=1e-9 * size
-    )
-
-
-def test_equal_to_libigl_on_a_closed_mesh() -> None:
-    mesh = ball()
-    library = -igl.intrinsic_delaunay_cotmatrix(np.array(mesh.points), np.array(mesh.faces))[0]
-    ours = delaunay_laplacian(mesh).stiffness
-    assert abs(ours - sparse.csr_array(library)).max() < 1e-10 * abs(ours).max()
-
-
-def test_equal_to_the_cotangent_laplacian_of_a_delaunay_mesh() -> None:
-    mesh = sphere(subdivisions=3).geometry
-    ours, cotangents = delaunay_laplacian(mesh).stiffness, cotan_laplacian(mesh).stiffness
-    assert abs(ours - cotangents).max() < 1e-12 * abs(ours).max()
-
-
 # ----------------------------------------------------------------------------- invariances
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+def test_equal_to_libigl_and_to_cotangents_on_a_delaunay_mesh() -> None:
+    mesh, round_one = ball(), sphere(subdivisions=3).geometry
+    library = -igl.intrinsic_delaunay_cotmatrix(np.array(mesh.points), np.array(mesh.faces))[0]
+    ours = delaunay_laplacian(mesh).stiffness
+    assert abs(ours - sparse.csr_array(library)).max() < 1e-10 * abs(ours).max()
+    ours, cotangents = (f(round_one).stiffness for f in (delaunay_laplacian, cotan_laplacian))
+    assert abs(ours - cotangents).max() < 1e-12 * abs(ours).max()
+
+
+@pytest.mark.parametrize("name", ["ball", "moebius strip", "three sheets", "plate as a cloud"])
 @pytest.mark.parametrize("scale", [1e-120, 1e6])
 def test_units(name: str, scale: float) -> None:
-    geometry = made(name)
-    base = intrinsic_delaunay(geometry)
+    geometry, base = made(name), triangulated(name)
     other = intrinsic_delaunay(geometry.with_points(scale * geometry.points))
     size = abs(base.laplacian.stiffness).max()
     assert abs(other.laplacian.stiffness - base.laplacian.stiffness).max() < 1e-6 * size
@@ -311,10 +248,9 @@ def test_units(name: str, scale: float) -> None:
     assert slopes[1] * scale == pytest.approx(slopes[0], rel=1e-3)
 
 
-@pytest.mark.parametrize("name", [*MANIFOLD, "three sheets", "creature"])
+@pytest.mark.parametrize("name", ["ball", "moebius strip", "three sheets"])
 def test_order_of_vertices_and_faces(name: str) -> None:
-    mesh = made(name)
-    base = intrinsic_delaunay(mesh)
+    mesh, base = made(name), triangulated(name)
     order, rank = (p := RNG(0).permutation(mesh.n)), np.argsort(p)
     faces = RNG(1).permutation(rank[mesh.faces])
     faces[::3] = np.roll(faces[::3], 1, axis=1)
@@ -326,20 +262,13 @@ def test_order_of_vertices_and_faces(name: str) -> None:
 
 
 def test_copies_of_all_triangles_double_the_surface() -> None:
-    mesh = ball()
-    doubled = TriangleMesh(mesh.points, np.vstack([mesh.faces, mesh.faces]))
-    one, two = delaunay_laplacian(mesh), delaunay_laplacian(doubled)
-    assert abs(two.stiffness - 2 * one.stiffness).max() < 1e-12 * abs(one.stiffness).max()
-    assert two.mass == pytest.approx(2 * one.mass)
-
-
-def test_copies_of_a_triangle_are_not_folded_away() -> None:
-    # Obtuse at its side on the boundary: glued to its copy there, that edge would be flipped.
+    # The second is obtuse at its boundary: glued to its copy there, that edge would be flipped.
     points = [[0, 0, 0], [4, 0, 0], [2, 0.5, 0], [2, 4, 0]]
-    mesh = TriangleMesh(points, [[0, 1, 2], [0, 2, 3], [2, 1, 3]])
-    doubled = TriangleMesh(points, np.vstack([mesh.faces, mesh.faces]))
-    one, two = delaunay_laplacian(mesh), delaunay_laplacian(doubled)
-    assert abs(two.stiffness - 2 * one.stiffness).max() < 1e-12
+    for mesh in (ball(), TriangleMesh(points, [[0, 1, 2], [0, 2, 3], [2, 1, 3]])):
+        doubled = TriangleMesh(mesh.points, np.vstack([mesh.faces, mesh.faces]))
+        one, two = delaunay_laplacian(mesh), delaunay_laplacian(doubled)
+        assert abs(two.stiffness - 2 * one.stiffness).max() < 1e-12 * abs(one.stiffness).max()
+        assert two.mass == pytest.approx(2 * one.mass)
 
 
 def test_flips_cross_a_sharp_fold() -> None:
@@ -365,21 +294,8 @@ def test_rows_of_slivers_take_many_flips() -> None:
     line = np.c_[np.linspace(0, 1, n), np.zeros((n, 2))]
     fan = np.c_[np.arange(n - 1), np.arange(1, n), np.full(n - 1, n)]
     laplacian = delaunay_laplacian(TriangleMesh(np.vstack([line, [0.5, 1e-3, 0]]), fan))
-    # As on a thin strip, the energy of x is the area.
-    assert energy(laplacian, laplacian.points[:, 0]) == pytest.approx(laplacian.area, rel=0.01)
-
-
-@pytest.mark.parametrize("collapsed", [1, 2])
-def test_coincident_vertices(collapsed: int) -> None:
-    mesh = sphere(subdivisions=2).geometry
-    points = np.array(mesh.points)
-    points[mesh.faces[0, 1 : 1 + collapsed]] = points[mesh.faces[0, 0]]
-    degenerate = mesh.with_points(points)
-    triangulation = intrinsic_delaunay(degenerate)
-    assert triangulation.area == pytest.approx(degenerate.area, rel=1e-5)
-    x = points[:, 0]
-    expected = energy(robust_laplacian(degenerate), x)
-    assert energy(triangulation.laplacian, x) == pytest.approx(expected, rel=1e-5)
+    x = laplacian.points[:, 0]  # as on a thin strip, its energy is the area
+    assert x @ (laplacian.stiffness @ x) == pytest.approx(laplacian.area, rel=0.01)
 
 
 def test_a_flat_triangle_is_lengthened() -> None:
@@ -394,37 +310,20 @@ def test_a_flat_triangle_is_lengthened() -> None:
 
 
 def test_fields_are_read_only_and_in_the_units_of_the_geometry() -> None:
-    mesh = ball()
-    triangulation = intrinsic_delaunay(mesh)
-    assert triangulation.n == mesh.n
+    mesh, triangulation = made("ball"), triangulated()
     assert triangulation.points.tolist() == mesh.points.tolist()
     assert triangulation.corners.dtype == np.int32
     for array in (triangulation.corners, triangulation.lengths, triangulation.boundary):
         assert not array.flags.writeable
-    straight = np.linalg.norm(
-        mesh.points[triangulation.corners] - mesh.points[np.roll(triangulation.corners, -1, 1)],
-        axis=2,
-    )
+    ends = np.roll(triangulation.corners, -1, 1)
+    straight = np.linalg.norm(mesh.points[triangulation.corners] - mesh.points[ends], axis=2)
     assert (triangulation.lengths >= straight - 1e-12).all()  # intrinsic edges go along the surface
     assert triangulation.operator == "delaunay_laplacian(mesh, mollify_factor=1e-05)"
     assert triangulation.seconds > 0
     assert repr(triangulation) == "IntrinsicTriangulation(320 triangles on 162 points)"
-
-
-def test_a_copy_is_the_same() -> None:
-    triangulation = intrinsic_delaunay(ball())
     other = copy.deepcopy(triangulation)
     u = RNG(0).standard_normal(other.n)
     assert np.array_equal(other.gradient(u), triangulation.gradient(u))
-    assert np.array_equal(other.laplacian.mass, triangulation.laplacian.mass)
-
-
-MESH = ball()
-
-
-@cache  # not when this file is read: kernels would be compiled in every process that collects it
-def triangulated() -> IntrinsicTriangulation:
-    return intrinsic_delaunay(MESH)
 
 
 def rebuilt(**changes) -> IntrinsicTriangulation:
@@ -434,36 +333,24 @@ def rebuilt(**changes) -> IntrinsicTriangulation:
     )
 
 
-BAD = [
-    (lambda: intrinsic_delaunay(MESH, mollify_factor=-1), "`mollify_factor` must be positive"),
-    (lambda: intrinsic_delaunay(MESH, mollify_factor=1e200), "`mollify_factor` must be at most 1"),
-    (
-        lambda: intrinsic_delaunay(
-            TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]]), mollify_factor=1e-20
-        ),
-        "`mollify_factor` must",
-    ),
-    (lambda: intrinsic_delaunay(TriangleMesh(np.eye(4, 3), [[0, 1, 2]])), "1 vertex that no face"),
-    (
-        lambda: intrinsic_delaunay(TriangleMesh(np.eye(3), [[0, 1, 2], [0, 1, 1]])),
-        "1 face with a vertex",
-    ),
-    (
-        lambda: intrinsic_delaunay(TriangleMesh(np.ones((3, 3)), [[0, 1, 2]])),
-        "`geometry` must have an",
-    ),
-    (lambda: triangulated().gradient(np.zeros(5)), r"`values` must have shape \(162,\), got"),
-    (lambda: triangulated().divergence(np.zeros((5, 3))), r"`vectors` must have shape \(320, 2\)"),
-    (lambda: triangulated().gradient(np.full(162, np.nan)), "`values` must be finite"),
-    (lambda: rebuilt(corners=triangulated().corners + 1), r"`corners` must be in \[0, 162"),
-    (lambda: rebuilt(lengths=triangulated().lengths[1:]), r"same shape \(f, 3\), got \(320, 3\)"),
-    (lambda: rebuilt(lengths=triangulated().lengths * 0), "`lengths` must be positive, got 960"),
-    (lambda: rebuilt(share=0), "`share` must be positive"),
-    (lambda: rebuilt(boundary=[700]), r"`boundary` must be in \[0, 162\), got 700"),
-]
+FLAT = TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]])
 
 
-@pytest.mark.parametrize(("build", "message"), BAD)
-def test_bad_input(build, message) -> None:
-    with pytest.raises(InvalidInputError, match=message):
-        build()
+@pytest.mark.parametrize(
+    ("make", "argument", "expected"),
+    [
+        (lambda: intrinsic_delaunay(ball(), mollify_factor=-1), "mollify_factor", "be positive"),
+        (lambda: intrinsic_delaunay(ball(), mollify_factor=9), "mollify_factor", "be at most 1"),
+        (lambda: intrinsic_delaunay(FLAT, mollify_factor=1e-20), "mollify_factor", "lengthen the"),
+        (lambda: triangulated().gradient(np.zeros(5)), "values", "have shape (162,), got (5,)"),
+        (lambda: triangulated().gradient(np.full(162, np.nan)), "values", "be finite"),
+        (lambda: triangulated().divergence(np.zeros((5, 3))), "vectors", "have shape (320, 2)"),
+        (lambda: rebuilt(corners=triangulated().corners + 1), "corners", "be in [0, 162)"),
+        (lambda: rebuilt(lengths=triangulated().lengths[1:]), "lengths", "have the shape (f, 3)"),
+        (lambda: rebuilt(lengths=0 * triangulated().lengths), "lengths", "be positive, got 960"),
+        (lambda: rebuilt(share=0), "share", "be positive"),
+        (lambda: rebuilt(boundary=[700]), "boundary", "be in [0, 162), got 700"),
+    ],
+)
+def test_bad_input(make, argument, expected) -> None:
+    refused(argument, expected, make)

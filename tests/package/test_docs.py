@@ -59,7 +59,8 @@ def public_names(module: ModuleType) -> set[str]:
 def test_the_reference_has_every_public_name(name: str) -> None:
     module = importlib.import_module(f"spectra_kit.{name}")
     names = listed(f"{name}.rst")
-    assert public_names(module) <= names
+    missing = sorted(public_names(module) - names)
+    assert not missing, f"add them to docs/api/{name}.rst"
     for entry in names:  # as far as to functions of modules that are no packages
         *parents, attribute = entry.split(".")
         assert hasattr(importlib.import_module(".".join([module.__name__, *parents])), attribute)
@@ -95,7 +96,8 @@ def test_the_architecture_is_drawn_the_same_twice(tmp_path: Path) -> None:
 def test_every_picture_is_shown() -> None:
     pages = "".join(path.read_text() for path in DOCS.glob("*.md"))
     shown = set(re.findall(r"\]\(pictures/(\S+)\)", pages))
-    assert shown == {path.name for path in (DOCS / "pictures").iterdir()}
+    drawn = {path.name for path in (DOCS / "pictures").iterdir()}
+    assert shown == drawn, "draw it with apps/make_pictures.py, or show it in docs/*.md"
 
 
 def blocks(language: str, pages: Iterable[Path]) -> list[str]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import subprocess
-import sys
 import typing
 from pathlib import Path
 from typing import Any
@@ -72,12 +70,14 @@ def test_there_are_many_of_them() -> None:
 @pytest.mark.parametrize(("name", "argument"), taking_geometries())
 def test_everything_goes_in(name: str, argument: str) -> None:
     """With the same result, or the same refusal, as of the geometry itself; or refused by name."""
-    own = call_of(name).good[argument]
+    own, known = call_of(name).good[argument], {}
     for kind in KINDS:
         other = own.as_cloud() if kind == "points" and isinstance(own, TriangleMesh) else own
         if isinstance(own, PointCloud) and kind == "arrays":
             other = example()["mesh"]
-        assert outcome(name, argument, thing(kind, other)) == outcome(name, argument, other)
+        if id(other) not in known:
+            known[id(other)] = outcome(name, argument, other), other
+        assert outcome(name, argument, thing(kind, other)) == known[id(other)][0]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -105,7 +105,10 @@ def test_geometries_stay_themselves() -> None:
         (pv.Cube(), "a PolyData", "triangulate() cuts them"),
         (pv.Line(), "a PolyData", "lines or strips"),
         (pv.ImageData(dimensions=(2, 2, 2)), "an ImageData", "extract_surface()"),
+        (pv.MultiBlock(), "a MultiBlock", "combine().extract_surface()"),
         (trimesh.Scene(), "a Scene", "scene.to_mesh()"),
+        (trimesh.load_path(np.eye(3)), "a Path3D", "curves"),
+        (b"OFF", "a bytes", "make one, too"),
         ("none.ply", "'none.ply'", "there is no such file"),
         (np.zeros((3, 2)), "a ndarray", "`points` must have shape (n, 3)"),
         (([[0.0, 0, 0]], [[0, 1, 2]]), "a tuple", "`faces` must be in [0, 1), got 2"),
@@ -131,12 +134,3 @@ def test_swapped_arguments_are_told_before_a_path_is_read() -> None:
     with pytest.raises(InvalidInputError) as error:
         sk.write("out.obj", example()["mesh"])
     assert error.value.advice == "did you swap it with `path`?"
-
-
-def test_no_toolkit_is_imported_for_arrays() -> None:
-    code = (
-        "import sys, spectra_kit as sk; sk.as_geometry([[0, 0, 0]]);"
-        "print(sorted({'trimesh', 'pyvista'} & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

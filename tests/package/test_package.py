@@ -1,17 +1,24 @@
-"""What one meets first: the names of the package, its help, its start and Ctrl-C."""
+"""What one meets first: the names of the package, its start, Ctrl-C, and what values show."""
 
 import pydoc
 import subprocess
 import sys
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import bumpy
 
 import spectra_kit as sk
 from spectra_kit import metrics
+from spectra_kit._version import VERSION
 from spectra_kit.correspondence import Truth, map_errors
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import components, normalize, repair, sample_with_origin, sphere
+from spectra_kit.interop import to_pyvista
 
 ROOT = Path(__file__).parents[2]
 
@@ -20,24 +27,22 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
 
 
-def test_every_part_is_at_hand_and_none_is_imported_before() -> None:
+def test_nothing_is_imported_before_it_is_asked_for() -> None:
+    """Neither by the package and its catalogue, nor by reading the command line, nor by arrays."""
     done = run(
-        "import sys, spectra_kit as sk;"
-        "print(sorted({m.split('.')[0] for m in sys.modules} & {'numpy', 'scipy', 'torch'}));"
-        "print(sk.viz.plot_modes.__name__, sk.interop.__name__, sk.metrics.__name__);"
-        "print(sorted({'torch', 'pyvista', 'matplotlib'} & set(sys.modules)))"
+        "import sys, spectra_kit as sk\n"
+        "def there(*names): print(*({m.split('.')[0] for m in sys.modules} & {*names}))\n"
+        "from spectra_kit import catalogue; from spectra_kit.cli.program import COMMANDS, parse\n"
+        "from spectra_kit.cli.help import help_text; parse(['info', 'demo'])\n"
+        "text = [help_text(command) for command in COMMANDS]\n"
+        "there('numpy', 'scipy', 'torch', 'numba', 'rich')\n"
+        "sk.as_geometry([[0, 0, 0]])\n"
+        "print(sk.viz.plot_modes.__name__, sk.interop.__name__, sk.metrics.__name__)\n"
+        "there('torch', 'pyvista', 'vtk', 'vtkmodules', 'matplotlib', 'trimesh', 'pyamg')\n"
+        "print(all(callable(command.load()) for command in COMMANDS))"
     )
-    assert done.stdout.split("\n")[:3] == [
-        "[]",
-        "plot_modes spectra_kit.interop spectra_kit.metrics",
-        "[]",
-    ], done.stderr
-
-
-def test_the_version_is_that_of_the_project() -> None:
-    from spectra_kit._version import VERSION
-
-    assert sk.__version__ == VERSION
+    names = "plot_modes spectra_kit.interop spectra_kit.metrics"
+    assert done.stdout.split("\n")[:4] == ["", names, "", "True"], done.stderr
 
 
 def test_every_name_is_there() -> None:
@@ -46,17 +51,18 @@ def test_every_name_is_there() -> None:
     names: dict[str, object] = {}
     exec("from spectra_kit import *", names)
     assert set(dir(sk)) <= set(names)
-
-
-def test_a_name_that_is_not_there() -> None:
     with pytest.raises(AttributeError, match="eigensolver"):
         sk.eigensolver  # noqa: B018
-
-
-def test_the_help_begins_with_what_there_is() -> None:
     assert "help(sk.eigensolve)" in pydoc.render_doc(sk)[:3000]
 
 
+def test_the_installed_command_starts_like_the_module() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["scripts"] == {"spectra-kit": "spectra_kit.__main__:main"}
+    assert sk.__version__ == VERSION
+
+
+@cache
 def values() -> list[object]:
     mesh = sphere(subdivisions=3).geometry
     laplacian = sk.robust_laplacian(mesh)
@@ -89,17 +95,53 @@ def values() -> list[object]:
     ]
 
 
-def test_what_is_printed_of_a_value_is_short() -> None:
-    shown = {type(value).__name__: repr(value) for value in values()}
-    assert {name: text for name, text in shown.items() if len(text) > 600 or "\n" in text} == {}
+def test_what_is_shown_of_a_value_is_short() -> None:
+    printed = {type(value).__name__: repr(value) for value in values()}
+    assert {name: text for name, text in printed.items() if len(text) > 600 or "\n" in text} == {}
     assert (
-        "stiffness=<sparse (642, 642), 4482 entries>, mass=<float64 (642,)>" in shown["Laplacian"]
+        "stiffness=<sparse (642, 642), 4482 entries>, mass=<float64 (642,)>" in printed["Laplacian"]
     )
+    drawn = (sk.TriangleMesh, sk.PointCloud)
+    tables = {type(v).__name__: v._repr_html_() for v in values() if not isinstance(v, drawn)}
+    assert {"Spectrum", "Certificate", "Match", "DistanceField"} <= set(tables)
+    for name, shown in tables.items():
+        rows = ElementTree.fromstring(shown).findall("tr")
+        assert rows
+        assert len(shown) < 4000, name
+        assert "mappingproxy" not in shown
+    spectrum = next(value for value in values() if isinstance(value, sk.Spectrum))
+    assert f"{spectrum.eigenvalues[1]:.6g}" in tables["Spectrum"]
+    assert "verified" in tables["Spectrum"]
+    assert "none" in sk.Spectrum([0.0], [[1.0]], [1.0])._repr_html_()
+
+
+def test_values_draw_themselves(tmp_path: Path) -> None:
+    ball = sphere(subdivisions=1).geometry
+    ball.as_cloud().plot(tmp_path / "drawn.png")
+    field = sk.HeatGeodesics(ball).distance(0)
+    drawn = [sk.spectrum(ball, 4).plot().content, field.plot(ball).content]
+    for content in ((tmp_path / "drawn.png").read_bytes(), *drawn):
+        assert content.startswith(b"\x89PNG")
+    assert ball._repr_html_().startswith('<img src="data:image/png;base64,iVBOR')
+
+
+def test_results_go_back_to_pyvista(bumpy_laplacian) -> None:
+    mesh, spectrum = bumpy(), sk.eigensolve(bumpy_laplacian, 3)
+    there = to_pyvista(mesh, mode=spectrum, field=mesh.points, height=mesh.points[:, 2])
+    assert there.point_data.keys() == ["mode_0", "mode_1", "mode_2", "field", "height"]
+    assert np.array_equal(there.point_data["mode_2"], spectrum.eigenvectors[:, 2])
+    back = sk.as_geometry(there)
+    assert np.array_equal(back.points, mesh.points)
+    assert np.array_equal(back.faces, mesh.faces)
+    assert to_pyvista(mesh.as_cloud()).n_points == mesh.n
+    with pytest.raises(InvalidInputError) as error:
+        to_pyvista(mesh, height=[1.0])
+    assert (error.value.argument, error.value.got) == ("height", "shape (1,) of float64")
 
 
 @pytest.mark.parametrize(
     "module",
-    ["spectra_kit.cli", "numpy", "scipy.sparse", "spectra_kit.eigensolvers", "cyclopts"],
+    ["spectra_kit.cli", "numpy", "cyclopts"],
 )
 def test_ctrl_c_while_it_starts_ends_it_quietly(module: str) -> None:
     """As if the key were pressed when `module` is looked for."""
@@ -114,21 +156,3 @@ def test_ctrl_c_while_it_starts_ends_it_quietly(module: str) -> None:
         "runpy.run_module('spectra_kit', run_name='__main__')\n"
     )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
-
-
-def test_the_installed_command_starts_like_the_module() -> None:
-    import tomllib
-
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert project["scripts"] == {"spectra-kit": "spectra_kit.__main__:main"}
-
-
-def test_reading_the_command_line_waits_for_no_number() -> None:
-    done = run(
-        "import sys; from spectra_kit.cli.program import COMMANDS, parse; parse(['info', 'demo']);"
-        "from spectra_kit.cli.help import help_text; text = [help_text(c) for c in COMMANDS];"
-        "heavy = {'numpy', 'scipy', 'numba', 'rich'};"
-        "print(sorted({m.split('.')[0] for m in sys.modules} & heavy));"
-        "print(all(callable(c.load()) for c in COMMANDS))"
-    )
-    assert done.stdout.split() == ["[]", "True"], done.stderr

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import spectra_kit
 from spectra_kit.cli.words import option_of
+from spectra_kit.errors import ConvergenceError, InvalidInputError
 
-#: What no command can be told, so that it stays as Python has it.
+#: What no command can be told.
 OF_PYTHON_ALONE = {'kind="cloud"', "max_points", "max_restarts", "max_steps", "max_sweeps", "tol"}
 
 
@@ -46,4 +47,17 @@ def test_advice_has_a_place_for_each_remedy() -> None:
 def test_remedies_have_words_on_the_command_line() -> None:
     for where, _, remedies in advised():
         for remedy in remedies:
-            assert (option_of(remedy) == remedy) == (remedy in OF_PYTHON_ALONE), (where, remedy)
+            assert option_of(remedy) != remedy, (where, remedy)
+            assert bool(option_of(remedy)) == (remedy not in OF_PYTHON_ALONE), (where, remedy)
+
+
+def test_an_alternative_without_a_word_is_left_out() -> None:
+    remedies = ("max_steps", "rtol", "Arpack")
+    error = ConvergenceError(
+        "stopped", advice=("raise {}", "loosen {}", "use {}"), remedies=remedies
+    )
+    assert str(error) == "stopped; raise max_steps, loosen rtol, or use Arpack"
+    assert error.told(option_of) == "stopped; loosen --rtol, or use --solver arpack"
+    assert (
+        InvalidInputError("gone", advice=("use {}",), remedies=("tol",)).told(option_of) == "gone"
+    )

@@ -1,10 +1,19 @@
 import numpy as np
 import pytest
-from conftest import bumpy
+from conftest import bumpy, refused
 
-from spectra_kit import AmbientFourier, InvalidInputError, Union, eigensolve, robust_laplacian
+from spectra_kit import (
+    AmbientFourier,
+    GivenBasis,
+    RandomBasis,
+    Refined,
+    Union,
+    eigensolve,
+    robust_laplacian,
+)
 from spectra_kit.linalg import orthonormalize
 from spectra_kit.metrics import span_error
+from spectra_kit.subspaces import restricted
 
 CLOUD = bumpy()
 MASS = robust_laplacian(CLOUD).mass
@@ -41,14 +50,23 @@ def test_fourier_covers_the_low_modes_and_more_functions_cover_more(bumpy_laplac
     assert errors[2] < 2e-3
 
 
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (lambda: AmbientFourier(m=4), "`m` must be at least 5"),
-        (lambda: AmbientFourier(bandwidth=0.0), "`bandwidth` must be positive"),
-        (lambda: Union(), "`parts` must hold at least one subspace"),
-    ],
-)
-def test_bad_hyper_parameters(build, message: str) -> None:
-    with pytest.raises(InvalidInputError, match=message):
-        build()
+def test_bad_hyper_parameters() -> None:
+    refused("m", "be at least 5", AmbientFourier, m=4)
+    refused("bandwidth", "be positive", AmbientFourier, bandwidth=0.0)
+    refused("m", "be at least 1", RandomBasis, m=0)
+    refused("seed", "be at least 0", RandomBasis, seed=-1)
+
+
+def test_bases_that_belong_to_the_points_can_be_restricted() -> None:
+    """Inside unions and solvers too; what is a function of the points stays as it is."""
+    rows, given, waves = np.array([2, 0]), GivenBasis(np.eye(4)), AmbientFourier(m=5)
+    points = np.random.default_rng(0).standard_normal((4, 3))
+    expected = np.hstack([np.eye(4)[rows], waves(points[rows], np.ones(2))])
+    for part in (Union(given, waves), Refined(start=Union(given, waves), seed=3)):
+        part = restricted(part, rows)
+        union = part.start if isinstance(part, Refined) else part
+        assert np.array_equal(union(points[rows], np.ones(2)), expected)
+    assert part == Refined(start=union, seed=3)
+    assert restricted(waves, rows) is waves
+    refused("rows", "be in [0, 4)", given.restricted, [4])
+    refused("rows", "be a vector of at least one point", given.restricted, np.empty(0, int))

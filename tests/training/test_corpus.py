@@ -141,7 +141,7 @@ def test_an_interrupted_run_leaves_whole_shards_and_is_resumed(folder, tmp_path,
 @pytest.mark.parametrize("record", [b"{", b"[1]", b"null", b"\xff", b"[" * 100_000])
 def test_a_damaged_record_is_refused(tmp_path, record):
     (tmp_path / "corpus.json").write_bytes(record)
-    with pytest.raises(InvalidInputError, match=r"corpus.json is not a whole record of a corpus"):
+    with pytest.raises(InvalidInputError, match=r"corpus.json: not a whole record of a corpus"):
         generate(tmp_path, 1, config=TINY)
 
 
@@ -244,7 +244,10 @@ def cut(path):
         (lambda shard: cut(shard / "points.npy"), "not a whole shard .*; delete it, and generate"),
         (lambda shard: cut(shard / "labels.npz"), "not a whole shard"),
         (lambda shard: np.save(shard / "mass.npy", np.ones((2, 64))), "mass must be float32, got"),
-        (lambda shard: np.save(shard / "points.npy", np.ones((2, 9, 3), "f4")), "shard_0000 is no"),
+        (
+            lambda shard: np.save(shard / "points.npy", np.ones((2, 9, 3), "f4")),
+            "shard_0000: not a whole shard",
+        ),
         (lambda shard: np.savez(shard / "labels.npz", a=[0.5, 1]), "a must be int64, got"),
         (lambda shard: np.savez(shard / "labels.npz", a=[1]), "one integer for each of 2 samples"),
     ],
@@ -359,7 +362,7 @@ def test_bad_pools_are_refused(pool, tmp_path):
     np.savez(tmp_path / "half.npz", V=np.zeros((1, 3)))
     for told, call, *arguments in (
         (r"must hold chunks pool_\*.npz and a manifest", open_pool, tmp_path, "train"),
-        (r"text.npz is not a whole mesh pool", open_pool, tmp_path / "text.npz", "train"),
+        (r"text.npz: not a whole mesh pool", open_pool, tmp_path / "text.npz", "train"),
         (r"without \['F', 'voff', 'foff', 'ids'\]", open_pool, tmp_path / "half.npz", "train"),
         ("are in, got 'test'", open_pool, pool, "test"),
         (r"`target` must end in \.npz", pack_pool, pool, tmp_path / "small.bin", "train"),

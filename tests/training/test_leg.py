@@ -152,7 +152,7 @@ def test_a_leg_is_read_back_and_a_damaged_record_refused(tmp_path):
     assert Leg.read(tmp_path) == leg
     for content in ("{", "[]", '{"config": {"network": {"planet": 1}}}'):
         (tmp_path / "leg.json").write_text(content)
-        with pytest.raises(InvalidInputError, match=r"leg.json is not a whole record of a leg"):
+        with pytest.raises(InvalidInputError, match=r"leg.json: not a whole record of a leg"):
             Leg.read(tmp_path)
     # One from nothing must beat the shipped weights, too.
     legs = [new_leg(name="small", fresh=fresh, fast=False, **NEW) for fresh in (True, False)]

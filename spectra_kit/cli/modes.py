@@ -1,0 +1,176 @@
+"""The commands that compute modes and show them: as numbers, as pictures, swinging."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from spectra_kit._validate import check_count, check_positive, quantity
+from spectra_kit.cli import program, tables
+from spectra_kit.cli.inputs import prepare
+from spectra_kit.cli.options import PICTURES
+from spectra_kit.cli.output import check_output, tell, tell_with_picture
+from spectra_kit.cli.progress import counted, say, step
+from spectra_kit.cli.solving import (
+    SHOWN,
+    check_solvers,
+    refuse_solving,
+    saved,
+    shown_modes,
+    solve,
+)
+from spectra_kit.eigensolvers import verify
+from spectra_kit.errors import ConvergenceError, OutOfMemoryError
+from spectra_kit.geometry import Geometry
+from spectra_kit.operators import Laplacian
+from spectra_kit.spectra import Spectrum
+
+
+def spectrum(asked: program.Spectrum) -> None:
+    """Compute the lowest modes, show a few, save all, draw their eigenvalues."""
+    output = asked.output
+    if output:
+        check_output(output, [".npz"], asked.inputs)
+    if asked.picture:
+        check_output(asked.picture, PICTURES, asked.inputs)
+    k = check_count("-k", asked.k, low=1)
+    shown = shown_modes(asked.modes, (*SHOWN, k - 1), k)
+    check_solvers(asked, asked.solver)
+    geometry, laplacian = prepare(asked)
+    try:
+        found = solve(laplacian, k, asked.solver, asked)
+    except (ConvergenceError, OutOfMemoryError) as error:
+        if output and error.partial is not None:
+            _rescue(error, output.with_suffix(".partial.npz"))
+        raise
+    if asked.verify and (found.certificate is None or found.certificate.level != "verified"):
+        with step("counting eigenvalues"):
+            found = verify(found, laplacian)
+    if output:
+        with step(f"writing {output}"):
+            found.save(output)
+
+    def draw(path: Path) -> None:
+        from spectra_kit.viz import Page, plot_spectrum
+        from spectra_kit.viz.boundary import free_boundary
+
+        page = Page(tables.title(asked.file, geometry), dpi=asked.dpi)
+        plot_spectrum(path, found, free_boundary=free_boundary(geometry, found), page=page)
+
+    tell_with_picture(
+        asked,
+        {
+            "input": asked.file,
+            "geometry": tables.geometry_record(geometry),
+            **tables.spectrum_record(found),
+            "output": output,
+        },
+        tables.headline(asked.file, geometry, laplacian),
+        tables.modes_table(found, shown),
+        tables.certificate_lines(found),
+        *([f"spectrum: {output}"] if output else []),
+        picture=asked.picture,
+        draw=draw,
+        kept=f"the spectrum {output} is whole" if output else "the numbers are whole",
+    )
+
+
+def _rescue(error: ConvergenceError | OutOfMemoryError, path: Path) -> None:
+    """Save what there is of a spectrum that was not finished."""
+    partial = error.partial
+    partial.save(path)
+    reached = error.n_converged if isinstance(error, ConvergenceError) else partial.k
+    say(f"{quantity(partial.k, 'mode')}, of which {reached} converged: {path}")
+
+
+def modes(asked: program.Modes) -> None:
+    """Draw modes on one page."""
+    if asked.columns is not None:
+        check_count("--columns", asked.columns, low=1)
+    shown = _to_show(asked, PICTURES, 12)
+    from spectra_kit.viz import Page, View, plot_modes
+
+    with step(f"drawing {quantity(len(shown.modes), 'mode')}"):
+        plot_modes(
+            asked.output,
+            shown.geometry,
+            shown.spectrum,
+            modes=shown.modes,
+            nodal_lines=not asked.no_lines,
+            columns=asked.columns,
+            view=View(asked.upwards, asked.turn),
+            page=Page(tables.title(asked.file, shown.geometry), dpi=asked.dpi),
+        )
+    _tell(asked, shown, "picture")
+
+
+def animate(asked: program.Animate) -> None:
+    """Let modes swing, one after the other."""
+    check_positive("--seconds", asked.seconds)
+    check_count("--fps", asked.fps, low=1)
+    check_count("--width", asked.width, low=16)
+    shown = _to_show(asked, (".gif", ".mp4"), 6)
+    from spectra_kit.viz import View, animate_modes
+
+    with counted(f"drawing {quantity(len(shown.modes), 'mode')}", "frame") as progress:
+        animate_modes(
+            asked.output,
+            shown.geometry,
+            shown.spectrum,
+            modes=shown.modes,
+            seconds_per_mode=asked.seconds,
+            fps=asked.fps,
+            width=asked.width,
+            view=View(asked.upwards, asked.turn),
+            progress=progress,
+        )
+    _tell(asked, shown, "animation")
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """A geometry, its operator, modes of it, and which of them to show."""
+
+    geometry: Geometry
+    laplacian: Laplacian
+    spectrum: Spectrum
+    modes: tuple[int, ...]
+
+
+def _to_show(asked: program.Shown, suffixes: tuple[str, ...], usual: int) -> _Shown:
+    """Return modes to show: those asked for, else the first `usual` that are not constant."""
+    check_output(asked.output, suffixes, asked.inputs)
+    for mode in asked.modes or ():
+        check_count("--modes", mode, low=0)
+    if asked.spectrum:
+        refuse_solving(asked)
+    check_solvers(asked, asked.solver)
+    geometry, laplacian = prepare(asked)
+    if asked.spectrum:
+        spectrum = saved(asked.spectrum, laplacian)
+        if asked.k is not None:
+            spectrum = spectrum.truncate(asked.k)
+    else:
+        needed = max(asked.modes) + 1 if asked.modes else usual + laplacian.kernel_dimension
+        k = min(needed, len(laplacian.free)) if asked.k is None else asked.k
+        spectrum = solve(laplacian, max(k, 1), asked.solver, asked)
+    first = spectrum.n_zero_modes
+    which = shown_modes(asked.modes, range(first, first + usual), spectrum.k)
+    return _Shown(geometry, laplacian, spectrum, which)
+
+
+def _tell(asked: program.Shown, shown: _Shown, what: str) -> None:
+    """Say what was drawn and where it is."""
+    tell(
+        asked,
+        {
+            "input": asked.file,
+            "geometry": tables.geometry_record(shown.geometry),
+            **tables.spectrum_record(shown.spectrum),
+            "modes": shown.modes,
+            what: asked.output,
+        },
+        tables.headline(asked.file, shown.geometry, shown.laplacian),
+        tables.modes_table(shown.spectrum, shown.modes),
+        f"{what}: {asked.output}",
+    )
