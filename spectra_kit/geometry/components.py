@@ -50,11 +50,6 @@ def components(mesh: TriangleMesh) -> list[Component]:
     list of Component
         In the order of their first face.
 
-    Raises
-    ------
-    InvalidInputError
-        If `mesh` is a cloud, whose components are those of a Laplacian.
-
     Examples
     --------
     >>> from spectra_kit.geometry import TriangleMesh, components

@@ -12,7 +12,6 @@ from scipy import sparse
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
-from spectra_kit.geometry._joints import Joint, bend, ramp
 from spectra_kit.geometry.implicit import Field, ellipsoid, limb, polygonize, smooth_union
 from spectra_kit.geometry.shapes import TriangleMesh
 
@@ -50,11 +49,6 @@ def creature(n_points: int = 8000, *, seed: int = 0, pose: int = 0) -> TriangleM
         About 2.5 long, head towards +x, up +z, faces oriented outwards. No symmetry, so its low
         eigenvalues are simple.
 
-    Raises
-    ------
-    InvalidInputError
-        If `n_points` is below 500, or `seed` or `pose` is negative.
-
     Notes
     -----
     Vertices lie on the zero set of a smooth union of tapered capsules and ellipsoids. Marching
@@ -81,11 +75,7 @@ def creature(n_points: int = 8000, *, seed: int = 0, pose: int = 0) -> TriangleM
     for _ in range(levels):
         mesh = TriangleMesh(*igl.upsample(mesh.points, mesh.faces, 1))
         mesh = _relaxed(mesh, field, steps=1)
-    if pose:
-        mesh = mesh.with_points(
-            bend(mesh.points, _joints(animal, mesh.points), np.random.default_rng(pose))
-        )
-    return mesh
+    return mesh.with_points(_bent(animal, mesh.points, pose)) if pose else mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +136,8 @@ def _animal(rng: np.random.Generator, *, calm: bool) -> _Animal:
     first, neck = len(parts), np.array([0.58, 0.02, 0.08])
     chain(np.array([neck, head - [0.06, 0.0, 0.04]]), [0.19 * stout, 0.125])
     cy, sy, cn, sn = np.cos(yaw), np.sin(yaw), np.cos(nod), np.sin(nod)
-    turn = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ np.array(
-        [[cn, 0, sn], [0, 1, 0], [-sn, 0, cn]]
-    )
+    turn = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    turn = turn @ np.array([[cn, 0, sn], [0, 1, 0], [-sn, 0, cn]])
 
     def at(*local: float) -> Floats:
         return np.asarray(head + turn @ np.array(local))
@@ -174,19 +163,32 @@ def _animal(rng: np.random.Generator, *, calm: bool) -> _Animal:
     return _Animal(parts, hinges)
 
 
-def _joints(animal: _Animal, points: Floats) -> list[Joint]:
-    """Where and how far the animal bends, with the share of each point."""
+def _bent(animal: _Animal, points: Floats, pose: int) -> Floats:
+    """Turn every joint by a random angle, those nearer to the tips first, the spine last.
+
+    A point turns by its share of the *angle*, not towards a mean of two positions, so that limbs
+    keep their thickness at a joint.
+    """
+    from scipy.spatial.transform import Rotation
+
+    rng = np.random.default_rng(pose)
     distances = np.stack([part(points) for part in animal.parts])
-    joints, along = [], points[:, 0]
-    for name, (pivot, beyond) in animal.hinges.items():
+    moved, along = points, points[:, 0]
+
+    def turned(kind: str, pivot: Floats, beyond: Floats) -> tuple[Floats, Floats]:
+        """Return the points, and how much each takes part: 1 if far `beyond` the joint."""
+        t = np.clip(0.5 + 0.5 * beyond / _SOFT[kind], 0.0, 1.0)
+        weight = t * t * (3 - 2 * t)
+        turns = Rotation.from_rotvec(weight[:, None] * (_LIMITS[kind] * rng.uniform(-1, 1, 3)))
+        return pivot + turns.apply(moved - pivot), weight
+
+    for name, (pivot, parts) in animal.hinges.items():
         kind = name.split()[0]
-        rest = np.delete(distances, beyond, axis=0).min(axis=0)
-        weight = ramp(rest - distances[beyond].min(axis=0), _SOFT[kind])
-        joints.append(Joint(pivot, np.array(_LIMITS[kind]), weight))
+        rest = np.delete(distances, parts, axis=0).min(axis=0)
+        moved, weight = turned(kind, pivot, rest - distances[parts].min(axis=0))
         if kind == "hip":  # a leg follows the spine where it is attached
             along = along + weight * (pivot[0] - along)
-    weight = ramp(along, _SOFT["spine"])
-    return [*joints, Joint(np.zeros(3), np.array(_LIMITS["spine"]), weight)]
+    return turned("spine", np.zeros(3), along)[0]
 
 
 def _remeshed(field: Field, n: int) -> TriangleMesh:

@@ -45,51 +45,39 @@ class Problem:
         return self.told()
 
 
-# A count of `Diagnosis`, what it says of one and of several, and what helps; None: joining points.
-_PROBLEMS = (
-    (
-        "duplicate_points",
+# What a count of `Diagnosis` says of one and of several, and what helps; "": joining points.
+_PROBLEMS = {
+    "duplicate_points": (
         "point lies exactly on an earlier one",
         "points lie exactly on earlier ones",
-        "{}",
-        None,
+        "",
     ),
-    (
-        "degenerate_faces",
+    "degenerate_faces": (
         "face has no area",
         "faces have no area",
-        "{}",
         "mesh.without_degenerate_faces()",
     ),
-    (
-        "duplicate_faces",
+    "duplicate_faces": (
         "face repeats an earlier one",
         "faces repeat earlier ones",
-        "{}",
         "mesh.without_duplicate_faces()",
     ),
-    (
-        "unreferenced_vertices",
+    "unreferenced_vertices": (
         "vertex has no face",
         "vertices have no face",
-        "{}",
         "mesh.without_unreferenced()",
     ),
-    (
-        "nonmanifold_edges",
+    "nonmanifold_edges": (
         "edge has three or more faces",
         "edges have three or more faces",
-        "use {}",
         "robust_laplacian",
     ),
-    (
-        "nonmanifold_vertices",
+    "nonmanifold_vertices": (
         "vertex joins fans of faces that share no edge",
         "vertices join fans of faces that share no edge",
-        "use {}",
         "robust_laplacian",
     ),
-)
+}
 
 
 @checked
@@ -149,13 +137,12 @@ class Diagnosis:
     def problems(self) -> tuple[Problem, ...]:
         """What an operator may refuse, with what to do about it."""
         merge = "mesh.with_merged_vertices()" if self.n_faces else "cloud.without_duplicates()"
-        found = [
-            Problem(
-                count, f"{count:,} {one if count == 1 else several}", advice, (remedy or merge,)
-            )
-            for name, one, several, advice, remedy in _PROBLEMS
-            if (count := getattr(self, name))
-        ]
+        found = []
+        for name, (one, several, remedy) in _PROBLEMS.items():
+            if count := getattr(self, name):
+                finding = f"{count:,} {one if count == 1 else several}"
+                advice = "use {}" if remedy == "robust_laplacian" else "{}"
+                found.append(Problem(count, finding, advice, (remedy or merge,)))
         if self.dimension < 2:
             shape = ("all points coincide", "all points lie on one line")[self.dimension]
             found.append(Problem(self.n_points, shape, "no surface"))
@@ -191,21 +178,19 @@ def diagnose(geometry: Geometry) -> Diagnosis:
     points = geometry.points
     counts = _face_counts(geometry) if isinstance(geometry, TriangleMesh) else {}
     first, _ = distinct_rows(points)
-    lower, upper = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return Diagnosis(
         n_points=geometry.n,
         dimension=_dimension(points),
         duplicate_points=geometry.n - len(first),
-        lower=(lower[0], lower[1], lower[2]),
-        upper=(upper[0], upper[1], upper[2]),
+        lower=tuple(points.min(axis=0).tolist()),
+        upper=tuple(points.max(axis=0).tolist()),
         **counts,
     )
 
 
 def _face_counts(mesh: TriangleMesh) -> dict[str, Any]:
     edges, faces_at_edge = mesh.unique_edges
-    n_used = len(mesh.referenced_vertices)
-    n_faces = len(mesh.faces)
+    n_used, n_faces = len(mesh.referenced_vertices), len(mesh.faces)
     return {
         "n_faces": n_faces,
         "n_components": len(np.unique(mesh.component_labels[mesh.referenced_vertices])),

@@ -51,13 +51,19 @@ def ellipsoid(centre: ArrayLike, radii: ArrayLike, rotation: Floats | None = Non
     return field
 
 
+def _local(centre: ArrayLike, rotation: Floats | None) -> Field:
+    """Coordinates around a centre along the columns of `rotation`, by default x, y, z."""
+    c = np.asarray(centre, dtype=np.float64)
+    frame = np.eye(3) if rotation is None else rotation
+    return lambda points: np.asarray((points - c) @ frame)
+
+
 def box(centre: ArrayLike, half: ArrayLike, rotation: Floats | None = None) -> Field:
     """Box with half side lengths `half` (3,) along the columns of `rotation`."""
-    c, h = np.asarray(centre, dtype=np.float64), np.asarray(half, dtype=np.float64)
-    frame = np.eye(3) if rotation is None else rotation
+    local, h = _local(centre, rotation), np.asarray(half, dtype=np.float64)
 
     def field(points: Floats) -> Floats:
-        q = np.abs((points - c) @ frame) - h
+        q = np.abs(local(points)) - h
         return np.asarray(_norm(np.maximum(q, 0.0)) + np.minimum(q.max(axis=1), 0.0))
 
     return field
@@ -67,11 +73,10 @@ def cylinder(
     centre: ArrayLike, radius: float, half_height: float, rotation: Floats | None = None
 ) -> Field:
     """Solid cylinder along the last column of `rotation`."""
-    c = np.asarray(centre, dtype=np.float64)
-    frame = np.eye(3) if rotation is None else rotation
+    local = _local(centre, rotation)
 
     def field(points: Floats) -> Floats:
-        q = (points - c) @ frame
+        q = local(points)
         d = np.column_stack([np.hypot(q[:, 0], q[:, 1]) - radius, np.abs(q[:, 2]) - half_height])
         return np.asarray(_norm(np.maximum(d, 0.0)) + np.minimum(d.max(axis=1), 0.0))
 
@@ -80,11 +85,10 @@ def cylinder(
 
 def ring(centre: ArrayLike, major: float, minor: float, rotation: Floats | None = None) -> Field:
     """Torus around the last column of `rotation`."""
-    c = np.asarray(centre, dtype=np.float64)
-    frame = np.eye(3) if rotation is None else rotation
+    local = _local(centre, rotation)
 
     def field(points: Floats) -> Floats:
-        q = (points - c) @ frame
+        q = local(points)
         return np.hypot(np.hypot(q[:, 0], q[:, 1]) - major, q[:, 2]) - minor
 
     return field
@@ -112,26 +116,12 @@ def smooth_union(fields: Sequence[Field], blend: float) -> Field:
 def polygonize(
     field: Field, low: ArrayLike, high: ArrayLike, *, n_cells: int, stride: int = 1
 ) -> tuple[Floats, Ints]:
-    """Marching cubes of the zero set inside a box.
+    """Return points and faces of the zero set inside a box, oriented outwards, by marching cubes.
 
-    Parameters
-    ----------
-    field : callable
-        Points (n, 3) to values (n,), negative inside.
-    low, high : array_like of shape (3,)
-        Corners of the box; a surface that leaves it stays open there.
-    n_cells : int
-        About how many cubes; they are equal in all directions, so a long box wastes none.
-    stride : int, default 1
-        Above 1, look at every stride-th node first and at the others only near the surface: much
-        faster, but right only for fields whose slope stays below 1.5, as that of the primitives
-        here does.
-
-    Returns
-    -------
-    points : ndarray of shape (n, 3)
-    faces : ndarray of shape (f, 3)
-        Oriented outwards. Both are empty where the field has no zero.
+    A surface that leaves the box stays open. About `n_cells` cubes are equal in all directions, so
+    a long box wastes none. With a `stride` above 1, only every stride-th node is looked at first,
+    and the others near the surface: much faster, but right only for fields whose slope stays below
+    1.5, as that of the primitives here does.
 
     Examples
     --------

@@ -102,8 +102,6 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     True
     """
     path = Path(path)
-    if kind not in (None, "mesh", "cloud"):
-        raise InvalidInputError("kind", 'be "mesh", "cloud" or None', repr(kind))
     reader = _lookup(READERS, path, "read")
     if path.is_dir():
         raise InvalidFileError(path, "this is a folder, expected a file")
@@ -113,7 +111,12 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
         raise InvalidFileError(path, "the file is empty")
     try:
         points, faces = reader(path)
-        return _geometry(points, faces, kind)
+        if faces is not None and kind != "cloud":
+            return TriangleMesh(points, faces)
+        if kind != "mesh":
+            return PointCloud(points)
+        problem = "holds points without faces, expected a mesh"
+        raise InvalidInputError(problem, advice="use {}", remedies=('kind="cloud"',))  # noqa: TRY301
     except InvalidInputError as error:
         raise InvalidFileError(path, error) from error
     except MemoryError as error:
@@ -121,18 +124,6 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
             f"{path}: reading these {path.stat().st_size:,} bytes needs more memory than there is",
             advice="simplify the shape or split the file",
         ) from error
-
-
-def _geometry(points: Any, faces: Any, kind: str | None) -> Geometry:
-    if faces is not None and kind != "cloud":
-        return TriangleMesh(points, faces)
-    if kind == "mesh":
-        raise InvalidInputError(
-            "holds points without faces, expected a mesh",
-            advice=("use {}",),
-            remedies=('kind="cloud"',),
-        )
-    return PointCloud(points)
 
 
 @checked

@@ -46,11 +46,6 @@ def creature_pair(
         The source vertex of each target vertex: exact for equal triangles, else the nearest on the
         animal at rest.
 
-    Raises
-    ------
-    InvalidInputError
-        As `creature`.
-
     Examples
     --------
     >>> from spectra_kit.geometry import creature_pair
@@ -58,19 +53,17 @@ def creature_pair(
     >>> source.n, target.n, point_map.shape
     (800, 600, (600,))
     """
-    for name, n in (("n_source", n_source), ("n_target", n_target or n_source)):
+    sizes = n_source, n_target or n_source
+    for name, n, pose in zip(("n_source", "n_target"), sizes, poses, strict=True):
         check_count(name, n, low=500, high=5_000_000)
-    for pose in poses:
         check_count("poses", pose, low=0)
-    if n_target is None or n_target == n_source:
-        source, target = (creature(n_source, seed=seed, pose=pose) for pose in poses)
-        return source, target, frozen(np.arange(source.n))
-    rest = [creature(n, seed=seed) for n in (n_source, n_target)]
-    _, nearest = cKDTree(rest[0].points).query(rest[1].points)
     source, target = (
-        creature(n, seed=seed, pose=pose)
-        for n, pose in zip((n_source, n_target), poses, strict=True)
+        creature(n, seed=seed, pose=pose) for n, pose in zip(sizes, poses, strict=True)
     )
+    if sizes[0] == sizes[1]:
+        return source, target, frozen(np.arange(source.n))
+    rest = [creature(n, seed=seed) for n in sizes]
+    _, nearest = cKDTree(rest[0].points).query(rest[1].points)
     return source, target, frozen(np.asarray(nearest, dtype=np.int64))
 
 
@@ -92,11 +85,6 @@ def permuted(geometry: Kind, *, seed: int = 0) -> tuple[Kind, Ints]:
     point_map : ndarray of shape (n,)
         The source point that each point of the copy is: ``copy.points`` equals
         ``geometry.points[point_map]``.
-
-    Raises
-    ------
-    InvalidInputError
-        If `geometry` is neither, or `seed` is negative.
 
     Examples
     --------
@@ -130,11 +118,6 @@ def mirrored(geometry: Kind, *, axis: int = 0) -> Kind:
     TriangleMesh or PointCloud
         Isometric to `geometry`, of the opposite orientation. Faces are turned over, so that those
         which looked outwards still do.
-
-    Raises
-    ------
-    InvalidInputError
-        If `geometry` is neither, or `axis` is not 0, 1 or 2.
 
     Examples
     --------

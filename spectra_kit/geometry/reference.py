@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import igl
@@ -82,8 +83,7 @@ def sphere(*, subdivisions: int = 3, radius: float = 1.0, k: int = 100) -> Refer
     array([0., 2., 2., 2., 6., 6., 6., 6., 6.])
     """
     check_count("subdivisions", subdivisions, low=0, high=9)
-    check_positive("radius", radius)
-    check_count("k", k, low=1)
+    _check_numbers({"k": (k, 1)}, radius=radius)
     points, faces = _icosahedron()
     for _ in range(subdivisions):
         points, faces = igl.upsample(points, faces, 1)
@@ -127,10 +127,7 @@ def rectangle(
     >>> unit.dirichlet / np.pi**2
     array([2., 5., 5., 8.])
     """
-    check_count("n", n, low=4)
-    check_positive("width", width)
-    check_positive("height", height)
-    check_count("k", k, low=1)
+    _check_numbers({"n": (n, 4), "k": (k, 1)}, width=width, height=height)
     if not 1 / n <= width / height <= n:
         raise InvalidInputError(
             "width", f"be within n = {n} times `height`", f"{width:g} beside {height:g}"
@@ -186,9 +183,8 @@ def disk(*, rings: int = 18, radius: float = 1.0, k: int = 100) -> Reference:
     >>> disk(k=1).dirichlet
     array([5.78])
     """
-    check_count("rings", rings, low=1)
-    check_positive("radius", radius)
     check_count("k", k, low=1, high=10_000)
+    _check_numbers({"rings": (rings, 1)}, radius=radius)
     # Zeros of order m lie above m, and those of one order about pi apart; Weyl puts the k-th of
     # all near 2 sqrt(k). So this many orders and zeros hold the k smallest, with a margin.
     reach = int(2 * k**0.5) + 8
@@ -225,11 +221,6 @@ def torus(*, n: int = 1800, major: float = 1.0, minor: float = 0.4, k: int = 100
     Reference
         Eigenvalues to a relative 1e-11 or so, from a Fourier collocation.
 
-    Raises
-    ------
-    InvalidInputError
-        If a number is out of range, or minor >= major.
-
     Notes
     -----
     For functions exp(i m u) f(v), with v the angle around the tube and w = major + minor cos v,
@@ -242,10 +233,7 @@ def torus(*, n: int = 1800, major: float = 1.0, minor: float = 0.4, k: int = 100
     >>> torus(k=5).multiplicities
     array([1, 2, 2])
     """
-    check_count("n", n, low=9)
-    check_positive("major", major)
-    check_positive("minor", minor)
-    check_count("k", k, low=1)
+    _check_numbers({"n": (n, 9), "k": (k, 1)}, major=major, minor=minor)
     if minor >= major:
         raise InvalidInputError(
             "minor",
@@ -292,6 +280,14 @@ def _torus_eigenvalues(major: float, minor: float, k: int, *, refine: int = 1) -
         values = np.sort(np.concatenate([values, np.repeat(of_m, 1 if m == 0 else 2)]))[:k]
     values[0] = 0.0
     return values
+
+
+def _check_numbers(counts: Mapping[str, tuple[int, int]], **lengths: float) -> None:
+    """Refuse counts below the least that goes with them, and lengths that are not positive."""
+    for name, (count, low) in counts.items():
+        check_count(name, count, low=low)
+    for name, length in lengths.items():
+        check_positive(name, length)
 
 
 def _grid_faces(rows: int, columns: int, *, wrap: bool) -> Ints:

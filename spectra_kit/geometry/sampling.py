@@ -37,11 +37,6 @@ class GaussianDensity:
     centre : tuple of 3 floats, optional
         Where the density peaks; by default a random point of the surface, drawn with the seed.
 
-    Raises
-    ------
-    InvalidInputError
-        If `sigma` is not positive or `centre` is not one finite point.
-
     Notes
     -----
     A face of area A and centroid x weighs ``A * exp(-0.5 * (|x - centre| / sigma)**2)``: the
@@ -91,11 +86,6 @@ class Samples(Brief):
         -------
         ndarray of shape (n,) or (n, d)
             The values at the sampled points, in the same unit.
-
-        Raises
-        ------
-        InvalidInputError
-            If there are fewer rows than the mesh has vertices in use, or a value is not finite.
         """
         array = real_array("values", values)
         if array.ndim == 0 or len(array) <= self.corners.max():
@@ -132,12 +122,6 @@ def sample(
     -------
     PointCloud
         Points of shape (n, 3) in the unit of the mesh.
-
-    Raises
-    ------
-    InvalidInputError
-        If `mesh` is a cloud, `n` is below 1, `seed` is negative or None, `density` is something
-        else, or no face has any area.
 
     Examples
     --------
@@ -192,7 +176,16 @@ def sample_with_origin(
             advice="use `mesh.as_cloud()` for its vertices",
         )
     if isinstance(density, GaussianDensity):
-        weights = weights * _gaussian_factor(scaled, unit, density, weights, rng)
+        if density.centre is None:
+            centre = _draw(scaled, 1, weights, rng).cloud.points[0]
+        else:
+            centre = np.array(density.centre) / unit
+        sigma = density.sigma * np.linalg.norm(np.ptp(scaled.points, axis=0))
+        centroids = scaled.points[scaled.faces].mean(axis=1)
+        squared = np.sum(((centroids - centre) / sigma) ** 2, axis=1)
+        # Only ratios count: the nearest face keeps its weight, so that not all underflow.
+        nearest = squared[weights > 0].min()
+        weights = weights * np.exp(-0.5 * np.maximum(squared - nearest, 0.0))
     elif density != "uniform":
         raise InvalidInputError("density", 'be "uniform" or a GaussianDensity', repr(density))
     return _draw(mesh, n, weights, rng)
@@ -208,27 +201,4 @@ def _draw(mesh: TriangleMesh, n: int, weights: Floats, rng: np.random.Generator)
     barycentric = np.column_stack([1 - r, r * (1 - t), r * t])
     corners = mesh.faces[faces]
     points = np.einsum("nc,ncd->nd", barycentric, mesh.points[corners])
-    return Samples(PointCloud(points), frozen(faces), frozen(barycentric), frozen(corners))
-
-
-def _gaussian_factor(
-    mesh: TriangleMesh,
-    unit: float,
-    density: GaussianDensity,
-    areas: Floats,
-    rng: np.random.Generator,
-) -> Floats:
-    """Return ``exp(-0.5 (|x - c| / sigma)^2)`` at each face's centroid x, up to one factor.
-
-    The mesh is in `unit`, the density is not.
-    """
-    if density.centre is None:
-        centre = _draw(mesh, 1, areas, rng).cloud.points[0]
-    else:
-        centre = np.array(density.centre) / unit
-    sigma = density.sigma * np.linalg.norm(np.ptp(mesh.points, axis=0))
-    centroids = mesh.points[mesh.faces].mean(axis=1)
-    squared = np.sum(((centroids - centre) / sigma) ** 2, axis=1)
-    # Only ratios count: the nearest face keeps weight 1, so a far centre cannot underflow them all.
-    nearest = squared[areas > 0].min()
-    return np.asarray(np.exp(-0.5 * np.maximum(squared - nearest, 0.0)))
+    return Samples(PointCloud(points), *map(frozen, (faces, barycentric, corners)))

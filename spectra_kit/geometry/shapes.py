@@ -53,11 +53,6 @@ class PointCloud(_Shape):
     points : array_like of shape (n, 3)
         Coordinates, in any unit of length.
 
-    Raises
-    ------
-    InvalidInputError
-        If `points` is empty, has another shape, or holds NaN or infinite values.
-
     Examples
     --------
     >>> from spectra_kit import PointCloud
@@ -86,13 +81,7 @@ class PointCloud(_Shape):
         return PointCloud(points)
 
     def without_duplicates(self) -> PointCloud:
-        """Return the cloud with each distinct point kept once, at its first place.
-
-        Returns
-        -------
-        PointCloud
-            At most n points, in their original order. Only exactly equal coordinates count.
-        """
+        """Return the cloud with each exactly distinct point once, at its first place."""
         first, _ = distinct_rows(self.points)
         return PointCloud(self.points[first])
 
@@ -112,11 +101,6 @@ class TriangleMesh(_Shape):
         Vertex coordinates, in any unit of length.
     faces : array_like of shape (f, 3)
         Vertex indices of each triangle, counted from 0.
-
-    Raises
-    ------
-    InvalidInputError
-        If an array is empty, has another shape or dtype, or an index is out of range.
 
     Examples
     --------
@@ -202,18 +186,7 @@ class TriangleMesh(_Shape):
         return TriangleMesh(self.points[used], np.searchsorted(used, self.faces))
 
     def without_degenerate_faces(self, *, relative_area: float = 1e-12) -> TriangleMesh:
-        """Return the mesh without faces of repeated vertices or (near) zero area.
-
-        Parameters
-        ----------
-        relative_area : float, default 1e-12
-            Faces of area <= relative_area * (longest side)^2 go as well.
-
-        Returns
-        -------
-        TriangleMesh
-            The vertices are untouched; some may have become unreferenced.
-        """
+        """Return the mesh without `degenerate_faces`; some vertices may become unreferenced."""
         return TriangleMesh(self.points, self.faces[~self.degenerate_faces(relative_area)])
 
     def degenerate_faces(self, relative_area: float = 1e-12) -> NDArray[np.bool_]:
@@ -264,19 +237,9 @@ def _half_edges(faces: Ints) -> Ints:
 
 
 def distinct_rows(rows: Floats | Ints) -> tuple[Ints, Ints]:
-    """Find the distinct ones among `rows`, in order of first appearance.
+    """Return the first place of each distinct row (n, d), ascending, and which one each row equals.
 
-    Parameters
-    ----------
-    rows : ndarray of shape (n, d)
-        Only exactly equal numbers count as equal.
-
-    Returns
-    -------
-    first : ndarray of shape (d,)
-        Index of the first appearance of each distinct row, ascending.
-    label : ndarray of shape (n,)
-        The distinct row that each row equals: ``rows[first][label]`` equals `rows`.
+    So ``rows[first][label]`` is `rows`.
     """
     # Sorting brings equal rows together; lexsort is stable, so each group starts with its first.
     order = np.lexsort(rows.T)

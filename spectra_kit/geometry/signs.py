@@ -26,22 +26,10 @@ def symmetric_votes(n: int, i: Ints, j: Ints, votes: Floats) -> sparse.csr_array
 
 
 def agree_on_signs(votes: sparse.csr_array) -> tuple[Floats, Ints]:
-    """Give the points signs that most votes agree with, the clearest votes first.
+    """Give the points signs that most of the symmetric `votes` agree with, the clearest first.
 
-    Parameters
-    ----------
-    votes : csr_array of shape (n, n)
-        Symmetric: positive where two points should have the same sign.
+    Returns the signs, arbitrary for each component as a whole, and the component of each point.
 
-    Returns
-    -------
-    signs : ndarray of shape (n,)
-        1 or -1, arbitrary for each component as a whole.
-    labels : ndarray of shape (n,)
-        Component of each point.
-
-    Notes
-    -----
     Hoppe, DeRose, Duchamp, McDonald and Stuetzle, *Surface Reconstruction from Unorganized
     Points*, SIGGRAPH 1992, propagate along a spanning tree, where one wrong edge turns all behind
     it. Here groups that were joined add up their votes before they decide about a third: greedy
@@ -86,27 +74,12 @@ def turn_outwards(
 ) -> Floats:
     """Turn the signs so that signed normals point out of the body that the points enclose.
 
-    Parameters
-    ----------
-    points, vectors : ndarray of shape (n, 3)
-        Points and, for each, a normal as long as its area is large, in length^2.
-    signs, labels : ndarray of shape (n,)
-        As from `agree_on_signs`.
-    votes : csr_array of shape (n, n)
-        As for `agree_on_signs`.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        Each component is turned such that it encloses a positive volume, taken from its centroid.
-        If it winds round anything, points of negative winding number are turned first, and then
-        those whose neighbours outvote them.
-
-    Notes
-    -----
-    The winding number at a point of a body's surface is the mean of 1 inside and 0 outside,
-    whatever the sign of the point's own normal; on a limb whose normals all point inwards it is
-    the mean of -1 and 0.
+    `vectors` (n, 3) are normals as long as their areas are large; the others are those of
+    `agree_on_signs`. Each component is turned such that it encloses a positive volume, taken from
+    its centroid. If it winds round anything, points of negative winding number are turned first,
+    and then those whose neighbours outvote them: the winding number at a point of a body's surface
+    is the mean of 1 inside and 0 outside, whatever the sign of the point's own normal; on a limb
+    whose normals all point inwards it is the mean of -1 and 0.
     """
     signs = signs.copy()
     groups = np.split(np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))[:-1])

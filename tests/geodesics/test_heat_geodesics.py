@@ -235,19 +235,6 @@ def test_a_source_that_emits_more_runs_ahead_by_the_logarithm() -> None:
     assert at_uneven - at_even == pytest.approx(root * np.log(weight) / 2, rel=0.25)
 
 
-def test_the_average_of_boundary_conditions_lies_between_them() -> None:
-    mesh = rectangle(n=1500).geometry
-    source = int(np.argmin(np.linalg.norm(mesh.points - [0.5, 0.2, 0], axis=1)))
-    errors = [
-        relative_error(
-            HeatGeodesics(mesh, boundary=b).distance(source), straight(mesh.points, source)
-        )
-        for b in ("neumann", "average", "dirichlet")
-    ]
-    assert errors == sorted(errors)
-    assert errors[-1] < 0.08
-
-
 @each_solver
 def test_the_average_is_that_of_both_heats(solver) -> None:
     triangulation = intrinsic_delaunay(rectangle(n=400).geometry)
@@ -280,11 +267,6 @@ def test_a_cold_boundary_that_cuts_the_surface_apart_is_refused(solver) -> None:
     refused("sources", "leave the boundary of their component", cold.distance, 0)
     field = HeatGeodesics(strip, solver=solver, boundary="average").distance(middle_of(sheet))
     assert field.distance.max() > 1.5 * right
-
-
-def test_a_closed_surface_has_no_boundary_condition(animal) -> None:
-    one, other = (HeatGeodesics(animal, boundary=b).distance(7) for b in ("neumann", "dirichlet"))
-    assert np.array_equal(one.distance, other.distance)
 
 
 # --- choice and record ----------------------------------------------------------------------------

@@ -256,12 +256,6 @@ def test_repair_without_merging_keeps_touching_sheets_apart():
     assert (merged.geometry.n, merged.report.duplicate_faces) == (3, 1)
 
 
-def test_repair_of_a_cloud_drops_duplicates():
-    repaired = repair(PointCloud([*TRIANGLE, TRIANGLE[1]]))
-    np.testing.assert_array_equal(repaired.geometry.points, TRIANGLE)
-    np.testing.assert_array_equal(repaired.restore([1, 2, 3]), [1, 2, 3, 2])
-
-
 # --- components ---------------------------------------------------------------------------------
 
 
@@ -282,12 +276,6 @@ def test_components_put_together_are_the_mesh(ball):
     everything = np.concatenate([part.vertex_index for part in parts])
     np.testing.assert_array_equal(np.sort(everything), np.arange(mixed.n))
     assert largest_component(mixed).mesh.area == pytest.approx(ball.area)
-
-
-def test_unreferenced_vertices_are_in_no_component(dirty):
-    merged = dirty.with_merged_vertices()
-    (part,) = components(merged)
-    assert merged.n - 1 not in part.vertex_index
 
 
 # --- normalisation ------------------------------------------------------------------------------

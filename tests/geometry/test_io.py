@@ -5,7 +5,6 @@ import re
 import resource
 import subprocess
 import sys
-from collections import Counter
 
 import numpy as np
 import pytest
@@ -267,32 +266,6 @@ PLY = (
 def test_odd_but_whole(tmp_path, name, text):
     (tmp_path / name).write_text(text, encoding="utf-8")
     assert_same(read(tmp_path / name), TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]))
-
-
-def ascii_stl(count, path):
-    """Write noise as text, a facet a line; return the corners."""
-    corners = np.random.default_rng(0).normal(size=(count, 9))
-    facet = "facet normal 0 0 0\nouter loop" + 3 * "\nvertex %r %r %r" + "\nendloop\nendfacet"
-    text = "\n".join(facet % tuple(row) for row in corners.tolist())
-    path.write_text(f"SOLID of noise\n{text}\n  EndSolid of noise\n")
-    return corners
-
-
-def test_reading_text_of_stl_takes_work_in_proportion_to_it(tmp_path):
-    """The calls that the interpreter makes are counted, not timed."""
-    calls = {}
-    for count in (100, 400):
-        corners = ascii_stl(count, tmp_path / "a.stl")
-        read(tmp_path / "a.stl")  # imports and compiles
-        profile = Counter()
-        sys.setprofile(lambda _frame, event, _, seen=profile: seen.update([event]))
-        try:
-            mesh = read(tmp_path / "a.stl")
-        finally:
-            sys.setprofile(None)
-        np.testing.assert_array_equal(mesh.points[mesh.faces].reshape(-1, 9), corners)
-        calls[count] = profile.total()
-    assert calls[400] < 5 * calls[100]
 
 
 def test_want_of_memory_names_the_file(tmp_path):

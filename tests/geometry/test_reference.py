@@ -91,13 +91,6 @@ def test_torus_collocation_has_converged(major, minor):
     np.testing.assert_allclose(coarse[1:], fine[1:], rtol=1e-10)
 
 
-def test_thin_torus_approaches_the_flat_one():
-    # (a / major)^2 + (b / minor)^2, each sign of a and b once.
-    values = torus(major=1.0, minor=0.01, k=40).eigenvalues
-    a = np.arange(-20, 21)
-    np.testing.assert_allclose(values, np.sort(a**2)[:40].astype(float), rtol=1e-3, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("make", "factor"),
     [

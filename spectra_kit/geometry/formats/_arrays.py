@@ -37,6 +37,14 @@ def text_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
         )
 
 
+def broken_line(number: int, words: Sequence[str], error: ValueError) -> InvalidInputError:
+    """Return what is to be raised of a line that cannot be read."""
+    return InvalidInputError(
+        f"line {number} is broken: {' '.join(words)[:60]!r} ({error})",
+        advice="the file may be cut short or damaged",
+    )
+
+
 def real(word: str) -> float:
     """Return the number that `word` is in any program; Python alone reads ``1_0``."""
     if "_" in word or not word.isascii():

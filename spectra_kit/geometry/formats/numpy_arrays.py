@@ -20,18 +20,8 @@ from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 # What NumPy, zipfile and the decompressors raise on damaged files; an OSError here is a seek to a
 # bad place, a RuntimeError an encrypted array or a header of a thousand brackets.
 BROKEN = (
-    ValueError,
-    TypeError,
-    LookupError,
-    SyntaxError,
-    EOFError,
-    OSError,
-    OverflowError,
-    RuntimeError,
-    TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
+    *(ValueError, TypeError, LookupError, SyntaxError, EOFError, OSError, OverflowError),
+    *(RuntimeError, TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError),
 )
 POINTS, FACES = ("points", "V", "vertices", "verts"), ("faces", "F")
 
@@ -52,13 +42,11 @@ def _array(file: IO[bytes]) -> NDArray[np.generic]:
     `numpy.load` reads what the header announces, so that in an archive the checksum of a longer
     array is never compared, and makes room for it before it knows how much there is.
     """
-    version = np.lib.format.read_magic(file)
-    if version == (1, 0):
-        shape, by_columns, dtype = np.lib.format.read_array_header_1_0(file)
-    elif version == (2, 0):
-        shape, by_columns, dtype = np.lib.format.read_array_header_2_0(file)
-    else:
+    version, form = np.lib.format.read_magic(file), np.lib.format
+    readers = {(1, 0): form.read_array_header_1_0, (2, 0): form.read_array_header_2_0}
+    if version not in readers:
         raise ValueError(f"it has version {version}, known are (1, 0) and (2, 0)")
+    shape, by_columns, dtype = readers[version](file)
     if dtype.hasobject:
         raise ValueError("it holds Python objects")
     data = file.read()

@@ -7,7 +7,14 @@ from pathlib import Path
 
 from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.formats._arrays import Arrays, real, text_lines, triangle_fans, whole
+from spectra_kit.geometry.formats._arrays import (
+    Arrays,
+    broken_line,
+    real,
+    text_lines,
+    triangle_fans,
+    whole,
+)
 from spectra_kit.geometry.shapes import TriangleMesh
 
 # All that a line may begin with: other words are damage, which may have taken a face.
@@ -34,10 +41,7 @@ def read(path: Path) -> Arrays:
             elif words[0] == "f":
                 polygons.append(_corners(words[1:], len(points)))
         except ValueError as error:
-            raise InvalidInputError(
-                f"line {number} is broken: {' '.join(words)[:60]!r} ({error}); the file may be cut"
-                " short or damaged"
-            ) from error
+            raise broken_line(number, words, error) from error
     if not polygons:
         raise InvalidInputError(
             f"holds {quantity(len(points), 'vertex')} but no face line; the file may be cut short"

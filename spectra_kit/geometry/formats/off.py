@@ -9,6 +9,7 @@ from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.formats._arrays import (
     Arrays,
+    broken_line,
     position,
     real,
     text_lines,
@@ -39,10 +40,7 @@ def read(path: Path) -> Arrays:
                 polygons.append(corners)
                 colours.add(colour)
         except ValueError as error:
-            raise InvalidInputError(
-                f"line {number} is broken: {' '.join(words)[:60]!r} ({error}); the file may be cut"
-                " short or damaged"
-            ) from error
+            raise broken_line(number, words, error) from error
     if not colours <= {0, 3, 4} and colours != {1}:
         raise InvalidInputError(
             f"after its corners a face must have no number, 3 or 4 for a colour, or 1 in all, got"

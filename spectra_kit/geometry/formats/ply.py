@@ -15,16 +15,10 @@ from spectra_kit.geometry.formats._arrays import Arrays, triangle_fans, whole
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 
 TYPES = {
-    "char": "i1",
-    "uchar": "u1",
-    "short": "i2",
-    "ushort": "u2",
-    "int": "i4",
-    "uint": "u4",
-    "float": "f4",
-    "double": "f8",
-} | {f"{kind}{8 * size}": f"{kind[0]}{size}" for kind in ("int", "uint") for size in (1, 2, 4, 8)}
-TYPES |= {"float32": "f4", "float64": "f8"}
+    f"{kind}{8 * size}": f"{kind[0]}{size}" for kind in ("int", "uint") for size in (1, 2, 4, 8)
+}
+TYPES |= {"char": "i1", "short": "i2", "int": "i4", "uchar": "u1", "ushort": "u2", "uint": "u4"}
+TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
 ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 CORNERS = ("vertex_indices", "vertex_index")
@@ -120,10 +114,7 @@ def _check(elements: list[_Element]) -> None:
                     f"{p.name!r} must be a {'number' if is_list else 'list'}, got a"
                     f" {'list' if is_list else 'number'}"
                 )
-    for names in (
-        [element.name for element in elements],
-        *([p.name for p in element.properties] for element in elements),
-    ):
+    for names in ([e.name for e in elements], *([p.name for p in e.properties] for e in elements)):
         if len(set(names)) < len(names):
             raise InvalidInputError(f"the header must name each thing once, got {', '.join(names)}")
 
@@ -205,12 +196,11 @@ def _row_ends(elements: list[_Element], columns: dict[str, Columns]) -> NDArray[
 
 
 def _faces(columns: Columns) -> NDArray[np.int64]:
-    name = next((name for name in CORNERS if name in columns), None)
-    if name is None:
-        raise InvalidInputError(
-            f"faces must have vertex_indices, got {', '.join(columns) or 'nothing'}"
-        )
-    corners = columns[name]
+    named = [columns[name] for name in CORNERS if name in columns]
+    if not named:
+        found = ", ".join(columns) or "nothing"
+        raise InvalidInputError(f"faces must have vertex_indices, got {found}")
+    corners = named[0]
     flat = np.ravel(corners) if isinstance(corners, np.ndarray) else np.concatenate(corners)
     # Where a double holds every integer; NaN is in no range.
     if flat.dtype.kind == "f" and not ((flat == np.rint(flat)) & (np.abs(flat) < 2**53)).all():
