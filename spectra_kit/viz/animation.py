@@ -71,10 +71,12 @@ def animate_modes(
 
     Parameters
     ----------
+    $path
     geometry : TriangleMesh or PointCloud
         The points that the spectrum lives on.
     spectrum : Spectrum
         Its k modes.
+    $view
     modes : sequence of int, optional
         Which ones, counted from 0; by default the first six that are not constant.
     amplitude : float, default 0.01
@@ -91,6 +93,8 @@ def animate_modes(
         Of a frame, in pixels; the height follows the geometry.
     progress : callable, optional
         Called with the number of pictures drawn, and of all.
+
+    $returns
 
     Raises
     ------

@@ -14,7 +14,7 @@ from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import View
-from spectra_kit.viz.distance_scale import round_number
+from spectra_kit.viz.contours import round_number
 from spectra_kit.viz.gallery import draw_gallery
 from spectra_kit.viz.page import Page
 from spectra_kit.viz.panels import Panel, sequential_limits, symmetric_limit
@@ -45,8 +45,12 @@ def plot_fields(
 
     Parameters
     ----------
+    $path
+    $geometry
     fields : mapping of str to array_like of shape (n,), or sequence of such pairs
         What to write above each picture, and one finite value for each point.
+    $view
+    $page
     symmetric : bool, optional
         Blue and red with white at zero, or sequential colours, dark to light; by default the former
         for functions that have negative values.
@@ -56,6 +60,8 @@ def plot_fields(
         Draw lines where a function is zero, or at evenly spaced round values within the colours.
     columns : int, optional
         How many pictures stand beside each other; by default what fits the page best.
+
+    $returns
 
     Notes
     -----

@@ -42,10 +42,16 @@ def plot_panels(
 
     Parameters
     ----------
+    $path
+    $geometry
     rows : sequence of sequences of Panel
         A full table. It is transposed where that fits the page better.
+    $view
+    $page
     rows_named, columns_named : sequence of str
         The heads of the table.
+
+    $returns
 
     Examples
     --------

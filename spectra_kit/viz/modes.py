@@ -45,16 +45,21 @@ def plot_modes(
 
     Parameters
     ----------
+    $path
     geometry : TriangleMesh or PointCloud
         The points that the spectrum lives on. A cloud is drawn as balls that overlap a little.
     spectrum : Spectrum
         Eigenvalues are in 1/length^2, as printed.
+    $view
+    $page
     modes : sequence of int, optional
         Which modes, counted from 0; by default the first twelve that are not constant.
     nodal_lines : bool, default True
         Draw where each mode is zero.
     columns : int, optional
         How many pictures stand beside each other; by default what fits the page best.
+
+    $returns
 
     Notes
     -----
@@ -102,18 +107,23 @@ def plot_comparison(
 
     Parameters
     ----------
+    $path
     geometry : TriangleMesh or PointCloud
         The points that both spectra live on.
     exact, predicted : Spectrum
         As given to `compare_spectra`.
     comparison : Comparison
         What it returned.
+    $view
+    $page
     modes : sequence of int
         Which modes, counted from 0 (mode 0 is constant on a connected surface).
     names : tuple of str, default ("exact", "predicted")
         What to call the two.
     nodal_lines : bool, default True
         Draw where the modes (not their difference) are zero.
+
+    $returns
 
     Notes
     -----

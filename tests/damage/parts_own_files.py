@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from frame import Case, part, wrong
-from mutations import damaged
+from frame import Case, damaged, part, wrong
 
 from spectra_kit import Spectrum, eigensolve, robust_laplacian
 from spectra_kit.geometry import sphere
