@@ -98,17 +98,13 @@ def draw(request: Request, tell: Callable[[NDArray[np.uint8]], object]) -> None:
         shades = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in request["colours"]]
         style = {"cmap": shades, "n_colors": n, "clim": [-1.0, 1.0]}
     style |= {"ambient": 0.46, "diffuse": 0.85, "specular": 0.08, "specular_power": 30}
-    style |= {
-        "show_scalar_bar": False,
-        "reset_camera": False,
-        "smooth_shading": not request["balls"],
-    }
+    style |= {"show_scalar_bar": False, "reset_camera": False}
+    style["smooth_shading"] = not request["balls"]
     as_balls: dict[str, Any] = {"style": "points", "render_points_as_spheres": True}
-    smooth = not request["balls"]
     as_balls["point_size"] = request["diameter"] * OVERSAMPLE
     for surface in surfaces:
         form = {} if surface.n_faces_strict else as_balls
-        plotter.add_mesh(surface, scalars="values", smooth_shading=smooth, **style, **form)
+        plotter.add_mesh(surface, scalars="values", **style, **form)
     drawn = _add_lines(plotter, request)
     widths = request["line_widths"]
     lift = BEFORE * ((float(np.median(widths)) if len(widths) else 0.0) + request["diameter"])
