@@ -55,8 +55,8 @@ def from_arrays(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.interop import from_arrays
-    >>> from_arrays([-1e-15, 2.0], np.eye(2), np.ones(2)).eigenvalues
+    >>> import spectra_kit as sk
+    >>> sk.interop.from_arrays([-1e-15, 2.0], np.eye(2), np.ones(2)).eigenvalues
     array([0., 2.])
     """
     values = np.array(eigenvalues, dtype=np.float64)
@@ -148,8 +148,13 @@ def to_pyfm(spectrum: Spectrum, laplacian: Laplacian) -> dict[str, Any]:
     dict
         ``stiffness`` and ``mass`` (sparse, (n, n)), ``eigenvalues`` (k,), ``eigenvectors`` (n, k).
     """
-    names = ("stiffness", "mass", "eigenvalues", "eigenvectors")
-    return dict(zip(names, _arrays(spectrum, laplacian), strict=True))
+    _check_pair(spectrum, laplacian)
+    return {
+        "stiffness": sparse.csc_matrix(laplacian.stiffness),
+        "mass": sparse.diags(spectrum.mass),
+        "eigenvalues": np.array(spectrum.eigenvalues),
+        "eigenvectors": np.array(spectrum.eigenvectors),
+    }
 
 
 @checked
@@ -167,7 +172,7 @@ def to_geomfum(spectrum: Spectrum, laplacian: Laplacian) -> dict[str, Any]:
     As `to_pyfm`, as ``stiffness_matrix``, ``mass_matrix``, ``vals`` and ``vecs``.
     """
     names = ("stiffness_matrix", "mass_matrix", "vals", "vecs")
-    return dict(zip(names, _arrays(spectrum, laplacian), strict=True))
+    return dict(zip(names, to_pyfm(spectrum, laplacian).values(), strict=True))
 
 
 @checked
@@ -243,13 +248,6 @@ def from_diffusion_net(operators: tuple[Any, ...]) -> Spectrum:
 def _to_cpu(array: Any) -> Any:
     """Return a tensor's values where NumPy can see them."""
     return array.detach().cpu() if hasattr(array, "detach") else array
-
-
-def _arrays(spectrum: Spectrum, laplacian: Laplacian) -> tuple[Any, ...]:
-    """Return stiffness, mass, eigenvalues and eigenvectors, of their own memory."""
-    _check_pair(spectrum, laplacian)
-    matrices = sparse.csc_matrix(laplacian.stiffness), sparse.diags(spectrum.mass)
-    return *matrices, np.array(spectrum.eigenvalues), np.array(spectrum.eigenvectors)
 
 
 def _check_pair(spectrum: Spectrum, laplacian: Laplacian) -> None:

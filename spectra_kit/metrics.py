@@ -133,8 +133,8 @@ def span_error(basis: NDArray[np.floating], mass: Floats, eigenvectors: Floats) 
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.metrics import span_error
-    >>> span_error(np.eye(4)[:, :2], np.ones(4), np.eye(4)[:, 1:3])
+    >>> import spectra_kit as sk
+    >>> sk.metrics.span_error(np.eye(4)[:, :2], np.ones(4), np.eye(4)[:, 1:3])
     array([0., 1.])
     """
     basis, eigenvectors = np.asarray(basis), np.asarray(eigenvectors)
@@ -245,11 +245,10 @@ def compare_spectra(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.metrics import compare_spectra
-    >>> s = Spectrum(np.array([0.0, 1.0, 2.0]), np.eye(3), np.ones(3))
-    >>> turned = Spectrum(s.eigenvalues, -s.eigenvectors, s.mass)
-    >>> compare_spectra(s, turned).mean_vector_error
+    >>> import spectra_kit as sk
+    >>> s = sk.Spectrum(np.array([0.0, 1.0, 2.0]), np.eye(3), np.ones(3))
+    >>> turned = sk.Spectrum(s.eigenvalues, -s.eigenvectors, s.mass)
+    >>> sk.metrics.compare_spectra(s, turned).mean_vector_error
     0.0
     """
     k, match, clusters, open_from = _pair(exact, predicted, k, cluster_gap)
@@ -313,10 +312,9 @@ def align_modes(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.metrics import align_modes
-    >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-    >>> align_modes(s, Spectrum(s.eigenvalues, -s.eigenvectors, s.mass))
+    >>> import spectra_kit as sk
+    >>> s = sk.Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+    >>> sk.metrics.align_modes(s, sk.Spectrum(s.eigenvalues, -s.eigenvectors, s.mass))
     array([[1., 0.],
            [0., 1.]])
     """

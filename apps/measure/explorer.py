@@ -62,30 +62,12 @@ MEASURE = """async (steps) => {
 
 
 def measure_page(page: Path, steps: int) -> Record:
-    """Open a page and move its slider.
+    """Open a page, as ``spectra-kit explore`` writes it, and move its slider.
 
-    Parameters
-    ----------
-    page : Path
-        As ``spectra-kit explore`` writes it.
-    steps : int
-        Of the slider.
-
-    Returns
-    -------
-    dict
-        ``opened``, and lists ``presented``, ``drawn`` and ``sharp``, in milliseconds. A step is
-        presented when the second animation frame after its event begins, and drawn when the
-        software renderer has finished, which frames do not wait for. While the slider moves, slow
-        renderers draw coarsely, and plot and table wait until it pauses; the sharp frame is that at
-        rest.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no such file.
-    MissingDependencyError
-        Without Chromium.
+    Returns ``opened``, and lists ``presented``, ``drawn`` and ``sharp``, in milliseconds. A step is
+    presented when the second animation frame after its event begins, and drawn when the software
+    renderer has finished, which frames do not wait for. While the slider moves, slow renderers draw
+    coarsely, and plot and table wait until it pauses; the sharp frame is that at rest.
     """
     if not page.is_file():
         raise InvalidInputError("page", "be a file", str(page))

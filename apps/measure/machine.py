@@ -24,16 +24,8 @@ def describe_machine(
 ) -> Record:
     """Return processor, cores, memory, accelerator, versions and commit, as JSON.
 
-    Parameters
-    ----------
-    name : str
-        Of the machine, by default what it calls itself.
-    threads : int
-        That were used.
-    device : str
-        With "cuda" the accelerator is named too; otherwise it is an empty string.
-    commit : str
-        Of the package, by default asked of git.
+    By default the name is what the machine calls itself, and the commit is asked of git. The
+    accelerator is named where the device is "cuda".
     """
     return {
         "name": name or platform.node(),

@@ -21,18 +21,10 @@ from spectra_kit.operators import Laplacian
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A mesh and what to call it.
+    """A mesh and what to call it."""
 
-    Attributes
-    ----------
-    name : str
-        For tables, pictures and files.
-    mesh : TriangleMesh
-        Every vertex in a face.
-    """
-
-    name: str
-    mesh: TriangleMesh
+    name: str  #: For tables, pictures and files.
+    mesh: TriangleMesh  #: Every vertex in a face.
 
     def __str__(self) -> str:
         return self.name
@@ -55,13 +47,7 @@ def shape_at(path: Path) -> Shape:
 
 
 def shapes_in(folder: Path, limit: int | None = None) -> tuple[Shape, ...]:
-    """Read the meshes of a folder, or the first so many, by name, as `shape_at` does.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no mesh, or one that cannot be read.
-    """
+    """Read the meshes of a folder, or the first so many, by name, as `shape_at` does."""
     entries = sorted(folder.iterdir()) if folder.is_dir() else []
     paths = [path for path in entries if path.suffix.lower() in READERS][:limit]
     if not paths:
@@ -78,11 +64,6 @@ def shapes_named(names: Iterable[str]) -> tuple[Shape, ...]:
     """Read meshes by their files, or by their names in ``$SPECTRA_KIT_DATA/ood_public``.
 
     As they are, but without vertices that no face uses.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no such file, two have one name, or one is no mesh.
     """
     folder, found = data_folder("ood_public"), dict[str, Shape]()
     for name in names:

@@ -26,18 +26,10 @@ _SHOWN = ("cli", "explorer", "training", "viz")  # packages that no measured num
 
 
 class Store:
-    """Records by their keys, in a folder.
+    """Records by their keys, in a folder, which is made if missing.
 
-    Parameters
-    ----------
-    folder : Path
-        Made if missing. ``measurements.jsonl`` grows by a line for each record; a last line that a
-        crash cut short is dropped. ``files`` holds what records name under ``"files"``.
-
-    Raises
-    ------
-    InvalidInputError
-        If a whole line is no record.
+    ``measurements.jsonl`` grows by a line for each record; a last line that a crash cut short is
+    dropped, a whole one that is no record refused. ``files`` holds what records name as "files".
     """
 
     def __init__(self, folder: Path) -> None:
@@ -109,12 +101,7 @@ def arrays_digest(*arrays: NDArray[Any]) -> str:
 def code_digest(sources: tuple[str, ...] = (), package: Path = _PACKAGE) -> str:
     """Version and hash of the package's sources that numbers come from.
 
-    Parameters
-    ----------
-    sources : tuple of str
-        Patterns of paths in the package; by default everything but what shows or trains.
-    package : Path
-        Its folder.
+    Given by patterns of paths in the package; by default everything but what shows or trains.
     """
     found = hashlib.blake2b(digest_size=8)
     for path in _sources(sources, package):

@@ -21,22 +21,13 @@ Problem = TypeVar("Problem")
 
 @dataclass(frozen=True, eq=False)
 class Result(Generic[Contender, Problem]):
-    """One measurement, or why there is none.
+    """One measurement, or why there is none."""
 
-    Attributes
-    ----------
-    contender, problem : object
-        Of the study.
-    repeat : int
-        Which one.
-    record : dict
-        What `Study.measure` returned, with ``"status"``: ``"ok"``, ``"failed"``, ``"stopped"``
-        or ``"skipped"``, the last three with a ``"reason"``.
-    """
-
-    contender: Contender
+    contender: Contender  #: Of the study.
     problem: Problem
-    repeat: int
+    repeat: int  #: Which one.
+    #: What `Study.measure` returned, with ``"status"``: ``"ok"``, ``"failed"``, ``"stopped"`` or
+    #: ``"skipped"``, the last three with a ``"reason"``.
     record: Record
 
     @property
@@ -52,19 +43,11 @@ class Result(Generic[Contender, Problem]):
 
 @dataclass(frozen=True, eq=False)
 class Repeats(Generic[Contender, Problem]):
-    """All repeats of one contender on one problem.
+    """All repeats of one contender on one problem."""
 
-    Attributes
-    ----------
-    contender, problem : object
-        Of the study.
-    results : tuple of Result
-        At least one.
-    """
-
-    contender: Contender
+    contender: Contender  #: Of the study.
     problem: Problem
-    results: tuple[Result[Contender, Problem], ...]
+    results: tuple[Result[Contender, Problem], ...]  #: At least one.
 
     @property
     def ok(self) -> bool:
@@ -108,34 +91,20 @@ class Study(ABC, Generic[Contender, Problem]):
     """Who is measured on what, and how.
 
     It is sent to processes together with a contender and a problem, which name themselves by `str`.
-
-    Attributes
-    ----------
-    folder : Path
-        That of the store.
-    contenders, problems : sequence
-        Each with each, problem by problem, all contenders by turns; see `tasks`.
-    repeats : int
-        Of every measurement; each is remembered.
-    name : str
-        Of the class: in keys and files.
-    version : int
-        Of the class: to be raised where the meaning of a number changes.
-    sources : tuple of str
-        Of the class: on which files of the package it depends; see `store.code_digest`.
-    fresh : bool
-        Of the class: whether every measurement has a process of its own.
     """
 
-    name: ClassVar[str]
-    version: ClassVar[int] = 1
+    name: ClassVar[str]  #: Of the class: in keys and files.
+    version: ClassVar[int] = 1  #: Of the class: to be raised where the meaning of a number changes.
+    #: Of the class: on which files of the package it depends; see `store.code_digest`.
     sources: ClassVar[tuple[str, ...]] = ()
+    #: Of the class: whether every measurement has a process of its own.
     fresh: ClassVar[bool] = True
 
-    folder: Path
+    folder: Path  #: That of the store.
+    #: Each with each, problem by problem, all contenders by turns; see `tasks`.
     contenders: Sequence[Contender]
     problems: Sequence[Problem]
-    repeats: int = 1
+    repeats: int = 1  #: Of every measurement; each is remembered.
 
     @abstractmethod
     def facts(self, contender: Contender, problem: Problem) -> dict[str, object]:
@@ -191,27 +160,11 @@ def run(
     retry: bool = False,
     progress: bool = False,
 ) -> list[Result[Contender, Problem]]:
-    """Measure what the store does not hold yet.
+    """Measure what the store does not hold yet; return all results in the order of `Study.tasks`.
 
-    Parameters
-    ----------
-    study : Study
-        What to measure.
-    store : Store
-        Gets a record as soon as it is there, also of what fails.
-    limits : Limits
-        Of each process.
-    jobs : int
-        Processes side by side; 0 measures in this one, without limits.
-    retry : bool
-        Measure again what had failed or was stopped.
-    progress : bool
-        Show a bar on a terminal.
-
-    Returns
-    -------
-    list of Result
-        In the order of `Study.tasks`.
+    The store gets a record as soon as it is there, also of what fails; with `retry` that is
+    measured again. So many `jobs` run side by side, each within the limits; with 0 all is measured
+    in this process, without any.
     """
     tasks = list(study.tasks())
     results: dict[int, Result[Contender, Problem]] = {}
@@ -225,12 +178,13 @@ def run(
         for i, (contender, problem, repeat) in enumerate(tasks):
             key = study.key(contender, problem, repeat)
             record = store.get(key)
-            if record is not None and (record["status"] == "ok" or not retry):
-                results[i] = Result(contender, problem, repeat, record)
-                bar.update()
-                continue
-            if reason := study.excuse(contender, problem, list(results.values())):
+            if record is not None and record["status"] != "ok" and retry:
+                record = None
+            if record is None and (
+                reason := study.excuse(contender, problem, list(results.values()))
+            ):
                 record = {"status": "skipped", "reason": reason}
+            if record is not None:
                 results[i] = Result(contender, problem, repeat, record)
                 bar.update()
                 continue

@@ -49,15 +49,7 @@ def ratio(a: float | None, b: float | None) -> float | None:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a Markdown table, its columns aligned, the first to the left; no newline at its end.
-
-    Parameters
-    ----------
-    header : sequence of str
-        Titles of c columns.
-    rows : iterable of sequence of str
-        With c cells each.
-    """
+    """Return a Markdown table with aligned columns, the first to the left; no newline ends it."""
     lines = [[cell.replace("|", r"\|") for cell in line] for line in (header, *rows)]
     width = [max(2, *(len(line[i]) for line in lines)) for i in range(len(header))]
 

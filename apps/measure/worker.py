@@ -42,35 +42,19 @@ class StoppedError(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a process may use.
+    """What a process may use."""
 
-    Attributes
-    ----------
-    threads : int
-        For every library that counts them.
-    seconds : float
-        For what a measurement clocks (see `clocked`), not for what is around it.
-    memory : float
-        Bytes.
-    """
-
-    threads: int = 1
+    threads: int = 1  #: For every library that counts them.
+    #: For what a measurement clocks (see `clocked`), not for what is around it.
     seconds: float = math.inf
-    memory: float = math.inf
+    memory: float = math.inf  #: Bytes.
 
 
 class Worker:
-    """A process that calls functions, one after another, for this one.
+    """A process that calls functions, one after another, for this one, within limits.
 
     It leads a group of its own, so Ctrl-C is for the parent, which ends it in order; where the
-    parent dies, the whole group ends.
-
-    Parameters
-    ----------
-    limits : Limits
-        Kept to by every call.
-    log : file
-        Where all that it prints goes.
+    parent dies, the whole group ends. What it prints goes to the log.
     """
 
     def __init__(self, limits: Limits, log: IO[bytes] | int = subprocess.DEVNULL) -> None:
@@ -94,21 +78,11 @@ class Worker:
             )
 
     def call(self, function: Callable[..., Any], *args: object) -> Any:
-        """Call a function there and return its answer.
+        """Call a function there and return its answer; all three can be pickled.
 
-        Parameters
-        ----------
-        function : callable
-            Can be pickled; sent again only if it is not the one of the call before.
-        *args : object
-            Can be pickled, and so can the answer.
-
-        Raises
-        ------
-        FailedError
-            If the function raised one of `FAILURES`.
-        StoppedError
-            If a limit was reached, or the process ended; it is gone then.
+        The function is sent again only if it is not the one of the call before. FailedError says
+        that it raised one of `FAILURES`, StoppedError that a limit was reached or the process
+        ended; it is gone then.
         """
         try:
             self._link.send((None if function is self._known else function, args))
@@ -166,16 +140,8 @@ class Worker:
 class Pool:
     """Workers side by side; none is started before it is needed.
 
-    Parameters
-    ----------
-    jobs : int
-        How many; with 0 everything runs in this process, without limits.
-    limits : Limits
-        Of each.
-    fresh : bool
-        Whether every call has a process of its own.
-    log : file
-        Where all that they print goes.
+    With 0 jobs everything runs in this process, without limits. If it is `fresh`, every call has a
+    process of its own. What they print goes to the log.
     """
 
     def __init__(
@@ -277,22 +243,12 @@ def _told(error: BaseException) -> str:
 
 
 class Clocked:
-    """What a block took.
+    """What a block took: wall time, and memory above that before."""
 
-    Attributes
-    ----------
-    seconds : float
-        Of wall time.
-    waited_seconds : float
-        In which the main thread could have run but had no core; 0 where nobody counts them.
-    peak_bytes : int
-        Largest resident memory above that before.
-    device_peak_bytes : int
-        Largest memory on the accelerator.
-    """
-
-    seconds = waited_seconds = 0.0
-    peak_bytes = device_peak_bytes = 0
+    seconds = 0.0
+    waited_seconds = 0.0  #: In which the main thread could have run but had no core, where known.
+    peak_bytes = 0
+    device_peak_bytes = 0  #: On the accelerator.
 
 
 @contextmanager

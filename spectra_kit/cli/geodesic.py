@@ -33,7 +33,7 @@ from spectra_kit.geometry.formats import ply
 from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.spectra import Spectrum
 from spectra_kit.viz import Page, View, plot_convergence, plot_distance
-from spectra_kit.viz.distance_scale import distance_colours
+from spectra_kit.viz.colours import distance_colours
 
 _NUMBERS = ("distance.npy", "distance.ply", "report.json")
 _PICTURES = ("field.png", "convergence.png")

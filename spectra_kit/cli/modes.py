@@ -52,7 +52,7 @@ def spectrum(asked: program.Spectrum) -> None:
 
     def draw(path: Path) -> None:
         from spectra_kit.viz import Page, plot_spectrum
-        from spectra_kit.viz.boundary import free_boundary
+        from spectra_kit.viz.spectra import free_boundary
 
         page = Page(tables.title(asked.file, geometry), dpi=asked.dpi)
         plot_spectrum(path, found, free_boundary=free_boundary(geometry, found), page=page)

@@ -33,8 +33,8 @@ class Truth(Rebuilt):
 
     Examples
     --------
-    >>> from spectra_kit.correspondence import Truth
-    >>> Truth([4, 2], [0, 1]).swapped().source
+    >>> import spectra_kit as sk
+    >>> sk.correspondence.Truth([4, 2], [0, 1]).swapped().source
     array([0, 1])
     """
 
@@ -84,8 +84,8 @@ class MapErrors(Rebuilt):
 
     Examples
     --------
-    >>> from spectra_kit.correspondence import MapErrors
-    >>> MapErrors([0.5, 2.0], [3, 1]).at_points(4)
+    >>> import spectra_kit as sk
+    >>> sk.correspondence.MapErrors([0.5, 2.0], [3, 1]).at_points(4)
     array([nan, 2. , nan, 0.5])
     """
 
@@ -188,25 +188,15 @@ def geodesic_errors(
     *,
     method: Literal["edges", "exact"] = "edges",
 ) -> Floats:
-    """Measure how far a point map is from the truth, whatever its mirror image.
+    """Return the direct errors of `map_errors`, shape (c,), in the order of the truth.
 
-    Parameters
-    ----------
-    mesh, point_map, truth, method
-        As of `map_errors`.
-
-    Returns
-    -------
-    ndarray of shape (c,)
-        The direct errors of `map_errors`, in hundredths of the root of the source's area, and in
-        the order of the truth; pictures want `map_errors` itself, which knows the points.
+    Pictures want `map_errors` itself, which knows the points.
 
     Examples
     --------
-    >>> from spectra_kit.correspondence import Truth, geodesic_errors
-    >>> from spectra_kit.geometry import sphere
-    >>> mesh = sphere(subdivisions=2).geometry
-    >>> geodesic_errors(mesh, [0, 1], Truth([0, 1], [0, 1]))
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.sphere(subdivisions=2).geometry
+    >>> sk.correspondence.geodesic_errors(mesh, [0, 1], sk.correspondence.Truth([0, 1], [0, 1]))
     array([0., 0.])
     """
     return map_errors(mesh, point_map, Truth(truth.source, truth.target), method=method).direct
@@ -230,8 +220,8 @@ def accuracy_curve(errors: ArrayLike, thresholds: ArrayLike) -> Floats:
 
     Examples
     --------
-    >>> from spectra_kit.correspondence import accuracy_curve
-    >>> accuracy_curve([0.0, 1.0, 5.0, 5.0], [0.0, 1.0, 10.0])
+    >>> import spectra_kit as sk
+    >>> sk.correspondence.accuracy_curve([0.0, 1.0, 5.0, 5.0], [0.0, 1.0, 10.0])
     array([0.25, 0.5 , 1.  ])
     """
     values = np.sort(_errors("errors", errors))
@@ -257,8 +247,8 @@ def auc(errors: ArrayLike, *, limit: float = 10.0) -> float:
 
     Examples
     --------
-    >>> from spectra_kit.correspondence import auc
-    >>> auc([0.0, 5.0, 20.0, 0.0])
+    >>> import spectra_kit as sk
+    >>> sk.correspondence.auc([0.0, 5.0, 20.0, 0.0])
     0.625
     """
     limit = check_positive("limit", limit)

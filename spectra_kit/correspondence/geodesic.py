@@ -42,11 +42,6 @@ def geodesic_distances(
     ndarray of shape (q,)
         In the length unit of `mesh`; infinite between components.
 
-    See Also
-    --------
-    spectra_kit.geodesics.exact_distances : To all vertices, from the nearest of several.
-    spectra_kit.geodesics.geodesic_distance : The same by the heat method.
-
     Notes
     -----
     One search serves all pairs with the same start (or the same end, where those are fewer), and
@@ -57,11 +52,10 @@ def geodesic_distances(
     --------
     From pole to pole of the unit sphere:
 
-    >>> from spectra_kit.correspondence import geodesic_distances
-    >>> from spectra_kit.geometry import sphere
-    >>> mesh = sphere(subdivisions=3).geometry
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.sphere(subdivisions=3).geometry
     >>> z = mesh.points[:, 2]
-    >>> geodesic_distances(mesh, [z.argmax()], [z.argmin()], method="exact")
+    >>> sk.correspondence.geodesic_distances(mesh, [z.argmax()], [z.argmin()], method="exact")
     array([3.13...])
     """
     a = check_indices("starts", starts, mesh.n)
@@ -93,9 +87,8 @@ def edge_graph(mesh: TriangleMesh) -> sparse.csr_array:
 
     Examples
     --------
-    >>> from spectra_kit.correspondence import edge_graph
-    >>> from spectra_kit.geometry import sphere
-    >>> graph = edge_graph(sphere(subdivisions=1).geometry)
+    >>> import spectra_kit as sk
+    >>> graph = sk.correspondence.edge_graph(sk.geometry.sphere(subdivisions=1).geometry)
     >>> graph.shape, graph.nnz
     ((42, 42), 240)
     """

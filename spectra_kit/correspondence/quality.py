@@ -40,8 +40,8 @@ def coverage(point_map: ArrayLike, mass: ArrayLike) -> float:
 
     Examples
     --------
-    >>> from spectra_kit.correspondence import coverage
-    >>> coverage([0, 0, 1], [1.0, 1.0, 2.0])
+    >>> import spectra_kit as sk
+    >>> sk.correspondence.coverage([0, 0, 1], [1.0, 1.0, 2.0])
     0.5
     """
     weights = check_mass("mass", mass, np.size(mass))
@@ -78,11 +78,9 @@ def dirichlet_energy(source: Laplacian, target: Laplacian, point_map: ArrayLike)
 
     Examples
     --------
-    >>> from spectra_kit import robust_laplacian
-    >>> from spectra_kit.correspondence import dirichlet_energy
-    >>> from spectra_kit.geometry import sphere
-    >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
-    >>> round(dirichlet_energy(laplacian, laplacian, range(laplacian.n)), 6)
+    >>> import spectra_kit as sk
+    >>> laplacian = sk.robust_laplacian(sk.geometry.sphere(subdivisions=3).geometry)
+    >>> round(sk.correspondence.dirichlet_energy(laplacian, laplacian, range(laplacian.n)), 6)
     1.0
     """
     p = _checked(point_map, source.n, target.n)
@@ -96,10 +94,8 @@ def bijectivity_errors(mesh: TriangleMesh, point_map: ArrayLike, back: ArrayLike
 
     Parameters
     ----------
-    mesh : TriangleMesh
-        The source, with n1 vertices.
-    point_map : array_like of shape (n2,), integers
-        Source vertex of each target point.
+    mesh, point_map
+        As of `map_errors`.
     back : array_like of shape (n1,), integers
         Target point of each source vertex.
 
@@ -112,11 +108,10 @@ def bijectivity_errors(mesh: TriangleMesh, point_map: ArrayLike, back: ArrayLike
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.correspondence import bijectivity_errors
-    >>> from spectra_kit.geometry import sphere
-    >>> mesh = sphere(subdivisions=2).geometry
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.sphere(subdivisions=2).geometry
     >>> there = np.roll(np.arange(mesh.n), 5)
-    >>> float(bijectivity_errors(mesh, there, np.argsort(there)).max())
+    >>> float(sk.correspondence.bijectivity_errors(mesh, there, np.argsort(there)).max())
     0.0
     """
     p = _checked(point_map, mesh.n)
@@ -154,9 +149,8 @@ def way_back(source: Spectrum, target: Spectrum, point_map: ArrayLike) -> Ints:
     --------
     >>> import numpy as np
     >>> import spectra_kit as sk
-    >>> from spectra_kit.correspondence import way_back
     >>> spectrum = sk.spectrum(sk.geometry.creature(600), 40)
-    >>> bool((way_back(spectrum, spectrum, range(600)) == np.arange(600)).all())
+    >>> bool((sk.correspondence.way_back(spectrum, spectrum, range(600)) == np.arange(600)).all())
     True
     """
     k = min(_WAY_BACK, source.k, target.k)
@@ -192,13 +186,12 @@ def orientation(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.correspondence import orientation
-    >>> from spectra_kit.geometry import sphere
-    >>> mesh = sphere(subdivisions=2).geometry
+    >>> import spectra_kit as sk
+    >>> mesh = sk.geometry.sphere(subdivisions=2).geometry
     >>> same = np.arange(mesh.n)
-    >>> orientation(mesh.points, mesh.faces, mesh.faces, same)
+    >>> sk.correspondence.orientation(mesh.points, mesh.faces, mesh.faces, same)
     1.0
-    >>> orientation(mesh.points, mesh.faces, mesh.faces[:, ::-1], same)
+    >>> sk.correspondence.orientation(mesh.points, mesh.faces, mesh.faces[:, ::-1], same)
     -1.0
     """
     points = check_points("source_points", source_points)

@@ -26,21 +26,19 @@ shorter times or higher energies have no such protection: compute some modes mor
 a gap.
 
 >>> import spectra_kit as sk
->>> from spectra_kit.descriptors import biharmonic_distances, heat_kernel_signature
->>> from spectra_kit.descriptors import wave_energies, wave_kernel_signature
 >>> laplacian = sk.robust_laplacian(sk.geometry.creature(1000))
 >>> spectrum = sk.eigensolve(laplacian, 50)
->>> heat_kernel_signature(spectrum).shape
+>>> sk.descriptors.heat_kernel_signature(spectrum).shape
 (1000, 16)
->>> biharmonic_distances(spectrum, [0, 1]).shape
+>>> sk.descriptors.biharmonic_distances(spectrum, [0, 1]).shape
 (2, 1000)
 
 Of two surfaces, with one grid of energies for both:
 
 >>> other = sk.eigensolve(sk.robust_laplacian(sk.geometry.creature(900, pose=1)), 50)
 >>> first, second = (s.rescale(s.area**-0.5) for s in (spectrum, other))
->>> energies, width = wave_energies(first)
->>> wave_kernel_signature(second, energies, width=width).shape
+>>> energies, width = sk.descriptors.wave_energies(first)
+>>> sk.descriptors.wave_kernel_signature(second, energies, width=width).shape
 (900, 100)
 """
 

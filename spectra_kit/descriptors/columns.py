@@ -38,10 +38,9 @@ def normalize_descriptors(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.descriptors import normalize_descriptors
-    >>> spectrum = Spectrum(np.zeros(1), np.full((2, 1), 0.5), np.full(2, 2.0))
-    >>> normalize_descriptors(spectrum, [[3.0], [1.0]], center=True)
+    >>> import spectra_kit as sk
+    >>> spectrum = sk.Spectrum(np.zeros(1), np.full((2, 1), 0.5), np.full(2, 2.0))
+    >>> sk.descriptors.normalize_descriptors(spectrum, [[3.0], [1.0]], center=True)
     array([[ 1.],
            [-1.]])
     """

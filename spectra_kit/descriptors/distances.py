@@ -19,10 +19,8 @@ def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) 
 
     Parameters
     ----------
-    spectrum : Spectrum
-        k modes; zero modes take part.
-    sources : array_like of shape (s,)
-        Indices of points.
+    spectrum, sources
+        As of `heat_kernel`; zero modes take part.
     time : float
         In length^2; `heat_times` spans the useful ones.
 
@@ -41,10 +39,9 @@ def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) 
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.descriptors import diffusion_distances
-    >>> spectrum = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-    >>> diffusion_distances(spectrum, [0], time=20.0)
+    >>> import spectra_kit as sk
+    >>> spectrum = sk.Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+    >>> sk.descriptors.diffusion_distances(spectrum, [0], time=20.0)
     array([[0., 1.]])
     """
     sources = check_sources("sources", sources, spectrum)
@@ -123,10 +120,9 @@ def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     Two points of mass 1, joined by a conductance of 1/2: the resistance is 2, the area too.
 
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.descriptors import commute_time_distances
+    >>> import spectra_kit as sk
     >>> U = np.array([[1.0, 1.0], [1.0, -1.0]]) / 2**0.5
-    >>> commute_time_distances(Spectrum(np.array([0.0, 1.0]), U, np.ones(2)), [0])
+    >>> sk.descriptors.commute_time_distances(sk.Spectrum(np.array([0.0, 1.0]), U, np.ones(2)), [0])
     array([[0., 2.]])
     """
     sources = check_sources("sources", sources, spectrum)
@@ -165,10 +161,9 @@ def global_point_signature(spectrum: Spectrum, count: int | None = None) -> Floa
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.descriptors import global_point_signature
-    >>> spectrum = Spectrum(np.array([0.0, 4.0, 25.0]), np.eye(3), np.ones(3))
-    >>> global_point_signature(spectrum)
+    >>> import spectra_kit as sk
+    >>> spectrum = sk.Spectrum(np.array([0.0, 4.0, 25.0]), np.eye(3), np.ones(3))
+    >>> sk.descriptors.global_point_signature(spectrum)
     array([[0. , 0. ],
            [0.5, 0. ],
            [0. , 0.2]])

@@ -42,10 +42,9 @@ def heat_times(spectrum: Spectrum, count: int = 16) -> Floats:
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.descriptors import heat_times
-    >>> spectrum = Spectrum(np.array([0.0, 1.0, 100.0]), np.eye(3), np.ones(3))
-    >>> heat_times(spectrum, 3) / np.log(10)
+    >>> import spectra_kit as sk
+    >>> spectrum = sk.Spectrum(np.array([0.0, 1.0, 100.0]), np.eye(3), np.ones(3))
+    >>> sk.descriptors.heat_times(spectrum, 3) / np.log(10)
     array([0.04, 0.4 , 4.  ])
     """
     check_count("count", count, low=2)
@@ -86,10 +85,9 @@ def wave_energies(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.descriptors import wave_energies
-    >>> spectrum = Spectrum(np.exp([0.0, 1.0, 2.0]), np.eye(3), np.ones(3))
-    >>> wave_energies(spectrum, 3)
+    >>> import spectra_kit as sk
+    >>> spectrum = sk.Spectrum(np.exp([0.0, 1.0, 2.0]), np.eye(3), np.ones(3))
+    >>> sk.descriptors.wave_energies(spectrum, 3)
     (array([0.28, 1.  , 1.72]), 0.14)
     """
     check_count("count", count, low=2)

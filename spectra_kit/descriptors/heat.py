@@ -41,10 +41,9 @@ def heat_kernel(spectrum: Spectrum, sources: ArrayLike, times: ArrayLike) -> Flo
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.descriptors import heat_kernel
-    >>> spectrum = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-    >>> heat_kernel(spectrum, [1], [1.0])[0, :, 0]
+    >>> import spectra_kit as sk
+    >>> spectrum = sk.Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+    >>> sk.descriptors.heat_kernel(spectrum, [1], [1.0])[0, :, 0]
     array([0.   , 0.367...])
     """
     sources = check_sources("sources", sources, spectrum)
@@ -88,10 +87,9 @@ def heat_kernel_signature(
     On the unit sphere all points are alike, and all heat is spread over 4 pi in the end:
 
     >>> import spectra_kit as sk
-    >>> from spectra_kit.descriptors import heat_kernel_signature
     >>> laplacian = sk.robust_laplacian(sk.geometry.sphere(subdivisions=3).geometry)
     >>> spectrum = sk.eigensolve(laplacian, 25)
-    >>> hks = heat_kernel_signature(spectrum, [0.25, 10.0])
+    >>> hks = sk.descriptors.heat_kernel_signature(spectrum, [0.25, 10.0])
     >>> hks[0] * 4 * 3.14159
     array([4.366..., 1.005...])
     """
@@ -121,12 +119,8 @@ def landmark_heat_kernel_signature(
         k modes; zero modes take part.
     landmarks : array_like of shape (l,)
         Indices of points. On a second surface, give those of the same places in the same order.
-    times : array_like of shape (t,), optional
-        In length^2, positive; by default ``heat_times(spectrum, count)``.
-    count : int, default 16
-        Number of times where none are given.
-    scaled : bool, default False
-        Divide by the heat trace of each time, as in `heat_kernel_signature`.
+    times, count, scaled
+        As of `heat_kernel_signature`.
 
     Returns
     -------
@@ -137,10 +131,9 @@ def landmark_heat_kernel_signature(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.descriptors import landmark_heat_kernel_signature
-    >>> spectrum = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-    >>> landmark_heat_kernel_signature(spectrum, [0, 1], [1.0])
+    >>> import spectra_kit as sk
+    >>> spectrum = sk.Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+    >>> sk.descriptors.landmark_heat_kernel_signature(spectrum, [0, 1], [1.0])
     array([[1.   , 0.   ],
            [0.   , 0.367...]])
     """

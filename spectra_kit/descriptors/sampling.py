@@ -40,9 +40,8 @@ def farthest_points(spectrum: Spectrum, count: int, *, start: int | None = None)
     Examples
     --------
     >>> import spectra_kit as sk
-    >>> from spectra_kit.descriptors import farthest_points
     >>> laplacian = sk.robust_laplacian(sk.geometry.rectangle(height=1.0, n=100).geometry)
-    >>> farthest_points(sk.eigensolve(laplacian, 30), 2, start=0)  # opposite corners
+    >>> sk.descriptors.farthest_points(sk.eigensolve(laplacian, 30), 2, start=0)  # opposite corners
     array([ 0, 99])
     """
     check_count("count", count, low=1, high=spectrum.n)

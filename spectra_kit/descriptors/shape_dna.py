@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,16 +55,13 @@ def shape_dna(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.descriptors import shape_dna
-    >>> spectrum = Spectrum(np.array([0.0, 1.0, 2.0]), np.eye(3), np.full(3, 2.0))
-    >>> shape_dna(spectrum)
+    >>> import spectra_kit as sk
+    >>> spectrum = sk.Spectrum(np.array([0.0, 1.0, 2.0]), np.eye(3), np.full(3, 2.0))
+    >>> sk.descriptors.shape_dna(spectrum)
     array([ 6., 12.])
-    >>> shape_dna(spectrum, normalize="first")
+    >>> sk.descriptors.shape_dna(spectrum, normalize="first")
     array([1., 2.])
     """
-    if normalize is not None and normalize not in get_args(Normalization):
-        raise InvalidInputError("normalize", "be 'area', 'weyl', 'first' or None", f"{normalize!r}")
     values = outside_kernel(spectrum).eigenvalues
     if count is not None:
         values = values[: check_count("count", count, low=1, high=len(values))]
@@ -78,24 +75,14 @@ def shape_dna(
 
 @checked
 def shape_dna_distance(a: ArrayLike, b: ArrayLike, *, weight: Weighting | None = "index") -> float:
-    """Distance of two surfaces by their ShapeDNA; see `shape_dna_distances`.
+    """Distance of two surfaces by their ShapeDNA, each of shape (count,).
 
-    Parameters
-    ----------
-    a, b : array_like of shape (count,)
-        As `shape_dna` returns them, with the same normalisation.
-    weight : {"index", "inverse"} or None, default "index"
-        As in `shape_dna_distances`.
-
-    Returns
-    -------
-    float
-        Zero for isometric surfaces, in the unit of `a` and `b`.
+    What `shape_dna_distances` finds for two rows.
 
     Examples
     --------
-    >>> from spectra_kit.descriptors import shape_dna_distance
-    >>> shape_dna_distance([1.0, 2.0], [1.0, 4.0])
+    >>> import spectra_kit as sk
+    >>> sk.descriptors.shape_dna_distance([1.0, 2.0], [1.0, 4.0])
     1.0
     """
     first, second = _positive("a", a), _positive("b", b)
@@ -135,8 +122,8 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
 
     Examples
     --------
-    >>> from spectra_kit.descriptors import shape_dna_distances
-    >>> shape_dna_distances([[1.0, 2.0], [1.0, 4.0], [4.0, 2.0]], weight=None)
+    >>> import spectra_kit as sk
+    >>> sk.descriptors.shape_dna_distances([[1.0, 2.0], [1.0, 4.0], [4.0, 2.0]], weight=None)
     array([[0.  , 2.  , 3.  ],
            [2.  , 0.  , 3.6...],
            [3.  , 3.6..., 0.  ]])

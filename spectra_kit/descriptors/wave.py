@@ -55,10 +55,9 @@ def wave_kernel_signature(
     Examples
     --------
     >>> import spectra_kit as sk
-    >>> from spectra_kit.descriptors import wave_kernel_signature
     >>> laplacian = sk.robust_laplacian(sk.geometry.creature(1000))
     >>> spectrum = sk.eigensolve(laplacian, 50)
-    >>> wks = wave_kernel_signature(spectrum)
+    >>> wks = sk.descriptors.wave_kernel_signature(spectrum)
     >>> wks.shape, float((spectrum.mass @ wks).min())
     ((1000, 100), 1.0)
     """
@@ -100,10 +99,9 @@ def landmark_wave_kernel_signature(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import Spectrum
-    >>> from spectra_kit.descriptors import landmark_wave_kernel_signature
-    >>> spectrum = Spectrum(np.array([1.0, 2.0]), np.eye(2), np.ones(2))
-    >>> landmark_wave_kernel_signature(spectrum, [0, 1], [0.0, 0.7]).shape
+    >>> import spectra_kit as sk
+    >>> spectrum = sk.Spectrum(np.array([1.0, 2.0]), np.eye(2), np.ones(2))
+    >>> sk.descriptors.landmark_wave_kernel_signature(spectrum, [0, 1], [0.0, 0.7]).shape
     (2, 4)
     """
     landmarks = check_sources("landmarks", landmarks, spectrum)

@@ -38,10 +38,10 @@ from spectra_kit.explorer.payload import (
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.spectra import Spectrum
-from spectra_kit.viz.boundary import free_boundary
 from spectra_kit.viz.camera import View
 from spectra_kit.viz.colours import diverging_colours
 from spectra_kit.viz.render import ball_diameter
+from spectra_kit.viz.spectra import free_boundary
 
 _BOX = 65535  # positions are this many steps along the longest side
 

@@ -22,14 +22,12 @@ convert   `point_map_from_functional_map`,                    one kind of map to
 A fit may be flipped, and no refinement turns it round; `spectra_kit.matching` sees to that.
 
 >>> import spectra_kit as sk
->>> from spectra_kit.descriptors import wave_kernel_signature
->>> from spectra_kit.functional_maps import fit_functional_map, zoomout
 >>> mesh = sk.geometry.creature(600)
 >>> copy, truth = sk.geometry.permuted(mesh)
 >>> source, target = (sk.eigensolve(sk.robust_laplacian(m), 40) for m in (mesh, copy))
->>> descriptors = [wave_kernel_signature(spectrum) for spectrum in (source, target)]
->>> functional_map = fit_functional_map(source, target, *descriptors, k=20)
->>> refined = zoomout(source, target, functional_map, k_final=40)
+>>> descriptors = [sk.descriptors.wave_kernel_signature(spectrum) for spectrum in (source, target)]
+>>> functional_map = sk.functional_maps.fit_functional_map(source, target, *descriptors, k=20)
+>>> refined = sk.functional_maps.zoomout(source, target, functional_map, k_final=40)
 >>> refined, bool((refined.point_map == truth).all())
 (Correspondence(600 points, functional map 40 x 40), True)
 """

@@ -52,8 +52,6 @@ def laplacian_mask(kind: Mask, source: Floats, target: Floats) -> Floats:
     Panine, Wonka and Ovsjanikov, *Structured Regularization of Functional Map Computations*, SGP
     2019).
     """
-    if kind not in ("resolvent", "standard"):
-        raise InvalidInputError("mask", "be 'resolvent' or 'standard'", f"{kind!r}")
     unit = max(source[-1], target[-1])
     if unit == 0:  # constants alone
         return np.zeros((len(target), len(source)))

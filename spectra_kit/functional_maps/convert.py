@@ -72,10 +72,9 @@ def functional_map_from_point_map(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.functional_maps import functional_map_from_point_map
-    >>> from spectra_kit.spectra import Spectrum
-    >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-    >>> functional_map_from_point_map(s, s, [1, 0])
+    >>> import spectra_kit as sk
+    >>> s = sk.Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+    >>> sk.functional_maps.functional_map_from_point_map(s, s, [1, 0])
     array([[0., 1.],
            [1., 0.]])
     """
@@ -113,10 +112,9 @@ def point_map_from_functional_map(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.functional_maps import point_map_from_functional_map
-    >>> from spectra_kit.spectra import Spectrum
-    >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
-    >>> point_map_from_functional_map(s, s, [[0.0, 1.0], [1.0, 0.0]])
+    >>> import spectra_kit as sk
+    >>> s = sk.Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+    >>> sk.functional_maps.point_map_from_functional_map(s, s, [[0.0, 1.0], [1.0, 0.0]])
     array([1, 0])
     """
     C = check_functional_map("functional_map", functional_map, source, target)

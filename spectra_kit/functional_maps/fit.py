@@ -36,8 +36,8 @@ class FitWeights:
 
     Examples
     --------
-    >>> from spectra_kit.functional_maps import FitWeights
-    >>> FitWeights(orientation=1.0).multiplication
+    >>> import spectra_kit as sk
+    >>> sk.functional_maps.FitWeights(orientation=1.0).multiplication
     1.0
     """
 
@@ -124,11 +124,10 @@ def fit_functional_map(
     --------
     >>> import numpy as np
     >>> import spectra_kit as sk
-    >>> from spectra_kit.functional_maps import fit_functional_map
     >>> mesh = sk.geometry.creature(800)
     >>> spectrum, f = sk.spectrum(mesh, 20), np.sin(3 * mesh.points)
     >>> copy = sk.spectrum(mesh.with_points(1000 * mesh.points), 20)
-    >>> C = fit_functional_map(spectrum, copy, f, f, k=20)
+    >>> C = sk.functional_maps.fit_functional_map(spectrum, copy, f, f, k=20)
     >>> bool(np.allclose(np.abs(C), np.eye(20), atol=1e-5))
     True
     """

@@ -54,8 +54,8 @@ def nearest_rows(
 
     Examples
     --------
-    >>> from spectra_kit.functional_maps import nearest_rows
-    >>> nearest_rows([[0.1, 0.0], [0.9, 0.2]], [[0.0, 0.0], [1.0, 0.0]])
+    >>> import spectra_kit as sk
+    >>> sk.functional_maps.nearest_rows([[0.1, 0.0], [0.9, 0.2]], [[0.0, 0.0], [1.0, 0.0]])
     array([0, 1])
     """
     Q, X = check_rows("queries", queries), check_rows("points", points)

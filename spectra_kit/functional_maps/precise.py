@@ -23,10 +23,8 @@ def precise_map(
 
     Parameters
     ----------
-    source, target : Spectrum
-        Of the two surfaces, in any units.
-    functional_map : array_like of shape (k2, k1)
-        Source coefficients to target coefficients, at unit area.
+    source, target, functional_map
+        As of `point_map_from_functional_map`.
     faces : array_like of shape (f, 3)
         Triangles of the source, where the map goes; not of the target.
 
@@ -46,10 +44,9 @@ def precise_map(
     --------
     >>> import numpy as np
     >>> import spectra_kit as sk
-    >>> from spectra_kit.functional_maps import precise_map
     >>> mesh = sk.geometry.creature(500)
     >>> s = sk.spectrum(mesh, 20)
-    >>> P = precise_map(s, s, np.eye(20), mesh.faces)
+    >>> P = sk.functional_maps.precise_map(s, s, np.eye(20), mesh.faces)
     >>> bool(np.allclose(P @ mesh.points, mesh.points))
     True
     """
@@ -92,12 +89,10 @@ def functional_map_from_precise_map(
 
     Parameters
     ----------
-    source, target : Spectrum
-        Of the two surfaces, in any units.
+    source, target, k
+        As of `functional_map_from_point_map`.
     precise : sparse array of shape (n2, n1)
         As `precise_map` returns it: each row mixes source points.
-    k : int or (int, int), optional
-        Number of modes, or (source's, target's); all by default.
 
     Returns
     -------
@@ -116,13 +111,6 @@ def functional_map_from_precise_map(
            [0.5, 0.5]])
     """
     k1, k2 = check_sizes(k, source, target)
-    if not sparse.issparse(precise):
-        raise InvalidInputError(
-            "precise",
-            "be a sparse array as `precise_map` returns it",
-            type(precise).__name__,
-            advice="for a list of source points there is functional_map_from_point_map",
-        )
     if precise.shape != (target.n, source.n):
         raise InvalidInputError(
             "precise",

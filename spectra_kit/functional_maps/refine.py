@@ -62,9 +62,8 @@ def bijective_zoomout(
     --------
     >>> import numpy as np
     >>> import spectra_kit as sk
-    >>> from spectra_kit.functional_maps import bijective_zoomout
     >>> s = sk.spectrum(sk.geometry.creature(500), 30)
-    >>> refined = bijective_zoomout(s, s, np.eye(8), k_final=30, step=11)
+    >>> refined = sk.functional_maps.bijective_zoomout(s, s, np.eye(8), k_final=30, step=11)
     >>> bool((refined.point_map == np.arange(500)).all())
     True
     """
@@ -92,10 +91,8 @@ def icp(
 
     Parameters
     ----------
-    source, target : Spectrum
-        Of the two surfaces, in any units.
-    functional_map : array_like of shape (k2, k1)
-        Source coefficients to target coefficients.
+    source, target, functional_map
+        As of `point_map_from_functional_map`, of as many components.
     iterations : int, default 10
         How often to repeat; it ends sooner once the point map stays the same.
 
@@ -113,10 +110,9 @@ def icp(
     --------
     >>> import numpy as np
     >>> import spectra_kit as sk
-    >>> from spectra_kit.functional_maps import icp
     >>> s = sk.spectrum(sk.geometry.creature(500), 20)
     >>> start = np.eye(20) + 0.05 * np.random.default_rng(0).normal(size=(20, 20))
-    >>> bool((icp(s, s, start).point_map == np.arange(500)).all())
+    >>> bool((sk.functional_maps.icp(s, s, start).point_map == np.arange(500)).all())
     True
     """
     check_count("iterations", iterations, low=0)

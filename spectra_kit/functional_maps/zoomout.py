@@ -73,9 +73,8 @@ def zoomout(
     --------
     >>> import numpy as np
     >>> import spectra_kit as sk
-    >>> from spectra_kit.functional_maps import zoomout
     >>> s = sk.spectrum(sk.geometry.creature(500), 30)
-    >>> refined = zoomout(s, s, np.eye(8), k_final=30)
+    >>> refined = sk.functional_maps.zoomout(s, s, np.eye(8), k_final=30)
     >>> bool((refined.point_map == np.arange(500)).all())
     True
     """
@@ -188,9 +187,9 @@ def zoomout_many(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit.functional_maps import zoomout_many
+    >>> import spectra_kit as sk
     >>> rows = np.random.default_rng(0).normal(size=(50, 10))
-    >>> maps, point_maps = zoomout_many(rows, rows, np.eye(4)[None], k_final=10)
+    >>> maps, point_maps = sk.functional_maps.zoomout_many(rows, rows, np.eye(4)[None], k_final=10)
     >>> bool((point_maps[0] == np.arange(50)).all())
     True
     """

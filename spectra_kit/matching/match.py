@@ -87,13 +87,11 @@ def match(
     Examples
     --------
     >>> import numpy as np
-    >>> from spectra_kit import match, prepare
     >>> import spectra_kit as sk
-    >>> from spectra_kit.geometry import creature, mirrored
     >>> animal = sk.geometry.creature(600)
-    >>> image = mirrored(animal)
-    >>> a, b = (prepare(sk.spectrum(m, 60), m) for m in (animal, image))
-    >>> found = match(a, b)
+    >>> image = sk.geometry.mirrored(animal)
+    >>> a, b = (sk.prepare(sk.spectrum(m, 60), m) for m in (animal, image))
+    >>> found = sk.match(a, b)
     >>> found.mirrored, bool((found.point_map == np.arange(600)).all())
     (True, True)
     """

@@ -15,8 +15,8 @@ class ScoreWeights:
 
     Examples
     --------
-    >>> from spectra_kit.matching import ScoreWeights
-    >>> ScoreWeights().curvature
+    >>> import spectra_kit as sk
+    >>> sk.matching.ScoreWeights().curvature
     2.0
     """
 
@@ -40,8 +40,8 @@ class MatchOptions:
 
     Examples
     --------
-    >>> from spectra_kit.matching import MatchOptions
-    >>> MatchOptions(finalists=12).finalists
+    >>> import spectra_kit as sk
+    >>> sk.matching.MatchOptions(finalists=12).finalists
     12
     """
 

@@ -11,7 +11,7 @@ from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt, check_count, frozen
 from spectra_kit.descriptors import farthest_points, wave_kernel_signature
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh
+from spectra_kit.geometry import Geometry
 from spectra_kit.matching.curvature import smoothed_mean_curvature
 from spectra_kit.operators.oriented import OrientedTriangles, area_form, oriented_triangles
 from spectra_kit.spectra import Spectrum
@@ -102,10 +102,9 @@ def prepare(
 
     Examples
     --------
-    >>> from spectra_kit import prepare
     >>> import spectra_kit as sk
     >>> mesh = sk.geometry.creature(1000)
-    >>> prepare(sk.spectrum(mesh, 60), mesh)
+    >>> sk.prepare(sk.spectrum(mesh, 60), mesh)
     Prepared(n=1000, k=60, from spectrum and geometry)
     """
     check_count("n_samples", n_samples, low=200)
@@ -150,10 +149,9 @@ def _gathered(
 
 def _placed(unit: Spectrum, geometry: Geometry, scale: float) -> tuple[Floats, OrientedTriangles]:
     """Return the points of a geometry at unit area, and which side is out."""
-    if not isinstance(geometry, TriangleMesh | PointCloud) or geometry.n != unit.n:
-        arrived = getattr(geometry, "n", type(geometry).__name__)
+    if geometry.n != unit.n:
         raise InvalidInputError(
-            "geometry", f"be the mesh or cloud of the spectrum, of {unit.n} points", arrived
+            "geometry", f"be the mesh or cloud of the spectrum, of {unit.n} points", geometry.n
         )
     oriented = oriented_triangles(geometry)
     area = float(oriented.weights @ oriented.areas) * scale**2

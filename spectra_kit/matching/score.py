@@ -113,8 +113,8 @@ def score_of(values: dict[str, float], *, options: MatchOptions = DEFAULT) -> fl
 
     Examples
     --------
-    >>> from spectra_kit.matching import score_of
-    >>> print(score_of({"curvature": 0.5, "wave": 0.1}))
+    >>> import spectra_kit as sk
+    >>> print(sk.matching.score_of({"curvature": 0.5, "wave": 0.1}))
     0.363
     """
     weights, least = asdict(options.weights), options.least_mismatch
@@ -132,10 +132,8 @@ def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -
 
     Parameters
     ----------
-    source, target : Prepared
-        The surfaces.
-    functional_map : ndarray of shape (k, k)
-        Of source to target.
+    source, target, functional_map
+        As of `mismatches`.
 
     Returns
     -------
@@ -177,7 +175,7 @@ def coverage_over_chance(source: Spectrum, target: Spectrum, point_map: Ints) ->
     Parameters
     ----------
     source, target : Spectrum
-        With n1 and n2 points.
+        Of the surfaces, in any units.
     point_map : ndarray of shape (n2,)
         Source point of each target point.
 
@@ -212,10 +210,8 @@ def coverage_over_chance(source: Spectrum, target: Spectrum, point_map: Ints) ->
 
 def _square(functional_map: Floats, source: Prepared, target: Prepared) -> Floats:
     """Return the map as a finite array of shape (k, k), k within the modes of both."""
-    array, most = (
-        real_array("functional_map", functional_map),
-        min(source.spectrum.k, target.spectrum.k),
-    )
+    array = real_array("functional_map", functional_map)
+    most = min(source.spectrum.k, target.spectrum.k)
     if array.ndim != 2 or array.shape[0] != array.shape[1] or not 1 <= len(array) <= most:
         raise InvalidInputError(
             "functional_map", f"have shape (k, k), 1 <= k <= {most}", array.shape

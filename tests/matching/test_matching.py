@@ -99,11 +99,6 @@ def test_a_copy_gives_the_permutation(mesh, spectrum, copy, k, seen) -> None:
     assert found.orientation == (pytest.approx(1) if seen == "geometry" else None)
 
 
-def test_a_mesh_may_have_fewer_points_than_samples() -> None:
-    ball = prepared(sphere(subdivisions=2).geometry, 40)
-    assert (match(ball, ball).point_map == np.arange(162)).all()
-
-
 @pytest.fixture(scope="module")
 def holed(mesh) -> TriangleMesh:
     near = np.argsort(((mesh.points - mesh.points[0]) ** 2).sum(axis=1))[:12]
@@ -225,13 +220,6 @@ def test_clouds_have_sides_too(mesh, source) -> None:
 # --- doubt ----------------------------------------------------------------------------------
 
 
-@cache
-def ellipsoids(axes: tuple[float, float, float]) -> tuple[TriangleMesh, TriangleMesh]:
-    """One ellipsoid, in two sets of triangles."""
-    ball = sphere(subdivisions=3).geometry
-    return ball.with_points(ball.points * axes), ball.with_points((ball.points @ TURN) * axes)
-
-
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulMatchWarning")
 def test_a_map_of_a_surface_of_revolution_is_a_turn_or_ambiguous() -> None:
     """Bases within its eigenspaces are what rounding makes them, and so is the map found."""
@@ -247,27 +235,10 @@ def test_a_map_of_a_surface_of_revolution_is_a_turn_or_ambiguous() -> None:
     assert found.ambiguous or np.linalg.norm(images - nearest, axis=1).mean() < 0.15
 
 
-@pytest.mark.parametrize(("mirror", "sign"), [(False, 1), (True, -1)])
-def test_an_ellipsoid_has_several_good_maps(mirror, sign) -> None:
-    """Four rotations take it to itself, and four reflections; each is as good as another."""
-    axes = (1, 1.3, 1.7)
-    one, other = ellipsoids(axes)
-    found = match(prepared(one, 80), prepared(other, 80), mirrored=mirror)
-    assert found.margin < 1.2
-    # The first three modes are nearly the coordinates.
-    good = [c for c in found.candidates if c.score < 1.5 * found.score]
-    signs = {tuple(np.sign(np.diag(c.functional_map)[1:4])) for c in good}
-    assert len(signs) > 1
-    images = (one.points / axes)[found.point_map]
-    fit = np.linalg.lstsq(other.points / axes, images, rcond=None)[0]
-    assert np.abs(np.abs(np.diag(fit)) - 1).max() < 0.02
-    assert np.sign(np.diag(fit)).prod() == sign
-    assert found.orientation * sign > 0.9
-
-
 def test_unlike_surfaces_score_badly(source) -> None:
+    """One of them has fewer points than samples are asked for."""
     with pytest.warns(DoubtfulMatchWarning, match="no convincing map: its mismatch is 0.[5-9]"):
-        found = match(source, prepared(sphere(subdivisions=3).geometry))
+        found = match(source, prepared(sphere(subdivisions=2).geometry, 60))
     assert found.score > 0.4
     assert np.isfinite(found.margin)
     assert not found.convincing
@@ -324,9 +295,11 @@ def test_coverage_is_measured_by_what_chance_would_cover() -> None:
 
 def test_landmarks_settle_a_symmetry() -> None:
     """Three points of an ellipsoid say which of its four rotations is meant."""
-    one, _ = ellipsoids((1, 1.3, 1.7))
+    ball = sphere(subdivisions=3).geometry
+    one = ball.with_points(ball.points * (1, 1.3, 1.7))
     shuffled, truth = permuted(one, seed=7)
     a, b = prepared(one, 80), prepared(shuffled, 80)
+    assert match(a, b).margin < 1.2  # one is as good as another
     here = np.array([0, 5, 17])
     for turned in (np.array([-1.0, -1, 1]), np.array([1.0, -1, -1])):
         images = np.argmin(((one.points[:, None] - turned * one.points) ** 2).sum(axis=2), axis=0)

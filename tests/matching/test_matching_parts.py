@@ -19,15 +19,14 @@ from spectra_kit.matching import (
     prepare,
     score_of,
 )
-from spectra_kit.matching.candidates import _form_values, sign_candidates
+from spectra_kit.matching.candidates import sign_candidates
 from spectra_kit.matching.curvature import outward_normals, smoothed_mean_curvature
 from spectra_kit.matching.elastic import (
     _bending,
     _edges,
-    _rotations,
     elastic_point_map,
 )
-from spectra_kit.operators import OrientedTriangles, oriented_triangles
+from spectra_kit.operators import oriented_triangles
 
 K = 60
 PULL = MatchOptions().pull
@@ -96,14 +95,6 @@ def test_normals_of_a_ball_point_outwards() -> None:
         assert np.linalg.norm(normals, axis=1) == pytest.approx(np.ones(ball.n))
 
 
-def test_where_there_is_no_normal_it_is_zero() -> None:
-    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [5, 5, 5]])
-    both = OrientedTriangles([[0, 1, 2], [0, 2, 1], [0, 1, 3]], np.ones(3), np.full(3, 0.5), 5)
-    normals = outward_normals(points, both)
-    assert normals[[2, 4]] == pytest.approx(np.zeros((2, 3)))
-    assert normals[3] == pytest.approx([0, -1, 0])
-
-
 @pytest.mark.parametrize("radius", [1.0, 0.2])
 def test_the_mean_curvature_of_a_ball(radius) -> None:
     """The coordinates are its first modes, so smoothing only scales them: 2 H = 2 / r."""
@@ -117,17 +108,6 @@ def test_the_mean_curvature_of_a_ball(radius) -> None:
 
 
 # --- bending --------------------------------------------------------------------------------
-
-
-def test_rotations_are_those_of_procrustes() -> None:
-    rng = np.random.default_rng(0)
-    before, after = rng.normal(size=(2, 7, 5, 3))
-    after[3] = before[3] * [-1, 1, 1]  # a mirror image has no rotation that fits
-    found = _rotations(np.einsum("esi,esj->eij", before, after))
-    for b, a, R in zip(before, after, found, strict=True):
-        best, _ = Rotation.align_vectors(a, b)
-        assert np.abs(R - best.as_matrix()).max() < 1e-10
-        assert np.linalg.det(R) == pytest.approx(1)
 
 
 def test_edges_have_cotangent_weights(mesh) -> None:
@@ -202,18 +182,6 @@ def test_mirrored_candidates_are_those_of_the_mirror_image(source, image) -> Non
         for mirrored in (True, False)
     ]
     assert left[0] < 0.5 < left[1]
-
-
-def test_forms_follow_the_map_and_turn_in_the_mirror(source, copy, image) -> None:
-    target, truth = copy
-    there = target.samples
-    for b, here, sign in ((target, truth[there], 1), (image, image.samples, -1)):
-        C = true_map(source, b, truth if sign == 1 else np.arange(len(truth)))
-        forms = _form_values(source, b, here, b.samples, sign < 0)
-        assert forms.mapped(C[None])[0] == pytest.approx(forms.target, abs=1e-6)
-        turned = _form_values(source, b, here, b.samples, sign > 0)
-        assert turned.target == pytest.approx(-forms.target)
-    assert _form_values(source, prepare(target.spectrum), there, there, False) is None
 
 
 # --- scores ---------------------------------------------------------------------------------

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from conftest import bumpy
 from measure.eigensolvers.methods import METHODS, Contender, Method, contenders
-from measure.eigensolvers.report import exponents, write_report
+from measure.eigensolvers.report import write_report
 from measure.eigensolvers.studies import EXACT, OPERATOR, Preparation, Problem, Solves, problems
 from measure.store import Store
-from measure.study import Result, repeats_of, run
+from measure.study import Result, run
 
 from spectra_kit import Arpack, Provenance, eigensolve, robust_laplacian
 from spectra_kit.errors import InvalidInputError
@@ -206,12 +206,3 @@ def test_the_report_says_who_is_best_what_is_missing_and_what_disturbed(tmp_path
     assert cells.startswith("|**neo**||0.5|10.00|0.6|")
     assert "- mesh, cpu: eigsh 1.00 (3 sizes)\n" in text  # and none for two sizes
     assert "- spectra (mesh, 600 points): too slow" in text
-
-
-def test_exponents_are_those_of_the_larger_sizes():
-    sizes = (1000, 8000, 64000, 512000)
-    results = [measured("arpack", 1e-6 * n**1.5, 0.0, n) for n in sizes[1:]]
-    results.append(measured("arpack", 1e6, 0.0, sizes[0]))
-    ((_, fit),) = exponents(repeats_of(results)).items()
-    assert fit.exponent == pytest.approx(1.5)
-    assert fit.sizes == 3

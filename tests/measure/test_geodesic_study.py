@@ -10,12 +10,9 @@ import torch
 from conftest import creature
 from measure import store
 from measure.geodesics import contenders as who
-from measure.geodesics.report import meshes
 from measure.geodesics.studies import (
     EIGENSOLVERS,
     Accuracy,
-    Ball,
-    Balls,
     Exact,
     Modes,
     Times,
@@ -23,7 +20,7 @@ from measure.geodesics.studies import (
 )
 from measure.shapes import Shape, shape_at
 from measure.store import Store
-from measure.study import Result, run
+from measure.study import run
 
 from spectra_kit import Neo
 from spectra_kit.geodesics import exact_distances, geodesic_distance
@@ -178,32 +175,3 @@ def test_errors_leave_out_sources_and_what_is_out_of_reach():
     exact = np.array([0.0, 1.0, 2.0, np.inf])
     found = relative_errors(np.array([5.0, 1.5, 2.0, 7.0]), exact, np.array([1.0, 1.0, 3.0, 1.0]))
     assert found == {"mean": 0.25, "weighted": 0.125, "largest": 0.5}
-
-
-def test_the_spectrum_is_paid_by_those_who_use_it():
-    shape = Shape("ball", sphere(subdivisions=1).geometry)
-
-    def mesh(name, solver, status="ok"):
-        first = [Result(name, shape, 0, {"status": status, "seconds": 2.0, "solver": solver})]
-        modes = [Result("exact", shape, 0, {"status": "ok", "seconds": 5.0})]
-        return meshes({"modes": modes, "first": first})[0]
-
-    assert mesh(who.AUTOMATIC, "two-level").seconds_in_all(who.AUTOMATIC) == 7.0
-    # What is automatic and solves directly leaves the modes alone.
-    assert mesh(who.AUTOMATIC, "direct").seconds_in_all(who.AUTOMATIC) == 2.0
-    assert mesh(who.UNAIDED, "iterative").seconds_in_all(who.UNAIDED) == 2.0
-    failed = mesh(who.ICPCG, "", status="failed")
-    assert failed.title == "ball (42)"
-    assert failed.seconds_in_all(who.ICPCG) is failed.seconds(who.ICPCG) is None
-
-
-def test_on_the_sphere_errors_fall(tmp_path):
-    balls = [Ball(kind, count) for kind in ("mesh", "cloud") for count in (2, 3)]
-    results = run(Balls(folder=tmp_path, problems=balls), Store(tmp_path), jobs=0)
-    assert [(r.contender, r.problem) for r in results[-2:]] == [
-        (who.DIRECT, balls[-1]), (who.ROBUST, balls[-1])
-    ]  # fmt: skip
-    means = {(r.contender, r.problem): r.record["mean"] for r in results}
-    for coarse, fine in (balls[:2], balls[2:]):
-        assert means[who.DIRECT, fine] < means[who.DIRECT, coarse]
-        assert means[who.DIRECT, fine] == pytest.approx(means[who.ROBUST, fine], rel=0.25)

@@ -17,7 +17,7 @@ from measure.matching.report import summarize, write_report
 from measure.matching.subjects import Subject, demo_subjects, subjects_in, truth_between
 from measure.study import Result
 
-from spectra_kit import TriangleMesh, eigensolve, robust_laplacian
+from spectra_kit import eigensolve, robust_laplacian
 from spectra_kit.correspondence import geodesic_errors, way_back
 from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
 from spectra_kit.functional_maps import functional_map_from_point_map
@@ -191,18 +191,6 @@ def test_a_mirrored_map_counts_as_flipped(copies):
     assert result["auc_either"] == 1 > result["auc"]
 
 
-def test_windings_of_the_files_do_not_count(copies):
-    a, b, spectra, order = copies
-    outcome = Outcome(order, 0, 0)
-    plain = measured(a, b, spectra, outcome)["orientation"]
-    inside_out = replace(b, mesh=TriangleMesh(b.mesh.points, b.mesh.faces[:, ::-1]))
-    assert measured(a, inside_out, spectra, outcome)["orientation"] == plain
-    mixed = b.mesh.faces.copy()
-    mixed[:9] = mixed[:9, ::-1]
-    torn = replace(b, mesh=TriangleMesh(b.mesh.points, mixed))
-    assert np.isnan(measured(a, torn, spectra, outcome)["orientation"])
-
-
 # --- methods ---
 
 
@@ -286,24 +274,6 @@ def test_everything_that_decides_a_result_is_in_its_key(study, subjects):
     keys.append(pairs.key(way, Pair("creature1", "creature0")))
     assert len(set(keys)) == len(keys)
     assert study(pyfm_python="/other").key(way, PAIR) == keys[0]
-
-
-def test_an_interruption_loses_one_pair(study, monkeypatch):
-    calls = []
-
-    def interrupted(source, target):
-        calls.append(0)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        return Outcome(np.zeros(target.geometry.n, np.int64), 0, 0)
-
-    monkeypatch.setitem(METHODS, PLAIN, Entry(interrupted))
-    pairs = study(PAIR, Pair("creature1", "creature2"))
-    with pytest.raises(KeyboardInterrupt):
-        match_all(pairs, jobs=0)
-    assert not list(pairs.folder.rglob(".*"))
-    assert all(result.ok for result in match_all(pairs, jobs=0))
-    assert len(calls) == 3
 
 
 def test_failures_say_why(study):

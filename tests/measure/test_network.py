@@ -11,7 +11,7 @@ import torch
 from conftest import bumpy, refused, two_parts
 from measure import figures
 from measure.network.accuracy import Accuracy
-from measure.network.cases import Case, procedural_shapes
+from measure.network.cases import Case
 from measure.network.findings import Goal, Row, of_accuracy, undominated
 from measure.network.methods import joined, label, network, waves
 from measure.network.questions import QUESTIONS, Settings, ask
@@ -21,15 +21,12 @@ from measure.shapes import Shape, demo_shapes
 from measure.store import Store
 from measure.study import run
 
-from spectra_kit import Neo, RayleighRitz, TriangleMesh, eigensolve
+from spectra_kit import Neo, RayleighRitz, eigensolve
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import rectangle, repair, write
+from spectra_kit.geometry import rectangle, write
 from spectra_kit.metrics import compare_spectra, subspace_span_error
 from spectra_kit.neo import NeoConfig, build_network, save_weights
 from spectra_kit.subspaces import AmbientFourier
-from spectra_kit.training.corpus import CorpusConfig, make_sample
-from spectra_kit.training.families import FAMILIES
-from spectra_kit.training.samples import sample_mesh
 
 SMALL = network("small")
 
@@ -150,36 +147,7 @@ def test_masses_of_one_matter_where_samples_crowd(measured, animal):
     assert loss[1] > max(loss[0], 1.05)
 
 
-def test_procedural_shapes_are_those_of_the_corpus():
-    shapes, again = (procedural_shapes(2, seed=11) for _ in range(2))
-    assert [shape.digest for shape in shapes] == [shape.digest for shape in again]
-    assert len({shape.digest for shape in shapes}) == 2
-    config = CorpusConfig(seed=11, n_points=256, k=8)
-    for index, shape in enumerate(shapes):
-        labels = make_sample(config, index).labels
-        assert shape.name == f"{list(FAMILIES)[labels['family']]} {index}"
-        surface = repair(sample_mesh(config, labels)).geometry
-        np.testing.assert_array_equal(shape.mesh.points, surface.points)
-
-
 # --- what is remembered ---
-
-
-def test_an_answer_is_remembered_and_an_interruption_loses_one_solve(measured, animal):
-    cases = [Case(shape=animal, points=points) for points in (400, 500)]
-    method, asked = waves(50, 3.0), []
-
-    def interrupted(points, mass):
-        asked.append(len(points))
-        if len(points) == 500:
-            raise KeyboardInterrupt
-        return method.basis(points, mass)
-
-    with pytest.raises(KeyboardInterrupt):
-        measured([dataclasses.replace(method, basis=interrupted)], cases)
-    first = measured([method], cases)
-    assert measured([dataclasses.replace(method, basis=None)], cases) == first
-    assert asked.count(400) == 1
 
 
 def test_everything_that_decides_the_numbers_is_in_the_key(animal, tmp_path, monkeypatch):
@@ -195,19 +163,6 @@ def test_everything_that_decides_the_numbers_is_in_the_key(animal, tmp_path, mon
     monkeypatch.setattr(torch, "get_num_threads", lambda: 99)  # seconds are kept
     keys.append(study.key(SMALL, case))
     assert len(set(keys)) == len(keys)
-
-
-def test_a_failure_says_why(measured):
-    flat = TriangleMesh(
-        np.vstack([bumpy().points, [[9, 9, 9], [9, 9, 10], [9, 9, 11]]]),
-        np.vstack([bumpy().faces, [[642, 643, 644]]]),
-    )
-    case = Case(shape=Shape("flat", flat), points=None, operator="cotan")
-    [result] = measured([waves(50, 3.0)], [case])
-    assert "faces of zero area" in result["reason"]
-    ball = Case(shape=Shape("ball", bumpy()), points=500)
-    [result] = measured([waves(5, 3.0)], [ball])
-    assert "must span at least k = 10" in result["reason"]
 
 
 def test_what_cannot_be_asked_is_refused(animal, tiny, tmp_path):

@@ -37,10 +37,6 @@ def test_docstring(name: str) -> None:
     borrowed = {"PR04"} if "\n    As of `" in found["docstring"] else set()
     errors = [f"{code}: {text}" for code, text in found["errors"] if code not in IGNORED | borrowed]
     assert not errors, errors
-
-
-@pytest.mark.parametrize("name", public_names())
-def test_returning_functions_say_what(name: str) -> None:
     parent, _, attribute = name.rpartition(".")
     thing = getattr(importlib.import_module(parent), attribute)
     if inspect.isfunction(thing) and inspect.signature(thing).return_annotation != "None":

@@ -18,30 +18,17 @@ BASELINE = "eigsh"
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A backend to measure.
+    """A backend to measure."""
 
-    Attributes
-    ----------
-    make : callable
-        From the device, "cpu" or "cuda", to the backend.
-    stops : str
-        Where it stops: at a tolerance, "rounding" of float64, its package's "default", or "" for
-        a prediction, which has no such test.
-    devices : tuple of str
-        Where it can run.
-    needs : str
-        A module beyond the dependencies of this package, called as on PyPI, or nothing.
-    peer : bool
-        Whether it is another package's.
-    slow : bool
-        Whether it takes many times longer than the rest, and a quick comparison leaves it out.
-    """
-
-    make: Callable[[str], Eigensolver]
+    make: Callable[[str], Eigensolver]  #: From the device, "cpu" or "cuda", to the backend.
+    #: Where it stops: at a tolerance, "rounding" of float64, its package's "default", or "" for a
+    #: prediction, which has no such test.
     stops: str = ""
-    devices: tuple[str, ...] = ("cpu",)
+    devices: tuple[str, ...] = ("cpu",)  #: Where it can run.
+    #: A module beyond the dependencies of this package, called as on PyPI, or nothing.
     needs: str = ""
-    peer: bool = False
+    peer: bool = False  #: Whether it is another package's.
+    #: Whether it takes many times longer than the rest, and a quick comparison leaves it out.
     slow: bool = False
 
     @property
@@ -117,18 +104,10 @@ QUICK = tuple(name for name, method in METHODS.items() if not method.slow)
 
 @dataclass(frozen=True)
 class Contender:
-    """A method on a device.
+    """A method on a device."""
 
-    Attributes
-    ----------
-    name : str
-        In `METHODS`.
-    device : {"cpu", "cuda"}
-        Where it runs.
-    """
-
-    name: str
-    device: str = "cpu"
+    name: str  #: In `METHODS`.
+    device: str = "cpu"  #: Where it runs.
 
     def __str__(self) -> str:
         return self.name if self.device == "cpu" else f"{self.name} ({self.device})"

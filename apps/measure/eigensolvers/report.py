@@ -61,19 +61,7 @@ def write_report(
 ) -> list[Path]:
     """Write ``benchmark.json``, ``benchmark.md`` and the plots into the folder of the study.
 
-    Parameters
-    ----------
-    study : Solves
-        What was measured.
-    results, prepared : iterable of Result
-        Of it, and of what it was prepared by.
-    machine : dict
-        Of `describe_machine`.
-
-    Returns
-    -------
-    list of Path
-        What was written: JSON, Markdown, then ``time-KIND.png`` and ``accuracy-KIND-POINTS.png``.
+    Return their paths: JSON, Markdown, then ``time-KIND.png`` and ``accuracy-KIND-POINTS.png``.
     """
     rows, folder = repeats_of(results), study.folder
     fitted = exponents(rows)

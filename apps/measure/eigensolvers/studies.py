@@ -32,21 +32,11 @@ _LARGE = 10_000  # points; a sphere of five subdivisions has 10,242
 
 @dataclass(frozen=True)
 class Problem:
-    """One eigenproblem, by its recipe, scaled to unit area.
+    """One eigenproblem, by its recipe, scaled to unit area."""
 
-    Attributes
-    ----------
-    kind : {"mesh", "cloud"}
-        A cloud is drawn uniformly from the surface of the mesh.
-    points : int
-        To ask for; the demo animal meets it within 1 per cent. 0 for a file's own mesh.
-    file : str
-        A mesh; the demo animal without one.
-    """
-
-    kind: str
-    points: int
-    file: str = ""
+    kind: str  #: A cloud is drawn uniformly from the surface of the mesh.
+    points: int  #: To ask for; the demo animal meets it within 1 per cent. 0 for a file's own mesh.
+    file: str = ""  #: A mesh; the demo animal without one.
 
     def __str__(self) -> str:
         return f"{self.kind}, {self.points:,} points" if self.points else self.kind
@@ -95,18 +85,12 @@ OPERATOR, EXACT = "operator", "exact modes"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Preparation(Study[str, Problem]):
-    """The operator of every problem, and its modes to machine precision.
-
-    Attributes
-    ----------
-    k : int
-        Modes.
-    """
+    """The operator of every problem, and its modes to machine precision."""
 
     name = "problem"
     fresh = False
     contenders: Sequence[str] = (OPERATOR, EXACT)
-    k: int
+    k: int  #: Modes.
 
     def facts(self, contender: str, problem: Problem) -> dict[str, object]:
         """See `Study`."""
@@ -145,22 +129,12 @@ Solved = Result[Contender, Problem]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Solves(Study[Contender, Problem]):
-    """Every method on every problem, each time in a process of its own that is warm.
-
-    Attributes
-    ----------
-    prepared : Preparation
-        Of the same problems.
-    threads : int
-        The same for every method.
-    machine : str
-        Whose seconds they are.
-    """
+    """Every method on every problem, each time in a process of its own that is warm."""
 
     name = "solve"
-    prepared: Preparation
-    threads: int = 1
-    machine: str = ""
+    prepared: Preparation  #: Of the same problems.
+    threads: int = 1  #: The same for every method.
+    machine: str = ""  #: Whose seconds they are.
 
     def facts(self, contender: Contender, problem: Problem) -> dict[str, object]:
         """See `Study`."""

@@ -22,24 +22,13 @@ MODES = 96
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Distances to one source, and what the solver tells of them.
+    """Distances to one source, and what the solver tells of them."""
 
-    Attributes
-    ----------
-    distance : ndarray of shape (n,)
-        In length.
-    iterations : int or None
-        Of the Poisson step; None where nothing is iterated, or nothing told.
-    solver : str
-        Which one was chosen, "" if there is no choice.
-    stages : mapping of str to float
-        Seconds, as the solver books them.
-    """
-
-    distance: Floats
+    distance: Floats  #: (n,): in length.
+    #: Of the Poisson step; None where nothing is iterated, or nothing told.
     iterations: int | None = None
-    solver: str = ""
-    stages: Mapping[str, float] = field(default_factory=dict)
+    solver: str = ""  #: Which one was chosen, "" if there is no choice.
+    stages: Mapping[str, float] = field(default_factory=dict)  #: Seconds, as the solver books them.
 
 
 Measure = Callable[[Sequence[int]], list[Found]]
@@ -50,21 +39,11 @@ Build = Callable[[Floats, Ints | None, Spectrum | None, bool], Measure]
 
 @dataclass(frozen=True, kw_only=True)
 class Contender:
-    """One way to distances.
+    """One way to distances."""
 
-    Attributes
-    ----------
-    build : callable
-        Everything before the first source.
-    options : str
-        All that decides what it does.
-    modes : str
-        Which it is given: a name in `EIGENSOLVERS`, or "" for none.
-    """
-
-    build: Build
-    options: str
-    modes: str = ""
+    build: Build  #: Everything before the first source.
+    options: str  #: All that decides what it does.
+    modes: str = ""  #: Which it is given: a name in `EIGENSOLVERS`, or "" for none.
 
 
 def _heat(

@@ -34,17 +34,10 @@ Row = Repeats[str, Shape]
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """All that was measured on one mesh.
+    """All that was measured on one mesh."""
 
-    Attributes
-    ----------
-    shape : Shape
-        The mesh.
-    rows : mapping
-        From the name of a study and a contender to what was measured.
-    """
-
-    shape: Shape
+    shape: Shape  #: The mesh.
+    #: From the name of a study and a contender to what was measured.
     rows: Mapping[tuple[str, str], Row]
 
     @property
@@ -112,20 +105,8 @@ def write_report(
 ) -> str:
     """Write ``report.json`` and ``report.md``, and return the latter.
 
-    Parameters
-    ----------
-    folder : Path
-        Must exist.
-    results : mapping
-        Of the studies "modes", "accuracy", "first" and "many".
-    balls : sequence of Result
-        Of `Balls`.
-    machine : dict
-        Of `describe_machine`.
-    repeats, sources : int
-        Of the times.
-    quick : bool
-        Whether everything ran in one process.
+    From results of the studies "modes", "accuracy", "first" and "many", and of `Balls`; `quick` is
+    whether everything ran in one process.
     """
     told = {name: [result.record for result in some] for name, some in results.items()}
     told["balls"] = [result.record for result in balls]

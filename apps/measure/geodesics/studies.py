@@ -75,22 +75,14 @@ class Modes(Study[str, Shape]):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Exact(Study[str, Shape]):
-    """Exact distances: half of the sources drawn, the rest as far as possible from those before.
-
-    Attributes
-    ----------
-    count : int
-        Sources of a mesh.
-    seed : int
-        Of the draw.
-    """
+    """Exact distances: half of the sources drawn, the rest as far as possible from those before."""
 
     name = "exact"
     sources = ("geodesics/*exact*.py",)  # they take longest, and nothing else decides them
     fresh = False
     contenders: Sequence[str] = ("exact",)
-    count: int = 4
-    seed: int = 0
+    count: int = 4  #: Sources of a mesh.
+    seed: int = 0  #: Of the draw.
 
     def facts(self, contender: str, problem: Shape) -> dict[str, object]:
         """See `Study`."""
@@ -126,22 +118,12 @@ class Exact(Study[str, Shape]):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Distances(Study[str, Shape]):
-    """Contenders on meshes, at sources.
-
-    Attributes
-    ----------
-    modes : Modes
-        Solved for the same meshes.
-    exact : Exact
-        On the same meshes.
-    warm : int
-        Subdivisions of the sphere to warm up on; 5 have 10,242 points.
-    """
+    """Contenders on meshes, at sources."""
 
     contenders: Sequence[str] = tuple(CONTENDERS)
-    modes: Modes
-    exact: Exact
-    warm: int = 5
+    modes: Modes  #: Solved for the same meshes.
+    exact: Exact  #: On the same meshes.
+    warm: int = 5  #: Subdivisions of the sphere to warm up on; 5 have 10,242 points.
 
     def facts(self, contender: str, problem: Shape) -> dict[str, object]:
         """See `Study`."""
@@ -223,25 +205,13 @@ class Accuracy(Distances):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Times(Distances):
-    """Seconds from the arrays to the field of one source, or of many.
-
-    Attributes
-    ----------
-    many : int
-        Sources that are asked for at once; 0 for the first field, of one source.
-    seed : int
-        Of the many.
-    threads : int
-        For all alike.
-    machine : str
-        Whose seconds they are.
-    """
+    """Seconds from the arrays to the field of one source, or of many."""
 
     name = "times"
-    many: int = 0
-    seed: int = 0
-    threads: int = 1
-    machine: str = ""
+    many: int = 0  #: Sources that are asked for at once; 0 for the first field, of one source.
+    seed: int = 0  #: Of the many.
+    threads: int = 1  #: For all alike.
+    machine: str = ""  #: Whose seconds they are.
 
     def facts(self, contender: str, problem: Shape) -> dict[str, object]:
         """See `Study`."""
@@ -272,18 +242,12 @@ class Ball(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Balls(Study[str, Ball]):
-    """Errors on the unit sphere, where distances are arcs.
-
-    Attributes
-    ----------
-    seed : int
-        Of clouds and sources.
-    """
+    """Errors on the unit sphere, where distances are arcs."""
 
     name = "balls"
     fresh = False
     contenders: Sequence[str] = (DIRECT, ROBUST, PLAIN)
-    seed: int = 0
+    seed: int = 0  #: Of clouds and sources.
 
     def facts(self, contender: str, problem: Ball) -> dict[str, object]:
         """See `Study`."""
@@ -318,13 +282,9 @@ class Balls(Study[str, Ball]):
 
 
 def relative_errors(distance: Floats, exact: Floats, mass: Floats) -> Record:
-    """Compare distances with exact ones; sources, and what is out of reach, do not count.
+    """Return ``|d - d*| / d*``: the mean over vertices, over the surface, and the largest.
 
-    Returns
-    -------
-    dict
-        ``mean`` over the vertices, ``weighted`` over the surface and ``largest`` of
-        ``|d - d*| / d*``.
+    Sources, and what is out of reach, do not count.
     """
     counted = (exact > 0) & np.isfinite(exact)
     error = np.abs(distance[counted] - exact[counted]) / exact[counted]

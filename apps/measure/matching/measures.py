@@ -51,17 +51,12 @@ def measure_map(
 
     `back` is the target vertex of each source vertex (see `correspondence.way_back`), `best` the
     map of the candidate that is best by the truth, if another than the chosen one. Distances are
-    those on the source's mesh, also between clouds.
+    those on the source's mesh, also between clouds; NaN is what cannot be known.
 
-    Returns
-    -------
-    dict
-        ``direct``, ``symmetric``, ``either``: mean errors against the truth, its mirror image, and
-        the smaller one at each correspondence. ``flipped``: left for right, see `MapErrors`.
-        ``auc``, ``accuracy``, and these of the smaller errors: shares up to 10, and up to each of
-        `THRESHOLDS`. ``bijectivity``: mean distance to where the transposed functional map leads
-        back, along edges. ``oracle``: direct error of the best finalist. Others as in `Outcome` and
-        `correspondence`; NaN is what cannot be known.
+    ``either`` is the mean of the smaller error at each correspondence, against the truth and its
+    mirror image; ``accuracy`` are shares up to each of `THRESHOLDS`, ``bijectivity`` is the mean
+    distance to where the transposed functional map leads back, ``oracle`` the direct error of the
+    best finalist.
     """
     truth, p = truth_between(source, target), outcome.point_map
     errors = map_errors(source.mesh, p, truth, method=geodesics)

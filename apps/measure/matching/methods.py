@@ -35,28 +35,16 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a method returns for a pair.
+    """What a method returns for a pair."""
 
-    Attributes
-    ----------
-    point_map : ndarray of shape (n2,)
-        Source point of each target point.
-    seconds, cpu_seconds : float
-        Of the matching, spectra given.
-    candidates : tuple of ndarray of shape (k, k)
-        Functional maps that it chose among, the chosen one first, where it reports them.
-    margin : float
-        By how much the chosen one was better; NaN where it does not say.
-    ambiguous : bool
-        Whether it warns that the map may be flipped.
-    """
-
-    point_map: Ints
-    seconds: float
+    point_map: Ints  #: (n2,): source point of each target point.
+    seconds: float  #: Of the matching, spectra given.
     cpu_seconds: float
+    #: (k, k): functional maps that it chose among, the chosen one first, where it reports them.
     candidates: tuple[Floats, ...] = ()
+    #: By how much the chosen one was better; NaN where it does not say.
     margin: float = float("nan")
-    ambiguous: bool = False
+    ambiguous: bool = False  #: Whether it warns that the map may be flipped.
 
 
 def match_best(source: Side, target: Side) -> Outcome:

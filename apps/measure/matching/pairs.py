@@ -113,27 +113,16 @@ class Spectra(Study[Basis, str]):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Pairs(Study[Way, Pair]):
-    """Maps between subjects, and their errors.
-
-    Attributes
-    ----------
-    spectra : Spectra
-        Of all subjects.
-    unsolved : mapping of (Basis, str) to str
-        Why there is no spectrum, where there is none.
-    geodesics : {"edges", "exact"}
-        How errors are measured; see `measure_map`.
-    pyfm_python : str, optional
-        The Python that has pyFM, if another.
-    """
+    """Maps between subjects, and their errors."""
 
     name: ClassVar[str] = "pair"
     fresh: ClassVar[bool] = False
 
-    spectra: Spectra
+    spectra: Spectra  #: Of all subjects.
+    #: Why there is no spectrum, where there is none.
     unsolved: Mapping[tuple[Basis, str], str] = field(default_factory=dict)
-    geodesics: Geodesics = "edges"
-    pyfm_python: str | None = None
+    geodesics: Geodesics = "edges"  #: How errors are measured; see `measure_map`.
+    pyfm_python: str | None = None  #: The Python that has pyFM, if another.
 
     def facts(self, contender: Way, problem: Pair) -> dict[str, object]:
         """See `Study`; the spectra by their keys."""

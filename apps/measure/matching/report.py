@@ -53,15 +53,11 @@ def counted(record: Record, protocol: Protocol) -> float:
 def summarize(records: Sequence[Record], protocol: Protocol) -> Record:
     """Summarise the pairs that were matched in one way.
 
-    Returns
-    -------
-    dict
-        ``mean`` and ``median`` of the errors that the protocol counts, ``bad``: the share above
-        `BAD`; ``auc``; means of what `measure_map` returns. ``flipped``: pairs with left for right,
-        ``partly``: others where the smaller error at each correspondence is on average smaller
-        than the direct one by more than the margin: an arm or a leg went to the other side; both
-        None if a pair has no symmetric truth. ``warned`` and ``false_alarms``: pairs above `BAD`
-        that the method called ambiguous, and others. Medians of the seconds.
+    ``bad`` is the share above `BAD`; ``flipped`` are pairs with left for right, ``partly`` others
+    where the smaller error at each correspondence is on average smaller than the direct one by more
+    than the margin: an arm or a leg went to the other side; both None if a pair has no symmetric
+    truth. ``warned`` and ``false_alarms`` are pairs above `BAD` that the method called ambiguous,
+    and others.
     """
     errors = [counted(record, protocol) for record in records]
     wrong = [error > BAD for error in errors]
@@ -90,13 +86,7 @@ def summarize(records: Sequence[Record], protocol: Protocol) -> Record:
 
 
 def write_report(results: Results, pairs: Pairs, protocol: Protocol) -> Path:
-    """Write ``matching.md``, ``matching.json``, ``pairs.csv`` and the accuracy curves.
-
-    Returns
-    -------
-    Path
-        The first.
-    """
+    """Write ``matching.md``, its JSON, ``pairs.csv`` and accuracy curves; return the first."""
     folder, groups = pairs.folder, by_way(results)
     rows = {way: summarize([r.record for r in these], protocol) for way, these in groups.items()}
     tables.write_json(
@@ -251,13 +241,7 @@ def _draw_accuracy(groups: Mapping[Way, Results], protocol: Protocol, path: Path
 def draw_extremes(
     results: Results, pairs: Pairs, protocol: Protocol, *, up: Literal["y", "z"] | None = None
 ) -> list[Path]:
-    """Draw the best, median and worst map of each way, with their errors.
-
-    Returns
-    -------
-    list of Path
-        ``extremes-KIND-BACKEND-METHOD.png`` in the folder.
-    """
+    """Draw the best, median and worst map of each way: ``extremes-KIND-BACKEND-METHOD.png``."""
     drawn = []
     for way, these in by_way(results).items():
         ranked = sorted(these, key=lambda result: counted(result.record, protocol))

@@ -22,24 +22,13 @@ _KEYS = ("V", "F", "corres")
 
 @dataclass(frozen=True, eq=False)
 class Subject(Rebuilt):
-    """A mesh, and the vertex of each landmark that all subjects of a class share.
+    """A mesh, and the vertex of each landmark that all subjects of a class share."""
 
-    Attributes
-    ----------
-    name : str
-        Letters name the class, digits the subject within it: ``cat0`` and ``cat10`` are of one.
-    mesh : TriangleMesh
-        With n vertices.
-    landmarks : array_like of shape (c,), integers
-        Entry i is the same place of the body in every subject of a class.
-    mirrored : array_like of shape (c,), integers, optional
-        The place on the other side of the body.
-    """
-
+    #: Letters name the class, digits the subject within it: ``cat0`` and ``cat10`` are of one.
     name: str
-    mesh: TriangleMesh
-    landmarks: Ints
-    mirrored: Ints | None = None
+    mesh: TriangleMesh  #: With n vertices.
+    landmarks: Ints  #: (c,): entry i is the same place of the body in every subject of a class.
+    mirrored: Ints | None = None  #: (c,): the place on the other side of the body.
 
     def __post_init__(self) -> None:
         for name in ("landmarks", "mirrored"):

@@ -33,18 +33,12 @@ ROOM = 0.6
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Accuracy(Study[Method, Case]):
-    """The NEO paper's three errors of subspaces, and what the solves take.
-
-    Attributes
-    ----------
-    k : int
-        Modes.
-    """
+    """The NEO paper's three errors of subspaces, and what the solves take."""
 
     name: ClassVar[str] = "accuracy"
     fresh: ClassVar[bool] = False
 
-    k: int
+    k: int  #: Modes.
 
     def tasks(self) -> Iterable[tuple[Method, Case, int]]:
         """See `Study`; where a subspace has no room, it is not measured."""

@@ -21,34 +21,17 @@ Precision = Literal["float32", "bfloat16", "float16"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Method:
-    """A subspace with a name.
+    """A subspace with a name."""
 
-    Attributes
-    ----------
-    name : str
-        For tables and figures.
-    group : {"network", "plane waves", "both"}
-        What its functions come from.
-    facts : dict
-        Everything that decides the basis and the time it takes, as JSON.
-    basis : callable
-        From points and mass to the functions on the device, shape (n, columns); the constant is
-        among them.
-    columns : int
-        Of the basis.
-    device : str
-        Where the basis lies, and the algebra runs.
-    poses : int
-        In how many a network predicts; 0 without one, or where it is not alone.
-    """
-
-    name: str
-    group: Literal["network", "plane waves", "both"]
-    facts: dict[str, Any]
+    name: str  #: For tables and figures.
+    group: Literal["network", "plane waves", "both"]  #: What its functions come from.
+    facts: dict[str, Any]  #: Everything that decides the basis and the time it takes, as JSON.
+    #: From points and mass to the functions on the device, shape (n, columns); the constant is
+    #: among them.
     basis: Callable[[Floats, Floats], torch.Tensor]
-    columns: int
-    device: str = "cpu"
-    poses: int = 0
+    columns: int  #: Of the basis.
+    device: str = "cpu"  #: Where the basis lies, and the algebra runs.
+    poses: int = 0  #: In how many a network predicts; 0 without one, or where it is not alone.
 
     def __str__(self) -> str:
         return self.name
