@@ -383,7 +383,9 @@ def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_p
     assert something_else in knn
     assert "leave --spectrum out" in knn
     assert not page.exists()
-    assert "there is no such file" in refusal(capsys, "modes", ball, "--spectrum", tmp_path / "none.npz")
+    assert "there is no such file" in refusal(
+        capsys, "modes", ball, "--spectrum", tmp_path / "none.npz"
+    )
     assert "not a whole spectrum file" in refusal(capsys, "modes", ball, "--spectrum", ball)
 
 
