@@ -143,8 +143,7 @@ def _checkpoint() -> tuple[dict[str, Any], bytes]:
         "network": {"a": torch.rand(20, 30, generator=torch.Generator().manual_seed(0))},
     }
     with TemporaryDirectory() as folder:
-        with checkpoint.Writer(Path(folder)) as writer:
-            writer.write(content)
+        checkpoint.write(Path(folder), content)
         return content, Path(folder, checkpoint.NAME).read_bytes()
 
 
