@@ -11,8 +11,8 @@ from spectra_kit.descriptors import heat_kernel_signature, heat_times
 from spectra_kit.metrics import Comparison, align_modes
 from spectra_kit.viz.axes import tidy
 from spectra_kit.viz.camera import View
-from spectra_kit.viz.colours import position_colours, refined
-from spectra_kit.viz.distance_scale import distance_colours, distance_levels
+from spectra_kit.viz.colours import distance_colours, position_colours, refined
+from spectra_kit.viz.contours import distance_levels
 from spectra_kit.viz.isolines import distance_lines
 from spectra_kit.viz.page import MARGIN, Page, new_figure
 from spectra_kit.viz.panels import Panel, draw_panels

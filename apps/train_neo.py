@@ -15,10 +15,9 @@ from spectra_kit.errors import SpectraKitError
 from spectra_kit.neo.model import NeoConfig
 from spectra_kit.neo.pretrained import load_pretrained, save_weights
 from spectra_kit.training.config import TrainConfig
-from spectra_kit.training.feed import join
 from spectra_kit.training.log import Row
 from spectra_kit.training.ranks import Ranks, process_group
-from spectra_kit.training.shards import open_shards
+from spectra_kit.training.shards import join, open_shards
 from spectra_kit.training.train import TrainResult, train, validate
 
 

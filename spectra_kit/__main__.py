@@ -8,18 +8,7 @@ _INTERRUPTED = 130
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run ``spectra-kit``; Ctrl-C ends it quietly from the first moment on.
-
-    Parameters
-    ----------
-    argv : list of str, optional
-        Arguments; by default those of the process.
-
-    Returns
-    -------
-    int
-        The exit code, as of `spectra_kit.cli.main`.
-    """
+    """Run ``spectra-kit`` and return its exit code; Ctrl-C ends it quietly from the start on."""
     first = signal.getsignal(signal.SIGINT)
     if first is signal.default_int_handler:  # where it is ignored, it stays so
         # Imports must not meet a KeyboardInterrupt: some turn it into errors of their own.

@@ -7,26 +7,10 @@ from collections.abc import Callable
 
 
 class Clock:
-    """Wall time from when it was made, booked by stage.
+    """Wall time from when it was made, in `seconds` by stage.
 
-    Parameters
-    ----------
-    wait : callable, optional
-        Called before each look at the time: it waits for work that goes on after a call returned,
-        as CUDA's does.
-
-    Attributes
-    ----------
-    seconds : dict of str to float
-        What each stage took.
-
-    Examples
-    --------
-    >>> from spectra_kit._clock import Clock
-    >>> clock = Clock()
-    >>> clock.stage("factor")
-    >>> list(clock.seconds), clock.total >= clock.seconds["factor"]
-    (['factor'], True)
+    `wait` is called before each look at the time: it waits for work that goes on after a call
+    returned, as CUDA's does.
     """
 
     def __init__(self, wait: Callable[[], object] | None = None) -> None:

@@ -12,14 +12,7 @@ from spectra_kit._files import temporary_folder
 
 
 def table(title: str, facts: Mapping[str, object]) -> str:
-    """Return a table of names and values, as HTML.
-
-    Examples
-    --------
-    >>> from spectra_kit._display import table
-    >>> table("Cube", {"faces": 6})
-    '<table><caption>Cube</caption><tr><th>faces</th><td>6</td></tr></table>'
-    """
+    """Return a table of names and values, as HTML."""
     rows = "".join(
         f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>"
         for name, value in facts.items()

@@ -31,28 +31,10 @@ _cleanups: list[tuple[int, Callable[[], object]]] = []  # with the process that 
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path that takes the place of `path` once it is completely written.
 
-    The temporary file lies in the same folder and has the same suffix. When the block ends well
-    it is flushed to the disk and renamed over `path` in one step, with the rights of the file that
-    was there; when the block raises, or the process is told to end, it is removed and `path` keeps
-    its old content. A symbolic link is followed. A pipe or a device is not replaced but written
-    to, when all that it shall get is there.
-
-    Parameters
-    ----------
-    path : path-like
-        Where the finished file shall lie.
-
-    Yields
-    ------
-    Path
-        Where the block must write.
-
-    Raises
-    ------
-    InvalidInputError
-        If the folder of `path` does not exist, or `path` is a folder.
-    OSError
-        If no file can be made there.
+    When the block ends well the file, in the same folder and with the same suffix, is flushed to
+    the disk and renamed over `path` in one step, with the rights of the file that was there; when
+    it raises, or the process is told to end, it is removed and `path` keeps its old content. A
+    symbolic link is followed. A pipe or a device is not replaced but written to at the end.
     """
     target = check_target(path)
     through = is_special(path)
@@ -74,10 +56,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def is_special(path: str | os.PathLike[str]) -> bool:
-    """Whether `path` is, or links to, a pipe or a device: something to write to, never to replace.
-
-    The links in ``/proc`` to what has no name are followed too, unlike by `os.path.realpath`.
-    """
+    """Whether `path` is a pipe or a device, to write to, never to replace; ``/proc`` followed."""
     return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
 
 
@@ -181,15 +160,7 @@ _DAMAGE = (
 
 @contextmanager
 def parsing(path: str | os.PathLike[str], what: str, *, remedy: str) -> Iterator[None]:
-    """Refuse the file `path` if the block, which takes its content apart, cannot.
-
-    For files that the library wrote itself: whatever does not parse is damage.
-
-    Raises
-    ------
-    InvalidFileError
-        Saying `what` the file must be, and the `remedy`.
-    """
+    """Refuse the file `path`, which the library wrote, if the block cannot take it apart."""
     try:
         yield
     except SpectraKitError:
@@ -201,13 +172,7 @@ def parsing(path: str | os.PathLike[str], what: str, *, remedy: str) -> Iterator
 
 
 def check_target(path: str | os.PathLike[str]) -> Path:
-    """Return the file that writing to `path` would write, links followed, if it can be written.
-
-    Raises
-    ------
-    InvalidInputError
-        As in `atomic_path`.
-    """
+    """Return the file that writing to `path` would write, links followed, if it can be written."""
     target = Path(os.path.realpath(path))
     if target.is_dir():
         raise InvalidInputError("path", "name a file", f"the folder {str(path)!r}")

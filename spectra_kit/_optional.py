@@ -16,35 +16,9 @@ _PACKAGES = {  # extra -> what pip calls the package
 
 
 def optional(module: str, *, extra: str, needed_by: str, otherwise: str = "") -> ModuleType:
-    """Import a module of an optional package.
+    """Import a module that an extra of spectra_kit installs.
 
-    Parameters
-    ----------
-    module : str
-        What to import.
-    extra : str
-        The extra of spectra_kit that installs it.
-    needed_by : str
-        What cannot be done without it, as the subject of a sentence.
-    otherwise : str, optional
-        What can be done instead.
-
-    Returns
-    -------
-    module
-
-    Raises
-    ------
-    MissingDependencyError
-        If it is not installed.
-
-    Examples
-    --------
-    >>> from spectra_kit._optional import optional
-    >>> optional("no_such_module", extra="video", needed_by="an MP4")
-    Traceback (most recent call last):
-    spectra_kit.errors.MissingDependencyError: an MP4 needs imageio-ffmpeg; pip install
-    'spectra_kit[video]'
+    If it is not there, say what `needed_by` names cannot be done, and what can be done `otherwise`.
     """
     try:
         return import_module(module)

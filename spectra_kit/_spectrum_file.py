@@ -82,11 +82,7 @@ def read_spectrum_file(
 
 
 def _named(provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the provenance with the name of the solver, and its accuracy.
-
-    Files before version 4 tell the name in the solver's repr alone, before version 3 the accuracy
-    nowhere.
-    """
+    """Return the provenance with the name and accuracy of the solver, where the file lacks them."""
     made = str(provenance["solver"])
     name = "" if made == "user" else made.partition("(")[0].lower()
     if made.startswith("RayleighRitz(subspace=AmbientFourier("):

@@ -23,14 +23,7 @@ _HANDFUL = 4  # numbers that the repr of an array may show
 
 
 def quantity(n: int, noun: str) -> str:
-    """Return `n` things in words, one of them as one.
-
-    Examples
-    --------
-    >>> from spectra_kit._validate import quantity
-    >>> quantity(1, "entry"), quantity(1234, "unreferenced vertex")
-    ('1 entry', '1,234 unreferenced vertices')
-    """
+    """Return `n` things in words: "1 entry", "1,234 unreferenced vertices"."""
     if n != 1:
         stem, ending = re.sub("(ex|try)$", "", noun), {"ex": "ices", "try": "tries"}
         noun = stem + ending.get(noun[len(stem) :], "s")
@@ -214,19 +207,7 @@ def warn(
     advice: str = "",
     remedies: tuple[str, ...] = (),
 ) -> None:
-    """Warn at the line that called the package, however deep inside the reason was found.
-
-    Examples
-    --------
-    >>> import warnings
-    >>> from spectra_kit._validate import warn
-    >>> from spectra_kit.errors import SpectraKitWarning
-    >>> with warnings.catch_warnings(record=True) as told:
-    ...     warnings.simplefilter("always")
-    ...     warn("no good", SpectraKitWarning)
-    >>> str(told[0].message)
-    'no good'
-    """
+    """Warn at the line that called the package, however deep inside the reason was found."""
     level, frame = 1, sys._getframe()
     while frame.f_back and frame.f_globals["__name__"].partition(".")[0] == "spectra_kit":
         level, frame = level + 1, frame.f_back

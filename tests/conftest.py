@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -192,6 +193,14 @@ def ellipsoids(n, seed):
     modes = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x], axis=2)
     root = np.sqrt(mass)[..., None]
     return points, mass, np.linalg.qr(root * modes)[0] / root
+
+
+@contextmanager
+def produced_here(config, indices, workers):
+    """Make the samples of a stream in this process, in place of `training.corpus.produced`."""
+    from spectra_kit.training.corpus import packed_sample
+
+    yield (packed_sample(config, index) for index in indices)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

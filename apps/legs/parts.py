@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from torch import Tensor
+from torch.utils._pytree import tree_map_only
 
 from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.training.checkpoint import NAME, mapped, packed, unpacked
+from spectra_kit.training.checkpoint import NAME, packed, unpacked
 
 _PARTS = "checkpoint.[0-9][0-9]of[0-9][0-9]"
 
@@ -25,7 +26,7 @@ def write_parts(folder: Path, content: dict[str, Any], *, limit: int = 15 * 2**2
     weights = content["average"] or content["network"]
     small = {
         **content,
-        "network": mapped(weights, lambda tensor: tensor.half()),
+        "network": tree_map_only(Tensor, Tensor.half, weights),
         "average": {},
         "optimizers": [_without_momentum(saved) for saved in content["optimizers"]],
     }
@@ -49,16 +50,21 @@ def read_parts(folder: Path) -> dict[str, Any]:
         )
     data = b"".join(path.read_bytes() for path in paths)
     content = unpacked(data, folder / NAME, "copy all its parts there again")
-    whole: dict[str, Any] = mapped(content, lambda t: t.float() if t.is_floating_point() else t)
+    whole: dict[str, Any] = tree_map_only(Tensor, _restored, content)
     return {**whole, "average": whole["network"]}
 
 
-def _without_momentum(saved: dict[str, Any]) -> dict[str, Any]:
-    def halved(tensor: Tensor) -> Tensor:
-        return tensor.bfloat16() if tensor.ndim else tensor  # counts of steps stay exact
+def _restored(tensor: Tensor) -> Tensor:
+    return tensor.float() if tensor.is_floating_point() else tensor
 
+
+def _halved(tensor: Tensor) -> Tensor:
+    return tensor.bfloat16() if tensor.ndim else tensor  # counts of steps stay exact
+
+
+def _without_momentum(saved: dict[str, Any]) -> dict[str, Any]:
     kept = {
-        index: mapped(averages, halved)
+        index: tree_map_only(Tensor, _halved, averages)
         for index, averages in saved["state"].items()
         if "momentum_buffer" not in averages
     }

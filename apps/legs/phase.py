@@ -202,8 +202,7 @@ def _settle(leg: Leg, source: Path, scratch: Path) -> bool:
         return True
     if leg.phase == 0:
         return False
-    with checkpoint.Writer(scratch) as writer:
-        writer.write(read_parts(source))
+    checkpoint.write(scratch, read_parts(source))
     return True
 
 

@@ -74,6 +74,14 @@ def _handler(content: bytes) -> type[BaseHTTPRequestHandler]:
                 super().handle()
 
         def do_GET(self) -> None:  # named by http.server
+            if self._may_be_sent():
+                self.wfile.write(content)
+
+        def do_HEAD(self) -> None:
+            self._may_be_sent()
+
+        def _may_be_sent(self) -> bool:
+            """Answer with all that comes before the page; without it where it is refused."""
             # A page from elsewhere may have its name resolved to this machine, and then counts as
             # one of this server to the browser: but its requests name it.
             port = self.connection.getsockname()[1]
@@ -81,16 +89,17 @@ def _handler(content: bytes) -> type[BaseHTTPRequestHandler]:
             hosts = {f"{name}:{port}" for name in names} | (set(names) if port == 80 else set())
             if self.headers.get("Host", "").lower() not in hosts:
                 self.send_error(HTTPStatus.FORBIDDEN)
-            elif self.path != "/":
+                return False
+            if self.path != "/":
                 self.send_error(HTTPStatus.NOT_FOUND)
-            else:
-                self.send_response(HTTPStatus.OK)
-                self.send_header("Content-Type", "text/html; charset=utf-8")
-                self.send_header("Content-Length", str(len(content)))
-                self.send_header("X-Content-Type-Options", "nosniff")
-                self.send_header("Cross-Origin-Resource-Policy", "same-origin")
-                self.end_headers()
-                self.wfile.write(content)
+                return False
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.send_header("Content-Length", str(len(content)))
+            self.send_header("X-Content-Type-Options", "nosniff")
+            self.send_header("Cross-Origin-Resource-Policy", "same-origin")
+            self.end_headers()
+            return True
 
         def log_message(self, *_: object) -> None:
             """Say nothing."""

@@ -109,24 +109,6 @@ def balls(
 
 
 @compiled()
-def transposed(ends: Longs, members: Ints, n: int) -> tuple[Longs, Ints]:
-    """Return the `n` columns of the sparse matrix that `balls` makes, each ascending."""
-    starts = np.zeros(n + 1, np.int64)
-    for j in members:
-        starts[j + 1] += 1
-    for j in range(n):
-        starts[j + 1] += starts[j]
-    place = starts[:-1].copy()
-    rows = np.empty(len(members), np.int32)
-    for k in range(len(ends) - 1):
-        for p in range(ends[k], ends[k + 1]):
-            j = members[p]
-            rows[place[j]] = k
-            place[j] += 1
-    return starts, rows
-
-
-@compiled()
 def interpolate(
     points: Floats,
     centres: Floats,

@@ -61,15 +61,17 @@ def prolongation(operator: Laplacian | Coarse, subset: Subset) -> sparse.csr_arr
     >>> bool(abs(carried - laplacian.points).max() < 0.02)
     True
     """
-    from spectra_kit.levels._kernels import balls, interpolate, transposed
+    from spectra_kit.levels._kernels import balls, interpolate
 
     graph, points, n = operator.stiffness, frozen(operator.points), operator.n
     starts, neighbours = (
         frozen(np.asarray(a, dtype=np.int32)) for a in (graph.indptr, graph.indices)
     )
     reach = _REACH * subset.radius
-    members = balls(starts, neighbours, points, subset.indices, reach)
-    indptr, columns = transposed(*members, n)
+    ends, members = balls(starts, neighbours, points, subset.indices, reach)
+    shape = (len(subset.indices), n)
+    within = sparse.csr_array((np.ones(len(members), bool), members, ends), shape).tocsc()
+    indptr, columns = within.indptr.astype(np.int64), within.indices.astype(np.int32)
     if (empty := np.flatnonzero(np.diff(indptr) == 0)).size:
         raise InvalidInputError(
             "subset",

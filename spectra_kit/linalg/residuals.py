@@ -19,7 +19,7 @@ def residuals(
 
     R in float32, but computed, like the norms, in float64.
     """
-    from spectra_kit.linalg._filter_kernels import residual_rows
+    from spectra_kit.linalg._kernels import residual_rows
 
     U = np.ascontiguousarray(vectors)
     R = np.empty(U.shape, np.float32)

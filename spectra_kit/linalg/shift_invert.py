@@ -215,7 +215,7 @@ def _correction(
     shifted: ShiftedFactor, mass: Floats, R: Singles, values: Floats, guard: float, degree: int
 ) -> Singles:
     """Return what the filter of this `degree`, normalised to 1 at `values`, adds to each column."""
-    from spectra_kit.linalg._filter_kernels import chebyshev_step
+    from spectra_kit.linalg._kernels import chebyshev_step
 
     sigma = shifted.sigma
     gain = 2 * (guard - sigma)  # T is mapped so that [0, 1 / (guard - sigma)] becomes [-1, 1]

@@ -24,7 +24,7 @@ from torch.nn import functional as F
 
 from spectra_kit._checked import checked
 from spectra_kit._optional import optional
-from spectra_kit.neo.model import ENCODED, NeoConfig, NeoNetwork, WaveHead, encode, free_head
+from spectra_kit.neo.model import ENCODED, FreeHead, NeoConfig, NeoNetwork, WaveHead, encode
 
 _CENTRES = (400, 100)
 _RADII = (0.2, 0.4)  # of the balls around them, in posed coordinates
@@ -46,24 +46,11 @@ class _Hierarchical(NeoNetwork):
         self.enter = _mlp(ENCODED + 1, self.channels, self.channels)
         self.widen = _mlp(self.channels, config.width)
         self.out = nn.Linear(config.width, config.width)
-        self.head = WaveHead(config) if config.waves else free_head(config)
+        self.head = WaveHead(config) if config.waves else FreeHead(config)
 
-    @torch.no_grad()
-    def evaluate_chunked(
-        self, points: Tensor, mass: Tensor, *, chunk: int = 65536, out: Tensor | None = None
-    ) -> Tensor:
-        """Return `forward` of one cloud; see `NeoNetwork.evaluate_chunked`.
-
-        The features are computed for the whole cloud at once, for they depend on neighbours; the
-        head alone goes through `chunk` points at a time.
-        """
-        h = self.features(points[None], mass[None])[0]
-        if out is None:
-            out = torch.empty(len(points), self.config.m, dtype=h.dtype, device=h.device)
-        for i in range(0, len(points), chunk):
-            part = slice(i, i + chunk)
-            out[part] = self.head(h[part], points[part])
-        return out
+    def _features_in(self, parts: list[slice], points: Tensor, mass: Tensor) -> Tensor:
+        """Return the features of one cloud at once: they depend on neighbours in other parts."""
+        return self.features(points[None], mass[None])[0]
 
     def _lifted(self, points: Tensor, mass: Tensor) -> Tensor:
         """First features (B N, c) of the points."""

@@ -40,7 +40,7 @@ class NeoConfig:
         Latent tokens r of each block.
     m : int
         Output functions: two for each of the `waves`, the others free. Where as many as `width`
-        are free, these are the residual stream itself; else see `Linear` and `Extension`.
+        are free, these are the residual stream itself; else see `FreeHead`.
     k : int, default 96
         Modes whose span the network is trained to cover.
     waves : int, default 0
@@ -148,7 +148,7 @@ def _norm(width: int) -> nn.LayerNorm:
 
 
 class _Attention(nn.Module):
-    """What all three attentions share: heads, and layer norm on queries and keys."""
+    """What both attentions share: heads, and layer norm on queries and keys."""
 
     def __init__(self, config: NeoConfig) -> None:
         super().__init__()
@@ -209,34 +209,20 @@ class DownAttention(_Attention):
         return out
 
 
-class SelfAttention(_Attention):
-    """Latents to latents."""
+class CrossAttention(_Attention):
+    """Features of width D read latents: points do, and latents themselves.
 
-    def __init__(self, config: NeoConfig) -> None:
+    Latents are no samples of the surface, so no mass here.
+    """
+
+    def __init__(self, config: NeoConfig, width: int) -> None:
         super().__init__(config)
         a = config.attention_width
-        self.query, self.key, self.value = nn.Linear(a, a), nn.Linear(a, a), nn.Linear(a, a)
-        self.out = nn.Linear(a, a)
-
-    def forward(self, z: Tensor) -> Tensor:
-        """Mix (B, r, a)."""
-        q, k = self.norm_q(self.split(self.query(z))), self.norm_k(self.split(self.key(z)))
-        mixed = F.scaled_dot_product_attention(q, k, self.split(self.value(z)))
-        out: Tensor = self.out(self.merge(mixed))
-        return out
-
-
-class UpAttention(_Attention):
-    """Latents back to points; latents are no samples of the surface, so no mass here."""
-
-    def __init__(self, config: NeoConfig) -> None:
-        super().__init__(config)
-        a = config.attention_width
-        self.query, self.out = nn.Linear(config.width, a), nn.Linear(a, config.width)
+        self.query, self.out = nn.Linear(width, a), nn.Linear(a, width)
         self.key, self.value = nn.Linear(a, a), nn.Linear(a, a)
 
     def forward(self, x: Tensor, z: Tensor) -> Tensor:
-        """Read (B, r, a) at points (B, N, D), as (B, N, D)."""
+        """Read (B, r, a) at features (B, N, D), as (B, N, D)."""
         q, k = self.norm_q(self.split(self.query(x))), self.norm_k(self.split(self.key(z)))
         mixed = F.scaled_dot_product_attention(q, k, self.split(self.value(z)))
         out: Tensor = self.out(self.merge(mixed))
@@ -252,10 +238,10 @@ class Block(nn.Module):
         self.norm1, self.norm2 = _norm(config.width), _norm(config.width)
         self.down = DownAttention(config)
         self.latent_norm1, self.latent_ffn1 = _norm(a), SwiGLU(a)
-        self.latent_norm2, self.latent_attention = _norm(a), SelfAttention(config)
+        self.latent_norm2, self.latent_attention = _norm(a), CrossAttention(config, a)
         self.latent_norm3, self.latent_ffn2 = _norm(a), SwiGLU(a)
         self.latent_norm4 = _norm(a)
-        self.up = UpAttention(config)
+        self.up = CrossAttention(config, config.width)
         self.ffn = SwiGLU(config.width)
 
     def forward(self, h: Tensor, log_mass: Tensor) -> Tensor:
@@ -266,10 +252,11 @@ class Block(nn.Module):
     def process(self, z: Tensor) -> Tensor:
         """Mix the latents (B, r, a) among themselves."""
         z = z + self.latent_ffn1(self.latent_norm1(z))
-        z = z + self.latent_attention(self.latent_norm2(z))
+        normed = self.latent_norm2(z)
+        z = z + self.latent_attention(normed, normed)
         z = z + self.latent_ffn2(self.latent_norm3(z))
-        normed: Tensor = self.latent_norm4(z)
-        return normed
+        mixed: Tensor = self.latent_norm4(z)
+        return mixed
 
     def update(self, h: Tensor, z: Tensor) -> Tensor:
         """Return the points' next features (B, N, D), each from its own and the latents."""
@@ -278,51 +265,28 @@ class Block(nn.Module):
         return out
 
 
-class Extension(nn.Module):
-    """D linear functions of the residual stream and, beyond these, gated ones: full rank.
+class FreeHead(nn.Module):
+    """Functions beside the waves, of which there may be fewer than D, as many, or more.
 
-    A linear layer from D to more channels would not do: its outputs span at most D + 1
-    dimensions, whatever their number.
+    Fewer are linear functions of the residual stream, and as many are the stream itself, as in the
+    paper. More are D linear ones and, beyond these, gated ones: the outputs of a linear layer span
+    at most D + 1 dimensions, whatever their number.
     """
 
-    def __init__(self, config: NeoConfig, free: int) -> None:
+    def __init__(self, config: NeoConfig) -> None:
         super().__init__()
-        self.linear = nn.Linear(config.width, config.width)
-        self.norm = _norm(config.width)
-        self.ffn = SwiGLU(config.width, free - config.width)
+        width, self.count = config.width, config.m - 2 * config.waves
+        if self.count != width:
+            self.linear = nn.Linear(width, min(width, self.count))
+        if self.count > width:
+            self.norm, self.ffn = _norm(width), SwiGLU(width, self.count - width)
 
     def forward(self, h: Tensor, points: Tensor) -> Tensor:
-        """Return (..., m) of features (..., D); the points play no part."""
-        return torch.cat([self.linear(h), self.ffn(self.norm(h))], dim=-1)
-
-
-class Linear(nn.Module):
-    """Fewer than D linear functions of the residual stream."""
-
-    def __init__(self, config: NeoConfig, free: int) -> None:
-        super().__init__()
-        self.linear = nn.Linear(config.width, free)
-
-    def forward(self, h: Tensor, points: Tensor) -> Tensor:
-        """Return (..., m) of features (..., D); the points play no part."""
+        """Return (..., free) of features (..., D); the points play no part."""
+        if self.count == h.shape[-1]:
+            return h
         out: Tensor = self.linear(h)
-        return out
-
-
-class Stream(nn.Module):
-    """The residual stream itself, all D functions: the paper's networks."""
-
-    def forward(self, h: Tensor, points: Tensor) -> Tensor:
-        """Return the features (..., D); the points play no part."""
-        return h
-
-
-def free_head(config: NeoConfig) -> Stream | Linear | Extension:
-    """Return what makes the functions beside the waves."""
-    free = config.m - 2 * config.waves
-    if free == config.width:
-        return Stream()
-    return Linear(config, free) if free < config.width else Extension(config, free)
+        return out if self.count < h.shape[-1] else torch.cat([out, self.ffn(self.norm(h))], dim=-1)
 
 
 class WaveHead(nn.Module):
@@ -338,7 +302,7 @@ class WaveHead(nn.Module):
 
     def __init__(self, config: NeoConfig) -> None:
         super().__init__()
-        self.free = free_head(config)
+        self.free = FreeHead(config)
         drawn = np.random.default_rng(0).normal(scale=config.bandwidth, size=(config.waves, 3))
         # In the weights file, for no generator is promised to draw the same for ever; rounded so
         # that both half precisions hold them exactly.
@@ -384,7 +348,7 @@ class NeoNetwork(nn.Module):
         self.config = config
         self.lift = nn.Linear(ENCODED, config.width)
         self.blocks = nn.ModuleList(Block(config) for _ in range(config.depth))
-        self.head = WaveHead(config) if config.waves else free_head(config)
+        self.head = WaveHead(config) if config.waves else FreeHead(config)
         for module in self.modules():
             if isinstance(module, _Attention):
                 for name, parameter in module.named_parameters():
@@ -445,8 +409,16 @@ class NeoNetwork(nn.Module):
         Tensor of shape (N, m)
         """
         parts = [slice(i, i + chunk) for i in range(0, len(points), chunk)]
-        log_mass = self._log_mass(mass)
-        dtype = self.lift.weight.dtype
+        h = self._features_in(parts, points, mass)
+        if out is None:
+            out = torch.empty(len(points), self.config.m, dtype=h.dtype, device=h.device)
+        for part in parts:
+            out[part] = self.head(h[part], points[part])
+        return out
+
+    def _features_in(self, parts: list[slice], points: Tensor, mass: Tensor) -> Tensor:
+        """Return the features (N, D) of one cloud, made one part at a time."""
+        log_mass, dtype = self._log_mass(mass), self.lift.weight.dtype
         h = torch.empty(len(points), self.config.width, dtype=dtype, device=points.device)
         for part in parts:
             h[part] = self.lift(encode(points[part]).to(dtype))
@@ -457,11 +429,7 @@ class NeoNetwork(nn.Module):
             )
             for part in parts:
                 h[part] = block.update(h[part], z)
-        if out is None:
-            out = torch.empty(len(points), self.config.m, dtype=dtype, device=points.device)
-        for part in parts:
-            out[part] = self.head(h[part], points[part])
-        return out
+        return h
 
     def _log_mass(self, mass: Tensor) -> Tensor:
         if not self.config.mass_aware:

@@ -207,19 +207,11 @@ def neo_eigenpairs(
         if cap is None or laplacian.n < 2 * cap:
             points, mass = laplacian.points, laplacian.mass
             return _solve(subspace, points, mass, laplacian.stiffness, mass, k, rank_tol, clock)
-        coarse = coarsen(laplacian, cap)
+        small = coarsen(laplacian, cap)
         clock.stage("coarsen")
-        pairs = _solve(
-            subspace,
-            coarse.points,
-            coarse.lumped,
-            coarse.stiffness,
-            coarse.mass,
-            k,
-            rank_tol,
-            clock,
-        )
-        prolongation = sparse_tensor(coarse.prolongation, subspace.device)
+        of_points = (small.points, small.lumped, small.stiffness, small.mass)
+        pairs = _solve(subspace, *of_points, k, rank_tol, clock)
+        prolongation = sparse_tensor(small.prolongation, subspace.device)
         clock.stage("transfer")
         carried = prolongation @ pairs.eigenvectors
         clock.stage("carry")

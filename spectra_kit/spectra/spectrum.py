@@ -441,10 +441,8 @@ def _restored(record: Mapping[str, Any]) -> Certificate:
 def _as_columns(name: str, values: ArrayLike, rows: int) -> Floats:
     """Return `values` as float64 of shape (rows,) or (rows, c)."""
     array = np.asarray(values)
-    if array.ndim not in (1, 2) or array.shape[0] != rows or array.dtype.kind not in "fiub":
-        raise InvalidInputError(
-            name, f"be real, of shape ({rows},) or ({rows}, c)", f"{array.shape} of {array.dtype}"
-        )
+    if array.ndim not in (1, 2) or array.shape[0] != rows:
+        raise InvalidInputError(name, f"be real, of shape ({rows},) or ({rows}, c)", array.shape)
     if not np.isfinite(array).all():
         raise InvalidInputError(
             name, "be finite", quantity((~np.isfinite(array)).sum(), "NaN or infinite value")

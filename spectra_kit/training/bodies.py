@@ -7,6 +7,7 @@ import numpy as np
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import implicit as clay
+from spectra_kit.geometry.components import largest_component
 from spectra_kit.geometry.shapes import TriangleMesh
 from spectra_kit.training import surfaces as s
 
@@ -19,13 +20,9 @@ def polygonized(field: clay.Field, low: Floats, high: Floats) -> TriangleMesh:
     """Largest part of a zero set; raises where there is none, or next to none."""
     points, faces = clay.polygonize(field, low, high, n_cells=CELLS, stride=2)
     if len(faces) < FEWEST:
-        raise InvalidInputError(
-            "field",
-            f"have a surface of {FEWEST} faces at least on this grid",
-            len(faces),
-            advice="take another seed",
-        )
-    return s.largest_part(TriangleMesh(points, faces))
+        expected = f"have a surface of {FEWEST} faces at least on this grid"
+        raise InvalidInputError("field", expected, len(faces), advice="take another seed")
+    return largest_component(TriangleMesh(points, faces)).mesh
 
 
 def _chain(
@@ -40,37 +37,47 @@ def _chain(
     return np.array(joints)
 
 
-class _Body:
-    """Collects the limbs of one organic body, with the box that holds them."""
+class Body:
+    """Collects the fields of one body, and what is cut from it, with the box that holds it."""
 
     def __init__(self) -> None:
         self.fields: list[clay.Field] = []
+        self.cuts: list[clay.Field] = []
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
-    def _hold(self, point: Floats, reach: float) -> None:
-        self.low = np.minimum(self.low, point - reach)
-        self.high = np.maximum(self.high, point + reach)
+    def add(self, field: clay.Field, centre: Floats, reach: Floats | float) -> None:
+        """Add a field that is positive `reach` from its centre on."""
+        self.fields.append(field)
+        self.low = np.minimum(self.low, centre - reach)
+        self.high = np.maximum(self.high, centre + reach)
 
     def chain(self, joints: Floats, radii: Floats) -> None:
+        """Add a limb of several segments."""
         pairs = zip(joints[:-1], joints[1:], radii[:-1], radii[1:], strict=True)
         for a, b, ra, rb in pairs:
-            self.fields.append(clay.limb(a, b, ra, rb))
-        for joint, radius in zip(joints, radii, strict=True):
-            self._hold(joint, radius)
+            centre, reach = (a + b) / 2, np.abs(b - a) / 2 + max(ra, rb)
+            self.add(clay.limb(a, b, ra, rb), centre, reach)
 
     def ball(self, centre: Floats, radii: Floats, rotation: Floats | None = None) -> None:
-        self.fields.append(clay.ellipsoid(centre, radii, rotation))
-        self._hold(centre, float(radii.max()))
+        """Add an ellipsoid."""
+        self.add(clay.ellipsoid(centre, radii, rotation), centre, float(radii.max()))
 
     def mesh(self, blend: float) -> TriangleMesh:
+        """Melt all together, cut, and polygonize."""
+        body = clay.smooth_union(self.fields, blend)
+        tool = clay.smooth_union(self.cuts, 0.0) if self.cuts else None
+
+        def rest(points: Floats) -> Floats:
+            value = body(points)
+            return value if tool is None else np.asarray(np.maximum(value, -tool(points)))
+
         margin = blend + 0.08 * float((self.high - self.low).max())
-        field = clay.smooth_union(self.fields, blend)
-        return polygonized(field, self.low - margin, self.high + margin)
+        return polygonized(rest, self.low - margin, self.high + margin)
 
 
 def quadruped(rng: Rng) -> TriangleMesh:
     """Four legs, neck, head, ears or horns, tail: from dachshund to horse, any pose."""
-    body, width = _Body(), rng.uniform(0.18, 0.4)
+    body, width = Body(), rng.uniform(0.18, 0.4)
     n = 5
     spine = np.column_stack(
         [np.linspace(-0.9, 0.9, n), 0.06 * rng.normal(size=n), 0.1 * rng.normal(size=n)]
@@ -94,7 +101,7 @@ def quadruped(rng: Rng) -> TriangleMesh:
     return body.mesh(rng.uniform(0.08, 0.3))
 
 
-def _head(rng: Rng, body: _Body, centre: Floats, size: float) -> None:
+def _head(rng: Rng, body: Body, centre: Floats, size: float) -> None:
     """Skull, snout, and often a pair of ears."""
     body.ball(centre, size * rng.uniform(0.8, 1.2, 3))
     aim = np.array([1.0, 0.1 * rng.normal(), rng.uniform(-0.8, 0.2)])
@@ -111,7 +118,7 @@ def _head(rng: Rng, body: _Body, centre: Floats, size: float) -> None:
 
 def biped(rng: Rng) -> TriangleMesh:
     """Trunk upright, two arms, two legs, a head: humans, apes, monsters, with hands at times."""
-    body, width = _Body(), rng.uniform(0.16, 0.34)
+    body, width = Body(), rng.uniform(0.16, 0.34)
     spine = _chain(rng, np.zeros(3), np.array([0, 0, 1.0]), rng.uniform(0.7, 1.1), 3, 0.12)
     body.chain(spine, width * rng.uniform(0.75, 1.25, 4))
     shoulder, leg, arm = rng.uniform(1.0, 1.5) * width, rng.uniform(0.7, 1.2), rng.uniform(0.7, 1.1)
@@ -148,7 +155,7 @@ def biped(rng: Rng) -> TriangleMesh:
 
 def organism(rng: Rng) -> TriangleMesh:
     """A trunk of one to four balls with any number of limbs: hands, octopuses, insects, trees."""
-    body, n = _Body(), int(rng.integers(1, 5))
+    body, n = Body(), int(rng.integers(1, 5))
     trunk = _chain(rng, np.zeros(3), rng.normal(size=3), 0.45 * (n - 1) + 0.01, n, 0.5)[:n]
     radii = rng.uniform(0.2, 0.55, n)
     for centre, radius in zip(trunk, radii, strict=True):
@@ -167,7 +174,7 @@ def organism(rng: Rng) -> TriangleMesh:
 
 def blob(rng: Rng) -> TriangleMesh:
     """Ellipsoids melted together: busts, bunnies, stones, fruit."""
-    body, centre = _Body(), np.zeros(3)
+    body, centre = Body(), np.zeros(3)
     for _ in range(rng.integers(2, 9)):
         radii = rng.uniform(0.18, 0.6) * rng.uniform(0.5, 1.4, 3)
         body.ball(centre, radii, s.random_rotation(rng))
@@ -194,7 +201,7 @@ def porous(rng: Rng) -> TriangleMesh:
 
 def lattice(rng: Rng) -> TriangleMesh:
     """Limbs along the edges of a random graph: frames, baskets, molecules, pretzels."""
-    body, n = _Body(), int(rng.integers(4, 11))
+    body, n = Body(), int(rng.integers(4, 11))
     nodes = rng.normal(size=(n, 3)) * rng.choice([1.0, 1.0, 0.3], 3)
     if rng.random() < 0.5:  # a cage: nodes on a ball
         nodes /= np.linalg.norm(nodes, axis=1, keepdims=True)
@@ -209,6 +216,30 @@ def lattice(rng: Rng) -> TriangleMesh:
         for node in nodes:
             body.ball(node, thick * rng.uniform(1.2, 2.2, 3))
     return body.mesh(rng.uniform(0.0, 0.25))
+
+
+def machined(rng: Rng) -> TriangleMesh:
+    """Boxes, cylinders and rings, added and cut: sharp edges, plates, bores, fillets at times."""
+    body, centre = Body(), np.zeros(3)
+    for i in range(rng.integers(2, 7)):
+        axes = np.eye(3)[rng.permutation(3)] if rng.random() < 0.75 else s.random_rotation(rng)
+        half = rng.uniform(0.12, 0.7, 3) * rng.choice([1.0, 1.0, 0.35], 3)
+        cut = i > 0 and rng.random() < 0.35
+        centre = (body.low + rng.random(3) * (body.high - body.low)) if i else centre
+        kind = rng.choice(3, p=[0.5, 0.37, 0.13])
+        if kind == 0:
+            field, reach = clay.box(centre, half, axes), np.abs(axes) @ half
+        elif kind == 1:
+            field = clay.cylinder(centre, half[0], 3.0 if cut else half[2], axes)
+            reach = np.abs(axes) @ half[[0, 0, 2]]
+        else:
+            field = clay.ring(centre, half[0] + 0.15, 0.12 + 0.2 * half[1], axes)
+            reach = np.full(3, half[0] + half[1] + 0.3)
+        if cut:
+            body.cuts.append(field)
+        else:
+            body.add(field, centre, reach)
+    return body.mesh(rng.choice([0.0, 0.0, rng.uniform(0.05, 0.2)]))
 
 
 def symmetric(rng: Rng) -> TriangleMesh:
@@ -262,9 +293,9 @@ def sculpture(rng: Rng) -> TriangleMesh:
         where = np.clip(s.waves(mesh.points, rng, frequency=rng.uniform(1.0, 4.0) / size), 0, 1)
         relief += rng.uniform(0.2, 1.0) * fine * (where if rng.random() < 0.6 else 1.0)
     depth = rng.uniform(0.004, 0.025) * size
-    mesh = mesh.with_points(mesh.points + depth * relief[:, None] * s.vertex_normals(mesh))
+    mesh = s.raised(mesh, depth * relief)
     if rng.random() < 0.4:
         height = mesh.points @ s.random_rotation(rng)[0]
         above = (height > np.quantile(height, rng.uniform(0.05, 0.5)))[mesh.faces].all(axis=1)
-        mesh = s.largest_part(TriangleMesh(mesh.points, mesh.faces[above]))
+        mesh = largest_component(TriangleMesh(mesh.points, mesh.faces[above])).mesh
     return mesh

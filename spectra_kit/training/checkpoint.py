@@ -1,16 +1,13 @@
-"""Checkpoints: written whole, and beside the loop."""
+"""Checkpoints: written whole, and read only as they were written."""
 
 from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import torch
-from torch import Tensor
 
 from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError
@@ -19,43 +16,10 @@ NAME = "checkpoint.pt"
 _DIGEST = hashlib.sha256().digest_size
 
 
-class Writer:
-    """Writes checkpoints from a thread, one at a time; leaving it waits for the last.
-
-    Parameters
-    ----------
-    folder : path
-        Where ``checkpoint.pt`` lies.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / NAME
-        self._thread = ThreadPoolExecutor(1)
-        self._last: Future[None] | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: object, error: object, trace: object) -> None:
-        self._thread.shutdown()
-        if self._last is not None and error is None:
-            self._last.result()
-
-    @property
-    def busy(self) -> bool:
-        """Whether the last checkpoint is still on its way to the disk."""
-        return self._last is not None and not self._last.done()
-
-    def write(self, content: dict[str, Any]) -> None:
-        """Copy the tensors of `content` now, and write them meanwhile."""
-        if self._last is not None:
-            self._last.result()  # an error of the last write must not pass unseen
-        snapshot = mapped(content, lambda tensor: tensor.detach().to("cpu", copy=True))
-        self._last = self._thread.submit(self._write, snapshot)
-
-    def _write(self, content: dict[str, Any]) -> None:
-        with atomic_path(self._path) as path:
-            path.write_bytes(packed(content))
+def write(folder: Path, content: dict[str, Any]) -> None:
+    """Write ``checkpoint.pt`` into a folder."""
+    with atomic_path(folder / NAME) as path:
+        path.write_bytes(packed(content))
 
 
 def read(folder: Path) -> dict[str, Any] | None:
@@ -89,15 +53,4 @@ def unpacked(data: bytes, path: Path, remedy: str) -> dict[str, Any]:
             advice=remedy,
         )
     content: dict[str, Any] = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
-    return content
-
-
-def mapped(content: Any, change: Callable[[Tensor], Tensor]) -> Any:
-    """Return nested dicts, lists and tuples with every tensor changed."""
-    if isinstance(content, Tensor):
-        return change(content)
-    if isinstance(content, dict):
-        return {key: mapped(value, change) for key, value in content.items()}
-    if isinstance(content, list | tuple):
-        return type(content)(mapped(value, change) for value in content)
     return content

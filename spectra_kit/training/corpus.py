@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
 
 from spectra_kit._files import atomic_path, parsing
 from spectra_kit._validate import check_count
@@ -32,7 +33,6 @@ from spectra_kit.training.shards import open_shards, write_shard
 
 __all__ = ["CorpusConfig", "CorpusReport", "Sample", "WorkerError", "generate", "make_sample"]
 
-_THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _AHEAD = 3  # samples in work or done but not fetched, for each worker
 
 
@@ -190,14 +190,12 @@ def _is_there(root: Path, index: int, size: int) -> bool:
 
 def write_samples(root: Path, index: int, samples: Sequence[Sample]) -> None:
     """Write one shard of samples."""
-    write_shard(
-        root,
-        index,
-        np.stack([sample.points for sample in samples]),
-        np.stack([sample.mass for sample in samples]),
-        np.stack([sample.eigenvectors for sample in samples]),
-        {name: [sample.labels[name] for sample in samples] for name in samples[0].labels},
+    labels = {name: [sample.labels[name] for sample in samples] for name in samples[0].labels}
+    points, mass, modes = (
+        np.stack([getattr(sample, name) for sample in samples])
+        for name in ("points", "mass", "eigenvectors")
     )
+    write_shard(root, index, points, mass, modes, labels)
 
 
 @contextmanager
@@ -206,20 +204,8 @@ def produced(
 ) -> Iterator[Iterator[Sample]]:
     """Make samples in processes of one thread each, ahead of need, and hand them out in order.
 
-    Parameters
-    ----------
-    config : CorpusConfig
-        What to make.
-    indices : iterable of int
-        Which ones; may be endless.
-    workers : int
-        Processes.
-
-    Yields
-    ------
-    iterator of Sample
-        In the order of `indices`, in the precisions of the shards. Raises `WorkerError` if a
-        process dies. Leaving the block ends the processes; they also end with this one.
+    Of any number of `indices`, in the precisions of the shards. Taking one raises `WorkerError` if
+    a process has died. Leaving the block ends the processes; they also end with this one.
 
     Examples
     --------
@@ -234,10 +220,8 @@ def produced(
         workers, multiprocessing.get_context("spawn"), initializer=_begin_worker
     )
     try:
-        with _one_thread():  # processes read this as they start
-            ahead = deque(
-                executor.submit(_make_packed, config, i) for i in islice(todo, _AHEAD * workers)
-            )
+        first = islice(todo, _AHEAD * workers)
+        ahead = deque(executor.submit(packed_sample, config, i) for i in first)
         yield _in_order(executor, config, ahead, todo)
     finally:
         executor.shutdown(cancel_futures=True)
@@ -252,7 +236,7 @@ def _in_order(
     while ahead:
         try:
             sample = ahead.popleft().result()
-            ahead.extend(executor.submit(_make_packed, config, i) for i in islice(todo, 1))
+            ahead.extend(executor.submit(packed_sample, config, i) for i in islice(todo, 1))
         except BrokenProcessPool as error:
             raise WorkerError(
                 "a process that makes samples has died, perhaps for lack of memory",
@@ -261,7 +245,7 @@ def _in_order(
         yield sample
 
 
-def _make_packed(config: CorpusConfig, index: int) -> Sample:
+def packed_sample(config: CorpusConfig, index: int) -> Sample:
     """Make a sample in the precisions of the shards: a quarter of the bytes to send."""
     full = make_sample(config, index)
     return Sample(
@@ -272,22 +256,9 @@ def _make_packed(config: CorpusConfig, index: int) -> Sample:
     )
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Have processes that start in this block load their BLAS for one thread."""
-    before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
-    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name)
-            if value is not None:
-                os.environ[name] = value
-
-
 def _begin_worker() -> None:
-    """Leave Ctrl-C to the parent, and end with it, even when it is killed."""
+    """Take one thread, leave Ctrl-C to the parent, and end with it, even when it is killed."""
+    threadpool_limits(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None

@@ -11,20 +11,21 @@ from collections.abc import Callable
 import numpy as np
 
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.components import largest_component
 from spectra_kit.geometry.shapes import TriangleMesh
 from spectra_kit.training import surfaces as s
 from spectra_kit.training.bodies import (
     biped,
     blob,
     lattice,
+    machined,
     organism,
     porous,
     quadruped,
     sculpture,
     symmetric,
 )
-from spectra_kit.training.kits import furniture, vehicle
-from spectra_kit.training.objects import assembly, machined, vessel
+from spectra_kit.training.kits import assembly, furniture, vehicle
 
 Rng = np.random.Generator
 
@@ -71,6 +72,50 @@ def tube(rng: Rng) -> TriangleMesh:
     return s.sweep(curve, radius * swell, closed=closed, aspect=rng.uniform(0.4, 1.0), turns=turns)
 
 
+def vessel(rng: Rng) -> TriangleMesh:
+    """Vases, bottles, wheels, chess pieces; closed or open; some with a handle and a spout."""
+    t = np.linspace(0, 1, 90)
+    f = np.arange(1, 5)
+    r = 0.5 + np.cos(np.pi * np.outer(t, f)) @ (rng.normal(size=4) * rng.uniform(0.1, 0.3) / f)
+    r = np.maximum(r, 0.08)
+    if rng.random() < 0.3:
+        r *= np.where(t > rng.uniform(0.4, 0.8), rng.uniform(0.4, 0.8), 1.0)
+    height = rng.uniform(0.4, 2.2)
+    profile = np.column_stack([r, height * t])
+    kind = rng.integers(4)
+    if kind == 0:  # closed by two lids
+        lid = np.linspace(0, 1, 12)[1:-1, None]
+        bottom = lid * [r[0], 0.0]
+        top = np.add(lid[::-1] * [r[-1], 0.0], [0.0, height])
+        profile = np.concatenate([bottom, profile, top])
+    elif kind == 1:  # a wall of some thickness, and a floor
+        inside = profile[::-1] * [rng.uniform(0.7, 0.9), 1.0]
+        inside[:, 1] = np.maximum(inside[:, 1], 0.06 * height)
+        profile = np.concatenate([profile, inside])
+        profile = np.concatenate([[[1e-3, 0.0]], profile, [[1e-3, 0.06 * height]]])
+        steps = np.linspace(0, len(profile) - 1, 2 * len(profile))
+        profile = np.column_stack([np.interp(steps, np.arange(len(profile)), p) for p in profile.T])
+    elif kind == 2:  # a floor, open above
+        floor = np.linspace(0, 1, 12)[:-1, None] * profile[:1]
+        profile = np.concatenate([floor, profile])
+    parts = [s.revolve(profile)]
+    if rng.random() < 0.5:
+        for side in ((1,), (1, -1))[rng.integers(2)]:
+            low, high, reach = rng.uniform(0.15, 0.4), rng.uniform(0.6, 0.9), rng.uniform(0.3, 0.8)
+            a = np.linspace(0, np.pi, 40)
+            z = low + (high - low) * (1 - np.cos(a)) / 2
+            x = np.interp(z, t, r) - 0.03 + reach * np.sin(a) * np.sqrt(np.abs(np.sin(a)) + 0.1)
+            curve = np.column_stack([side * x, 0 * x, height * z])
+            parts.append(s.sweep(curve, rng.uniform(0.04, 0.09), closed=False))
+    if rng.random() < 0.25:
+        a = np.linspace(0, 1, 40)
+        z0, reach = rng.uniform(0.2, 0.5), rng.uniform(0.4, 0.9)
+        x = np.interp(z0, t, r) - 0.05 + reach * a
+        curve = np.column_stack([0 * x, x, height * (z0 + (1.0 - z0) * a**2)])
+        parts.append(s.sweep(curve, np.linspace(0.14, 0.06, 40), closed=False))
+    return s.join(parts)
+
+
 def sheet(rng: Rng) -> TriangleMesh:
     """Open surfaces: bent plates, cloth, discs, Moebius bands, saddles, domes, helicoids."""
     n_u, n_v, kind = 60, 60, rng.integers(6)
@@ -97,8 +142,7 @@ def sheet(rng: Rng) -> TriangleMesh:
         points = np.stack([3 * u - 1.5, r * np.cos(a), r * np.sin(a)], axis=-1)
     mesh = s.grid_mesh(points)
     crumple = s.waves(mesh.points, rng, frequency=rng.uniform(0.8, 4.0))
-    offset = rng.uniform(0, 0.15) * crumple[:, None] * s.vertex_normals(mesh)
-    return mesh.with_points(mesh.points + offset)
+    return s.raised(mesh, rng.uniform(0, 0.15) * crumple)
 
 
 def scattered(rng: Rng) -> TriangleMesh:
@@ -140,19 +184,17 @@ _RIGID = {"machined", "assembly", "vessel", "furniture", "vehicle"}
 def _deform(mesh: TriangleMesh, rng: Rng, likely: float) -> TriangleMesh:
     """Stretch, bend, twist, taper, wrinkle or pierce: each with its own probability."""
     points = mesh.points - mesh.points.mean(axis=0)
-    points = points / np.abs(points).max()
-    points = s.warped(points, rng, likely)
+    points = s.warped(points / np.abs(points).max(), rng, likely)
     mesh = mesh.with_points(points)
     if rng.random() < 0.2 * likely:
         relief = s.waves(points, rng, frequency=rng.uniform(3.0, 12.0))
-        offset = rng.uniform(0.002, 0.02) * relief[:, None] * s.vertex_normals(mesh)
-        mesh = mesh.with_points(points + offset)
+        mesh = s.raised(mesh, rng.uniform(0.002, 0.02) * relief)
     if rng.random() < 0.08 * likely:  # a scan with a hole
         centre = points[rng.integers(mesh.n)]
         far = np.linalg.norm(points - centre, axis=1) > rng.uniform(0.1, 0.45)
         kept = far[mesh.faces].all(axis=1)
         if 2 * kept.sum() > len(kept):
-            mesh = s.largest_part(TriangleMesh(mesh.points, mesh.faces[kept]))
+            mesh = largest_component(TriangleMesh(mesh.points, mesh.faces[kept])).mesh
     return mesh
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import igl
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -20,23 +21,22 @@ class _Kit:
 
     def plate(self, centre: ArrayLike, half: ArrayLike) -> None:
         """Add a box of 12 triangles."""
-        corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), -1).reshape(-1, 3)
-        quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4]])
-        quads = np.concatenate([quads, [[1, 5, 7, 3]]])
-        faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-        self.parts.append(TriangleMesh(corners * np.asarray(half) + np.asarray(centre), faces))
+        corners, faces = igl.bounding_box(np.array([-np.asarray(half), np.asarray(half)]))
+        self.parts.append(TriangleMesh(corners + np.asarray(centre), faces))
 
-    def round(self, centre: ArrayLike, radii: ArrayLike, sharp: float = 0.5) -> None:
-        """Add a cushion, by `sharp` between box (0) and ellipsoid (1)."""
-        mesh = s.superquadric((sharp, sharp), radii, n_u=20, n_v=30)
+    def round(
+        self, centre: ArrayLike, radii: ArrayLike, sharp: float | tuple[float, float] = 0.5
+    ) -> None:
+        """Add a cushion, by `sharp` between box (0) and ellipsoid (1), along and around z."""
+        exponents = sharp if isinstance(sharp, tuple) else (sharp, sharp)
+        mesh = s.superquadric(exponents, radii, n_u=20, n_v=30)
         self.parts.append(mesh.with_points(mesh.points + np.asarray(centre)))
 
     def rod(self, start: ArrayLike, end: ArrayLike, r0: float, r1: float | None = None) -> None:
         """Add a tube from `start` to `end`, open at its ends."""
-        t = np.linspace(0, 1, 8)[:, None]
-        a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
         radii = np.linspace(r0, r0 if r1 is None else r1, 8)
-        self.parts.append(s.sweep(a + t * (b - a), radii, closed=False))
+        line = np.linspace(np.asarray(start), np.asarray(end), 8)
+        self.parts.append(s.sweep(line, radii, closed=False))
 
     def wheel(self, centre: ArrayLike, radius: float, half_width: float) -> None:
         """Add a disc or a tyre with spokes, its axle along y."""
@@ -126,45 +126,6 @@ def _sofa(kit: _Kit) -> None:
         kit.rod([x * 0.9 * w, y * 0.9 * d, -0.15], [x * 0.9 * w, y * 0.9 * d, 0.05], 0.04)
 
 
-def _desk(kit: _Kit) -> None:
-    """Desk, table with panels."""
-    rng = kit.rng
-    w, d, h, thin = rng.uniform([0.35, 0.3, 0.3, 0.015], [1.0, 0.7, 1.0, 0.05])
-    kit.plate([0, 0, h], [w, d, thin])
-    kit.plate([w - 0.1, 0, h / 2], [rng.choice([thin, 0.25 * w]), 0.95 * d, h / 2])
-    if rng.random() < 0.6:
-        kit.plate([0.1 - w, 0, h / 2], [rng.choice([thin, 0.25 * w]), 0.95 * d, h / 2])
-    else:
-        for y in (-1, 1):
-            kit.rod([0.1 - w, y * 0.8 * d, 0], [0.1 - w, y * 0.8 * d, h], 0.04)
-    if rng.random() < 0.5:
-        kit.plate([0, 0.9 * d, 0.6 * h], [w - 0.1, thin, 0.4 * h])
-    for _ in range(rng.integers(0, 4)):
-        size = rng.uniform(0.04, 0.2, 3)
-        at = [rng.uniform(-0.7, 0.7) * w, rng.uniform(-0.6, 0.6) * d, h + 0.9 * size[2]]
-        (kit.round if rng.random() < 0.5 else kit.plate)(at, size)
-
-
-def _lamp(kit: _Kit) -> None:
-    """Lamp, umbrella, stand."""
-    rng = kit.rng
-    w = rng.uniform(0.35, 1.0)
-    tall, r = rng.uniform(0.8, 1.8), rng.uniform(0.02, 0.05)
-    kit.parts.append(
-        s.revolve(np.array([[1e-3, 0.05], [0.9, 0.05], [1, 0], [1e-3, 0]]) * [w / 2, 1])
-    )
-    kit.rod([0, 0, 0], [0, 0, tall], r)
-    for a in 2 * np.pi * np.arange(n := int(rng.integers(1, 5))) / n:
-        reach = 0.0 if n == 1 else rng.uniform(0.3, 0.6)
-        top = np.array([reach * np.cos(a), reach * np.sin(a), tall])
-        if n > 1:
-            kit.rod([0, 0, tall * rng.uniform(0.6, 0.9)], top, 0.8 * r)
-        z, low = np.linspace(0, 1, 12), rng.uniform(0.2, 0.5) / np.sqrt(n)
-        shade = np.column_stack([low + (0.6 * r - low) * z ** rng.uniform(0.4, 2), low * 1.5 * z])
-        mesh = s.revolve(shade)
-        kit.parts.append(mesh.with_points(mesh.points + top - [0, 0, 1.3 * low]))
-
-
 def _car(kit: _Kit) -> None:
     """Car, van, lorry, train."""
     rng = kit.rng
@@ -207,26 +168,6 @@ def _ship(kit: _Kit) -> None:
             kit.plate([x + 0.05, 0, 0.6 * tall], [0.008, 0.8 * w, 0.35 * tall])
 
 
-def _helicopter(kit: _Kit) -> None:
-    """A cabin, a boom, blades, two skids."""
-    rng = kit.rng
-    w = rng.uniform(0.25, 0.5)
-    kit.round([0, 0, 0], [rng.uniform(0.4, 0.6), w, rng.uniform(0.7, 1.1) * w], rng.uniform(0.6, 1))
-    kit.rod([-0.2, 0, 0.3 * w], [-1.2, 0, 0.4 * w], 0.4 * w, 0.15 * w)
-    kit.plate([-1.15, 0, 0.6 * w], [0.1, 0.01, 0.3])
-    kit.rod([0, 0, 0], [0, 0, 1.5 * w], 0.05)
-    span, n = rng.uniform(0.6, 1.1), int(rng.integers(2, 6))
-    for a in 2 * np.pi * np.arange(n) / n:
-        tip = np.array([span * np.cos(a), span * np.sin(a), 1.4 * w])
-        kit.parts.append(
-            s.sweep(np.linspace([0, 0, 1.4 * w], tip, 8), 0.05, closed=False, aspect=0.2)
-        )
-    for y in (-1, 1):
-        kit.rod([-0.5, y * w, -1.4 * w], [0.5, y * w, -1.4 * w], 0.03)
-        for x in (-0.25, 0.25):
-            kit.rod([x, y * w, -1.4 * w], [x, 0.4 * y * w, -0.5 * w], 0.025)
-
-
 def _bicycle(kit: _Kit) -> None:
     """Bicycle, motor-cycle."""
     rng = kit.rng
@@ -245,30 +186,73 @@ def _bicycle(kit: _Kit) -> None:
         kit.round([0, 0, 0.25], [0.35, 0.12, 0.25], 0.6)
 
 
-def _tank(kit: _Kit) -> None:
-    """Tank, tractor, digger."""
-    rng = kit.rng
-    w, h = rng.uniform(0.25, 0.5), rng.uniform(0.12, 0.3)
-    kit.plate([0, 0, 0.2], [0.8, w, h])
-    for y in (-1, 1):
-        kit.round([0, 1.2 * y * w, 0.1], [0.9, 0.25 * w, 0.2], 0.5)
-        for x in np.linspace(-0.65, 0.65, rng.integers(3, 7)):
-            kit.wheel([x, 1.3 * y * w, 0.05], 0.15, 0.25 * w)
-    kit.round([rng.uniform(-0.3, 0.2), 0, 0.2 + 1.4 * h], [0.4, 0.7 * w, 0.8 * h], 0.4)
-    turn = rng.uniform(-0.6, 0.6)
-    tip = [1.2 * np.cos(turn), 1.2 * np.sin(turn), 0.2 + 1.5 * h + rng.uniform(0, 0.3)]
-    kit.rod([0, 0, 0.2 + 1.5 * h], tip, 0.05)
-
-
 def furniture(rng: Rng) -> TriangleMesh:
-    """Chairs, cupboards, sofas, desks, lamps."""
+    """Chairs, cupboards, sofas."""
     kit = _Kit(rng)
-    (_chair, _cupboard, _sofa, _desk, _lamp)[rng.integers(5)](kit)
+    (_chair, _cupboard, _sofa)[rng.integers(3)](kit)
     return kit.mesh()
 
 
 def vehicle(rng: Rng) -> TriangleMesh:
-    """Cars, ships, helicopters, bicycles, tanks."""
+    """Cars, ships, bicycles."""
     kit = _Kit(rng)
-    (_car, _ship, _helicopter, _bicycle, _tank)[rng.integers(5)](kit)
+    (_car, _ship, _bicycle)[rng.integers(3)](kit)
     return kit.mesh()
+
+
+def assembly(rng: Rng) -> TriangleMesh:
+    """Parts that touch or pierce each other, not welded: aeroplanes, tools, piles."""
+    kit = _Kit(rng)
+    (_aeroplane, _tool, _pile)[rng.integers(3)](kit, rng.uniform(0.1, 0.4))
+    return s.join(kit.parts)
+
+
+def _add(kit: _Kit, centre: ArrayLike, radii: ArrayLike, sharp: float) -> None:
+    """Add a part that is like a box, a cylinder or round."""
+    exponents = ((sharp, sharp), (sharp, 1.0), (1.0, 1.0))
+    kit.round(centre, radii, exponents[kit.rng.choice(3, p=[0.55, 0.3, 0.15])])
+
+
+def _aeroplane(kit: _Kit, sharp: float) -> None:
+    """Fuselage, wings, tail, engines."""
+    rng = kit.rng
+    width, span, sweep = rng.uniform(0.08, 0.2), rng.uniform(0.5, 1.2), rng.uniform(-0.1, 0.5)
+    kit.round([0, 0, 0], [1.0, width, width * rng.uniform(0.8, 1.2)], 1.0)
+    for x, reach, chord in ((0.1, span, 0.2), (-0.85, 0.4 * span, 0.1)):
+        for side in (1, -1):
+            wing = s.superquadric((0.5, 0.5), [chord * rng.uniform(0.8, 1.5), reach / 2, 0.025])
+            shift = side * (wing.points[:, 1] + reach / 2 * side)
+            points = np.add(wing.points, [x, side * reach / 2, 0])
+            points[:, 0] -= sweep * shift
+            points[:, 2] += rng.choice([0.0, 0.15]) * shift
+            kit.parts.append(wing.with_points(points))
+    _add(kit, [-0.85, 0, 0.2], [0.12, 0.02, 0.22], sharp)
+    if rng.random() < 0.5:
+        for side in (1, -1):
+            _add(kit, [0.15, side * 0.4 * span, -0.06], [0.15, 0.06, 0.06], sharp)
+
+
+def _tool(kit: _Kit, sharp: float) -> None:
+    """Hammer, spoon, lamp, dumb-bell: a shaft with something at its ends."""
+    rng = kit.rng
+    r, length = rng.uniform(0.05, 0.12), rng.uniform(0.6, 1.2)
+    kit.round([0, 0, 0], [r, r * rng.uniform(0.6, 1), length], (0.15, 1.0))
+    for end in (1, -1)[: rng.integers(1, 3)]:
+        _add(kit, [0, 0, end * length], rng.uniform(0.08, 0.5, 3), sharp)
+        if rng.random() < 0.5:
+            centre = [rng.uniform(0.1, 0.3), 0, end * length]
+            _add(kit, centre, rng.uniform(0.06, 0.3, 3), sharp)
+
+
+def _pile(kit: _Kit, sharp: float) -> None:
+    """Each part set on the border of an earlier one."""
+    rng = kit.rng
+    boxes = [(np.zeros(3), rng.uniform(0.15, 0.6, 3))]
+    for _ in range(rng.integers(2, 8)):
+        c, size = boxes[rng.integers(len(boxes))]
+        side = np.eye(3)[rng.integers(3)] * rng.choice([1, -1])
+        radii = rng.uniform(0.06, 0.5, 3)
+        slide = (1 - np.abs(side)) * size * rng.uniform(-0.6, 0.6, 3)
+        boxes.append((c + side * (size + 0.9 * radii) + slide, radii))
+    for centre, radii in boxes:
+        _add(kit, centre, radii, sharp)

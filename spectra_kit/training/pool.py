@@ -11,9 +11,11 @@ import csv
 import hashlib
 import os
 import zipfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,18 +117,18 @@ def open_pool(path: str | os.PathLike[str], split: str) -> MeshPool:
 
 @lru_cache(maxsize=4)
 def _open(root: Path, split: str, stamps: tuple[tuple[str, int, int], ...]) -> MeshPool:
-    if root.is_dir():
-        chunks = [_read(file) for file in sorted(root.glob("pool_*.npz"))]
-        if not chunks or not (root / "manifest.csv").is_file():
-            raise InvalidInputError(
-                "path", "hold chunks pool_*.npz and a manifest.csv", f"the folder {root}"
-            )
-        with (root / "manifest.csv").open(newline="") as file:
-            wanted = {row["id"] for row in csv.DictReader(file) if row["split"] == split}
-    else:
+    if not root.is_dir():
         chunk = _read(root)
-        chunks, stored = [chunk], str(chunk.get("split", ""))
-        wanted = set(chunk["ids"].tolist()) if stored == split else set()
+        return _joined(
+            [chunk], chunk["ids"] if chunk.get("split", "") == split else (), split, root
+        )
+    chunks = [_read(file) for file in sorted(root.glob("pool_*.npz"))]
+    if not chunks or not (root / "manifest.csv").is_file():
+        raise InvalidInputError(
+            "path", "hold chunks pool_*.npz and a manifest.csv", f"the folder {root}"
+        )
+    with (root / "manifest.csv").open(newline="") as file:
+        wanted = [row["id"] for row in csv.DictReader(file) if row["split"] == split]
     return _joined(chunks, wanted, split, root)
 
 
@@ -162,7 +164,7 @@ def pack_pool(path: str | os.PathLike[str], target: str | os.PathLike[str], spli
     if Path(target).suffix != ".npz":
         raise InvalidInputError("target", "end in .npz", repr(os.fspath(target)))
     pool = open_pool(path, split)
-    arrays: dict[str, NDArray[np.generic]] = {
+    arrays: dict[str, NDArray[Any]] = {
         "V": pool.points,
         "F": pool.faces,
         "voff": pool.point_offsets,
@@ -180,7 +182,7 @@ def pack_pool(path: str | os.PathLike[str], target: str | os.PathLike[str], spli
     return pool
 
 
-def _read(path: Path) -> dict[str, NDArray[np.generic]]:
+def _read(path: Path) -> dict[str, NDArray[Any]]:
     with (
         parsing(path, "mesh pool", remedy="copy it there again"),
         path.open("rb") as raw,  # which np.load would not close if it cannot read it
@@ -193,24 +195,26 @@ def _read(path: Path) -> dict[str, NDArray[np.generic]]:
 
 
 def _joined(
-    chunks: list[dict[str, NDArray[np.generic]]], wanted: set[str], split: str, root: Path
+    chunks: list[dict[str, NDArray[Any]]], wanted: Iterable[str], split: str, root: Path
 ) -> MeshPool:
     """Pick the wanted meshes from all chunks, in the order of their names."""
-    found: dict[str, tuple[NDArray[np.float16], NDArray[np.uint16]]] = {}
-    for chunk in chunks:
-        points, faces = chunk["V"].astype(np.float16), chunk["F"].astype(np.uint16)
-        v, f = chunk["voff"].astype(np.int64), chunk["foff"].astype(np.int64)
-        for i, name in enumerate(chunk["ids"].tolist()):
-            if name in wanted:
-                found[name] = points[v[i] : v[i + 1]], faces[f[i] : f[i + 1]]
-    if not found:
+    parts = {
+        str(name): (
+            chunk["V"][slice(*chunk["voff"][i : i + 2])].astype(np.float16),
+            chunk["F"][slice(*chunk["foff"][i : i + 2])].astype(np.uint16),
+        )
+        for chunk in chunks
+        for i, name in enumerate(chunk["ids"])
+    }
+    names = sorted(parts.keys() & set(map(str, wanted)))
+    if not names:
         raise InvalidInputError("split", f"be one that meshes of {root} are in", repr(split))
-    names = sorted(found)
+    points, faces = zip(*(parts[name] for name in names), strict=True)
     return MeshPool(
-        np.concatenate([found[name][0] for name in names]),
-        np.concatenate([found[name][1] for name in names]),
-        np.cumsum([0, *(len(found[name][0]) for name in names)]),
-        np.cumsum([0, *(len(found[name][1]) for name in names)]),
+        np.concatenate(points),
+        np.concatenate(faces),
+        np.cumsum([0, *map(len, points)]),
+        np.cumsum([0, *map(len, faces)]),
         tuple(names),
         split,
     )

@@ -5,15 +5,13 @@ Every sample follows from (seed, index) alone, so any number of processes makes 
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers import Arpack, eigensolve
 from spectra_kit.errors import ConvergenceError, InvalidInputError, InvalidSpectrumError
@@ -75,9 +73,9 @@ class CorpusConfig:
         check_count("k", self.k, low=1)
         check_count("n_points", self.n_points, low=max(64, 2 * self.k))
         check_count("shard_size", self.shard_size, low=1)
-        for name, share in (("nonuniform", self.nonuniform), ("pool_share", self.pool_share)):
-            if not 0 <= share <= 1:
-                raise InvalidInputError(name, "be in [0, 1]", share)
+        for name in ("nonuniform", "pool_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InvalidInputError(name, "be in [0, 1]", getattr(self, name))
         if self.pool_share and self.pool is None:
             raise InvalidInputError(
                 "pool",
@@ -92,7 +90,7 @@ class CorpusConfig:
         path, split = values.pop("pool"), values.pop("pool_split")
         values["pool"] = open_pool(path, split).digest if self.pool_share else None
         weights = {name: weight for name, (_, weight) in FAMILIES.items()}
-        return {"format": 4, **values, "families": weights if self.pool_share < 1 else {}}
+        return {"format": 5, **values, "families": weights if self.pool_share < 1 else {}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,45 +141,16 @@ def make_sample(config: CorpusConfig, index: int) -> Sample:
     >>> bool(np.allclose(gram, np.eye(8), atol=1e-9))
     True
     """
-    rejected = dict.fromkeys(REASONS, 0)
-    attempts = itertools.count()
+    rejected = {f"rejected_{reason}": 0 for reason in REASONS}
     while True:
-        attempt = next(attempts)
-        source = draw_source(config, index, attempt)
-        drawn = _draw_cloud(config, source, index, attempt)
-        if drawn is None:
-            rejected["mesh"] += 1
-            continue
-        points, nonuniform = drawn
-        try:
-            solved = _modes(points, config.k)
-        except (InvalidInputError, InvalidSpectrumError, ConvergenceError):
-            rejected["solve"] += 1
-            continue
-        if solved is None:
-            rejected["components"] += 1
-            continue
-        mass, eigenvectors = solved
-        labels = {**source, "index": index, "nonuniform": int(nonuniform)}
-        labels |= {f"rejected_{reason}": count for reason, count in rejected.items()}
-        area = mass.sum()
-        return Sample(points, mass / area, eigenvectors * np.sqrt(area), labels)
+        made = _attempted(config, index, sum(rejected.values()))
+        if isinstance(made, Sample):
+            return replace(made, labels=made.labels | rejected)
+        rejected[f"rejected_{made}"] += 1
 
 
 def sample_mesh(config: CorpusConfig, labels: Mapping[str, int]) -> TriangleMesh:
-    """Make the surface again that the points of a sample were drawn from.
-
-    Parameters
-    ----------
-    config : CorpusConfig
-        Of the corpus.
-    labels : mapping of str to int
-        Of the sample.
-
-    Returns
-    -------
-    TriangleMesh
-        In its own pose and unit, not moved to the unit box.
+    """Make the surface again that a sample with these labels lies on, in its own pose and unit.
 
     Examples
     --------
@@ -220,10 +189,9 @@ def make_surface(
     return varied(mesh, np.random.default_rng(seed))
 
 
-def _draw_cloud(
-    config: CorpusConfig, source: dict[str, int], index: int, attempt: int
-) -> tuple[Floats, bool] | None:
-    """Points (n, 3) in the unit box, and whether they crowd; None if the surface is empty."""
+def _attempted(config: CorpusConfig, index: int, attempt: int) -> Sample | str:
+    """Make a sample, or tell the reason why it is rejected."""
+    source = draw_source(config, index, attempt)
     rng = np.random.default_rng((config.seed, index, attempt, 1))
     nonuniform = rng.random() < config.nonuniform
     sigma = rng.uniform(0.15, 0.5) if nonuniform else 0.0
@@ -236,15 +204,16 @@ def _draw_cloud(
             density=GaussianDensity(sigma=sigma) if nonuniform else "uniform",
         )
     except InvalidInputError:
-        return None
+        return "mesh"
     points = cloud.points - cloud.points.mean(axis=0)
-    return points / np.abs(points).max(), nonuniform
-
-
-def _modes(points: Floats, k: int) -> tuple[Floats, Floats] | None:
-    """Mass and exact eigenvectors of a cloud; None if its Laplacian has several components."""
-    laplacian = delaunay_laplacian(PointCloud(points))
-    if laplacian.n_components > 1:
-        return None
-    spectrum = eigensolve(laplacian, k, Arpack(tol=_TOLERANCE))
-    return spectrum.mass, spectrum.eigenvectors
+    points = points / np.abs(points).max()
+    try:
+        laplacian = delaunay_laplacian(PointCloud(points))
+        if laplacian.n_components > 1:
+            return "components"
+        spectrum = eigensolve(laplacian, config.k, Arpack(tol=_TOLERANCE))
+    except (InvalidInputError, InvalidSpectrumError, ConvergenceError):
+        return "solve"
+    area = spectrum.mass.sum()
+    labels = {**source, "index": index, "nonuniform": int(nonuniform)}
+    return Sample(points, spectrum.mass / area, spectrum.eigenvectors * np.sqrt(area), labels)

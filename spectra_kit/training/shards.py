@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -49,6 +49,14 @@ class Batch:
     mass: NDArray[np.float32]
     eigenvectors: NDArray[np.float16]
 
+    def __post_init__(self) -> None:
+        points, mass, modes = (array.shape for array in vars(self).values())
+        if len(mass) != 2 or points != (*mass, 3) or len(modes) != 3 or modes[:2] != mass:
+            raise InvalidInputError(
+                "`points`, `mass` and `eigenvectors` must have shapes (s, n, 3), (s, n) and"
+                f" (s, n, k), got {points}, {mass} and {modes}"
+            )
+
 
 @dataclass(frozen=True, eq=False)
 class Corpus:
@@ -64,6 +72,14 @@ class Corpus:
 
     shards: tuple[Batch, ...]
     labels: dict[str, NDArray[np.int64]]
+
+    def __post_init__(self) -> None:
+        for name, label in self.labels.items():
+            if label.shape != (len(self),):
+                raise InvalidInputError(
+                    f"label `{name}` must have one integer for each of {len(self)} samples,"
+                    f" got {label.shape}"
+                )
 
     @cached_property
     def _ends(self) -> NDArray[np.int64]:
@@ -90,9 +106,7 @@ class Corpus:
         backwards = chosen - self._ends[which]  # counted from the end of the shard
         places = [(self.shards[i], j) for i, j in zip(which, backwards, strict=True)]
         return Batch(
-            np.stack([shard.points[i] for shard, i in places]),
-            np.stack([shard.mass[i] for shard, i in places]),
-            np.stack([shard.eigenvectors[i] for shard, i in places]),
+            *(np.stack([getattr(shard, name)[i] for shard, i in places]) for name in _DTYPES)
         )
 
 
@@ -143,17 +157,14 @@ def write_shard(
     >>> open_shards(corpus).labels["seed"]
     array([3, 4])
     """
-    arrays: dict[str, NDArray[np.floating]] = {
-        "points": np.asarray(points, dtype=np.float32),
-        "mass": np.asarray(mass, dtype=np.float32),
-        "eigenvectors": np.asarray(eigenvectors, dtype=np.float16),
-    }
+    given = {"points": points, "mass": mass, "eigenvectors": eigenvectors}
+    batch = Batch(**{name: np.asarray(given[name], dtype) for name, dtype in _DTYPES.items()})
     names = {name: np.asarray(values, dtype=np.int64) for name, values in labels.items()}
-    _check(arrays, names)
+    _check_values(Corpus((batch,), names))
     path = Path(folder) / f"shard_{index:04d}"
     path.parent.mkdir(parents=True, exist_ok=True)
     with temporary_folder(path.parent) as temporary:
-        for name, array in arrays.items():
+        for name, array in vars(batch).items():
             np.save(temporary / f"{name}.npy", array)
         np.savez(temporary / "labels.npz", allow_pickle=False, **names)
         try:
@@ -163,6 +174,21 @@ def write_shard(
                 f"shard {index} of {folder} exists", advice=f"delete {path} or take another index"
             ) from error
     return path
+
+
+def _check_values(corpus: Corpus) -> None:
+    (shard,) = corpus.shards
+    for name, array in vars(shard).items():
+        if not (array.size and np.isfinite(array).all()):
+            raise InvalidInputError(name, "be there and finite in the precision that is stored")
+    sums = shard.mass.sum(axis=1, dtype=np.float64)
+    if not ((shard.mass > 0).all() and np.allclose(sums, 1, atol=1e-4)):
+        raise InvalidInputError(
+            "mass",
+            "be positive with rows that sum to 1",
+            f"sums in [{sums.min():.6g}, {sums.max():.6g}]",
+            advice="divide by the sum and multiply the eigenvectors by its root",
+        )
 
 
 def open_shards(folder: str | os.PathLike[str]) -> Corpus:
@@ -194,73 +220,53 @@ def open_shards(folder: str | os.PathLike[str]) -> Corpus:
         raise InvalidInputError(
             "folder", "hold shards", f"none in {root}", advice="generate a corpus first"
         )
-    shards, labels = [], []
-    for path in paths:
-        shard, label = _open_shard(path)
-        shards.append(shard)
-        labels.append(label)
-    sizes = {shard.eigenvectors.shape[1:] for shard in shards}
-    if len(sizes) > 1:
-        raise InvalidInputError(
-            f"all shards of {root} must have the same (points, modes), got {sorted(sizes)}",
-            advice="keep corpora of different sizes in different folders",
-        )
-    common = set.intersection(*(set(label) for label in labels))
-    joined = {name: np.concatenate([label[name] for label in labels]) for name in sorted(common)}
-    return Corpus(tuple(shards), joined)
+    return join([_open_shard(path) for path in paths], name=f"the shards of {root}")
 
 
-def _open_shard(path: Path) -> tuple[Batch, dict[str, NDArray[np.int64]]]:
+def _open_shard(path: Path) -> Corpus:
     """Map the arrays of one shard; their values are not read, and damage to them is not seen."""
     with parsing(path, "shard", remedy="delete it, and generate the corpus again: it is replaced"):
         arrays = {name: np.load(path / f"{name}.npy", mmap_mode="r") for name in _DTYPES}
         with (path / "labels.npz").open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            labels = {name: file[name] for name in file.files}
-        for name, dtype in _DTYPES.items():
-            if arrays[name].dtype != dtype:
-                raise TypeError(f"{name} must be {np.dtype(dtype)}, got {arrays[name].dtype}")
-        for name, label in labels.items():
-            if label.dtype != np.int64:
-                raise TypeError(f"label {name} must be int64, got {label.dtype}")
-        _check_shapes(arrays, labels, where=f"{path}: ")
-    return Batch(**arrays), labels
+            labels = dict(file.items())
+        for name, array in (arrays | labels).items():
+            dtype = np.dtype(_DTYPES.get(name, np.int64))
+            if array.dtype != dtype:
+                raise TypeError(f"{name} must be {dtype}, got {array.dtype}")
+        try:
+            return Corpus((Batch(**arrays),), labels)
+        except InvalidInputError as error:
+            raise ValueError(error) from error
 
 
-def _check(
-    arrays: Mapping[str, NDArray[np.floating]], labels: Mapping[str, NDArray[np.int64]]
-) -> None:
-    _check_shapes(arrays, labels)
-    for name, array in arrays.items():
-        if not np.isfinite(array).all():
-            raise InvalidInputError(name, "be finite in the precision that is stored")
-    mass = arrays["mass"]
-    sums = mass.sum(axis=1, dtype=np.float64)
-    if not ((mass > 0).all() and np.allclose(sums, 1, atol=1e-4)):
+def join(corpora: Sequence[Corpus], *, name: str = "corpora") -> Corpus:
+    """Return the samples of several corpora as one; a corpus given twice counts twice.
+
+    Parameters
+    ----------
+    corpora : sequence of Corpus
+        With equal numbers of points and modes per sample.
+    name : str
+        What they are, in messages.
+
+    Returns
+    -------
+    Corpus
+        With the labels that all of them have.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is none, or sizes differ.
+    """
+    sizes = {(corpus.n_points, corpus.k) for corpus in corpora}
+    if len(sizes) != 1:
         raise InvalidInputError(
-            "mass",
-            "be positive with rows that sum to 1",
-            f"sums in [{sums.min():.6g}, {sums.max():.6g}]",
-            advice="divide by the sum and multiply the eigenvectors by its root",
+            f"{name} must have the same (points, modes) per sample, got {sorted(sizes)}",
+            advice="keep corpora of different sizes apart, and train on one at a time",
         )
-
-
-def _check_shapes(
-    arrays: Mapping[str, NDArray[np.floating]],
-    labels: Mapping[str, NDArray[np.int64]],
-    *,
-    where: str = "",
-) -> None:
-    points, mass, eigenvectors = arrays["points"], arrays["mass"], arrays["eigenvectors"]
-    s, n = mass.shape if mass.ndim == 2 else (0, 0)
-    whole = eigenvectors.ndim == 3 and eigenvectors.shape[:2] == (s, n)
-    if s == 0 or points.shape != (s, n, 3) or not whole:
-        raise InvalidInputError(
-            f"{where}`points`, `mass` and `eigenvectors` must have shapes (s, n, 3), (s, n) and"
-            f" (s, n, k) with s >= 1, got {points.shape}, {mass.shape} and {eigenvectors.shape}"
-        )
-    for name, label in labels.items():
-        if label.shape != (s,):
-            raise InvalidInputError(
-                f"{where}label `{name}` must have one integer for each of {s} samples,"
-                f" got {label.shape}"
-            )
+    common = set.intersection(*(set(corpus.labels) for corpus in corpora))
+    return Corpus(
+        tuple(shard for corpus in corpora for shard in corpus.shards),
+        {name: np.concatenate([c.labels[name] for c in corpora]) for name in sorted(common)},
+    )

@@ -20,16 +20,8 @@ from numpy.typing import NDArray
 
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.training.corpus import (
-    CorpusConfig,
-    CorpusReport,
-    Sample,
-    claim,
-    count,
-    produced,
-    write_samples,
-)
-from spectra_kit.training.samples import LABELS
+from spectra_kit.training.corpus import CorpusReport, claim, count, produced, write_samples
+from spectra_kit.training.samples import LABELS, CorpusConfig, Sample
 from spectra_kit.training.shards import Batch, Corpus, open_shards
 
 _LOOK = 0.1  # seconds between looks of a reader that waits
@@ -102,20 +94,19 @@ class SampleStream:
                 f"be a multiple of the shard size {config.shard_size} where shards are saved",
                 start,
             )
-        self._config = config
+        self._config, self._bounded = config, bounded
         self._folder = None if folder is None else Path(folder)
-        self._bounded = bounded
         # The first one is none, and tells of what size the others are.
+        shape = (0, config.n_points)
         self._none = Batch(
-            np.empty((0, config.n_points, 3), dtype=np.float32),
-            np.empty((0, config.n_points), dtype=np.float32),
-            np.empty((0, config.n_points, config.k), dtype=np.float16),
+            np.empty((*shape, 3), np.float32),
+            np.empty(shape, np.float32),
+            np.empty((*shape, config.k), np.float16),
         )
         self._samples: deque[Batch] = deque(maxlen=capacity)
         self._labels: list[tuple[int, ...]] = []  # of all so far
         self._unsaved: list[Sample] = []
-        self._lock = threading.Lock()
-        self._stop = threading.Event()
+        self._lock, self._stop = threading.Lock(), threading.Event()
         self._thread: ThreadPoolExecutor | None = None
         self._collecting: Future[None] | None = None
 
@@ -181,7 +172,7 @@ class SampleStream:
         """Take over the shards that are there."""
         if not any(folder.glob("shard_*")):
             return
-        there = open_shards(folder)
+        there, size = open_shards(folder), self._config.shard_size
         if not np.array_equal(there.labels["index"], self._next + np.arange(len(there))):
             raise InvalidInputError(
                 "folder",
@@ -189,19 +180,16 @@ class SampleStream:
                 f"others in {folder}",
                 advice="take another folder, or its own start",
             )
-        if len(there) % self._config.shard_size:
+        if len(there) % size:
             raise InvalidInputError(
                 "folder",
-                f"hold whole shards of {self._config.shard_size}",
+                f"hold whole shards of {size}",
                 f"{len(there)} samples in {folder}",
                 advice="delete its last shard",
             )
         for shard in there.shards:
-            for i in range(self._config.shard_size):
-                rows = slice(i, i + 1)
-                self._samples.append(
-                    Batch(shard.points[rows], shard.mass[rows], shard.eigenvectors[rows])
-                )
+            for i in range(size):
+                self._samples.append(Batch(*(part[i : i + 1] for part in vars(shard).values())))
         self._labels = list(zip(*(there.labels[name].tolist() for name in LABELS), strict=True))
         self._next += len(there)
 
@@ -219,15 +207,15 @@ class SampleStream:
             )
             self._labels.append(tuple(sample.labels[name] for name in LABELS))
             self._next += 1
+        size = self._config.shard_size
         if self._folder is not None:
             self._unsaved.append(sample)
-            if len(self._unsaved) == self._config.shard_size:
-                index = sample.labels["index"] // self._config.shard_size
+            if len(self._unsaved) == size:
+                index = sample.labels["index"] // size
                 write_samples(self._folder, index, self._unsaved)
                 self._unsaved = []
                 if self._bounded:
-                    kept = max(1, self._capacity // self._config.shard_size)
-                    self._thin(self._folder, index - kept)
+                    self._thin(self._folder, index - max(1, self._capacity // size))
 
     def _thin(self, folder: Path, last: int) -> None:
         """Remove the shards of a folder up to number `last`; open maps of them stay readable."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import igl
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from spectra_kit._types import Floats
 from spectra_kit.geometry.shapes import TriangleMesh
@@ -39,23 +41,9 @@ def join(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
     )
 
 
-def largest_part(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the connected component of the largest area."""
-    labels = mesh.component_labels[mesh.faces[:, 0]]
-    largest = np.bincount(labels, weights=mesh.face_areas).argmax()
-    return TriangleMesh(mesh.points, mesh.faces[labels == largest]).without_unreferenced()
-
-
 def random_rotation(rng: np.random.Generator) -> Floats:
     """Uniform rotation matrix (3, 3), from a uniform quaternion."""
-    w, x, y, z = (q := rng.normal(size=4)) / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return np.asarray(Rotation.from_quat(rng.normal(size=4), scalar_first=True).as_matrix())
 
 
 def superquadric(
@@ -118,8 +106,7 @@ def sweep(
     aspect : float
         Height over width of the section.
     turns : float
-        Turns of the section along the curve, besides those that close it; whole or half ones
-        keep a closed tube smooth.
+        Of the section, besides those that close it; halves keep a closed tube smooth.
     """
     if closed:
         tangent = np.roll(curve, -1, axis=0) - np.roll(curve, 1, axis=0)
@@ -164,14 +151,13 @@ def waves(
 
 def bend(points: Floats, angle: float) -> Floats:
     """Bend the x axis into an arc of `angle` radians in the plane of x and z."""
-    x, z = points[:, 0], points[:, 2]
+    x, y, z = points.T
     length = np.ptp(x)
     if abs(angle) < 1e-6 or length == 0:
         return points
     radius = length / angle
     theta = (x - x.mean()) / radius
-    bent = (radius - z) * np.sin(theta), points[:, 1], radius - (radius - z) * np.cos(theta)
-    return np.column_stack(bent)
+    return np.column_stack([(radius - z) * np.sin(theta), y, radius - (radius - z) * np.cos(theta)])
 
 
 def twist(points: Floats, angle: float) -> Floats:
@@ -193,15 +179,10 @@ def warped(points: Floats, rng: np.random.Generator, likely: float) -> Floats:
     """Stretch, bend, twist, taper along random axes: each with its own share of `likely`."""
     if rng.random() < 0.6 * likely:
         points = points * np.exp(rng.normal(scale=0.22, size=3))
-    if rng.random() < 0.35 * likely:
-        axes = random_rotation(rng)
-        points = bend(points @ axes, rng.uniform(-1.8, 1.8)) @ axes.T
-    if rng.random() < 0.25 * likely:
-        axes = random_rotation(rng)
-        points = twist(points @ axes, rng.uniform(-1.8, 1.8)) @ axes.T
-    if rng.random() < 0.25 * likely:
-        axes = random_rotation(rng)
-        points = taper(points @ axes, rng.uniform(-0.45, 0.45)) @ axes.T
+    for deform, share, most in ((bend, 0.35, 1.8), (twist, 0.25, 1.8), (taper, 0.25, 0.45)):
+        if rng.random() < share * likely:
+            axes = random_rotation(rng)
+            points = deform(points @ axes, rng.uniform(-most, most)) @ axes.T
     return points
 
 
@@ -227,12 +208,8 @@ def bisected(mesh: TriangleMesh, longest: float) -> TriangleMesh:
     return TriangleMesh(points, np.concatenate(done))
 
 
-def vertex_normals(mesh: TriangleMesh) -> Floats:
-    """Area-weighted unit normals (n, 3); zero where no face has area."""
-    a, b, c = (mesh.points[mesh.faces[:, i]] for i in range(3))
-    face_normals = np.cross(b - a, c - a)
-    normals = np.zeros_like(mesh.points)
-    for i in range(3):
-        for axis in range(3):
-            normals[:, axis] += np.bincount(mesh.faces[:, i], face_normals[:, axis], mesh.n)
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
+def raised(mesh: TriangleMesh, height: Floats | float) -> TriangleMesh:
+    """Move each vertex along its normal; where no face around it has area, it stays."""
+    area = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA
+    normals = igl.per_vertex_normals(mesh.points, mesh.faces, area)
+    return mesh.with_points(mesh.points + np.reshape(height, (-1, 1)) * np.nan_to_num(normals))

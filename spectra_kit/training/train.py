@@ -158,16 +158,15 @@ def train(
     limit = config.steps if stop_after is None else min(stop_after, config.steps)
     with ExitStack() as stack:
         enter = stack.enter_context
-        writer = log = None
+        log = None
         if folder is not None and ranks.first:
-            writer = enter(checkpoint.Writer(folder))
             log = enter(Log(folder, state.history, tensorboard=tensorboard))
         enter(run.threads)
         if config.compile:
             run.compile()
         if wait is not None:
             wait()
-        feed = enter(Feed(corpus, config, run.device, share=ranks.share(config.batch)))
+        feed = Feed(corpus, config, run.device, share=ranks.share(config.batch))
         interrupted = enter(_until_interrupt())
         if last and pause_after is not None:
             left = max(1.0, called + pause_after - time.perf_counter())
@@ -191,31 +190,28 @@ def train(
             state.seconds = time.perf_counter() - start
             ended = state.step == config.steps or _progress(config, state) >= 1
             validating = state.step % config.every == 0 or ended
-            noting = validating or state.step % config.log == 0
-            if noting and not ranks.first:
+            if not ranks.first:
                 losses.clear()
-            if noting and ranks.first:
+            elif validating or state.step % config.log == 0:
                 run.read(losses)  # here a device is waited for
                 now = time.perf_counter()
                 row = _row(config, state, lr, (state.samples - noted[1]) / (now - noted[0]))
                 if validating:
-                    row["validation"] = validate(
-                        run.average, validation, config, threads=run.threads
-                    )
+                    error = validate(run.average, validation, config, threads=run.threads)
+                    row["validation"] = error
                 noted = time.perf_counter(), state.samples
                 state.history.append(row)
                 if log is not None:
                     log.add(row)
                 if report is not None:
                     report(row)
-            late = time.monotonic() - saved > config.save
-            if writer is not None and (late or validating) and not writer.busy:
+            if folder is not None and ranks.first and time.monotonic() - saved > config.save:
                 run.read(losses)
-                writer.write(run.content())
+                checkpoint.write(folder, run.content())
                 saved = time.monotonic()
         run.read(losses)
-        if writer is not None:
-            writer.write(run.content())
+        if folder is not None and ranks.first:
+            checkpoint.write(folder, run.content())
     there = corpus if isinstance(corpus, Corpus) else corpus.corpus()
     record = _record(there, config, state)
     return TrainResult(run.average.eval(), record, _progress(config, state) >= 1)

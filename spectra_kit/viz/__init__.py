@@ -6,21 +6,17 @@ the page around them. Neither is imported before a picture is drawn.
 
 from spectra_kit.viz.animation import animate_modes
 from spectra_kit.viz.camera import View
-from spectra_kit.viz.convergence import plot_convergence
-from spectra_kit.viz.correspondence import plot_correspondence, plot_correspondences
-from spectra_kit.viz.fields import plot_fields
-from spectra_kit.viz.front import ParetoPoint, pareto_front
-from spectra_kit.viz.gallery import plot_panels
+from spectra_kit.viz.convergence import SolverRun, plot_convergence
+from spectra_kit.viz.correspondence import MatchedPair, plot_correspondence, plot_correspondences
+from spectra_kit.viz.gallery import plot_fields, plot_panels
 from spectra_kit.viz.isolines import plot_distance
 from spectra_kit.viz.maps import plot_error_curves, plot_functional_map
-from spectra_kit.viz.matched_pair import MatchedPair
 from spectra_kit.viz.modes import plot_comparison, plot_modes
 from spectra_kit.viz.page import Page
 from spectra_kit.viz.panels import Panel
-from spectra_kit.viz.pareto import plot_pareto
+from spectra_kit.viz.pareto import ParetoPoint, pareto_front, plot_pareto
 from spectra_kit.viz.picture import Picture
 from spectra_kit.viz.signatures import plot_signatures
-from spectra_kit.viz.solver_run import SolverRun
 from spectra_kit.viz.spectra import plot_spectrum
 
 __all__ = [

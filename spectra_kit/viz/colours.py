@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from string import ascii_uppercase
+from typing import Any
+
 import numpy as np
 
 from spectra_kit._types import Bytes, Floats
@@ -12,9 +15,16 @@ from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 _DARK, _STRONG, _BLUE, _RED = 0.48, 0.175, 258.0, 28.0  # lightness, chroma, hues in degrees
 _EARLY = 0.4  # chroma rises faster than the lightness falls: clear colours half way
 
+# Of distances from near to far: lightness falls, hue (degrees) turns from yellow to violet.
+_LIGHTNESS, _HUE, _CHROMA = (0.95, 0.56), (100.0, -75.0), (0.10, 0.13)
+
 UNKNOWN = (205, 205, 205)  # of a point whose error is not known
 
-_SQUARES = 16  # along the longest side
+SQUARES = 9  # along the longer side
+_PIXELS = 96  # of the chart, along the side of a square
+_PALE, _DEEP = 0.9, 0.56  # lightness of the squares
+_INK, _CHALK = "#26222c", "#ffffff"  # names on either
+_CHECKS = 16  # along the longest side
 _RELIEF = 0.035  # of the lightness, up and down between neighbouring squares
 # Oklab (B. Ottosson, 2020) to linear sRGB.
 _TO_LMS = np.array([[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728]])
@@ -57,7 +67,7 @@ def position_colours(positions: Floats, low: Floats, high: Floats, *, squares: b
     right, up, near = np.clip(2 * (positions - low) / side - 1, -1.0, 1.0).T
     lightness = 0.72 + 0.15 * up
     if squares:
-        cell = side.max() / _SQUARES
+        cell = side.max() / _CHECKS
         parity = np.floor((positions - low) / cell).astype(np.int64).sum(axis=1) % 2
         lightness = lightness + _RELIEF * (2 * parity - 1)
     return oklab_to_srgb(np.column_stack([lightness, 0.13 * near, 0.15 * right]))
@@ -74,6 +84,23 @@ def error_colours(errors: Floats, limit: float) -> Bytes:
     return colours
 
 
+def largest(distance: Floats) -> float:
+    """Return the largest distance that is finite, where the colours end."""
+    return float(distance[np.isfinite(distance)].max(initial=0.0)) or 1.0
+
+
+def distance_colours(distance: Floats) -> Bytes:
+    """Return the colours (n, 3) of distances (n,): light to dark; grey where infinite."""
+    part = np.clip(distance / largest(distance), 0.0, 1.0)
+    lightness, hue, chroma = (
+        start + (end - start) * part for start, end in (_LIGHTNESS, np.deg2rad(_HUE), _CHROMA)
+    )
+    lab = np.column_stack([lightness, chroma * np.cos(hue), chroma * np.sin(hue)])
+    return np.where(
+        np.isfinite(distance)[:, None], oklab_to_srgb(lab), np.array(UNKNOWN, dtype=np.uint8)
+    )
+
+
 def refined(geometry: Geometry, values: Floats, n: int) -> tuple[Geometry, Floats, Floats | None]:
     """Split the triangles of a mesh into n vertices or more; interpolate values and normals.
 
@@ -84,7 +111,9 @@ def refined(geometry: Geometry, values: Floats, n: int) -> tuple[Geometry, Float
         return geometry, values, None
     import igl
 
-    rows, faces = np.hstack([geometry.points, _normals(geometry), values]), geometry.faces
+    # Of a point without triangles there is none.
+    around = np.nan_to_num(igl.per_vertex_normals(geometry.points, geometry.faces))
+    rows, faces = np.hstack([geometry.points, around, values]), geometry.faces
     while len(rows) < n:
         rows, faces = igl.upsample(rows, faces, 1)
     points, normals, fine = np.split(rows, [3, 6], axis=1)
@@ -92,17 +121,60 @@ def refined(geometry: Geometry, values: Floats, n: int) -> tuple[Geometry, Float
     return TriangleMesh(points, faces), fine, normals
 
 
-def _normals(mesh: TriangleMesh) -> Floats:
-    """Sum of the area vectors of the faces around each vertex, as unit vectors (n, 3)."""
-    a, b, c = (mesh.points[mesh.faces[:, i]] for i in range(3))
-    sums = np.zeros_like(mesh.points)
-    for corner in range(3):
-        np.add.at(sums, mesh.faces[:, corner], np.cross(b - a, c - a))
-    return np.asarray(sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-300))
-
-
 def oklab_to_srgb(lab: Floats) -> Bytes:
     """Oklab (n, 3) as sRGB bytes; what lies outside is cut off."""
     linear = np.clip((lab @ _TO_LMS.T) ** 3 @ _TO_RGB.T, 0.0, 1.0)
     gamma = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return np.asarray(np.round(255 * gamma), dtype=np.uint8)
+
+
+def texture_colours(positions: Floats, low: Floats, high: Floats) -> Bytes:
+    """Colour positions (n, 3) in a box by a chart that lies in the picture plane.
+
+    Light and dark squares, named A1, B1, … from the lower left; bluer to the left and yellower to
+    the right, greener below and redder above.
+    """
+    side = np.maximum(high - low, 1e-300)[:2]
+    cell = side.max() / SQUARES
+    columns, rows = (int(count) for count in np.maximum(np.ceil(side / cell - 1e-9), 1))
+    chart: Bytes = named_squares(columns, rows)
+    at = np.floor((positions[:, :2] - low[:2]) / cell * _PIXELS).astype(np.int64)
+    across = np.clip(at[:, 0], 0, chart.shape[1] - 1)
+    down = np.clip(chart.shape[0] - 1 - at[:, 1], 0, chart.shape[0] - 1)
+    return np.asarray(chart[down, across])
+
+
+def named_squares(columns: int, rows: int) -> Bytes:
+    """Return the picture of a chart, upper row first."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    right, up = np.meshgrid(np.arange(columns), np.arange(rows)[::-1])
+    dark = (right + up) % 2 == 1
+    lab = np.stack(
+        [
+            np.where(dark, _DEEP, _PALE),
+            0.10 * (2 * (up + 0.5) / rows - 1),
+            0.12 * (2 * (right + 0.5) / columns - 1),
+        ],
+        axis=-1,
+    )
+    squares = oklab_to_srgb(lab.reshape(-1, 3)).reshape(rows, columns, 3)
+    figure = Figure(figsize=(columns, rows), dpi=_PIXELS)
+    canvas = FigureCanvasAgg(figure)
+    figure.figimage(squares.repeat(_PIXELS, axis=0).repeat(_PIXELS, axis=1), origin="upper")
+    for column in range(columns):
+        for row in range(rows):
+            figure.text(
+                (column + 0.5) / columns,
+                (row + 0.48) / rows,
+                f"{ascii_uppercase[column]}{row + 1}",
+                fontsize=38,
+                fontweight="bold",
+                color=_CHALK if (column + row) % 2 else _INK,
+                ha="center",
+                va="center",
+            )
+    drawn: Any = canvas
+    drawn.draw()  # untyped in Matplotlib
+    return np.array(drawn.buffer_rgba())[..., :3]

@@ -9,13 +9,18 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from spectra_kit._types import Floats
+from spectra_kit._validate import check_positive
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.viz.colours import largest
 
 Ints = NDArray[np.integer]
 
 _PLATEAU = 1e-6  # of the range of values: what is nearer to a level lies on it
 _ROUNDING = 100 * np.finfo(np.float64).eps  # likewise, of the largest value
 _NEIGHBOURS = 30  # of a point of a cloud, among which its triangles are sought
+_LINES, _MOST = 28, 200  # of a distance: about so many where no spacing is given, and never more
+_CLOSEST = 0.12  # inches between two lines on the page, about, where no spacing is given
 _BESIDE, _REACH = 12, 2.0  # none reaches so much farther than most do to that neighbour
 
 
@@ -85,3 +90,26 @@ def _between(
     part = np.where(upper[start], 0.0, 1.0)
     np.divide(values[start], rise, out=part, where=rise != 0)
     return np.asarray(points[start] + part[:, None] * (points[stop] - points[start]))
+
+
+def distance_levels(distance: Floats, spacing: float | None, *, inch: float) -> Floats:
+    """Return the distances (l,) of the lines: multiples of a spacing, by default a round one.
+
+    An `inch` of the page is so long on the surface.
+    """
+    limit = largest(distance)
+    if spacing is None:
+        spacing = round_number(max(limit / _LINES, _CLOSEST * inch))
+    elif limit / check_positive("spacing", spacing) > _MOST:
+        raise InvalidInputError(
+            "spacing",
+            f"be at least {limit / _MOST:.3g}, to make no more than {_MOST} lines",
+            f"{spacing:.3g}",
+        )
+    return np.asarray(spacing * np.arange(1, int(limit / spacing) + 1))
+
+
+def round_number(value: float) -> float:
+    """Return the nearest of 1, 2, 2.5 and 5 times a power of ten, by ratio."""
+    steps = np.array([1.0, 2.0, 2.5, 5.0, 10.0]) * 10.0 ** np.floor(np.log10(value))
+    return float(steps[np.argmin(np.abs(np.log(steps / value)))])

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
-from spectra_kit._validate import check_positive
+from spectra_kit._validate import Brief, check_positive, frozen, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.viz.axes import LINE_COLOURS, line_style, tidy
 from spectra_kit.viz.page import Page, new_figure
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import plotted
-from spectra_kit.viz.solver_run import SolverRun
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,6 +26,71 @@ _STAGES = ("#D9D9D9", "#B4C7DE", "#8297B8", "#BAD0AE", "#8AAB80", "#A0A0A0", "#6
 _SPECTRUM = "#F4E3B2"
 _FLOOR = 1e-16  # of relative residuals in the picture: below it there is only rounding
 _ROW = 0.27  # inches of one bar
+
+
+@checked
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SolverRun(Brief):
+    """One solver at work: what it did before its first iteration, and its residuals since.
+
+    Attributes
+    ----------
+    name : str
+        Of the solver.
+    stages : mapping of str to float
+        Seconds of what comes before the iterations, in this order.
+    spectrum_seconds : float, default 0
+        Seconds that the modes took which it uses; 0 if it uses none.
+    times : ndarray of shape (i,)
+        Seconds from the start of the solve to when each residual was known, ascending.
+    residuals : ndarray of shape (i,)
+        Relative residuals: at the start and after each iteration, or of a direct solver the one
+        that it ends with. Without any, only the seconds are drawn.
+
+    Raises
+    ------
+    InvalidInputError
+        If `times` are not ascending, or not as many as `residuals`.
+    """
+
+    name: str
+    stages: Mapping[str, float]
+    spectrum_seconds: float = 0.0
+    times: Floats = field(default_factory=lambda: np.zeros(0))
+    residuals: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        times = real_array("times", self.times)
+        residuals = real_array("residuals", self.residuals)
+        if times.ndim != 1 or residuals.shape != times.shape or (np.diff(times) < 0).any():
+            raise InvalidInputError(
+                "times",
+                "be ascending seconds, one for each of `residuals`",
+                f"shapes {times.shape} and {residuals.shape}",
+            )
+        object.__setattr__(self, "times", frozen(times))
+        object.__setattr__(self, "residuals", frozen(residuals))
+
+    @property
+    def start(self) -> float:
+        """Seconds before the iterations, those of the spectrum left out."""
+        return float(sum(self.stages.values()))
+
+    @property
+    def seconds(self) -> float:
+        """Seconds in all, those of the spectrum left out."""
+        return self.start + self.solve_seconds
+
+    @property
+    def solve_seconds(self) -> float:
+        """Seconds of the iterations."""
+        return float(self.times[-1]) if len(self.times) else 0.0
+
+    @property
+    def iterations(self) -> int | None:
+        """How many there were; None for a solver that has none."""
+        count = len(self.residuals)
+        return count - 1 if count > 1 else None
 
 
 @plotted
@@ -41,12 +106,16 @@ def plot_convergence(
 
     Parameters
     ----------
+    $path
     runs : sequence of SolverRun
         At least one.
+    $page
     rtol : float, default 1e-8
         The relative residual at which the solvers stop, a line across.
     solve_name : str, default "solve"
         What to call the iterations, beside the names of the other stages.
+
+    $returns
 
     Notes
     -----
@@ -77,33 +146,23 @@ def convergence_figure(
     begin = page.head + 0.25
     height = begin + 3.4 + rows + 1.1
     figure = new_figure(page, 12, height)
-    grid = figure.add_gridspec(
-        2,
-        3,
-        height_ratios=(3.4, rows),
-        left=0.06,
-        right=0.985,
-        top=1 - begin / height,
-        bottom=0.75 / height,
-        wspace=0.06,
-        hspace=0.32 * 6 / height,
-        width_ratios=(1.15, 1, 1),
-    )
+    across = {"left": 0.06, "right": 0.985, "wspace": 0.06, "width_ratios": (1.15, 1, 1)}
+    down = {"top": 1 - begin / height, "bottom": 0.75 / height, "hspace": 0.32 * 6 / height}
+    grid = figure.add_gridspec(2, 3, height_ratios=(3.4, rows), **across, **down)
     iterations = figure.add_subplot(grid[0, 0])
-    _draw_iterations(iterations, runs)
-    table = figure.add_subplot(grid[1, 0])
-    _draw_table(table, runs)
-    colours = {
-        name: _STAGES[i % len(_STAGES)]
-        for i, name in enumerate(dict.fromkeys(s for run in runs for s in run.stages))
-    }
-    for column, counted in ((1, False), (2, True)):
+    _draw_curves(iterations, runs, "by iterations", None)
+    iterations.set(yscale="log", xlabel="iteration", ylabel="relative residual")
+    _draw_table(figure.add_subplot(grid[1, 0]), runs)
+    names = dict.fromkeys(name for run in runs for name in run.stages)
+    colours = {name: _STAGES[i % len(_STAGES)] for i, name in enumerate(names)}
+    for column, told in ((1, "at hand"), (2, "counted")):
+        before = [run.spectrum_seconds * (column - 1) for run in runs]
         clock = figure.add_subplot(grid[0, column], sharey=iterations)
-        _draw_clock(clock, runs, counted)
-        bars = figure.add_subplot(grid[1, column], sharex=clock)
-        _draw_bars(bars, runs, colours, counted)
+        _draw_curves(clock, runs, f"by the clock, the spectrum {told}", before)
+        _draw_bars(figure.add_subplot(grid[1, column], sharex=clock), runs, colours, before)
         clock.tick_params(labelleft=False)
-    iterations.set_ylim(*_limits(runs, rtol))
+    every = np.concatenate([_shown(run) for run in runs] + [np.array([1.0, rtol])])
+    iterations.set_ylim(float(every.min()) / 4, float(every.max()) * 4)
     for panel in figure.axes[:1] + figure.axes[2::2]:
         panel.axhline(rtol, color="0.6", lw=0.8, zorder=0)
     _set_key(figure, colours, any(run.spectrum_seconds for run in runs), solve_name)
@@ -114,67 +173,46 @@ def _shown(run: SolverRun) -> Floats:
     return np.asarray(np.maximum(run.residuals, _FLOOR))
 
 
-def _limits(runs: Sequence[SolverRun], rtol: float) -> tuple[float, float]:
-    every = np.concatenate([_shown(run) for run in runs] + [np.array([1.0, rtol])])
-    return float(every.min()) / 4, float(every.max()) * 4
+def _draw_curves(
+    panel: Axes, runs: Sequence[SolverRun], title: str, before: Sequence[float] | None
+) -> None:
+    """Residuals by iteration; or by the clock, where curves begin when all before is over.
 
-
-def _draw_iterations(panel: Axes, runs: Sequence[SolverRun]) -> None:
+    A direct solver is a point.
+    """
     for i, run in enumerate(runs):
         colour, dashes = line_style(i)
-        residuals = _shown(run)
-        if run.iterations is None:
-            panel.plot(
-                np.zeros(len(residuals)),
-                residuals,
-                color=colour,
-                marker="D",
-                ms=6,
-                ls="",
-                clip_on=False,
-            )
-        else:
-            panel.plot(residuals, color=colour, ls=dashes, lw=1.7)
-    panel.set(yscale="log", xlabel="iteration", ylabel="relative residual")
-    panel.set_title("by iterations", fontsize=11, loc="left")
-    tidy(panel)
-    panel.set_xlim(left=0)
-
-
-def _draw_clock(panel: Axes, runs: Sequence[SolverRun], counted: bool) -> None:
-    """Curves that begin when their stages are over; a direct solver is a point."""
-    for i, run in enumerate(runs):
-        colour, dashes = line_style(i)
-        begin = run.start + (run.spectrum_seconds if counted else 0.0)
-        residuals, times = _shown(run), begin + run.times
-        if not len(residuals):
-            panel.axvline(begin, color=colour, ls=":", lw=1.4)
-        elif run.iterations is None:
-            panel.plot(times, residuals, color=colour, marker="D", ms=6, ls="")
-        else:
-            panel.plot([0, times[0]], residuals[[0, 0]], color=colour, ls=dashes, lw=0.9, alpha=0.5)
+        residuals, begin = _shown(run), run.start + (before[i] if before else 0.0)
+        times = begin + run.times if before else np.arange(float(len(residuals)))
+        if run.iterations is None and len(residuals):
+            panel.plot(times, residuals, color=colour, marker="D", ms=6, ls="", clip_on=False)
+        elif run.iterations is not None:
+            if before:
+                ends = [0, times[0]], residuals[[0, 0]]
+                panel.plot(*ends, color=colour, ls=dashes, lw=0.9, alpha=0.5)
             panel.plot(times, residuals, color=colour, ls=dashes, lw=1.7)
-    head = "by the clock, the spectrum counted" if counted else "by the clock, the spectrum at hand"
-    panel.set_title(head, fontsize=11, loc="left")
+        elif before:
+            panel.axvline(begin, color=colour, ls=":", lw=1.4)
+    panel.set_title(title, fontsize=11, loc="left")
     tidy(panel)
     panel.set_xlim(left=0)
 
 
 def _draw_bars(
-    panel: Axes, runs: Sequence[SolverRun], colours: Mapping[str, str], counted: bool
+    panel: Axes, runs: Sequence[SolverRun], colours: Mapping[str, str], before: Sequence[float]
 ) -> None:
     """The stages of each run, one after the other."""
     for row, run in enumerate(runs):
+        stages = [(seconds, colours[name]) for name, seconds in run.stages.items()]
         left = 0.0
-        pieces = [(seconds, colours[name]) for name, seconds in run.stages.items()]
-        pieces.append((run.solve_seconds, line_style(row)[0]))
-        if counted:
-            pieces.insert(0, (run.spectrum_seconds, _SPECTRUM))
-        for seconds, colour in pieces:
+        for seconds, colour in (
+            *((before[row], _SPECTRUM), *stages),
+            (run.solve_seconds, line_style(row)[0]),
+        ):
             panel.barh(row, seconds, left=left, height=0.66, color=colour)
             left += seconds
         panel.text(left, row, f" {short(left)} s", fontsize=8, color="0.3", va="center")
-    most = max(run.seconds + (run.spectrum_seconds if counted else 0.0) for run in runs)
+    most = max(run.seconds + first for run, first in zip(runs, before, strict=True))
     panel.set(xlim=(0, 1.16 * most), xlabel="seconds")
     panel.set_ylim(len(runs) - 0.4, -0.6)
     panel.set_yticks([])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -11,19 +11,17 @@ from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import check_positive
+from spectra_kit._validate import Brief, check_indices, check_positive
 from spectra_kit.correspondence import MapErrors
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import View, fitting_size
-from spectra_kit.viz.colours import error_colours, position_colours, refined
-from spectra_kit.viz.matched_pair import MatchedPair
+from spectra_kit.viz.colours import error_colours, position_colours, refined, texture_colours
 from spectra_kit.viz.page import Page
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import plotted
 from spectra_kit.viz.render import Scene, render
 from spectra_kit.viz.table import Bar, Cell, set_table
-from spectra_kit.viz.texture import texture_colours
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,6 +32,49 @@ _WIDEST, _TALLEST, _NARROWEST = 3.4, 3.6, 2.2  # inches of a picture, and of a c
 _PIXELS = {"colours": 4, "texture": 1}  # to a vertex: a pattern inside triangles looks sharp
 _HEADS = ("source", "target")
 _PERCENTILE = 99.0  # a lone outlier must not bleach the rest
+
+
+@checked
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MatchedPair(Brief):
+    """Two geometries, a map between them, and what to write beside their pictures.
+
+    Attributes
+    ----------
+    source, target : TriangleMesh or PointCloud
+        With n1 and n2 points.
+    point_map : array_like of shape (n2,), integers
+        The source point of each target point.
+    errors : MapErrors, optional
+        Of the map, which say at which target points they are.
+    name : str
+        Set beside the row, reading upwards.
+    names : tuple of str
+        What to call the two.
+    """
+
+    source: Geometry
+    target: Geometry
+    point_map: ArrayLike
+    errors: MapErrors | None = None
+    name: str = ""
+    names: tuple[str, str] = ("source", "target")
+
+    def checked_map(self) -> Ints:
+        """Return the point map if it fits the two geometries."""
+        n = self.target.n
+        if np.shape(self.point_map) != (n,):
+            raise InvalidInputError(
+                "point_map",
+                f"have shape ({n},), a source point for each target point",
+                np.shape(self.point_map),
+                advice="are source and target exchanged?",
+            )
+        return check_indices("point_map", self.point_map, self.source.n)
+
+    def checked_errors(self) -> Floats | None:
+        """Return the errors at each target point, (n2,), NaN where not known."""
+        return None if self.errors is None else self.errors.at_points(self.target.n)
 
 
 @plotted
@@ -57,10 +98,13 @@ def plot_correspondence(
 
     Parameters
     ----------
+    $path
     source, target : TriangleMesh or PointCloud
         With n1 and n2 points. A cloud is drawn as balls that overlap a little.
     point_map : array_like of shape (n2,), integers
         The source point of each target point.
+    $view
+    $page
     errors : MapErrors, optional
         Of the map, drawn in a third column at the target points that they are of; those of a mesh
         are made by `correspondence.map_errors`.
@@ -72,6 +116,8 @@ def plot_correspondence(
         Says what the errors are, and in which unit.
     names : tuple of str, default ("source", "target")
         What to call the two.
+
+    $returns
 
     Notes
     -----
@@ -112,14 +158,19 @@ def plot_correspondences(
 
     Parameters
     ----------
+    $path
     pairs : sequence of MatchedPair
         At least one. If one has errors, all share their colour scale.
+    $view
+    $page
     transfer : {"colours", "texture"}, default "colours"
         As in `plot_correspondence`.
     limit : float, optional
         The error at the dark end of the colours, for all.
     error_label : str
         Says what the errors are, and in which unit.
+
+    $returns
 
     Examples
     --------
@@ -151,26 +202,29 @@ def _draw(
     if limit is None:
         limit = (float(np.percentile(known, _PERCENTILE)) if len(known) else 0.0) or 1.0
     check_positive("limit", limit)
-    scenes = [
-        scene
-        for pair, p, e in zip(pairs, maps, errors, strict=True)
-        for scene in _scenes(
-            pair, p, e, limit, page.dpi, view.rotation(pair.source), behind, transfer
-        )
-    ]
+    scenes = []
+    for pair, point_map, error in zip(pairs, maps, errors, strict=True):
+        rotation = view.rotation(pair.source)
+        places = pair.source.points @ rotation.T
+        box = places.min(axis=0), places.max(axis=0)
+        carried = places[point_map]
+        if error is not None:
+            carried = np.column_stack([carried, error])
+        for geometry, values in ((pair.source, places), (pair.target, carried)):
+            scene = _scene(geometry, values, box, limit, rotation, page.dpi, transfer)
+            scenes.append(replace(scene, behind=behind))
     drawn = render(scenes)
     other = "other side" if transfer == "colours" else "other side, mirrored"
     rows, sides = [], []
     for pair, source, target in zip(pairs, drawn[::2], drawn[1::2], strict=True):
         sides += ["one side", other] if behind else [pair.name]
         named = () if behind or pair.names == _HEADS else pair.names
+        lines = [(name,) for name in named] + [()] * 3
         each = np.split(target, len(source))  # the pictures of one side follow each other
         for first, rest in zip(source, each, strict=True):
-            lines = [(name,) for name in named] + [()] * 3
-            rows.append(
-                [Cell(picture=p, lines=t) for p, t in zip([first, *rest], lines, strict=False)]
-            )
-    if any(e is not None for e in errors):
+            pictures = zip([first, *rest], lines, strict=False)
+            rows.append([Cell(picture=picture, lines=told) for picture, told in pictures])
+    if any(error is not None for error in errors):
         strip = error_colours(np.linspace(0.0, 1.0, 256), 1.0)
         last = max(i for i, row in enumerate(rows) if len(row) > 2)
         bar = Bar(colours=strip, ends=("0", short(limit)), label=error_label)
@@ -179,39 +233,23 @@ def _draw(
     return set_table(page, rows, heads=heads, names=sides, cell=_NARROWEST)
 
 
-def _scenes(
-    pair: MatchedPair,
-    point_map: Ints,
-    errors: Floats | None,
+def _scene(
+    geometry: Geometry,
+    values: Floats,
+    box: tuple[Floats, Floats],
     limit: float,
-    dpi: int,
     rotation: Floats,
-    behind: bool,
+    dpi: int,
     transfer: Transfer,
-) -> tuple[Scene, Scene]:
-    """Source, and target with the errors where there are any."""
-    places = pair.source.points @ rotation.T
-    low, high = places.min(axis=0), places.max(axis=0)
-
-    def scene(geometry: Geometry, values: Floats) -> Scene:
-        inches = fitting_size(geometry, rotation, _WIDEST, _TALLEST)
-        width, height = (round(side * dpi) for side in inches)
-        fine, values, normals = refined(geometry, values, width * height // _PIXELS[transfer])
-        if transfer == "texture":
-            colours = [texture_colours(values[:, :3], low, high)]
-        else:
-            colours = [position_colours(values[:, :3], low, high, squares=normals is not None)]
-        if values.shape[1] > 3:
-            colours.append(error_colours(values[:, 3], limit))
-        return Scene(
-            geometry=fine,
-            functions=colours,
-            rotation=rotation,
-            width=width,
-            normals=normals,
-            behind=behind,
-        )
-
-    carried = places[point_map]
-    on_target = carried if errors is None else np.column_stack([carried, errors])
-    return scene(pair.source, places), scene(pair.target, on_target)
+) -> Scene:
+    """Colour by `values` (n, 3), places in the box; by errors, too, which are a fourth column."""
+    inches = fitting_size(geometry, rotation, _WIDEST, _TALLEST)
+    width, height = (round(side * dpi) for side in inches)
+    fine, values, normals = refined(geometry, values, width * height // _PIXELS[transfer])
+    if transfer == "texture":
+        colours = [texture_colours(values[:, :3], *box)]
+    else:
+        colours = [position_colours(values[:, :3], *box, squares=normals is not None)]
+    if values.shape[1] > 3:
+        colours.append(error_colours(values[:, 3], limit))
+    return Scene(geometry=fine, functions=colours, rotation=rotation, width=width, normals=normals)

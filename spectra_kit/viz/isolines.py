@@ -13,18 +13,18 @@ from spectra_kit._validate import check_points
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import View, fitting_size
-from spectra_kit.viz.contours import level_lines, triangles_of
-from spectra_kit.viz.distance_scale import EVERY, distance_colours, distance_levels, largest
-from spectra_kit.viz.marks import with_balls
+from spectra_kit.viz.colours import distance_colours, largest
+from spectra_kit.viz.contours import distance_levels, level_lines, triangles_of
 from spectra_kit.viz.page import MARGIN, Page
 from spectra_kit.viz.pen import Pen
 from spectra_kit.viz.picture import plotted
-from spectra_kit.viz.render import Scene, render
+from spectra_kit.viz.render import Scene, render, with_balls
 from spectra_kit.viz.table import Cell, set_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+EVERY = 5  # so many lines make a thicker one
 MARK = (24, 24, 40)  # the colour of what marks a source
 _THIN, _THICK = 0.7, 1.3  # of a line, in points (1/72 inch)
 # Inches.
@@ -49,14 +49,20 @@ def plot_distance(
 
     Parameters
     ----------
+    $path
+    $geometry
     distance : array_like of shape (n,)
         In the unit of length, >= 0; infinity is drawn in grey.
+    $view
+    $page
     sources : array_like of shape (s, 3), optional
         Places to mark by black balls.
     spacing : float, optional
         Between two lines, in the unit of length; by default a round number that makes at most 40.
     label : str, default "distance"
         Set below the scale.
+
+    $returns
 
     Notes
     -----
@@ -83,19 +89,16 @@ def plot_distance(
     lines, widths = distance_lines(geometry, values, levels)
     drawn, ball = with_balls(geometry, marks, _BALL * unit)
     mark = np.full((int(np.count_nonzero(ball >= 0)), 3), MARK, dtype=np.uint8)
-    (pictures,) = render(
-        [
-            Scene(
-                geometry=drawn,
-                functions=[np.vstack([distance_colours(values), mark])],
-                rotation=rotation,
-                width=round(across * dpi),
-                behind=True,
-                lines=[lines],
-                line_width=widths * dpi / 72,
-            )
-        ]
+    scene = Scene(
+        geometry=drawn,
+        functions=[np.vstack([distance_colours(values), mark])],
+        rotation=rotation,
+        width=round(across * dpi),
+        behind=True,
+        lines=[lines],
+        line_width=widths * dpi / 72,
     )
+    (pictures,) = render([scene])
     cells = [Cell(picture=picture) for picture in pictures]
     stacked = across > 2 * tall
     figure = set_table(

@@ -32,8 +32,12 @@ def plot_functional_map(
 
     Parameters
     ----------
+    $path
     functional_map : array_like of shape (k2, k1)
         C_12, from the source's modes (columns) to the target's (rows).
+    $page
+
+    $returns
 
     Notes
     -----
@@ -76,12 +80,16 @@ def plot_error_curves(
 
     Parameters
     ----------
+    $path
     errors : mapping of str to array_like of shape (c,)
         For each method its errors, >= 0, of all pairs together.
+    $page
     limit : float, default 10
         The largest error shown, in the unit of `errors`.
     error_label : str
         Says what the errors are, and in which unit.
+
+    $returns
 
     Notes
     -----

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,8 +12,7 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.viz.axes import LINE_COLOURS, log_ticks, tidy
-from spectra_kit.viz.front import ParetoPoint, pareto_front
+from spectra_kit.viz.axes import line_style, log_ticks, tidy
 from spectra_kit.viz.labels import place_labels
 from spectra_kit.viz.page import Page, new_diagram
 from spectra_kit.viz.picture import plotted
@@ -24,8 +24,77 @@ if TYPE_CHECKING:
 
 _WIDTH, _HEIGHT = 8.4, 5.2  # inches
 _MARKERS = "osD^vP*Xp"
-_INK: dict[str, Any] = {"fontsize": 8, "color": "0.2"}
+_INK: dict[str, Any] = {"fontsize": 8, "color": "0.2", "parse_math": False}
 _LINED = 14.0  # names further than this from their dot, in points, are tied to it by a line
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class ParetoPoint:
+    """One run of one method: its seconds, and its error.
+
+    Attributes
+    ----------
+    name : str
+        Written beside its dot.
+    group : str
+        Points of one group share a colour and a marker.
+    seconds : float
+        Positive.
+    error : float
+        Not negative.
+    league : str, default ""
+        Points of one league share a front: a processor, for example.
+
+    Raises
+    ------
+    InvalidInputError
+        If `seconds` is not positive, or `error` negative or not finite.
+    """
+
+    name: str
+    group: str
+    seconds: float
+    error: float
+    league: str = ""
+
+    def __post_init__(self) -> None:
+        check_positive("seconds", self.seconds)
+        if not (np.isfinite(self.error) and self.error >= 0):
+            raise InvalidInputError("error", "be finite and >= 0", repr(self.error))
+
+
+@checked
+def pareto_front(points: Sequence[ParetoPoint], *, floor: float = 0.0) -> list[ParetoPoint]:
+    """Return the points that no other one beats in both time and error.
+
+    Parameters
+    ----------
+    points : sequence of ParetoPoint
+        In any order.
+    floor : float, default 0
+        Smaller errors count as this.
+
+    Returns
+    -------
+    list of ParetoPoint
+        Fastest first, each with less error than the one before.
+
+    Examples
+    --------
+    >>> from spectra_kit.viz import ParetoPoint, pareto_front
+    >>> runs = [
+    ...     ParetoPoint(name=name, group="", seconds=seconds, error=error)
+    ...     for name, seconds, error in (("a", 1, 0.1), ("b", 2, 0.2), ("c", 3, 0.01))
+    ... ]
+    >>> [run.name for run in pareto_front(runs)]
+    ['a', 'c']
+    """
+    front: list[ParetoPoint] = []
+    for point in sorted(points, key=lambda p: (p.seconds, max(p.error, floor))):
+        if not front or max(point.error, floor) < max(front[-1].error, floor):
+            front.append(point)
+    return front
 
 
 @plotted
@@ -43,14 +112,18 @@ def plot_pareto(
 
     Parameters
     ----------
+    $path
     points : sequence of ParetoPoint
         At least one.
+    $page
     floor : float, default 1e-12
         Smaller errors are drawn here as hollow dots, on a grey ground: they are rounding.
     marks : mapping of str to float, optional
         Seconds of what has no error to compare, such as the exact solver, as lines with a name.
     xlabel, ylabel : str
         Of the axes.
+
+    $returns
 
     Notes
     -----
@@ -93,42 +166,35 @@ def pareto_figure(
         ylim=_limits(errors, right=0.1),
     )
     tidy(panel)
-    lines = [_steps(front, floor, panel.get_xlim()[1]) for front in _fronts(points, floor)]
-    for i, line in enumerate(lines):
-        told = None if i else "nothing is both faster and better"
-        panel.plot(*line.T, color="0.72", lw=2.0, zorder=1, label=told)
+    lines = []
+    for league in dict.fromkeys(p.league for p in points):
+        front = pareto_front([p for p in points if p.league == league], floor=floor)
+        lines.append(_steps(front, floor, panel.get_xlim()[1]))
+        told = None if lines[1:] else "nothing is both faster and better"
+        panel.plot(*lines[-1].T, color="0.72", lw=2.0, zorder=1, label=told)
     for i, group in enumerate(dict.fromkeys(p.group for p in points)):
-        panel.plot(
-            *_places([p for p in points if p.group == group], floor).T,
-            ls="",
-            color=LINE_COLOURS[i % len(LINE_COLOURS)],
-            marker=_MARKERS[i % len(_MARKERS)],
-            ms=7,
-            mec="white",
-            mew=0.8,
-            label=group,
-            zorder=3,
-        )
+        style: dict[str, Any] = {"color": line_style(i)[0], "marker": _MARKERS[i % len(_MARKERS)]}
+        style |= {"ls": "", "ms": 7, "mec": "white", "mew": 0.8, "label": group, "zorder": 3}
+        panel.plot(*_places([p for p in points if p.group == group], floor).T, **style)
     if rounded := [p for p in points if p.error <= floor]:
         panel.plot(*_places(rounded, floor).T, ls="", marker="o", ms=3.4, color="white", zorder=3)
         told = f"hollow: {floor:.2g} or less, rounding"
         panel.axhspan(panel.get_ylim()[0], floor, color="0.92", lw=0, zorder=0, label=told)
     for name, seconds in marks.items():
         panel.axvline(seconds, color="0.45", ls=(0, (4, 2)), lw=1.1, zorder=0)
-        style: dict[str, Any] = {"transform": panel.get_xaxis_transform(), "parse_math": False}
-        panel.text(seconds, 0.985, f"{name} ", rotation=90, ha="right", va="top", **_INK, **style)
+        place: dict[str, Any] = {
+            "transform": panel.get_xaxis_transform(),
+            "ha": "right",
+            "va": "top",
+        }
+        panel.text(seconds, 0.985, f"{name} ", rotation=90, **_INK, **place)
         lines.append(np.column_stack([[seconds] * 2, panel.get_ylim()]))
     log_ticks(panel.xaxis, plain=True)
     log_ticks(panel.yaxis)
     handles, names = panel.get_legend_handles_labels()
-    figure.legend(
-        [*handles[1:], handles[0]],  # the front last
-        [*names[1:], names[0]],
-        loc="outside lower center",
-        ncols=5,
-        fontsize=9,
-        frameon=False,
-        columnspacing=1.5,
+    style = {"loc": "outside lower center", "ncols": 5, "columnspacing": 1.5}
+    figure.legend(  # the front last
+        *([*handles[1:], handles[0]], [*names[1:], names[0]]), fontsize=9, frameon=False, **style
     )
     figure.draw_without_rendering()  # now the axes are where they will be
     _write_names(panel, points, floor, lines)
@@ -145,38 +211,20 @@ def _write_names(
         return np.asarray(panel.transData.transform(places) / unit)
 
     places = _places(points, floor)
+    offset: dict[str, Any] = {"textcoords": "offset points"}
     texts = [
-        panel.annotate(
-            point.name,
-            xy=place,
-            xytext=(0, 0),
-            textcoords="offset points",
-            va="bottom",
-            parse_math=False,
-            zorder=4,
-            **_INK,
-        )
-        for point, place in zip(points, places, strict=True)
+        panel.annotate(p.name, xy=at, xytext=(0, 0), va="bottom", zorder=4, **_INK, **offset)
+        for p, at in zip(points, places, strict=True)
     ]
     sizes = np.array([text.get_window_extent().size for text in texts]) / unit
     anchors, room = on_page(places), panel.bbox.get_points() / unit
     corners = place_labels(anchors, sizes, room, np.vstack([_dots(on_page(x)) for x in lines]))
-    for text, place, offset, size in zip(texts, places, corners - anchors, sizes, strict=True):
-        text.set_position(tuple(offset))
-        nearest = np.clip(0.0, offset, offset + size)
+    for text, place, low, size in zip(texts, places, corners - anchors, sizes, strict=True):
+        text.set_position(tuple(low))
+        nearest = np.clip(0.0, low, low + size)
         if np.linalg.norm(nearest) > _LINED:
             tie = {"arrowstyle": "-", "color": "0.6", "lw": 0.6, "shrinkA": 0, "shrinkB": 3}
-            panel.annotate(
-                "", xy=place, xytext=tuple(nearest), textcoords="offset points", arrowprops=tie
-            )
-
-
-def _fronts(points: Sequence[ParetoPoint], floor: float) -> list[list[ParetoPoint]]:
-    """One for each league."""
-    leagues = dict.fromkeys(p.league for p in points)
-    return [
-        pareto_front([p for p in points if p.league == league], floor=floor) for league in leagues
-    ]
+            panel.annotate("", xy=place, xytext=tuple(nearest), arrowprops=tie, **offset)
 
 
 def _steps(front: Sequence[ParetoPoint], floor: float, end: float) -> Floats:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import inspect
 import os
-import re
 from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
+from string import Template
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar, cast, overload
 
 from spectra_kit._checked import checked
@@ -22,15 +22,14 @@ if TYPE_CHECKING:
 
 _TYPES = {".png": "image/png", ".gif": "image/gif", ".svg": "image/svg+xml"}
 
-_PARAMETERS = "Parameters\n----------\n"
+# What stands in the docstring of every plot that writes $path, $geometry and so on.
 _SHARED = {
     "path": "path : path-like, optional\n    The file to write; see `Picture`.",
-    "geometry": "geometry : TriangleMesh or PointCloud\n"
-    "    A cloud is drawn as balls that overlap a little.",
+    "geometry": "geometry : TriangleMesh or PointCloud\n    A cloud is drawn as balls.",
     "view": "view : View, optional\n    Where it is seen from.",
     "page": "page : Page, optional\n    Its head, and its resolution.",
+    "returns": "Returns\n-------\nPicture\n    What was drawn.",
 }
-_RETURNS = ("", "Returns", "-------", "Picture", "    What was drawn.", "")
 
 PathLike = str | os.PathLike[str]
 Options = ParamSpec("Options")
@@ -66,15 +65,16 @@ class Picture:
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
         """What a notebook shows; its own words for the object where that is nothing."""
-        if self.path is None:
-            kind, content = ("png", "gif")[self.content.startswith(b"GIF")], self.content
-            return {_TYPES[f".{kind}"]: b64encode(content).decode("ascii")} if content else {}
-        shown = _TYPES.get(self.path.suffix.lower())
-        if shown is None or not self.path.is_file():
+        content = self.content
+        suffix = ".gif" if content.startswith(b"GIF") else ".png"
+        if self.path is not None:
+            suffix = self.path.suffix.lower()
+            content = self.path.read_bytes() if self.path.is_file() else b""
+        if suffix not in _TYPES or not content:
             return {}
-        if self.path.suffix.lower() == ".svg":
-            return {shown: self.path.read_text(encoding="utf-8")}
-        return {shown: b64encode(self.path.read_bytes()).decode("ascii")}
+        return {
+            _TYPES[suffix]: content.decode() if suffix == ".svg" else b64encode(content).decode()
+        }
 
 
 class Plot(Protocol[Options]):
@@ -94,8 +94,7 @@ def written(
     """Decorate what draws something: it then takes a path, and returns a `Picture`.
 
     The path is refused before the drawing if `write` could not write there. The first of the
-    `suffixes` is what a picture without a path is made of. What all plots take and return is added
-    to the docstring.
+    `suffixes` is what a picture without a path is made of.
     """
 
     def decorate(draw: Callable[Options, Drawn]) -> Plot[Options]:
@@ -123,23 +122,10 @@ def written(
         plot.__signature__ = own.replace(  # type: ignore[attr-defined]
             parameters=[path, *own.parameters.values()], return_annotation="Picture"
         )
-        plot.__doc__ = draw.__doc__ and _documented(inspect.cleandoc(draw.__doc__), own)
+        plot.__doc__ = Template(inspect.cleandoc(draw.__doc__ or "")).substitute(_SHARED) + "\n"
         return cast(Plot[Options], plot)
 
     return decorate
-
-
-def _documented(text: str, signature: inspect.Signature) -> str:
-    """A docstring, with what all plots take and return added to its parameters."""
-    start = text.index(_PARAMETERS) + len(_PARAMETERS)
-    own, _, rest = text[start:].partition("\n\n")
-    names = ["path", *signature.parameters]
-    entries = {re.split("[ ,]", entry)[0]: entry for entry in re.split(r"\n(?=\w)", own)}
-    entries = {name: entry for name, entry in _SHARED.items() if name in names} | entries
-    ordered = sorted(entries, key=names.index)
-    return "\n".join(
-        [text[:start] + "\n".join(entries[name] for name in ordered), *_RETURNS, rest, ""]
-    )
 
 
 @checked
@@ -160,10 +146,10 @@ def _ends_in(path: object, suffixes: tuple[str, ...]) -> bool:
 
 
 def save(figure: Figure, path: PathLike) -> None:
-    """Write a figure.
+    """Write a figure; the same one gives the same bytes.
 
     In ``.pdf`` and ``.svg`` text stays text and lines stay lines; pictures are embedded pixel by
-    pixel. The same figure gives the same bytes.
+    pixel.
     """
     from matplotlib import rc_context
 
@@ -176,10 +162,7 @@ def save(figure: Figure, path: PathLike) -> None:
 
 
 def _embed_pictures(figure: Figure) -> None:
-    """Turn pictures laid on the pixels of a page into ones that a page without pixels scales.
-
-    Matplotlib would resample the former, and leave faint edges.
-    """
+    """Let a page without pixels scale the pictures: resampled, they would have faint edges."""
     width, height = figure.get_size_inches() * figure.dpi
     images: list[Any] = list(figure.images)
     for image in images:

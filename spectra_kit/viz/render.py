@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from spectra_kit._types import Bytes, Floats
-from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit._types import Bytes, Floats, Ints
+from spectra_kit.geometry.reference import sphere
+from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 from spectra_kit.viz.contours import triangles_of
 from spectra_kit.viz.drawer import draw_requests
 
@@ -23,49 +24,23 @@ _LARGEST_BALL = 0.12  # of the longest side
 class Scene:
     """A geometry seen from one side, or two, once for each function on it.
 
-    Attributes
-    ----------
-    geometry : TriangleMesh or PointCloud
-        A cloud is drawn as balls, and behind them the triangles between: no gap shows the far side.
-    functions : sequence of ndarray of shape (n,)
-        Values in [-1, 1]; what lies outside takes the colour of the end. Without `colours`: the
-        colour of each point, shape (n, 3), uint8.
-    rotation : ndarray of shape (3, 3)
-        Rows: to the right, up, and towards the viewer.
-    width : int
-        Of a picture, in pixels; the height follows the geometry.
-    colours : ndarray of shape (c, 3), uint8, optional
-        From -1 to 1.
-    normals : ndarray of shape (n, 3), optional
-        Of a mesh, to light it by; by default those of its faces, averaged where it is not sharp.
-    behind : bool, default False
-        Draw all functions again from the other side.
-    shifts : sequence of ndarray of shape (n, 3), optional
-        For each function, how far it moves the points.
-    swings : sequence of float, default (1,)
-        Each function is drawn once for each of these, multiplied by it like its shift. All
-        pictures have the same camera, with room for the largest shift.
-    lines : sequence of ndarray of shape (s, 2, 3), optional
-        For each function, segments to draw in dark grey a little before the surface.
-    line_width : float or ndarray of shape (s,), default 2
-        Of these, or of each of them all, in pixels: the same wherever they are, whatever way they
-        run.
-    diameter : float, optional
-        Of the balls of a cloud; by default `ball_diameter`.
+    A cloud is drawn as balls, and behind them the triangles between: no gap shows the far side.
     """
 
     geometry: Geometry
-    functions: Sequence[Floats] | Sequence[Bytes]
-    rotation: Floats
-    width: int
-    colours: Bytes | None = None
-    normals: Floats | None = None
-    behind: bool = False
-    shifts: Sequence[Floats] | None = None
+    functions: Sequence[Floats] | Sequence[Bytes]  # (n,) in [-1, 1]; or (n, 3), without `colours`
+    rotation: Floats  # rows: to the right, up, and towards the viewer
+    width: int  # of a picture, in pixels; the height follows the geometry
+    colours: Bytes | None = None  # (c, 3), from -1 to 1
+    normals: Floats | None = None  # (n, 3), to light by; else those of the faces, where not sharp
+    behind: bool = False  # draw all functions again from the other side
+    shifts: Sequence[Floats] | None = None  # (n, 3): how far each function moves the points
+    # Each function is drawn once for each of these, multiplied by it like its shift; all pictures
+    # have the same camera, with room for the largest shift.
     swings: Sequence[float] = (1.0,)
-    lines: Sequence[Floats] | None = None
-    line_width: float | Floats = 2.0
-    diameter: float | None = None
+    lines: Sequence[Floats] | None = None  # (s, 2, 3) of each function, lifted a little
+    line_width: float | Floats = 2.0  # in pixels, whatever way they run; or (s,) of all of them
+    diameter: float | None = None  # of the balls of a cloud; by default `ball_diameter`
 
     @property
     def n_pictures(self) -> int:
@@ -81,11 +56,8 @@ def render(
     `progress` is called after each with the number of those drawn, and of all.
     """
     total = sum(scene.n_pictures for scene in scenes)
-    pictures = iter(
-        draw_requests(
-            [_request(scene) for scene in scenes], lambda done: progress and progress(done, total)
-        )
-    )
+    requests = [_request(scene) for scene in scenes]
+    pictures = iter(draw_requests(requests, lambda done: progress and progress(done, total)))
     return [np.stack(list(islice(pictures, scene.n_pictures))) for scene in scenes]
 
 
@@ -134,3 +106,17 @@ def ball_diameter(geometry: Geometry) -> float:
     distances, _ = cKDTree(geometry.points).query(geometry.points, k=min(13, geometry.n))
     longest = float(np.ptp(geometry.points, axis=0).max())
     return min(float(np.median(np.atleast_2d(distances.T)[-1])), _LARGEST_BALL * longest)
+
+
+def with_balls(geometry: Geometry, centres: Floats, radius: float) -> tuple[Geometry, Ints]:
+    """Return a geometry with balls of a radius around `centres` (b, 3) after its own points.
+
+    And the number of the ball that each of its points belongs to, -1 for the first n.
+    """
+    ball = sphere(subdivisions=3 if isinstance(geometry, TriangleMesh) else 2).geometry
+    owner = np.append(np.full(geometry.n, -1), np.repeat(np.arange(len(centres)), ball.n))
+    points = np.vstack([geometry.points, *(radius * ball.points + centre for centre in centres)])
+    if not isinstance(geometry, TriangleMesh):
+        return PointCloud(points), owner
+    faces = [ball.faces + geometry.n + i * ball.n for i in range(len(centres))]
+    return TriangleMesh(points, np.vstack([geometry.faces, *faces])), owner

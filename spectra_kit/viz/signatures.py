@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Literal
+from string import ascii_lowercase
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,12 +16,11 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.axes import LINE_COLOURS, line_style, log_ticks, tidy
 from spectra_kit.viz.camera import View, fitting_size
-from spectra_kit.viz.marks import with_balls
 from spectra_kit.viz.page import MARGIN, Page
 from spectra_kit.viz.panels import Panel, sequential_limits
 from spectra_kit.viz.pen import Pen, short
 from spectra_kit.viz.picture import plotted
-from spectra_kit.viz.render import Scene, ball_diameter, render
+from spectra_kit.viz.render import Scene, ball_diameter, render, with_balls
 from spectra_kit.viz.table import Cell, set_table
 
 if TYPE_CHECKING:
@@ -55,6 +55,7 @@ def plot_signatures(
 
     Parameters
     ----------
+    $path
     geometry : TriangleMesh or PointCloud
         With n points.
     signature : array_like of shape (n, t)
@@ -62,6 +63,8 @@ def plot_signatures(
         `wave_kernel_signature`.
     scales : array_like of shape (t,)
         Ascending, two or more: times in length^2, or energies (logarithms of eigenvalues).
+    $view
+    $page
     points : array_like of shape (p,)
         Indices of one to nine points: each gets a curve, and a ball of its colour in the pictures.
     kind : {"heat", "wave"}, default "heat"
@@ -70,6 +73,8 @@ def plot_signatures(
     shown : array_like of shape (s,), optional
         Which scales to draw on the geometry, as one to nine indices; by default four, evenly
         spread.
+
+    $returns
 
     Notes
     -----
@@ -97,9 +102,13 @@ def plot_signatures(
     if shown is None:
         shown = np.linspace(0, len(at) - 1, _PICTURES + 2).astype(int)[1:-1]
     drawn = _few("shown", np.unique(shown), len(at))
-    panels = [
-        _panel(values[:, i], f"{_letter(j)}   {_named(at[i], kind)}") for j, i in enumerate(drawn)
-    ]
+    panels = []
+    for letter, i in zip(ascii_lowercase, drawn, strict=False):
+        low, high = sequential_limits(values[:, i])
+        told = f"t = {short(at[i])}" if kind == "heat" else f"energy {at[i]:.2f}"
+        panels.append(
+            Panel(values=values[:, i], low=low, limit=high, lines=(f"{letter}   {told}",))
+        )
     pictures, seen = _pictures(geometry, panels, chosen, view.rotation(geometry), page.dpi)
     cells = [
         Cell(picture=picture, lines=panel.lines, bar=panel.bar())
@@ -115,10 +124,11 @@ def plot_signatures(
     pen, below = Pen(figure), MARGIN + _FOOT
     box = (MARGIN + _SIDE, below, _CURVES, figure.get_figheight() - page.head - below - _HEAD)
     axes = figure.add_axes(tuple(np.array(box) / ([pen.width, pen.height] * 2)))
-    named = [
-        f"point {i}" + ("" if there else " (hidden)") for i, there in zip(chosen, seen, strict=True)
-    ]
-    draw_curves(axes, values, at, dict(zip(named, chosen, strict=True)), drawn, kind)
+    named = {
+        f"point {i}" + ("" if there else " (hidden)"): i
+        for i, there in zip(chosen, seen, strict=True)
+    }
+    draw_curves(axes, values, at, named, drawn, kind)
     return figure
 
 
@@ -136,17 +146,10 @@ def draw_curves(
     for i, (name, point) in enumerate(points.items()):
         colour, dashes = line_style(i)
         axes.plot(scales, values[point], color=colour, ls=dashes, lw=1.8, label=name)
-    for j, at in enumerate(scales[shown]):
+    for letter, at in zip(ascii_lowercase, scales[shown], strict=False):
         axes.axvline(at, color="0.55", lw=0.8, ls=":", zorder=0)
-        axes.annotate(
-            _letter(j),
-            (at, 1),
-            xycoords=axes.get_xaxis_transform(),
-            xytext=(0, 3),
-            textcoords="offset points",
-            ha="center",
-            fontsize=9.5,
-        )
+        above: dict[str, Any] = {"xycoords": axes.get_xaxis_transform(), "ha": "center"}
+        axes.annotate(letter, (at, 1), (0, 3), textcoords="offset points", fontsize=9.5, **above)
     if kind == "heat":
         axes.set(xscale="log", yscale="log", xlabel="time t  [length²]")
         axes.set_ylabel("heat kernel signature  [1/length²]")
@@ -170,12 +173,16 @@ def _pictures(
     marked, rim = with_balls(geometry, rims, 1.35 * radius)
     marked, ball = with_balls(marked, centres, radius)
     red = np.array([255, 0, 0], dtype=np.uint8)
-    colours = np.array([_rgb(line_style(i)[0]) for i in range(len(points))], dtype=np.uint8)
+    inks = [bytes.fromhex(line_style(i)[0].removeprefix("#")) for i in range(len(points))]
+    colours = np.array([tuple(ink) for ink in inks], dtype=np.uint8)
     white = np.full((np.count_nonzero(rim >= 0), 3), 255, dtype=np.uint8)
     scene = Scene(
         geometry=marked,
         functions=[
-            *(np.vstack([_coloured(panel), white, colours[ball[ball >= 0]]]) for panel in panels),
+            *(
+                np.vstack([_coloured(panel), white, np.array(colours, np.uint8)[ball[ball >= 0]]])
+                for panel in panels
+            ),
             *(np.where(ball[:, None] == i, red, 0 * red) for i in range(len(points))),
         ],
         rotation=rotation,
@@ -196,11 +203,6 @@ def _coloured(panel: Panel) -> Bytes:
     return np.asarray(table[np.round(part * (len(table) - 1)).astype(int)])
 
 
-def _panel(values: Floats, text: str) -> Panel:
-    low, high = sequential_limits(values)
-    return Panel(values=values, low=low, limit=high, lines=(text,))
-
-
 def _few(name: str, indices: ArrayLike, n: int) -> Ints:
     """Return one to nine different indices."""
     array, most = check_indices(name, indices, n), len(LINE_COLOURS)
@@ -218,16 +220,3 @@ def _check_scales(scales: ArrayLike, kind: Kind) -> Floats:
             "scales", "be positive times", f"{at[0]:.3g}", advice="say kind='wave' for energies"
         )
     return at
-
-
-def _named(scale: float, kind: Kind) -> str:
-    return f"t = {short(scale)}" if kind == "heat" else f"energy {scale:.2f}"
-
-
-def _letter(number: int) -> str:
-    return "abcdefghijklmnopqrstuvwxyz"[number]
-
-
-def _rgb(colour: str) -> tuple[int, ...]:
-    """The bytes of a colour like ``#0072B2``."""
-    return tuple(bytes.fromhex(colour.removeprefix("#")))

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.spectra import Spectrum
-from spectra_kit.viz.axes import LINE_COLOURS, log_ticks, tidy
+from spectra_kit.viz.axes import line_style, log_ticks, tidy
 from spectra_kit.viz.page import Page, new_diagram
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import plotted
@@ -44,14 +45,18 @@ def plot_spectrum(
 
     Parameters
     ----------
+    $path
     spectra : Spectrum or mapping of str to Spectrum
         One, or several under their names. The others are compared with the first.
+    $page
     weyl : bool, default True
         Draw the line of Weyl's law.
     free_boundary : float, default 0
         Length of the boundary along which the surface ends freely (Neumann), less the length along
         which it is held at zero (Dirichlet): Weyl's law then has its second term. Of one surface,
         so all spectra must have its area.
+
+    $returns
 
     Raises
     ------
@@ -93,30 +98,26 @@ def plot_spectrum(
     Picture(path=None)
     """
     named = {"": spectra} if isinstance(spectra, Spectrum) else spectra
-    if not isinstance(named, Mapping):
+    if not isinstance(named, Mapping) or not all(isinstance(s, Spectrum) for s in named.values()):
         raise InvalidInputError(
             "spectra",
-            "be a Spectrum or a mapping of names to several",
+            "be a Spectrum or a mapping of names to Spectrum objects",
             f"a {type(spectra).__name__}",
             advice="write {'name': spectrum}",
         )
     if not named:
         raise InvalidInputError("spectra", "hold at least one Spectrum", "none")
     for name, spectrum in named.items():
-        if not isinstance(spectrum, Spectrum):
-            raise InvalidInputError(
-                "spectra", "hold Spectrum objects", f"a {type(spectrum).__name__}"
-            )
         if not spectrum.k:
             raise InvalidInputError("spectra", "have modes", f"none in {name or 'it'!r}")
     if not np.isfinite(free_boundary):
         raise InvalidInputError("free_boundary", "be a finite length", repr(free_boundary))
     if free_boundary and len(areas := _areas(named)) > 1:
+        listed = ", ".join(f"{area:.4g}" for area in areas)
         raise InvalidInputError(
             "free_boundary",
             "be of one surface",
-            f"{free_boundary:g} for spectra of the areas"
-            f" {', '.join(f'{area:.4g}' for area in areas)}",
+            f"{free_boundary:g} for spectra of the areas {listed}",
             advice="draw them one by one",
         )
     return spectrum_figure(named, weyl, page, free_boundary)
@@ -129,12 +130,12 @@ def spectrum_figure(
     certified = any(spectrum.certificate is not None for spectrum in spectra.values())
     first, *others = spectra.values()
     comparable = any(min(first.k, other.k) > first.n_zero_modes for other in others)
-    below = [draw_residuals] * certified + [draw_differences] * comparable
+    below = [_draw_residuals] * certified + [_draw_differences] * comparable
     heights = [4.2] + [1.75] * len(below)
     figure = new_diagram(page, _WIDTH, sum(heights))
-    panels = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[
-        :, 0
-    ]
+    (panels,) = figure.subplots(
+        len(heights), 1, sharex=True, squeeze=False, height_ratios=heights
+    ).T
     draw_eigenvalues(panels[0], spectra, weyl=weyl, free_boundary=free_boundary)
     for panel, draw in zip(panels[1:], below, strict=True):
         draw(panel, spectra)
@@ -145,9 +146,8 @@ def spectrum_figure(
         tidy(panel)
         panel.xaxis.get_major_locator().set_params(integer=True)
     figure.align_ylabels(panels)
-    panels[0].legend(
-        loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False, fontsize=9, borderaxespad=0.2
-    )
+    above = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
+    panels[0].legend(frameon=False, fontsize=9, **above)
     return figure
 
 
@@ -161,34 +161,24 @@ def draw_eigenvalues(
     if weyl:
         _draw_weyl(panel, spectra, free_boundary)
     for i, (name, spectrum) in enumerate(spectra.items()):
-        colour, number = LINE_COLOURS[i % len(LINE_COLOURS)], np.arange(spectrum.k)
-        panel.plot(
-            number,
-            spectrum.eigenvalues,
-            **_marker(i, spectrum.k, colour),
-            mfc=colour if i == 0 else "none",
-            label=_told(name, spectrum, top),
-            zorder=3,
-            clip_on=False,
-        )
+        number, style = np.arange(spectrum.k), _marker(i, spectrum.k)
+        style |= {"mfc": "none" if i else style["color"], "zorder": 3, "clip_on": False}
+        panel.plot(number, spectrum.eigenvalues, label=_told(name, spectrum, top), **style)
         if spectrum.certificate is not None:
-            low, high = _bar(spectrum)
-            panel.vlines(
-                number, low, high, color=colour, lw=3.5 - min(i, 2), alpha=0.22, zorder=2, label="_"
-            )
+            bar = {"color": style["color"], "lw": 3.5 - min(i, 2), "alpha": 0.22, "zorder": 2}
+            panel.vlines(number, *_bar(spectrum), label="_", **bar)
     panel.set(ylabel="eigenvalue λ  [1/length²]", ylim=(0, 1.04 * top))
 
 
-def draw_residuals(panel: Axes, spectra: Mapping[str, Spectrum]) -> None:
+def _draw_residuals(panel: Axes, spectra: Mapping[str, Spectrum]) -> None:
     """Relative residuals: full markers for modes proved to be the ones of their number."""
     for i, spectrum in enumerate(spectra.values()):
         if (certificate := spectrum.certificate) is None:
             continue
-        colour, number = LINE_COLOURS[i % len(LINE_COLOURS)], np.arange(spectrum.k)
+        number, style = np.arange(spectrum.k), _marker(i, spectrum.k)
         shown = np.maximum(certificate.relative_residuals, _FLOOR)
         proved = number < certificate.n_verified
-        for these, face in ((proved, colour), (~proved, "none")):
-            style = _marker(i, spectrum.k, colour)
+        for these, face in ((proved, style["color"]), (~proved, "none")):
             panel.plot(number[these], shown[these], **style, mfc=face)
     panel.set(yscale="log", ylabel="relative residual")
     log_ticks(panel.yaxis)
@@ -196,20 +186,16 @@ def draw_residuals(panel: Axes, spectra: Mapping[str, Spectrum]) -> None:
         panel.set_title("full: verified, open: not", loc="right", fontsize=8, color="0.35", pad=3)
 
 
-def draw_differences(panel: Axes, spectra: Mapping[str, Spectrum]) -> None:
+def _draw_differences(panel: Axes, spectra: Mapping[str, Spectrum]) -> None:
     """Relative differences of eigenvalues to those of the first spectrum, zero modes left out."""
-    (_, first), *others = spectra.items()
-    for i, (_, other) in enumerate(others, start=1):
-        colour, start = LINE_COLOURS[i % len(LINE_COLOURS)], first.n_zero_modes
-        number = np.arange(start, min(first.k, other.k))
+    first, *others = spectra.values()
+    for i, other in enumerate(others, start=1):
+        number = np.arange(first.n_zero_modes, min(first.k, other.k))
         change = other.eigenvalues[number] / first.eigenvalues[number] - 1
-        for these, marker in ((change >= 0, "^"), (change < 0, "v")):
-            panel.plot(
-                number[these],
-                np.maximum(np.abs(change[these]), _FLOOR),
-                **_marker(0, first.k, colour) | {"marker": marker, "ms": 4.0},
-                mfc=colour if marker == "^" else "none",
-            )
+        size, style = np.maximum(np.abs(change), _FLOOR), _marker(0, first.k) | {"ms": 4.0}
+        style["color"] = colour = line_style(i)[0]
+        for these, marker, face in ((change >= 0, "^", colour), (change < 0, "v", "none")):
+            panel.plot(number[these], size[these], **style | {"marker": marker, "mfc": face})
     panel.set(yscale="log", ylabel="relative difference")
     log_ticks(panel.yaxis)
 
@@ -227,9 +213,8 @@ def _draw_weyl(panel: Axes, spectra: Mapping[str, Spectrum], free_boundary: floa
             law = f"j = (area λ {sign} length √λ) / 4π"
             of += f" and {held} boundary of length {abs(free_boundary):.4g}"
         panel.plot(
-            number,
-            weyl_law(number, area, free_boundary),
-            color="0.5" if len(areas) == 1 else LINE_COLOURS[i % len(LINE_COLOURS)],
+            *(number, weyl_law(number, area, free_boundary)),
+            color="0.5" if len(areas) == 1 else line_style(i)[0],
             lw=1.2,
             ls=(0, (5, 2)),
             zorder=1,
@@ -276,13 +261,22 @@ def _told(name: str, spectrum: Spectrum, top: float) -> str:
     return f"{name}: {certain}" if name else certain
 
 
-def _marker(i: int, k: int, colour: str) -> dict[str, Any]:
+def _marker(i: int, k: int) -> dict[str, Any]:
     """Style of the markers of spectrum number `i`."""
     marker, size = _MARKERS[i % len(_MARKERS)]
-    return {
-        "ls": "",
-        "color": colour,
-        "marker": marker,
-        "ms": size * min(1.0, (_MANY / k) ** 0.5),
-        "mew": 1.0,
-    }
+    size *= min(1.0, (_MANY / k) ** 0.5)
+    return {"ls": "", "color": line_style(i)[0], "marker": marker, "ms": size, "mew": 1.0}
+
+
+def free_boundary(geometry: Geometry, spectrum: Spectrum) -> float:
+    """Length of the boundary that is free, less that where all modes are held at zero.
+
+    Of a cloud it is not known, and taken to be 0.
+    """
+    if not isinstance(geometry, TriangleMesh):
+        return 0.0
+    edges, n_faces = geometry.unique_edges
+    ends = edges[n_faces == 1]
+    start, stop = geometry.points[ends].swapaxes(0, 1)
+    held = ~spectrum.eigenvectors[ends].any(axis=(1, 2))
+    return float(np.where(held, -1.0, 1.0) @ np.linalg.norm(stop - start, axis=1))

@@ -10,8 +10,7 @@ from conftest import creature
 from running import printed, record, refusal, write_shapes
 
 from spectra_kit.cli import main
-from spectra_kit.cli.geodesic_solver import linear_solver, why_without_modes
-from spectra_kit.cli.geodesic_sources import with_farthest
+from spectra_kit.cli.geodesic_setup import linear_solver, why_without_modes, with_farthest
 from spectra_kit.cli.program import parse
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.geodesics import FacePoint, HeatGeodesics, Iterative, nearest_source
@@ -110,8 +109,7 @@ def test_a_cloud_is_measured_too(files, tmp_path, capsys):
     found = report(capsys, files / "cloud.ply", "--at", 0, 0, 9, "-o", tmp_path / "out")
     cloud = read(files / "cloud.ply")
     top = int(cloud.points[:, 2].argmax())
-    assert found["kind"] == "cloud"
-    assert found["sources"] == [{"point": top}]
+    assert (found["kind"], found["sources"]) == ("cloud", [{"point": top}])
     truth = np.arccos(np.clip(cloud.points @ cloud.points[top], -1, 1))
     assert np.abs(distances(tmp_path / "out") - truth).max() < 0.06
 
@@ -162,8 +160,7 @@ def test_solvers_agree_and_modes_save_iterations(files, tmp_path, capsys):
         "file": ("--method", "iterative", "--spectrum", spectrum),
         "computed": ("--method", "iterative", "--solver", "arpack", "-k", 11),
         "projected": ("--method", "projected", "--spectrum", spectrum),
-        "neo": ("--method", "iterative", "--solver", "neo"),
-        "polished": ("--method", "iterative", "--solver", "polished", "--start", "neo"),
+        "polished": ("--method", "iterative", "--solver", "polished"),
     }.items():
         out = tmp_path / name
         runs[name] = report(capsys, animal, "--source", 3, *options, "-o", out)
@@ -174,13 +171,13 @@ def test_solvers_agree_and_modes_save_iterations(files, tmp_path, capsys):
     assert runs["direct"]["iterations"] == 0
     assert runs["direct"]["spectrum"] is None
     assert runs["computed"]["iterations"] <= runs["plain"]["iterations"]  # ten modes are few
-    for name in ("file", "projected", "neo", "polished"):
+    for name in ("file", "projected"):
         assert runs[name]["iterations"] < runs["plain"]["iterations"]
-    for name in ("file", "computed", "projected", "neo", "polished"):
+    for name in ("file", "computed", "projected", "polished"):
         assert runs[name]["spectrum"]["seconds"] > 0
     assert runs["file"]["spectrum"]["from"] == str(spectrum)
     assert runs["computed"]["spectrum"]["modes"] == 11  # with the constant
-    assert runs["neo"]["spectrum"]["modes"] == Iterative().modes + 1
+    assert runs["polished"]["spectrum"]["modes"] == Iterative().modes + 1
 
 
 def test_modes_that_auto_does_not_need_are_not_computed(files, tmp_path, capsys):
@@ -233,11 +230,11 @@ def test_options_reach_the_method(files, tmp_path, capsys):
 
 def test_the_demo_draws_its_picture(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    out, _ = printed(capsys, "geodesic", "demo", "--points", 800, "--dpi", 40)
+    out, _ = printed(capsys, "geodesic", "demo", "--points", 500, "--dpi", 40)
     folder = tmp_path / "geodesic"
     assert set(os.listdir(folder)) == FILES | {"field.png"}
     assert "written: geodesic/field.png" in out
-    field = HeatGeodesics(creature(800)).distance(0)
+    field = HeatGeodesics(creature(500)).distance(0)
     source = json.loads((folder / "report.json").read_text())["sources"][0]["point"]
     assert source == field.distance.argmax()
     assert distances(folder)[source] == 0
@@ -300,7 +297,10 @@ BALL = ("ball.off", "--source", 0)
         ((*BALL, "--spectrum", "animal.npz"), "must have the 642 points"),
         ((*BALL, "--method", "projected"), "--method projected needs modes"),
         ((*BALL, "--method", "direct", "--solver", "neo"), "--method direct has no use for modes"),
-        (("sheet.off", "--source", 0, "--heat-boundary", "dirichlet"), "not all lie on the bound"),
+        (
+            ("sheet.off", "--source", 0, "--heat-boundary", "dirichlet"),
+            "must leave the boundary of",
+        ),
         (("sheet.off", "--source", 0, "--heat-boundary", "average", "--compare"), "--compare is f"),
         (("none.off", "--source", 0), "none.off: there is no such file"),
     ],

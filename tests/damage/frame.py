@@ -22,19 +22,22 @@ import sys
 import tempfile
 import traceback
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 
 FINE = ("right", "refused")
-OUTCOMES = (*FINE, "foreign", "crash", "hang", "wrong")
 HERE = Path(__file__).resolve().parent
-START = 60.0  # seconds that a process may take to begin
 EXIT_CODES = (0, 2, 3, 130)  # of a command: fine, bad input, no convergence, interrupted
+ENVIRONMENT = {
+    **os.environ,
+    "PYTHONPATH": os.pathsep.join([str(HERE.parents[1]), os.environ.get("PYTHONPATH", "")]),
+}
 
 
 @dataclass(frozen=True)
@@ -88,42 +91,28 @@ def wrong(message: str) -> NoReturn:
     raise Verdict("wrong", message)
 
 
-def refused(message: str) -> NoReturn:
-    """Say that what ran was refused as it should be."""
-    raise Verdict("refused", message)
-
-
-# --- commands -------------------------------------------------------------------------------------
-
-
-def start(
-    arguments: Sequence[str | Path],
-    folder: Path,
-    environment: Mapping[str, str] | None = None,
-    **options: Any,
-) -> subprocess.Popen[str]:
+def start(arguments: Sequence[str | Path], folder: Path, **options: Any) -> subprocess.Popen[str]:
     """Start ``spectra-kit`` in `folder`."""
     return subprocess.Popen(
         [sys.executable, "-m", "spectra_kit", *arguments],
         cwd=folder,
-        env=command_environment() if environment is None else dict(environment),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
         errors="replace",
-        **options,
+        **{"env": ENVIRONMENT, **options},
     )
 
 
-def ended(process: subprocess.Popen[str], *expected: int, seconds: float = 120.0) -> None:
+def ended(process: subprocess.Popen[str], *expected: int) -> None:
     """Wait, and judge the exit code where it is not one of those expected."""
     try:
-        _, err = process.communicate(timeout=seconds)
+        _, err = process.communicate(timeout=300)
     except subprocess.TimeoutExpired as late:
         process.kill()
         process.communicate()
-        raise Verdict("hang", f"no end after {seconds:g} s of {process.args}") from late
+        raise Verdict("hang", f"no end of {process.args}") from late
     if err.endswith("KeyboardInterrupt\n") and "spectra_kit/__main__.py" not in err:
         return  # Python itself was still starting
     judge(0 if process.returncode in expected else process.returncode, err)
@@ -131,37 +120,27 @@ def ended(process: subprocess.Popen[str], *expected: int, seconds: float = 120.0
 
 def command(arguments: Sequence[str | Path], folder: Path, **options: Any) -> None:
     """Run ``spectra-kit`` in `folder`; a refusal ends the case."""
-    ended(start(arguments, folder, **options), seconds=300.0)
+    ended(start(arguments, folder, **options))
 
 
 def judge(code: int, err: str) -> None:
     """End the case unless a command ended well."""
     if code < 0 or code > 130:
         raise Verdict("crash", f"exit code {code}: {err[-400:]}")
-    if "Traceback (most recent call last)" in err or code not in EXIT_CODES:
+    silent = code and not err.strip()
+    if "Traceback (most recent call last)" in err or code not in EXIT_CODES or silent:
         raise Verdict("foreign", f"exit code {code}: {err[-400:]}")
     if code:
-        if not err.strip():
-            raise Verdict("foreign", f"exit code {code} without a message")
-        refused(err.strip().splitlines()[-1])
+        raise Verdict("refused", err.strip().splitlines()[-1])
 
 
-def command_environment() -> dict[str, str]:
-    """Return the environment of a command that imports this tree from any folder."""
-    paths = [str(HERE.parents[1]), os.environ.get("PYTHONPATH", "")]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
-
-
-# --- cases ----------------------------------------------------------------------------------------
-
-
-def outcome_of(chosen: Part, number: int) -> tuple[str, str]:
+def outcome_of(module: str, name: str, number: int) -> tuple[str, str]:
     """Run one case here; return its outcome and what there is to say."""
     from spectra_kit.errors import SpectraKitError
 
     with tempfile.TemporaryDirectory(prefix="damage-") as folder:
         try:
-            chosen.run(number, Path(folder))
+            parts_of(module)[name].run(number, Path(folder))
         except Verdict as verdict:
             return verdict.outcome, str(verdict)
         except SpectraKitError as error:
@@ -175,37 +154,64 @@ def outcome_of(chosen: Part, number: int) -> tuple[str, str]:
 
 def outcomes(module: str, cases: Sequence[tuple[str, int]]) -> Iterator[tuple[str, str]]:
     """Run cases, each a part's name and a number; yield the outcome and message of each."""
-    parts = parts_of(module)
-    spawn = multiprocessing.get_context("spawn")
-    done = 0
-    while done < len(cases):  # a process that crashed or hung is followed by another
-        here, there = spawn.Pipe(duplex=False)
-        worker = spawn.Process(target=_work, args=(module, cases[done:], there), daemon=True)
-        worker.start()
-        there.close()
-        try:
-            here.poll(START) and here.recv()  # it is there
-            for name, _ in cases[done:]:
-                if not here.poll(parts[name].seconds):
-                    yield "hang", f"no answer after {parts[name].seconds:g} s"
-                    break
-                yield here.recv()
-                done += 1
-        except EOFError:
-            worker.join()
-            yield "crash", f"exit code {worker.exitcode}"
-        finally:
-            worker.kill()
-            worker.join()
-        done += 1
-
-
-def _work(module: str, cases: Sequence[tuple[str, int]], answers: Connection) -> None:
-    """Answer once to begin with, and once a case."""
-    parts = parts_of(module)
-    answers.send(None)
+    parts, spawn = parts_of(module), multiprocessing.get_context("spawn")
+    pool = None
     for name, number in cases:
-        answers.send(outcome_of(parts[name], number))
+        if pool is None:  # one that crashed or hung is followed by another
+            pool = ProcessPoolExecutor(1, mp_context=spawn)
+            pool.submit(exec, f"import {module}").result()
+        try:
+            yield pool.submit(outcome_of, module, name, number).result(parts[name].seconds)
+            continue
+        except TimeoutError:
+            found = "hang", f"no answer after {parts[name].seconds:g} s"
+        except BrokenProcessPool as error:
+            found = "crash", str(error)
+        for process in pool._processes.values():
+            process.kill()
+        pool.shutdown(cancel_futures=True)
+        pool = None
+        yield found
+    if pool is not None:
+        pool.shutdown()
+
+
+# --- damage to bytes, as disks, networks and careless hands do it ---------------------------------
+
+
+def damaged(rng: np.random.Generator, data: bytes) -> bytes:
+    """Return `data` with one to three faults."""
+    for _ in range(rng.integers(1, 4)):
+        fault = rng.integers(len(_PIECES) + 3)
+        if fault >= 3:
+            start = int(rng.integers(len(data) + 1))  # of a piece, more often short than long
+            end = min(len(data), start + int(2 ** rng.uniform(0, 12)))
+            data = _PIECES[fault - 3](rng, data[:start], data[start:end], data[end:])
+        else:
+            data = data[: rng.integers(len(data) + 1)] if fault == 2 else flipped(rng, data)
+    return data
+
+
+def flipped(rng: np.random.Generator, data: bytes) -> bytes:
+    """One bit turned."""
+    changed = bytearray(data)
+    if changed:
+        changed[rng.integers(len(changed))] ^= 1 << int(rng.integers(8))
+    return bytes(changed)
+
+
+def _moved(rng: np.random.Generator, a: bytes, piece: bytes, b: bytes) -> bytes:
+    at = int(rng.integers(len(a + b) + 1))
+    return (a + b)[:at] + piece + (a + b)[at:]
+
+
+_PIECES = (
+    lambda rng, a, piece, b: a + rng.bytes(len(piece)) + b,
+    lambda _, a, piece, b: a + bytes(len(piece)) + b,
+    lambda _, a, piece, b: a + b,
+    lambda _, a, piece, b: a + piece + piece + b,
+    _moved,
+)
 
 
 if __name__ == "__main__":

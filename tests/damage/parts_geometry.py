@@ -12,8 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import scipy.linalg
 import trimesh
-from frame import Case, part, wrong
-from mutations import damaged, flipped
+from frame import Case, damaged, flipped, part, wrong
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from strict_formats import PARSERS

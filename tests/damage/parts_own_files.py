@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from frame import Case, part, wrong
-from mutations import damaged
+from frame import Case, damaged, part, wrong
 
 from spectra_kit import Spectrum, eigensolve, robust_laplacian
 from spectra_kit.geometry import sphere
@@ -144,8 +143,7 @@ def _checkpoint() -> tuple[dict[str, Any], bytes]:
         "network": {"a": torch.rand(20, 30, generator=torch.Generator().manual_seed(0))},
     }
     with TemporaryDirectory() as folder:
-        with checkpoint.Writer(Path(folder)) as writer:
-            writer.write(content)
+        checkpoint.write(Path(folder), content)
         return content, Path(folder, checkpoint.NAME).read_bytes()
 
 

@@ -8,35 +8,18 @@ import trimesh
 from conftest import bumpy, joined, moved, two_sheets, whole_spectrum
 from scipy import sparse
 
-from spectra_kit import (
-    AmbientFourier,
-    Arpack,
-    Chebyshev,
-    ConvergenceError,
-    Dense,
-    Laplacian,
-    Lobpcg,
-    Multilevel,
-    Neo,
-    RayleighRitz,
-    Refined,
-    Spectrum,
-    TriangleMesh,
-    eigensolve,
-    robust_laplacian,
-    verify,
-)
+import spectra_kit as sk
 from spectra_kit.eigensolvers import Eigenpairs, solve, verification
 from spectra_kit.geometry import sphere, torus
 
 
-def cube() -> TriangleMesh:
+def cube() -> sk.TriangleMesh:
     solid = trimesh.creation.box().subdivide().subdivide().subdivide()
     solid.merge_vertices()
-    return TriangleMesh(np.array(solid.vertices), np.array(solid.faces))
+    return sk.TriangleMesh(np.array(solid.vertices), np.array(solid.faces))
 
 
-def spheres(number: int) -> TriangleMesh:
+def spheres(number: int) -> sk.TriangleMesh:
     ball = sphere(subdivisions=1).geometry
     return joined(*(moved(ball, 5.0 * i, 0, 0) for i in range(number)))
 
@@ -49,19 +32,19 @@ SHAPES = {
     "twelve spheres": lambda: spheres(12),
 }
 OTHERS = [
-    Dense(),
-    Multilevel(),
-    Refined(),
-    Chebyshev(),
-    Lobpcg(),
-    Lobpcg(preconditioner="amg"),
-    Lobpcg(preconditioner="amg", start=AmbientFourier(m=200)),
+    sk.Dense(),
+    sk.Multilevel(),
+    sk.Refined(),
+    sk.Chebyshev(),
+    sk.Lobpcg(),
+    sk.Lobpcg(preconditioner="amg"),
+    sk.Lobpcg(preconditioner="amg", start=sk.AmbientFourier(m=200)),
 ]
 
 
 @cache
-def shape(name: str) -> tuple[Laplacian, np.ndarray]:
-    laplacian = robust_laplacian(SHAPES[name]())
+def shape(name: str) -> tuple[sk.Laplacian, np.ndarray]:
+    laplacian = sk.robust_laplacian(SHAPES[name]())
     return laplacian, whole_spectrum(laplacian)[0]
 
 
@@ -71,7 +54,7 @@ def test_the_default_solver_misses_no_mode(name: str) -> None:
     """At every seventh number of modes, others for each shape: all of them come up."""
     laplacian, exact = shape(name)
     for k in range(1 + list(SHAPES).index(name), 101, 7):
-        spectrum = eigensolve(laplacian, k)
+        spectrum = sk.eigensolve(laplacian, k)
         assert spectrum.eigenvalues == pytest.approx(exact[:k], rel=1e-9, abs=1e-9 * exact[-1]), k
         assert spectrum.certificate.level == "verified", (k, spectrum.certificate.count)
         assert np.abs(spectrum.eigenvalues - exact[:k]).max() <= (
@@ -86,7 +69,7 @@ def test_no_exact_solver_misses_a_mode(name: str, solver) -> None:
     """At a number of modes of its own for each shape and solver."""
     laplacian, exact = shape(name)
     k = 2 + (7 * list(SHAPES).index(name) + 13 * OTHERS.index(solver)) % 60
-    spectrum = eigensolve(laplacian, k, solver)
+    spectrum = sk.eigensolve(laplacian, k, solver)
     assert spectrum.eigenvalues == pytest.approx(exact[:k], rel=1e-5, abs=1e-9 * exact[-1]), k
     free = getattr(solver, "factor_free", False)
     assert spectrum.certificate.level == ("residuals" if free else "verified"), k
@@ -94,14 +77,16 @@ def test_no_exact_solver_misses_a_mode(name: str, solver) -> None:
 
 
 @pytest.mark.parametrize(
-    "solver", [Chebyshev(), Lobpcg(preconditioner="amg", start=AmbientFourier(m=200))], ids=repr
+    "solver",
+    [sk.Chebyshev(), sk.Lobpcg(preconditioner="amg", start=sk.AmbientFourier(m=200))],
+    ids=repr,
 )
 def test_modes_of_which_the_start_holds_nothing(solver) -> None:
     """Functions of the points alone are even across coincident sheets: half of the modes."""
     laplacian, exact = shape("coincident sheets")
     for k in (7, 40):
-        assert eigensolve(laplacian, k, solver).eigenvalues == pytest.approx(exact[:k], abs=1e-6)
-    even = eigensolve(laplacian, 30, RayleighRitz(subspace=AmbientFourier(m=200)))
+        assert sk.eigensolve(laplacian, k, solver).eigenvalues == pytest.approx(exact[:k], abs=1e-6)
+    even = sk.eigensolve(laplacian, 30, sk.RayleighRitz(subspace=sk.AmbientFourier(m=200)))
     assert abs(even.eigenvalues / np.maximum(exact[:30], 1e-9) - 1)[1:].max() > 0.5
 
 
@@ -114,8 +99,8 @@ class Forgetful:
     def __repr__(self) -> str:
         return f"Forgetful{self.missed}"
 
-    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
-        pairs = Dense().eigenpairs(laplacian, min(k + len(self.missed), laplacian.n))
+    def eigenpairs(self, laplacian: sk.Laplacian, k: int) -> Eigenpairs:
+        pairs = sk.Dense().eigenpairs(laplacian, min(k + len(self.missed), laplacian.n))
         keep = [i for i in range(len(pairs.eigenvalues)) if i not in self.missed][:k]
         return Eigenpairs(pairs.eigenvalues[keep], pairs.eigenvectors[:, keep])
 
@@ -123,8 +108,8 @@ class Forgetful:
 @pytest.mark.parametrize("missed", [(0,), (2, 9, 19), tuple(range(5, 15))])
 def test_what_a_solver_passed_over_is_found_and_told(bumpy_laplacian, missed) -> None:
     laplacian = bumpy_laplacian
-    exact = eigensolve(laplacian, 20)
-    completed = eigensolve(laplacian, 20, Forgetful(*missed))
+    exact = sk.eigensolve(laplacian, 20)
+    completed = sk.eigensolve(laplacian, 20, Forgetful(*missed))
     assert completed.eigenvalues == pytest.approx(exact.eigenvalues, rel=1e-10, abs=1e-10)
     count = completed.certificate.count
     assert (completed.certificate.level, count.added) == ("verified", len(missed))
@@ -132,24 +117,26 @@ def test_what_a_solver_passed_over_is_found_and_told(bumpy_laplacian, missed) ->
     assert completed.certificate.relative_residuals.max() < 1e-11
     assert completed.provenance.seconds["count"] > 0
     # What does not claim to be exact is left as it is, and not called complete.
-    left = eigensolve(laplacian, 20, Forgetful(*missed, accuracy="approximate")).certificate
+    left = sk.eigensolve(laplacian, 20, Forgetful(*missed, accuracy="approximate")).certificate
     assert (left.level, left.count) == ("residuals", None)
     assert left.completeness == "not counted: modes may be missing between these"
 
 
 def test_parts_are_completed_one_by_one() -> None:
-    laplacian = robust_laplacian(joined(bumpy(), moved(bumpy(), 9, 0, 0, scale=0.5)))
-    exact = eigensolve(laplacian, 20).eigenvalues
-    completed = eigensolve(laplacian, 20, Forgetful(3))
+    laplacian = sk.robust_laplacian(joined(bumpy(), moved(bumpy(), 9, 0, 0, scale=0.5)))
+    exact = sk.eigensolve(laplacian, 20).eigenvalues
+    completed = sk.eigensolve(laplacian, 20, Forgetful(3))
     assert completed.eigenvalues == pytest.approx(exact, rel=1e-10, abs=1e-10)
     assert completed.certificate.level == "verified"
 
 
 def test_what_cannot_be_completed_is_an_error(bumpy_laplacian, monkeypatch) -> None:
     """The modes found are handed over, and the certificate says that some are missing."""
-    monkeypatch.setattr(solve, "Refined", partial(Refined, max_sweeps=1))
-    with pytest.raises(ConvergenceError, match="at least 10 modes of the lowest 20 were") as error:
-        eigensolve(bumpy_laplacian, 20, Forgetful(*range(5, 15)))
+    monkeypatch.setattr(solve, "Refined", partial(sk.Refined, max_sweeps=1))
+    with pytest.raises(
+        sk.ConvergenceError, match="at least 10 modes of the lowest 20 were"
+    ) as error:
+        sk.eigensolve(bumpy_laplacian, 20, Forgetful(*range(5, 15)))
     certificate = error.value.partial.certificate
     assert (certificate.level, certificate.count.missing) == ("residuals", 10)
     assert certificate.completeness.startswith("the first 5 of 20; ")
@@ -158,15 +145,15 @@ def test_what_cannot_be_completed_is_an_error(bumpy_laplacian, monkeypatch) -> N
 @pytest.mark.parametrize(
     ("solver", "accuracy"),
     [
-        (Arpack(), "exact"),
-        (Arpack(tol=1e-3), "to tolerance"),
-        (Refined(), "to tolerance"),
-        (Neo(), "approximate"),
+        (sk.Arpack(), "exact"),
+        (sk.Arpack(tol=1e-3), "to tolerance"),
+        (sk.Refined(), "to tolerance"),
+        (sk.Neo(), "approximate"),
     ],
     ids=repr,
 )
 def test_accuracy_is_a_fact_of_the_solver(bumpy_laplacian, solver, accuracy: str) -> None:
-    assert eigensolve(bumpy_laplacian, 8, solver).provenance.accuracy == accuracy
+    assert sk.eigensolve(bumpy_laplacian, 8, solver).provenance.accuracy == accuracy
 
 
 def test_modes_are_kept_where_the_count_does_not_fit_into_memory(
@@ -176,41 +163,41 @@ def test_modes_are_kept_where_the_count_does_not_fit_into_memory(
         raise MemoryError
 
     monkeypatch.setattr(verification, "SparseLDL", no_room)
-    certificate = eigensolve(bumpy_laplacian, 20).certificate
+    certificate = sk.eigensolve(bumpy_laplacian, 20).certificate
     assert (certificate.level, certificate.n_verified) == ("residuals", 0)
     assert certificate.completeness == "the first 0 of 20; not counted: out of memory"
 
 
-def strip() -> Laplacian:
+def strip() -> sk.Laplacian:
     """Long and narrow: low eigenvalues far below the typical gap of the operator."""
     x, y = np.meshgrid(np.linspace(0, 1000, 200), [0, 0.1, 0.2], indexing="ij")
     points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     i = np.arange(600).reshape(200, 3)[:-1, :-1].ravel()
     faces = np.vstack([np.column_stack([i, i + 3, i + 4]), np.column_stack([i, i + 4, i + 1])])
-    return robust_laplacian(TriangleMesh(points, faces))
+    return sk.robust_laplacian(sk.TriangleMesh(points, faces))
 
 
-def well() -> Laplacian:
+def well() -> sk.Laplacian:
     """A potential on most of a sphere, which the typical gap of the operator is full of."""
-    ball = robust_laplacian(sphere(subdivisions=3).geometry)
+    ball = sk.robust_laplacian(sphere(subdivisions=3).geometry)
     height = np.where(ball.points[:, 2] <= 0.6, 1e6, 0.0)
-    return Laplacian(
+    return sk.Laplacian(
         ball.stiffness + sparse.diags_array(height * ball.mass), ball.mass, ball.points
     )
 
 
-def bonded(bond: float, *potentials: float) -> Laplacian:
+def bonded(bond: float, *potentials: float) -> sk.Laplacian:
     """Spheres of 42 points that hardly touch, each with a potential of its own."""
-    parts = robust_laplacian(spheres(len(potentials)))
+    parts = sk.robust_laplacian(spheres(len(potentials)))
     stiffness = parts.stiffness + sparse.diags_array(np.repeat(potentials, 42) * parts.mass)
     first = np.arange(0, 42 * (len(potentials) - 1), 42)
     links = sparse.coo_array((np.full(len(first), bond), (first, first + 42)), stiffness.shape)
     links = links + links.T
     laplacian = stiffness + sparse.diags_array(links.sum(axis=1)) - links
-    return Laplacian(sparse.csr_array(laplacian), parts.mass, parts.points)
+    return sk.Laplacian(sparse.csr_array(laplacian), parts.mass, parts.points)
 
 
-def chain() -> Laplacian:
+def chain() -> sk.Laplacian:
     return bonded(1e-3, 0, 0, 0, 0, 0, 0)
 
 
@@ -220,21 +207,21 @@ def test_potentials_of_almost_nothing_are_no_zero_modes(potentials) -> None:
     assert laplacian.kernel_dimension == 0
     exact, modes = whole_spectrum(laplacian)
     for k in range(1, len(potentials) + 1):
-        for solver in (Arpack(), Dense()):
-            spectrum = eigensolve(laplacian, k, solver)
+        for solver in (sk.Arpack(), sk.Dense()):
+            spectrum = sk.eigensolve(laplacian, k, solver)
             count = spectrum.certificate.count
             assert (count.verified, count.added) == (k, 0)
             assert spectrum.eigenvalues == pytest.approx(exact[:k], rel=1e-3, abs=1e-12)
-    above = Spectrum(exact[1:2], modes[:, 1:2], laplacian.mass)
-    count = verify(above, laplacian).certificate.count
+    above = sk.Spectrum(exact[1:2], modes[:, 1:2], laplacian.mass)
+    count = sk.verify(above, laplacian).certificate.count
     assert (count.verified, count.missing) == (0, 1)
 
 
 @pytest.mark.parametrize(("value", "norm"), [(100.0, 1.0), (0.0, 2.0)])
 def test_a_constant_of_another_eigenvalue_or_norm_proves_nothing(value, norm) -> None:
-    ball = robust_laplacian(sphere(subdivisions=2).geometry)
-    constant = Spectrum([value], np.full((ball.n, 1), norm / np.sqrt(ball.area)), ball.mass)
-    assert verify(constant, ball).certificate.level == "residuals"
+    ball = sk.robust_laplacian(sphere(subdivisions=2).geometry)
+    constant = sk.Spectrum([value], np.full((ball.n, 1), norm / np.sqrt(ball.area)), ball.mass)
+    assert sk.verify(constant, ball).certificate.level == "residuals"
 
 
 def test_lapack_is_asked_again_where_it_loses_orthogonality() -> None:
@@ -244,9 +231,9 @@ def test_lapack_is_asked_again_where_it_loses_orthogonality() -> None:
     graph = sparse.diags_array([bonds, bonds], offsets=[1, -1])
     stiffness = sparse.csr_array(sparse.diags_array(graph.sum(axis=1)) - graph)
     points = np.column_stack([np.arange(114.0), np.zeros((114, 2))])
-    laplacian = Laplacian(stiffness, np.ones(114), points)
+    laplacian = sk.Laplacian(stiffness, np.ones(114), points)
     for k in (113, 114):
-        spectrum = eigensolve(laplacian, k, Dense())
+        spectrum = sk.eigensolve(laplacian, k, sk.Dense())
         assert spectrum.certificate.orthonormality_error < 1e-12
         assert spectrum.eigenvalues == pytest.approx(whole_spectrum(laplacian)[0][:k], abs=1e-12)
 
@@ -259,10 +246,10 @@ def test_low_modes_far_below_the_typical_gap_are_counted(build, missed) -> None:
     kernel = laplacian.kernel_dimension
     for k in (4, 5):
         pairs = Forgetful(*missed).eigenpairs(laplacian, k)
-        lacking = Spectrum(np.maximum(pairs.eigenvalues, 0), pairs.eigenvectors, laplacian.mass)
-        count = verify(lacking, laplacian).certificate.count
+        lacking = sk.Spectrum(np.maximum(pairs.eigenvalues, 0), pairs.eigenvectors, laplacian.mass)
+        count = sk.verify(lacking, laplacian).certificate.count
         assert count.verified <= missed[0]
-        found = eigensolve(laplacian, k, Forgetful(*missed))
+        found = sk.eigensolve(laplacian, k, Forgetful(*missed))
         assert found.certificate.count.verified in (0, k)  # rounding may leave it open
         assert found.eigenvalues[kernel:] == pytest.approx(exact[kernel:k], rel=1e-6)
 
@@ -270,14 +257,14 @@ def test_low_modes_far_below_the_typical_gap_are_counted(build, missed) -> None:
 def test_zero_modes_that_are_missing_leave_nothing_verified() -> None:
     """However close to zero the modes are that stand in their place."""
     laplacian = chain()
-    pairs = Dense().eigenpairs(laplacian, 6)
-    without = Spectrum(pairs.eigenvalues[1:], pairs.eigenvectors[:, 1:], laplacian.mass)
-    count = verify(without, laplacian).certificate.count
+    pairs = sk.Dense().eigenpairs(laplacian, 6)
+    without = sk.Spectrum(pairs.eigenvalues[1:], pairs.eigenvectors[:, 1:], laplacian.mass)
+    count = sk.verify(without, laplacian).certificate.count
     assert (count.verified, count.missing) == (0, 1)
     assert "1 of 1 zero modes are not in this spectrum" in count.reason
 
 
 def test_zero_modes_alone_are_the_lowest() -> None:
-    spectrum = eigensolve(shape("twelve spheres")[0], 7)
+    spectrum = sk.eigensolve(shape("twelve spheres")[0], 7)
     assert spectrum.certificate.level == "verified"
     assert spectrum.certificate.completeness == "all 7, none missed"

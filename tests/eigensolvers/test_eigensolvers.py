@@ -8,24 +8,7 @@ import pytest
 from conftest import Backend, bumpy, creature, joined, moved, two_parts, whole_spectrum
 from scipy import sparse
 
-from spectra_kit import (
-    AmbientFourier,
-    Arpack,
-    ConvergenceError,
-    Dense,
-    InvalidSpectrumError,
-    Laplacian,
-    Lobpcg,
-    Neo,
-    PointCloud,
-    RayleighRitz,
-    Refined,
-    Spectrum,
-    TriangleMesh,
-    Union,
-    eigensolve,
-    robust_laplacian,
-)
+import spectra_kit as sk
 from spectra_kit.eigensolvers import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.geometry import rectangle, sphere, torus
 
@@ -33,13 +16,13 @@ K = 16
 
 
 @cache
-def once(laplacian: Laplacian, k: int, solver: Eigensolver) -> Spectrum:
+def once(laplacian: sk.Laplacian, k: int, solver: Eigensolver) -> sk.Spectrum:
     """Solve what several tests compare with."""
-    return eigensolve(laplacian, k, solver)
+    return sk.eigensolve(laplacian, k, solver)
 
 
-def test_contract(backend: Backend, any_laplacian: Laplacian) -> None:
-    s = eigensolve(any_laplacian, K, backend.solver)
+def test_contract(backend: Backend, any_laplacian: sk.Laplacian) -> None:
+    s = sk.eigensolve(any_laplacian, K, backend.solver)
     assert (s.n, s.k) == (any_laplacian.n, K)
     assert s.certificate.orthonormality_error < 1e-10
     assert s.certificate.relative_residuals.max() < backend.residual
@@ -47,22 +30,24 @@ def test_contract(backend: Backend, any_laplacian: Laplacian) -> None:
     assert (s.eigenvectors[any_laplacian.fixed] == 0).all()
     assert s.residuals(any_laplacian) == pytest.approx(s.certificate.residuals)
     assert s.provenance.solver == repr(backend.solver)
-    exact = once(any_laplacian, K, Dense()).eigenvalues
+    exact = once(any_laplacian, K, sk.Dense()).eigenvalues
     # Ritz values lie above the true ones, by the square of the relative residual.
     assert (s.eigenvalues >= exact - 1e-9 * exact.max()).all()
     assert s.eigenvalues == pytest.approx(exact, rel=min(max(1e-8, backend.residual**2), 0.1))
 
 
-def test_rigid_motion_scale_and_permutation(backend: Backend, bumpy_laplacian: Laplacian) -> None:
+def test_rigid_motion_scale_and_permutation(
+    backend: Backend, bumpy_laplacian: sk.Laplacian
+) -> None:
     mesh = bumpy()
     rng = np.random.default_rng(3)
     q = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     q[:, 0] *= np.linalg.det(q)
     order = rng.permutation(mesh.n)
     place = np.argsort(order)
-    other = TriangleMesh(1e3 * (mesh.points @ q + [3, -1, 2])[order], place[mesh.faces])
-    base = eigensolve(bumpy_laplacian, K, backend.solver)
-    s = eigensolve(robust_laplacian(other), K, backend.solver)
+    other = sk.TriangleMesh(1e3 * (mesh.points @ q + [3, -1, 2])[order], place[mesh.faces])
+    base = sk.eigensolve(bumpy_laplacian, K, backend.solver)
+    s = sk.eigensolve(sk.robust_laplacian(other), K, backend.solver)
     assert 1e6 * s.eigenvalues[1:] == pytest.approx(base.eigenvalues[1:], rel=backend.rounding)
     cosines = 1e3 * np.einsum(
         "ij,i,ij->j", s.eigenvectors, base.mass[order], base.eigenvectors[order]
@@ -83,17 +68,17 @@ def test_rigid_motion_scale_and_permutation(backend: Backend, bumpy_laplacian: L
 def test_analytic(build, cloud: bool, tolerance: float) -> None:
     reference = build()
     mesh = reference.geometry
-    values = eigensolve(robust_laplacian(mesh.as_cloud() if cloud else mesh), K).eigenvalues
+    values = sk.eigensolve(sk.robust_laplacian(mesh.as_cloud() if cloud else mesh), K).eigenvalues
     assert values[1:] == pytest.approx(reference.eigenvalues[1:K], rel=tolerance)
 
 
 def test_analytic_modes_and_fixed_points() -> None:
     reference = rectangle(n=4000)
-    L = robust_laplacian(reference.geometry)
-    s = eigensolve(L, 10)
+    L = sk.robust_laplacian(reference.geometry)
+    s = sk.eigensolve(L, 10)
     cosines = np.einsum("ij,i,ij->j", s.eigenvectors, s.mass, reference.eigenfunctions[:, :10])
     assert np.abs(cosines) == pytest.approx(np.ones(10), abs=2e-3)
-    held = eigensolve(L.dirichlet(reference.geometry.boundary_vertices), K)
+    held = sk.eigensolve(L.dirichlet(reference.geometry.boundary_vertices), K)
     assert held.eigenvalues == pytest.approx(reference.dirichlet[:K], rel=1.5e-2)
     assert held.certificate.n_zero_modes == 0
 
@@ -103,7 +88,7 @@ def test_second_order() -> None:
     errors = []
     for level in (2, 3, 4):
         reference = sphere(subdivisions=level)
-        values = eigensolve(robust_laplacian(reference.geometry), K).eigenvalues
+        values = sk.eigensolve(sk.robust_laplacian(reference.geometry), K).eigenvalues
         errors.append(np.abs(values[1:] / reference.eigenvalues[1:K] - 1).max())
     assert errors[2] < 5.4e-3
     assert np.polyfit([0, -1, -2], np.log2(errors), 1)[0] == pytest.approx(2, abs=0.1)
@@ -112,14 +97,16 @@ def test_second_order() -> None:
 @pytest.mark.parametrize("scale", [1e-12, 1e-8, 1e8])
 def test_arpack_is_exact_in_any_unit(scale: float) -> None:
     """ARPACK's own test of convergence is absolute for small Ritz values."""
-    s = eigensolve(robust_laplacian(moved(sphere(subdivisions=2).geometry, 0, scale=scale)), 13)
+    s = sk.eigensolve(
+        sk.robust_laplacian(moved(sphere(subdivisions=2).geometry, 0, scale=scale)), 13
+    )
     assert s.certificate.relative_residuals.max() < 1e-12
 
 
-def test_seeds_choose_the_start(bumpy_laplacian: Laplacian) -> None:
+def test_seeds_choose_the_start(bumpy_laplacian: sk.Laplacian) -> None:
     """The same bits from the same seed, others from another; the same modes from all."""
-    for solver in (Arpack, Lobpcg, Refined):
-        a, b, c = (eigensolve(bumpy_laplacian, K, solver(seed=seed)) for seed in (0, 0, 1))
+    for solver in (sk.Arpack, sk.Lobpcg, sk.Refined):
+        a, b, c = (sk.eigensolve(bumpy_laplacian, K, solver(seed=seed)) for seed in (0, 0, 1))
         assert np.array_equal(a.eigenvectors, b.eigenvectors)
         assert not np.array_equal(a.eigenvectors, c.eigenvectors)
         assert c.eigenvalues == pytest.approx(a.eigenvalues, rel=1e-9)
@@ -129,51 +116,51 @@ def test_a_small_component_that_owns_the_low_modes() -> None:
     """Weyl's guess by area is wrong on purpose: a long thin strip beside a large sphere."""
     strip = rectangle(n=400, width=30.0, height=0.3).geometry
     ball = sphere(subdivisions=2, radius=5.0).geometry
-    L = robust_laplacian(joined(ball, moved(strip, 0, 20, 0)))
+    L = sk.robust_laplacian(joined(ball, moved(strip, 0, 20, 0)))
     whole = whole_spectrum(L)[0][:30]  # not split into components
-    assert eigensolve(L, 30).eigenvalues == pytest.approx(whole, rel=1e-7, abs=1e-9)
+    assert sk.eigensolve(L, 30).eigenvalues == pytest.approx(whole, rel=1e-7, abs=1e-9)
 
 
 @pytest.mark.parametrize("ratio", [1e-2, 1e-5])
-@pytest.mark.parametrize("solver", [Arpack(), Neo()], ids=repr)
-def test_a_speck_beside_a_large_part(bumpy_laplacian: Laplacian, solver, ratio: float) -> None:
+@pytest.mark.parametrize("solver", [sk.Arpack(), sk.Neo()], ids=repr)
+def test_a_speck_beside_a_large_part(bumpy_laplacian: sk.Laplacian, solver, ratio: float) -> None:
     """Dust does not blur the zero modes or the certificate, however small it is."""
     one = bumpy_laplacian
-    L = Laplacian(
+    L = sk.Laplacian(
         sparse.block_diag([one.stiffness, one.stiffness], format="csr"),
         np.r_[one.mass, ratio**2 * one.mass],
         np.vstack([one.points, ratio * one.points + 5]),
     )
-    s, alone = eigensolve(L, 6, solver), once(one, 5, solver)
+    s, alone = sk.eigensolve(L, 6, solver), once(one, 5, solver)
     assert s.n_zero_modes == 2
     assert s.eigenvalues[:2].tolist() == [0.0, 0.0]
     assert s.eigenvalues[1:] == pytest.approx(
-        alone.eigenvalues, rel=1e-3 if solver == Neo() else 1e-7
+        alone.eigenvalues, rel=1e-3 if solver == sk.Neo() else 1e-7
     )
     assert s.certificate.orthonormality_error < 1e-10
 
 
-def test_isolated_points_of_a_user_matrix(bumpy_laplacian: Laplacian) -> None:
+def test_isolated_points_of_a_user_matrix(bumpy_laplacian: sk.Laplacian) -> None:
     L, lone = bumpy_laplacian, 700
     stiffness = sparse.block_diag([L.stiffness, sparse.csr_array((lone, lone))], format="csr")
     points = np.vstack([L.points, np.arange(3.0 * lone).reshape(-1, 3)])
-    both = Laplacian(stiffness, np.r_[L.mass, np.ones(lone)], points)
+    both = sk.Laplacian(stiffness, np.r_[L.mass, np.ones(lone)], points)
     assert (both.n_components, both.kernel_dimension) == (lone + 1, lone + 1)
-    s = eigensolve(both, lone + 4)
+    s = sk.eigensolve(both, lone + 4)
     assert s.n_zero_modes == lone + 1
-    assert s.eigenvalues[lone + 1 :] == pytest.approx(eigensolve(L, 4).eigenvalues[1:], rel=1e-8)
-    nothing = Laplacian(sparse.csr_array((1, 1)), [2.0], [[0, 0, 0]])
-    assert eigensolve(nothing, 1).eigenvectors[0, 0] == pytest.approx(np.sqrt(0.5))
+    assert s.eigenvalues[lone + 1 :] == pytest.approx(sk.eigensolve(L, 4).eigenvalues[1:], rel=1e-8)
+    nothing = sk.Laplacian(sparse.csr_array((1, 1)), [2.0], [[0, 0, 0]])
+    assert sk.eigensolve(nothing, 1).eigenvectors[0, 0] == pytest.approx(np.sqrt(0.5))
 
 
-def test_very_different_strengths(bumpy_laplacian: Laplacian) -> None:
+def test_very_different_strengths(bumpy_laplacian: sk.Laplacian) -> None:
     L = bumpy_laplacian
     parts = [1e-12 * L.stiffness, 1e-12 * L.stiffness, L.stiffness]
-    three = Laplacian(
+    three = sk.Laplacian(
         sparse.block_diag(parts, format="csr"), np.tile(L.mass, 3), np.tile(L.points, (3, 1))
     )
-    s = eigensolve(three, 9)
-    single = eigensolve(L, 5).eigenvalues
+    s = sk.eigensolve(three, 9)
+    single = sk.eigensolve(L, 5).eigenvalues
     assert s.n_zero_modes == 3
     assert s.eigenvalues[3:] == pytest.approx(1e-12 * np.repeat(single[1:4], 2), rel=1e-7)
     assert s.certificate.relative_residuals.max() < 1e-8
@@ -181,8 +168,8 @@ def test_very_different_strengths(bumpy_laplacian: Laplacian) -> None:
 
 @pytest.mark.parametrize("k", [41, 42])
 def test_nearly_and_exactly_all_modes(backend: Backend, k: int) -> None:
-    L = robust_laplacian(sphere(subdivisions=1).geometry)
-    s = eigensolve(L, k, backend.solver)
+    L = sk.robust_laplacian(sphere(subdivisions=1).geometry)
+    s = sk.eigensolve(L, k, backend.solver)
     assert s.certificate.relative_residuals.max() < 1e-8
     assert s.eigenvalues == pytest.approx(whole_spectrum(L)[0][:k], rel=1e-8, abs=1e-9)
 
@@ -194,7 +181,7 @@ class Changed:
         self.change = change
 
     def eigenpairs(self, laplacian, k):
-        return self.change(*Dense().eigenpairs(laplacian, k)[:2])
+        return self.change(*sk.Dense().eigenpairs(laplacian, k)[:2])
 
 
 @pytest.mark.parametrize(
@@ -207,23 +194,24 @@ class Changed:
         (lambda values, vectors: (values, 1j * vectors), "must return real numbers"),
     ],
 )
-def test_liars_are_caught(change, message: str, bumpy_laplacian: Laplacian) -> None:
-    with pytest.raises(InvalidSpectrumError, match=message):
-        eigensolve(bumpy_laplacian, 4, Changed(change))
+def test_liars_are_caught(change, message: str, bumpy_laplacian: sk.Laplacian) -> None:
+    with pytest.raises(sk.InvalidSpectrumError, match=message):
+        sk.eigensolve(bumpy_laplacian, 4, Changed(change))
 
 
-def test_a_plain_class_of_a_user_is_a_backend(bumpy_laplacian: Laplacian) -> None:
+def test_a_plain_class_of_a_user_is_a_backend(bumpy_laplacian: sk.Laplacian) -> None:
     mine = Changed(lambda values, vectors: (values[::-1], vectors[:, ::-1]))  # any order will do
-    s = eigensolve(bumpy_laplacian, 5, mine)
-    assert s.eigenvalues == pytest.approx(eigensolve(bumpy_laplacian, 5).eigenvalues, abs=1e-9)
+    s = sk.eigensolve(bumpy_laplacian, 5, mine)
+    assert s.eigenvalues == pytest.approx(sk.eigensolve(bumpy_laplacian, 5).eigenvalues, abs=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("solver", "mesh"), [(Arpack(max_restarts=1), bumpy()), (Lobpcg(max_steps=8), two_parts())]
+    ("solver", "mesh"),
+    [(sk.Arpack(max_restarts=1), bumpy()), (sk.Lobpcg(max_steps=8), two_parts())],
 )
-def test_no_convergence_keeps_what_converged(solver, mesh: TriangleMesh) -> None:
-    with pytest.raises(ConvergenceError, match="raise max_") as caught:
-        eigensolve(robust_laplacian(mesh), 60, solver)
+def test_no_convergence_keeps_what_converged(solver, mesh: sk.TriangleMesh) -> None:
+    with pytest.raises(sk.ConvergenceError, match="raise max_") as caught:
+        sk.eigensolve(sk.robust_laplacian(mesh), 60, solver)
     partial = caught.value.partial
     assert partial.k > 0
     assert partial.n == mesh.n
@@ -239,15 +227,15 @@ def test_no_convergence_keeps_the_components_solved_before_and_what_they_cost() 
             self.trusted = slice(trusted)
 
         def eigenpairs(self, laplacian, k):
-            values, vectors, *_ = Dense().eigenpairs(laplacian, k)
+            values, vectors, *_ = sk.Dense().eigenpairs(laplacian, k)
             if laplacian.n > 200:
                 few = Eigenpairs(values[self.trusted], vectors[:, self.trusted], {"sweep": 2.0}, 7)
                 raise NotConvergedError("too tired", few if self.trusted.stop else None)
             return Eigenpairs(values, vectors, {"sweep": 1.0}, 4)
 
-    def partial(mesh: TriangleMesh, trusted: int) -> Spectrum | None:
-        with pytest.raises(ConvergenceError, match="too tired") as caught:
-            eigensolve(robust_laplacian(mesh), 5, Tired(trusted))
+    def partial(mesh: sk.TriangleMesh, trusted: int) -> sk.Spectrum | None:
+        with pytest.raises(sk.ConvergenceError, match="too tired") as caught:
+            sk.eigensolve(sk.robust_laplacian(mesh), 5, Tired(trusted))
         return caught.value.partial
 
     for mesh, seconds, iterations in ((bumpy(), 2.0, 7), (two_parts(), 3.0, 11)):
@@ -256,24 +244,24 @@ def test_no_convergence_keeps_the_components_solved_before_and_what_they_cost() 
     assert partial(bumpy(), 0) is None
     small = partial(two_parts(), 0)  # the modes of the ball alone
     assert small.n_zero_modes == 1
-    alone = eigensolve(robust_laplacian(sphere(subdivisions=2).geometry), small.k)
+    alone = sk.eigensolve(sk.robust_laplacian(sphere(subdivisions=2).geometry), small.k)
     assert small.eigenvalues == pytest.approx(alone.eigenvalues, abs=1e-9)
 
 
-def test_rayleigh_ritz_of_an_exact_span_is_exact(bumpy_laplacian: Laplacian) -> None:
-    exact = eigensolve(bumpy_laplacian, 30)
+def test_rayleigh_ritz_of_an_exact_span_is_exact(bumpy_laplacian: sk.Laplacian) -> None:
+    exact = sk.eigensolve(bumpy_laplacian, 30)
     mixed = exact.eigenvectors @ np.random.default_rng(0).standard_normal((30, 30))
-    s = eigensolve(bumpy_laplacian, 30, RayleighRitz(subspace=lambda points, mass: mixed))
+    s = sk.eigensolve(bumpy_laplacian, 30, sk.RayleighRitz(subspace=lambda points, mass: mixed))
     assert s.eigenvalues == pytest.approx(exact.eigenvalues, rel=1e-10, abs=1e-10)
     assert s.certificate.relative_residuals.max() < 1e-7
 
 
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
-def test_a_larger_subspace_lowers_every_ritz_value(bumpy_laplacian: Laplacian) -> None:
-    basis = AmbientFourier(m=200, bandwidth=4.0)(bumpy_laplacian.points, bumpy_laplacian.mass)
+def test_a_larger_subspace_lowers_every_ritz_value(bumpy_laplacian: sk.Laplacian) -> None:
+    basis = sk.AmbientFourier(m=200, bandwidth=4.0)(bumpy_laplacian.points, bumpy_laplacian.mass)
     few, some, many = (
-        eigensolve(
-            bumpy_laplacian, 20, RayleighRitz(subspace=lambda p, w, m=m: basis[:, :m])
+        sk.eigensolve(
+            bumpy_laplacian, 20, sk.RayleighRitz(subspace=lambda p, w, m=m: basis[:, :m])
         ).eigenvalues
         for m in (60, 120, 200)
     )
@@ -281,14 +269,16 @@ def test_a_larger_subspace_lowers_every_ritz_value(bumpy_laplacian: Laplacian) -
     assert (some >= many - 1e-9).all()
 
 
-def test_lobpcg_from_a_subspace_needs_fewer_steps(bumpy_laplacian: Laplacian) -> None:
-    start = AmbientFourier(m=120, bandwidth=4.0)
-    assert eigensolve(bumpy_laplacian, 10, Lobpcg(rtol=1e-3, max_steps=3, start=start)).k == 10
-    with pytest.raises(ConvergenceError):
-        eigensolve(bumpy_laplacian, 10, Lobpcg(rtol=1e-3, max_steps=3))
+def test_lobpcg_from_a_subspace_needs_fewer_steps(bumpy_laplacian: sk.Laplacian) -> None:
+    start = sk.AmbientFourier(m=120, bandwidth=4.0)
+    assert (
+        sk.eigensolve(bumpy_laplacian, 10, sk.Lobpcg(rtol=1e-3, max_steps=3, start=start)).k == 10
+    )
+    with pytest.raises(sk.ConvergenceError):
+        sk.eigensolve(bumpy_laplacian, 10, sk.Lobpcg(rtol=1e-3, max_steps=3))
 
 
-def test_user_matrices(bumpy_laplacian: Laplacian) -> None:
+def test_user_matrices(bumpy_laplacian: sk.Laplacian) -> None:
     """A path graph with unit weights: eigenvalues 2 - 2 cos(pi j / n); and a potential, on top."""
     n = 60
     diagonal, off = np.r_[1.0, np.full(n - 2, 2.0), 1.0], -np.ones(n - 1)
@@ -297,17 +287,17 @@ def test_user_matrices(bumpy_laplacian: Laplacian) -> None:
     expected = 2 - 2 * np.cos(np.pi * np.arange(8) / n)
     for potential in (0.0, 3.0):
         stiffness = path + potential * sparse.eye_array(n)
-        s = eigensolve(Laplacian(sparse.csr_array(stiffness), np.ones(n), points), 8)
+        s = sk.eigensolve(sk.Laplacian(sparse.csr_array(stiffness), np.ones(n), points), 8)
         assert s.eigenvalues == pytest.approx(expected + potential, abs=1e-12)
         assert s.n_zero_modes == (potential == 0)
 
 
 def test_tiny_inputs() -> None:
-    triangle = TriangleMesh(np.eye(3), [[0, 1, 2]])
-    assert eigensolve(robust_laplacian(triangle), 3).n_zero_modes == 1
-    assert eigensolve(robust_laplacian(triangle), 3, RayleighRitz()).k == 3
-    square = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
-    assert eigensolve(robust_laplacian(square), 4).n_zero_modes == 1
+    triangle = sk.TriangleMesh(np.eye(3), [[0, 1, 2]])
+    assert sk.eigensolve(sk.robust_laplacian(triangle), 3).n_zero_modes == 1
+    assert sk.eigensolve(sk.robust_laplacian(triangle), 3, sk.RayleighRitz()).k == 3
+    square = sk.PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    assert sk.eigensolve(sk.robust_laplacian(square), 4).n_zero_modes == 1
 
 
 @pytest.mark.data
@@ -316,9 +306,9 @@ def test_tiny_inputs() -> None:
 def test_arpack_on_real_meshes(real_shapes, name: str) -> None:
     """Open, closed, of several components, with edges 4,000 times as long as others (hippo)."""
     with np.load(real_shapes / f"{name}.npz") as data:
-        mesh = TriangleMesh(data["V"], data["F"]).without_unreferenced()
-    L = robust_laplacian(mesh.without_degenerate_faces().without_unreferenced())
-    certificate = eigensolve(L, 48).certificate
+        mesh = sk.TriangleMesh(data["V"], data["F"]).without_unreferenced()
+    L = sk.robust_laplacian(mesh.without_degenerate_faces().without_unreferenced())
+    certificate = sk.eigensolve(L, 48).certificate
     assert certificate.relative_residuals.max() <= 1e-8
     assert certificate.n_zero_modes == L.kernel_dimension
 
@@ -326,9 +316,9 @@ def test_arpack_on_real_meshes(real_shapes, name: str) -> None:
 def test_neo_predicts_each_component_on_its_own() -> None:
     """Two bodies far apart: the same modes as each alone, and two exact zeros."""
     a, b = creature(1200, seed=0), creature(1000, seed=1)
-    both = robust_laplacian(joined(a, moved(b, 50.0, 3.0, 0.0)))
-    alone = [eigensolve(robust_laplacian(mesh), 20, Neo()).eigenvalues for mesh in (a, b)]
-    s = eigensolve(both, 20, Neo())
+    both = sk.robust_laplacian(joined(a, moved(b, 50.0, 3.0, 0.0)))
+    alone = [sk.eigensolve(sk.robust_laplacian(mesh), 20, sk.Neo()).eigenvalues for mesh in (a, b)]
+    s = sk.eigensolve(both, 20, sk.Neo())
     assert s.n_zero_modes == 2
     expected = np.sort(np.concatenate(alone))[:20]
     assert s.eigenvalues == pytest.approx(expected, rel=1e-3, abs=1e-9)
@@ -339,16 +329,16 @@ def test_neo_predicts_each_component_on_its_own() -> None:
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_a_larger_prediction_lowers_every_ritz_value() -> None:
     """Of two poses, or joined with plane waves; up to rounding of float32 features."""
-    laplacian = robust_laplacian(creature(1500, seed=0))
-    exact = eigensolve(laplacian, 40).eigenvalues[1:]
-    waves = AmbientFourier(m=160, bandwidth=6.0)
+    laplacian = sk.robust_laplacian(creature(1500, seed=0))
+    exact = sk.eigensolve(laplacian, 40).eigenvalues[1:]
+    waves = sk.AmbientFourier(m=160, bandwidth=6.0)
     one, two, alone, both = (
-        eigensolve(laplacian, 40, solver).eigenvalues[1:]
+        sk.eigensolve(laplacian, 40, solver).eigenvalues[1:]
         for solver in (
-            Neo(),
-            Neo(poses=2),
-            RayleighRitz(subspace=waves),
-            RayleighRitz(subspace=Union(Neo().subspace, waves)),
+            sk.Neo(),
+            sk.Neo(poses=2),
+            sk.RayleighRitz(subspace=waves),
+            sk.RayleighRitz(subspace=sk.Union(sk.Neo().subspace, waves)),
         )
     )
     assert (two <= one * (1 + 1e-4)).all()
@@ -359,10 +349,10 @@ def test_a_larger_prediction_lowers_every_ritz_value() -> None:
     assert errors["both"] < 0.7 * min(errors["waves"], errors["one"]), errors
 
 
-def test_a_used_neo_pickles_small(bumpy_laplacian: Laplacian) -> None:
+def test_a_used_neo_pickles_small(bumpy_laplacian: sk.Laplacian) -> None:
     """What travels to another process is the name of the weights, not the weights."""
-    solver = Neo()
-    eigensolve(bumpy_laplacian, 4, solver)
+    solver = sk.Neo()
+    sk.eigensolve(bumpy_laplacian, 4, solver)
     sent = pickle.dumps(solver)
     assert len(sent) < 1000
     assert repr(pickle.loads(sent)) == repr(solver)

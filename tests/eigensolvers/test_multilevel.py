@@ -7,20 +7,7 @@ import pytest
 from conftest import bumpy, creature, two_parts
 from scipy.linalg import eigh
 
-from spectra_kit import (
-    AmbientFourier,
-    Capped,
-    ConvergenceError,
-    GivenBasis,
-    Multilevel,
-    Neo,
-    Polished,
-    RandomBasis,
-    RayleighRitz,
-    Refined,
-    eigensolve,
-    robust_laplacian,
-)
+import spectra_kit as sk
 from spectra_kit.eigensolvers.multilevel import level_sizes
 from spectra_kit.geometry import rectangle
 from spectra_kit.levels import coarse_iteration, coarse_ritz, coarsen, smoothed
@@ -36,7 +23,7 @@ def mean_error(spectrum, exact) -> float:
 @pytest.mark.parametrize("rtol", [1e-3, 1e-10])
 def test_multilevel_reaches_any_tolerance(animal, animal_spectrum, rtol):
     assert level_sizes(animal.n, K + 20, coarsest=300, ratio=3) == [900, 300]
-    s = eigensolve(animal, K, Multilevel(rtol=rtol, coarsest=300, ratio=3))
+    s = sk.eigensolve(animal, K, sk.Multilevel(rtol=rtol, coarsest=300, ratio=3))
     assert s.certificate.relative_residuals.max() <= rtol
     expected = animal_spectrum.eigenvalues[:K]
     assert s.eigenvalues == pytest.approx(expected, rel=max(10 * rtol**2, 1e-11))
@@ -45,24 +32,24 @@ def test_multilevel_reaches_any_tolerance(animal, animal_spectrum, rtol):
 
 
 def test_multilevel_starts_closer_than_noise(animal):
-    levels = eigensolve(animal, K, Multilevel(degree=2))
-    noise = eigensolve(animal, K, Refined(start=RandomBasis(m=60), rtol=1e-6, degree=2))
+    levels = sk.eigensolve(animal, K, sk.Multilevel(degree=2))
+    noise = sk.eigensolve(animal, K, sk.Refined(start=sk.RandomBasis(m=60), rtol=1e-6, degree=2))
     assert levels.provenance.iterations < noise.provenance.iterations
 
 
 def test_multilevel_with_fixed_points_and_parts():
     mesh = rectangle(n=3000).geometry
     for laplacian in (
-        robust_laplacian(mesh).dirichlet(mesh.boundary_vertices),
-        robust_laplacian(two_parts()),
+        sk.robust_laplacian(mesh).dirichlet(mesh.boundary_vertices),
+        sk.robust_laplacian(two_parts()),
     ):
-        s = eigensolve(laplacian, 20, Multilevel(coarsest=200))
-        assert s.eigenvalues == pytest.approx(eigensolve(laplacian, 20).eigenvalues, abs=1e-7)
+        s = sk.eigensolve(laplacian, 20, sk.Multilevel(coarsest=200))
+        assert s.eigenvalues == pytest.approx(sk.eigensolve(laplacian, 20).eigenvalues, abs=1e-7)
 
 
 def test_multilevel_says_what_it_did_not_reach(animal):
-    with pytest.raises(ConvergenceError, match="raise max_sweeps") as caught:
-        eigensolve(animal, K, Multilevel(rtol=1e-10, degree=1, max_sweeps=2))
+    with pytest.raises(sk.ConvergenceError, match="raise max_sweeps") as caught:
+        sk.eigensolve(animal, K, sk.Multilevel(rtol=1e-10, degree=1, max_sweeps=2))
     partial = caught.value.partial
     assert partial.k == K
     assert partial.certificate.relative_residuals.max() > 1e-10
@@ -77,16 +64,18 @@ def test_levels_need_room():
 
 @pytest.mark.parametrize(
     ("subspace", "cloud"),
-    [(Neo().subspace, False), (RandomBasis(m=60), True)],
+    [(sk.Neo().subspace, False), (sk.RandomBasis(m=60), True)],
     ids=["neo", "random"],
 )
 def test_a_capped_prediction_is_close(animal, animal_spectrum, subspace, cloud):
     laplacian, exact = animal, animal_spectrum
     if cloud:
-        laplacian = robust_laplacian(creature(4000, seed=0).as_cloud())
-        exact = eigensolve(laplacian, K)
+        laplacian = sk.robust_laplacian(creature(4000, seed=0).as_cloud())
+        exact = sk.eigensolve(laplacian, K)
     rough, smooth = (
-        eigensolve(laplacian, K, Capped(subspace=subspace, n_points=1500, sweeps=3, smoothing=s))
+        sk.eigensolve(
+            laplacian, K, sk.Capped(subspace=subspace, n_points=1500, sweeps=3, smoothing=s)
+        )
         for s in (0, 6)
     )
     assert mean_error(rough, exact) < 3e-3
@@ -96,33 +85,33 @@ def test_a_capped_prediction_is_close(animal, animal_spectrum, subspace, cloud):
 
 
 def test_a_capped_network_is_better_than_the_whole(animal, animal_spectrum):
-    whole = eigensolve(animal, K, Neo())
-    capped = eigensolve(animal, K, Capped(subspace=Neo().subspace, n_points=1500))
+    whole = sk.eigensolve(animal, K, sk.Neo())
+    capped = sk.eigensolve(animal, K, sk.Capped(subspace=sk.Neo().subspace, n_points=1500))
     assert mean_error(capped, animal_spectrum) < mean_error(whole, animal_spectrum)
 
 
 def test_a_capped_basis_may_be_given(animal, animal_spectrum):
     """Columns that belong to the points: the rows of the subset are taken."""
-    given = GivenBasis(animal_spectrum.eigenvectors)
-    s = eigensolve(animal, K, Capped(subspace=given, n_points=1500, sweeps=0))
+    given = sk.GivenBasis(animal_spectrum.eigenvectors)
+    s = sk.eigensolve(animal, K, sk.Capped(subspace=given, n_points=1500, sweeps=0))
     assert mean_error(s, animal_spectrum) < 1e-4
 
 
 def test_a_cap_above_the_points_is_no_cap(bumpy_laplacian):
-    subspace = AmbientFourier(m=60, bandwidth=3.0)
+    subspace = sk.AmbientFourier(m=60, bandwidth=3.0)
     for sweeps, whole in (
-        (0, RayleighRitz(subspace=subspace)),
-        (2, Polished(start=subspace, sweeps=2)),
+        (0, sk.RayleighRitz(subspace=subspace)),
+        (2, sk.Polished(start=subspace, sweeps=2)),
     ):
-        capped = Capped(subspace=subspace, n_points=400, sweeps=sweeps)
-        a, b = (eigensolve(bumpy_laplacian, 10, solver) for solver in (capped, whole))
+        capped = sk.Capped(subspace=subspace, n_points=400, sweeps=sweeps)
+        a, b = (sk.eigensolve(bumpy_laplacian, 10, solver) for solver in (capped, whole))
         np.testing.assert_array_equal(a.eigenvalues, b.eigenvalues)
 
 
 def test_no_cliff_where_the_cap_begins(animal, animal_spectrum):
     """Just below twice as many points as the cap, and just above: about as good."""
     for n in (2100, 1900):
-        assert mean_error(eigensolve(animal, 60, Capped(n_points=n)), animal_spectrum) < 1e-3
+        assert mean_error(sk.eigensolve(animal, 60, sk.Capped(n_points=n)), animal_spectrum) < 1e-3
 
 
 def test_nested_levels_compose(animal, animal_spectrum):
@@ -139,7 +128,7 @@ def test_nested_levels_compose(animal, animal_spectrum):
 
 
 def test_coarse_iteration_finds_the_lowest_pairs_of_the_level():
-    level = coarsen(robust_laplacian(bumpy(2562)), 600)
+    level = coarsen(sk.robust_laplacian(bumpy(2562)), 600)
     truth = eigh(level.stiffness.toarray(), level.mass.toarray(), eigvals_only=True)[:30]
     noise = np.random.default_rng(0).standard_normal((level.n, 45))
     found = coarse_iteration(level, coarse_ritz(level, noise, 45), 30, rtol=1e-12)

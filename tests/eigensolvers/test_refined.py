@@ -6,25 +6,7 @@ import numpy as np
 import pytest
 from conftest import two_parts
 
-from spectra_kit import (
-    AmbientFourier,
-    Chebyshev,
-    ConvergenceError,
-    GivenBasis,
-    InvalidInputError,
-    Laplacian,
-    Lobpcg,
-    Multilevel,
-    Neo,
-    Polished,
-    RandomBasis,
-    RayleighRitz,
-    Refined,
-    Union,
-    cotan_laplacian,
-    eigensolve,
-    robust_laplacian,
-)
+import spectra_kit as sk
 from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.linalg.residuals import residual_norms, residuals
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation, weighted_gram
@@ -34,13 +16,13 @@ K = 40
 
 
 STARTS = {
-    "waves": AmbientFourier(m=100, bandwidth=4.0),
-    "network": Neo().subspace,
-    "random": RandomBasis(m=60, seed=3),
-    "too few columns": RandomBasis(m=5),
+    "waves": sk.AmbientFourier(m=100, bandwidth=4.0),
+    "network": sk.Neo().subspace,
+    "random": sk.RandomBasis(m=60, seed=3),
+    "too few columns": sk.RandomBasis(m=5),
     "no columns": lambda points, mass: np.empty((len(points), 0)),
     "constants alone": lambda points, mass: np.ones((len(points), 3)),
-    "union": Union(AmbientFourier(m=50, bandwidth=4.0), RandomBasis(m=20)),
+    "union": sk.Union(sk.AmbientFourier(m=50, bandwidth=4.0), sk.RandomBasis(m=20)),
 }
 
 
@@ -49,7 +31,7 @@ STARTS = {
     [("waves", 1e-3), ("waves", 1e-10), *((start, 1e-6) for start in list(STARTS)[1:])],
 )
 def test_any_start_reaches_any_tolerance(animal, animal_spectrum, start: str, rtol: float) -> None:
-    s = eigensolve(animal, K, Refined(start=STARTS[start], rtol=rtol))
+    s = sk.eigensolve(animal, K, sk.Refined(start=STARTS[start], rtol=rtol))
     assert s.certificate.relative_residuals.max() <= rtol
     # The error of a Ritz value is quadratic in its residual.
     assert s.eigenvalues == pytest.approx(
@@ -58,10 +40,10 @@ def test_any_start_reaches_any_tolerance(animal, animal_spectrum, start: str, rt
     assert s.provenance.iterations >= 1
 
 
-@pytest.mark.parametrize("options", [{"cls": Chebyshev, "max_sweeps": 90}, {"cls": Lobpcg}])
+@pytest.mark.parametrize("options", [{"cls": sk.Chebyshev, "max_sweeps": 90}, {"cls": sk.Lobpcg}])
 def test_other_methods(animal, animal_spectrum, options) -> None:
-    solver = options.pop("cls")(start=AmbientFourier(m=100), rtol=1e-6, **options)
-    s = eigensolve(animal, K, solver)
+    solver = options.pop("cls")(start=sk.AmbientFourier(m=100), rtol=1e-6, **options)
+    s = sk.eigensolve(animal, K, solver)
     assert s.certificate.relative_residuals.max() <= 1e-6 * (1 + 1e-6)
     assert s.eigenvalues == pytest.approx(animal_spectrum.eigenvalues[:K], rel=1e-10)
     assert s.provenance.iterations >= 1
@@ -69,10 +51,10 @@ def test_other_methods(animal, animal_spectrum, options) -> None:
 
 def test_the_methods_agree_on_what_converged_means(animal) -> None:
     """A start that has already converged takes no sweep, whoever made it."""
-    tight = eigensolve(animal, K, Refined(rtol=1e-10))
-    for solver, sweeps in ((Refined, 1), (Chebyshev, 0), (Lobpcg, 0)):
-        again = solver(start=GivenBasis(tight.eigenvectors), rtol=1e-8)
-        assert eigensolve(animal, K, again).provenance.iterations == sweeps
+    tight = sk.eigensolve(animal, K, sk.Refined(rtol=1e-10))
+    for solver, sweeps in ((sk.Refined, 1), (sk.Chebyshev, 0), (sk.Lobpcg, 0)):
+        again = solver(start=sk.GivenBasis(tight.eigenvectors), rtol=1e-8)
+        assert sk.eigensolve(animal, K, again).provenance.iterations == sweeps
 
 
 @pytest.mark.parametrize(
@@ -83,28 +65,28 @@ def test_modes_that_the_start_lacks_are_found(animal, animal_spectrum, noise, mi
     """Neither silently left out, nor taken for rounding while they come up."""
     columns = np.delete(animal_spectrum.eigenvectors, missing, axis=1)
     columns = columns + noise * np.random.default_rng(0).standard_normal(columns.shape)
-    s = eigensolve(animal, K, Refined(start=GivenBasis(columns)))
+    s = sk.eigensolve(animal, K, sk.Refined(start=sk.GivenBasis(columns)))
     assert s.eigenvalues == pytest.approx(animal_spectrum.eigenvalues[:K], rel=1e-10, abs=1e-10)
 
 
 def test_k_inside_a_cluster() -> None:
     """On the sphere, where the guards may end anywhere in a shell of equal eigenvalues."""
-    laplacian = robust_laplacian(sphere(subdivisions=4).geometry)
-    exact = eigensolve(laplacian, 36).eigenvalues
+    laplacian = sk.robust_laplacian(sphere(subdivisions=4).geometry)
+    exact = sk.eigensolve(laplacian, 36).eigenvalues
     for k in (15, 16, 17, 21, 24):
-        for solver in (Refined(), Multilevel(rtol=1e-8)):
-            s = eigensolve(laplacian, k, solver)
+        for solver in (sk.Refined(), sk.Multilevel(rtol=1e-8)):
+            s = sk.eigensolve(laplacian, k, solver)
             assert s.certificate.relative_residuals.max() <= 1e-8
             assert s.eigenvalues == pytest.approx(exact[:k], rel=1e-10, abs=1e-10)
 
 
 def test_a_better_start_takes_fewer_sweeps(animal, animal_spectrum) -> None:
     sweeps = [
-        eigensolve(animal, K, Refined(start=start)).provenance.iterations
+        sk.eigensolve(animal, K, sk.Refined(start=start)).provenance.iterations
         for start in (
-            GivenBasis(animal_spectrum.eigenvectors),
+            sk.GivenBasis(animal_spectrum.eigenvectors),
             STARTS["network"],
-            RandomBasis(m=60),
+            sk.RandomBasis(m=60),
         )
     ]
     assert sweeps[0] == 1
@@ -113,31 +95,33 @@ def test_a_better_start_takes_fewer_sweeps(animal, animal_spectrum) -> None:
 
 def test_components_and_fixed_points() -> None:
     mesh = rectangle(n=1000).geometry
-    held = cotan_laplacian(mesh).dirichlet(mesh.boundary_vertices)
-    for laplacian in (robust_laplacian(two_parts()), held):
-        columns = GivenBasis(np.random.default_rng(0).standard_normal((laplacian.n, 60)))
-        exact = eigensolve(laplacian, 12).eigenvalues
-        for start in (columns, Union(columns, AmbientFourier(m=64))):
-            s = eigensolve(laplacian, 12, Refined(start=start, rtol=1e-9))
+    held = sk.cotan_laplacian(mesh).dirichlet(mesh.boundary_vertices)
+    for laplacian in (sk.robust_laplacian(two_parts()), held):
+        columns = sk.GivenBasis(np.random.default_rng(0).standard_normal((laplacian.n, 60)))
+        exact = sk.eigensolve(laplacian, 12).eigenvalues
+        for start in (columns, sk.Union(columns, sk.AmbientFourier(m=64))):
+            s = sk.eigensolve(laplacian, 12, sk.Refined(start=start, rtol=1e-9))
             assert s.certificate.relative_residuals.max() <= 1e-9
             assert s.eigenvalues == pytest.approx(exact, rel=1e-10, abs=1e-12)
 
 
 def test_units(animal, animal_spectrum) -> None:
     """Lengths in other units: the same sweeps, eigenvalues in 1/length^2."""
-    sweeps = eigensolve(animal, K, Refined(rtol=1e-6)).provenance.iterations
+    sweeps = sk.eigensolve(animal, K, sk.Refined(rtol=1e-6)).provenance.iterations
     for unit in (1e-3, 1e18):
-        scaled = Laplacian(animal.stiffness, animal.mass * unit**2, animal.points * unit)
-        s = eigensolve(scaled, K, Refined(rtol=1e-6))
+        scaled = sk.Laplacian(animal.stiffness, animal.mass * unit**2, animal.points * unit)
+        s = sk.eigensolve(scaled, K, sk.Refined(rtol=1e-6))
         assert s.eigenvalues * unit**2 == pytest.approx(animal_spectrum.eigenvalues[:K], rel=1e-10)
         assert s.provenance.iterations == sweeps
 
 
-@pytest.mark.parametrize("solver", [Refined, Chebyshev])
+@pytest.mark.parametrize("solver", [sk.Refined, sk.Chebyshev])
 def test_short_of_the_tolerance(animal, solver) -> None:
     """The error says how many made it and what to change, and carries what there is."""
-    with pytest.raises(ConvergenceError, match=r"of 40 modes .*raise max_sweeps, loosen rtol") as e:
-        eigensolve(animal, K, solver(start=RandomBasis(), max_sweeps=2))
+    with pytest.raises(
+        sk.ConvergenceError, match=r"of 40 modes .*raise max_sweeps, loosen rtol"
+    ) as e:
+        sk.eigensolve(animal, K, solver(start=sk.RandomBasis(), max_sweeps=2))
     partial = e.value.partial
     assert partial.k == K
     made_it = (partial.certificate.relative_residuals <= 1e-8).sum()
@@ -147,8 +131,8 @@ def test_short_of_the_tolerance(animal, solver) -> None:
 
 
 def test_tolerance_below_rounding(animal, animal_spectrum) -> None:
-    with pytest.raises(ConvergenceError, match="rounding stops the others; loosen rtol") as e:
-        eigensolve(animal, K, Refined(rtol=1e-14))
+    with pytest.raises(sk.ConvergenceError, match="rounding stops the others; loosen rtol") as e:
+        sk.eigensolve(animal, K, sk.Refined(rtol=1e-14))
     partial = e.value.partial
     assert partial.certificate.relative_residuals.max() < 1e-10
     assert partial.eigenvalues == pytest.approx(
@@ -159,21 +143,21 @@ def test_tolerance_below_rounding(animal, animal_spectrum) -> None:
 def test_rounding_is_recognised_however_it_falls(bumpy_laplacian) -> None:
     """Residuals that are rounding fall as often as they rise: that is no progress."""
     for seed in range(3):
-        with pytest.raises(ConvergenceError, match="rounding stops the others; loosen rtol"):
-            eigensolve(bumpy_laplacian, K, Refined(rtol=1e-14, seed=seed))
+        with pytest.raises(sk.ConvergenceError, match="rounding stops the others; loosen rtol"):
+            sk.eigensolve(bumpy_laplacian, K, sk.Refined(rtol=1e-14, seed=seed))
 
 
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_polish_gains_with_each_sweep_and_degree(animal, animal_spectrum) -> None:
-    start = AmbientFourier(m=100, bandwidth=4.0)
+    start = sk.AmbientFourier(m=100, bandwidth=4.0)
 
     def error(solver) -> float:
-        values = eigensolve(animal, K, solver).eigenvalues
+        values = sk.eigensolve(animal, K, solver).eigenvalues
         return np.abs(values[1:] / animal_spectrum.eigenvalues[1:K] - 1).mean()
 
-    raw = error(RayleighRitz(subspace=start))
+    raw = error(sk.RayleighRitz(subspace=start))
     once, steeper, twice = (
-        error(Polished(start=start, degree=degree, sweeps=sweeps))
+        error(sk.Polished(start=start, degree=degree, sweeps=sweeps))
         for degree, sweeps in ((1, 1), (3, 1), (3, 2))
     )
     assert once < raw / 3
@@ -188,7 +172,7 @@ def test_sweeps_converge_at_the_rate_of_chebyshev(animal, animal_spectrum) -> No
         shift_invert_iteration(
             animal.stiffness,
             animal.mass,
-            AmbientFourier(m=60, bandwidth=4.0)(animal.points, animal.mass),
+            sk.AmbientFourier(m=60, bandwidth=4.0)(animal.points, animal.mass),
             K,
             tolerance=np.zeros_like,
             spacing=animal.eigenvalue_spacing,
@@ -207,14 +191,14 @@ def test_sweeps_converge_at_the_rate_of_chebyshev(animal, animal_spectrum) -> No
 
 def test_polish_by_default_follows_k(animal, animal_spectrum) -> None:
     for k in (12, 60):
-        values = eigensolve(animal, k, Polished()).eigenvalues[1:]
+        values = sk.eigensolve(animal, k, sk.Polished()).eigenvalues[1:]
         assert (values / animal_spectrum.eigenvalues[1:k] - 1).mean() < 1e-4
 
 
 def test_ritz_pairs_of_a_bad_basis(bumpy_laplacian) -> None:
     """Scale, dependence and tiny directions of the columns do not matter, down to `rank_tol`."""
     L, mass = bumpy_laplacian.stiffness, bumpy_laplacian.mass
-    modes = eigensolve(bumpy_laplacian, 30).eigenvectors
+    modes = sk.eigensolve(bumpy_laplacian, 30).eigenvectors
     rng = np.random.default_rng(0)
     for condition in (1.0, 1e4, 1e8):
         mixed = modes @ rng.standard_normal((30, 30)) * np.geomspace(1, condition, 30)
@@ -222,10 +206,12 @@ def test_ritz_pairs_of_a_bad_basis(bumpy_laplacian) -> None:
         values, vectors, rank = ritz_pairs(L, mass, twice, 30)
         assert rank == 30
         assert weighted_gram(vectors, mass) == pytest.approx(np.eye(30), abs=1e-11)
-        expected = eigensolve(bumpy_laplacian, 30).eigenvalues
+        expected = sk.eigensolve(bumpy_laplacian, 30).eigenvalues
         assert values == pytest.approx(expected, rel=1e-9, abs=1e-12 * expected[-1])
     assert ritz_rotation(L, mass, vectors)[0] == pytest.approx(values, rel=1e-10, abs=1e-10)
-    with pytest.raises(InvalidInputError, match="at least k = 31 dimensions, got numerical rank"):
+    with pytest.raises(
+        sk.InvalidInputError, match="at least k = 31 dimensions, got numerical rank"
+    ):
         ritz_pairs(L, mass, twice, 31)
 
 

@@ -4,20 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from conftest import bumpy, joined, moved, two_parts, whole_spectrum
+from conftest import bumpy, creature, joined, moved, two_parts, whole_spectrum
 from scipy import sparse
 
-from spectra_kit import (
-    AmbientFourier,
-    InvalidInputError,
-    Laplacian,
-    Lobpcg,
-    RayleighRitz,
-    Spectrum,
-    eigensolve,
-    robust_laplacian,
-    write,
-)
+import spectra_kit as sk
 from spectra_kit.cli import main
 from spectra_kit.eigensolvers import verify
 from spectra_kit.eigensolvers.verification import _Prover
@@ -25,21 +15,21 @@ from spectra_kit.geometry import rectangle, sphere
 from spectra_kit.linalg import SparseLDL
 
 
-def columns(spectrum: Spectrum, keep: list[int]) -> Spectrum:
-    return Spectrum(
+def columns(spectrum: sk.Spectrum, keep: list[int]) -> sk.Spectrum:
+    return sk.Spectrum(
         spectrum.eigenvalues[keep], np.array(spectrum.eigenvectors[:, keep]), spectrum.mass
     )
 
 
 @pytest.fixture(scope="module")
-def spectrum(bumpy_laplacian) -> Spectrum:
-    return eigensolve(bumpy_laplacian, 20).certify(bumpy_laplacian)  # not counted
+def spectrum(bumpy_laplacian) -> sk.Spectrum:
+    return sk.eigensolve(bumpy_laplacian, 20).certify(bumpy_laplacian)  # not counted
 
 
 def test_exact_modes_are_verified(any_laplacian) -> None:
     exact = whole_spectrum(any_laplacian)[0]
     k = 10 + int(np.argmax(np.diff(exact[9:21])))  # cuts no cluster
-    verified = verify(eigensolve(any_laplacian, k), any_laplacian)
+    verified = verify(sk.eigensolve(any_laplacian, k), any_laplacian)
     count = verified.certificate.count
     assert (verified.certificate.level, count.verified, count.reason) == ("verified", k, "")
     assert np.abs(verified.eigenvalues - exact[:k]).max() <= count.radius + 1e-12 * exact[-1]
@@ -48,14 +38,13 @@ def test_exact_modes_are_verified(any_laplacian) -> None:
     assert verified.provenance.seconds["verify"] > 0
 
 
-@pytest.mark.parametrize("dropped", [0, 7, 18])
-def test_a_dropped_mode_is_missed(bumpy_laplacian, spectrum, dropped: int) -> None:
-    keep = [i for i in range(20) if i != dropped]
-    certificate = verify(columns(spectrum, keep), bumpy_laplacian).certificate
-    assert certificate.level == "residuals"
-    assert certificate.n_verified == dropped
-    assert f"some beyond the first {dropped} are missing" in certificate.count.reason
-    assert "eigenvalues were counted where" in certificate.count.reason
+def test_a_dropped_mode_is_missed(bumpy_laplacian, spectrum) -> None:
+    for dropped in (0, 7, 18):
+        keep = [i for i in range(20) if i != dropped]
+        certificate = sk.verify(columns(spectrum, keep), bumpy_laplacian).certificate
+        assert (certificate.level, certificate.n_verified) == ("residuals", dropped)
+        assert f"some beyond the first {dropped} are missing" in certificate.count.reason
+        assert ("zero modes are not in" in certificate.count.reason) == (dropped == 0)
 
 
 def test_a_duplicate_in_place_of_a_mode_is_seen(bumpy_laplacian, spectrum) -> None:
@@ -67,44 +56,44 @@ def test_a_duplicate_in_place_of_a_mode_is_seen(bumpy_laplacian, spectrum) -> No
     vectors = np.array(spectrum.eigenvectors[:, keep])
     vectors[:, 7] += 1e-5 * spectrum.eigenvectors[:, 7]
     vectors[:, 7] /= np.sqrt(spectrum.mass @ vectors[:, 7] ** 2)
-    tilted = Spectrum(spectrum.eigenvalues[keep], vectors, spectrum.mass)
+    tilted = sk.Spectrum(spectrum.eigenvalues[keep], vectors, spectrum.mass)
     assert verify(tilted, bumpy_laplacian).certificate.n_verified == 6
 
 
 def test_a_wrong_eigenvalue_ends_what_is_verified(bumpy_laplacian, spectrum) -> None:
     values = np.array(spectrum.eigenvalues)
     values[9] = (values[9] + values[10]) / 2
-    wrong = Spectrum(values, spectrum.eigenvectors, spectrum.mass)
+    wrong = sk.Spectrum(values, spectrum.eigenvectors, spectrum.mass)
     certificate = verify(wrong, bumpy_laplacian).certificate
     assert certificate.n_verified == 9
     assert "too wide to tell one from the next" in certificate.count.reason
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_nothing_false_is_ever_verified(bumpy_laplacian, spectrum, seed: int) -> None:
+def test_nothing_false_is_ever_verified(bumpy_laplacian, spectrum) -> None:
     """Any modes left out, mixed and noised: what is verified holds of the dense spectrum."""
-    rng = np.random.default_rng(seed)
     exact = whole_spectrum(bumpy_laplacian)[0]
-    keep = np.sort(rng.choice(20, 17, replace=False))
-    vectors = np.array(spectrum.eigenvectors[:, keep])
-    vectors += 10.0 ** rng.uniform(-12, -2) * rng.standard_normal(vectors.shape)
-    vectors[:, 9:11] @= np.linalg.qr(rng.standard_normal((2, 2)))[0]
-    changed = Spectrum(spectrum.eigenvalues[keep], vectors, spectrum.mass)
-    count = verify(changed, bumpy_laplacian).certificate.count
-    v = count.verified
-    assert v <= 10
-    assert (np.abs(changed.eigenvalues[:v] - exact[:v]) <= count.radius + 1e-10).all()
-    assert exact[v] >= count.floor
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        keep = np.sort(rng.choice(20, 17, replace=False))
+        vectors = np.array(spectrum.eigenvectors[:, keep])
+        vectors += 10.0 ** rng.uniform(-12, -2) * rng.standard_normal(vectors.shape)
+        vectors[:, 9:11] @= np.linalg.qr(rng.standard_normal((2, 2)))[0]
+        changed = sk.Spectrum(spectrum.eigenvalues[keep], vectors, spectrum.mass)
+        count = sk.verify(changed, bumpy_laplacian).certificate.count
+        v = count.verified
+        assert v <= 10
+        assert (np.abs(changed.eigenvalues[:v] - exact[:v]) <= count.radius + 1e-10).all()
+        assert exact[v] >= count.floor
 
 
 def test_a_cluster_may_be_cut_at_k() -> None:
     """The copies left out are no lower than those found: exact to within the step below them."""
-    ball = robust_laplacian(sphere(subdivisions=3).geometry)
+    ball = sk.robust_laplacian(sphere(subdivisions=3).geometry)
     exact = whole_spectrum(ball)[0]
-    closed = verify(eigensolve(ball, 16), ball)
+    closed = verify(sk.eigensolve(ball, 16), ball)
     assert (closed.certificate.level, closed.certificate.count.radius < 1e-8) == ("verified", True)
     for k in (11, 12, 14):  # 1 + 3 + 5 close; the seven that follow are 3 and 4
-        cut = verify(eigensolve(ball, k), ball)
+        cut = verify(sk.eigensolve(ball, k), ball)
         count = cut.certificate.count
         assert (cut.certificate.level, count.verified, count.missing) == ("verified", k, 0)
         assert np.abs(cut.eigenvalues - exact[:k]).max() <= count.radius
@@ -112,39 +101,35 @@ def test_a_cluster_may_be_cut_at_k() -> None:
         assert exact[k - 1] - 2e-3 * ball.eigenvalue_spacing < count.floor <= exact[k]
     # Truncation of a verified spectrum stays so: what follows is known.
     assert closed.truncate(12).certificate.level == "verified"
-
-
-def test_what_is_missing_is_told_from_what_k_cuts() -> None:
-    ball = robust_laplacian(sphere(subdivisions=3).geometry)
-    found = eigensolve(ball, 30)
+    found = sk.eigensolve(ball, 30)  # what is missing is told from what k cuts
     for dropped in (0, 4, 24):
-        keep = [i for i in range(30) if i != dropped]
-        count = verify(columns(found, keep), ball).certificate.count
+        lacking = columns(found, [i for i in range(30) if i != dropped])
+        count = sk.verify(lacking, ball).certificate.count
         assert (count.verified < 29, count.missing) == (True, 1)
 
 
 def test_several_components_and_isolated_points(bumpy_laplacian) -> None:
-    parts = robust_laplacian(two_parts())
-    found = eigensolve(parts, 25)
+    parts = sk.robust_laplacian(two_parts())
+    found = sk.eigensolve(parts, 25)
     assert verify(found, parts).certificate.level == "verified"
     lost = verify(columns(found, [0, *range(2, 25)]), parts).certificate
     assert (lost.n_verified, lost.n_zero_modes) == (0, 1)
-    alone = Laplacian(
+    alone = sk.Laplacian(
         sparse.block_diag([bumpy_laplacian.stiffness, sparse.csr_array((2, 2))]).tocsr(),
         np.append(bumpy_laplacian.mass, [1e-3, 1e-3]),
         np.vstack([bumpy_laplacian.points, [[9, 9, 9], [8, 8, 8]]]),
     )
-    certificate = verify(eigensolve(alone, 15), alone).certificate
+    certificate = verify(sk.eigensolve(alone, 15), alone).certificate
     assert (certificate.level, certificate.n_zero_modes) == ("verified", 3)
-    speck = robust_laplacian(joined(bumpy(), moved(bumpy(), 5, 5, 5, scale=1e-2)))
-    assert verify(eigensolve(speck, 20), speck).certificate.level == "verified"
+    speck = sk.robust_laplacian(joined(bumpy(), moved(bumpy(), 5, 5, 5, scale=1e-2)))
+    assert verify(sk.eigensolve(speck, 20), speck).certificate.level == "verified"
 
 
 def test_dirichlet_modes_are_counted_on_the_free_points() -> None:
     mesh = rectangle(n=600).geometry
-    free = robust_laplacian(mesh)
+    free = sk.robust_laplacian(mesh)
     held = free.dirichlet(mesh.boundary_vertices)
-    exact = eigensolve(held, 12)
+    exact = sk.eigensolve(held, 12)
     assert verify(exact, held).certificate.level == "verified"
     assert verify(columns(exact, [0, 1, *range(3, 12)]), held).certificate.n_verified == 2
     # Of the free plate these are no modes at all.
@@ -152,17 +137,15 @@ def test_dirichlet_modes_are_counted_on_the_free_points() -> None:
 
 
 def test_a_prediction_claims_only_what_holds(bumpy_laplacian) -> None:
-    predicted = eigensolve(bumpy_laplacian, 16, RayleighRitz(subspace=AmbientFourier(m=200)))
-    certificate = verify(predicted, bumpy_laplacian).certificate
-    assert certificate.level == "residuals"
-    assert certificate.n_verified <= 4
-    assert "residuals" in certificate.count.reason
-    assert "refine the modes" in certificate.count.reason
-
-
-def test_a_loose_tolerance_is_enough(bumpy_laplacian) -> None:
-    refined = eigensolve(bumpy_laplacian, 16, Lobpcg(rtol=1e-5))
-    assert verify(refined, bumpy_laplacian).certificate.level == "verified"
+    waves = sk.RayleighRitz(subspace=sk.AmbientFourier(m=200))
+    predicted, loose = (
+        sk.verify(sk.eigensolve(bumpy_laplacian, 16, solver), bumpy_laplacian).certificate
+        for solver in (waves, sk.Lobpcg(rtol=1e-5))
+    )
+    assert predicted.level == "residuals"
+    assert predicted.n_verified <= 4
+    assert "refine the modes" in predicted.count.reason
+    assert loose.level == "verified"
 
 
 def test_backward_error_is_a_bound() -> None:
@@ -200,14 +183,14 @@ def test_rounding_is_confessed() -> None:
     path[0, 0] = path[-1, -1] = 1.0
     stiff = sparse.block_diag([path, 1e17 * np.array([[1.0, -1.0], [-1.0, 1.0]])]).tocsr()
     points = np.random.default_rng(0).standard_normal((n + 2, 3))
-    laplacian = Laplacian(stiff, np.ones(n + 2), points)
-    certificate = verify(eigensolve(laplacian, 6), laplacian).certificate
+    laplacian = sk.Laplacian(stiff, np.ones(n + 2), points)
+    certificate = verify(sk.eigensolve(laplacian, 6), laplacian).certificate
     assert certificate.level == "residuals"
     assert certificate.n_verified == 0
     assert certificate.count.reason
 
 
-def test_count_survives_what_spectra_go_through(tmp_path, bumpy_laplacian, spectrum) -> None:
+def test_count_survives_what_spectra_go_through(bumpy_laplacian, spectrum) -> None:
     verified = verify(spectrum, bumpy_laplacian)
     count = verified.certificate.count
     short = verified.truncate(5).certificate
@@ -217,18 +200,8 @@ def test_count_survives_what_spectra_go_through(tmp_path, bumpy_laplacian, spect
     beyond = verified.nonzero().certificate
     assert (beyond.level, beyond.n_verified, beyond.count.floor) == ("verified", 19, count.floor)
 
-    large = verified.rescale(3.0)
-    L = bumpy_laplacian
-    again = verify(large, Laplacian(L.stiffness, 9 * L.mass, 3 * L.points)).certificate.count
-    assert large.certificate.count.floor == pytest.approx(again.floor, rel=1e-6)
-    assert large.certificate.count.radius == pytest.approx(count.radius / 9, rel=1e-12)
-
-    verified.save(tmp_path / "v.npz")
-    loaded = Spectrum.load(tmp_path / "v.npz").certificate
-    assert (loaded.count, loaded.level) == (count, "verified")
     assert "verified, relative residuals" in repr(verified)
     assert "verified" not in repr(spectrum)
-
     partly = verify(columns(spectrum, [0, 1, 2, *range(4, 20)]), bumpy_laplacian)
     assert (partly.certificate.level, partly.certificate.n_verified) == ("residuals", 3)
     assert partly.truncate(3).certificate.level == "verified"
@@ -238,20 +211,9 @@ def test_count_survives_what_spectra_go_through(tmp_path, bumpy_laplacian, spect
 
 
 def test_no_modes_are_nothing_verified(bumpy_laplacian, spectrum) -> None:
-    empty = verify(spectrum, bumpy_laplacian).truncate(1).nonzero().certificate
+    empty = sk.verify(spectrum, bumpy_laplacian).truncate(1).nonzero().certificate
     assert (empty.level, empty.n_verified, len(empty.residuals)) == ("residuals", 0, 0)
     assert empty.count.reason == ""  # there is none that is not
-    assert spectrum.truncate(1).nonzero().certificate.level == "residuals"
-
-
-def test_zero_modes_must_be_there_to_be_counted(bumpy_laplacian, spectrum) -> None:
-    certificate = verify(spectrum.nonzero(), bumpy_laplacian).certificate
-    assert (certificate.level, certificate.n_verified) == ("residuals", 0)
-    expected = "1 of 1 zero modes are not in this spectrum (if `nonzero` dropped them: verify first"
-    assert certificate.count.reason.startswith(expected)
-    assert "some beyond the first 0 are missing" in certificate.count.reason
-    other = columns(spectrum, [i for i in range(20) if i != 7])  # a mode that is not one of these
-    assert "zero modes" not in verify(other, bumpy_laplacian).certificate.count.reason
 
 
 def test_a_pivot_lost_in_rounding_may_be_negative() -> None:
@@ -265,7 +227,7 @@ def test_a_pivot_lost_in_rounding_may_be_negative() -> None:
         prover = _Prover(stiffness, np.ones(2), 1000.0, np.zeros(1), np.zeros(1))
         try:
             factor = SparseLDL(sparse.csr_array([[a, b], [b, c]]), definite=False)
-        except InvalidInputError:  # an exact zero
+        except sk.InvalidInputError:  # an exact zero
             continue
         lost = int((factor.pivots < 0).sum())
         negative += lost
@@ -277,16 +239,16 @@ def test_a_pivot_lost_in_rounding_may_be_negative() -> None:
 
 def test_the_command_line_says_what_is_verified(tmp_path, capsys) -> None:
     path, saved = str(tmp_path / "bumpy.off"), str(tmp_path / "v.npz")
-    write(bumpy(2562), path)  # more points than plane waves
+    sk.write(creature(1300, seed=0), path)  # more points than plane waves
     assert main(["spectrum", path, "-k", "12", "--verify", "-o", saved]) == 0
     assert "all 12, none missed below" in capsys.readouterr().out
-    assert Spectrum.load(saved).certificate.level == "verified"
-    fourier = ["spectrum", path, "-k", "12", "--solver", "fourier"]
-    assert main([*fourier, "--verify"]) == 0
+    assert sk.Spectrum.load(saved).certificate.level == "verified"
+    assert main(["spectrum", path, "-k", "12", "--solver", "fourier", "--verify"]) == 0
     assert " of 12; from mode " in capsys.readouterr().out
-    assert main(fourier) == 0
+    free = ["spectrum", path, "-k", "12", "--solver", "chebyshev"]
+    assert main(free) == 0
     assert "not counted: modes may be missing between these" in capsys.readouterr().out
-    for options, level in ((["--verify"], "verified"), (["--solver", "fourier"], "residuals")):
-        assert main(["spectrum", path, "-k", "12", "--json", *options]) == 0
+    for options, level in ((["--verify"], "verified"), ([], "residuals")):
+        assert main([*free, "--json", *options]) == 0
         record = json.loads(capsys.readouterr().out)["certificate"]
         assert (record["level"], record["count"] is None) == (level, level == "residuals")

@@ -18,15 +18,9 @@ CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium is installed")
 
 FLAGS = [
-    "--headless=new",
-    "--no-sandbox",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
+    *("--headless=new", "--no-sandbox", "--disable-background-networking", "--disable-sync"),
+    *("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+    *("--disable-component-update", "--no-first-run"),
 ]
 NAMES = ("exact <b>", "guess & “co”")
 
@@ -73,17 +67,7 @@ def pages(ball, tmp_path_factory):
     )
     write_explorer(folder / "cloud.html", ball.as_cloud(), exact, view=View("z"), max_points=1500)
     fine = sphere(subdivisions=5).geometry
-    height = fine.points[:, 2:] / np.linalg.norm(fine.points[:, 2])
-    sure = Certificate(
-        residuals=np.full(1, 1e-13),
-        relative_residuals=np.full(1, 1e-14),
-        orthonormality_error=0.0,
-        n_zero_modes=1,
-        kernel_dimension=1,
-        n_components=1,
-    )
-    lone = Spectrum(np.full(1, 1e-14), height, np.full(fine.n, 4 * np.pi / fine.n), sure)
-    write_explorer(folder / "many.html", fine, lone)
+    write_explorer(folder / "many.html", fine, spectrum(fine, fine.points[:, 2]))
     return folder
 
 
@@ -327,82 +311,39 @@ def test_the_difference_can_be_put_away_and_the_mode_swings(visit):
     assert visit.page.get_attribute("#play", "aria-label") == "Play the wave"
 
 
-def test_on_a_slow_machine_plot_and_table_follow_when_the_slider_rests(visit):
-    visit.page.evaluate("explorer.stage.slow = true")
-    shown = "document.querySelector('#table tr[aria-current]').dataset.mode"
-    before = visit.page.evaluate(f"(explorer.choose(3), {shown})")
-    assert before == "1"
-    assert visit.text("#view-exact .first") == "λ = 3.0000"  # this is said at once
-    visit.settle()
-    visit.page.wait_for_selector("#table tr[aria-current][data-mode='3']")
-    visit.page.locator("#table tbody tr").nth(2).click()  # what is clicked answers at once
-    assert visit.page.evaluate(shown) == "2"
-    visit.page.evaluate("explorer.stage.slow = false")
-
-
 def test_a_slow_machine_draws_coarsely_what_moves_and_everything_at_rest(browser, pages):
     many = Visit(browser, pages / "many.html", width=500, height=400)
-    # A mode alone, of eigenvalue zero up to rounding: neither a scale nor bars made of it.
-    assert many.text("#legend").split("\n") == ["exact"]
-    assert many.text("#subtitle").startswith("10,242 points · 1 mode · λ = 1.00e")
-    assert many.page.locator("#plot .tick").all_text_contents() == ["0", "0"]
-    assert many.page.is_hidden("#nodal")
-    dot, plot = (many.page.locator(part).bounding_box() for part in ("#plot .dots circle", "#plot"))
-    assert dot["x"] + dot["width"] / 2 - plot["x"] == pytest.approx(plot["width"] / 2, abs=30)
-    # As it opens: nothing sharp is waited for, and how long that takes is not known yet.
-    again = "Object.assign(explorer.stage, {slow: undefined, cost: undefined, sizes: ''}).resize()"
-    stage = "[explorer.stage.fine, explorer.stage.slow, explorer.stage.cost ?? null]"
-    assert many.page.evaluate(f"({again}, {stage})") == [False, True, None]
-    many.settle()
-    fine, slow, cost = many.page.evaluate(stage)
-    assert (fine, slow) == (True, cost > 40)
+    assert many.text("#legend").split("\n")[0] == "exact"
     many.page.evaluate("explorer.stage.look([1, 0, 0]); explorer.stage.slow = true")
     many.settle()
     fine = many.view("exact")
     drawn = "explorer.stage.renderer.info.render.triangles"
     everything = many.page.evaluate(drawn)
-    assert everything == 20480
     # Drawn at once, before the moment of rest: fewer triangles, and no fewer pixels than half.
     few = many.page.evaluate(f"(explorer.stage.draw(0), {drawn})")
     assert 2000 < few < everything / 1.5
     assert 0.5 <= many.page.evaluate("explorer.stage.renderer.getPixelRatio()") <= 1
-    many.page.evaluate("clearTimeout(explorer.stage.resting)")
-    moving = many.view("exact")
-    assert 0.05 < np.abs(moving - fine).mean() < 4  # the same picture, coarser
     many.page.evaluate("explorer.stage.invalidate()")
     many.settle()
     assert many.page.evaluate(drawn) == everything
     assert np.abs(many.view("exact") - fine).max() <= 2
+    # 40 ms at one pixel for each of the page, 10 of them for what does not depend on pixels.
+    for quick, ratio in ((50, 1), (20, (10 / 30) ** 0.5), (5, 0.5)):
+        found = many.page.evaluate(f"explorer.ratioFor({quick}, 40, {10 + 30 / 4})")
+        assert found == pytest.approx(ratio)
     many.assert_silent()
     many.page.context.close()
 
 
-def test_nothing_is_covered_and_a_cut_table_shows_that_it_scrolls(visit):
-    def bottom(selector):
-        return visit.page.eval_on_selector(selector, "e => e.getBoundingClientRect().bottom")
-
-    def edge():
-        """Mean grey of a row of the table, at its right edge and a little before it."""
-        box = visit.page.locator("#table tbody tr").nth(3).bounding_box()
-        right = visit.page.locator("#table").bounding_box()
-        clip = {"x": right["x"] + right["width"] - 40, "y": box["y"] + 2, "width": 40, "height": 3}
-        shot = np.asarray(Image.open(io.BytesIO(visit.page.screenshot(clip=clip))).convert("L"))
-        return shot[:, -4:].mean(), shot.max()
-
-    visit.page.mouse.move(0, 0)  # the row below the pointer has another colour
-    for width, height in ((1200, 700), (1200, 800), (1200, 1000), (900, 800)):
+def test_nothing_is_covered(visit):
+    for width, height in ((1200, 700), (900, 800)):
         visit.page.set_viewport_size({"width": width, "height": height})
         visit.settle()
-        notes = visit.page.locator("#note").bounding_box()["y"]
-        assert notes >= max(bottom(".lower"), bottom(".card"), bottom("#table"))
+        bottoms = visit.page.evaluate("""[".lower", ".card", "#table"].map(
+            (name) => document.querySelector(name).getBoundingClientRect().bottom)""")
+        assert visit.page.locator("#note").bounding_box()["y"] >= max(bottoms)
         hidden = visit.page.eval_on_selector("#table", "e => e.scrollWidth - e.clientWidth")
-        assert (hidden > 0) == (width == 900)
-        visit.page.evaluate("document.querySelector('#table').scrollIntoView()")
-        near, paper = edge()
-        assert (near < paper - 20) == (hidden > 0)
-    visit.page.eval_on_selector("#table", "e => (e.scrollLeft = 999)")
-    near, paper = edge()
-    assert near > paper - 5  # there is no more
+        assert (hidden > 0) == (width == 900)  # then it scrolls
     visit.page.set_viewport_size({"width": 1000, "height": 640})
 
 
@@ -436,15 +377,7 @@ def test_a_thinned_cloud_alone_on_a_phone(browser, pages):
     phone.page.context.close()
 
 
-def test_pixels_are_spared_only_as_far_as_time_is_short(visit):
-    # 40 ms at one pixel for each of the page, 10 of them for what does not depend on pixels.
-    for quick, ratio in ((50, 1), (40, 1), (20, (10 / 30) ** 0.5), (5, 0.5)):
-        found = visit.page.evaluate(f"explorer.ratioFor({quick}, 40, {10 + 30 / 4})")
-        assert found == pytest.approx(ratio)
-    assert visit.page.evaluate("explorer.ratioFor(30, 40, 41)") == 1  # fewer would not help
-
-
-def test_a_cloud_has_nodal_lines_where_the_function_vanishes(browser, pages, ball):
+def test_a_cloud_has_nodal_lines_where_the_function_vanishes(browser, pages):
     visit = Visit(browser, pages / "cloud.html", width=500, height=500)
     visit.page.evaluate("explorer.stage.look([1, 0, 0])")
     visit.settle()
@@ -461,31 +394,13 @@ def test_a_cloud_has_nodal_lines_where_the_function_vanishes(browser, pages, bal
     # Mode 1 is z + 0.02 z^2: its zeros are one whole circle, at the radius 1/2 of a box of side 1.
     assert np.abs(segments[..., 2]).max() < 0.005
     np.testing.assert_allclose(np.linalg.norm(segments, axis=2), 0.5, atol=0.005)
-    turn = np.unwrap(np.arctan2(segments[..., 1], segments[..., 0]), axis=1)
-    starts, stops = np.sort(turn, axis=1).T
-    angles = np.linspace(0, 2 * np.pi, 400)[:, None]
-    inside = (angles - starts) % (2 * np.pi) <= stops - starts + 1e-4
-    assert inside.any(axis=1).all()
-    # From farther away where balls are large: they reach beyond the points.
-    away = "(explorer.stage.facts.diameter = {}, explorer.stage.fit(1))"
-    near, far = (visit.page.evaluate(away.format(diameter)) for diameter in (0, 0.4))
-    assert far - near == pytest.approx(1.08 * 0.2 / np.tan(np.deg2rad(14)))
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1).sum()
+    assert length == pytest.approx(np.pi, rel=0.02)
     # Drawn over the points, and nowhere else.
-    assert darkest(0.5) < 120
-    assert darkest(0.35) < 120
+    assert max(darkest(0.5), darkest(0.35)) < 120
     visit.page.click("#nodal")
     visit.settle()
     assert darkest(0.5) > 150
-    visit.page.click("#nodal")
-    # From above the circle is the outline; the far side of another is hidden: of x, seen along x.
-    visit.page.evaluate("explorer.choose(2); explorer.stage.look([1, 0, 0])")
-    visit.settle()
-    with_lines = visit.view("exact")
-    visit.page.click("#nodal")
-    visit.settle()
-    changed = np.abs(visit.view("exact") - with_lines).max(axis=2) > 10
-    rows, columns = changed.shape
-    assert not changed[2 * rows // 5 : -2 * rows // 5, 2 * columns // 5 : -2 * columns // 5].any()
     visit.page.click("#nodal")
     # The constant mode has none; while the surface swings, lines stay where they are.
     visit.page.evaluate("explorer.choose(0)")
@@ -498,20 +413,6 @@ def test_a_cloud_has_nodal_lines_where_the_function_vanishes(browser, pages, bal
     assert darkest(0.5) < 120
     visit.assert_silent()
     visit.page.context.close()
-
-
-def test_every_view_is_seen_on_a_phone(browser, pages):
-    # Without the flags of drawing: how the page is put together there lost the first view once.
-    plain = [flag for flag in FLAGS if "angle" not in flag]
-    other = browser.browser_type.launch(executable_path=CHROMIUM, args=plain)
-    phone = Visit(other, pages / "pair.html", width=390, height=844)
-    shot = np.asarray(Image.open(io.BytesIO(phone.page.screenshot())).convert("RGB")).astype(int)
-    for name in ("exact", "predicted"):
-        box = phone.page.locator(f"#view-{name} .pane").bounding_box()
-        pixels = shot[int(box["y"]) : int(box["y"] + box["height"])]
-        assert is_red(at(pixels, 0.5, 0.25))
-        assert is_blue(at(pixels, 0.5, 0.87))
-    other.close()
 
 
 @pytest.mark.parametrize(

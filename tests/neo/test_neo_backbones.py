@@ -50,7 +50,7 @@ def test_farthest_points_are_far_apart_and_cover_the_cloud(points):
     assert distances(points[:, :7], few).amin(2).amax() < 1e-6
 
 
-@pytest.mark.parametrize("k", [1, 5, 600])
+@pytest.mark.parametrize("k", [5, 600])
 def test_nearest_agrees_with_all_distances(points, k):
     centres = points[:, :40] + 0.01
     found = b.nearest(points, centres, k)

@@ -1,6 +1,8 @@
 """Weights files: what goes in comes out, and nothing else gets in."""
 
 import json
+import re
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -28,28 +30,19 @@ def path(tmp_path, network):
     return path
 
 
-def test_round_trip_is_exact(path, network):
+def test_round_trip_is_exact(path, network, tmp_path):
     loaded = load_pretrained(path)
-    assert loaded.config == TINY
-    assert loaded.record == {"steps": 3}
-    assert loaded.name == str(path)
+    assert (loaded.config, loaded.record, loaded.name) == (TINY, {"steps": 3}, str(path))
     assert not loaded.network.training
+    half = tmp_path / "half.safetensors"
+    save_weights(half, network, {}, dtype=torch.float16)
+    rounded = load_pretrained(half).network.state_dict()
     for name, tensor in network.state_dict().items():
         assert torch.equal(loaded.network.state_dict()[name], tensor)
-
-
-def test_half_precision_on_disk_comes_back_as_float32(tmp_path, network):
-    path = tmp_path / "half.safetensors"
-    save_weights(path, network, {}, dtype=torch.float16)
-    for name, tensor in load_pretrained(path).network.state_dict().items():
-        assert tensor.dtype == torch.float32
-        torch.testing.assert_close(tensor, network.state_dict()[name], atol=1e-3, rtol=1e-3)
-
-
-def test_same_weights_give_the_same_hash(tmp_path, network):
-    hashes = {save_weights(tmp_path / f"{i}.safetensors", network, {"a": 1}) for i in range(2)}
-    assert len(hashes) == 1
-    assert hashes == {find_weights(tmp_path / "0.safetensors").sha256}
+        assert rounded[name].dtype == torch.float32
+        torch.testing.assert_close(rounded[name], tensor, atol=1e-3, rtol=1e-3)
+    again = save_weights(tmp_path / "again.safetensors", network, {"steps": 3})
+    assert loaded.sha256 == again == find_weights(path).sha256
 
 
 def test_a_shipped_file_must_have_its_hash(path, monkeypatch, tmp_path):
@@ -59,6 +52,8 @@ def test_a_shipped_file_must_have_its_hash(path, monkeypatch, tmp_path):
     path = path.rename(tmp_path / "weights" / path.name)
     monkeypatch.setitem(pretrained.WEIGHTS, "tiny", (path.name, digest))
     assert load_pretrained("tiny").sha256 == digest
+    with pytest.raises(WeightsError, match=r"one of \[.*'tiny'.*\] or the path .* got 'huge'"):
+        load_pretrained("huge")
     content = bytearray(path.read_bytes())
     content[-1] ^= 1
     path.write_bytes(content)
@@ -67,17 +62,8 @@ def test_a_shipped_file_must_have_its_hash(path, monkeypatch, tmp_path):
     path.unlink()
     with pytest.raises(WeightsError, match=r"shipped file .* is missing; reinstall"):
         load_pretrained("tiny")
-
-
-def test_unknown_names_are_answered_with_the_known_ones(monkeypatch):
-    monkeypatch.setitem(pretrained.WEIGHTS, "tiny", ("tiny.safetensors", ""))
-    with pytest.raises(WeightsError, match=r"one of \[.*'tiny'.*\] or the path .* got 'huge'"):
-        load_pretrained("huge")
-
-
-def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(WeightsError, match=r"none\.safetensors does not exist; check the path"):
-        load_pretrained(tmp_path / "none.safetensors")
+    with pytest.raises(WeightsError, match=r"tiny\.safetensors does not exist; check the path"):
+        load_pretrained(path)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.99])
@@ -88,32 +74,29 @@ def test_a_truncated_file_is_refused(path, share):
         load_pretrained(path)
 
 
-def test_tensors_must_fit_the_configuration(path):
-    tensors = load_file(path)
-    content = {"record": {}, "config": pretrained.asdict(TINY)}
-    metadata = {"spectra_kit.neo": json.dumps(content)}
-    del tensors["lift.bias"]
-    save_file(tensors, path, metadata=metadata)
-    with pytest.raises(WeightsError, match=r"1 do not fit, the first is 'lift.bias': .* got None"):
-        load_pretrained(path)
-    save_file(tensors | {"lift.bias": torch.zeros(3)}, path, metadata=metadata)
-    with pytest.raises(WeightsError, match=r"expected shape \(16,\), got \(3,\)"):
-        load_pretrained(path)
-    for bias in (torch.full((16,), torch.nan), torch.ones(16, dtype=torch.int32)):
-        save_file(tensors | {"lift.bias": bias}, path, metadata=metadata)
-        with pytest.raises(WeightsError, match=r"must hold finite floats, its tensor 'lift.bias'"):
-            load_pretrained(path)
+SOUND = json.dumps({"record": {}, "config": asdict(TINY)})
 
 
-def test_foreign_and_broken_metadata_are_refused(path):
-    tensors = load_file(path)
-    save_file(tensors, path)
-    with pytest.raises(WeightsError, match=r"'spectra_kit.neo', got \[\]; was it written by"):
+@pytest.mark.parametrize(
+    ("bias", "content", "told"),
+    [
+        (None, SOUND, 'tensors of its configuration: .* Missing key(s) in state_dict: "lift.bias"'),
+        (torch.zeros(3), SOUND, "size mismatch for lift.bias"),
+        (torch.full((16,), torch.nan), SOUND, "must hold finite floats, its tensor 'lift.bias'"),
+        (torch.ones(16, dtype=torch.int32), SOUND, "must hold finite floats, its tensor 'lift.bia"),
+        (torch.zeros(16), None, "'spectra_kit.neo', got []; was it written by"),
+        (torch.zeros(16), '{"config": {"width": 16}, "record": {}}', "has unreadable metadata"),
+        (torch.zeros(16), '{"record": {}}', "has unreadable metadata"),
+        (torch.zeros(16), "no json", "has unreadable metadata"),
+        (torch.zeros(16), "[]", "has unreadable metadata"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(path, bias, content, told):
+    tensors = load_file(path) | {"lift.bias": bias}
+    tensors = {name: tensor for name, tensor in tensors.items() if tensor is not None}
+    save_file(tensors, path, metadata=None if content is None else {"spectra_kit.neo": content})
+    with pytest.raises(WeightsError, match=re.escape(told).replace(r"\.\*", ".*")):
         load_pretrained(path)
-    for content in ('{"config": {"width": 16}, "record": {}}', '{"record": {}}', "no json", "[]"):
-        save_file(tensors, path, metadata={"spectra_kit.neo": content})
-        with pytest.raises(WeightsError, match="has unreadable metadata"):
-            load_pretrained(path)
 
 
 def test_a_record_must_be_json_and_a_failed_write_leaves_the_old_file(path, network):
@@ -129,7 +112,7 @@ def test_no_flipped_bit_changes_a_value_unseen(tmp_path):
     config = NeoConfig(width=1, depth=1, heads=1, head_width=1, latents=1, m=1, k=1)
     save_weights(path, NeoNetwork(config), {"steps": 3})
     content = path.read_bytes()
-    for bit in np.random.default_rng(0).permutation(8 * len(content))[:800]:
+    for bit in np.random.default_rng(0).permutation(8 * len(content))[:300]:
         changed = bytearray(content)
         changed[bit // 8] ^= 1 << bit % 8
         path.write_bytes(changed)
@@ -138,6 +121,6 @@ def test_no_flipped_bit_changes_a_value_unseen(tmp_path):
 
 
 def test_a_file_without_a_digest_is_read_too(path, network):
-    content = {"config": pretrained.asdict(TINY), "record": {"steps": 3}}
+    content = {"config": asdict(TINY), "record": {"steps": 3}}
     save_file(network.state_dict(), path, metadata={"spectra_kit.neo": json.dumps(content)})
     assert load_pretrained(path).record == {"steps": 3}

@@ -1,8 +1,6 @@
 """Imports point down the table of layers, and the package is quick to import."""
 
 import ast
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -64,14 +62,3 @@ def test_imports_point_down(path: Path) -> None:
 def test_the_check_sees_an_upward_import() -> None:
     assert imported_units("from spectra_kit.viz import plot_modes") == {"viz"}
     assert imported_units("def f():\n    from spectra_kit import training") == {"training"}
-
-
-def test_import_is_light() -> None:
-    code = (
-        "import sys, spectra_kit, spectra_kit.cli;"
-        "heavy = ('torch', 'vtk', 'vtkmodules', 'pyvista', 'pyamg', 'numba', 'qdldl', "
-        "'matplotlib', 'scipy.optimize');"
-        "print([m for m in heavy if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

@@ -8,7 +8,6 @@ import json
 import pkgutil
 import re
 import shlex
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
@@ -87,12 +86,6 @@ def test_the_picture_of_the_architecture_has_all_packages() -> None:
     assert drawn == packages, "draw it again: python docs/architecture.py"
 
 
-def test_the_architecture_is_drawn_the_same_twice(tmp_path: Path) -> None:
-    architecture = load(DOCS / "architecture.py")
-    one, two = (architecture.draw_architecture(tmp_path / f"{i}.svg") for i in range(2))
-    assert one.read_bytes() == two.read_bytes()
-
-
 def test_every_picture_is_shown() -> None:
     pages = "".join(path.read_text() for path in DOCS.glob("*.md"))
     shown = set(re.findall(r"\]\(pictures/(\S+)\)", pages))
@@ -155,11 +148,3 @@ def test_notebooks_become_pages_with_a_list_of_their_questions(tmp_path: Path) -
         "- [A](pages/a.ipynb): What is a?",
         "- [B](pages/b.ipynb): And why b?",
     ]
-
-
-def test_a_notebook_that_fails_or_warns_ends_the_build(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    conf = load(DOCS / "conf.py")
-    assert conf.nb_execution_mode == "cache"
-    assert conf.nb_execution_raise_on_error
-    assert conf.nb_output_stderr == "error"

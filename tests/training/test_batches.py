@@ -12,10 +12,9 @@ from spectra_kit.neo.model import NeoConfig
 from spectra_kit.subspaces.frame import POSES, canonical_frame
 from spectra_kit.training.batches import for_validation, posed, random_rotations, rotations
 from spectra_kit.training.config import TrainConfig
-from spectra_kit.training.feed import Feed, join
-from spectra_kit.training.shards import Batch, Corpus
+from spectra_kit.training.feed import Feed
+from spectra_kit.training.shards import Batch, Corpus, join
 
-NETWORK = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
 CPU = torch.device("cpu")
 
 
@@ -23,29 +22,27 @@ def corpus(n=24, seed=0, first=0):
     rng = np.random.default_rng(seed)
     points = rng.standard_normal((n, 64, 3)) * rng.uniform(0.3, 1, (n, 1, 3)) + 5
     mass = rng.uniform(0.5, 1.5, (n, 64))
-    shards = [
-        Batch(
-            points[part].astype(np.float32),
-            (mass / mass.sum(1, keepdims=True))[part].astype(np.float32),
-            rng.standard_normal((n, 64, 8))[part].astype(np.float16),
-        )
-        for part in (slice(n // 2), slice(n // 2, n))
-    ]
-    return Corpus(tuple(shards), {"index": first + np.arange(n)})
+    mass /= mass.sum(1, keepdims=True)
+    modes = rng.standard_normal((n, 64, 8)).astype(np.float16)
+    whole = (points.astype(np.float32), mass.astype(np.float32), modes)
+    halves = (slice(n // 2), slice(n // 2, n))
+    shards = tuple(Batch(*(array[half] for array in whole)) for half in halves)
+    return Corpus(shards, {"index": first + np.arange(n)})
 
 
 CORPUS = corpus()
+WHOLE = CORPUS.batch(range(24))
 
 
-def config(**options):
-    frame = options.pop("frame", "principal")
-    network = NeoConfig(**{**vars(NETWORK), "frame": frame})
+def config(frame="principal", **options):
+    network = NeoConfig(
+        width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8, frame=frame
+    )
     return TrainConfig(**{"network": network, "steps": 10, "batch": 4, "points": 48, **options})
 
 
-def batch(source, settings, step, **options):
-    with Feed(source, settings, CPU, **options) as feed:
-        return feed(step)
+def feed(settings, source=CORPUS, **options):
+    return Feed(source, settings, CPU, **options)
 
 
 def assert_equal(one, other):
@@ -53,7 +50,10 @@ def assert_equal(one, other):
         assert torch.equal(a, b)
 
 
-def test_random_rotations_are_proper_and_uniform():
+def test_rotations_are_scipys_and_random_ones_uniform():
+    vectors = np.vstack([np.zeros(3), np.random.default_rng(0).normal(size=(20, 3))])
+    ours = rotations(torch.from_numpy(vectors).float()).numpy()
+    np.testing.assert_allclose(ours, Rotation.from_rotvec(vectors).as_matrix(), atol=1e-6)
     turns = random_rotations(torch.randn(4000, 4, generator=torch.Generator().manual_seed(0)))
     eye = torch.eye(3).expand(4000, 3, 3)
     torch.testing.assert_close(turns @ turns.mT, eye, atol=1e-5, rtol=0)
@@ -64,40 +64,33 @@ def test_random_rotations_are_proper_and_uniform():
     assert (turns[:, 2].abs().mean(0) - 0.5).abs().max() < 0.03
 
 
-def test_rotations_are_scipys():
-    vectors = np.vstack([np.zeros(3), np.random.default_rng(0).normal(size=(20, 3))])
-    ours = rotations(torch.from_numpy(vectors).float()).numpy()
-    np.testing.assert_allclose(ours, Rotation.from_rotvec(vectors).as_matrix(), atol=1e-6)
-
-
 @pytest.mark.parametrize("frame", ["principal", "none"])
 def test_batches_follow_from_the_step_wherever_samples_are_kept(frame):
     settings = config(frame=frame)
-    points, mass, modes = batch(CORPUS, settings, 2)
+    points, mass, modes = feed(settings)(2)
     assert (points.shape, mass.shape, modes.shape) == ((4, 48, 3), (4, 48), (4, 48, 8))
     assert points.abs().max() <= 1 + 1e-6
-    with Feed(CORPUS, settings, CPU, resident=True) as kept, Feed(CORPUS, settings, CPU) as read:
-        for step in (0, 1, 7, 2):
-            assert_equal(kept(step), read(step))
-        assert_equal((points, mass, modes), read(2))
-        assert not torch.equal(points, read(3)[0])
+    kept, read = feed(settings, resident=True), feed(settings)
+    for step in (0, 1, 7, 2):
+        assert_equal(kept(step), read(step))
+    assert_equal((points, mass, modes), read(2))
+    assert not torch.equal(points, read(3)[0])
+    shares = [feed(settings, share=part)(2) for part in (slice(0, 1), slice(1, 4))]
+    for parts, expected in zip(zip(*shares, strict=True), read(2), strict=True):
+        torch.testing.assert_close(torch.cat(parts), expected)
 
 
 def test_an_epoch_shows_every_sample_once():
-    settings = config(points=64)
-    with Feed(CORPUS, settings, CPU) as feed:
-        seen = torch.cat([feed(step)[1] for step in range(6)])
-    assert {row.numpy().tobytes() for row in seen} == {
-        mass.tobytes() for shard in CORPUS.shards for mass in shard.mass
-    }
+    batches = feed(config(points=64))
+    seen = torch.cat([batches(step)[1] for step in range(6)])
+    assert {row.numpy().tobytes() for row in seen} == {mass.tobytes() for mass in WHOLE.mass}
 
 
 def test_points_masses_and_modes_stay_together():
-    points, mass, modes = batch(CORPUS, config(jitter=0.0, flips=0.0, batch=24), 0)
-    whole = CORPUS.batch(range(24))
+    points, mass, modes = feed(config(jitter=0.0, flips=0.0, batch=24))(0)
     lookup = {
         w.tobytes(): (p, u)
-        for x, ws, us in zip(whole.points, whole.mass, whole.eigenvectors, strict=True)
+        for x, ws, us in zip(*vars(WHOLE).values(), strict=True)
         for p, w, u in zip(canonical_frame(x, ws).pose(x), ws, us, strict=True)
     }
     for p, w, u in zip(
@@ -109,12 +102,10 @@ def test_points_masses_and_modes_stay_together():
 
 
 def test_flips_are_the_four_proper_ones_equally_often():
-    settings = config(jitter=0.0, points=64, batch=400)
-    points, mass, _ = batch(CORPUS, settings, 0)
-    whole = CORPUS.batch(range(24))
+    points, mass, _ = feed(config(jitter=0.0, points=64, batch=400))(0)
     plain = {
         w.tobytes(): canonical_frame(x, w).pose(x)
-        for x, w in zip(whole.points, whole.mass, strict=True)
+        for x, w in zip(WHOLE.points, WHOLE.mass, strict=True)
     }
     counts = np.zeros(4)
     for x, w in zip(points.numpy(), mass.numpy(), strict=True):
@@ -125,60 +116,40 @@ def test_flips_are_the_four_proper_ones_equally_often():
 
 
 def test_jitter_turns_and_shrinks_a_little():
-    still, _, _ = batch(CORPUS, config(jitter=0.0, flips=0.0, points=64), 0)
-    moved, _, _ = batch(CORPUS, config(jitter=0.03, flips=0.0, points=64), 0)
+    still, _, _ = feed(config(jitter=0.0, flips=0.0, points=64))(0)
+    moved, _, _ = feed(config(jitter=0.03, flips=0.0, points=64))(0)
     size = moved.abs().amax((1, 2))
     assert (size > 0.97).all()
     assert (size < 1).all()
     # Distances between points change by one factor per cloud: no shear.
-    ratio = (
-        torch.cdist(moved, moved).flatten(1)[:, 1:64]
-        / torch.cdist(still, still).flatten(1)[:, 1:64]
-    )
-    assert (ratio.std(1) < 1e-4).all()
-
-
-def test_shares_together_are_the_batch():
-    settings = config(batch=5)
-    whole = batch(CORPUS, settings, 2)
-    shares = [batch(CORPUS, settings, 2, share=s) for s in (slice(0, 2), slice(2, 5))]
-    for parts, expected in zip(zip(*shares, strict=True), whole, strict=True):
-        torch.testing.assert_close(torch.cat(parts), expected)
+    moved, still = (torch.cdist(x, x).flatten(1)[:, 1:64] for x in (moved, still))
+    assert ((moved / still).std(1) < 1e-4).all()
 
 
 @pytest.mark.parametrize("resident", [False, True])
 def test_a_stream_shows_what_is_there(monkeypatch, resident):
     monkeypatch.setattr("spectra_kit.training.feed._REFRESH", 0.0)
-    settings = config(batch=8, points=64)
 
     def masses(*corpora):
         return {mass.tobytes() for c in corpora for shard in c.shards for mass in shard.mass}
 
-    def seen(feed, steps):
-        return {row.numpy().tobytes() for step in steps for row in feed(step)[1]}
+    def seen(steps):
+        return {row.numpy().tobytes() for step in steps for row in batches(step)[1]}
 
     a, b, c = corpus(8, 1, first=0), corpus(8, 2, first=8), corpus(16, 3, first=16)
     stream = SimpleNamespace(now=a, capacity=32)
     stream.corpus = lambda: stream.now
-    with Feed(stream, settings, CPU, resident=resident) as feed:
-        assert seen(feed, range(1)) == masses(a)
-        stream.now = join([b, a])  # it grows, and the order changes
-        feed(1)  # what was read ahead
-        assert seen(feed, [2, 3]) == masses(a, b)
-        stream.now = b  # the oldest go
-        feed(4)
-        assert seen(feed, [5]) == masses(b)
-        stream.now = join([c, b])
-        feed(6)
-        assert seen(feed, [9, 10, 11]) == masses(b, c)
-
-
-def test_an_empty_stream_is_refused():
-    shard = Batch(*(array[:0] for array in vars(CORPUS.shards[0]).values()))
-    empty = SimpleNamespace(capacity=8)
-    empty.corpus = lambda: Corpus((shard,), {"index": np.arange(0)})
+    batches = feed(config(batch=8, points=64), stream, resident=resident)
+    assert seen([0]) == masses(a)
+    stream.now = join([b, a])  # it grows, and the order changes
+    assert seen([2, 3]) == masses(a, b)
+    stream.now = b  # the oldest go
+    assert seen([5]) == masses(b)
+    stream.now = join([c, b])
+    assert seen([9, 10, 11]) == masses(b, c)
+    stream.now = Corpus(tuple(Batch(*(x[:0] for x in vars(s).values())) for s in a.shards), {})
     with pytest.raises(InvalidInputError, match=r"got none; wait with `stream.ready`"):
-        Feed(empty, config(), CPU)
+        batches(12)
 
 
 def test_joined_corpora_must_be_of_one_size():

@@ -1,54 +1,34 @@
-"""The corpus: families of surfaces, samples with exact modes, interruptible generation."""
+"""The corpus: samples with exact modes, whole shards on disk, pools of real meshes, a survey."""
 
-import itertools
+import csv
 import json
-import multiprocessing
 import shutil
-import subprocess
-import sys
-import time
-from collections import deque
 from dataclasses import replace
-from pathlib import Path
 
+import inspect_corpus
 import make_corpus
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from inspect_corpus import Topology, read_config, survey, topology
+from PIL import Image
 
 from spectra_kit import Arpack, eigensolve
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import PointCloud, TriangleMesh, sphere
+from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, torus
 from spectra_kit.operators import robust_laplacian
-from spectra_kit.training import bodies, corpus, families, samples, surfaces
-from spectra_kit.training.corpus import (
-    CorpusConfig,
-    WorkerError,
-    generate,
-    make_sample,
-    produced,
-    report,
-)
-from spectra_kit.training.families import FAMILIES, draw_family, make_mesh
-from spectra_kit.training.shards import open_shards
+from spectra_kit.training import corpus, families, samples, surfaces
+from spectra_kit.training.corpus import CorpusConfig, generate, make_sample, report
+from spectra_kit.training.families import FAMILIES
+from spectra_kit.training.pool import open_pool, pack_pool, varied
+from spectra_kit.training.samples import FROM_POOL, sample_mesh
+from spectra_kit.training.shards import open_shards, write_shard
 
 TINY = CorpusConfig(seed=3, n_points=160, k=6, shard_size=4)
-OF_ONE_PIECE = [
-    "quadruped",
-    "biped",
-    "organism",
-    "blob",
-    "porous",
-    "machined",
-    "symmetric",
-    "sculpture",
-    "lattice",
-]
 
 
 def everything(folder):
-    corpus_ = open_shards(folder)
-    return vars(corpus_.batch(np.arange(len(corpus_))))
+    opened = open_shards(folder)
+    return vars(opened.batch(np.arange(len(opened))))
 
 
 def assert_same(folder, other):
@@ -61,100 +41,6 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("corpus")
     generate(path, 10, config=TINY)
     return path
-
-
-# Surfaces
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_meshes_follow_from_the_seed_and_are_of_order_one(family):
-    for seed in (0, (7, 1), 2):
-        mesh = make_mesh(family, seed)
-        assert 0.3 < np.ptp(mesh.points, axis=0).max() < 20
-        assert mesh.area > 0.01
-        if family in OF_ONE_PIECE:
-            assert not mesh.component_labels.any()
-    again = make_mesh(family, seed)
-    np.testing.assert_array_equal(mesh.points, again.points)
-    np.testing.assert_array_equal(mesh.faces, again.faces)
-
-
-def test_families_hold_closed_open_and_multi_part_surfaces():
-    def whole(family, seed):
-        return make_mesh(family, seed).with_merged_vertices().without_unreferenced()
-
-    assert any(len(whole("blob", seed).boundary_vertices) == 0 for seed in range(6))
-    assert all(len(whole("sheet", seed).boundary_vertices) for seed in range(4))
-    for family, seed in itertools.product(("assembly", "furniture", "vehicle"), range(4)):
-        # Of many parts, before holes may take some.
-        assert FAMILIES[family][0](np.random.default_rng(seed)).component_labels.max() > 0
-
-
-def test_families_are_drawn_by_their_weights():
-    rng = np.random.default_rng(0)
-    counts = np.bincount([draw_family(rng) for _ in range(20_000)], minlength=len(FAMILIES))
-    weights = np.array([weight for _, weight in FAMILIES.values()], dtype=float)
-    np.testing.assert_allclose(counts / 20_000, weights / weights.sum(), atol=0.012)
-
-
-def test_bend_twist_and_rotation_keep_what_they_should():
-    rng = np.random.default_rng(0)
-    grid = np.meshgrid(np.linspace(0, 2, 90), np.linspace(0, 1, 40), [0.0], indexing="ij")
-    sheet = surfaces.grid_mesh(np.stack(grid, axis=-1)[:, :, 0])
-    bent = sheet.with_points(surfaces.bend(sheet.points, 2.5))
-    assert bent.area == pytest.approx(sheet.area, rel=1e-3)  # bending a plate is an isometry
-    turned = surfaces.twist(sheet.points, 1.0)
-    radius = np.hypot(sheet.points[:, 1], sheet.points[:, 2])
-    np.testing.assert_allclose(np.hypot(turned[:, 1], turned[:, 2]), radius, atol=1e-12)
-    rotations = np.array([surfaces.random_rotation(rng) for _ in range(4000)])
-    np.testing.assert_allclose(rotations[0] @ rotations[0].T, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(np.linalg.det(rotations), 1.0)
-    # Uniform on SO(3): the tilt of any axis is uniform in its cosine, mean |cos| = 1/2.
-    assert np.abs(rotations[:, 2, 2]).mean() == pytest.approx(0.5, abs=0.02)
-    line = np.zeros((5, 3))  # flat things do not turn into NaN
-    for deform in (surfaces.bend, surfaces.twist, surfaces.taper):
-        np.testing.assert_array_equal(deform(line, 0.3), line)
-
-
-def test_half_turned_tubes_close_without_a_pinch():
-    t = np.linspace(0, 2 * np.pi, 120, endpoint=False)
-    circle = np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
-    for turns in (0.0, 0.5, 1.5):
-        tube = surfaces.sweep(circle, 0.2, closed=True, aspect=0.5, turns=turns)
-        a, b = tube.points[tube.edges].transpose(1, 0, 2)
-        assert np.linalg.norm(a - b, axis=1).max() < 0.13
-        assert tube.n - len(tube.unique_edges[0]) + len(tube.faces) == 0  # a torus
-        # A thin tube has the area of its centre line times its rim (here 1.4 % more).
-        rim = 0.2 * np.pi * (3 * 1.5 - np.sqrt(3.5 * 2.5))
-        assert tube.area == pytest.approx(2 * np.pi * rim, rel=0.03)
-
-
-def test_bisection_cuts_edges_and_keeps_the_surface_whole():
-    ball = sphere(subdivisions=1).geometry
-    long = ball.with_points(ball.points * [1, 1, 4])
-    fine = surfaces.bisected(long, 0.2)
-    a, b = fine.points[fine.edges].transpose(1, 0, 2)
-    assert np.linalg.norm(a - b, axis=1).max() <= 0.2
-    assert fine.area == pytest.approx(long.area)
-    assert (fine.with_merged_vertices().unique_edges[1] == 2).all()  # no crack opens
-    assert surfaces.largest_part(surfaces.join([ball, fine])).area == pytest.approx(fine.area)
-
-
-def test_symmetric_things_have_a_mirror():
-    for seed in range(4):
-        points = FAMILIES["symmetric"][0](np.random.default_rng(seed)).points
-        tree = cKDTree(points)
-        cell = np.quantile(tree.query(points, 2)[0][:, 1], 0.99)
-        mirrored = (points * mirror for mirror in ([-1, 1, 1], [1, -1, 1]))
-        gaps = [np.quantile(tree.query(twin)[0], 0.95) for twin in mirrored]
-        assert min(gaps) < 1.5 * cell  # grids have no mirrors, so points have none
-
-
-def test_crumbs_and_unknown_families_are_refused():
-    with pytest.raises(InvalidInputError, match="`field` must have a surface of 400 faces"):
-        bodies.polygonized(lambda p: np.linalg.norm(p, axis=1) - 0.05, -np.ones(3), np.ones(3))
-    with pytest.raises(InvalidInputError, match="`family` must be one of"):
-        make_mesh("unicorn", 0)
 
 
 # Samples
@@ -171,33 +57,10 @@ def test_sample_holds_the_lowest_modes_of_its_points():
     np.testing.assert_allclose(energy, exact, rtol=1e-6, atol=1e-6 * exact[-1])
     assert np.abs(sample.points).max() == pytest.approx(1.0)
     np.testing.assert_allclose(sample.points.mean(axis=0), 0, atol=1e-12)
-
-
-def test_the_tolerance_of_the_modes_is_far_below_what_is_stored():
-    sample = make_sample(CorpusConfig(seed=4, n_points=700, k=40), 1)
-    spectrum = eigensolve(robust_laplacian(PointCloud(sample.points)), 40, Arpack())
-    exact = spectrum.eigenvectors / np.sqrt(spectrum.mass.sum() ** -1)
-    overlap = exact.T @ (sample.mass[:, None] * sample.eigenvectors)
-    assert 1 - np.sum(overlap**2) / 40 < 1e-6
-
-
-def test_surfaces_do_not_follow_from_the_draw_of_their_family(monkeypatch):
-    first: dict[str, list[float]] = {name: [] for name in FAMILIES}
-
-    def recording(name):
-        def ball(rng):
-            first[name].append(rng.random())
-            return sphere(subdivisions=1).geometry
-
-        return ball
-
-    for name, (_, weight) in FAMILIES.items():
-        monkeypatch.setitem(FAMILIES, name, (recording(name), weight))
-    for i in range(200):
-        make_sample(replace(TINY, n_points=64, k=2), i)
-    for draws in first.values():
-        if len(draws) > 9:  # uniform numbers: a spread of 0.4 or less has a chance below 0.2 %
-            assert np.ptp(draws) > 0.4
+    # The tolerance of the modes is far below what is stored.
+    spectrum = eigensolve(laplacian, 12, Arpack())
+    overlap = spectrum.eigenvectors.T @ (spectrum.mass[:, None] * sample.eigenvectors)
+    assert 1 - np.sum(overlap**2) / 12 / area < 1e-6
 
 
 def apart(rng):
@@ -214,22 +77,25 @@ def speck(rng):
     return TriangleMesh(1000 + 2.5e-13 * np.eye(3), [[0, 1, 2]])
 
 
-@pytest.mark.parametrize(
-    ("reason", "first"), [("components", [apart] * 2), ("mesh", [empty]), ("solve", [speck])]
-)
-def test_what_cannot_be_used_is_drawn_again_and_counted(monkeypatch, reason, first):
-    tries = iter([*first, families.blob])
+def test_what_cannot_be_used_is_drawn_again_and_counted(monkeypatch):
+    tries = iter([apart, empty, speck, apart, families.blob])
     monkeypatch.setattr(samples, "draw_family", lambda rng: 0)
     monkeypatch.setattr(families, "_deform", lambda mesh, rng, likely: mesh)
     monkeypatch.setitem(FAMILIES, "quadruped", (lambda rng: next(tries)(rng), 1.0))
     labels = make_sample(replace(TINY, nonuniform=0.0), 0).labels
     counted = {name: labels[f"rejected_{name}"] for name in samples.REASONS}
-    assert counted == dict.fromkeys(samples.REASONS, 0) | {reason: len(first)}
+    assert counted == {"mesh": 1, "components": 2, "solve": 1}
     assert labels["nonuniform"] == 0
 
 
-def test_crowded_samples_are_labelled():
-    assert make_sample(replace(TINY, nonuniform=1.0), 0).labels["nonuniform"] == 1
+def test_crowded_samples_are_labelled_and_crowd():
+    typical = {}
+    for share in (1.0, 0.0):
+        config = replace(TINY, nonuniform=share)
+        made = [make_sample(config, index) for index in (1, 3, 4)]
+        assert {sample.labels["nonuniform"] for sample in made} == {share}
+        typical[share] = sum(np.median(sample.mass) for sample in made)
+    assert typical[1.0] < 0.92 * typical[0.0]  # most points are where they are many
 
 
 # Generation
@@ -255,77 +121,21 @@ def test_workers_in_other_processes_make_the_same_samples_bit_for_bit(folder, tm
     assert_same(tmp_path, folder)
 
 
-def test_a_process_that_dies_is_an_error():
-    with produced(TINY, itertools.count(), 1) as made:
-        next(made)
-        (worker,) = multiprocessing.active_children()
-        worker.kill()
-        with pytest.raises(WorkerError, match=r"has died.*start again with fewer `workers`"):
-            deque(made, maxlen=0)
-    assert not multiprocessing.active_children()
-
-
-def test_processes_end_with_the_one_that_started_them(tmp_path):
-    script = tmp_path / "script.py"
-    script.write_text(
-        "import itertools, multiprocessing, time\n"
-        "from spectra_kit.training.corpus import CorpusConfig, produced\n"
-        "if __name__ == '__main__':\n"
-        "    config = CorpusConfig(seed=0, n_points=100, k=4)\n"
-        "    with produced(config, itertools.count(), 1) as made:\n"
-        "        next(made)\n"
-        "        print(multiprocessing.active_children()[0].pid, flush=True)\n"
-        "        time.sleep(60)\n"
-    )
-    parent = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
-    assert parent.stdout is not None
-    worker = int(parent.stdout.readline())
-    parent.kill()
-    parent.communicate()
-    for _ in range(600):
-        if not _alive(worker):
-            return
-        time.sleep(0.1)
-    pytest.fail("the worker lives on")
-
-
-def _alive(pid: int) -> bool:
-    try:  # an ended process that nobody waited for counts as ended
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except (FileNotFoundError, ProcessLookupError):  # the latter if it ends while it is read
-        return False
-
-
-def test_generation_resumes_and_keeps_what_is_there(folder, tmp_path):
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
-    shutil.rmtree(copy / "shard_0001")
-    before = (copy / "shard_0000" / "points.npy").stat().st_mtime_ns
-    generate(copy, 10, config=TINY)
-    assert (copy / "shard_0000" / "points.npy").stat().st_mtime_ns == before
-    assert_same(copy, folder)
-
-
-def test_interruption_leaves_whole_shards(tmp_path, monkeypatch):
-    original = corpus.make_sample
-
+def test_an_interrupted_run_leaves_whole_shards_and_is_resumed(folder, tmp_path, monkeypatch):
     def interrupted(config, index):
         if index == 6:
             raise KeyboardInterrupt
-        return original(config, index)
+        return make_sample(config, index)
 
-    monkeypatch.setattr(corpus, "make_sample", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        generate(tmp_path, 8, config=TINY)
+    with monkeypatch.context() as patch:
+        patch.setattr(corpus, "make_sample", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            generate(tmp_path, 10, config=TINY)
     assert report(tmp_path).samples == 4
-
-
-def test_another_configuration_or_length_is_refused(folder):
-    with pytest.raises(InvalidInputError, match=r"another configuration: \['k', 'seed'\] differ"):
-        generate(folder, 10, config=replace(TINY, seed=9, k=5))
-    assert json.loads((folder / "corpus.json").read_text())["seed"] == 3
-    with pytest.raises(InvalidInputError, match=r"shard 2 of .* holds 2 samples where `n` asks"):
-        generate(folder, 12, config=TINY)
+    before = (tmp_path / "shard_0000" / "points.npy").stat().st_mtime_ns
+    generate(tmp_path, 10, config=TINY)
+    assert (tmp_path / "shard_0000" / "points.npy").stat().st_mtime_ns == before
+    assert_same(tmp_path, folder)
 
 
 @pytest.mark.parametrize("record", [b"{", b"[1]", b"null", b"\xff", b"[" * 100_000])
@@ -336,27 +146,26 @@ def test_a_damaged_record_is_refused(tmp_path, record):
 
 
 @pytest.mark.parametrize(
-    ("change", "argument"),
+    ("change", "n", "workers", "told"),
     [
-        ({"seed": -1}, "seed"),
-        ({"k": 0}, "k"),
-        ({"n_points": 63}, "n_points"),
-        ({"n_points": 100, "k": 51}, "n_points"),
-        ({"shard_size": 0}, "shard_size"),
-        ({"nonuniform": 1.5}, "nonuniform"),
-        ({"pool": "x", "pool_share": 1.5}, "pool_share"),
-        ({"pool_share": 0.5}, "pool"),
+        ({"seed": -1}, 1, 1, "`seed` must "),
+        ({"k": 0}, 1, 1, "`k` must "),
+        ({"n_points": 63}, 1, 1, "`n_points` must "),
+        ({"n_points": 100, "k": 51}, 1, 1, "`n_points` must "),
+        ({"shard_size": 0}, 1, 1, "`shard_size` must "),
+        ({"nonuniform": 1.5}, 1, 1, "`nonuniform` must "),
+        ({"pool": "x", "pool_share": 1.5}, 1, 1, "`pool_share` must "),
+        ({"pool_share": 0.5}, 1, 1, "`pool` must "),
+        ({}, 0, 1, "`n` must "),
+        ({}, 4, 0, "`workers` must "),
+        ({"seed": 9, "k": 5}, 10, 1, r"another configuration: \['k', 'seed'\] differ"),
+        ({}, 12, 1, r"shard 2 of .* holds 2 samples where `n` asks"),
     ],
 )
-def test_configuration_is_checked(change, argument):
-    with pytest.raises(InvalidInputError, match=f"`{argument}` must "):
-        replace(TINY, **change)
-
-
-@pytest.mark.parametrize(("n", "workers", "match"), [(0, 1, "`n`"), (4, 0, "`workers`")])
-def test_counts_are_checked(tmp_path, n, workers, match):
-    with pytest.raises(InvalidInputError, match=match):
-        generate(tmp_path, n, config=TINY, workers=workers)
+def test_what_does_not_fit_is_refused(folder, change, n, workers, told):
+    with pytest.raises(InvalidInputError, match=told):
+        generate(folder, n, config=replace(TINY, **change), workers=workers)
+    assert json.loads((folder / "corpus.json").read_text())["seed"] == 3
 
 
 def test_app_writes_a_corpus_and_reports(tmp_path, capsys):
@@ -367,3 +176,250 @@ def test_app_writes_a_corpus_and_reports(tmp_path, capsys):
         assert told in output
     assert make_corpus.main([*command, "--seed", "5"]) == 1
     assert "another configuration" in capsys.readouterr().err
+
+
+# Shards
+
+
+def random_samples(n):
+    """Points, masses of sum one, and columns of size one."""
+    rng = np.random.default_rng(0)
+    mass = rng.uniform(0.5, 1.5, (n, 64))
+    points, modes = rng.standard_normal((n, 64, 3)), rng.standard_normal((n, 64, 8))
+    return points, mass / mass.sum(1, keepdims=True), modes
+
+
+def test_shards_keep_samples_labels_and_order_and_are_never_overwritten(tmp_path):
+    points, mass, modes = random_samples(5)
+    write_shard(tmp_path, 1, points[3:], mass[3:], modes[3:], {"seed": [3, 4], "extra": [0, 0]})
+    write_shard(tmp_path, 0, points[:3], mass[:3], modes[:3], {"seed": [0, 1, 2]})
+    with pytest.raises(InvalidInputError, match=r"shard 0 of .* exists; delete"):
+        write_shard(tmp_path, 0, points, mass, modes, {})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["shard_0000", "shard_0001"]
+    (tmp_path / ".unfinished-x").mkdir()  # neither is a shard
+    (tmp_path / "notes.txt").write_text("")
+    opened = open_shards(tmp_path)
+    assert (len(opened), opened.n_points, opened.k) == (5, 64, 8)
+    assert opened.labels.keys() == {"seed"}
+    np.testing.assert_array_equal(opened.labels["seed"], range(5))
+    chosen = [4, 0, 3, 4]
+    batch = opened.batch(chosen)
+    np.testing.assert_array_equal(batch.points, points[chosen].astype(np.float32))
+    np.testing.assert_array_equal(batch.mass, mass[chosen].astype(np.float32))
+    np.testing.assert_array_equal(batch.eigenvectors, modes[chosen].astype(np.float16))
+    assert isinstance(opened.shards[0].points, np.memmap)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda p, m, u: (p[:, :-1], m, u, {}), r"must have shapes \(s, n, 3\)"),
+        (lambda p, m, u: (p, m, u[:1], {}), r"must have shapes \(s, n, 3\)"),
+        (lambda p, m, u: (p, m, u, {"seed": [1]}), "`seed` must have one integer for each of 2"),
+        (lambda p, m, u: (p, 2 * m, u, {}), "`mass` must be positive with rows that sum to 1"),
+        (lambda p, m, u: (p, m, u * np.nan, {}), "`eigenvectors` must be there and finite"),
+        (lambda p, m, u: (p[:0], m[:0], u[:0], {}), "`points` must be there and finite"),
+        (lambda p, m, u: (p, m, u[..., :5], {}), r"must have the same \(points, modes\)"),
+    ],
+)
+def test_bad_samples_are_refused(tmp_path, change, told):
+    def write_and_open(*samples):
+        write_shard(tmp_path, 1, *samples)
+        open_shards(tmp_path)
+
+    write_shard(tmp_path, 0, *random_samples(2), {})
+    with pytest.raises(InvalidInputError, match=told):
+        write_and_open(*change(*random_samples(2)))
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[:-100])
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (shutil.rmtree, "must hold shards, got none"),
+        (lambda shard: (shard / "mass.npy").unlink(), "not a whole shard .*No such file"),
+        (lambda shard: cut(shard / "points.npy"), "not a whole shard .*; delete it, and generate"),
+        (lambda shard: cut(shard / "labels.npz"), "not a whole shard"),
+        (lambda shard: np.save(shard / "mass.npy", np.ones((2, 64))), "mass must be float32, got"),
+        (
+            lambda shard: np.save(shard / "points.npy", np.ones((2, 9, 3), "f4")),
+            "shard_0000: not a whole shard",
+        ),
+        (lambda shard: np.savez(shard / "labels.npz", a=[0.5, 1]), "a must be int64, got"),
+        (lambda shard: np.savez(shard / "labels.npz", a=[1]), "one integer for each of 2 samples"),
+    ],
+)
+def test_damaged_shards_are_refused(tmp_path, damage, told):
+    damage(write_shard(tmp_path, 0, *random_samples(2), {"seed": [0, 1]}))
+    with pytest.raises(InvalidInputError, match=told):
+        open_shards(tmp_path)
+
+
+# Pools of real meshes
+
+MESHES = {
+    "m3": (sphere(subdivisions=2).geometry, "train", "pool_01.npz"),
+    "m1": (torus(n=300).geometry, "train", "pool_00.npz"),
+    "m2": (sphere(subdivisions=1).geometry, "val", "pool_00.npz"),
+    "m4": (rectangle(n=100).geometry, "train", "pool_01.npz"),
+}
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    path = tmp_path_factory.mktemp("pool")
+    for chunk in ("pool_00.npz", "pool_01.npz"):
+        meshes = {name: row[0] for name, row in MESHES.items() if row[2] == chunk}
+        np.savez(
+            path / chunk,
+            V=np.concatenate([mesh.points for mesh in meshes.values()]).astype(np.float16),
+            F=np.concatenate([mesh.faces for mesh in meshes.values()]).astype(np.uint16),
+            voff=np.cumsum([0, *(mesh.n for mesh in meshes.values())]),
+            foff=np.cumsum([0, *(len(mesh.faces) for mesh in meshes.values())]),
+            ids=list(meshes),
+        )
+    with (path / "manifest.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["id", "category", "split"])
+        rows.writerows([name, "thing", row[1]] for name, row in MESHES.items())
+    return path
+
+
+def of_pool(folder, **change):
+    return replace(TINY, **{"pool": folder, "pool_share": 1.0} | change)
+
+
+def test_splits_are_kept_apart_and_ordered_by_name(pool):
+    train, val = open_pool(pool, "train"), open_pool(pool, "val")
+    assert (train.names, val.names) == (("m1", "m3", "m4"), ("m2",))
+    assert (len(train), len(val)) == (3, 1)
+    for i, name in enumerate(train.names):
+        np.testing.assert_array_equal(train.mesh(i).faces, MESHES[name][0].faces)
+        np.testing.assert_allclose(train.mesh(i).points, MESHES[name][0].points, atol=2e-3)
+    assert train.digest != val.digest
+
+
+def test_packed_pool_equals_the_unpacked_one_and_is_read_anew(pool, tmp_path):
+    path = tmp_path / "small.npz"
+    for split in ("val", "train"):
+        packed, again = pack_pool(pool, path, split), open_pool(path, split)
+        assert packed.digest == again.digest == open_pool(pool, split).digest
+        assert packed.names == again.names
+    ours, theirs = of_pool(pool), of_pool(path)
+    assert ours.fingerprint() == theirs.fingerprint()
+    here, there = make_sample(ours, 2), make_sample(theirs, 2)
+    assert here.labels == there.labels
+    np.testing.assert_array_equal(here.eigenvectors, there.eigenvectors)
+    with pytest.raises(InvalidInputError, match=r"`split` must be one .* are in, got 'val'"):
+        open_pool(path, "val")
+
+
+def test_corpus_draws_only_meshes_of_its_split_and_as_many_as_its_share(pool, tmp_path):
+    generate(tmp_path, 12, config=of_pool(pool))
+    labels = open_shards(tmp_path).labels
+    assert set(labels["pool"].tolist()) == {0, 1, 2}
+    assert (labels["family"] == FROM_POOL).all()
+    assert report(tmp_path).families["pool"] == 12
+    assert make_sample(of_pool(pool, pool_split="val"), 1).labels["pool"] == 0
+    with pytest.raises(InvalidInputError, match=r"another configuration: \['pool'\] differ"):
+        generate(tmp_path, 12, config=of_pool(pool, pool_split="val"))
+    mixed = [make_sample(of_pool(pool, pool_share=0.5), i).labels for i in range(12)]
+    real = [label["family"] == FROM_POOL for label in mixed]
+    assert 0 < sum(real) < 12
+    assert [label["pool"] >= 0 for label in mixed] == real
+    without = of_pool(pool, pool_share=0.0)
+    assert without.fingerprint() == TINY.fingerprint()
+    np.testing.assert_array_equal(make_sample(without, 0).points, make_sample(TINY, 0).points)
+
+
+def test_meshes_are_varied_and_fit_the_unit_box_before(pool):
+    mesh = open_pool(pool, "train").mesh(1)
+    areas = [varied(mesh, np.random.default_rng(seed)).area for seed in range(20)]
+    unit = varied(mesh.with_points(100 * mesh.points), np.random.default_rng(0))
+    np.testing.assert_allclose(unit.area, areas[0], rtol=1e-6)
+    plain = np.isclose(areas, mesh.area, rtol=1e-2)
+    assert 0 < plain.sum() < 15  # three of ten stay as they are
+
+
+def test_sample_lies_on_its_mesh(pool):
+    for made_of in (of_pool(pool), TINY):
+        sample = make_sample(made_of, 1)
+        again = sample_mesh(made_of, dict(sample.labels))
+        points = sample.points
+        # Both in the frame of their principal axes: the same extents, up to sampling.
+        size = np.linalg.svd(points - points.mean(0), compute_uv=False) / np.sqrt(len(points))
+        dense = again.points[again.faces].mean(axis=1)
+        weights = np.sqrt(again.face_areas / again.face_areas.sum())[:, None]
+        truth = np.linalg.svd(weights * (dense - (weights**2 * dense).sum(0)), compute_uv=False)
+        np.testing.assert_allclose(size / size[0], truth / truth[0], atol=0.15)
+
+
+def test_bad_pools_are_refused(pool, tmp_path):
+    (tmp_path / "text.npz").write_text("no")
+    np.savez(tmp_path / "half.npz", V=np.zeros((1, 3)))
+    for told, call, *arguments in (
+        (r"must hold chunks pool_\*.npz and a manifest", open_pool, tmp_path, "train"),
+        (r"text.npz: not a whole mesh pool", open_pool, tmp_path / "text.npz", "train"),
+        (r"without \['F', 'voff', 'foff', 'ids'\]", open_pool, tmp_path / "half.npz", "train"),
+        ("are in, got 'test'", open_pool, pool, "test"),
+        (r"`target` must end in \.npz", pack_pool, pool, tmp_path / "small.bin", "train"),
+        (r"`index` must be in \[0, 2\], got 3", open_pool(pool, "train").mesh, 3),
+    ):
+        with pytest.raises(InvalidInputError, match=told):
+            call(*arguments)
+
+
+# What a corpus is like
+
+
+def test_topology_of_known_surfaces():
+    ball, ring = sphere(subdivisions=2).geometry, torus(n=400).geometry
+    assert topology(ball) == Topology(parts=1, closed=True, boundary=False, genus=0)
+    both = surfaces.join([ball, ring.with_points(ring.points + 9.0)])
+    assert topology(both) == Topology(parts=2, closed=True, boundary=False, genus=1)
+    assert topology(rectangle(n=100).geometry) == Topology(1, False, True, None)
+    # Poles of many coincident corners are closed, and so are unwelded triangles.
+    assert topology(surfaces.superquadric((0.3, 0.3), [1, 1, 1])).genus == 0
+    soup = np.arange(ball.faces.size).reshape(-1, 3)
+    assert topology(TriangleMesh(ball.points[ball.faces].reshape(-1, 3), soup)) == topology(ball)
+    fin = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0]]
+    fin = TriangleMesh(fin, [[0, 1, 2], [0, 1, 3], [0, 1, 4]])
+    assert topology(fin) == Topology(1, False, True, None)
+
+
+def test_survey_counts_and_measures(folder, tmp_path):
+    assert read_config(folder) == TINY
+    found = survey(open_shards(folder), TINY, [5, 2, 0, 1])
+    facts = found.as_json()
+    assert (facts["samples"], facts["surveyed"]) == (10, 4)
+    assert json.loads(json.dumps(facts)) == facts
+    assert sum(facts["genus"].values()) == sum(t.genus is not None for t in found.topologies)
+    laplacian = robust_laplacian(PointCloud(make_sample(TINY, 2).points.astype(np.float32)))
+    values = eigensolve(laplacian, 6, Arpack()).eigenvalues * laplacian.area
+    assert found.eigenvalues.shape == (4, 6)
+    np.testing.assert_allclose(found.eigenvalues[1], values, rtol=2e-3, atol=1e-2)
+    stored = replace(TINY, seed=8).fingerprint() | {"format": 1}
+    (tmp_path / "corpus.json").write_text(json.dumps(stored))
+    with pytest.raises(InvalidInputError, match=r"another configuration: \['format'\] differ"):
+        read_config(tmp_path)
+
+
+def test_the_app_draws_a_sheet_and_a_table(folder, tmp_path, capsys):
+    sheet = tmp_path / "sheet.png"
+    code = inspect_corpus.main([str(folder), str(sheet), "-n", "4", "--surveyed", "3"])
+    out, err = capsys.readouterr()
+    if "OpenGL" in err:
+        pytest.skip("no OpenGL library on this machine")
+    assert code == 0, err
+    assert "10 samples" in out
+    assert "lambda_1 area" in out
+    facts = json.loads(sheet.with_suffix(".json").read_text())
+    assert (facts["samples"], facts["surveyed"]) == (10, 3)
+    with Image.open(sheet) as picture:
+        pixels = np.asarray(picture.convert("RGB"))
+    assert 0.05 < (pixels < 250).any(axis=2).mean() < 0.9
+    assert inspect_corpus.main([str(tmp_path / "nothing"), str(sheet)]) == 1
+    assert "must hold a corpus" in capsys.readouterr().err

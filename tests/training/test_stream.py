@@ -5,12 +5,15 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import produced_here
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
+from spectra_kit.training import stream as streaming
 from spectra_kit.training.corpus import CorpusConfig, WorkerError, generate, make_sample
 from spectra_kit.training.shards import open_shards
 from spectra_kit.training.stream import SampleStream
@@ -26,6 +29,11 @@ def shards(tmp_path_factory):
     return path
 
 
+@pytest.fixture
+def in_this_process(monkeypatch):
+    monkeypatch.setattr(streaming, "produced", produced_here)
+
+
 def assert_same(corpus, other, indices):
     """The samples `indices` of `corpus` equal those of the same number in `other`."""
     ours = corpus.batch(np.searchsorted(corpus.labels["index"], indices))
@@ -34,6 +42,7 @@ def assert_same(corpus, other, indices):
         np.testing.assert_array_equal(array, getattr(theirs, name))
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_stream_equals_the_corpus_and_goes_on_behind_what_is_saved(shards, tmp_path):
     generate(tmp_path, 8, config=TINY)
     with SampleStream(TINY, workers=2, capacity=64, folder=tmp_path) as stream:
@@ -41,7 +50,6 @@ def test_stream_equals_the_corpus_and_goes_on_behind_what_is_saved(shards, tmp_p
         assert stream.ready(8, timeout=0)
         assert stream.ready(13, timeout=300)
         corpus, report = stream.corpus(), stream.report()
-    assert not multiprocessing.active_children()
     assert (corpus.n_points, corpus.k) == (100, 4)
     np.testing.assert_array_equal(corpus.labels["index"], np.arange(len(corpus)))
     assert_same(corpus, open_shards(shards), np.arange(13))
@@ -52,6 +60,7 @@ def test_stream_equals_the_corpus_and_goes_on_behind_what_is_saved(shards, tmp_p
     assert_same(saved, open_shards(shards), np.arange(12))
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_the_oldest_samples_make_room_and_views_stay(tmp_path):
     options = {"workers": 1, "capacity": 8, "folder": tmp_path}
     with SampleStream(TINY, start=4, bounded=True, **options) as stream:
@@ -100,28 +109,51 @@ def test_a_dead_worker_is_an_error_and_not_a_hang():
                 told()
 
 
-def test_an_interrupt_ends_the_processes(tmp_path):
+SCRIPT = """
+import itertools, multiprocessing, os, signal, time
+from spectra_kit.training.corpus import CorpusConfig, produced
+from spectra_kit.training.stream import SampleStream
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    config = CorpusConfig(seed=0, n_points=100, k=4)
+    try:
+        with SampleStream(config, workers=1, capacity=64) as stream:
+            stream.ready(1, timeout=300)
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(300)
+    except KeyboardInterrupt:
+        print(multiprocessing.active_children(), flush=True)
+    with produced(config, itertools.count(), 1) as made:
+        next(made)
+        print(multiprocessing.active_children()[0].pid, flush=True)
+        time.sleep(300)
+"""
+
+
+def test_processes_end_on_ctrl_c_and_with_the_one_that_started_them(tmp_path):
     script = tmp_path / "script.py"
-    script.write_text(
-        "import multiprocessing, signal, os, time\n"
-        "from spectra_kit.training.corpus import CorpusConfig\n"
-        "from spectra_kit.training.stream import SampleStream\n"
-        "if __name__ == '__main__':\n"
-        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "    config = CorpusConfig(seed=0, n_points=100, k=4)\n"
-        "    try:\n"
-        "        with SampleStream(config, workers=1, capacity=64) as stream:\n"
-        "            stream.ready(1, timeout=300)\n"
-        "            os.kill(os.getpid(), signal.SIGINT)\n"
-        "            time.sleep(300)\n"
-        "    except KeyboardInterrupt:\n"
-        "        print(multiprocessing.active_children())\n"
-    )
-    call = [sys.executable, str(script)]
-    done = subprocess.run(call, capture_output=True, text=True, timeout=300, check=True)
-    assert (done.stdout.strip(), done.stderr) == ("[]", "")
+    script.write_text(SCRIPT)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    parent = subprocess.Popen([sys.executable, str(script)], **pipes)
+    assert parent.stdout.readline().strip() == "[]"
+    worker = int(parent.stdout.readline())
+    parent.kill()
+    assert "Traceback" not in parent.communicate()[1]
+    for _ in range(600):
+        if not _alive(worker):
+            return
+        time.sleep(0.1)
+    pytest.fail("the worker lives on")
 
 
+def _alive(pid: int) -> bool:
+    try:  # an ended process that nobody waited for counts as ended
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):  # the latter if it ends while it is read
+        return False
+
+
+@pytest.mark.usefixtures("in_this_process")
 def test_rejections_are_counted(tmp_path):
     ball = sphere(subdivisions=1).geometry
     apart = join([ball, ball.with_points(ball.points + [90.0, 0, 0])])
@@ -134,7 +166,7 @@ def test_rejections_are_counted(tmp_path):
         ids=["a", "b"],
         split="train",
     )
-    config = replace(TINY, n_points=400, nonuniform=0.0, pool=tmp_path / "pool.npz", pool_share=1.0)
+    config = replace(TINY, n_points=200, nonuniform=0.0, pool=tmp_path / "pool.npz", pool_share=1.0)
     with SampleStream(config, workers=1, capacity=64) as stream:
         assert stream.ready(6, timeout=300)
         labels, report = stream.corpus().labels, stream.report()  # samples may come in between
@@ -144,20 +176,22 @@ def test_rejections_are_counted(tmp_path):
     assert report.families["pool"] == report.samples
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_foreign_folders_and_bad_counts_are_refused(shards, tmp_path):
-    def refused(config=TINY, *, n=None, **options):
+    generate(tmp_path, 6, config=TINY)
+    for told, options in (
+        (r"another configuration: \['seed'\] differ", {"seed": 4, "folder": shards}),
+        ("hold the samples from `start` = 4 on", {"folder": shards, "start": 4}),
+        ("`start` must be a multiple of the shard size 4", {"folder": shards, "start": 6}),
+        ("must hold whole shards of 4, got 6 samples", {"folder": tmp_path}),
+        ("`workers` must be at least", {"workers": 0}),
+        ("`capacity` must be at least", {"capacity": 0}),
+        ("`start` must be at least", {"start": -1}),
+        (r"`n` must be in \[1, 8\]", {}),
+    ):
+        config = replace(TINY, seed=options.pop("seed", 3))
         with (
-            pytest.raises(InvalidInputError) as caught,
+            pytest.raises(InvalidInputError, match=told),
             SampleStream(config, **{"workers": 1, "capacity": 8} | options) as stream,
         ):
-            stream.ready(n, timeout=0)
-        return str(caught.value)
-
-    generate(tmp_path, 6, config=TINY)
-    assert "another configuration: ['seed'] differ" in refused(replace(TINY, seed=4), folder=shards)
-    assert "hold the samples from `start` = 4 on" in refused(folder=shards, start=4)
-    assert "`start` must be a multiple of the shard size 4" in refused(folder=shards, start=6)
-    assert "must hold whole shards of 4, got 6 samples" in refused(folder=tmp_path)
-    for name, value in (("workers", 0), ("capacity", 0), ("start", -1)):
-        assert f"`{name}` must be at least" in refused(**{name: value})
-    assert "`n` must be in [1, 8]" in refused(n=9)
+            stream.ready(9, timeout=0)

@@ -11,7 +11,6 @@ from spectra_kit.viz import (
     Page,
     View,
     plot_correspondence,
-    plot_error_curves,
     plot_functional_map,
 )
 from spectra_kit.viz.colours import UNKNOWN, error_colours, position_colours, refined
@@ -25,11 +24,6 @@ def painted(geometry, colour, **options):
     """Draw everything in one colour."""
     colours = np.tile(np.array(colour, np.uint8), (geometry.n, 1))
     return draw(geometry, [colours], colours=None, **options)
-
-
-def coloured(picture):
-    """The pixels that have a hue: neither page nor text."""
-    return picture[np.ptp(picture, axis=2) > 12]
 
 
 def test_positions_are_told_apart_in_every_direction():
@@ -79,13 +73,6 @@ def test_behind_is_the_same_outline_mirrored():
     assert differing.mean() < 0.01
 
 
-def test_a_point_has_the_colour_it_was_given():
-    (picture,) = painted(BALL, [30, 60, 220], rotation=np.eye(3), width=40).astype(int)
-    middle = picture[picture.shape[0] // 2, 20]
-    assert middle[2] > 150
-    assert middle[2] > middle[0] + 80
-
-
 @pytest.mark.parametrize("as_cloud", [False, True])
 def test_the_identity_gives_the_target_the_colours_of_the_source(tmp_path, as_cloud):
     mesh = PAIR[0].as_cloud() if as_cloud else PAIR[0]
@@ -99,25 +86,6 @@ def test_the_identity_gives_the_target_the_colours_of_the_source(tmp_path, as_cl
     left, right = picture[:, columns[0] : gap + 1], picture[:, gap + 1 :]
     right = right[:, np.flatnonzero((np.ptp(right, axis=2) > 12).any(axis=0))[0] :]
     np.testing.assert_array_equal(left, right[:, : left.shape[1]])
-
-
-def test_a_constant_map_gives_one_colour(tmp_path):
-    source, target, _ = PAIR
-    plot_correspondence(
-        tmp_path / "map.png",
-        source,
-        target,
-        np.zeros(target.n, dtype=int),
-        view=View("z"),
-        page=Page(dpi=40),
-    )
-    picture = page(tmp_path / "map.png")
-    half = picture.shape[1] // 2
-    spread = [
-        np.ptp(p[:, 0] - p[:, 2])
-        for p in (coloured(picture[:, :half]), coloured(picture[:, half:]))
-    ]
-    assert spread[1] < 0.5 * spread[0]
 
 
 def test_errors_are_drawn_where_they_are_whatever_the_order_of_the_truth():
@@ -138,10 +106,7 @@ def test_errors_are_drawn_where_they_are_whatever_the_order_of_the_truth():
     np.testing.assert_array_equal(some[[3, 5]], drawn[0][[3, 5]])
 
 
-def test_diagrams(tmp_path):
+def test_a_functional_map_is_dark_where_it_is_large(tmp_path):
     plot_functional_map(tmp_path / "c.png", np.eye(20)[:15], page=Page(dpi=50))
     matrix = page(tmp_path / "c.png")
     assert (matrix[..., 0] - matrix[..., 2] > 60).sum() > 100  # the diagonal is dark red
-    errors = {f"method {i}": np.arange(5.0) * i for i in range(9)}
-    plot_error_curves(tmp_path / "d.png", errors, page=Page(dpi=50))
-    assert len(np.unique(coloured(page(tmp_path / "d.png")), axis=0)) > 6

@@ -6,9 +6,9 @@ from drawing import SQUARE, can_draw, grey, page  # noqa: F401
 
 from spectra_kit.geometry import PointCloud, TriangleMesh, sphere
 from spectra_kit.viz import Page, SolverRun, View, plot_distance
-from spectra_kit.viz.colours import UNKNOWN
+from spectra_kit.viz.colours import UNKNOWN, distance_colours
+from spectra_kit.viz.contours import distance_levels, round_number
 from spectra_kit.viz.convergence import convergence_figure
-from spectra_kit.viz.distance_scale import distance_colours, distance_levels, round_number
 from spectra_kit.viz.isolines import distance_lines
 
 
@@ -53,7 +53,7 @@ def test_nothing_is_drawn_between_a_number_and_infinity():
 
 @pytest.mark.parametrize("kind", [TriangleMesh, PointCloud])
 def test_a_page_shows_two_sides_with_their_sources(kind, tmp_path):
-    ball = sphere(subdivisions=4).geometry
+    ball = sphere(subdivisions=3).geometry
     distance = np.arccos(np.clip(ball.points @ [0.0, 0.0, 1.0], -1, 1))
     geometry = ball if kind is TriangleMesh else ball.as_cloud()
     top = ball.points[[ball.points[:, 2].argmax()]]
