@@ -473,7 +473,7 @@ def test_command_line_end_to_end(tmp_path, capsys, monkeypatch):
     out, folder = tmp_path / "run", str(tmp_path / "train")
     argv = [folder, folder, "--validation", str(tmp_path / "validation")]
     argv += ["--steps", "1", "--batch", "2", "--points", "270"]
-    assert train_neo.main(["nowhere", *argv[1:], "--out", str(out)]) == 1
+    assert train_neo.main(["nowhere", *argv[1:], "--out", str(out)]) == 2
     assert "error: `folder` must hold shards, got none in nowhere" in capsys.readouterr().err
     assert train_neo.main([*argv, "--out", str(out), "--frame", "none"]) == 0
     printed = capsys.readouterr().out
