@@ -8,8 +8,7 @@ from spectra_kit.viz.animation import animate_modes
 from spectra_kit.viz.camera import View
 from spectra_kit.viz.convergence import SolverRun, plot_convergence
 from spectra_kit.viz.correspondence import MatchedPair, plot_correspondence, plot_correspondences
-from spectra_kit.viz.fields import plot_fields
-from spectra_kit.viz.gallery import plot_panels
+from spectra_kit.viz.gallery import plot_fields, plot_panels
 from spectra_kit.viz.isolines import plot_distance
 from spectra_kit.viz.maps import plot_error_curves, plot_functional_map
 from spectra_kit.viz.modes import plot_comparison, plot_modes

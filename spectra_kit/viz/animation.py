@@ -140,6 +140,10 @@ def animate_modes(
         np.clip(column / symmetric_limit(column), -1.0, 1.0)
         for column in (vectors * display_signs(vectors)).T
     ]
+    lines = None
+    if nodal_lines:
+        triangles = triangles_of(geometry)
+        lines = [level_lines(geometry.points, triangles, function) for function in functions]
     scene = Scene(
         geometry=geometry,
         functions=functions,
@@ -148,7 +152,7 @@ def animate_modes(
         colours=diverging_colours(np.linspace(-1.0, 1.0, 256)),
         shifts=_shifts(geometry, functions, amplitude),
         swings=distinct.tolist(),
-        lines=_nodal_lines(geometry, functions) if nodal_lines else None,
+        lines=lines,
         line_width=max(_LINE * width, 1.5),
     )
     (pictures,) = render([scene], progress=progress)
@@ -164,7 +168,10 @@ def _shifts(geometry: Geometry, functions: Sequence[Floats], amplitude: float) -
     diagonal = float(np.linalg.norm(np.ptp(geometry.points, axis=0)))
     if not amplitude * diagonal:
         return [np.zeros((geometry.n, 3)) for _ in functions]
-    normals = _normals(geometry)
+    if isinstance(geometry, TriangleMesh):
+        normals = outward_normals(geometry.points, oriented_triangles(geometry))
+    else:
+        normals = orient_normals(geometry, estimate_normals(geometry))
     radii = _inner_radii(geometry.points, normals, diagonal)
     swings = (amplitude * diagonal * function for function in functions)
     return [(w / np.hypot(1, 2 * w / radii))[:, None] * normals for w in swings]
@@ -185,19 +192,6 @@ def _inner_radii(points: Floats, normals: Floats, largest: float) -> Floats:
         through = np.einsum("ij,ij->i", apart, apart) / (2 * np.where(behind > 0, behind, 1))
         radii = np.where(behind > 0, np.minimum(radii, through), radii)
     return np.asarray(np.maximum(radii, np.finfo(np.float64).tiny))
-
-
-def _normals(geometry: Geometry) -> Floats:
-    """Outward unit normals at the points, (n, 3)."""
-    if isinstance(geometry, TriangleMesh):
-        return outward_normals(geometry.points, oriented_triangles(geometry))
-    return orient_normals(geometry, estimate_normals(geometry))
-
-
-def _nodal_lines(geometry: Geometry, functions: Sequence[Floats]) -> list[Floats]:
-    """Where the functions are zero, and thus stand still."""
-    triangles = triangles_of(geometry)
-    return [level_lines(geometry.points, triangles, function) for function in functions]
 
 
 def _caption(spectrum: Spectrum, mode: int, width: int) -> Bytes:
@@ -225,24 +219,18 @@ def _write_gif(path: Path, frames: list[Bytes], fps: float) -> None:
 
     chosen = np.unique(np.linspace(0, len(frames) - 1, _SAMPLED).astype(int))
     sample = Image.fromarray(np.vstack([frames[i][::2, ::2] for i in chosen]))
-    colours = sample.quantize(
-        255, method=Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE
-    )
+    fixed = Image.Dither.NONE
+    colours = sample.quantize(255, method=Image.Quantize.MAXCOVERAGE, kmeans=2, dither=fixed)
     table = bytes([255, 255, 255, *(colours.getpalette() or [])[: 3 * 255]])
     palette = Image.new("P", (1, 1))
     palette.putpalette(table)
-    images = [
-        Image.fromarray(_dithered(frame)).quantize(palette=palette, dither=Image.Dither.NONE)
+    first, *rest = (
+        Image.fromarray(_dithered(frame)).quantize(palette=palette, dither=fixed)
         for frame in frames
-    ]
-    images[0].save(
-        path,
-        save_all=True,
-        append_images=images[1:],
-        duration=10 * max(round(100 / fps), 1),
-        loop=0,
-        palette=table,  # said once, for all frames
     )
+    lasting = 10 * max(round(100 / fps), 1)
+    # The palette is said once, for all frames.
+    first.save(path, save_all=True, append_images=rest, duration=lasting, loop=0, palette=table)
 
 
 def _dithered(frame: Bytes) -> Bytes:
@@ -258,15 +246,9 @@ def _write_mp4(path: Path, frames: list[Bytes], fps: float) -> None:
     import imageio_ffmpeg
 
     rows, columns, _ = frames[0].shape
-    film = imageio_ffmpeg.write_frames(
-        str(path),
-        (columns, rows),
-        fps=fps,
-        quality=8,
-        macro_block_size=2,
-        ffmpeg_log_level="error",
-        output_params=["-movflags", "+faststart"],
-    )
+    style = {"quality": 8, "macro_block_size": 2, "ffmpeg_log_level": "error"}
+    style["output_params"] = ["-movflags", "+faststart"]
+    film = imageio_ffmpeg.write_frames(str(path), (columns, rows), fps=fps, **style)
     with closing(film):
         film.send(None)
         for frame in frames:

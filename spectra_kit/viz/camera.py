@@ -77,11 +77,11 @@ class View:
         axis, size = "xyz".index(up), np.ptp(points, axis=0)
         flat = size[axis] < 0.12 * np.delete(size, axis).min()
         views = [_rotation(axis, azimuth, _STEEP if flat else _ELEVATION) for azimuth in _AZIMUTHS]
-        best, shown = views[0], _coverage(points @ views[0].T)
-        for view in views[1:]:
-            if (covered := _coverage(points @ view.T)) > _CLEARLY * shown:
-                best, shown = view, covered
-        return _turned(best, np.eye(3)[axis], turn)
+        shown = [_coverage(points @ view.T) for view in views]
+        best = 0
+        for i in range(1, len(views)):
+            best = i if shown[i] > _CLEARLY * shown[best] else best
+        return _turned(views[best], np.eye(3)[axis], turn)
 
 
 def _turned(view: Floats, axis: Floats, degrees: float) -> Floats:

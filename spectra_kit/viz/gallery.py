@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
+from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import View
+from spectra_kit.viz.contours import round_number
 from spectra_kit.viz.page import MARGIN, Page
-from spectra_kit.viz.panels import Panel, draw_panels
+from spectra_kit.viz.panels import Panel, draw_panels, sequential_limits, symmetric_limit
 from spectra_kit.viz.pen import Pen
 from spectra_kit.viz.picture import plotted
 from spectra_kit.viz.table import BAR, GAP, HEAD, LINE, SIDE, Cell, set_table
@@ -24,7 +27,11 @@ if TYPE_CHECKING:
 _WIDTH, _WIDEST_CELL = 11.0, 4.5  # inches
 _TALLEST = 2.2  # pictures, height over cell width
 _EMPTY = 0.5  # what a place left empty counts against a misfit of the page
+_LEVELS = 14  # lines from one end of the colours to the other, about
 _TABLE, _GALLERY = 1.0, 1.4  # the wanted aspect of a page, width over height
+
+
+Lines = Literal["none", "nodal", "levels"]
 
 
 @plotted
@@ -75,6 +82,99 @@ def plot_panels(
     return draw_table(geometry, rows, rows_named, columns_named, view=view, page=page)
 
 
+@plotted
+@checked
+def plot_fields(
+    geometry: Geometry,
+    fields: Mapping[str, ArrayLike] | Sequence[tuple[str, ArrayLike]],
+    *,
+    view: View = View(),
+    page: Page = Page(),
+    symmetric: bool | None = None,
+    share_limits: bool = False,
+    lines: Lines = "none",
+    columns: int | None = None,
+) -> Figure:
+    """Draw a gallery of functions on one geometry, all seen from the same side.
+
+    Parameters
+    ----------
+    $path
+    $geometry
+    fields : mapping of str to array_like of shape (n,), or sequence of such pairs
+        What to write above each picture, and one finite value for each point.
+    $view
+    $page
+    symmetric : bool, optional
+        Blue and red with white at zero, or sequential colours, dark to light; by default the former
+        for functions that have negative values.
+    share_limits : bool, default False
+        One colour bar for all, at the foot of the page.
+    lines : {"none", "nodal", "levels"}, default "none"
+        Draw lines where a function is zero, or at evenly spaced round values within the colours.
+    columns : int, optional
+        How many pictures stand beside each other; by default what fits the page best.
+
+    $returns
+
+    Notes
+    -----
+    Functions are linear on triangles and coloured pixel by pixel. Colours end where one point in a
+    hundred lies beyond, so that a lone spike does not bleach the rest. Lines have the same width
+    everywhere on the page; on a cloud they are those of the triangles that neighbours make.
+
+    Examples
+    --------
+    >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.viz import Page, plot_fields
+    >>> ball = sphere(subdivisions=2).geometry
+    >>> fields = {"height": ball.points[:, 2], "squared": ball.points[:, 2] ** 2}
+    >>> plot_fields(ball, fields, lines="nodal", page=Page(dpi=30))
+    Picture(path=None)
+    """
+    pairs = list(fields.items()) if isinstance(fields, Mapping) else fields
+    if not isinstance(pairs, list | tuple) or not all(
+        isinstance(pair, list | tuple) and len(pair) == 2 for pair in pairs
+    ):
+        raise InvalidInputError(
+            "fields",
+            "be a mapping of names to values, or a list of pairs of both",
+            f"a {type(fields).__name__}",
+            advice="write {'name': values}",
+        )
+    if not pairs:
+        raise InvalidInputError("fields", "hold at least one function", "none")
+    named = [(name, real_array(f"fields[{name!r}]", values)) for name, values in pairs]
+    for name, values in named:
+        if values.shape != (geometry.n,):
+            expected = f"have shape ({geometry.n},), one value for each point"
+            raise InvalidInputError(f"fields[{name!r}]", expected, values.shape)
+    every = [values for _, values in named] if share_limits else None
+    panels = [_panel(name, values, every or [values], symmetric, lines) for name, values in named]
+    return draw_gallery(geometry, panels, columns, view=view, page=page, one_bar=share_limits)
+
+
+def _panel(
+    name: str, values: Floats, together: list[Floats], symmetric: bool | None, lines: Lines
+) -> Panel:
+    """One field, in colours that fit all of `together`."""
+    if symmetric is None:
+        symmetric = any(bool((f < 0).any()) for f in together)
+    low: float | None
+    if symmetric:
+        low, high = None, symmetric_limit(*together)
+    else:
+        low, high = sequential_limits(*together)
+    levels: tuple[float, ...] = (0.0,) if lines == "nodal" else ()
+    start = -high if low is None else low
+    if lines == "levels" and start < high:
+        step = round_number((high - start) / _LEVELS)
+        # Not beyond the colours: a lone spike would have more lines than anything else.
+        first, last = max(start, values.min()) / step, min(high, values.max()) / step
+        levels = tuple(step * np.arange(np.ceil(first), np.floor(last) + 1))
+    return Panel(values=values, limit=high, lines=(name,), low=low, levels=levels)
+
+
 def draw_table(
     geometry: Geometry,
     rows: Sequence[Sequence[Panel]],
@@ -87,14 +187,8 @@ def draw_table(
     """Draw a full table of panels, transposed where that fits the page better."""
     rotation = view.rotation(geometry)
     aspect = _aspect(geometry, rotation)
-    misfits = [
-        _misfit(columns, lines, aspect, _TABLE)
-        for columns, lines in (
-            (len(columns_named), len(rows_named)),
-            (len(rows_named), len(columns_named)),
-        )
-    ]
-    if misfits[0] > misfits[1]:
+    across, down = len(columns_named), len(rows_named)
+    if _misfit(across, down, aspect, _TABLE) > _misfit(down, across, aspect, _TABLE):
         rows, columns_named, rows_named = list(zip(*rows, strict=True)), rows_named, columns_named
     cell = _cell_width(len(columns_named))
     cells = _cells(geometry, rows, rotation, page, cell)
@@ -104,24 +198,21 @@ def draw_table(
 def draw_gallery(
     geometry: Geometry,
     panels: Sequence[Panel],
-    *,
     columns: int | None,
-    one_bar: bool,
+    *,
     view: View,
     page: Page,
+    one_bar: bool = False,
 ) -> Figure:
-    """Draw panels in reading order, in as many columns as fit best; `one_bar` for all at the foot.
-
-    What `plot_fields` and `plot_modes` have in common.
-    """
+    """Draw panels in reading order, in columns that fit best; `one_bar` for all at the foot."""
     rotation, n = view.rotation(geometry), len(panels)
     if columns is None:
         aspect = _aspect(geometry, rotation)
-        columns = min(
-            range(1, n + 1),
-            key=lambda c: _misfit(c, -(-n // c), aspect, _GALLERY) + _EMPTY * (-n % c),
-        )
-    columns = min(columns, n)
+        misfits = [
+            _misfit(c, -(-n // c), aspect, _GALLERY) + _EMPTY * (-n % c) for c in range(1, n + 1)
+        ]
+        columns = 1 + int(np.argmin(misfits))
+    columns = min(check_count("columns", columns, low=1), n)
     table = [panels[i : i + columns] for i in range(0, n, columns)]
     cell = _cell_width(columns)
     cells = _cells(geometry, table, rotation, page, cell, bars=not one_bar)

@@ -77,16 +77,8 @@ def plot_modes(
     Picture(path=None)
     """
     chosen = check_modes(geometry, spectrum, modes, _SHOWN)
-    if columns is not None:
-        check_count("columns", columns, low=1)
-    return draw_gallery(
-        geometry,
-        [_panel(spectrum, mode, (0.0,) if nodal_lines else ()) for mode in chosen],
-        columns=columns,
-        one_bar=False,
-        view=view,
-        page=page,
-    )
+    panels = [_panel(spectrum, mode, (0.0,) if nodal_lines else ()) for mode in chosen]
+    return draw_gallery(geometry, panels, columns, view=view, page=page)
 
 
 @plotted
@@ -136,14 +128,9 @@ def plot_comparison(
     chosen = check_modes(geometry, exact.truncate(comparison.k), modes)
     aligned = align_modes(exact, predicted, comparison)
     levels = (0.0,) if nodal_lines else ()
-    return draw_table(
-        geometry,
-        [_panels(exact, predicted, aligned[:, i], comparison, i, levels) for i in chosen],
-        rows_named=[f"mode {i}" for i in chosen],
-        columns_named=[*names, "difference"],
-        view=view,
-        page=page,
-    )
+    rows = [_panels(exact, predicted, aligned[:, i], comparison, i, levels) for i in chosen]
+    heads = [f"mode {i}" for i in chosen]
+    return draw_table(geometry, rows, heads, [*names, "difference"], view=view, page=page)
 
 
 def _panel(spectrum: Spectrum, mode: int, levels: tuple[float, ...]) -> Panel:
@@ -174,22 +161,19 @@ def _panels(
     change = "" if zero else f"  ({100 * (guess / true - 1):+.2g} %)"
     size = next(stop - start for start, stop in comparison.clusters if start <= mode < stop)
     beside = f" (cluster of {size})" if size > 1 else ""
+    told = (
+        (exact_text, _residual(exact, mode)),
+        (f"λ = {guess:.5g}{change}", _residual(predicted, comparison.match[mode])),
+        (
+            f"error {short(comparison.cluster_error[mode])}{beside}",
+            f"outside the span {short(comparison.span_error[mode])}",
+        ),
+    )
+    faint = max(symmetric_limit(right - left), _FAINT * limit)
     return (
-        Panel(values=left, limit=limit, lines=(exact_text, _residual(exact, mode)), levels=levels),
-        Panel(
-            values=right,
-            limit=limit,
-            lines=(f"λ = {guess:.5g}{change}", _residual(predicted, comparison.match[mode])),
-            levels=levels,
-        ),
-        Panel(
-            values=right - left,
-            limit=max(symmetric_limit(right - left), _FAINT * limit),
-            lines=(
-                f"error {short(comparison.cluster_error[mode])}{beside}",
-                f"outside the span {short(comparison.span_error[mode])}",
-            ),
-        ),
+        Panel(values=left, limit=limit, lines=told[0], levels=levels),
+        Panel(values=right, limit=limit, lines=told[1], levels=levels),
+        Panel(values=right - left, limit=faint, lines=told[2]),
     )
 
 

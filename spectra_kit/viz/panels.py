@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 
@@ -99,43 +100,27 @@ def sequential_limits(*functions: Floats) -> tuple[float, float]:
 def draw_panels(
     geometry: Geometry, panels: Sequence[Panel], *, rotation: Floats, width: int, dpi: int
 ) -> list[Bytes]:
-    """Return the pictures of panels, `width` pixels each, seen from one side.
-
-    Raises
-    ------
-    InvalidInputError
-        If a panel has not one finite value for each point.
-    """
+    """Return the pictures of panels, `width` pixels each, seen from one side."""
     for panel in panels:
         if real_array("values", panel.values).shape != (geometry.n,):
             raise InvalidInputError("values", f"have shape ({geometry.n},)", np.shape(panel.values))
     triangles = triangles_of(geometry) if any(panel.levels for panel in panels) else None
-    kinds = [
-        [i for i, panel in enumerate(panels) if (panel.low is None) == symmetric]
-        for symmetric in (True, False)
-    ]
-    kinds = [kind for kind in kinds if kind]
-    scenes = [
-        Scene(
+    scenes = []
+    for _, group in groupby(panels, key=lambda panel: panel.low is None):  # of one kind of colours
+        some, lines = list(group), None
+        if triangles is not None:
+            lines = [level_lines(geometry.points, triangles, p.values, p.levels) for p in some]
+        scene = Scene(
             geometry=geometry,
-            functions=[panels[i].scaled() for i in kind],
+            functions=[panel.scaled() for panel in some],
             rotation=rotation,
             width=width,
-            colours=panels[kind[0]].colours(256),
-            lines=None
-            if triangles is None
-            else [
-                level_lines(geometry.points, triangles, panels[i].values, panels[i].levels)
-                for i in kind
-            ],
+            colours=some[0].colours(256),
+            lines=lines,
             line_width=LINE_WIDTH * dpi / 72,
         )
-        for kind in kinds
-    ]
-    found: dict[int, Bytes] = {}
-    for kind, drawn in zip(kinds, render(scenes), strict=True):
-        found |= dict(zip(kind, drawn, strict=True))
-    return [found[i] for i in range(len(panels))]
+        scenes.append(scene)
+    return [picture for drawn in render(scenes) for picture in drawn]
 
 
 def _signed(value: float, digits: int) -> str:

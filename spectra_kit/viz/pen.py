@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,7 +10,6 @@ from spectra_kit._types import Bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from matplotlib.text import Text
 
 
 _LINE = "#303036"  # as on geometries
@@ -36,34 +35,24 @@ class Pen:
         colour: str = "0.1",
     ) -> None:
         """Set one line, smaller where it would not fit `width`."""
-        label = self.figure.text(
-            (left + width / 2 if centred else left) / self.width,
-            1 - baseline / self.height,
-            text,
-            fontsize=size,
-            fontweight="bold" if bold else "normal",
-            color=colour,
-            ha="center" if centred else "left",
-            va="baseline",
-            parse_math=False,
-        )
-        _fit(label, label.get_window_extent().width / self.dpi, width)
+        style = {"fontweight": "bold" if bold else "normal", "color": colour, "va": "baseline"}
+        style["ha"] = "center" if centred else "left"
+        at = left + width / 2 if centred else left
+        self._set(text, at, baseline, width, fontsize=size, **style)
 
     def sideways(self, text: str, x: float, y: float, length: float) -> None:
         """Set a bold line that reads upwards, centred at (x, y)."""
-        label = self.figure.text(
-            x / self.width,
-            1 - y / self.height,
-            text,
-            fontsize=12,
-            fontweight="bold",
-            color="0.1",
-            rotation=90,
-            ha="center",
-            va="center",
-            parse_math=False,
-        )
-        _fit(label, label.get_window_extent().height / self.dpi, length)
+        style = {"fontweight": "bold", "color": "0.1", "ha": "center", "va": "center"}
+        self._set(text, x, y, length, fontsize=12, rotation=90, **style)
+
+    def _set(self, text: str, x: float, y: float, room: float, **style: Any) -> None:
+        """Set a text in this style, but smaller where it needs more room than there is."""
+        at = x / self.width, 1 - y / self.height
+        label = self.figure.text(*at, text, parse_math=False, **style)
+        box = label.get_window_extent()
+        needed = (box.height if label.get_rotation() else box.width) / self.dpi
+        if needed > room:
+            label.set_fontsize(float(label.get_fontsize()) * room / needed)
 
     def line(self, x: float, top: float, bottom: float, width: float) -> None:
         """Draw a dark upright line, so many points wide."""
@@ -88,25 +77,9 @@ class Pen:
         across = np.linspace(0, len(strip) - 1, max(round(slim * self.dpi), 2))
         row = strip[np.round(across).astype(int)]
         self.picture(np.tile(row, (max(round(thick * self.dpi), 1), 1, 1)), start, top)
-        for text, side, at in zip(
-            ends, ("right", "left"), (start - 0.06, start + slim + 0.06), strict=True
-        ):
-            label = self.figure.text(
-                at / self.width,
-                1 - (top + thick / 2) / self.height,
-                text,
-                fontsize=7.5,
-                color="0.4",
-                ha=side,
-                va="center_baseline",
-            )
-            _fit(label, label.get_window_extent().width / self.dpi, room)
-
-
-def _fit(label: Text, needed: float, room: float) -> None:
-    """Make a text smaller where it needs more than there is."""
-    if needed > room:
-        label.set_fontsize(float(label.get_fontsize()) * room / needed)
+        style = {"fontsize": 7.5, "color": "0.4", "va": "center_baseline"}
+        self._set(ends[0], start - 0.06, top + thick / 2, room, ha="right", **style)
+        self._set(ends[1], start + slim + 0.06, top + thick / 2, room, ha="left", **style)
 
 
 def short(value: float) -> str:

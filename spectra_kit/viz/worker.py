@@ -93,34 +93,18 @@ def draw(request: Request, tell: Callable[[NDArray[np.uint8]], object]) -> None:
     surfaces, owner = _surfaces(request)
     for surface in surfaces:
         surface["values"] = request["values"][0][owner]
-    style: dict[str, Any] = {}
-    if len(request["colours"]):
-        style |= {
-            "cmap": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in request["colours"]],
-            "n_colors": len(request["colours"]),
-            "clim": [-1.0, 1.0],
-        }
-    else:
-        style["rgb"] = True
-    as_balls: dict[str, Any] = {
-        "style": "points",
-        "render_points_as_spheres": True,
-        "point_size": request["diameter"] * OVERSAMPLE,
-    }
+    style: dict[str, Any] = {"rgb": True}
+    if n := len(request["colours"]):
+        shades = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in request["colours"]]
+        style = {"cmap": shades, "n_colors": n, "clim": [-1.0, 1.0]}
+    style |= {"ambient": 0.46, "diffuse": 0.85, "specular": 0.08, "specular_power": 30}
+    style |= {"show_scalar_bar": False, "reset_camera": False}
+    style["smooth_shading"] = not request["balls"]
+    as_balls: dict[str, Any] = {"style": "points", "render_points_as_spheres": True}
+    as_balls["point_size"] = request["diameter"] * OVERSAMPLE
     for surface in surfaces:
-        plotter.add_mesh(
-            surface,
-            scalars="values",
-            show_scalar_bar=False,
-            ambient=0.46,
-            diffuse=0.85,
-            specular=0.08,
-            specular_power=30,
-            reset_camera=False,
-            smooth_shading=not request["balls"],
-            **style,
-            **({} if surface.n_faces_strict else as_balls),
-        )
+        form = {} if surface.n_faces_strict else as_balls
+        plotter.add_mesh(surface, scalars="values", **style, **form)
     drawn = _add_lines(plotter, request)
     widths = request["line_widths"]
     lift = BEFORE * ((float(np.median(widths)) if len(widths) else 0.0) + request["diameter"])
@@ -162,10 +146,7 @@ def _surfaces(request: Request) -> tuple[list[pv.PolyData], NDArray[np.int64]]:
         return [mesh], own
     mesh["owner"] = own
     mesh = mesh.compute_normals(
-        cell_normals=False,
-        split_vertices=True,
-        feature_angle=SHARP,
-        consistent_normals=False,
+        cell_normals=False, split_vertices=True, feature_angle=SHARP, consistent_normals=False
     )
     return [mesh], np.asarray(mesh["owner"]).astype(np.int64)
 

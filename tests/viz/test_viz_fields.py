@@ -31,7 +31,7 @@ from spectra_kit.viz.colours import (
     texture_colours,
 )
 from spectra_kit.viz.contours import level_lines, triangles_of
-from spectra_kit.viz.fields import _panel
+from spectra_kit.viz.gallery import _panel
 from spectra_kit.viz.panels import Panel, symmetric_limit
 from spectra_kit.viz.render import Scene, render
 

@@ -1,8 +1,9 @@
-// Bundles src/ and three.js into ../assets/explorer.js, which is committed: users need no Node.
+// Bundles src/ and three.js into ../assets/explorer.js.gz, which is committed: users need no Node.
 // The second line of the bundle names the sources it was made from; a Python test compares.
 
 import { createHash } from "node:crypto";
-import { readFileSync, readdirSync } from "node:fs";
+import { readFileSync, readdirSync, writeFileSync } from "node:fs";
+import { gzipSync } from "node:zlib";
 import { build } from "esbuild";
 
 const here = new URL("./", import.meta.url);
@@ -15,10 +16,10 @@ const hash = createHash("sha256");
 for (const name of sources) hash.update(readFileSync(new URL(name, here)));
 
 const licence = readFileSync(new URL("node_modules/three/LICENSE", here), "utf8").trim();
-await build({
+const { outputFiles } = await build({
   absWorkingDir: here.pathname,
   entryPoints: ["src/main.js"],
-  outfile: "../assets/explorer.js",
+  write: false,
   bundle: true,
   minify: true,
   format: "iife",
@@ -29,3 +30,4 @@ await build({
     js: `/* Built from spectra_kit/explorer/web: do not edit.\nsources sha256: ${hash.digest("hex")}\n\nContains three.js (https://threejs.org):\n\n${licence}\n*/`,
   },
 });
+writeFileSync(new URL("../assets/explorer.js.gz", here), gzipSync(outputFiles[0].contents, { level: 9 }));
