@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, reduce
 from operator import call
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,8 +43,7 @@ _BLURRED, _NEAR = 0.25, 20
 _LONGEST = 1e30  # coefficient of a time with which one can calculate
 
 
-@dataclass(frozen=True, eq=False)
-class _Ready:
+class _Ready(NamedTuple):
     """What one choice of solvers needs before any source is known, and the time it took."""
 
     steps: Mapping[int, Mapping[Boundary, HeatStep]]  # by `System.sizes`

@@ -72,10 +72,8 @@ def smallest_spectral_time(spectrum: Spectrum, sources: SourcesLike) -> float:
 
     Parameters
     ----------
-    spectrum : Spectrum
-        k modes, the zero modes among them.
-    sources : int, sequence, mask, or Sources
-        As `check_sources` takes them. The denser they lie, the shorter the time.
+    spectrum, sources
+        As of `spectral_heat`. The denser sources lie, the shorter the time.
 
     Returns
     -------

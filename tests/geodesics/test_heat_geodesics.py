@@ -41,19 +41,6 @@ def modes(animal) -> sk.Spectrum:
     return sk.eigensolve(intrinsic_delaunay(animal).laplacian, 60)
 
 
-def tube(length: float, rings: int, around: int = 8, radius: float = 0.5) -> TriangleMesh:
-    """An open cylinder along x, whose geodesics are straight once it is unrolled."""
-    angle = np.linspace(0, 2 * np.pi, around, endpoint=False)
-    x = np.repeat(np.linspace(0, length, rings), around)
-    y, z = (np.tile(radius * f(angle), rings) for f in (np.cos, np.sin))
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(rings - 1), np.arange(around), indexing="ij"))
-    a, b = around * i + j, around * i + (j + 1) % around
-    faces = np.concatenate(
-        [np.column_stack([a, a + around, b]), np.column_stack([b, a + around, b + around])]
-    )
-    return TriangleMesh(np.column_stack([x, y, z]), faces)
-
-
 def middle_of(mesh: TriangleMesh) -> int:
     return int(np.argmin(np.linalg.norm(mesh.points - mesh.points.mean(axis=0), axis=1)))
 
@@ -64,13 +51,13 @@ def middle_of(mesh: TriangleMesh) -> int:
 @pytest.mark.parametrize("cloud", [False, True])
 def test_distances_on_the_sphere_approach_the_angle(cloud) -> None:
     errors, edges = [], []
-    for subdivisions in (3, 4, 5):
+    for subdivisions in (2, 3, 4):
         mesh = sphere(subdivisions=subdivisions).geometry
         geodesics = HeatGeodesics(mesh.as_cloud() if cloud else mesh)
         errors.append(relative_error(geodesics.distance(0), angles(mesh.points, 0)))
         edges.append(geodesics.triangulation.spacings[0])
     rate = np.polyfit(np.log(edges), np.log(errors), 1)[0]
-    assert errors[-1] < 0.01
+    assert errors[-1] < 0.02
     assert rate > 0.7  # sqrt(t) is the mean edge: first order, less the growth of 1 / d near 0
 
 
@@ -114,8 +101,8 @@ def test_heat_is_right_where_float64_cannot_hold_it() -> None:
 
 
 @each_solver
-def test_a_long_tube_does_not_lose_the_heat(solver) -> None:
-    mesh = tube(1200.0, 3000)
+def test_a_long_strip_does_not_lose_the_heat(solver) -> None:
+    mesh = rectangle(n=6000, width=1200.0, height=1.0).geometry
     distance = HeatGeodesics(mesh, solver=solver).distance(0).distance
     far = mesh.points[:, 0] > 1000
     assert relative_error(distance[far], mesh.points[far, 0]) < 1e-3
@@ -222,7 +209,7 @@ def test_a_source_inside_a_face_lies_between_its_corners() -> None:
 
 
 def test_a_source_that_emits_more_runs_ahead_by_the_logarithm() -> None:
-    mesh = tube(100.0, 400)
+    mesh = rectangle(n=1000, width=100.0, height=1.0).geometry
     x = mesh.points[:, 0]
     left, right = int(x.argmin()), int(x.argmax())
     geodesics = HeatGeodesics(mesh)
@@ -290,7 +277,7 @@ def test_the_choice_is_explained(animal, modes) -> None:
 
 def test_triangles_of_very_different_size() -> None:
     rng = np.random.default_rng(0)
-    coarse, fine = rng.random((3000, 2)), 0.5 + 0.001 * rng.random((9000, 2))
+    coarse, fine = rng.random((1000, 2)), 0.5 + 0.001 * rng.random((3000, 2))
     flat = np.vstack([coarse, fine, [[0, 0], [1, 0], [0, 1], [1, 1]]])
     mesh = TriangleMesh(np.column_stack([flat, np.zeros(len(flat))]), Delaunay(flat).simplices)
     fields = [HeatGeodesics(mesh, solver=s).distance(0) for s in BOTH]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from spectra_kit import _validate, geometry
+from spectra_kit import geometry
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh, diagnose, sphere
 
@@ -87,38 +87,6 @@ def test_dirt_is_kept_until_its_removal_is_asked_for():
     np.testing.assert_array_equal(mesh.faces, faces)
     assert mesh.n == 5
     assert len(diagnose(mesh).problems) == 5
-
-
-@pytest.mark.parametrize("scale", [1e-3, 1e3])
-def test_millimetres_and_kilometres_are_the_same_surface(scale):
-    ball = sphere(subdivisions=2).geometry
-    scaled = ball.with_points(ball.points * scale)
-    assert scaled.area == pytest.approx(ball.area * scale**2, rel=1e-14)
-    plain, other = vars(diagnose(ball)), vars(diagnose(scaled))
-    for count in plain.keys() - {"area", "lower", "upper"}:
-        assert other[count] == plain[count]
-
-
-def test_checks_of_numbers():
-    for check, expected, got in [
-        (lambda: _validate.check_mass("x", [1.0, 2.0], 3), "have shape (3,)", "(2,)"),
-        (
-            lambda: _validate.check_mass("x", [1.0, 0.0], 2),
-            "be positive",
-            "1 entry <= 0 (smallest 0)",
-        ),
-        (lambda: _validate.check_count("x", 2.0, low=1), "be an integer", "2.0"),
-        (lambda: _validate.check_count("x", True, low=1), "be an integer", "True"),
-        (lambda: _validate.check_count("x", 0, low=1), "be at least 1", "0"),
-        (lambda: _validate.check_count("x", 9, low=1, high=5), "be in [1, 5]", "9"),
-        (lambda: _validate.check_positive("x", "1"), "be a number", "'1'"),
-        (lambda: _validate.check_positive("x", np.inf), "be positive and finite", "inf"),
-    ]:
-        with pytest.raises(InvalidInputError) as caught:
-            check()
-        assert facts(caught.value)[:3] == ("x", expected, got)
-    assert _validate.check_count("k", np.int32(7), low=1) == 7
-    assert _validate.check_positive("t", np.float32(0.5)) == 0.5
 
 
 BALL = sphere(subdivisions=1).geometry

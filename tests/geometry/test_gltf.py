@@ -154,30 +154,17 @@ def test_gltf_strips_fans_mirrors_and_quantized_places(tmp_path, mode, corners, 
     positions = np.zeros((4, 4), np.int8)
     positions[:, :3] = 127 * SQUARE
     data = positions.tobytes() + np.array(corners, np.uint16).tobytes()
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    points = {"bufferView": 0, "componentType": 5120, "normalized": True, "count": 4}
+    indices = {"bufferView": 1, "componentType": 5123, "count": len(corners), "type": "SCALAR"}
     tree = {
-        "buffers": [
-            {
-                "byteLength": len(data),
-                "uri": "data:application/octet-stream;base64," + base64.b64encode(data).decode(),
-            }
-        ],
+        "buffers": [{"byteLength": len(data), "uri": uri}],
         "bufferViews": [
             {"buffer": 0, "byteLength": 16, "byteStride": 4},
             {"buffer": 0, "byteOffset": 16, "byteLength": 2 * len(corners)},
         ],
-        "accessors": [
-            {
-                "bufferView": 0,
-                "componentType": 5120,
-                "normalized": True,
-                "count": 4,
-                "type": "VEC3",
-            },
-            {"bufferView": 1, "componentType": 5123, "count": len(corners), "type": "SCALAR"},
-        ],
-        "meshes": [
-            {"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "mode": mode}]},
-        ],
+        "accessors": [points | {"type": "VEC3"}, indices],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "mode": mode}]}],
         # One in place, one mirrored and turned over by half a turn around y, twice as large.
         "nodes": [
             {"children": [1, 2], "translation": [0, 0, 5]},

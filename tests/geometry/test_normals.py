@@ -12,7 +12,6 @@ from spectra_kit.geometry.signs import (
     agree_on_signs,
     symmetric_votes,
     turn_outwards,
-    winding_numbers,
 )
 
 
@@ -75,23 +74,6 @@ def test_two_sheets_farther_apart_than_their_points_are_told_apart() -> None:
 # --- signs ------------------------------------------------------------------------------------
 
 
-def test_votes_without_contradiction_are_all_agreed_with() -> None:
-    rng = np.random.default_rng(0)
-    truth = rng.choice([-1.0, 1.0], 60)
-    truth[40:] *= truth[40] * truth[0]
-    i, j = rng.integers(0, 40, (2, 200))
-    i, j = np.r_[i, 40 + np.arange(19)], np.r_[j, 41 + np.arange(19)]  # a second component
-    i, j = i[i != j], j[i != j]
-    votes = symmetric_votes(60, i, j, truth[i] * truth[j] * rng.uniform(0.1, 1, len(i)))
-    signs, labels = agree_on_signs(votes)
-    count, expected = sparse.csgraph.connected_components(votes, directed=False)
-    assert labels.max() + 1 == count
-    for label in range(count):
-        group = labels == label
-        assert len(np.unique(expected[group])) == 1
-        assert len(np.unique((signs * truth)[group])) == 1
-
-
 def test_groups_vote_together_against_one_loud_edge() -> None:
     # Two rings of points; six quiet votes between them outweigh a loud one, which a spanning tree
     # would follow.
@@ -102,17 +84,6 @@ def test_groups_vote_together_against_one_loud_edge() -> None:
     signs, labels = agree_on_signs(votes)
     assert (labels == 0).all()
     assert len(np.unique(signs)) == 1
-
-
-def test_winding_number_at_the_points_of_a_ball_is_one_half() -> None:
-    points = np.vstack([ball(1500), [[9, 9, 9]]])
-    vectors = points * (4 * np.pi / 1500)
-    vectors[-1] = 0  # a point without area
-    winding = winding_numbers(points, vectors)
-    assert np.median(winding[:-1]) == pytest.approx(0.5, abs=0.03)
-    assert np.allclose(winding_numbers(points, -vectors), -winding)
-    assert winding[-1] == 0
-    assert (winding_numbers(points[:1], vectors[:1]) == 0).all()
 
 
 def test_a_limb_inside_out_is_turned() -> None:

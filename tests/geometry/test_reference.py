@@ -57,14 +57,6 @@ def test_meshes_and_weyls_law(make, characteristic, area, rim):
         assert (reference.dirichlet > reference.eigenvalues).all()
 
 
-def test_sphere_multiplicities_are_odd_numbers():
-    reference = sphere(radius=2.0, k=121)
-    np.testing.assert_array_equal(reference.multiplicities, 2 * np.arange(11) + 1)
-    np.testing.assert_allclose(
-        np.unique(reference.eigenvalues), [n * (n + 1) / 4 for n in range(11)]
-    )
-
-
 def test_golden_rectangle_is_simple_and_its_modes_are_those_computed():
     reference = rectangle(n=4000, k=12)
     assert (reference.multiplicities == 1).all()

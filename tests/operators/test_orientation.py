@@ -88,9 +88,11 @@ def test_a_mesh_with_a_hole_is_turned_outwards(mirror) -> None:
 def test_flat_meshes_and_pillows_keep_their_winding() -> None:
     flat, sheet = disk().geometry, rectangle(n=50).geometry
     turned = TriangleMesh(flat.points, flat.faces[:, FLIP])
+    wavy = sheet.with_points(sheet.points + 1e-3 * np.sin(3 * sheet.points[:, :1]) * [0, 0, 1])
+    other = TriangleMesh(wavy.points, wavy.faces[:, FLIP])
     pillow = TriangleMesh(sheet.points, np.vstack([sheet.faces, sheet.faces[:, FLIP]]))
     odd = TriangleMesh(np.eye(5)[:, :3], [[0, 1, 2], [1, 0, 3], [0, 1, 4]])  # one hangs on an edge
-    for mesh in (flat, turned, pillow, odd):
+    for mesh in (flat, turned, wavy, other, pillow, odd):
         assert (oriented_triangles(mesh).faces == mesh.faces).all()
 
 
