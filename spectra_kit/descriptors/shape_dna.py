@@ -75,7 +75,7 @@ def shape_dna(
 
 @checked
 def shape_dna_distance(a: ArrayLike, b: ArrayLike, *, weight: Weighting | None = "index") -> float:
-    """Distance of two surfaces by their ShapeDNA, each of shape (count,).
+    """Return the distance of two surfaces by their ShapeDNA, each of shape (count,).
 
     What `shape_dna_distances` finds for two rows.
 

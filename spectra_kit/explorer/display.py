@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -17,25 +15,6 @@ from spectra_kit.viz.contours import triangles_of
 from spectra_kit.viz.signs import display_signs
 
 _TRIES = 6
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Display:
-    """A geometry to draw, and how functions on the full one get there.
-
-    Attributes
-    ----------
-    geometry : TriangleMesh or PointCloud
-        The points to draw, s of them.
-    carry : sparse array of shape (s, n)
-        Values at the n points of the full geometry to values at these: rows sum to one.
-    decimated : bool
-        Whether there are fewer points than in the full geometry.
-    """
-
-    geometry: Geometry
-    carry: sparse.csr_array
-    decimated: bool
 
 
 def functions_of(
@@ -54,23 +33,21 @@ def functions_of(
     return functions
 
 
-def for_display(geometry: Geometry, max_points: int) -> Display:
-    """Return `geometry` with at most about `max_points` points.
+def for_display(geometry: Geometry, max_points: int) -> tuple[Geometry, sparse.csr_array]:
+    """Return a geometry of at most about `max_points` points s, and how values get there, (s, n).
 
     A mesh loses edges by quadric decimation (Garland and Heckbert, 1997), and functions are
     interpolated linearly at the closest points of the full mesh. Of a cloud, one point in each cell
-    of a grid is kept.
+    of a grid is kept. Rows of the matrix sum to one.
     """
     n = geometry.n
     if n <= max_points:
-        return Display(geometry=geometry, carry=sparse.eye_array(n, format="csr"), decimated=False)
+        return geometry, sparse.eye_array(n, format="csr")
     if isinstance(geometry, TriangleMesh):
         coarse = _decimated(geometry, max_points)
-        return Display(geometry=coarse, carry=_closest(coarse.points, geometry), decimated=True)
+        return coarse, _closest(coarse.points, geometry)
     kept = _thinned(geometry.points, max_points)
-    rows = np.arange(len(kept))
-    carry = sparse.csr_array((np.ones(len(kept)), (rows, kept)), shape=(len(kept), n))
-    return Display(geometry=PointCloud(geometry.points[kept]), carry=carry, decimated=True)
+    return PointCloud(geometry.points[kept]), sparse.eye_array(n, format="csr")[kept]
 
 
 def _decimated(mesh: TriangleMesh, max_points: int) -> TriangleMesh:
@@ -99,9 +76,9 @@ def _closest(points: Floats, mesh: TriangleMesh) -> sparse.csr_array:
     weights = np.asarray(igl.barycentric_coordinates(at, a, b, c))
     # A triangle without area has no such coordinates: its nearest corner will do.
     distances = np.stack([np.linalg.norm(at - corner, axis=1) for corner in (a, b, c)], axis=1)
-    lone = np.eye(3)[np.argmin(distances, axis=1)]
     flat = ~np.isfinite(weights).all(axis=1) | (np.abs(weights).max(axis=1) > 2)
-    weights = np.where(flat[:, None], lone, np.clip(weights, 0.0, 1.0))
+    weights = np.clip(weights, 0.0, 1.0)
+    weights[flat] = np.eye(3)[np.argmin(distances[flat], axis=1)]
     weights /= weights.sum(axis=1, keepdims=True)
     rows = np.repeat(np.arange(len(points)), 3)
     return sparse.csr_array((weights.ravel(), (rows, corners.ravel())), shape=(len(points), mesh.n))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._types import Floats
-from spectra_kit.explorer.payload import LEVELS, Quantised
+from spectra_kit.explorer.payload import LEVELS
 from spectra_kit.metrics import Comparison
 from spectra_kit.spectra import Spectrum
 
@@ -44,18 +44,18 @@ def comparison_facts(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def colour_facts(exact: Floats, predicted: Floats | None, shown: list[Quantised]) -> dict[str, Any]:
-    """Limits of the colours of each mode, from all points, and the step of the numbers shown.
+def colour_facts(exact: Floats, predicted: Floats | None, scale: Floats) -> dict[str, Any]:
+    """Limits of the colours of each mode, from all points, and the scale of the numbers shown.
 
     `hidden` tells which differences are too small for the 16 bits of the page.
     """
     both = [_limits(exact)] + ([] if predicted is None else [_limits(predicted)])
     facts: dict[str, Any] = {
-        "scale": numbers(shown[0].scale),
+        "scale": numbers(scale),
         "limit": numbers(np.max(both, axis=0)),
     }
     if predicted is not None:
-        floor = FLOOR * shown[0].scale / LEVELS
+        floor = FLOOR * scale / LEVELS
         difference = _limits(predicted - exact)
         facts["difference"] = numbers(np.maximum(difference, floor))
         facts["hidden"] = (difference < floor).tolist()

@@ -6,6 +6,7 @@ import base64
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,9 @@ from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path, check_target
-from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.explorer.display import (
-    Display,
     for_display,
     functions_of,
     normal_steps,
@@ -27,7 +26,7 @@ from spectra_kit.explorer.display import (
 from spectra_kit.explorer.document import assembled
 from spectra_kit.explorer.facts import colour_facts, comparison_facts, numbers, spectrum_facts
 from spectra_kit.explorer.payload import (
-    Quantised,
+    LEVELS,
     face_bytes,
     packed,
     quantised,
@@ -152,24 +151,31 @@ def write_explorer(
     >>> explorer.n_shown, explorer.n_modes, explorer.quantisation < 1 / 65534
     (162, 4, True)
     """
-    _check(path, geometry, exact, predicted, comparison, names)
+    _check(path, geometry, exact, predicted, comparison)
     check_count("max_points", max_points, low=4)
-    tell = _telling(progress, 4)
+    done = count(1)
+
+    def tell() -> None:
+        if progress is not None:
+            progress(next(done), 4)
+
     if predicted is not None and comparison is None:
         comparison = compare_spectra(exact, predicted)
     functions = functions_of(exact, predicted, comparison)
     k = functions[0].shape[1]
     tell()
 
-    display = for_display(geometry, max_points)
+    drawn, carry = for_display(geometry, max_points)
     tell()
 
-    order = walk(display.geometry)
-    carried = [np.asarray((display.carry @ f)[order]) for f in functions]
+    order = walk(drawn)
+    carried = [np.asarray((carry @ f)[order]) for f in functions]
     scale = np.max([np.abs(f).max(axis=0) for f in carried], axis=0)
-    shown = [quantised(f, scale) for f in carried]
+    steps = [quantised(f, scale) for f in carried]
+    errors = [np.abs(s * (scale / LEVELS) - f) for s, f in zip(steps, carried, strict=True)]
     tell()
 
+    palette = diverging_colours(np.linspace(-1.0, 1.0, 256))
     facts = {
         "title": title,
         "names": list(names),
@@ -177,25 +183,25 @@ def write_explorer(
         "area": exact.area,
         "boundary": free_boundary(geometry, exact),
         "first": min(exact.n_zero_modes, k - 1),
-        "decimated": display.decimated,
-        "palette": _palette(),
+        "decimated": drawn.n < geometry.n,
+        "palette": base64.b64encode(palette.tobytes()).decode("ascii"),
         **_first_view(geometry, view),
         "exact": spectrum_facts(exact.truncate(k), np.arange(k)),
-        "colours": colour_facts(functions[0], functions[1] if predicted else None, shown),
+        "colours": colour_facts(functions[0], functions[1] if predicted else None, scale),
     }
     if predicted is not None and comparison is not None:
         facts["predicted"] = spectrum_facts(predicted, comparison.match)
         facts["comparison"] = comparison_facts(comparison)
-    size = _write(path, facts, display, order, shown)
+    size = _write(path, facts, drawn, order, steps)
     tell()
     return Explorer(
         path=Path(path),
         n_points=geometry.n,
-        n_shown=display.geometry.n,
+        n_shown=drawn.n,
         n_modes=k,
         bytes=size,
-        quantisation=_rounding(carried, shown),
-        decimated=display.decimated,
+        quantisation=float(np.max(errors / np.where(scale > 0, scale, 1))),
+        decimated=drawn.n < geometry.n,
     )
 
 
@@ -205,7 +211,6 @@ def _check(
     exact: Spectrum,
     predicted: Spectrum | None,
     comparison: Comparison | None,
-    names: tuple[str, str],
 ) -> None:
     """Refuse what cannot become a page, before any work is done."""
     if Path(path).suffix.lower() not in (".html", ".htm"):
@@ -231,26 +236,6 @@ def _check(
         )
 
 
-def _telling(progress: Callable[[int, int], None] | None, total: int) -> Callable[[], None]:
-    """A function that reports one more step each time it is called."""
-    steps = iter(range(1, total + 1))
-
-    def tell() -> None:
-        if progress is not None:
-            progress(next(steps), total)
-
-    return tell
-
-
-def _rounding(carried: list[Floats], shown: list[Quantised]) -> float:
-    """Largest error of a value shown, relative to the largest of its mode."""
-    worst = 0.0
-    for true, rounded in zip(carried, shown, strict=True):
-        error = np.abs(rounded.values() - true).max(axis=0)
-        worst = max(worst, float((error / np.where(rounded.scale > 0, rounded.scale, 1)).max()))
-    return worst
-
-
 def _first_view(geometry: Geometry, view: View) -> dict[str, Any]:
     """Where the viewer stands at first, and the axis around which a drag turns."""
     right, _, towards = view.rotation(geometry)
@@ -258,22 +243,14 @@ def _first_view(geometry: Geometry, view: View) -> dict[str, Any]:
     return {"towards": numbers(towards), "vertical": vertical.tolist()}
 
 
-def _palette() -> str:
-    """The colours of `viz` from most negative to most positive, as base64 of bytes (256, 3)."""
-    return base64.b64encode(diverging_colours(np.linspace(-1.0, 1.0, 256)).tobytes()).decode(
-        "ascii"
-    )
-
-
 def _write(
     path: str | os.PathLike[str],
     facts: dict[str, Any],
-    display: Display,
+    geometry: Geometry,
     order: NDArray[np.int64],
-    shown: list[Quantised],
+    functions: list[NDArray[np.int16]],
 ) -> int:
     """Write the file; return its size in bytes."""
-    geometry = display.geometry
     points = geometry.points[order]
     low, side = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
     steps = np.round((points - low) * (_BOX / side)).astype(np.int64)
@@ -282,18 +259,17 @@ def _write(
     facts["shown"] = geometry.n
     facts["diameter"] = ball_diameter(geometry) / side
     parts = [steps16(steps)]
+    facts["faces"] = 0
     if isinstance(geometry, TriangleMesh):
         facts["faces"] = len(geometry.faces)
         parts.append(face_bytes(renumbered(geometry.faces, order)))
     else:
-        facts["faces"] = 0
-        parts.append(steps16(normal_steps(geometry)[order]))
         stars = stars_of(geometry, order)
         facts["stars"] = len(stars)
-        parts.append(face_bytes(stars))
+        parts += [steps16(normal_steps(geometry)[order]), face_bytes(stars)]
     blocks = {"geometry": packed(*parts)}
-    for name, functions in zip(("exact", "predicted"), shown, strict=False):
-        blocks[name] = packed(steps16(functions.steps))
+    for name, values in zip(("exact", "predicted"), functions, strict=False):
+        blocks[name] = packed(steps16(values))
     text = assembled(facts, blocks).encode("utf-8")
     with atomic_path(path) as part:
         part.write_bytes(text)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import base64
 import gzip
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,31 +24,10 @@ LEVELS = 32767  # of the positive half of a signed 16-bit number
 _NEIGHBOURS = 8  # of a point of a cloud, to walk along
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Quantised:
-    """Functions as whole numbers of steps.
-
-    Attributes
-    ----------
-    steps : ndarray of shape (n, k), int16
-        ``steps * scale / LEVELS`` are the values, each to within ``scale / (2 LEVELS)``.
-    scale : ndarray of shape (k,)
-        Largest value of each column.
-    """
-
-    steps: NDArray[np.int16]
-    scale: Floats
-
-    def values(self) -> Floats:
-        """Return what the page shows."""
-        return self.steps * (self.scale / LEVELS)
-
-
-def quantised(functions: Floats, scale: Floats) -> Quantised:
-    """Round columns (n, k) to 16 bits, `scale` (k,) being the largest number."""
+def quantised(functions: Floats, scale: Floats) -> NDArray[np.int16]:
+    """Round columns (n, k) to steps of ``scale / LEVELS``, `scale` (k,) the largest number."""
     unit = np.where(scale > 0, scale, 1.0)
-    steps = np.round(functions * (LEVELS / unit)).astype(np.int16)
-    return Quantised(steps=steps, scale=scale)
+    return np.round(functions * (LEVELS / unit)).astype(np.int16)
 
 
 def walk(geometry: Geometry) -> Ints:

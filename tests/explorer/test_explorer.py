@@ -207,15 +207,14 @@ def test_the_page_may_load_nothing(mesh, exact, tmp_path):
 
 def test_a_large_mesh_is_decimated_and_keeps_its_modes(tmp_path):
     sheet = rectangle(n=3000)
-    display = for_display(sheet.geometry, 1000)
-    assert display.decimated
-    assert 800 <= display.geometry.n <= 1000
-    np.testing.assert_allclose(display.carry.sum(axis=1), 1.0)
-    x, y = (display.geometry.points[:, i] for i in range(2))
+    coarse, carry = for_display(sheet.geometry, 1000)
+    assert 800 <= coarse.n <= 1000
+    np.testing.assert_allclose(carry.sum(axis=1), 1.0)
+    x, y = (coarse.points[:, i] for i in range(2))
     width, height = np.ptp(sheet.geometry.points[:, :2], axis=0)
     true = np.cos(2 * np.pi * x / width) * np.cos(np.pi * y / height)
     fx, fy = (sheet.geometry.points[:, i] for i in range(2))
-    carried = display.carry @ (np.cos(2 * np.pi * fx / width) * np.cos(np.pi * fy / height))
+    carried = carry @ (np.cos(2 * np.pi * fx / width) * np.cos(np.pi * fy / height))
     assert np.abs(carried - true).max() < 5e-3  # h^2 of the full mesh
     n = sheet.geometry.n
     spectrum = Spectrum(np.zeros(1), np.full((n, 1), 0.01), np.ones(n))
@@ -223,21 +222,21 @@ def test_a_large_mesh_is_decimated_and_keeps_its_modes(tmp_path):
     facts = Page(written.path).facts
     assert written.decimated
     assert facts["decimated"]
-    counts = (n, display.geometry.n)
+    counts = (n, coarse.n)
     assert (written.n_points, written.n_shown) == (facts["points"], facts["shown"]) == counts
     tiny = TriangleMesh(1e-3 * (ball := sphere(subdivisions=4).geometry).points + 5, ball.faces)
-    far = for_display(tiny, 600).geometry.points  # where neither scale nor place is near one
+    far = for_display(tiny, 600)[0].points  # where neither scale nor place is near one
     assert np.abs(np.linalg.norm((far - 5) / 1e-3, axis=1) - 1).max() < 0.02
 
 
 def test_a_large_cloud_is_thinned_evenly():
     rng = np.random.default_rng(0)
     dense = np.vstack([rng.random((9000, 3)), 0.1 * rng.random((9000, 3))])  # one corner crowded
-    display = for_display(PointCloud(dense), 2000)
-    assert 1800 <= display.geometry.n <= 2000
-    corner = (display.geometry.points < 0.1).all(axis=1).mean()
+    coarse, carry = for_display(PointCloud(dense), 2000)
+    assert 1800 <= coarse.n <= 2000
+    corner = (coarse.points < 0.1).all(axis=1).mean()
     assert corner < 0.02  # half of all points lay there
-    np.testing.assert_array_equal(display.carry @ dense, display.geometry.points)
+    np.testing.assert_array_equal(carry @ dense, coarse.points)
 
 
 def degenerate() -> TriangleMesh:
