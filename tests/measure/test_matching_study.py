@@ -404,6 +404,7 @@ def test_the_app_matches_draws_and_goes_on(tmp_path, capsys, monkeypatch):
 
 def test_the_app_says_what_is_wrong_and_can_be_interrupted(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("SPECTRA_KIT_DATA", raising=False)
+    monkeypatch.setattr(app, "demo_subjects", lambda: demo_subjects(500))
     out = str(tmp_path / "out")
     few = ["--demo", "--pairs", "1", "--jobs", "0", "--no-pictures", "--methods", PLAIN]
     for command, said in (
