@@ -42,7 +42,7 @@ class Glued(NamedTuple):
 
 
 def glued_mesh(mesh: TriangleMesh, mollify_factor: float) -> Glued:
-    from spectra_kit.operators._cover import pair_sides, side_lengths, sides_by_corner
+    from spectra_kit.operators._half_edges import pair_sides, side_lengths, sides_by_corner
 
     unit = units_of(mesh)
     points = mesh.points / unit[:, None]
@@ -61,7 +61,7 @@ def glued_mesh(mesh: TriangleMesh, mollify_factor: float) -> Glued:
 
 
 def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> Glued:
-    from spectra_kit.operators._cover import side_lengths, sides_by_corner
+    from spectra_kit.operators._half_edges import side_lengths, sides_by_corner
 
     # Neighbours in space become neighbours in memory; any unit of length becomes about 1.
     order = cKDTree(cloud.points).indices
@@ -100,7 +100,7 @@ def _front_and_back(
 
     Triangles continue each other only if the cosine of the angle between them is below `sharpest`.
     """
-    from spectra_kit.operators._cover import glue
+    from spectra_kit.operators._half_edges import glue
 
     twins = np.empty(6 * len(triangles), dtype=np.int32)
     shared = (points, triangles, *sides, sharpest, twins)
@@ -110,7 +110,7 @@ def _front_and_back(
 
 def _make_delaunay(corners: Ints, lengths: Floats, twins: Ints) -> None:
     """Flip edges, in place, until the angles opposite each sum to at most pi."""
-    from spectra_kit.operators._flips import flip_to_delaunay
+    from spectra_kit.operators._half_edges import flip_to_delaunay
 
     most = _FLIPS * len(twins)
     if not flip_to_delaunay(corners.reshape(-1), lengths.reshape(-1), twins, most):
