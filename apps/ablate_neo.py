@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import sys
 import time
 import warnings
 from collections.abc import Iterator, Sequence
@@ -25,6 +24,7 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 from measure import tables
+from measure.command import exit_code, parser_of
 from measure.shapes import data_folder, shape_at
 from measure.store import Store
 from measure.study import Study, run
@@ -331,9 +331,7 @@ def write(done: dict[str, dict], protocol: dict[str, dict], out: Path) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("ablate_neo.py", __doc__)
     add = parser.add_argument
     add("corpus", type=Path, help="folder of shards")
     add("validation", type=Path, help="folder of shards, other samples")
@@ -352,15 +350,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None, base: NeoConfig = TINY) -> int:
-    """Train, measure and report; return 0, or 1 where arguments or files do not fit."""
+    """Train, measure and report; return 0, or 2 where arguments or files do not fit."""
     args = _parser().parse_args(argv)
     torch.set_num_threads(1)
-    try:
-        _run(args, base)
-    except SpectraKitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+    return exit_code(lambda: _run(args, base))
 
 
 def _run(args: argparse.Namespace, base: NeoConfig) -> None:

@@ -5,9 +5,9 @@ Writes SHEET.png and, beside it, SHEET.json with the statistics that it prints a
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +15,10 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from measure.command import exit_code, parser_of
 from numpy.typing import NDArray
 
-from spectra_kit.errors import InvalidInputError, SpectraKitError
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 from spectra_kit.operators import delaunay_laplacian
 from spectra_kit.training.corpus import CorpusReport, claim, count, read_fingerprint
@@ -34,35 +35,29 @@ PITCH = 2.3  # from one surface to the next, their half size being 1
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="inspect_corpus.py",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("folder", type=Path, help="a corpus, as make_corpus.py writes it")
-    parser.add_argument("sheet", type=Path, help="picture to write, .png")
-    parser.add_argument("-n", type=int, default=100, help="surfaces on the sheet (%(default)s)")
-    parser.add_argument(
-        "--surveyed", type=int, default=300, help="samples to measure (%(default)s)"
-    )
-    parser.add_argument("--pool", type=Path, help="the pool of real meshes, if the corpus has some")
-    parser.add_argument("--pool-split", default="train", help="its split (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the choice (%(default)s)")
+    parser = parser_of("inspect_corpus.py", __doc__)
+    add = parser.add_argument
+    add("folder", type=Path, help="a corpus, as make_corpus.py writes it")
+    add("sheet", type=Path, help="picture to write, .png")
+    add("-n", type=int, default=100, help="surfaces on the sheet (%(default)s)")
+    add("--surveyed", type=int, default=300, help="samples to measure (%(default)s)")
+    add("--pool", type=Path, help="the pool of real meshes, if the corpus has some")
+    add("--pool-split", default="train", help="its split (%(default)s)")
+    add("--seed", type=int, default=0, help="of the choice (%(default)s)")
     options = parser.parse_args(argv)
-    try:
-        config = read_config(options.folder, options.pool, options.pool_split)
-        corpus = open_shards(options.folder)
-        order = np.random.default_rng(options.seed).permutation(len(corpus))
-        some = sorted(order[: options.n], key=lambda i: corpus.labels["family"][i] % len(NAMES))
-        cells = labels_of(corpus, some)
-        draw_sheet(options.sheet, [sample_mesh(config, cell) for cell in cells], cells)
-        found = survey(corpus, config, order[: options.surveyed])
-    except SpectraKitError as error:
-        print(f"inspect_corpus: {error}", file=sys.stderr)
-        return 1
+    return exit_code(lambda: _inspect(options))
+
+
+def _inspect(options: Namespace) -> None:
+    config = read_config(options.folder, options.pool, options.pool_split)
+    corpus = open_shards(options.folder)
+    order = np.random.default_rng(options.seed).permutation(len(corpus))
+    some = sorted(order[: options.n], key=lambda i: corpus.labels["family"][i] % len(NAMES))
+    cells = labels_of(corpus, some)
+    draw_sheet(options.sheet, [sample_mesh(config, cell) for cell in cells], cells)
+    found = survey(corpus, config, order[: options.surveyed])
     options.sheet.with_suffix(".json").write_text(json.dumps(found.as_json(), indent=1) + "\n")
     print(table(found))
-    return 0
 
 
 def read_config(folder: Path, pool: Path | None = None, pool_split: str = "train") -> CorpusConfig:

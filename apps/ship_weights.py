@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
+from measure.command import exit_code, parser_of
 from safetensors.torch import save_file
 
 from spectra_kit._files import atomic_path
-from spectra_kit.errors import SpectraKitError
 from spectra_kit.neo.pretrained import load_pretrained, save_weights
 from spectra_kit.subspaces.frame import canonical_frame
 
@@ -59,18 +57,18 @@ def _cloud() -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Ship; return 0, or 1 where the file is no weights file."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Ship; return 0, or 2 where the file is no weights file."""
+    parser = parser_of("ship_weights.py", __doc__)
     parser.add_argument("name", help="what users will call them, e.g. base")
     parser.add_argument("weights", type=Path, help="a .safetensors file of a training run or a leg")
     args = parser.parse_args(argv)
-    try:
+
+    def work() -> None:
         digest = ship(args.name, args.weights, ROOT)
-    except SpectraKitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(f"shipped {args.name} (sha256 {digest}); now run pytest tests/neo/test_neo_shipped.py")
-    return 0
+        print(f"shipped {args.name} (sha256 {digest})")
+        print("now run pytest tests/neo/test_neo_shipped.py")
+
+    return exit_code(work)
 
 
 if __name__ == "__main__":

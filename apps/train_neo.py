@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
+from measure.command import exit_code
 from tqdm import tqdm
 
-from spectra_kit.errors import SpectraKitError
 from spectra_kit.neo.model import NeoConfig
 from spectra_kit.neo.pretrained import load_pretrained, save_weights
 from spectra_kit.training.config import TrainConfig
@@ -62,9 +61,8 @@ def _run(args: argparse.Namespace, device: str) -> TrainResult:
     initial = load_pretrained(args.weights).network if args.weights else None
     network = initial.config if initial else NeoConfig.named(args.config)
     network = dataclasses.replace(network, frame=args.frame or network.frame, k=corpus.k)
-    same = ("steps", "minutes", "batch", "points", "lr", "warmup", "decay", "ema", "alpha")
-    same += ("flips", "precision", "every", "log", "save", "workers", "compile", "seed")
-    rest = {name: getattr(args, name) for name in same}
+    names = {field.name for field in dataclasses.fields(TrainConfig)} & vars(args).keys()
+    rest = {name: getattr(args, name) for name in names - {"validation"}}
     config = TrainConfig(network=network, validation=args.validate, **rest)
     if initial is not None and not args.resume and Ranks.here().first:
         before = validate(initial.to(device).eval(), validation, config)
@@ -103,19 +101,19 @@ def _shown(bar: tqdm) -> Callable[[Row], None]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Train; return 0, or 1 where the arguments or files do not fit."""
+    """Train; return 0, or 2 where the arguments or files do not fit."""
     args = _parser().parse_args(argv)
     torch.set_num_threads(1)  # the workers are the threads
+    return exit_code(lambda: _train(args))
+
+
+def _train(args: argparse.Namespace) -> None:
     path = args.out / "weights.safetensors"
-    try:
-        with process_group(args.device) as device:
-            result = _run(args, device)
-            if not Ranks.here().first:
-                return 0
-            digest = save_weights(path, result.network, result.record)
-    except SpectraKitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    with process_group(args.device) as device:
+        result = _run(args, device)
+        if not Ranks.here().first:
+            return
+        digest = save_weights(path, result.network, result.record)
     ending = "finished" if result.finished else "interrupted: continue with --resume"
     record = result.record
     print(
@@ -123,7 +121,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     print(f"span error on held-out samples: {record['span_error']}")
     print(f"weights: {path} (sha256 {digest})")
-    return 0
 
 
 if __name__ == "__main__":

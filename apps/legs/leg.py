@@ -18,44 +18,22 @@ _SEED = 1_000_000
 
 @dataclass(frozen=True)
 class Leg:
-    """What the phases of a leg share; ``leg.json`` holds it.
+    """What the phases of a leg share; ``leg.json`` holds it."""
 
-    Parameters
-    ----------
-    name : str
-        Tells this leg from others.
-    weights : str
-        Name or file that it starts from, empty for random weights.
-    config : TrainConfig
-        Of all its phases.
-    n_points : int
-        Points of its samples.
-    rival : str
-        Weights that the new ones must beat: those that it starts from, else the shipped ones of
-        its configuration; empty where there are none.
-    asked : dict
-        What the first call asked for, which later ones may repeat but not change.
-    before : float or None
-        Span error of the rival.
-    validation : str
-        Tells the samples that it was measured on from others.
-    phase, step : int
-        Phases that have made steps, and steps that they made.
-    finished : bool
-        Whether its schedule has ended.
-    """
-
-    name: str
-    weights: str
-    config: TrainConfig
-    n_points: int
+    name: str  # tells this leg from others
+    weights: str  # name or file that it starts from, empty for random ones
+    config: TrainConfig  # of all its phases
+    n_points: int  # of its samples
+    #: Weights that the new ones must beat: those that it starts from, else the shipped ones of its
+    #: configuration; empty where there are none.
     rival: str = ""
+    #: What the first call asked for, which later ones may repeat but not change.
     asked: dict[str, Any] = field(default_factory=dict)
-    before: float | None = None
-    validation: str = ""
-    phase: int = 0
-    step: int = 0
-    finished: bool = False
+    before: float | None = None  # span error of the rival
+    validation: str = ""  # tells the samples that it was measured on from others
+    phase: int = 0  # phases that have made steps
+    step: int = 0  # steps that they made
+    finished: bool = False  # whether its schedule has ended
 
     def write(self, folder: Path) -> None:
         """Write ``leg.json``, into a folder that is made if missing."""
@@ -88,22 +66,9 @@ def new_leg(
 ) -> Leg:
     """Return a leg before its first phase.
 
-    Parameters
-    ----------
-    name : str
-        Configuration of the network; its shipped weights are the default start.
-    weights : str or None
-        Name or file of other weights.
-    fresh : bool
-        Start from random weights.
-    fast : bool
-        Whether an accelerator trains: large batches, bfloat16, compiled.
-    n_points : int
-        Points of the samples.
-    batch : int or None
-        Clouds per step; by default 800 on an accelerator, else 16.
-    **options
-        More of `TrainConfig`.
+    `name` is the configuration of the network, whose shipped weights are the default start, before
+    other `weights` or, with `fresh`, random ones. `fast` tells whether an accelerator trains: large
+    batches, bfloat16, compiled. The `options` are more of `TrainConfig`.
     """
     shipped = name if name in WEIGHTS else ""
     begin = "" if fresh else weights or shipped
@@ -130,10 +95,9 @@ def new_leg(
 
 
 def begun_leg(out: Path, source: Path | None, scratch: Path) -> tuple[Leg, Path] | None:
-    """Find the leg to go on with, and the folder that it lies in.
+    """Find the leg to go on with, and the folder that it lies in: `source`, else `out`, `scratch`.
 
-    That is `source` where it is given, else `out`, else `scratch`. None where there is none yet; a
-    leg that has ended in `scratch` alone is none.
+    None where there is none yet; a leg that has ended in `scratch` alone is none.
     """
     if source is not None and Leg.read(source) is None:
         raise InvalidInputError(

@@ -34,29 +34,15 @@ _VALIDATION_SEED = 2_000_003  # no sample is in both
 
 @dataclass(frozen=True)
 class Place:
-    """Where a phase runs.
+    """Where a phase runs."""
 
-    Parameters
-    ----------
-    out, source : Path
-        Where results go, and where those of the last phase lie.
-    scratch : Path
-        For what need not travel: samples, exact checkpoints.
-    packed : Path
-        Holds the pools of real meshes, if there are any.
-    device : str
-        To train on.
-    workers, capacity : int
-        Processes that make samples, and samples held in memory.
-    """
-
-    out: Path
-    source: Path
-    scratch: Path
-    packed: Path
-    device: str
-    workers: int
-    capacity: int
+    out: Path  # where results go
+    source: Path  # where those of the last phase lie
+    scratch: Path  # for what need not travel: samples, exact checkpoints
+    packed: Path  # holds the pools of real meshes, if there are any
+    device: str  # to train on
+    workers: int  # processes that make samples
+    capacity: int  # samples held in memory
 
 
 def run_phase(
@@ -67,23 +53,11 @@ def run_phase(
     last: bool = False,
     say: Callable[[str], None],
 ) -> None:
-    """Train until a leg's schedule ends, or the pause.
+    """Train until a leg's schedule ends, or `pause_after` seconds; what follows takes some more.
 
-    ``place.out`` then holds the log and a checkpoint in parts for the next phase; and, where the
-    schedule has ended with better weights, ``weights.safetensors``.
-
-    Parameters
-    ----------
-    leg : Leg
-        As the last phase left it.
-    place : Place
-        Where.
-    pause_after : float or None
-        Seconds after which the training stops; what follows takes some more.
-    last : bool, default False
-        Rather than stop, end the schedule by then.
-    say : callable
-        Told what goes on, line by line.
+    With `last` the schedule ends by then. ``place.out`` then holds the log and a checkpoint in
+    parts for the next phase; and, where the schedule has ended with better weights,
+    ``weights.safetensors``. `say` is told what goes on, line by line.
     """
     called = time.perf_counter()
     scratch = place.scratch / leg.name

@@ -34,9 +34,8 @@ def compare(asked: program.Compare) -> None:
     """Set predicted modes beside exact ones, or others, as a table and as a picture."""
     if asked.picture:
         check_output(asked.picture, PICTURES, asked.inputs)
-    k = check_count("-k", asked.k, low=1)
-    shown_modes(asked.modes, (), k)
     check_pair(asked)
+    shown_modes(asked.modes, (), asked.k)
     geometry, laplacian = prepare(asked)
     pair = compared(asked, laplacian, reference_modes(asked, laplacian))
     comparison, k = pair.comparison, pair.comparison.k

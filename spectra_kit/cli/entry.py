@@ -81,37 +81,28 @@ def main(argv: Sequence[str] | None = None, *, ready: Callable[[], object] = lam
 
 def _tell(error: Exception) -> int:
     """Write the lines that an error deserves, behind what was printed; return its exit code."""
-    code, message = _judged(error)
     try:
         sys.stdout.flush()
     except OSError:
         _drop_stdout()
+    code, message = _BAD_INPUT, told(error)
     if isinstance(error, UsageError):
         command = error.command
         _complain(command.usage if command else "usage: spectra-kit COMMAND FILE [options]")
+        if "Did you mean" not in message:
+            message += f"; see spectra-kit{f' {command.name}' if command else ''} --help"
+    elif isinstance(error, ConvergenceError | InvalidSpectrumError | OutOfMemoryError):
+        code = _SOLVER_FAILED
+    elif isinstance(error, OSError) and not isinstance(error, SpectraKitError):
+        what = (error.strerror or message).lower()
+        message = f"{error.filename}: {what}" if error.filename else what
+    elif isinstance(error, MemoryError):
+        message = f"not enough memory ({message}); ask for fewer points or modes"
+    elif not isinstance(error, SpectraKitError):
+        code, found = _BUG, f"{type(error).__name__}: {message}"
+        message = f"this is a bug of spectra_kit: {found}; please report it with what --debug shows"
     _complain(f"error: {message}")
     return code
-
-
-def _judged(error: Exception) -> tuple[int, str]:
-    """Return the exit code and the line that an error deserves."""
-    if isinstance(error, ConvergenceError | InvalidSpectrumError | OutOfMemoryError):
-        return _SOLVER_FAILED, told(error)
-    if isinstance(error, SpectraKitError):
-        return _BAD_INPUT, told(error)
-    if isinstance(error, UsageError):
-        name = f" {error.command.name}" if error.command else ""
-        hint = "" if "Did you mean" in str(error) else f"; see spectra-kit{name} --help"
-        return _BAD_INPUT, f"{error}{hint}"
-    if isinstance(error, OSError):
-        what = (error.strerror or str(error)).lower()
-        return _BAD_INPUT, f"{error.filename}: {what}" if error.filename else what
-    if isinstance(error, MemoryError):
-        return _BAD_INPUT, f"not enough memory ({error}); ask for fewer points or modes"
-    return _BUG, (
-        f"this is a bug of spectra_kit: {type(error).__name__}: {error}; please report it with"
-        " what --debug shows"
-    )
 
 
 def _complain(text: str) -> None:

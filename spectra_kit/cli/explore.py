@@ -22,7 +22,6 @@ def explore(asked: program.Explore) -> None:
     if not asked.serve:
         refuse_given(asked, ["port", "no_browser"], "without --serve; add it")
     check_output(page, (".html", ".htm"), asked.inputs)
-    k = check_count("-k", asked.k, low=1)
     check_count("--max-points", asked.max_points, low=4)
     check_count("--port", asked.port, low=0, high=65535)
     check_pair(asked)
@@ -33,7 +32,7 @@ def explore(asked: program.Explore) -> None:
         "geometry": tables.geometry_record(geometry),
     }
     if asked.solver == "none":
-        pair, reference = None, reference.truncate(min(k, reference.k))
+        pair, reference = None, reference.truncate(min(asked.k, reference.k))
         alone = named_record(name_of(reference), reference)
         record |= {"reference": alone, "verdict": alone["verdict"]}
         record |= {"predicted": None, "comparison": None}

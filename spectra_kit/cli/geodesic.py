@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 
 from spectra_kit._validate import check_positive, quantity
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.geodesic_compare import Compared, clock_note, compare_solvers, comparison_table
-from spectra_kit.cli.geodesic_solver import (
+from spectra_kit.cli.geodesic_setup import (
+    Source,
+    check_named,
     check_solver,
     coarse_spectrum,
     linear_solver,
+    named_sources,
     number_of_modes,
     why_without_modes,
-)
-from spectra_kit.cli.geodesic_sources import (
-    Source,
-    check_named,
-    named_sources,
-    positions,
     with_farthest,
 )
 from spectra_kit.cli.inputs import load
@@ -28,7 +27,7 @@ from spectra_kit.cli.words import stem
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import DistanceField, FacePoint, HeatGeodesics, Iterative
 from spectra_kit.geodesics.sources import check_sources
-from spectra_kit.geometry import Geometry
+from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.geometry.formats import ply
 from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.spectra import Spectrum
@@ -180,11 +179,13 @@ def _draw(
     compared: list[Compared],
 ) -> None:
     folder, name, size = asked.output, stem(asked.file), f"{geometry.n:,} points"
+    mesh = cast(TriangleMesh, geometry)  # where there are points of faces
+    places = [s.position(mesh) if isinstance(s, FacePoint) else mesh.points[s] for s in sources]
     plot_distance(
         folder / _PICTURES[0],
         geometry,
         field.distance,
-        sources=positions(sources, geometry),
+        sources=np.array(places),
         spacing=asked.spacing,
         view=View(asked.upwards, asked.turn),
         page=Page(name, f"{size} \N{MIDDLE DOT} {field.choice}", asked.dpi),

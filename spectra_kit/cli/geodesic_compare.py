@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spectra_kit._types import Floats
 from spectra_kit.cli import program, tables
-from spectra_kit.cli.geodesic_solver import number_of_modes
+from spectra_kit.cli.geodesic_setup import number_of_modes
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.solving import solve
 from spectra_kit.geodesics import Direct, HeatGeodesics, Iterative
@@ -33,21 +32,37 @@ class Compared:
     run: SolverRun
     difference: float
 
+    @property
+    def residual(self) -> float | None:
+        """The last one, relative; of another package it is not known."""
+        return float(self.run.residuals[-1]) if len(self.run.residuals) else None
+
     def record(self) -> tables.Record:
         """Everything, as the report has it."""
         run = self.run
-        residuals = run.residuals
         return {
             "name": run.name,
             "iterations": run.iterations,
-            "relative_residual": float(residuals[-1]) if len(residuals) else None,
+            "relative_residual": self.residual,
             "stages": {**run.stages, "poisson": run.solve_seconds},
             "seconds": run.seconds,
             "spectrum_seconds": run.spectrum_seconds,
             "difference_from_direct": self.difference,
-            "residuals": residuals,
+            "residuals": run.residuals,
             "times": run.times,
         }
+
+    def row(self) -> tuple[str, ...]:
+        """The same, as the table has it."""
+        run = self.run
+        return (
+            run.name,
+            "" if run.iterations is None else str(run.iterations),
+            "" if self.residual is None else f"{self.residual:.1e}",
+            f"{run.seconds:.2f}",
+            f"{run.spectrum_seconds:.2f}" if run.spectrum_seconds else "",
+            f"{self.difference:.1e}",
+        )
 
 
 def compare_solvers(
@@ -58,16 +73,15 @@ def compare_solvers(
 ) -> list[Compared]:
     """Measure every solver on the same problem, from the arrays of the geometry on."""
     time_coefficient = asked.time_coefficient
-    contenders = {
-        name: _ours(geometry, sources, name, solver, spectrum, time_coefficient)
-        for name, (solver, spectrum) in _solvers(asked, triangulation).items()
-    }
-    contenders["potpourri3d"] = lambda: _potpourri3d(geometry, sources, time_coefficient)
+    contenders = _solvers(asked, triangulation)
     fastest: dict[str, tuple[SolverRun, Floats]] = {}
     for _ in range(_REPEATS):
-        for name, measure in contenders.items():
+        for name, contender in contenders.items():
             with step(f"trying {name}"):
-                run, distance = measure()
+                if contender is None:
+                    run, distance = _potpourri3d(geometry, sources, time_coefficient)
+                else:
+                    run, distance = _ours(geometry, sources, name, *contender, time_coefficient)
             if name not in fastest or run.seconds < fastest[name][0].seconds:
                 fastest[name] = run, distance
     direct = fastest[_DIRECT][1]
@@ -84,19 +98,8 @@ def comparison_table(compared: list[Compared]) -> str:
     rows = [
         ("", "", "relative", "seconds", "spectrum", "difference"),
         ("solver", "iterations", "residual", "in all", "besides", "from direct"),
+        *(one.row() for one in compared),
     ]
-    for one in compared:
-        run, residuals = one.run, one.run.residuals
-        rows.append(
-            (
-                run.name,
-                "" if run.iterations is None else str(run.iterations),
-                f"{residuals[-1]:.1e}" if len(residuals) else "",
-                f"{run.seconds:.2f}",
-                f"{run.spectrum_seconds:.2f}" if run.spectrum_seconds else "",
-                f"{one.difference:.1e}",
-            )
-        )
     return tables.align(rows, left=1)
 
 
@@ -110,8 +113,8 @@ def clock_note() -> str:
 
 def _solvers(
     asked: program.Geodesic, triangulation: IntrinsicTriangulation
-) -> dict[str, tuple[Direct | Iterative, Spectrum | None]]:
-    """Return the solvers by name, each with the modes that it uses."""
+) -> dict[str, tuple[Direct | Iterative, Spectrum | None] | None]:
+    """Return the solvers by name, each with the modes that it uses; None is the other package."""
     laplacian, rtol = triangulation.laplacian, asked.poisson_rtol
     shipped = Iterative(rtol=rtol)
     modes = number_of_modes(asked, laplacian, usual=_MODES)
@@ -135,6 +138,7 @@ def _solvers(
         "relaxed IC": (replace(shipped, coarse="none"), None),
         f"relaxed IC + {few} exact modes": (shipped, spectrum("arpack", few)),
         _DIRECT: (Direct(), None),
+        "potpourri3d": None,
     }
 
 
@@ -145,29 +149,24 @@ def _ours(
     solver: Direct | Iterative,
     spectrum: Spectrum | None,
     time_coefficient: float,
-) -> Callable[[], tuple[SolverRun, Floats]]:
-    def measure() -> tuple[SolverRun, Floats]:
-        start = time.perf_counter()
-        geodesics = HeatGeodesics(
-            geometry, spectrum, solver=solver, time_coefficient=time_coefficient
-        )
-        field = geodesics.distance(sources)
-        whole = time.perf_counter() - start
-        poisson, stages = field.poisson, dict(field.seconds)
-        # The curve begins after a start of its own, and ends when the step does.
-        times = poisson.times + max(stages.pop("poisson") - float(poisson.times[-1]), 0.0)
-        # What no stage claims is counted too.
-        stages["other"] = max(whole - sum(stages.values()) - float(times[-1]), 0.0)
-        run = SolverRun(
-            name=name,
-            stages=stages,
-            spectrum_seconds=0.0 if spectrum is None else spectrum.provenance.solving_seconds,
-            times=times,
-            residuals=poisson.residual_norms / (poisson.rhs_norm or 1.0),
-        )
-        return run, field.distance
-
-    return measure
+) -> tuple[SolverRun, Floats]:
+    start = time.perf_counter()
+    geodesics = HeatGeodesics(geometry, spectrum, solver=solver, time_coefficient=time_coefficient)
+    field = geodesics.distance(sources)
+    whole = time.perf_counter() - start
+    poisson, stages = field.poisson, dict(field.seconds)
+    # The curve begins after a start of its own, and ends when the step does.
+    times = poisson.times + max(stages.pop("poisson") - float(poisson.times[-1]), 0.0)
+    # What no stage claims is counted too.
+    stages["other"] = max(whole - sum(stages.values()) - float(times[-1]), 0.0)
+    run = SolverRun(
+        name=name,
+        stages=stages,
+        spectrum_seconds=0.0 if spectrum is None else spectrum.provenance.solving_seconds,
+        times=times,
+        residuals=poisson.residual_norms / (poisson.rhs_norm or 1.0),
+    )
+    return run, field.distance
 
 
 def _potpourri3d(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ from spectra_kit._types import Ints
 from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli.options import DEMO, FORMATS, OnOne, Operator, Reading
 from spectra_kit.cli.progress import say, step
-from spectra_kit.cli.words import did_you_mean
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature, read, repair, sample
 from spectra_kit.operators import Laplacian, laplacian
@@ -68,8 +68,8 @@ def _check_there(path: Path) -> None:
         )
     if path.exists() or not path.parent.is_dir():
         return
-    if meant := did_you_mean(path.name, [other.name for other in path.parent.iterdir()]):
-        raise InvalidInputError(f"{path}: there is no such file; {meant}")
+    for near in get_close_matches(path.name, [other.name for other in path.parent.iterdir()], n=1):
+        raise InvalidInputError(f"{path}: there is no such file; did you mean {near!r}?")
 
 
 def prepare(asked: OnOne) -> tuple[Geometry, Laplacian]:

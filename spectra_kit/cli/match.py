@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,22 +16,30 @@ from spectra_kit.cli.inputs import assemble, load
 from spectra_kit.cli.options import DEMO
 from spectra_kit.cli.output import as_json, check_folder, drawing, tell, together
 from spectra_kit.cli.progress import step
-from spectra_kit.cli.quality import Errors, Side, doubts_of, errors_of, quality_of
 from spectra_kit.cli.solving import check_solvers, solve
 from spectra_kit.cli.words import stem
+from spectra_kit.correspondence import (
+    MapErrors,
+    Truth,
+    auc,
+    bijectivity_errors,
+    coverage,
+    dirichlet_energy,
+    map_errors,
+    orientation,
+    way_back,
+)
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import Geometry, creature_pair, write
+from spectra_kit.geometry import Geometry, TriangleMesh, creature_pair, write
 from spectra_kit.geometry.formats._arrays import text_lines, whole
 from spectra_kit.geometry.formats.numpy_arrays import read_npy
 from spectra_kit.matching import Match, match, prepare
 from spectra_kit.matching.prepare import LOWEST_K
-from spectra_kit.viz import (
-    Page,
-    View,
-    plot_correspondence,
-    plot_error_curves,
-    plot_functional_map,
-)
+from spectra_kit.matching.result import Doubt
+from spectra_kit.operators import Laplacian
+from spectra_kit.operators.oriented import oriented_triangles
+from spectra_kit.spectra import Spectrum
+from spectra_kit.viz import Page, View, plot_correspondence, plot_error_curves, plot_functional_map
 
 _MAPS = ("point_map.npy", "functional_map.npy", "report.json")
 _SIDES = ("source.npz", "target.npz")
@@ -76,12 +86,19 @@ def match_shapes(asked: program.Match) -> None:
         found, quality = _matched(source, target, landmarks, _MIRRORED[asked.sides])
     with step("judging the map"):
         quality |= quality_of(source, target, found.point_map)
-        errors = None if truth is None else errors_of(source, found.point_map, truth)
-    if errors is not None:
-        quality |= errors.summary()
+        errors, label = None, ""
+        if truth is not None:
+            errors, label = errors_of(source, found.point_map, truth)
+            quality |= {
+                "error": label,
+                "mean_error": float(errors.direct.mean()),
+                "median_error": float(np.median(errors.direct)),
+                "share_of_errors_below_5": float((errors.direct <= 5).mean()),
+                "auc_to_10": auc(errors.direct),
+            }
     record = {
-        "source": _side_record(source),
-        "target": _side_record(target),
+        "source": source.record(),
+        "target": target.record(),
         "landmarks": 0 if landmarks is None else len(landmarks[0]),
         "match": quality,
     }
@@ -95,7 +112,7 @@ def match_shapes(asked: program.Match) -> None:
     paths = [folder / name for name in pictures]
     if paths:
         with drawing(paths, kept=f"the numbers in {folder} are whole"):
-            _draw(asked, paths, source, target, found, errors)
+            _draw(asked, paths, source, target, found, errors, label)
     written = [str(folder / name) for name in files]
     tell(
         asked,
@@ -105,6 +122,28 @@ def match_shapes(asked: program.Match) -> None:
         tables.pairs({name.replace("_", " "): _told(value) for name, value in quality.items()}),
         "\n".join(f"written: {path}" for path in written),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One of two shapes, with its operator and its spectrum."""
+
+    name: str
+    geometry: Geometry
+    laplacian: Laplacian
+    spectrum: Spectrum
+
+    def record(self) -> tables.Record:
+        """Everything but the modes."""
+        provenance = self.spectrum.provenance
+        return {
+            "input": self.name,
+            **tables.geometry_record(self.geometry),
+            **tables.operator_record(self.laplacian),
+            "solver": provenance.solver,
+            "modes": self.spectrum.k,
+            "seconds": sum(provenance.seconds.values()),
+        }
 
 
 def _solve(asked: program.Match, name: str, geometry: Geometry) -> Side:
@@ -177,15 +216,49 @@ def _read_truth(path: Path, n_source: int, n_target: int) -> Ints:
     return np.asarray(truth, dtype=np.int64)
 
 
-def _side_record(side: Side) -> tables.Record:
-    provenance = side.spectrum.provenance
+def doubts_of(found: Match) -> str:
+    """Say what speaks against a match; nothing if nothing does."""
+    other = "does not mirror" if found.mirrored else "mirrors"
+    told: dict[Doubt, str] = {
+        "margin": "another map scores nearly as well",
+        "mirror_margin": f"one that {other} scores better",
+        "orientation": "its orientation is not that of a whole map",
+        "consistent": "it is in doubt which side of a cloud is out",
+        "coverage": "it covers hardly more of the source than chance would",
+        "score": "the surfaces look no more alike than unrelated ones",
+    }
+    return ", ".join(told[name] for name in found.doubts)
+
+
+def errors_of(source: Side, point_map: Ints, truth: Ints) -> tuple[MapErrors, str]:
+    """Measure a point map (n2,) against the true one, which is negative where it is not known.
+
+    What the errors are is returned too.
+    """
+    known = np.flatnonzero(truth >= 0)
+    if isinstance(source.geometry, TriangleMesh):
+        errors = map_errors(source.geometry, point_map, Truth(truth[known], known))
+        return errors, "geodesic error, 100 / √area"
+    points = source.geometry.points
+    straight = np.linalg.norm(points[point_map[known]] - points[truth[known]], axis=1)
+    scaled = 100 * straight / np.sqrt(source.laplacian.area)
+    return MapErrors(scaled, known), "straight-line error, 100 / √area"
+
+
+def quality_of(source: Side, target: Side, point_map: Ints) -> tables.Record:
+    """Judge a point map by itself; None stands for what cannot be measured on these shapes."""
+    shape, turned, missed = source.geometry, None, None
+    with suppress(InvalidInputError):  # a surface without a consistent winding has no orientation
+        a, b = (oriented_triangles(side.geometry) for side in (source, target))
+        turned = orientation(shape.points, a.faces, b.faces, point_map)
+    if isinstance(shape, TriangleMesh):  # from a source point to where the map takes its image
+        back = way_back(source.spectrum, target.spectrum, point_map)
+        missed = float(bijectivity_errors(shape, point_map, back).mean())
     return {
-        "input": side.name,
-        **tables.geometry_record(side.geometry),
-        **tables.operator_record(side.laplacian),
-        "solver": provenance.solver,
-        "modes": side.spectrum.k,
-        "seconds": sum(provenance.seconds.values()),
+        "point_map_orientation": turned,
+        "coverage": coverage(point_map, source.spectrum.mass),
+        "dirichlet_energy": dirichlet_energy(source.laplacian, target.laplacian, point_map),
+        "way_back_error": missed,
     }
 
 
@@ -195,7 +268,8 @@ def _draw(
     source: Side,
     target: Side,
     found: Match,
-    errors: Errors | None,
+    errors: MapErrors | None,
+    label: str,
 ) -> None:
     names = (stem(source.name), stem(target.name))
     title = " to ".join(names)
@@ -205,16 +279,15 @@ def _draw(
         source.geometry,
         target.geometry,
         found.point_map,
-        errors=errors.known if errors else None,
-        error_label=errors.label if errors else "",
+        errors=errors,
+        error_label=label,
         view=View(asked.upwards, asked.turn),
         names=names if names[0] != names[1] else ("source", "target"),
         page=Page(title, f"{source.geometry.n:,} and {target.geometry.n:,} points", asked.dpi),
     )
     plot_functional_map(paths[1], found.functional_map, page=page)
     if errors:
-        curves = {title: errors.known.direct}
-        plot_error_curves(paths[2], curves, error_label=errors.label, page=page)
+        plot_error_curves(paths[2], {title: errors.direct}, error_label=label, page=page)
 
 
 def _told(value: object) -> object:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from spectra_kit._validate import check_count, check_positive, quantity
@@ -33,9 +32,9 @@ def spectrum(asked: program.Spectrum) -> None:
         check_output(output, [".npz"], asked.inputs)
     if asked.picture:
         check_output(asked.picture, PICTURES, asked.inputs)
-    k = check_count("-k", asked.k, low=1)
-    shown = shown_modes(asked.modes, (*SHOWN, k - 1), k)
     check_solvers(asked, asked.solver)
+    k = asked.k
+    shown = shown_modes(asked.modes, (*SHOWN, k - 1), k)
     geometry, laplacian = prepare(asked)
     try:
         found = solve(laplacian, k, asked.solver, asked)
@@ -87,21 +86,21 @@ def modes(asked: program.Modes) -> None:
     """Draw modes on one page."""
     if asked.columns is not None:
         check_count("--columns", asked.columns, low=1)
-    shown = _to_show(asked, PICTURES, 12)
+    geometry, laplacian, spectrum, shown = _to_show(asked, PICTURES, 12)
     from spectra_kit.viz import Page, View, plot_modes
 
-    with step(f"drawing {quantity(len(shown.modes), 'mode')}"):
+    with step(f"drawing {quantity(len(shown), 'mode')}"):
         plot_modes(
             asked.output,
-            shown.geometry,
-            shown.spectrum,
-            modes=shown.modes,
+            geometry,
+            spectrum,
+            modes=shown,
             nodal_lines=not asked.no_lines,
             columns=asked.columns,
             view=View(asked.upwards, asked.turn),
-            page=Page(tables.title(asked.file, shown.geometry), dpi=asked.dpi),
+            page=Page(tables.title(asked.file, geometry), dpi=asked.dpi),
         )
-    _tell(asked, shown, "picture")
+    _tell(asked, "picture", geometry, laplacian, spectrum, shown)
 
 
 def animate(asked: program.Animate) -> None:
@@ -109,36 +108,28 @@ def animate(asked: program.Animate) -> None:
     check_positive("--seconds", asked.seconds)
     check_count("--fps", asked.fps, low=1)
     check_count("--width", asked.width, low=16)
-    shown = _to_show(asked, (".gif", ".mp4"), 6)
+    geometry, laplacian, spectrum, shown = _to_show(asked, (".gif", ".mp4"), 6)
     from spectra_kit.viz import View, animate_modes
 
-    with counted(f"drawing {quantity(len(shown.modes), 'mode')}", "frame") as progress:
+    with counted(f"drawing {quantity(len(shown), 'mode')}", "frame") as progress:
         animate_modes(
             asked.output,
-            shown.geometry,
-            shown.spectrum,
-            modes=shown.modes,
+            geometry,
+            spectrum,
+            modes=shown,
             seconds_per_mode=asked.seconds,
             fps=asked.fps,
             width=asked.width,
             view=View(asked.upwards, asked.turn),
             progress=progress,
         )
-    _tell(asked, shown, "animation")
+    _tell(asked, "animation", geometry, laplacian, spectrum, shown)
 
 
-@dataclass(frozen=True, eq=False)
-class _Shown:
-    """A geometry, its operator, modes of it, and which of them to show."""
-
-    geometry: Geometry
-    laplacian: Laplacian
-    spectrum: Spectrum
-    modes: tuple[int, ...]
-
-
-def _to_show(asked: program.Shown, suffixes: tuple[str, ...], usual: int) -> _Shown:
-    """Return modes to show: those asked for, else the first `usual` that are not constant."""
+def _to_show(
+    asked: program.Shown, suffixes: tuple[str, ...], usual: int
+) -> tuple[Geometry, Laplacian, Spectrum, tuple[int, ...]]:
+    """Return modes, and which to show: those asked for, else the first that are not constant."""
     check_output(asked.output, suffixes, asked.inputs)
     for mode in asked.modes or ():
         check_count("--modes", mode, low=0)
@@ -156,21 +147,27 @@ def _to_show(asked: program.Shown, suffixes: tuple[str, ...], usual: int) -> _Sh
         spectrum = solve(laplacian, max(k, 1), asked.solver, asked)
     first = spectrum.n_zero_modes
     which = shown_modes(asked.modes, range(first, first + usual), spectrum.k)
-    return _Shown(geometry, laplacian, spectrum, which)
+    return geometry, laplacian, spectrum, which
 
 
-def _tell(asked: program.Shown, shown: _Shown, what: str) -> None:
+def _tell(
+    asked: program.Shown,
+    what: str,
+    geometry: Geometry,
+    laplacian: Laplacian,
+    spectrum: Spectrum,
+    shown: tuple[int, ...],
+) -> None:
     """Say what was drawn and where it is."""
+    found = {
+        "input": asked.file,
+        "geometry": tables.geometry_record(geometry),
+        **tables.spectrum_record(spectrum),
+    }
     tell(
         asked,
-        {
-            "input": asked.file,
-            "geometry": tables.geometry_record(shown.geometry),
-            **tables.spectrum_record(shown.spectrum),
-            "modes": shown.modes,
-            what: asked.output,
-        },
-        tables.headline(asked.file, shown.geometry, shown.laplacian),
-        tables.modes_table(shown.spectrum, shown.modes),
+        {**found, "modes": shown, what: asked.output},
+        tables.headline(asked.file, geometry, laplacian),
+        tables.modes_table(spectrum, shown),
         f"{what}: {asked.output}",
     )

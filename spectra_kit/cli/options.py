@@ -234,13 +234,8 @@ class Turned(Upright):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drawing(Turned, Resolution):
-    """From where pictures are drawn, and how fine."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FolderDrawing(Drawing):
-    """The same, of pictures in a folder."""
+class FolderDrawing(Turned, Resolution):
+    """From where pictures in a folder are drawn, and how fine."""
 
     group = "drawing"
     notes: ClassVar[Mapping[str, str]] = {

@@ -96,18 +96,7 @@ def tell_with_picture(
 
 
 def as_json(record: Mapping[str, object]) -> str:
-    """Return JSON in which an array of numbers is one line; it knows no NaN: null stands for it.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from spectra_kit.cli.output import as_json
-    >>> print(as_json({"k": 2, "eigenvalues": np.array([0.0, np.inf])}), end="")
-    {
-      "k": 2,
-      "eigenvalues": [0.0, null]
-    }
-    """
+    """Return JSON in which an array of numbers is one line; it knows no NaN: null stands for it."""
     text = json.dumps(_plain(record), indent=2, allow_nan=False, separators=(", ", ": "))
     # No string holds the end of a line: what begins with one is a list.
     text = re.sub(r"\[\n[^][{}]*?\n *\]", lambda found: re.sub(r"\n *", "", found[0]), text)

@@ -63,7 +63,7 @@ class Shown(OnOne, options.Spared, options.Turned):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Modes(Shown, options.Drawing):
+class Modes(Shown, options.Resolution):
     """Draw modes on the surface, with their zero lines, eigenvalues and residuals."""
 
     outcome = "a picture of modes"
@@ -111,7 +111,7 @@ class Animate(Shown):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compare(OnOne, options.Predictor, options.Drawing):
+class Compare(OnOne, options.Predictor, options.Turned, options.Resolution):
     """Set predicted modes beside exact ones: a table of errors, and a picture."""
 
     outcome = "predicted and exact"

@@ -69,8 +69,10 @@ def _line(text: str, **options: Any) -> Iterator[Any]:
     start = time.perf_counter()
     # Some terminals do not know their size: theirs would be shown nothing.
     width = (os.get_terminal_size(sys.stderr.fileno()).columns or 80) - 1
-    short = text[: width - 10]
-    with tqdm(desc=short, leave=False, file=sys.stderr, ncols=width, nrows=24, **options) as bar:
+    size = {"ncols": width, "nrows": 24}
+    # It is shown when it is sure to be cleared: once the block has begun.
+    late = {"delay": 1e-9, "leave": False, "file": sys.stderr}
+    with tqdm(desc=text[: width - 10], **size, **late, **options) as bar:
         yield bar
     if (seconds := time.perf_counter() - start) >= _LONG:
         sys.stderr.write(f"{text}: done in {seconds:.1f} s\n")

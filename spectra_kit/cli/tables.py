@@ -55,18 +55,12 @@ def modes_table(spectrum: Spectrum, modes: Sequence[int]) -> str:
 
 def certificate_lines(spectrum: Spectrum) -> str:
     """The certificate and the times of one spectrum."""
-    return pairs(
-        {
-            "solver": spectrum.provenance.solver,
-            "modes": spectrum.k,
-            "largest relative residual": _worst(spectrum),
-            "orthonormality error": f"{_certificate(spectrum).orthonormality_error:.1e}",
-            "zero modes": _kernel(spectrum),
-            "lowest modes": _certificate(spectrum).completeness,
-            **_doubted(spectrum),
-            "seconds": seconds(spectrum.provenance.seconds),
-        }
-    )
+    facts: Record = {"solver": spectrum.provenance.solver, "modes": spectrum.k}
+    facts |= _accuracy(spectrum) | {"lowest modes": _certificate(spectrum).completeness}
+    if _certificate(spectrum).excess is not None:  # residuals left doubts
+        nothing = f"no eigenvalue is proved to be more than {DOUBTFUL:.0%} too high"
+        facts["verdict"] = verdict(spectrum) or nothing
+    return pairs(facts | {"seconds": seconds(spectrum.provenance.seconds)})
 
 
 def comparison_table(
@@ -127,20 +121,16 @@ def comparison_lines(
             f"  mean of {quantity(k, 'mode')} one by one, {moved} of them out of order",
         }
     )
-    rows = [["", *names]]
-    for label, value in (
-        ("modes solved for", lambda s: str(s.k)),
-        ("largest relative residual", _worst),
-        ("orthonormality error", lambda s: f"{_certificate(s).orthonormality_error:.1e}"),
-        ("zero modes", _kernel),
-        ("seconds in all", lambda s: f"{sum(s.provenance.seconds.values()):.2f}"),
-    ):
-        rows.append([label, value(reference), value(predicted)])
-    stages = dict.fromkeys([*reference.provenance.seconds, *predicted.provenance.seconds])
-    for stage in stages:
-        times = [s.provenance.seconds.get(stage) for s in (reference, predicted)]
-        if max(t or 0.0 for t in times) >= 0.005:
-            rows.append([f"  {stage}", *("" if t is None else f"{t:.2f}" for t in times)])
+    sides = (reference, predicted)
+    times = [side.provenance.seconds for side in sides]
+    rows = [["", *names], ["modes solved for", *(str(side.k) for side in sides)]]
+    ours, theirs = map(_accuracy, sides)
+    rows += [[fact, value, theirs[fact]] for fact, value in ours.items()]
+    rows.append(["seconds in all", *(f"{sum(stages.values()):.2f}" for stages in times)])
+    for stage in dict.fromkeys([*times[0], *times[1]]):
+        told = [stages.get(stage) for stages in times]
+        if max(t or 0.0 for t in told) >= 0.005:
+            rows.append([f"  {stage}", *("" if t is None else f"{t:.2f}" for t in told)])
     return means + "\n\n" + align(rows, left=1)
 
 
@@ -255,22 +245,14 @@ def _certificate(spectrum: Spectrum) -> Certificate:
     return spectrum.certificate
 
 
-def _worst(spectrum: Spectrum) -> str:
-    return f"{_certificate(spectrum).relative_residuals.max():.1e}"
-
-
-def _kernel(spectrum: Spectrum) -> str:
+def _accuracy(spectrum: Spectrum) -> dict[str, str]:
     certificate = _certificate(spectrum)
     expected = min(certificate.kernel_dimension, spectrum.k)
-    return f"{certificate.n_zero_modes} of {expected}"
-
-
-def _doubted(spectrum: Spectrum) -> dict[str, str]:
-    """What is proved of eigenvalues that are too high, where residuals left doubts."""
-    if _certificate(spectrum).excess is None:
-        return {}
-    nothing = f"no eigenvalue is proved to be more than {DOUBTFUL:.0%} too high"
-    return {"verdict": verdict(spectrum) or nothing}
+    return {
+        "largest relative residual": f"{certificate.relative_residuals.max():.1e}",
+        "orthonormality error": f"{certificate.orthonormality_error:.1e}",
+        "zero modes": f"{certificate.n_zero_modes} of {expected}",
+    }
 
 
 def seconds(stages: Mapping[str, float]) -> str:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 from spectra_kit.catalogue import OPERATORS, SOLVERS
 
@@ -29,48 +27,23 @@ _OPTIONS = {
 }
 
 
-@runtime_checkable
-class _Told(Protocol):
-    def told(self, word: Callable[[str], str]) -> str: ...
-
-
 def option_of(name: str) -> str:
     """Return the option that stands for an argument, a method or a class; or its name.
 
     Nothing stands for what no command can be told.
-
-    Examples
-    --------
-    >>> from spectra_kit.cli.words import option_of
-    >>> from spectra_kit.errors import InvalidInputError
-    >>> InvalidInputError("k", "be at least 1", 0).told(option_of)
-    '`-k` must be at least 1, got 0'
     """
     return _OPTIONS.get(name, name)
 
 
 def told(message: object) -> str:
     """Return an error, a warning or a problem with options in place of arguments and methods."""
-    # A warning may be another package's.
-    return message.told(option_of) if isinstance(message, _Told) else str(message)
+    tell = getattr(message, "told", None)
+    return str(tell(option_of) if tell else message)  # a warning may be another package's
 
 
 def stem(file: str) -> str:
-    r"""Return the name of a file for a title: no folder, no ending, bytes of no text as such.
-
-    Examples
-    --------
-    >>> from spectra_kit.cli.words import stem
-    >>> print(stem("cats/b\udcffb.off"))
-    b\xffb
-    """
+    """Return the name of a file for a title: no folder, no ending, bytes of no text as such."""
     return os.fsencode(Path(file).stem).decode(errors="backslashreplace")
-
-
-def did_you_mean(wrong: str, known: Sequence[str]) -> str:
-    """Return "did you mean ...?" with the likeliest of `known`, or nothing if none is near."""
-    near = difflib.get_close_matches(wrong, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else ""
 
 
 def listed(names: Sequence[str]) -> str:

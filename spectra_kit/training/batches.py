@@ -47,23 +47,8 @@ def vary(samples: Tensors, config: TrainConfig, step: int, share: slice = slice(
     """Return posed samples as a step shows them: turned, resized, and some of their points.
 
     All random numbers follow from (seed, step), the kind of device and the place in the batch, on
-    one device or on several.
-
-    Parameters
-    ----------
-    samples : tuple of Tensor
-        Points (b, n, 3), mass (b, n) and modes (b, n, k) that `posed` gave.
-    config : TrainConfig
-        The run.
-    step : int
-        Number of the step.
-    share : slice
-        Which places of the batch the samples are.
-
-    Returns
-    -------
-    tuple of Tensor
-        Points (b, N, 3) in [-1, 1]^3, mass (b, N) and modes (b, N, k), float32.
+    one device or on several: `share` tells which places of the batch the samples are. Comes as
+    points (b, N, 3) in [-1, 1]^3, mass (b, N) and modes (b, N, k), float32.
     """
     points, mass, modes = samples
     n, device = points.shape[1], points.device

@@ -36,11 +36,6 @@ class Feed:
         Places of the batch that this process works on.
     resident : bool, optional
         Keep samples on the device; by default on an accelerator with room for them.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no sample.
     """
 
     def __init__(

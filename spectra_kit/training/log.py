@@ -15,21 +15,9 @@ Row = dict[str, float]
 
 
 class Log:
-    """Writes ``log.csv``, row by row, and event files beside it if asked to.
+    """Writes ``log.csv`` into a folder, row by row, and event files beside it if asked to.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to.
-    rows : iterable of dict
-        What a resumed run had logged up to its checkpoint; later rows are dropped.
-    tensorboard : bool
-        Write event files too, into ``folder/events``.
-
-    Raises
-    ------
-    MissingDependencyError
-        If `tensorboard` is asked for and not installed.
+    Of `rows`, those that a resumed run had logged up to its checkpoint, later ones are dropped.
     """
 
     def __init__(self, folder: Path, rows: Iterable[Row], *, tensorboard: bool = False) -> None:

@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -90,7 +90,8 @@ class Muon(Optimizer):
             parameter.add_(direction.to(parameter.dtype), alpha=-step)
 
     def _blend(self, parameter: Tensor, group: dict[str, Any]) -> Tensor:
-        gradient = cast("Tensor", parameter.grad)
+        assert parameter.grad is not None
+        gradient = parameter.grad
         state = self.state[parameter]
         if not state:
             state["momentum_buffer"] = torch.zeros_like(gradient)
@@ -108,19 +109,8 @@ def make_optimizers(
 ) -> tuple[Muon, AdamW]:
     """Split the parameters as the paper does.
 
-    Parameters
-    ----------
-    network : Module
-        Matrices with both sizes above 32 go to `Muon`; biases, norms and latent queries to AdamW
-        with betas (0.9, 0.99).
-    lr, weight_decay : float
-        For both.
-    apply : callable, default map
-        See `Muon`.
-
-    Returns
-    -------
-    tuple of Muon and AdamW
+    Matrices with both sizes above 32 go to `Muon`; biases, norms and latent queries to AdamW with
+    betas (0.9, 0.99). See `Muon` for `apply`.
 
     Raises
     ------
@@ -156,27 +146,10 @@ def average_weights(average: nn.Module, network: nn.Module, step: int, decay: fl
 
 
 def warmup_stable_decay(progress: float, *, warmup: float = 0.1, decay: float = 0.2) -> float:
-    """Return the learning-rate factor at a share of the training.
+    """Return the learning-rate factor at a share of the training, in [0, 1].
 
-    Linear rise over the first `warmup`, one, then a linear fall to zero over the last `decay`.
-
-    Parameters
-    ----------
-    progress : float
-        Share of the budget that is used up, in [0, 1].
-    warmup, decay : float
-        Shares of the budget.
-
-    Returns
-    -------
-    float
-
-    Notes
-    -----
-    One run of a two-block network, stopped at 960 of 1,200 steps and ended in different ways: the
-    averaged weights came from a span error of 0.0641 to 0.0622 with this fall, 0.0623 with
-    one minus a square root, and 0.0629 with an exponential one to 1e-2; the last weights from
-    0.0683 to 0.0626, 0.0622 and 0.0627.
+    Linear rise over the first `warmup`, one, then a linear fall to zero over the last `decay`,
+    which are shares too. Ends of other shapes gave the same span error within 2 %.
 
     Examples
     --------

@@ -76,15 +76,8 @@ class Ranks:
 def process_group(device: str) -> Iterator[str]:
     """Join the processes that ``torchrun`` started; yield the device of this one.
 
-    Parameters
-    ----------
-    device : str
-        ``"cuda"`` gives each process of a machine its own accelerator, by its local rank.
-
-    Yields
-    ------
-    str
-        `device` itself where the process is on its own.
+    That is `device` itself where the process is on its own. ``"cuda"`` gives each process of a
+    machine its own accelerator, by its local rank.
     """
     if not dist.is_torchelastic_launched():
         yield device

@@ -242,22 +242,8 @@ def _open_shard(path: Path) -> Corpus:
 def join(corpora: Sequence[Corpus], *, name: str = "corpora") -> Corpus:
     """Return the samples of several corpora as one; a corpus given twice counts twice.
 
-    Parameters
-    ----------
-    corpora : sequence of Corpus
-        With equal numbers of points and modes per sample.
-    name : str
-        What they are, in messages.
-
-    Returns
-    -------
-    Corpus
-        With the labels that all of them have.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is none, or sizes differ.
+    They must have equal numbers of points and modes per sample, and keep the labels that all of
+    them have. `name` is what they are, in messages.
     """
     sizes = {(corpus.n_points, corpus.k) for corpus in corpora}
     if len(sizes) != 1:

@@ -8,7 +8,6 @@ from running import printed
 
 from spectra_kit.cli import main
 from spectra_kit.cli.program import COMMANDS, app, parse
-from spectra_kit.cli.words import did_you_mean
 from spectra_kit.geometry import TriangleMesh, sphere, write
 
 NAMES = [command.name for command in COMMANDS]
@@ -117,10 +116,6 @@ def test_wrong_usage_ends_with_2_and_a_hint(arguments, message, capsys):
     assert usage.startswith("usage: spectra-kit ")
     assert error.startswith("error: ")
     assert message in error
-
-
-def test_nothing_is_meant_where_nothing_is_near():
-    assert did_you_mean("xyzzy", ["arpack", "neo"]) == ""
 
 
 def test_version(capsys):

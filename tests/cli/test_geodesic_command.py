@@ -10,8 +10,7 @@ from conftest import creature
 from running import printed, record, refusal, write_shapes
 
 from spectra_kit.cli import main
-from spectra_kit.cli.geodesic_solver import linear_solver, why_without_modes
-from spectra_kit.cli.geodesic_sources import with_farthest
+from spectra_kit.cli.geodesic_setup import linear_solver, why_without_modes, with_farthest
 from spectra_kit.cli.program import parse
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.geodesics import FacePoint, HeatGeodesics, Iterative, nearest_source

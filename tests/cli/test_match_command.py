@@ -11,7 +11,7 @@ from running import printed, record, refusal
 from scipy.spatial.transform import Rotation
 
 from spectra_kit.cli import main, match
-from spectra_kit.cli.quality import doubts_of
+from spectra_kit.cli.match import doubts_of
 from spectra_kit.geometry import creature_pair, mirrored, permuted, sphere, write
 
 FILES = {"point_map.npy", "functional_map.npy", "report.json"}
@@ -107,9 +107,7 @@ def test_the_demo_draws_its_pictures(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr(match, "plot_correspondence", interrupted)
     assert main([*map(str, command)]) == 130
-    missing = ", ".join(
-        str(folder / name) for name in ("correspondence.png", "functional_map.png", "errors.png")
-    )
+    missing = ", ".join(str(folder / name) for name in pictures)
     kept = f"the numbers in {folder} are whole, but not drawn: {missing}"
     assert capsys.readouterr().err == f"{kept}\ninterrupted\n"
     assert set(os.listdir(folder)) == FILES | {"source.npz", "target.npz"}

@@ -104,7 +104,7 @@ def test_nothing_is_done_twice_and_another_protocol_is_refused(run, report, caps
     assert [file.stat().st_mtime_ns for file in files] == before
     assert json.loads((run.out / "ablation.json").read_text()) == report
     assert "plain: span error" in capsys.readouterr().out
-    assert run("--only", "plain", samples=40) == 1
+    assert run("--only", "plain", samples=40) == 2
     assert "was trained under another protocol" in capsys.readouterr().err
 
 
@@ -120,7 +120,7 @@ def test_other_files_under_the_same_names_are_other_files(run, report, capsys):
     kept = shards.rename(run.out.parent / "kept")
     write_shard(shards, 0, *ellipsoids(16, 7), {"family": np.zeros(16)})
     try:
-        assert run("--only", "plain") == 1
+        assert run("--only", "plain") == 2
     finally:
         shutil.rmtree(shards)
         kept.rename(shards)

@@ -174,7 +174,7 @@ def test_app_writes_a_corpus_and_reports(tmp_path, capsys):
     output = capsys.readouterr().out
     for told in ("3 samples", "drawn again because of", "3 made in"):
         assert told in output
-    assert make_corpus.main([*command, "--seed", "5"]) == 1
+    assert make_corpus.main([*command, "--seed", "5"]) == 2
     assert "another configuration" in capsys.readouterr().err
 
 
@@ -421,5 +421,5 @@ def test_the_app_draws_a_sheet_and_a_table(folder, tmp_path, capsys):
     with Image.open(sheet) as picture:
         pixels = np.asarray(picture.convert("RGB"))
     assert 0.05 < (pixels < 250).any(axis=2).mean() < 0.9
-    assert inspect_corpus.main([str(tmp_path / "nothing"), str(sheet)]) == 1
+    assert inspect_corpus.main([str(tmp_path / "nothing"), str(sheet)]) == 2
     assert "must hold a corpus" in capsys.readouterr().err

@@ -38,5 +38,5 @@ def test_shipped_weights_are_registered_under_their_name(tmp_path, name):
 
 
 def test_other_files_are_refused(tmp_path, capsys):
-    assert ship_weights.main(["small", str(tmp_path / "none.safetensors")]) == 1
+    assert ship_weights.main(["small", str(tmp_path / "none.safetensors")]) == 2
     assert "does not exist" in capsys.readouterr().err
