@@ -23,26 +23,6 @@ def number(value: float | None, form: str = ".3g") -> str:
     return NONE if value is None or math.isnan(value) else format(value, form)
 
 
-def seconds(value: float | None) -> str:
-    """Three digits."""
-    return number(value, ".3g")
-
-
-def error(value: float | None) -> str:
-    """Two digits and the power of ten."""
-    return number(value, ".1e")
-
-
-def share(value: float | None) -> str:
-    """Whole per cents."""
-    return number(value, ".0%")
-
-
-def count(value: float | None) -> str:
-    """With commas."""
-    return number(value, ",.0f")
-
-
 def ratio(a: float | None, b: float | None) -> float | None:
     """Return a / b, or None where one is missing."""
     return None if a is None or b is None or b == 0 else a / b

@@ -193,8 +193,16 @@ def check_sources(
     every = np.concatenate([row[0] for row in rows])
     shares = np.concatenate([w * row[1] for w, row in zip(emitted, rows, strict=True)])
     lengths = np.concatenate([row[2] for row in rows])
-    _check_referenced(every, geometry)
-
+    if isinstance(geometry, TriangleMesh):
+        lone = np.setdiff1d(every, geometry.referenced_vertices)
+        if len(lone):
+            raise InvalidInputError(
+                "sources",
+                "lie on the surface",
+                f"vertex {lone[0]}, which no face uses",
+                advice="drop such vertices with {}",
+                remedies=("mesh.without_unreferenced()",),
+            )
     vertices, index = np.unique(every, return_inverse=True)
     offsets = np.full(len(vertices), np.inf)
     np.minimum.at(offsets, index, lengths)
@@ -313,19 +321,6 @@ def _spread(source: int | FacePoint, geometry: HasPoints) -> tuple[Ints, Floats,
 
 def _corners(point: FacePoint, mesh: TriangleMesh) -> Ints:
     return np.asarray(mesh.faces[check_indices("face", point.face, len(mesh.faces))])
-
-
-def _check_referenced(vertices: Ints, geometry: HasPoints) -> None:
-    if isinstance(geometry, TriangleMesh):
-        lone = np.setdiff1d(vertices, geometry.referenced_vertices)
-        if len(lone):
-            raise InvalidInputError(
-                "sources",
-                "lie on the surface",
-                f"vertex {lone[0]}, which no face uses",
-                advice="drop such vertices with {}",
-                remedies=("mesh.without_unreferenced()",),
-            )
 
 
 def _check_weights(weights: ArrayLike, count: int) -> Floats:

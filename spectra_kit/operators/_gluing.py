@@ -14,8 +14,16 @@ from spectra_kit._validate import quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 from spectra_kit.linalg.threads import in_threads, ranges
+from spectra_kit.operators._half_edges import (
+    flip_to_delaunay,
+    glue,
+    pair_sides,
+    side_lengths,
+    sides_by_corner,
+)
 from spectra_kit.operators.checks import unit_of, units_of
 from spectra_kit.operators.local_delaunay import local_triangles
+from spectra_kit.operators.triangle_calculus import areas
 
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
@@ -42,8 +50,6 @@ class Glued(NamedTuple):
 
 
 def glued_mesh(mesh: TriangleMesh, mollify_factor: float) -> Glued:
-    from spectra_kit.operators._cover import pair_sides, side_lengths, sides_by_corner
-
     unit = units_of(mesh)
     points = mesh.points / unit[:, None]
     corners = mesh.faces.astype(np.int32)
@@ -61,8 +67,6 @@ def glued_mesh(mesh: TriangleMesh, mollify_factor: float) -> Glued:
 
 
 def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> Glued:
-    from spectra_kit.operators._cover import side_lengths, sides_by_corner
-
     # Neighbours in space become neighbours in memory; any unit of length becomes about 1.
     order = cKDTree(cloud.points).indices
     unit = unit_of(cloud)
@@ -100,8 +104,6 @@ def _front_and_back(
 
     Triangles continue each other only if the cosine of the angle between them is below `sharpest`.
     """
-    from spectra_kit.operators._cover import glue
-
     twins = np.empty(6 * len(triangles), dtype=np.int32)
     shared = (points, triangles, *sides, sharpest, twins)
     in_threads(glue, ((*shared, *rows) for rows in ranges(len(points), _BLOCK)))
@@ -110,8 +112,6 @@ def _front_and_back(
 
 def _make_delaunay(corners: Ints, lengths: Floats, twins: Ints) -> None:
     """Flip edges, in place, until the angles opposite each sum to at most pi."""
-    from spectra_kit.operators._flips import flip_to_delaunay
-
     most = _FLIPS * len(twins)
     if not flip_to_delaunay(corners.reshape(-1), lengths.reshape(-1), twins, most):
         raise ConvergenceError(
@@ -126,13 +126,13 @@ def _laplacian(
     """Return stiffness and lumped mass of one copy of the surface."""
     a, b, c = lengths, np.roll(lengths, -1, axis=1), np.roll(lengths, 1, axis=1)
     squares = (a + b + c) * (b + c - a) * (c + a - b) * (a + b - c)  # of four times the area
-    areas = np.sqrt(np.maximum(squares, 0.0)) / 4
+    area = np.sqrt(np.maximum(squares, 0.0)) / 4
     with np.errstate(divide="ignore", invalid="ignore"):
-        cotangents = ((b * b + c * c - a * a) / (4 * areas)).ravel()
+        cotangents = ((b * b + c * c - a * a) / (4 * area)).ravel()
     tails, heads = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
     edges = np.flatnonzero((np.arange(len(twins)) < twins) & (tails != heads))
     weights = (cotangents[edges] + cotangents[twins[edges]]) / 2
-    mass = np.bincount(tails, np.repeat(areas[:, 0] / 3, 3), n)
+    mass = np.bincount(tails, np.repeat(area[:, 0] / 3, 3), n)
     if not np.isfinite(weights).all():
         raise InvalidInputError(
             "mollify_factor",
@@ -150,8 +150,6 @@ def _is_boundary(triangles: Ints, lengths: Floats, closed: Bools, reach: Floats)
 
     Such triangles fill the bays of a sampled boundary.
     """
-    from spectra_kit.operators.triangle_calculus import areas
-
     marked = ~closed
     owners = triangles[:, 0]
     radii = lengths.prod(axis=1) / (4 * areas(lengths))  # of the circles through the corners

@@ -21,7 +21,6 @@ from spectra_kit._validate import (
 )
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
-from spectra_kit.operators._gluing import glued_cloud, glued_mesh
 from spectra_kit.operators.checks import (
     check_cloud_usable,
     check_faces_usable,
@@ -231,6 +230,8 @@ def intrinsic_delaunay(
     >>> round(triangulation.area, 3), len(triangulation.boundary)
     (1.618, 36)
     """
+    from spectra_kit.operators._gluing import glued_cloud, glued_mesh  # numba is slow to import
+
     clock = Clock()
     check_mollify_factor(mollify_factor)
     if isinstance(geometry, TriangleMesh):

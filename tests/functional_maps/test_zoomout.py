@@ -90,6 +90,13 @@ def test_steps_are_those_of_the_definition(spectrum, bent) -> None:
             C = functional_map_from_point_map(spectrum, bent, point_map(C), k=k)
         found = zoomout(spectrum, bent, start, k_final=sizes[-1], k_start=k_start)
         assert (found.point_map == point_map(C)).mean() > 0.99
+    # Both ways: the mean of the map of one and the transpose of the other's.
+    there = functional_map_from_point_map(spectrum, bent, point_map(start), k=13)
+    way_back = icp(bent, spectrum, start.T, iterations=0).point_map
+    back = functional_map_from_point_map(bent, spectrum, way_back, k=13)
+    both = bijective_zoomout(spectrum, bent, start, k_final=13)
+    assert (both.point_map == point_map((there + back.T) / 2)).mean() > 0.99
+    assert (both.point_map != point_map(there)).mean() > 0.01
     ends = [
         zoomout(spectrum, bent, point_map(start), k_final=15, **k).point_map
         for k in ({}, {"k_start": 15}, {"k_start": 4})

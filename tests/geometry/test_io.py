@@ -228,25 +228,6 @@ def test_write_replaces_and_follows_links(mesh, tmp_path):
     assert_same(read(tmp_path / "real.ply"), mesh)
 
 
-# --- real models --------------------------------------------------------------------------------
-
-
-@pytest.mark.data
-def test_real_models_are_read_and_survive_every_format(real_shapes, tmp_path):
-    path = real_shapes / "teapot.npz"
-    with np.load(path) as archive:
-        model = TriangleMesh(archive["V"], archive["F"])
-    assert_same(read(path, kind="mesh"), model)
-    for suffix in EXACT:
-        write(model, tmp_path / f"model{suffix}")
-        assert_same(read(tmp_path / f"model{suffix}"), model)
-    for suffix in [*SINGLE, ".stl"]:
-        write(model, tmp_path / f"model{suffix}")
-        copy = read(tmp_path / f"model{suffix}")
-        assert copy.component_labels.max() == model.component_labels.max()
-        np.testing.assert_allclose(copy.area, model.area, rtol=1e-6)
-
-
 PLY = (
     "ply\nformat ascii 1.0\ncomment the end_header line follows\nelement vertex 3\n"
     "property float x\nproperty float y\nproperty float z\nelement face 1\n"

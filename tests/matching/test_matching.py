@@ -164,6 +164,9 @@ def test_a_mirrored_copy_is_seen_as_one(mesh, source) -> None:
     assert not kept.mirrored
     assert not any(c.mirrored for c in kept.candidates)
     assert kept.score > 50 * found.score
+    stubborn = match(source, prepared(image), options=MatchOptions(mirrored_by=1e6))
+    assert not stubborn.mirrored
+    assert stubborn.mirror_margin < 0.02
     alone = match(source.spectrum, solved(image))  # cannot tell
     assert (alone.point_map == truth).all()
     assert not alone.mirrored

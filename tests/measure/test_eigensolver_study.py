@@ -124,6 +124,8 @@ def test_a_file_has_one_mesh_and_clouds_of_any_size(tmp_path):
     assert [x.operator.split("(")[0] for x in (mesh, cloud)] == [
         *("robust_laplacian", "delaunay_laplacian")
     ]
+    assert mesh.area == pytest.approx(1)
+    assert np.linalg.norm(mesh.points, axis=1) == pytest.approx((4 * np.pi) ** -0.5, rel=0.02)
     # Of unit area, so radius 1 / sqrt(4 pi): eigenvalues 4 pi l (l + 1).
     assert eigensolve(mesh, 4).eigenvalues[1:] == pytest.approx(8 * np.pi, rel=0.02)
     with pytest.raises(InvalidInputError, match="sizes"):

@@ -10,6 +10,7 @@ import torch
 from conftest import creature
 from measure import store
 from measure.geodesics import contenders as who
+from measure.geodesics.report import meshes
 from measure.geodesics.studies import (
     EIGENSOLVERS,
     Accuracy,
@@ -20,7 +21,7 @@ from measure.geodesics.studies import (
 )
 from measure.shapes import Shape, shape_at
 from measure.store import Store
-from measure.study import run
+from measure.study import Result, run
 
 from spectra_kit import Neo
 from spectra_kit.geodesics import exact_distances, geodesic_distance
@@ -175,3 +176,18 @@ def test_errors_leave_out_sources_and_what_is_out_of_reach():
     exact = np.array([0.0, 1.0, 2.0, np.inf])
     found = relative_errors(np.array([5.0, 1.5, 2.0, 7.0]), exact, np.array([1.0, 1.0, 3.0, 1.0]))
     assert found == {"mean": 0.25, "weighted": 0.125, "largest": 0.5}
+
+
+def test_the_spectrum_is_paid_by_those_who_use_it():
+    shape = Shape("ball", sphere(subdivisions=1).geometry)
+    modes = [Result("exact", shape, 0, {"status": "ok", "seconds": 5.0})]
+    for name, status, solver, paid in (
+        (who.AUTOMATIC, "ok", "two-level", 7.0),
+        (who.AUTOMATIC, "ok", "direct", 2.0),  # it leaves the modes alone
+        (who.UNAIDED, "ok", "iterative", 2.0),
+        (who.ICPCG, "failed", "", None),
+    ):
+        first = [Result(name, shape, 0, {"status": status, "seconds": 2.0, "solver": solver})]
+        (mesh,) = meshes({"modes": modes, "first": first})
+        assert mesh.seconds_in_all(name) == paid
+        assert mesh.title == "ball (42)"

@@ -17,7 +17,7 @@ from measure.matching.report import summarize, write_report
 from measure.matching.subjects import Subject, demo_subjects, subjects_in, truth_between
 from measure.study import Result
 
-from spectra_kit import eigensolve, robust_laplacian
+from spectra_kit import TriangleMesh, eigensolve, robust_laplacian
 from spectra_kit.correspondence import geodesic_errors, way_back
 from spectra_kit.errors import InvalidInputError, MissingDependencyError, SpectraKitError
 from spectra_kit.functional_maps import functional_map_from_point_map
@@ -257,6 +257,21 @@ def test_a_run_is_remembered_with_its_maps(study, monkeypatch):
     np.testing.assert_array_equal(np.load(path), before)
 
 
+def test_vertices_at_one_place_are_one_point_of_a_cloud(study):
+    mesh = creature(700)
+    # A vertex of no extent is split off, as careless remeshing does: two at one place.
+    doubled = TriangleMesh(
+        np.vstack([mesh.points[5], mesh.points]),
+        np.vstack([mesh.faces + 1, [[6, 0, 1 + int(mesh.faces[mesh.faces[:, 0] == 5][0, 1])]]]),
+    )
+    copy, order = permuted(doubled, seed=0)
+    two = {"a0": Subject("a0", doubled, range(701)), "a1": Subject("a1", copy, np.argsort(order))}
+    pairs = study(Pair("a0", "a1"), subjects=two, chosen=ways(["cloud"], methods=[PLAIN]))
+    [result] = match_all(pairs, jobs=0)
+    assert result.record["direct"] == pytest.approx(0, abs=1e-9)
+    assert np.load(pairs.map_path(result.contender, result.problem)).shape == (701,)
+
+
 def test_everything_that_decides_a_result_is_in_its_key(study, subjects):
     [way], [own] = ways(methods=[PLAIN]), ways(methods=["pyfm"])
     pairs = study()
@@ -389,6 +404,7 @@ def test_the_app_matches_draws_and_goes_on(tmp_path, capsys, monkeypatch):
 
 def test_the_app_says_what_is_wrong_and_can_be_interrupted(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("SPECTRA_KIT_DATA", raising=False)
+    monkeypatch.setattr(app, "demo_subjects", lambda: demo_subjects(500))
     out = str(tmp_path / "out")
     few = ["--demo", "--pairs", "1", "--jobs", "0", "--no-pictures", "--methods", PLAIN]
     for command, said in (

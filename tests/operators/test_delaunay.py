@@ -133,7 +133,7 @@ def test_moves_units_and_order() -> None:
 
 
 def test_same_bits_whatever_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    cloud = PointCloud(ball(40_000))
+    cloud = PointCloud(ball(20_000))
     found = []
     for count in (1, 3):
         monkeypatch.setenv("NUMBA_NUM_THREADS", str(count))

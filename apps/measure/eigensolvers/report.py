@@ -156,24 +156,23 @@ def _table(here: Sequence[Row]) -> str:
         name, seconds = str(row.contender), row.median("seconds")
         assert seconds is not None
         memory = (row.largest("peak_bytes") or 0) + (row.largest("device_peak_bytes") or 0)
-        errors = (row.largest(name) for name in ("residual_max", "residual_median"))
+        errors = [row.largest(name) for name in ("residual_max", "residual_median")]
+        errors += [row.first(name) for name in ("eigenvalue_error", "span_error")]
         lines.append(
             [
                 f"**{name}**" if name in best else name,
                 row.contender.method.stops,
-                tables.seconds(seconds),
+                tables.number(seconds),
                 tables.number(tables.ratio(base, seconds), ".2f"),
-                tables.seconds(seconds + assembly),
+                tables.number(seconds + assembly),
                 f"{memory / 1e9:.2f}",
-                *map(tables.error, errors),
-                tables.error(row.first("eigenvalue_error")),
-                tables.error(row.first("span_error")),
-                tables.count(row.first("missed")),
+                *(tables.number(error, ".1e") for error in errors),
+                tables.number(row.first("missed"), ",.0f"),
             ]
         )
     return (
         f"### {problem.kind}, {n:,} points\n\nOperator: {KINDS[problem.kind]}, assembled in"
-        f" {tables.seconds(assembly)} s.\n\n{tables.table(_COLUMNS, lines)}"
+        f" {tables.number(assembly)} s.\n\n{tables.table(_COLUMNS, lines)}"
     )
 
 

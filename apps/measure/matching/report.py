@@ -169,7 +169,7 @@ def _table(rows: Mapping[Way, Record]) -> str:
         "pairs": lambda way, row: str(row["pairs"]),
         "mean": lambda way, row: f"**{row['mean']:.2f}**",
         "median": _digits("median"),
-        "over 8": lambda way, row: tables.share(row["bad"]),
+        "over 8": lambda way, row: tables.number(row["bad"], ".0%"),
         "AUC": _digits("auc", ".3f"),
         **{name: _digits(name) for name in ("direct", "symmetric", "either")},
         **{name: _digits(name, "") for name in ("flipped", "partly")},

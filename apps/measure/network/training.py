@@ -84,7 +84,7 @@ def _table(curves: Sequence[Curve]) -> str:
     for curve in curves:
         cells = [curve.name, str(curve.m), str(len(curve.samples))]
         for i in (0, -1):
-            cells += [tables.count(curve.samples[i]), tables.number(curve.errors[i])]
+            cells += [tables.number(curve.samples[i], ",.0f"), tables.number(curve.errors[i])]
         least = tables.number(curve.errors.min())
         lines.append([*cells, least, tables.number(curve.exponent, ".2f")])
     return tables.table(head, lines)
