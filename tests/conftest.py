@@ -158,6 +158,14 @@ def animal_spectrum(animal: Laplacian) -> Spectrum:
     return eigensolve(animal, 70)
 
 
+@pytest.fixture(scope="session")
+def body() -> object:
+    """The linear system that the tests of its solvers share."""
+    from one_system import Body
+
+    return Body()
+
+
 def whole_spectrum(laplacian: Laplacian) -> tuple[np.ndarray, np.ndarray]:
     """All eigenvalues and modes on the free points, by LAPACK."""
     free = laplacian.free

@@ -105,6 +105,6 @@ class Capped(OnPoints):
             try:
                 values, vectors = ritz_rotation(L, mass, smooth)
             except InvalidInputError:  # what they had beyond others was rough
-                values, vectors, _ = ritz_pairs(L, mass, np.hstack([smooth, vectors]), k)
+                values, vectors, _ = ritz_pairs(L, mass, np.hstack([smooth, vectors]), k, least=k)
         clock.stage("carry")
         return Eigenpairs(values, vectors, clock.seconds, self.sweeps)

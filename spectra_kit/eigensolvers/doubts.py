@@ -10,7 +10,7 @@ from spectra_kit._types import Floats
 from spectra_kit._validate import quantity, warn
 from spectra_kit.errors import DoubtfulSpectrumWarning
 from spectra_kit.levels import smoothed
-from spectra_kit.linalg.ritz import ritz_pairs_at_most
+from spectra_kit.linalg.ritz import ritz_pairs
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.spectra import Spectrum
 
@@ -47,7 +47,7 @@ def proved_excess(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
     for start in range(0, spectrum.k, _COLUMNS):
         block = slice(start, start + _COLUMNS)
         smooth[:, block] = smoothed(laplacian, values[block], vectors[:, block], degree=_DEGREE)
-    lower = ritz_pairs_at_most(laplacian.stiffness, laplacian.mass, smooth, spectrum.k).eigenvalues
+    lower = ritz_pairs(laplacian.stiffness, laplacian.mass, smooth, spectrum.k).eigenvalues
     excess = np.zeros(spectrum.k)
     told = slice(laplacian.kernel_dimension, len(lower))
     excess[told] = np.maximum(values[told] / lower[told] - 1, 0.0)

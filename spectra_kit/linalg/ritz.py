@@ -29,44 +29,24 @@ class RitzPairs(NamedTuple):
     rank: int
 
 
+@single_threaded_blas()
 def ritz_pairs(
     stiffness: sparse.csr_array,
     mass: Floats,
     basis: NDArray[np.floating],
     k: int,
     *,
+    least: int = 0,
     rank_tol: float = 1e-10,
 ) -> RitzPairs:
     """Return the k lowest Ritz pairs of ``L u = lambda M u`` in the span of `basis`.
 
-    As `ritz_pairs_at_most`, but a numerical rank below k is refused.
-    """
-    pairs = ritz_pairs_at_most(stiffness, mass, basis, k, rank_tol=rank_tol)
-    if pairs.rank < k:
-        raise RankError(
-            f"`basis` must span at least k = {k} dimensions, got numerical rank {pairs.rank} of"
-            f" {basis.shape[1]} columns; ask for fewer modes or use a larger basis",
-            pairs.rank,
-        )
-    return pairs
-
-
-@single_threaded_blas()
-def ritz_pairs_at_most(
-    stiffness: sparse.csr_array,
-    mass: Floats,
-    basis: NDArray[np.floating],
-    k: int,
-    *,
-    rank_tol: float = 1e-10,
-) -> RitzPairs:
-    """Return the k lowest Ritz pairs, or as many as the basis has dimensions.
-
-    Its columns are of any scale, and may be dependent; see `orthonormalize` for `rank_tol`. The
-    long side of the basis is read three times: for the Gram matrix ``Y^T M Y``, for ``Y^T L Y``,
-    and to lift the k wanted vectors. Where rounding of the first left these short of orthonormal,
-    their own k x k problem takes it out. Only a badly conditioned basis, of which more is wanted
-    than one Gram matrix resolves (`rank_tol` below 1e-6), is orthonormalised first.
+    Or as many as it has dimensions; fewer than `least` are refused. Its columns are of any scale,
+    and may be dependent; see `orthonormalize` for `rank_tol`. The long side of the basis is read
+    three times: for the Gram matrix ``Y^T M Y``, for ``Y^T L Y``, and to lift the k wanted vectors.
+    Where rounding of the first left these short of orthonormal, their own k x k problem takes it
+    out. Only a badly conditioned basis, of which more is wanted than one Gram matrix resolves
+    (`rank_tol` below 1e-6), is orthonormalised first.
     """
     Y = np.ascontiguousarray(basis, dtype=np.float64)
     gram = weighted_gram(Y, mass)
@@ -83,6 +63,12 @@ def ritz_pairs_at_most(
             Y = orthonormalize(Y, mass, rank_tol=rank_tol)
             whitener = np.eye(Y.shape[1])
     rank = whitener.shape[1]
+    if rank < least:
+        raise RankError(
+            f"`basis` must span at least k = {least} dimensions, got numerical rank {rank} of"
+            f" {basis.shape[1]} columns; ask for fewer modes or use a larger basis",
+            rank,
+        )
     k = min(k, rank)
     inside, rotation = np.linalg.eigh(whitener.T @ projected(stiffness, Y) @ whitener)
     U = lifted(Y, whitener @ rotation[:, :k])

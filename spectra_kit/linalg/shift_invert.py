@@ -15,7 +15,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.ldl import SparseLDL
 from spectra_kit.linalg.orthonormal import RankError
 from spectra_kit.linalg.residuals import residuals
-from spectra_kit.linalg.ritz import ritz_pairs_at_most, ritz_rotation
+from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation
 from spectra_kit.linalg.threads import in_threads, shares, single_threaded_blas
 
 Factor = TypeVar("Factor")
@@ -114,7 +114,7 @@ def shift_invert_iteration(
         Where the eigenvalues jump within the block, the filter drowns columns in the modes below.
         """
         try:
-            values, X, rank = ritz_pairs_at_most(stiffness, mass, columns, block, rank_tol=rank_tol)
+            values, X, rank = ritz_pairs(stiffness, mass, columns, block, rank_tol=rank_tol)
         except RankError:  # zeros alone, such as columns that live on another component
             X, rank = np.empty((len(mass), 0)), 0
         if X.shape[1] < block:

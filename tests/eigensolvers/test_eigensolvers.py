@@ -1,6 +1,7 @@
 """The contract: every backend on every geometry; and the exact ones against analytic spectra."""
 
 import pickle
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,6 +14,7 @@ from spectra_kit.eigensolvers import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.geometry import rectangle, sphere, torus
 
 K = 16
+fine_laplacian = cache(lambda: sk.robust_laplacian(bumpy(2562)))
 
 
 @cache
@@ -103,13 +105,36 @@ def test_arpack_is_exact_in_any_unit(scale: float) -> None:
     assert s.certificate.relative_residuals.max() < 1e-12
 
 
-def test_seeds_choose_the_start(bumpy_laplacian: sk.Laplacian) -> None:
-    """The same bits from the same seed, others from another; the same modes from all."""
-    for solver in (sk.Arpack, sk.Lobpcg, sk.Refined):
-        a, b, c = (sk.eigensolve(bumpy_laplacian, K, solver(seed=seed)) for seed in (0, 0, 1))
-        assert np.array_equal(a.eigenvectors, b.eigenvectors)
-        assert not np.array_equal(a.eigenvectors, c.eigenvectors)
-        assert c.eigenvalues == pytest.approx(a.eigenvalues, rel=1e-9)
+WAVES = sk.AmbientFourier(m=90, bandwidth=4.0)
+OTHERWISE = [
+    (sk.Arpack(), {"tol": 1e-3, "shift": 1.0, "seed": 1}),
+    (sk.Lobpcg(), {"rtol": 1e-3, "shift": 1.0, "seed": 1, "start": WAVES, "preconditioner": "amg"}),
+    (sk.Refined(), {"rtol": 1e-3, "guard": 1.0, "seed": 1, "start": WAVES, "degree": 3}),
+    (sk.Chebyshev(), {"rtol": 1e-3, "guard": 1.0, "start": WAVES}),
+    (sk.Chebyshev(start=sk.RandomBasis(m=5)), {"seed": 1}),  # for what a start lacks
+    (sk.Polished(), {"sweeps": 2, "guard": 1.0, "seed": 1, "start": WAVES, "degree": 3}),
+    (
+        sk.Multilevel(coarsest=100),
+        {"rtol": 1e-2, "coarsest": 150, "ratio": 4, "guard": 1.0, "degree": 3, "seed": 1},
+    ),
+    (sk.Capped(n_points=500), {"n_points": 400, "sweeps": 2, "smoothing": 3, "subspace": WAVES}),
+    (sk.RayleighRitz(subspace=WAVES), {"rank_tol": 1e-2}),
+    (sk.Neo(cap=800), {"cap": 1000, "smoothing": 3, "dtype": "bfloat16", "poses": 2}),
+]
+
+
+@pytest.mark.parametrize(("solver", "options"), OTHERWISE, ids=lambda o: type(o).__name__)
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
+def test_every_option_is_heeded(solver, options) -> None:
+    """The same bits from the same options, others from others; if exact, of the same modes."""
+    laplacian = fine_laplacian()
+    one, same = (sk.eigensolve(laplacian, K, solver) for _ in range(2))
+    assert np.array_equal(one.eigenvectors, same.eigenvectors)
+    for name, value in options.items():
+        other = sk.eigensolve(laplacian, K, replace(solver, **{name: value}))
+        assert not np.array_equal(one.eigenvectors, other.eigenvectors), name
+        if solver.accuracy != "approximate":
+            assert other.eigenvalues == pytest.approx(one.eigenvalues, rel=1e-4)
 
 
 def test_a_small_component_that_owns_the_low_modes() -> None:

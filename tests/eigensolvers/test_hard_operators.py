@@ -251,7 +251,12 @@ def test_the_unit_of_length_changes_no_bit(solver, power) -> None:
     np.testing.assert_array_equal(other.eigenvectors * unit, one.eigenvectors)
     relative = one.certificate.relative_residuals
     np.testing.assert_array_equal(other.certificate.relative_residuals, relative)
-    assert other.certificate.n_zero_modes == 1
+    found, expected = other.certificate, one.certificate
+    np.testing.assert_array_equal(found.residuals / energy * unit**2, expected.residuals)
+    if expected.count is not None:
+        assert found.count.radius / energy * unit**2 == expected.count.radius
+        assert found.count.floor / energy * unit**2 == expected.count.floor
+    assert found.n_zero_modes == 1
 
 
 def test_residuals_of_a_tiny_shape_are_not_taken_for_zero() -> None:

@@ -1,7 +1,5 @@
 """One system for all solvers."""
 
-from functools import cache
-
 import numpy as np
 from scipy import sparse
 
@@ -27,11 +25,6 @@ class Body:
         dense = self.A.toarray()
         self.eigenvalues = np.linalg.eigvalsh(dense)
         self.root = np.linalg.cholesky(dense + np.ones(dense.shape) / self.n)
-
-
-@cache
-def body_of_all() -> Body:
-    return Body()
 
 
 def path(n: int, ends: float = 1.0) -> sparse.csr_array:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from conftest import refused
-from one_system import body_of_all
 from scipy import sparse
 
 from spectra_kit import InvalidInputError
@@ -16,11 +15,6 @@ from spectra_kit.linalg import (
 )
 
 RNG = np.random.default_rng(0)
-
-
-@pytest.fixture
-def body():
-    return body_of_all()
 
 
 def test_it_solves_exactly_within_its_span(body):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from conftest import refused
-from one_system import body_of_all, path
+from one_system import path
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
@@ -20,11 +20,6 @@ from spectra_kit.linalg import (
 )
 
 RNG = np.random.default_rng(0)
-
-
-@pytest.fixture
-def body():
-    return body_of_all()
 
 
 def test_all_solvers_agree(body):
