@@ -102,10 +102,9 @@ def distance_colours(distance: Floats) -> Bytes:
 
 
 def refined(geometry: Geometry, values: Floats, n: int) -> tuple[Geometry, Floats, Floats | None]:
-    """Split the triangles of a mesh into n vertices or more; interpolate values and normals.
+    """Split triangles into n vertices or more, with values and normals; a cloud stays as it is.
 
-    Between vertices colours alone would blur; positions carried there keep a pattern sharp. A cloud
-    comes back as it is, without normals.
+    Between vertices colours alone would blur; positions carried there keep a pattern sharp.
     """
     if not isinstance(geometry, TriangleMesh):
         return geometry, values, None

@@ -27,10 +27,9 @@ _PATIENCE = 10.0  # seconds for a worker to end by itself
 def draw_requests(
     requests: Sequence[Mapping[str, Any]], drawn: Callable[[int], None]
 ) -> list[Bytes]:
-    """Return the pictures of all requests, one after the other, as `worker.draw` takes them.
+    """Return the pictures of all requests as `worker.draw` takes them; count those `drawn`.
 
-    `drawn` is called after each with the number of those drawn. What the process that draws raises
-    is raised here, with its traceback as a note.
+    What the process that draws raises is raised here, with its traceback as a note.
     """
     mine, reason = _of_this_process(), ""
     with mine.turn:

@@ -16,8 +16,8 @@ _OVERLAP, _COVERED, _CROSSED, _OUTSIDE = 40.0, 60.0, 8.0, 1e4  # costs, of one p
 def place_labels(anchors: Floats, sizes: Floats, room: Floats, obstacles: Floats) -> Floats:
     """Return the lower left corner (l, 2) of each label near its anchor, all in points (1/72 inch).
 
-    Labels of `sizes` (l, 2) stay inside the corners of `room` (2, 2) and do not cover the anchors;
-    they overlap each other, or points of `obstacles` (o, 2), only where there is no other place.
+    Labels of `sizes` (l, 2) stay inside the corners of `room` (2, 2); they overlap each other, an
+    anchor, or points of `obstacles` (o, 2) only where there is no other place.
     """
     candidates = _candidates(anchors, sizes)  # (l, c, 2)
     ends = candidates + sizes[:, None]

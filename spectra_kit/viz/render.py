@@ -51,10 +51,7 @@ class Scene:
 def render(
     scenes: Sequence[Scene], *, progress: Callable[[int, int], None] | None = None
 ) -> list[Bytes]:
-    """Return the pictures (p, height, width, 3) of each scene, on white, drawn one by one.
-
-    `progress` is called after each with the number of those drawn, and of all.
-    """
+    """Return the pictures (p, height, width, 3) of each scene, on white, and tell `progress`."""
     total = sum(scene.n_pictures for scene in scenes)
     requests = [_request(scene) for scene in scenes]
     pictures = iter(draw_requests(requests, lambda done: progress and progress(done, total)))
@@ -98,8 +95,7 @@ def _request(scene: Scene) -> dict[str, Any]:
 def ball_diameter(geometry: Geometry) -> float:
     """Diameter of a cloud's balls; of a mesh, 0.
 
-    At the twelfth neighbour, few gaps show the far side; of few points this is half the cloud, and
-    balls stay small enough to be told apart.
+    At the twelfth neighbour few gaps show the far side; balls of few points stay apart.
     """
     if isinstance(geometry, TriangleMesh):
         return 0.0
@@ -109,10 +105,7 @@ def ball_diameter(geometry: Geometry) -> float:
 
 
 def with_balls(geometry: Geometry, centres: Floats, radius: float) -> tuple[Geometry, Ints]:
-    """Return a geometry with balls of a radius around `centres` (b, 3) after its own points.
-
-    And the number of the ball that each of its points belongs to, -1 for the first n.
-    """
+    """Add balls around `centres` (b, 3), and tell whose ball each point is of, -1 for its own."""
     ball = sphere(subdivisions=3 if isinstance(geometry, TriangleMesh) else 2).geometry
     owner = np.append(np.full(geometry.n, -1), np.repeat(np.arange(len(centres)), ball.n))
     points = np.vstack([geometry.points, *(radius * ball.points + centre for centre in centres)])

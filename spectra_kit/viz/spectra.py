@@ -61,8 +61,7 @@ def plot_spectrum(
     Raises
     ------
     InvalidInputError
-        If there is no spectrum, one has no modes, or `free_boundary` is not finite or is given for
-        surfaces of several areas.
+        If a spectrum has no modes, or `free_boundary` is given for surfaces of several areas.
 
     Notes
     -----

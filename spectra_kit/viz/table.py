@@ -46,11 +46,9 @@ def set_table(
     tall: float = 0.0,
     foot: float = 0.0,
 ) -> Figure:
-    """Set cells on a page; everything is measured in inches.
+    """Set cells on a page, in inches; columns are `cell` wide at least, and all is `tall` at least.
 
-    Each of the `rows` is as tall as it needs, columns are `cell` wide at least, and the table is
-    `tall` at least. There are `heads` above the columns and `names` beside the rows. Room is left
-    free beside the table, `left`, and at the `foot`.
+    There are `heads` above the columns, `names` beside the rows, and room `left` and at the `foot`.
     """
     dpi, columns = page.dpi, max(map(len, rows))
     pictures = [entry.picture for row in rows for entry in row]

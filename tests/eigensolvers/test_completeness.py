@@ -142,20 +142,6 @@ def test_what_cannot_be_completed_is_an_error(bumpy_laplacian, monkeypatch) -> N
     assert certificate.completeness.startswith("the first 5 of 20; ")
 
 
-@pytest.mark.parametrize(
-    ("solver", "accuracy"),
-    [
-        (sk.Arpack(), "exact"),
-        (sk.Arpack(tol=1e-3), "to tolerance"),
-        (sk.Refined(), "to tolerance"),
-        (sk.Neo(), "approximate"),
-    ],
-    ids=repr,
-)
-def test_accuracy_is_a_fact_of_the_solver(bumpy_laplacian, solver, accuracy: str) -> None:
-    assert sk.eigensolve(bumpy_laplacian, 8, solver).provenance.accuracy == accuracy
-
-
 def test_modes_are_kept_where_the_count_does_not_fit_into_memory(
     bumpy_laplacian, monkeypatch
 ) -> None:

@@ -40,15 +40,6 @@ def test_any_start_reaches_any_tolerance(animal, animal_spectrum, start: str, rt
     assert s.provenance.iterations >= 1
 
 
-@pytest.mark.parametrize("options", [{"cls": sk.Chebyshev, "max_sweeps": 90}, {"cls": sk.Lobpcg}])
-def test_other_methods(animal, animal_spectrum, options) -> None:
-    solver = options.pop("cls")(start=sk.AmbientFourier(m=100), rtol=1e-6, **options)
-    s = sk.eigensolve(animal, K, solver)
-    assert s.certificate.relative_residuals.max() <= 1e-6 * (1 + 1e-6)
-    assert s.eigenvalues == pytest.approx(animal_spectrum.eigenvalues[:K], rel=1e-10)
-    assert s.provenance.iterations >= 1
-
-
 def test_the_methods_agree_on_what_converged_means(animal) -> None:
     """A start that has already converged takes no sweep, whoever made it."""
     tight = sk.eigensolve(animal, K, sk.Refined(rtol=1e-10))
@@ -130,21 +121,14 @@ def test_short_of_the_tolerance(animal, solver) -> None:
     assert partial.provenance.iterations == 2
 
 
-def test_tolerance_below_rounding(animal, animal_spectrum) -> None:
-    with pytest.raises(sk.ConvergenceError, match="rounding stops the others; loosen rtol") as e:
-        sk.eigensolve(animal, K, sk.Refined(rtol=1e-14))
-    partial = e.value.partial
-    assert partial.certificate.relative_residuals.max() < 1e-10
-    assert partial.eigenvalues == pytest.approx(
-        animal_spectrum.eigenvalues[:K], rel=1e-11, abs=1e-11
-    )
-
-
 def test_rounding_is_recognised_however_it_falls(bumpy_laplacian) -> None:
     """Residuals that are rounding fall as often as they rise: that is no progress."""
+    exact = sk.eigensolve(bumpy_laplacian, K).eigenvalues
     for seed in range(3):
-        with pytest.raises(sk.ConvergenceError, match="rounding stops the others; loosen rtol"):
+        with pytest.raises(sk.ConvergenceError, match="rounding stops the others; loosen") as e:
             sk.eigensolve(bumpy_laplacian, K, sk.Refined(rtol=1e-14, seed=seed))
+        assert e.value.partial.certificate.relative_residuals.max() < 1e-10
+        assert e.value.partial.eigenvalues == pytest.approx(exact, rel=1e-11, abs=1e-11)
 
 
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")

@@ -75,15 +75,6 @@ def test_the_bound_of_theory_holds_and_modes_lower_it(body):
     assert iterations[-1] < 0.5 * iterations[0]
 
 
-def test_one_iteration_where_the_factor_is_exact():
-    n, matrix = 400, path(400)
-    x = np.cos(np.pi * (np.arange(n) + 0.5) / n)
-    kernel = ConstantKernel(np.zeros(n, int))
-    found = pcg(matrix, matrix @ x, preconditioner=IncompleteCholesky(matrix), kernel=kernel)
-    assert found.iterations == 1
-    np.testing.assert_allclose(found.x, x, atol=1e-8)
-
-
 def test_kernel_of_several_components_and_a_fixed_one(body):
     mesh = rectangle(n=300).geometry
     fixed = delaunay_laplacian(mesh.as_cloud()).dirichlet(mesh.boundary_vertices)

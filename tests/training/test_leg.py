@@ -48,9 +48,9 @@ def weights(tmp_path_factory):
 
 def arguments(tmp_path, weights, **options):
     values = {"out": tmp_path / "out", "scratch": tmp_path / "scratch", "packed": tmp_path / "none"}
-    values |= {"minutes": 0.02, "weights": weights, "batch": 4, "points": 48, "n-points": 128}
-    values |= {"validation": 4, "workers": 1, "device": "cpu", "lr": 5e-3, **options}
-    return [f"--{name}={value}" for name, value in values.items()]
+    values |= {"minutes": 0.02, "weights": weights, "batch": 4, "points": 48, "n-points": 64}
+    values |= {"validation": 4, "workers": 1, "device": "cpu", "lr": 5e-3, "capacity": 8}
+    return [f"--{name}={value}" for name, value in (values | options).items()]
 
 
 def rows(folder):
@@ -97,7 +97,7 @@ def test_phases_go_on_elsewhere_when_told_to_end_and_without_results(tmp_path, w
     assert (paused.phase, paused.config.network) == (1, TINY)
 
     there = {"out": second, "scratch": tmp_path / "b", "packed": tmp_path / "none"}
-    there |= {"from": first, "workers": 1, "device": "cpu"}
+    there |= {"from": first, "workers": 1, "device": "cpu", "capacity": 8}
     elsewhere = [*(f"--{name}={value}" for name, value in there.items()), "--no-compile"]
     assert main([*elsewhere, "--minutes=9"]) == 1
     assert "was begun with minutes = 30.0, got 9.0; leave" in capsys.readouterr().err
@@ -134,7 +134,7 @@ def test_what_does_not_belong_to_a_leg_is_refused(tmp_path, weights, capsys):
 
     assert "give --phase-minutes too" in refused("--last")
     assert "`--from` must hold the leg.json of an earlier" in refused(f"--from={tmp_path / 'no'}")
-    options = {"n_points": 128, "batch": 4, "minutes": 1.0, "points": 48}
+    options = {"n_points": 64, "batch": 4, "minutes": 1.0, "points": 48}
     leg = new_leg(name="x", weights=str(weights), fresh=False, fast=False, **options)
     replace(leg, validation="others").write(tmp_path / "scratch")
     assert "--packed must hold the pool that leg" in refused()

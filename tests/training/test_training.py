@@ -176,11 +176,18 @@ def test_half_precision_follows_float32_and_shares_change_no_gradient(corpora, w
     expected = whole[0].record["span_error"]
     rounded = train(*corpora, replace(CONFIG, precision="bfloat16"))
     assert rounded.record["span_error"] == pytest.approx(expected, rel=0.1)
+    config, losses = replace(CONFIG, log=1, ema=0.0), {1: [], 3: []}
+
+    def run(workers):
+        told = lambda row: losses[workers].append(row["loss"])  # noqa: E731
+        options = {"stop_after": 3, "report": told}
+        return train(*corpora, replace(config, workers=workers), **options).network.state_dict()
+
     with ThreadPoolExecutor(1) as thread:  # where no signal can be waited for
-        run = thread.submit(train, *corpora, replace(CONFIG, workers=2), stop_after=1)
-        two = run.result().network.state_dict()
-    for name, tensor in train(*corpora, CONFIG, stop_after=1).network.state_dict().items():
-        torch.testing.assert_close(tensor, two[name], atol=1e-4, rtol=1e-3)
+        shared = thread.submit(run, 3).result()
+    for name, tensor in run(1).items():
+        torch.testing.assert_close(tensor, shared[name], atol=1e-4, rtol=1e-3)
+    np.testing.assert_allclose(losses[1], losses[3], rtol=1e-4)
 
 
 def test_the_result_is_the_average_and_the_checkpoint_holds_both(corpora, tmp_path, whole):

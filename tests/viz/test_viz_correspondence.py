@@ -32,7 +32,9 @@ def test_positions_are_told_apart_in_every_direction():
     distance = np.abs(colours[:, None] - colours).sum(axis=2) + 1000 * np.eye(8, dtype=int)
     assert distance.min() > 60
     left, right = colours[corners[:, 0] == 0], colours[corners[:, 0] == 1]
-    assert (left[:, 2] - left[:, 0] > right[:, 2] - right[:, 0] + 50).all()  # bluer
+    assert (left[:, 2] - left[:, 1] > right[:, 2] - right[:, 1] + 50).all()  # bluer
+    far, near = colours[corners[:, 2] == 0], colours[corners[:, 2] == 1]
+    assert (near[:, 0] - near[:, 1] > far[:, 0] - far[:, 1] + 50).all()  # redder
     low, high = colours[corners[:, 1] == 0], colours[corners[:, 1] == 1]
     assert (grey(high) > grey(low) + 40).all()
 
@@ -81,6 +83,7 @@ def test_the_identity_gives_the_target_the_colours_of_the_source(tmp_path, as_cl
     )
     picture = page(tmp_path / "map.png")[20:]  # below the names
     hue = np.ptp(picture, axis=2) > 12
+    assert (np.diff(np.flatnonzero(hue.any(axis=1))) > 3).sum() == 1  # one side, and the other
     columns = np.flatnonzero(hue.any(axis=0))
     gap = columns[np.argmax(np.diff(columns))]
     left, right = picture[:, columns[0] : gap + 1], picture[:, gap + 1 :]
