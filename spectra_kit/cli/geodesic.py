@@ -7,19 +7,9 @@ from typing import cast
 import numpy as np
 
 from spectra_kit._validate import check_positive, quantity
+from spectra_kit.cli import geodesic_setup as setup
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.geodesic_compare import Compared, clock_note, compare_solvers, comparison_table
-from spectra_kit.cli.geodesic_setup import (
-    Source,
-    check_named,
-    check_solver,
-    coarse_spectrum,
-    linear_solver,
-    named_sources,
-    number_of_modes,
-    why_without_modes,
-    with_farthest,
-)
 from spectra_kit.cli.inputs import load
 from spectra_kit.cli.output import as_json, check_folder, drawing, tell, together
 from spectra_kit.cli.progress import step
@@ -50,23 +40,23 @@ def geodesic_distances(asked: program.Geodesic) -> None:
         raise InvalidInputError(
             f"--compare is for --heat-boundary neumann, got {asked.heat_boundary}; leave one out"
         )
-    check_solver(asked)
-    farthest = check_named(asked)
+    setup.check_solver(asked)
+    farthest = setup.check_named(asked)
     pictures = () if asked.no_pictures else _PICTURES if asked.compare else _PICTURES[:1]
     check_folder(folder, _NUMBERS + pictures, _NUMBERS + _PICTURES, asked.inputs)
 
     geometry, numbers = load(asked.file, asked)
-    sources = named_sources(asked, geometry, numbers)
+    sources = setup.named_sources(asked, geometry, numbers)
     check_sources(sources or [0], geometry)
     with step(f"triangulating {geometry.n:,} points"):
         triangulation = intrinsic_delaunay(geometry)
-    modes = number_of_modes(asked, triangulation.laplacian, usual=Iterative().modes)
-    solver = linear_solver(asked, farthest + 1, modes)
-    unused = why_without_modes(asked, solver, geometry.n)
+    modes = setup.number_of_modes(asked, triangulation.laplacian, usual=Iterative().modes)
+    solver = setup.linear_solver(asked, farthest + 1, modes)
+    unused = setup.why_without_modes(asked, solver, geometry.n)
     # Modes of a file cost nothing, and are checked.
     spectrum = None
     if asked.spectrum or not unused:
-        spectrum = coarse_spectrum(asked, triangulation.laplacian, modes)
+        spectrum = setup.coarse_spectrum(asked, triangulation.laplacian, modes)
     with step("preparing the solver"):
         geodesics = HeatGeodesics(
             triangulation,
@@ -76,7 +66,7 @@ def geodesic_distances(asked: program.Geodesic) -> None:
             boundary=asked.heat_boundary,
         )
     with step("looking for the farthest points"):
-        sources = with_farthest(
+        sources = setup.with_farthest(
             sources,
             farthest,
             lambda few: geodesics.distance(check_sources(few, geometry)).distance,
@@ -116,7 +106,7 @@ def _record(
     asked: program.Geodesic,
     geometry: Geometry,
     triangulation: IntrinsicTriangulation,
-    sources: list[Source],
+    sources: list[setup.Source],
     spectrum: Spectrum | None,
     field: DistanceField,
 ) -> tables.Record:
@@ -174,7 +164,7 @@ def _facts(record: tables.Record) -> dict[str, object]:
 def _draw(
     asked: program.Geodesic,
     geometry: Geometry,
-    sources: list[Source],
+    sources: list[setup.Source],
     field: DistanceField,
     compared: list[Compared],
 ) -> None:

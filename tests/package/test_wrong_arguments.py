@@ -554,6 +554,10 @@ def test_wrong_arguments_are_refused_by_name(name):
             " `spectrum`?",
         ),
         (
+            lambda e: sk.match(e["mesh"], e["mesh"]),
+            "`source` must be a Prepared or Spectrum, got a TriangleMesh; pass prepare\\(spectrum",
+        ),
+        (
             lambda e: sk.eigensolve(e["laplacian"], 5, sk.Dense),
             "`solver` must be an Eigensolver, got the class Dense; pass an instance of it",
         ),
