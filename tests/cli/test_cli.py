@@ -86,6 +86,7 @@ def test_bad_predictions_are_announced(files, capsys):
         f" {worst} by {change:+,.0f} %"
     )
     assert f"verdict: {result['verdict']}\n" in compared
+    assert re.search(rf"^ *{worst}\*? .* {re.escape(f'{change:+.2g}')} %", compared, re.M)
 
 
 def test_a_span_is_that_of_functions_that_were_used():
@@ -196,6 +197,9 @@ def test_options_reach_the_solvers_that_take_them():
         "poses": {"neo"},
     }
     values = {"rtol": "1e-4", "start": "random", "device": "cpu:0", "poses": "2"}
+    seeded = parse(["spectrum", "a", "--seed", "7"])
+    assert "seed=7" in repr(solving.make_solver("lobpcg", seeded, 4))
+    assert "seed=7" in repr(solving.make_solver("fourier", seeded, 4))
     shown = ("rtol=0.0001", "RandomBasis(", "device='cpu:0'", "poses=2")
     for solver in SOLVERS:
         for (option, value), text in zip(values.items(), shown, strict=True):

@@ -309,25 +309,16 @@ def test_names_of_files_may_be_any_bytes(
     assert title in Path(output.partition("=")[2]).read_text(encoding="utf-8")
 
 
-def open_again(results):
-    return together(results, report="report.json", replacing=["picture.png"])
+def write_result(results, run):
+    with together(results, report="report.json", replacing=["picture.png"]) as part:
+        for name in ("report.json", "a.npy", "z.npy"):  # wherever it stands in the alphabet
+            (part / name).write_text(run)
+        if run == "interrupted":
+            raise KeyboardInterrupt
 
 
-def test_files_of_a_folder_appear_together_or_not_at_all(tmp_path):
-    results = tmp_path / "results"
-    with together(results, report="report.json", replacing=()) as part:
-        (part / "numbers.txt").write_text("old")
-        assert not results.exists()
-    (results / "picture.png").write_text("of the old numbers")
-    with pytest.raises(KeyboardInterrupt), open_again(results) as part:
-        raise (part / "numbers.txt").write_text("new") and KeyboardInterrupt
-    assert (results / "numbers.txt").read_text() == "old"
-    assert sorted(os.listdir(results)) == ["numbers.txt", "picture.png"]
-    with open_again(results) as part:
-        (part / "numbers.txt").write_text("new")
-    assert (results / "numbers.txt").read_text() == "new"
-    assert os.listdir(results) == ["numbers.txt"]
-    assert os.listdir(tmp_path) == ["results"]
+def files_of(results):
+    return {path.name: path.read_text() for path in results.iterdir()}
 
 
 @pytest.mark.parametrize("renames", [0, 1, 2])
@@ -335,41 +326,34 @@ def test_a_report_never_stands_beside_numbers_of_another_run(tmp_path, monkeypat
     """Whatever rename is the last before the power fails; signals wait until all are done."""
     results, real, done = tmp_path / "results", os.replace, []
 
-    def write_result(run):
-        with together(results, report="report.json", replacing=["picture.png"]) as part:
-            for name in ("report.json", "a.npy", "z.npy"):  # wherever it stands in the alphabet
-                (part / name).write_text(run)
-
     def fails(source, target):
         if len(done) == renames:
             raise OSError("the power fails")
         done.append(real(source, target))
 
-    write_result("old")
+    write_result(results, "old")
     (results / "picture.png").write_text("old")
-    monkeypatch.setattr(os, "replace", fails)
-    with pytest.raises(OSError, match="the power fails"):
-        write_result("new")
-    left = {path.name: path.read_text() for path in results.iterdir()}
-    assert "report.json" not in left
-    assert "picture.png" not in left
-    monkeypatch.setattr(os, "replace", real)
-    monkeypatch.setattr(Path, "mkdir", interrupting(Path.mkdir))
     with pytest.raises(KeyboardInterrupt):
-        write_result("newer")
-    assert {path.read_text() for path in results.iterdir()} == {"newer"}
-    assert len(os.listdir(results)) == 3
+        write_result(results, "interrupted")
+    assert set(files_of(results)) == {"report.json", "a.npy", "z.npy", "picture.png"}
+    assert set(files_of(results).values()) == {"old"}
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", fails)
+        with pytest.raises(OSError, match="the power fails"):
+            write_result(results, "new")
+    assert not {"report.json", "picture.png"} & set(files_of(results))
+    real_mkdir = Path.mkdir
 
-
-def interrupting(function):
-    """Return `function`, with a Ctrl-C as it is called for the folder of the results."""
-
-    def wrapped(path, *arguments, **options):
+    def interrupted(path, *arguments, **options):
         if path.name == "results":
             signal.raise_signal(signal.SIGINT)
-        return function(path, *arguments, **options)
+        return real_mkdir(path, *arguments, **options)
 
-    return wrapped
+    monkeypatch.setattr(Path, "mkdir", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_result(results, "newer")
+    assert files_of(results) == dict.fromkeys(("report.json", "a.npy", "z.npy"), "newer")
+    assert os.listdir(tmp_path) == ["results"]
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
@@ -380,27 +364,24 @@ def test_a_folder_with_a_pipe_in_place_of_an_output_is_refused(tmp_path):
 
 
 def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_path):
-    ball, saved = folder / "ball.off", tmp_path / "ball.npz"
-    mesh = sphere(subdivisions=2).geometry
+    ball, saved, other = folder / "ball.off", tmp_path / "ball.npz", tmp_path / "other.off"
+    mesh, page = sphere(subdivisions=2).geometry, tmp_path / "page.html"
     eigensolve(robust_laplacian(mesh), 6).save(saved)
-    page = tmp_path / "page.html"
     command = ("--spectrum", saved, "--solver", "none", "-o", page)
-    assert main(["explore", str(ball), *map(str, command), "-k", "5"]) == 0
-    assert "5 modes on all 162 points" in capsys.readouterr().out
+    out, _ = printed(capsys, "explore", ball, *command, "-k", "5")
+    assert "5 modes on all 162 points" in out
     page.unlink()
-    other = tmp_path / "other.off"
-    write(creature(500), other)
-    message = refusal(capsys, "explore", other, *command)
-    assert f"{saved} holds modes of something else: `laplacian` must live on the 162" in message
-    bent = TriangleMesh(mesh.points * [1, 1, 1.01], mesh.faces)
-    write(bent, other)
-    assert "holds modes of something else" in refusal(capsys, "explore", other, *command)
-    knn = ("explore", ball, *command, "--operator", "knn")
-    assert "holds modes of something else" in refusal(capsys, *knn)
-    assert "leave --spectrum out" in refusal(capsys, *knn)
-    swapped = TriangleMesh(mesh.points[::-1], 161 - mesh.faces)  # the same, in another order
-    write(swapped, other)
-    assert "holds modes of something else" in refusal(capsys, "explore", other, *command)
+    something_else = f"{saved} holds modes of something else"
+    for wrong in (
+        creature(500),
+        TriangleMesh(mesh.points * [1, 1, 1.01], mesh.faces),
+        TriangleMesh(mesh.points[::-1], 161 - mesh.faces),  # the same, in another order
+    ):
+        write(wrong, other)
+        assert something_else in refusal(capsys, "explore", other, *command)
+    knn = refusal(capsys, "explore", ball, *command, "--operator", "knn")
+    assert something_else in knn
+    assert "leave --spectrum out" in knn
     assert not page.exists()
     assert "there is no such file" in refusal(
         capsys, "modes", ball, "--spectrum", tmp_path / "none.npz"

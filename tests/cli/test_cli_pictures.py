@@ -15,6 +15,7 @@ from spectra_kit import (
     Spectrum,
     eigensolve,
     robust_laplacian,
+    viz,
 )
 from spectra_kit.catalogue import SOLVERS
 from spectra_kit.cli.compare import is_exact, reference_name
@@ -67,6 +68,20 @@ def test_as_many_modes_are_solved_for_as_are_shown(folder, capsys):
     told = record(capsys, *command, *DRAWN)
     assert len(told["eigenvalues"]) == 4
     assert Path("modes.svg").read_text().startswith("<?xml")
+
+
+@pytest.mark.parametrize(
+    ("command", "plot"), [("modes", "plot_modes"), ("animate", "animate_modes")]
+)
+def test_what_is_asked_of_a_picture_reaches_it(folder, capsys, monkeypatch, command, plot):
+    asked = []
+    monkeypatch.setattr(viz, plot, lambda *_, **options: asked.append(options))
+    dpi = ("--dpi", 50) if command == "modes" else ()
+    files = (folder / "animal.ply", "--spectrum", folder / "animal.npz")
+    record(capsys, command, *files, "--up", "y", "--turn", 30, *dpi, "-q")
+    assert asked[0]["view"] == viz.View("y", 30.0)
+    assert asked[0]["modes"] == tuple(range(1, 9 if command == "modes" else 7))
+    assert not dpi or asked[0]["page"].dpi == 50
 
 
 def test_an_animation_swings(folder, capsys):

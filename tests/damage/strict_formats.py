@@ -206,31 +206,6 @@ def _ply_numbers(body: bytes, form: str | None):
     yield body[place:]
 
 
-def stl(data: bytes) -> Shape:
-    """The corners of the facets, not joined."""
-    if len(data) >= 84 and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
-        floats = [struct.unpack_from("<12x9f", data, i) for i in range(84, len(data), 50)]
-        corners = three(np.reshape(floats, (-1, 3)))
-    else:
-        text = data.decode("latin-1").lower()
-        solid = r"\s*solid\b[^\n]*\n(.*?)\n[ \t]*endsolid\b[^\n]*(?=\n|\Z)"
-        if not (found := re.findall(solid, text, re.DOTALL)) or re.sub(
-            solid, "", text, flags=re.DOTALL
-        ).strip(WHITE.decode()):
-            raise ValueError("solids")
-        vertex = 3 * r"\s+vertex\s+(\S+)\s+(\S+)\s+(\S+)"
-        facet = (
-            r"facet\s+normal\s+\S+\s+\S+\s+\S+\s+outer\s+loop" + vertex + r"\s+endloop\s+endfacet"
-        )
-        rows: list[tuple[str, ...]] = []
-        for inside in found:
-            rows += re.findall(rf"(?<!\S){facet}(?!\S)", inside)
-            if re.sub(rf"(?<!\S){facet}(?!\S)", "", inside).strip(WHITE.decode()):
-                raise ValueError("rest")
-        corners = three(np.reshape([[number(w.encode()) for w in row] for row in rows], (-1, 3)))
-    return corners, np.arange(len(corners)).reshape(-1, 3)
-
-
 def npy(data: bytes) -> Shape:
     return three(np.load(io.BytesIO(data))), None
 
@@ -244,7 +219,6 @@ PARSERS: dict[str, Callable[[bytes], Shape]] = {
     ".obj": obj,
     ".off": off,
     ".ply": ply,
-    ".stl": stl,
     ".xyz": xyz,
     ".npy": npy,
     ".npz": npz,
