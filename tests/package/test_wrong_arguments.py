@@ -555,7 +555,7 @@ def test_wrong_arguments_are_refused_by_name(name):
         ),
         (
             lambda e: sk.match(e["mesh"], e["mesh"]),
-            "`source` must be a Prepared or Spectrum, got a TriangleMesh; pass prepare\\(spectrum",
+            "`source` must be a Prepared or Spectrum, got a TriangleMesh; pass prepare(spectrum",
         ),
         (
             lambda e: sk.eigensolve(e["laplacian"], 5, sk.Dense),
