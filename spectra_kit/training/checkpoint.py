@@ -13,6 +13,9 @@ from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError
 
 NAME = "checkpoint.pt"
+# Optimiser states stand in the order of the network's parameters; where that, or what a checkpoint
+# holds, changes, this does, and older ones are refused.
+_FORMAT = b"spectra_kit checkpoint 2"
 _DIGEST = hashlib.sha256().digest_size
 
 
@@ -37,16 +40,20 @@ def read(folder: Path) -> dict[str, Any] | None:
 
 
 def packed(content: dict[str, Any]) -> bytes:
-    """Return the bytes of a checkpoint: as PyTorch writes it, then the sha256 of that."""
+    """Return the bytes of a checkpoint: as PyTorch writes it, then a sha256 of that."""
     buffer = io.BytesIO()
     torch.save(content, buffer)
-    return buffer.getvalue() + hashlib.sha256(buffer.getbuffer()).digest()
+    return buffer.getvalue() + _digest(buffer.getvalue())
+
+
+def _digest(body: bytes) -> bytes:
+    return hashlib.sha256(_FORMAT + body).digest()
 
 
 def unpacked(data: bytes, path: Path, remedy: str) -> dict[str, Any]:
     """Return the content of a checkpoint; PyTorch, which compares no checksum, sees whole ones."""
     body, digest = data[:-_DIGEST], data[-_DIGEST:]
-    if hashlib.sha256(body).digest() != digest:
+    if _digest(body) != digest:
         raise InvalidInputError(
             f"{path} must end in the sha256 of its {len(body)} bytes, and does not: it was"
             " damaged, or written by an older version",
