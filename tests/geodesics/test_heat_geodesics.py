@@ -136,6 +136,9 @@ def test_modes_save_iterations_and_wrong_ones_do_no_harm(animal, modes) -> None:
     shuffled = np.random.default_rng(0).permutation(animal.n)
     iterations(sk.Spectrum(modes.eigenvalues, modes.eigenvectors[shuffled], modes.mass))
     iterations(sk.eigensolve(sk.knn_laplacian(animal), 30))
+    # Energies that are not the modes' own are seen, and computed anew.
+    wrong = sk.Spectrum(1000 * modes.eigenvalues, modes.eigenvectors, modes.mass)
+    assert iterations(wrong, coarse="additive", **PAPER) <= plain / 2
 
 
 # --- invariances --------------------------------------------------------------------------------
