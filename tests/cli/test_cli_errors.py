@@ -422,7 +422,11 @@ def test_a_process_killed_while_drawing_has_printed_its_numbers(folder, tmp_path
     )
     command = ("spectrum", folder / "ball.off", "-k", "4", "--picture", tmp_path / "x.png")
     process = subprocess.run(
-        [sys.executable, "-c", script, *command], capture_output=True, text=True, check=False
+        [sys.executable, "-c", script, *command],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONUNBUFFERED": ""},
     )
     assert process.returncode == 9
     assert "largest relative residual" in process.stdout

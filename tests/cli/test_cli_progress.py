@@ -81,7 +81,8 @@ def test_a_step_that_is_short_or_fails_leaves_nothing(terminal, error):
 
 
 def test_a_line_that_is_interrupted_as_it_is_made_is_cleared(terminal, monkeypatch):
-    def interrupted(_):
+    def interrupted(bar):
+        bar.disable = True  # so that tqdm does not clear it when it is garbage
         raise KeyboardInterrupt
 
     monkeypatch.setattr("tqdm.tqdm.__enter__", interrupted)
