@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -83,24 +82,45 @@ def tell_with_picture(
     draw: Callable[[Path], object],
     kept: str = "the numbers are whole",
 ) -> None:
-    """Draw where that was asked for, and write the result, also where the drawing ends early."""
+    """Write the result, and draw where that was asked for.
+
+    Text comes first: what ends the drawing early does not cost the numbers. JSON tells whether
+    there is a picture, and comes after it, also where it ends early.
+    """
     drawn = None
+    if not asked.json:
+        tell(asked, record, *blocks)
+        sys.stdout.flush()
     try:
         if picture:
             with drawing([picture], kept=kept):
                 draw(picture)
             drawn = str(picture)
     finally:
-        shown = [f"picture: {drawn}"] if drawn else []
-        tell(asked, {**record, "picture": drawn}, *blocks, *shown)
+        if asked.json:
+            tell(asked, {**record, "picture": drawn})
+    if drawn and not asked.json:
+        sys.stdout.write(f"\npicture: {drawn}\n")
 
 
 def as_json(record: Mapping[str, object]) -> str:
     """Return JSON in which an array of numbers is one line; it knows no NaN: null stands for it."""
-    text = json.dumps(_plain(record), indent=2, allow_nan=False, separators=(", ", ": "))
-    # No string holds the end of a line: what begins with one is a list.
-    text = re.sub(r"\[\n[^][{}]*?\n *\]", lambda found: re.sub(r"\n *", "", found[0]), text)
-    return text.replace(", \n", ",\n") + "\n"
+    return _indented(_plain(record), "") + "\n"
+
+
+def _indented(value: object, margin: str) -> str:
+    """Objects line by line, and lists of objects; whatever else on one line."""
+    inner = margin + "  "
+    if isinstance(value, dict) and value:
+        parts = [f"{json.dumps(key)}: {_indented(item, inner)}" for key, item in value.items()]
+        opening, closing = "{}"
+    elif isinstance(value, list) and any(isinstance(item, dict) for item in value):
+        parts = [_indented(item, inner) for item in value]
+        opening, closing = "[]"
+    else:
+        return json.dumps(value, allow_nan=False)
+    lines = ",\n".join(inner + part for part in parts)
+    return f"{opening}\n{lines}\n{margin}{closing}"
 
 
 def _plain(value: object) -> object:

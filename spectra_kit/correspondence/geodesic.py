@@ -7,7 +7,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
-from scipy.sparse.csgraph import dijkstra
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
@@ -15,9 +14,6 @@ from spectra_kit._validate import check_indices
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geodesics import exact_distances
 from spectra_kit.geometry import TriangleMesh
-
-_HELD = 2**22  # distances at a time: 32 MB
-_REACHES = (4, 16, 64, np.inf)  # mean edges
 
 
 @checked
@@ -116,17 +112,17 @@ def edge_graph(mesh: TriangleMesh) -> sparse.csr_array:
 
 
 def _along_edges(mesh: TriangleMesh, a: Ints, b: Ints) -> Floats:
-    """Shortest paths; searches reach ever further, until they have found all that can be found."""
+    from spectra_kit.correspondence._kernels import shortest_paths  # numba is slow to import
+
     graph = edge_graph(mesh)
-    found, left = np.full(len(a), np.inf), np.argsort(a, kind="stable")
-    some = max(1, _HELD // mesh.n)
-    for reach in _REACHES:
-        limit = reach * graph.data.mean() if graph.nnz else np.inf
-        for pairs in (left[i : i + some] for i in range(0, len(left), some)):
-            starts, row = np.unique(a[pairs], return_inverse=True)
-            found[pairs] = dijkstra(graph, indices=starts, limit=limit)[row, b[pairs]]
-        left = left[np.isinf(found[left])]
-    return found
+    order = np.argsort(a, kind="stable")
+    starts, first = np.unique(a[order], return_index=True)
+    found = np.full(len(a), np.inf)
+    first = np.append(first, len(a))
+    shortest_paths(graph.indptr, graph.indices, graph.data, starts, first, b[order], found)
+    distances = np.empty_like(found)
+    distances[order] = found
+    return distances
 
 
 def _exact(mesh: TriangleMesh, a: Ints, b: Ints) -> Floats:

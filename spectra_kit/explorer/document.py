@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import gzip
 import hashlib
 import html
 import json
@@ -15,7 +14,7 @@ from typing import Any
 
 def assembled(facts: dict[str, Any], blocks: dict[str, str]) -> str:
     """The template with everything in its place."""
-    script = _asset("explorer.js.gz").replace("</script", "<\\/script")
+    script = _asset("explorer.js").replace("</script", "<\\/script")
     digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
     # Inside <script> only "<" could end the block; JSON may write it as an escape.
     record = json.dumps(facts, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
@@ -37,5 +36,4 @@ def assembled(facts: dict[str, Any], blocks: dict[str, str]) -> str:
 
 @cache
 def _asset(name: str) -> str:
-    content = (resources.files("spectra_kit.explorer") / "assets" / name).read_bytes()
-    return (gzip.decompress(content) if name.endswith(".gz") else content).decode("utf-8")
+    return (resources.files("spectra_kit.explorer") / "assets" / name).read_text("utf-8")

@@ -16,7 +16,7 @@ from running import printed, refusal
 
 from spectra_kit import Lobpcg, eigensolve, robust_laplacian
 from spectra_kit.cli import info, main
-from spectra_kit.cli.output import check_folder, together
+from spectra_kit.cli.output import as_json, check_folder, together
 from spectra_kit.cli.program import COMMANDS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry import PointCloud, TriangleMesh, sphere, write
@@ -413,6 +413,42 @@ def test_a_drawing_that_fails_keeps_the_numbers(
             assert "largest relative residual" in out
             assert "picture" not in out
     assert os.listdir() == []
+
+
+def test_a_process_killed_while_drawing_has_printed_its_numbers(folder, tmp_path):
+    script = (
+        "import os, sys; from spectra_kit import cli, viz;"
+        "viz.plot_spectrum = lambda *_, **__: os._exit(9); cli.main(sys.argv[1:])"
+    )
+    command = ("spectrum", folder / "ball.off", "-k", "4", "--picture", tmp_path / "x.png")
+    process = subprocess.run(
+        [sys.executable, "-c", script, *command], capture_output=True, text=True, check=False
+    )
+    assert process.returncode == 9
+    assert "largest relative residual" in process.stdout
+
+
+def test_json_is_objects_line_by_line_and_lists_of_anything_else_on_one():
+    record = {
+        "words": ["a[0, 1]", "b\n  {c}", 'd "e", ['],
+        "rows": np.array([[0.5, np.nan], [2.0, 3.0]]),
+        "parts": [{"path": Path("x.png"), "none": []}, 1],
+        "empty": {},
+    }
+    assert as_json(record).splitlines() == [
+        "{",
+        r"""  "words": ["a[0, 1]", "b\n  {c}", "d \"e\", ["],""",
+        """  "rows": [[0.5, null], [2.0, 3.0]],""",
+        """  "parts": [""",
+        "    {",
+        """      "path": "x.png",""",
+        """      "none": []""",
+        "    },",
+        "    1",
+        "  ],",
+        """  "empty": {}""",
+        "}",
+    ]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="there is no Ctrl-C for a process alone here")

@@ -52,6 +52,17 @@ def test_edge_distances_are_shortest_paths_near_and_far():
     assert geodesic_distances(mesh, a[:0], b[:0]).shape == (0,)
 
 
+def test_edges_lead_to_the_end_of_a_long_strip():
+    n = 300
+    x = np.repeat(np.arange(n + 1.0), 2)
+    points = np.column_stack([x, np.tile([0.0, 1.0], n + 1), 0 * x])
+    corner = 2 * np.arange(n)[:, None]
+    strip = TriangleMesh(points, np.vstack([corner + [0, 2, 3], corner + [0, 3, 1]]))
+    found = geodesic_distances(strip, np.zeros(strip.n, int), np.arange(strip.n))
+    assert found[::2] == pytest.approx(x[::2])
+    assert found[3::2] == pytest.approx(x[3::2] - 1 + np.sqrt(2))  # one diagonal on the way
+
+
 @pytest.mark.parametrize("method", ["edges", "exact"])
 def test_no_way_leads_to_another_component(method):
     mesh = two_parts()

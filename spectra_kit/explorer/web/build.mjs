@@ -1,9 +1,8 @@
-// Bundles src/ and three.js into ../assets/explorer.js.gz, which is committed: users need no Node.
+// Bundles src/ and three.js into ../assets/explorer.js, which is committed: users need no Node.
 // The second line of the bundle names the sources it was made from; a Python test compares.
 
 import { createHash } from "node:crypto";
-import { readFileSync, readdirSync, writeFileSync } from "node:fs";
-import { gzipSync } from "node:zlib";
+import { readFileSync, readdirSync } from "node:fs";
 import { build } from "esbuild";
 
 const here = new URL("./", import.meta.url);
@@ -16,10 +15,10 @@ const hash = createHash("sha256");
 for (const name of sources) hash.update(readFileSync(new URL(name, here)));
 
 const licence = readFileSync(new URL("node_modules/three/LICENSE", here), "utf8").trim();
-const { outputFiles } = await build({
+await build({
   absWorkingDir: here.pathname,
   entryPoints: ["src/main.js"],
-  write: false,
+  outfile: "../assets/explorer.js",
   bundle: true,
   minify: true,
   format: "iife",
@@ -30,4 +29,3 @@ const { outputFiles } = await build({
     js: `/* Built from spectra_kit/explorer/web: do not edit.\nsources sha256: ${hash.digest("hex")}\n\nContains three.js (https://threejs.org):\n\n${licence}\n*/`,
   },
 });
-writeFileSync(new URL("../assets/explorer.js.gz", here), gzipSync(outputFiles[0].contents, { level: 9 }));
