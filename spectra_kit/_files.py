@@ -152,9 +152,19 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
 # What parsers of JSON, npz, npy and zip raise of damaged bytes; RecursionError and
 # NotImplementedError are RuntimeErrors, UnicodeDecodeError and JSONDecodeError are ValueErrors.
 _DAMAGE = (
-    *(ArithmeticError, AttributeError, EOFError, LookupError, RuntimeError, TypeError, ValueError),
-    *(lzma.LZMAError, pickle.UnpicklingError, struct.error, zipfile.BadZipFile, zlib.error),
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    lzma.LZMAError,
+    pickle.UnpicklingError,
+    struct.error,
     tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
 )
 
 

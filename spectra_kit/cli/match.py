@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from spectra_kit._types import Ints
-from spectra_kit._validate import check_count, check_indices
+from spectra_kit._validate import check_indices
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.inputs import assemble, load
 from spectra_kit.cli.options import DEMO
@@ -58,7 +58,10 @@ def match_shapes(asked: program.Match) -> None:
             "--landmarks and --truth number the points of the files, which --repair and --cloud"
             " change; repair or sample first, and match what came out"
         )
-    check_count("-k", asked.k, low=LOWEST_K)
+    if asked.k < LOWEST_K:
+        raise InvalidInputError(
+            "-k", f"be at least {LOWEST_K}", asked.k, advice="solve for more (150 match best)"
+        )
     check_solvers(asked, asked.solver)
     # Where the maps number other points than those of files that exist, these are written too.
     sides = _SIDES if renumbered or DEMO in (asked.source, asked.target) else ()

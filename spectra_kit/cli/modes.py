@@ -127,7 +127,7 @@ def animate(asked: program.Animate) -> None:
 
 
 def _to_show(
-    asked: program.Shown, suffixes: tuple[str, ...], usual: int
+    asked: program.Modes | program.Animate, suffixes: tuple[str, ...], usual: int
 ) -> tuple[Geometry, Laplacian, Spectrum, tuple[int, ...]]:
     """Return modes, and which to show: those asked for, else the first that are not constant."""
     check_output(asked.output, suffixes, asked.inputs)
@@ -151,7 +151,7 @@ def _to_show(
 
 
 def _tell(
-    asked: program.Shown,
+    asked: program.Modes | program.Animate,
     what: str,
     geometry: Geometry,
     laplacian: Laplacian,

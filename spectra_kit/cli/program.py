@@ -58,8 +58,6 @@ class Shown(OnOne, options.Spared, options.Turned):
     k: Count | None = None
     """number of modes (default: as many as are shown)"""
     solver: SolverName = "arpack"
-    output: Output = Path("modes.png")
-    modes: Indices | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -70,10 +70,13 @@ def _line(text: str, **options: Any) -> Iterator[Any]:
     # Some terminals do not know their size: theirs would be shown nothing.
     width = (os.get_terminal_size(sys.stderr.fileno()).columns or 80) - 1
     size = {"ncols": width, "nrows": 24}
-    # It is shown when it is sure to be cleared: once the block has begun.
-    late = {"delay": 1e-9, "leave": False, "file": sys.stderr}
-    with tqdm(desc=text[: width - 10], **size, **late, **options) as bar:
-        yield bar
+    try:
+        with tqdm(desc=text[: width - 10], leave=False, file=sys.stderr, **size, **options) as bar:
+            yield bar
+    except BaseException:
+        # Interrupted just as it is made, a line is shown and never closed.
+        sys.stderr.write(f"\r{'':{width}}\r")
+        raise
     if (seconds := time.perf_counter() - start) >= _LONG:
         sys.stderr.write(f"{text}: done in {seconds:.1f} s\n")
 

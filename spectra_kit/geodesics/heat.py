@@ -347,7 +347,7 @@ def _from_sources(potential: Floats, sources: Sources, labels: Ints) -> Floats:
 def _cold() -> InvalidInputError:
     return InvalidInputError(
         "sources",
-        "leave the boundary of their component, which boundary='dirichlet' keeps cold",
+        "not all lie on the boundary of their component, which boundary='dirichlet' keeps cold",
         advice="use 'neumann' or 'average'",
     )
 

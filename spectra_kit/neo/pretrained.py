@@ -100,15 +100,9 @@ def load_pretrained(name_or_path: str | os.PathLike[str], device: str = "cpu") -
             advice="reinstall spectra_kit",
         )
     config, record, tensors = _unpacked(path, data)
-    for name, tensor in tensors.items():
-        if not (tensor.is_floating_point() and tensor.isfinite().all()):
-            raise WeightsError(f"{path} must hold finite floats, its tensor {name!r} does not")
     network = build_network(config)
-    try:
-        network.load_state_dict(tensors)  # into float32, whatever the precision on disk
-    except RuntimeError as error:
-        told = " ".join(str(error).split())
-        raise WeightsError(f"{path} must hold the tensors of its configuration: {told}") from error
+    _check_tensors(path, network, tensors)
+    network.load_state_dict(tensors)  # into float32, whatever the precision on disk
     network.requires_grad_(False).eval().to(place)
     return Pretrained(network, config, os.fspath(name_or_path), digest, record)
 
@@ -223,4 +217,25 @@ def find_weights(name_or_path: str | os.PathLike[str]) -> WeightsFile:
         )
     if not path.is_file():
         raise WeightsError(f"the weights file {path} does not exist", advice="check the path")
-    return WeightsFile(path, hashlib.sha256(path.read_bytes()).hexdigest())
+    return WeightsFile(path, _sha256(path))
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _check_tensors(path: Path, network: NeoNetwork, tensors: dict[str, torch.Tensor]) -> None:
+    ours = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+    theirs = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    if wrong := sorted(
+        name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name)
+    ):
+        raise WeightsError(
+            f"{path} must hold the tensors of its configuration, {len(wrong)} do not fit, the"
+            f" first is {wrong[0]!r}: expected shape {ours.get(wrong[0])}, got"
+            f" {theirs.get(wrong[0])}"
+        )
+    for name, tensor in tensors.items():
+        if not (tensor.is_floating_point() and tensor.isfinite().all()):
+            raise WeightsError(f"{path} must hold finite floats, its tensor {name!r} does not")

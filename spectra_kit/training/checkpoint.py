@@ -1,13 +1,15 @@
-"""Checkpoints: written whole, and read only as they were written."""
+"""Checkpoints: written whole, beside the loop, and read only as they were written."""
 
 from __future__ import annotations
 
 import hashlib
 import io
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import torch
+from torch import Tensor
 
 from spectra_kit._files import atomic_path
 from spectra_kit.errors import InvalidInputError
@@ -17,6 +19,35 @@ NAME = "checkpoint.pt"
 # holds, changes, this does, and older ones are refused.
 _FORMAT = b"spectra_kit checkpoint 2"
 _DIGEST = hashlib.sha256().digest_size
+
+
+class Writer:
+    """Writes checkpoints into a folder from a thread, one at a time; leaving waits for the last."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._thread = ThreadPoolExecutor(1)
+        self._last: Future[None] | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        self._thread.shutdown()
+        if self._last is not None and error is None:
+            self._last.result()
+
+    @property
+    def busy(self) -> bool:
+        """Whether the last checkpoint is still on its way to the disk."""
+        return self._last is not None and not self._last.done()
+
+    def write(self, content: dict[str, Any]) -> None:
+        """Copy the tensors of `content` now, and write them meanwhile."""
+        if self._last is not None:
+            self._last.result()  # an error of the last write must not pass unseen
+        snapshot = _copied(content)
+        self._last = self._thread.submit(write, self._folder, snapshot)
 
 
 def write(folder: Path, content: dict[str, Any]) -> None:
@@ -60,4 +91,15 @@ def unpacked(data: bytes, path: Path, remedy: str) -> dict[str, Any]:
             advice=remedy,
         )
     content: dict[str, Any] = torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
+    return content
+
+
+def _copied(content: Any) -> Any:
+    """Return nested dicts, lists and tuples with a copy of every tensor, on the CPU."""
+    if isinstance(content, Tensor):
+        return content.detach().to("cpu", copy=True)
+    if isinstance(content, dict):
+        return {key: _copied(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return type(content)(map(_copied, content))
     return content

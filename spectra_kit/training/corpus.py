@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from threadpoolctl import threadpool_limits
 
 from spectra_kit._files import atomic_path, parsing
 from spectra_kit._validate import check_count
@@ -33,6 +32,7 @@ from spectra_kit.training.shards import open_shards, write_shard
 
 __all__ = ["CorpusConfig", "CorpusReport", "Sample", "WorkerError", "generate", "make_sample"]
 
+_THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _AHEAD = 3  # samples in work or done but not fetched, for each worker
 
 
@@ -221,7 +221,8 @@ def produced(
     )
     try:
         first = islice(todo, _AHEAD * workers)
-        ahead = deque(executor.submit(packed_sample, config, i) for i in first)
+        with _one_thread():  # all processes start here, and read this
+            ahead = deque(executor.submit(packed_sample, config, i) for i in first)
         yield _in_order(executor, config, ahead, todo)
     finally:
         executor.shutdown(cancel_futures=True)
@@ -256,9 +257,22 @@ def packed_sample(config: CorpusConfig, index: int) -> Sample:
     )
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Have processes that start in this block load their libraries for one thread."""
+    before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
+    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
+
+
 def _begin_worker() -> None:
-    """Take one thread, leave Ctrl-C to the parent, and end with it, even when it is killed."""
-    threadpool_limits(1)
+    """Leave Ctrl-C to the parent, and end with it, even when it is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None

@@ -1,8 +1,10 @@
-"""The way of samples to the device: posed when they are first shown, and kept where they fit."""
+"""The way of samples to the device: posed one step ahead, and kept there where they fit."""
 
 from __future__ import annotations
 
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple, Self
 
 import numpy as np
 import torch
@@ -18,10 +20,20 @@ _REFRESH = 1.0  # seconds between looks at a stream
 _ROOM = 0.5  # share of an accelerator's free memory that samples may fill
 
 
+class _Ahead(NamedTuple):
+    """What is on its way for a step."""
+
+    step: int
+    keys: list[int]  # of the samples that the step shows
+    new: list[int]  # of those that are read
+    reading: Future[Tensors | None]
+
+
 class Feed:
     """Batches of a run, each following from (seed, step) and the samples there are.
 
-    On an accelerator with room for all that there may be, samples stay in its memory, posed, in the
+    A thread reads and poses the samples of the next step while the device works on the last. On an
+    accelerator with room for all that there may be, they stay in its memory, posed, in the
     precisions of the shards, and a batch of them is drawn there without a transfer.
 
     Parameters
@@ -48,19 +60,37 @@ class Feed:
         resident: bool | None = None,
     ) -> None:
         self._source, self._config, self._device, self._share = source, config, device, share
-        self._kept: dict[int, Tensors] = {}  # by key
         self._look()
-        room = len(self._corpus) if isinstance(source, Corpus) else source.capacity
-        need = room * self._corpus.n_points * (3 * 4 + 4 + 2 * self._corpus.k)
-        fits = device.type == "cuda" and need < _ROOM * torch.cuda.mem_get_info(device)[0]
-        self._resident = fits if resident is None else resident
+        room = len(self._corpus)
+        if not isinstance(source, Corpus):
+            room = max(room, source.capacity)
+        n, k = self._corpus.n_points, self._corpus.k
+        if resident is None:
+            need = room * n * (3 * 4 + 4 + 2 * k)
+            resident = device.type == "cuda" and need < _ROOM * torch.cuda.mem_get_info(device)[0]
+        self._store = _Store(room, n, k, device) if resident else None
+        self._thread = ThreadPoolExecutor(1)
+        self._ahead: _Ahead | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._thread.shutdown(cancel_futures=True)
 
     def __call__(self, step: int) -> Tensors:
         """Return points (b, N, 3), mass (b, N) and modes (b, N, k) of this process's share."""
-        if not isinstance(self._source, Corpus) and time.monotonic() > self._looked + _REFRESH:
-            self._look()
-        chosen = chosen_samples(len(self._corpus), self._config, step)[self._share]
-        samples = self._recalled(chosen) if self._resident else self._read(chosen)
+        there = self._ahead if self._ahead and self._ahead.step == step else self._begin(step)
+        samples = there.reading.result()
+        if samples is not None:
+            points, mass, modes = (part.to(self._device, non_blocking=True) for part in samples)
+            samples = points, mass, modes
+        if self._store is not None:
+            if samples is not None:
+                self._store.add(there.new, samples)
+            samples = self._store.batch(there.keys)
+        assert samples is not None  # without a store, all are read
+        self._ahead = self._begin(step + 1)
         return vary(samples, self._config, step, self._share)
 
     def _look(self) -> None:
@@ -74,21 +104,56 @@ class Feed:
         # may be joined, the index is not unique.
         fixed = isinstance(self._source, Corpus)
         self._keys = np.arange(len(self._corpus)) if fixed else self._corpus.labels["index"]
-        there = set(self._keys.tolist())
-        self._kept = {key: sample for key, sample in self._kept.items() if key in there}
 
-    def _read(self, chosen: NDArray[np.int64]) -> Tensors:
-        points, mass, modes = posed(self._corpus.batch(chosen), self._config)
-        return points.to(self._device), mass.to(self._device), modes.to(self._device)
+    def _begin(self, step: int) -> _Ahead:
+        """Have the thread read what a step shows and the device does not hold."""
+        if not isinstance(self._source, Corpus) and time.monotonic() > self._looked + _REFRESH:
+            self._look()
+            if self._store is not None:
+                self._store.keep(self._keys)
+        chosen = chosen_samples(len(self._corpus), self._config, step)[self._share]
+        new = keys = self._keys[chosen].tolist()
+        if self._store is not None:
+            places = {k: i for k, i in zip(keys, chosen, strict=True) if k not in self._store.slots}
+            new, chosen = [*places], np.array([*places.values()], dtype=np.int64)
+        reading = self._thread.submit(self._read, self._corpus, chosen)
+        return _Ahead(step, keys, new, reading)
 
-    def _recalled(self, chosen: NDArray[np.int64]) -> Tensors:
-        """Return posed samples from the memory of the device, new ones after they came there."""
-        keys = self._keys[chosen].tolist()
-        places = {key: i for key, i in zip(keys, chosen, strict=True) if key not in self._kept}
-        if places:
-            fresh = self._read(np.array([*places.values()]))
-            for key, *sample in zip(places, *fresh, strict=True):
-                points, mass, modes = (part.clone() for part in sample)  # no view of all the fresh
-                self._kept[key] = points, mass, modes
-        points, mass, modes = map(torch.stack, zip(*(self._kept[key] for key in keys), strict=True))
+    def _read(self, corpus: Corpus, chosen: NDArray[np.int64]) -> Tensors | None:
+        if not len(chosen):
+            return None
+        points, mass, modes = posed(corpus.batch(chosen), self._config)
+        if self._device.type == "cuda":
+            return points.pin_memory(), mass.pin_memory(), modes.pin_memory()
+        return points, mass, modes
+
+
+class _Store:
+    """Room in the memory of a device for so many posed samples, each under its key."""
+
+    def __init__(self, room: int, n: int, k: int, device: torch.device) -> None:
+        self.parts = (
+            torch.empty(room, n, 3, device=device),
+            torch.empty(room, n, device=device),
+            torch.empty(room, n, k, dtype=torch.float16, device=device),
+        )
+        self.slots: dict[int, int] = {}  # key of a sample -> its place in the parts
+        self.free = list(range(room))
+
+    def keep(self, keys: NDArray[np.int64]) -> None:
+        """Make room: forget the samples of other keys than these."""
+        for key in self.slots.keys() - set(keys.tolist()):
+            self.free.append(self.slots.pop(key))
+
+    def add(self, keys: list[int], samples: Tensors) -> None:
+        """Take in samples under new keys."""
+        slots = [self.free.pop() for _ in keys]
+        self.slots |= zip(keys, slots, strict=True)
+        for part, values in zip(self.parts, samples, strict=True):
+            part[torch.tensor(slots)] = values
+
+    def batch(self, keys: list[int]) -> Tensors:
+        """Return the samples of these keys."""
+        slots = torch.tensor([self.slots[key] for key in keys], device=self.parts[0].device)
+        points, mass, modes = (part[slots] for part in self.parts)
         return points, mass, modes

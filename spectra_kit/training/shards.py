@@ -52,10 +52,15 @@ class Batch:
     def __post_init__(self) -> None:
         points, mass, modes = (array.shape for array in vars(self).values())
         if len(mass) != 2 or points != (*mass, 3) or len(modes) != 3 or modes[:2] != mass:
-            raise InvalidInputError(
-                "`points`, `mass` and `eigenvectors` must have shapes (s, n, 3), (s, n) and"
-                f" (s, n, k), got {points}, {mass} and {modes}"
-            )
+            raise _misshapen(self)
+
+
+def _misshapen(batch: Batch) -> InvalidInputError:
+    points, mass, modes = (array.shape for array in vars(batch).values())
+    return InvalidInputError(
+        "`points`, `mass` and `eigenvectors` must have shapes (s, n, 3), (s, n) and (s, n, k) with"
+        f" s >= 1, got {points}, {mass} and {modes}"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +165,7 @@ def write_shard(
     given = {"points": points, "mass": mass, "eigenvectors": eigenvectors}
     batch = Batch(**{name: np.asarray(given[name], dtype) for name, dtype in _DTYPES.items()})
     names = {name: np.asarray(values, dtype=np.int64) for name, values in labels.items()}
-    _check_values(Corpus((batch,), names))
+    _check_values(_shard(batch, names))
     path = Path(folder) / f"shard_{index:04d}"
     path.parent.mkdir(parents=True, exist_ok=True)
     with temporary_folder(path.parent) as temporary:
@@ -174,6 +179,13 @@ def write_shard(
                 f"shard {index} of {folder} exists", advice=f"delete {path} or take another index"
             ) from error
     return path
+
+
+def _shard(batch: Batch, labels: dict[str, NDArray[np.int64]]) -> Corpus:
+    """Return the samples of a shard, at least one; a stream may begin with none."""
+    if not len(batch.mass):
+        raise _misshapen(batch)
+    return Corpus((batch,), labels)
 
 
 def _check_values(corpus: Corpus) -> None:
@@ -234,7 +246,7 @@ def _open_shard(path: Path) -> Corpus:
             if array.dtype != dtype:
                 raise TypeError(f"{name} must be {dtype}, got {array.dtype}")
         try:
-            return Corpus((Batch(**arrays),), labels)
+            return _shard(Batch(**arrays), labels)
         except InvalidInputError as error:
             raise ValueError(error) from error
 

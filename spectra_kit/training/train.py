@@ -158,15 +158,16 @@ def train(
     limit = config.steps if stop_after is None else min(stop_after, config.steps)
     with ExitStack() as stack:
         enter = stack.enter_context
-        log = None
+        writer = log = None
         if folder is not None and ranks.first:
+            writer = enter(checkpoint.Writer(folder))
             log = enter(Log(folder, state.history, tensorboard=tensorboard))
         enter(run.threads)
         if config.compile:
             run.compile()
         if wait is not None:
             wait()
-        feed = Feed(corpus, config, run.device, share=ranks.share(config.batch))
+        feed = enter(Feed(corpus, config, run.device, share=ranks.share(config.batch)))
         interrupted = enter(_until_interrupt())
         if last and pause_after is not None:
             left = max(1.0, called + pause_after - time.perf_counter())
@@ -205,13 +206,14 @@ def train(
                     log.add(row)
                 if report is not None:
                     report(row)
-            if folder is not None and ranks.first and time.monotonic() - saved > config.save:
+            due = validating or time.monotonic() - saved > config.save
+            if writer is not None and due and not writer.busy:
                 run.read(losses)
-                checkpoint.write(folder, run.content())
+                writer.write(run.content())
                 saved = time.monotonic()
         run.read(losses)
-        if folder is not None and ranks.first:
-            checkpoint.write(folder, run.content())
+        if writer is not None:
+            writer.write(run.content())
     there = corpus if isinstance(corpus, Corpus) else corpus.corpus()
     record = _record(there, config, state)
     return TrainResult(run.average.eval(), record, _progress(config, state) >= 1)

@@ -80,6 +80,17 @@ def test_a_step_that_is_short_or_fails_leaves_nothing(terminal, error):
     assert left_over(terminal.text) == []
 
 
+def test_a_line_that_is_interrupted_as_it_is_made_is_cleared(terminal, monkeypatch):
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tqdm.tqdm.__enter__", interrupted)
+    with terminal, pytest.raises(KeyboardInterrupt), step("working"):
+        pass
+    assert "working" in terminal.text
+    assert left_over(terminal.text) == []
+
+
 def test_what_is_said_in_the_midst_of_a_step_has_a_line_of_its_own(terminal):
     with terminal, telling(quiet=False), step("working"), warnings.catch_warnings():
         time.sleep(0.15)

@@ -299,7 +299,7 @@ BALL = ("ball.off", "--source", 0)
         ((*BALL, "--method", "direct", "--solver", "neo"), "--method direct has no use for modes"),
         (
             ("sheet.off", "--source", 0, "--heat-boundary", "dirichlet"),
-            "must leave the boundary of",
+            "must not all lie on the boundary of",
         ),
         (("sheet.off", "--source", 0, "--heat-boundary", "average", "--compare"), "--compare is f"),
         (("none.off", "--source", 0), "none.off: there is no such file"),

@@ -188,6 +188,7 @@ def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys, monkeypat
         (("--truth", truth, "--repair"), "repair or sample first"),
         (("--landmarks", landmarks, "--cloud", 700), "repair or sample first"),
         (("-o", tmp_path / "no" / "out"), "cannot make"),
+        (("-k", 20), "`-k` must be at least 30, got 20; solve for more (150 match best)"),
     ):
         assert message in refused(capsys, *pair, *out, *options)
     assert not (tmp_path / "out").exists()

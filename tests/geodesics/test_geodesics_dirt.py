@@ -93,6 +93,35 @@ def test_dirty_meshes_have_right_distances(make, body) -> None:
     assert relative_error(distances(mesh), exact_distances(mesh, SOURCE)) < 0.06
 
 
+def test_a_moebius_strip() -> None:
+    n, w = 60, 9
+    u, v = np.meshgrid(np.arange(n) * 2 * np.pi / n, np.linspace(-0.3, 0.3, w), indexing="ij")
+    r = 1 + v * np.cos(u / 2)
+    points = np.stack([r * np.cos(u), r * np.sin(u), v * np.sin(u / 2)], axis=-1).reshape(-1, 3)
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(w - 1), indexing="ij"))
+    a, b = w * i + j, w * i + j + 1
+    last = i == n - 1  # meets the beginning upside down
+    c, d = np.where(last, w - 1 - j, a + w), np.where(last, w - 2 - j, b + w)
+    strip = TriangleMesh(points, np.vstack([np.column_stack(f) for f in ((a, c, b), (b, c, d))]))
+    middle = w // 2
+    distance = distances(strip, middle)
+    assert relative_error(distance, exact_distances(strip, middle)) < 0.06
+    # Around once, each line across is as far as the one that mirrors it.
+    across = distance.reshape(n, w)
+    np.testing.assert_allclose(across[1:], across[:0:-1, ::-1], rtol=0.05)
+
+
+def test_triangle_soup_is_as_many_components_as_triangles() -> None:
+    soup = TriangleMesh(
+        BALL.points[BALL.faces].reshape(-1, 3), np.arange(3 * len(BALL.faces)).reshape(-1, 3)
+    )
+    distance = distances(soup)
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(distance)), [3, 4, 5])
+    merged = soup.with_merged_vertices()
+    source = int(np.argmin(np.linalg.norm(merged.points - BALL.points[SOURCE], axis=1)))
+    assert np.abs(np.sort(distances(merged, source)) - np.sort(distances(BALL))).max() < 1e-6
+
+
 def test_fragments_are_reached_or_not() -> None:
     kept = np.random.default_rng(1).random(len(SHEET.faces)) < 0.3
     mesh = TriangleMesh(SHEET.points, SHEET.faces[kept]).without_unreferenced()
@@ -101,6 +130,17 @@ def test_fragments_are_reached_or_not() -> None:
     distance, label = distances(mesh, sources), mesh.component_labels
     np.testing.assert_array_equal(np.isfinite(distance), np.isin(label, label[sources]))
     assert not distance[sources].any()
+
+
+def test_bodies_that_touch_in_a_vertex() -> None:
+    """Heat comes through; far from the vertex, distances add up."""
+    east, west = (int(f(BALL.points[:, 0])) for f in (np.argmax, np.argmin))
+    faces = BALL.faces + BALL.n
+    faces[BALL.faces == west] = east
+    shift = BALL.points[east] - BALL.points[west]
+    mesh = plus(BALL, BALL.points + shift, faces).without_unreferenced()
+    distance = distances(mesh)
+    assert relative_error(distance, exact_distances(mesh, SOURCE)) < 0.06
 
 
 # --- extreme numbers ------------------------------------------------------------------------------

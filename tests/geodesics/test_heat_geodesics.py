@@ -254,7 +254,7 @@ def test_a_cold_boundary_that_cuts_the_surface_apart_is_refused(solver) -> None:
     strip = TriangleMesh(np.vstack([sheet.points, other + [0.1, 0, 0]]), np.vstack(faces))
     cold = HeatGeodesics(strip, solver=solver, boundary="dirichlet")
     refused("boundary", "be 'neumann' or 'average' here", cold.distance, middle_of(sheet))
-    refused("sources", "leave the boundary of their component", cold.distance, 0)
+    refused("sources", "not all lie on the boundary of their component", cold.distance, 0)
     field = HeatGeodesics(strip, solver=solver, boundary="average").distance(middle_of(sheet))
     assert field.distance.max() > 1.5 * right
 

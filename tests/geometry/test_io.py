@@ -5,6 +5,7 @@ import re
 import resource
 import subprocess
 import sys
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -247,6 +248,26 @@ PLY = (
 def test_odd_but_whole(tmp_path, name, text):
     (tmp_path / name).write_text(text, encoding="utf-8")
     assert_same(read(tmp_path / name), TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]))
+
+
+def test_reading_text_of_stl_takes_work_in_proportion_to_it(tmp_path):
+    """The calls that the interpreter makes are counted, not timed."""
+    facet = "facet normal 0 0 0\nouter loop" + 3 * "\nvertex %r %r %r" + "\nendloop\nendfacet\n"
+    calls = {}
+    for count in (100, 400):
+        corners = np.random.default_rng(0).normal(size=(count, 9))
+        facets = "".join(facet % tuple(row) for row in corners.tolist())
+        (tmp_path / "a.stl").write_text(f"SOLID of noise\n{facets}  EndSolid of noise\n")
+        read(tmp_path / "a.stl")  # imports and compiles
+        profile = Counter()
+        sys.setprofile(lambda _frame, event, _, seen=profile: seen.update([event]))
+        try:
+            mesh = read(tmp_path / "a.stl")
+        finally:
+            sys.setprofile(None)
+        np.testing.assert_array_equal(mesh.points[mesh.faces].reshape(-1, 9), corners)
+        calls[count] = profile.total()
+    assert calls[400] < 5 * calls[100]
 
 
 def test_want_of_memory_names_the_file(tmp_path):

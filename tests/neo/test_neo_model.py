@@ -11,6 +11,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace, build_network
 from spectra_kit.neo.backbones import BACKBONES
 from spectra_kit.neo.loss import span_loss
+from spectra_kit.neo.model import encode
 
 TINY = NeoConfig(width=48, depth=2, heads=2, head_width=16, latents=10, m=24, k=8)
 NAMES = ["small", "base", "paper-base", "paper-deep", "paper-large"]
@@ -133,6 +134,17 @@ def test_every_head_has_full_rank(clouds, m, waves):
 
 
 # What holds of the paper's
+
+
+def test_log_mass_channel_equals_an_additive_mask(network, cloud):
+    points, mass = cloud
+    down, x = network.blocks[0].down, network.lift(encode(points))
+    log_mass = (mass / mass.mean()).log()
+    k, v = down.norm_k(down.split(down.key(x))), down.split(down.value(x))
+    q = down.norm_q(down.queries)[None]
+    mask = log_mass[:, None, None, :]
+    masked = torch.nn.functional.scaled_dot_product_attention(q, k, v, attn_mask=mask)
+    torch.testing.assert_close(down(x, log_mass), down.out(down.merge(masked)))
 
 
 def test_splitting_points_with_their_mass_is_a_true_quadrature(network, cloud):

@@ -80,8 +80,12 @@ SOUND = json.dumps({"record": {}, "config": asdict(TINY)})
 @pytest.mark.parametrize(
     ("bias", "content", "told"),
     [
-        (None, SOUND, 'tensors of its configuration: .* Missing key(s) in state_dict: "lift.bias"'),
-        (torch.zeros(3), SOUND, "size mismatch for lift.bias"),
+        (None, SOUND, "1 do not fit, the first is 'lift.bias': expected shape (16,), got None"),
+        (
+            torch.zeros(3),
+            SOUND,
+            "1 do not fit, the first is 'lift.bias': expected shape (16,), got",
+        ),
         (torch.full((16,), torch.nan), SOUND, "must hold finite floats, its tensor 'lift.bias'"),
         (torch.ones(16, dtype=torch.int32), SOUND, "must hold finite floats, its tensor 'lift.bia"),
         (torch.zeros(16), None, "'spectra_kit.neo', got []; was it written by"),
@@ -96,6 +100,13 @@ def test_what_does_not_fit_together_is_refused(path, bias, content, told):
     tensors = {name: tensor for name, tensor in tensors.items() if tensor is not None}
     save_file(tensors, path, metadata=None if content is None else {"spectra_kit.neo": content})
     with pytest.raises(WeightsError, match=re.escape(told).replace(r"\.\*", ".*")):
+        load_pretrained(path)
+
+
+def test_an_unknown_tensor_is_told_as_such_whatever_its_type(path):
+    tensors = load_file(path) | {"steps": torch.ones(2, dtype=torch.int32)}
+    save_file(tensors, path, metadata={"spectra_kit.neo": SOUND})
+    with pytest.raises(WeightsError, match=r"first is 'steps': expected shape None, got \(2,\)"):
         load_pretrained(path)
 
 

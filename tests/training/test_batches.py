@@ -1,5 +1,6 @@
 """Batches: they follow from the step, show every sample, and come the same way on every path."""
 
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.model import NeoConfig
 from spectra_kit.subspaces.frame import POSES, canonical_frame
+from spectra_kit.training import feed as feeding
 from spectra_kit.training.batches import for_validation, posed, random_rotations, rotations
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.feed import Feed
@@ -80,6 +82,25 @@ def test_batches_follow_from_the_step_wherever_samples_are_kept(frame):
         torch.testing.assert_close(torch.cat(parts), expected)
 
 
+def test_the_next_batch_is_read_while_the_step_waits(monkeypatch):
+    readers, ready = [], threading.Semaphore(0)
+
+    def noted(*arguments):
+        readers.append(threading.current_thread())
+        ready.release()
+        return posed(*arguments)
+
+    expected = feed(config())(1)
+    monkeypatch.setattr(feeding, "posed", noted)
+    with feed(config()) as batches:
+        batches(0)
+        assert ready.acquire(timeout=60)
+        assert ready.acquire(timeout=60)
+        assert_equal(batches(1), expected)
+    assert threading.current_thread() not in readers
+    assert not any(reader.is_alive() for reader in readers)
+
+
 def test_an_epoch_shows_every_sample_once():
     batches = feed(config(points=64))
     seen = torch.cat([batches(step)[1] for step in range(6)])
@@ -137,7 +158,7 @@ def test_a_stream_shows_what_is_there(monkeypatch, resident):
         return {row.numpy().tobytes() for step in steps for row in batches(step)[1]}
 
     a, b, c = corpus(8, 1, first=0), corpus(8, 2, first=8), corpus(16, 3, first=16)
-    stream = SimpleNamespace(now=a, capacity=32)
+    stream = SimpleNamespace(now=a, capacity=24)  # what is gone must make room
     stream.corpus = lambda: stream.now
     batches = feed(config(batch=8, points=64), stream, resident=resident)
     assert seen([0]) == masses(a)

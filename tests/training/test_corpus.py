@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import shutil
 from dataclasses import replace
 
@@ -121,6 +122,20 @@ def test_workers_in_other_processes_make_the_same_samples_bit_for_bit(folder, tm
     assert_same(tmp_path, folder)
 
 
+def test_workers_have_one_thread_in_all_libraries(monkeypatch):
+    import_all = "[__import__(n, fromlist=['x']) for n in ('scipy.linalg', 'torch')]"
+    pools = "[p['num_threads'] for p in __import__('threadpoolctl').threadpool_info()]"
+    asked = f"{import_all} and (__import__('torch').get_num_threads(), {pools})"
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    monkeypatch.setattr(corpus, "packed_sample", eval)
+    with corpus.produced(asked, [{}], 1) as told:
+        ((torch_threads, others),) = told
+    assert {torch_threads, *others} == {1}
+    assert os.environ["OMP_NUM_THREADS"] == "2"
+    assert "MKL_NUM_THREADS" not in os.environ
+
+
 def test_an_interrupted_run_leaves_whole_shards_and_is_resumed(folder, tmp_path, monkeypatch):
     def interrupted(config, index):
         if index == 6:
@@ -218,7 +233,7 @@ def test_shards_keep_samples_labels_and_order_and_are_never_overwritten(tmp_path
         (lambda p, m, u: (p, m, u, {"seed": [1]}), "`seed` must have one integer for each of 2"),
         (lambda p, m, u: (p, 2 * m, u, {}), "`mass` must be positive with rows that sum to 1"),
         (lambda p, m, u: (p, m, u * np.nan, {}), "`eigenvectors` must be there and finite"),
-        (lambda p, m, u: (p[:0], m[:0], u[:0], {}), "`points` must be there and finite"),
+        (lambda p, m, u: (p[:0], m[:0], u[:0], {}), r"with s >= 1, got \(0, 64, 3\)"),
         (lambda p, m, u: (p, m, u[..., :5], {}), r"must have the same \(points, modes\)"),
     ],
 )
@@ -247,6 +262,12 @@ def cut(path):
         (
             lambda shard: np.save(shard / "points.npy", np.ones((2, 9, 3), "f4")),
             "shard_0000: not a whole shard",
+        ),
+        (
+            lambda shard: [
+                np.save(path, np.load(path)[:0]) for path in sorted(shard.glob("*.npy"))
+            ],
+            r"not a whole shard .*with s >= 1, got \(0, 64, 3\)",
         ),
         (lambda shard: np.savez(shard / "labels.npz", a=[0.5, 1]), "a must be int64, got"),
         (lambda shard: np.savez(shard / "labels.npz", a=[1]), "one integer for each of 2 samples"),

@@ -219,6 +219,18 @@ def test_a_stopped_run_resumes_bit_by_bit(corpora, tmp_path, whole, workers, pre
     assert [float(row["loss"]) for row in logged] == [row["loss"] for row in rows]
 
 
+def test_each_validation_is_saved_and_no_step_waits_for_the_disk(corpora, tmp_path, monkeypatch):
+    saved = []
+    monkeypatch.setattr(
+        checkpoint.Writer, "write", lambda self, content: saved.append(content["state"]["step"])
+    )
+    train(*corpora, replace(CONFIG, save=1e9), out=tmp_path, stop_after=7)
+    assert saved == [5, 7]  # the last as it stops
+    monkeypatch.setattr(checkpoint.Writer, "busy", True)
+    train(*corpora, replace(CONFIG, save=1e-9), out=tmp_path, stop_after=7)
+    assert saved == [5, 7, 7]
+
+
 def test_ctrl_c_saves_and_ends(corpora, tmp_path):
     config = replace(CONFIG, steps=100_000, every=100_000)
     before = signal.getsignal(signal.SIGINT)  # ignored, where a shell runs this in the background
@@ -417,6 +429,28 @@ def test_damaged_checkpoints_are_refused(tmp_path):
     assert checkpoint.read(tmp_path)["state"] == CONTENT["state"]
     with pytest.raises(InvalidInputError, match="does not exist"):
         checkpoint.write(tmp_path / "no", CONTENT)
+
+
+def test_a_checkpoint_beside_the_loop_is_a_snapshot_and_its_errors_are_told(tmp_path, monkeypatch):
+    weights, go, write = torch.zeros(1000), threading.Event(), checkpoint.write
+    monkeypatch.setattr(checkpoint, "write", lambda *given: go.wait(60) and write(*given))
+    with checkpoint.Writer(tmp_path) as writer:
+        writer.write({"optimizers": [{"a": weights}]})
+        weights += 1
+        assert writer.busy
+        go.set()
+    assert not writer.busy
+    assert checkpoint.read(tmp_path)["optimizers"][0]["a"].sum() == 0
+    with (
+        pytest.raises(InvalidInputError, match="does not exist"),
+        checkpoint.Writer(tmp_path / "no") as writer,
+    ):
+        writer.write(CONTENT)
+    with checkpoint.Writer(tmp_path / "no") as writer:
+        writer.write(CONTENT)
+        with pytest.raises(InvalidInputError, match="does not exist"):
+            writer.write(CONTENT)
+        monkeypatch.setattr(writer, "_last", None)
 
 
 def row(step, **values):

@@ -33,16 +33,23 @@ HARMLESS = (
 )
 
 # What may stand in an object: another word is one of these, damaged, which has a default perhaps.
-COMMON = "name extensions extras"
-NODE = "camera children skin matrix mesh weights rotation scale translation"
-PRIMITIVE = "attributes indices material mode targets"
-ACCESSOR = "bufferView byteOffset componentType normalized count type max min sparse"
-VIEW = "buffer byteOffset byteLength byteStride target"
+COMMON = {"name", "extensions", "extras"}
+NODE = COMMON | {"camera", "children", "skin", "matrix", "mesh", "weights"}
+NODE |= {"rotation", "scale", "translation"}
+PRIMITIVE = COMMON | {"attributes", "indices", "material", "mode", "targets"}
+ACCESSOR = COMMON | {"bufferView", "byteOffset", "componentType", "normalized", "count", "type"}
+ACCESSOR |= {"max", "min", "sparse"}
+VIEW = COMMON | {"buffer", "byteOffset", "byteLength", "byteStride", "target"}
 
 # What JSON of another form than the format's makes Python raise.
 BROKEN = (
-    *(ValueError, LookupError, TypeError, AttributeError),
-    *(OverflowError, RecursionError, OSError),
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    OSError,
 )
 
 
@@ -265,10 +272,9 @@ def _item(items: Any, index: Any) -> Any:
     return items[index]
 
 
-def _known(found: dict[str, Any], words: str) -> dict[str, Any]:
+def _known(found: dict[str, Any], keys: set[str]) -> dict[str, Any]:
     """Return an object of the JSON if it holds nothing but what the format knows."""
-    keys = f"{COMMON} {words}".split()
-    if unknown := sorted(set(found).difference(keys)):
+    if unknown := sorted(found.keys() - keys):
         raise InvalidInputError(
             f"{unknown[0][:40]!r} is no property of glTF here, known are"
             f" {', '.join(sorted(keys))}; the file may be damaged"

@@ -20,8 +20,18 @@ from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 # What NumPy, zipfile and the decompressors raise on damaged files; an OSError here is a seek to a
 # bad place, a RuntimeError an encrypted array or a header of a thousand brackets.
 BROKEN = (
-    *(ValueError, TypeError, LookupError, SyntaxError, EOFError, OSError, OverflowError),
-    *(RuntimeError, TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError),
+    ValueError,
+    TypeError,
+    LookupError,
+    SyntaxError,
+    EOFError,
+    OSError,
+    OverflowError,
+    RuntimeError,
+    TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
 )
 POINTS, FACES = ("points", "V", "vertices", "verts"), ("faces", "F")
 
