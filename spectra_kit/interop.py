@@ -7,7 +7,7 @@ larger ones are refused. Meshes of other toolkits need no adapter: see `geometry
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +24,24 @@ if TYPE_CHECKING:
     import torch
 
 _NEGATIVE = 1e-6  # relative to Weyl's spacing 4 pi / area: ARPACK's rounding of a zero mode
+
+
+class PyfmArrays(TypedDict):
+    """Attributes of pyFM's ``TriMesh``."""
+
+    stiffness: sparse.csc_matrix
+    mass: sparse.dia_matrix
+    eigenvalues: Any
+    eigenvectors: Any
+
+
+class GeomfumArrays(TypedDict):
+    """Arguments of geomfum's ``Laplacian`` and ``LaplaceEigenBasis``."""
+
+    stiffness_matrix: sparse.csc_matrix
+    mass_matrix: sparse.dia_matrix
+    vals: Any
+    vecs: Any
 
 
 @checked
@@ -51,6 +69,13 @@ def from_arrays(
     -------
     Spectrum
         Without a certificate; ``.certify(laplacian)`` adds one.
+
+    Raises
+    ------
+    InvalidInputError
+        If the columns are not M-orthonormal to 1e-4, or eigenvalues are clearly negative.
+    InvalidSpectrumError
+        If shapes disagree or eigenvalues descend.
 
     Examples
     --------
@@ -103,6 +128,11 @@ def to_pyvista(geometry: Geometry, **point_arrays: ArrayLike | Spectrum) -> Any:
     pyvista.PolyData
         A copy: points, triangles if there are any, and `point_data`.
 
+    Raises
+    ------
+    InvalidInputError
+        If an array has not one row for each point.
+
     Examples
     --------
     >>> import spectra_kit as sk
@@ -131,7 +161,7 @@ def to_pyvista(geometry: Geometry, **point_arrays: ArrayLike | Spectrum) -> Any:
 
 
 @checked
-def to_pyfm(spectrum: Spectrum, laplacian: Laplacian) -> dict[str, Any]:
+def to_pyfm(spectrum: Spectrum, laplacian: Laplacian) -> PyfmArrays:
     """Return the attributes that make a pyFM ``TriMesh`` use this spectrum.
 
     Assign them after construction, ``for name, a in arrays.items(): setattr(mesh, name, a)``;
@@ -149,12 +179,12 @@ def to_pyfm(spectrum: Spectrum, laplacian: Laplacian) -> dict[str, Any]:
         ``stiffness`` and ``mass`` (sparse, (n, n)), ``eigenvalues`` (k,), ``eigenvectors`` (n, k).
     """
     _check_pair(spectrum, laplacian)
-    return {
-        "stiffness": sparse.csc_matrix(laplacian.stiffness),
-        "mass": sparse.diags(spectrum.mass),
-        "eigenvalues": np.array(spectrum.eigenvalues),
-        "eigenvectors": np.array(spectrum.eigenvectors),
-    }
+    return PyfmArrays(
+        stiffness=sparse.csc_matrix(laplacian.stiffness),
+        mass=sparse.diags(spectrum.mass),
+        eigenvalues=np.array(spectrum.eigenvalues),
+        eigenvectors=np.array(spectrum.eigenvectors),
+    )
 
 
 @checked
@@ -166,13 +196,27 @@ def from_pyfm(
 
 
 @checked
-def to_geomfum(spectrum: Spectrum, laplacian: Laplacian) -> dict[str, Any]:
+def to_geomfum(spectrum: Spectrum, laplacian: Laplacian) -> GeomfumArrays:
     """Return the arrays of geomfum's ``Laplacian`` and ``LaplaceEigenBasis``.
 
-    As `to_pyfm`, as ``stiffness_matrix``, ``mass_matrix``, ``vals`` and ``vecs``.
+    Parameters
+    ----------
+    spectrum : Spectrum
+    laplacian : Laplacian
+        The one it was computed from.
+
+    Returns
+    -------
+    dict
+        ``stiffness_matrix``, ``mass_matrix`` (sparse, (n, n)), ``vals`` (k,), ``vecs`` (n, k).
     """
-    names = ("stiffness_matrix", "mass_matrix", "vals", "vecs")
-    return dict(zip(names, to_pyfm(spectrum, laplacian).values(), strict=True))
+    _check_pair(spectrum, laplacian)
+    return GeomfumArrays(
+        stiffness_matrix=sparse.csc_matrix(laplacian.stiffness),
+        mass_matrix=sparse.diags(spectrum.mass),
+        vals=np.array(spectrum.eigenvalues),
+        vecs=np.array(spectrum.eigenvectors),
+    )
 
 
 @checked
@@ -231,6 +275,11 @@ def from_diffusion_net(operators: tuple[Any, ...]) -> Spectrum:
     -------
     Spectrum
         Without a certificate.
+
+    Raises
+    ------
+    InvalidInputError
+        If `operators` has neither seven nor four entries.
     """
     if len(operators) == 7:
         operators = operators[1:5]

@@ -31,6 +31,11 @@ class Truth(Rebuilt):
     symmetric : array_like of shape (c,), integers, optional
         The mirror images of `source`, where the geometry has a symmetry.
 
+    Raises
+    ------
+    InvalidInputError
+        If an array holds no integers, a negative one, or has another shape.
+
     Examples
     --------
     >>> import spectra_kit as sk
@@ -81,6 +86,11 @@ class MapErrors(Rebuilt):
         The target point of each: the order is that of the truth, not of the points.
     symmetric : array_like of shape (c,), optional
         Against the mirror image of the truth.
+
+    Raises
+    ------
+    InvalidInputError
+        If the arrays differ in shape, an error is negative or NaN, or `target` holds no indices.
 
     Examples
     --------
@@ -154,6 +164,11 @@ def map_errors(
         ``100 d(point_map[truth.target], truth.source) / sqrt(area)``, d on the source; infinite
         where a point went to another component. In the order of the truth.
 
+    Raises
+    ------
+    InvalidInputError
+        If `point_map` or `truth` has an index out of range, or `truth` is no Truth.
+
     Notes
     -----
     The measure of Kim, Lipman and Funkhouser, *Blended Intrinsic Maps*, SIGGRAPH 2011, with the
@@ -188,9 +203,18 @@ def geodesic_errors(
     *,
     method: Literal["edges", "exact"] = "edges",
 ) -> Floats:
-    """Return the direct errors of `map_errors`, shape (c,), in the order of the truth.
+    """Measure how far a point map is from the truth, whatever its mirror image.
 
-    Pictures want `map_errors` itself, which knows the points.
+    Parameters
+    ----------
+    mesh, point_map, truth, method
+        As of `map_errors`.
+
+    Returns
+    -------
+    ndarray of shape (c,)
+        The direct errors of `map_errors`, in hundredths of the root of the source's area, and in
+        the order of the truth; pictures want `map_errors` itself, which knows the points.
 
     Examples
     --------

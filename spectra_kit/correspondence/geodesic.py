@@ -42,6 +42,16 @@ def geodesic_distances(
     ndarray of shape (q,)
         In the length unit of `mesh`; infinite between components.
 
+    Raises
+    ------
+    InvalidInputError
+        If `starts` and `ends` differ in shape, an index is out of range, or `method` is another.
+
+    See Also
+    --------
+    spectra_kit.geodesics.exact_distances : To all vertices, from the nearest of several.
+    spectra_kit.geodesics.geodesic_distance : The same by the heat method.
+
     Notes
     -----
     One search serves all pairs with the same start (or the same end, where those are fewer), and

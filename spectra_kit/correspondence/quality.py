@@ -70,6 +70,12 @@ def dirichlet_energy(source: Laplacian, target: Laplacian, point_map: ArrayLike)
         Delaunay), more for a map onto the source that stretches unevenly, 0 for a constant one;
         jumps cost most.
 
+    Raises
+    ------
+    InvalidInputError
+        If `source` or `target` is no Laplacian, or `point_map` has another length than target
+        points, or an index out of range.
+
     Notes
     -----
     Ezuz, Solomon and Ben-Chen, *Reversible Harmonic Maps between Discrete Surfaces*, 2019; the
@@ -94,8 +100,10 @@ def bijectivity_errors(mesh: TriangleMesh, point_map: ArrayLike, back: ArrayLike
 
     Parameters
     ----------
-    mesh, point_map
-        As of `map_errors`.
+    mesh : TriangleMesh
+        The source, with n1 vertices.
+    point_map : array_like of shape (n2,), integers
+        Source vertex of each target point.
     back : array_like of shape (n1,), integers
         Target point of each source vertex.
 
@@ -182,6 +190,11 @@ def orientation(
         From -1 to 1: signed area of the mapped target triangles, seen along the normals of the
         source, over their unsigned area. Near 1 the map keeps orientation, near -1 it mirrors;
         near 0 it does not know, or half of it is flipped. 0 for a constant map.
+
+    Raises
+    ------
+    InvalidInputError
+        If an array has another shape or an index is out of range.
 
     Examples
     --------

@@ -35,6 +35,11 @@ def normalize_descriptors(
     ndarray of shape (n, d)
         Columns with ``mass @ column**2 == area``, without a unit.
 
+    Raises
+    ------
+    InvalidInputError
+        If `descriptors` has another shape, or a column is zero (or constant, with `center`).
+
     Examples
     --------
     >>> import numpy as np

@@ -19,8 +19,10 @@ def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) 
 
     Parameters
     ----------
-    spectrum, sources
-        As of `heat_kernel`; zero modes take part.
+    spectrum : Spectrum
+        k modes; zero modes take part.
+    sources : array_like of shape (s,)
+        Indices of points.
     time : float
         In length^2; `heat_times` spans the useful ones.
 
@@ -30,11 +32,21 @@ def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) 
         ``sqrt(sum_i exp(-2 lambda_i t) (u_i(x) - u_i(y))^2)``, in 1/length: the L2 norm of
         ``k_t(x, .) - k_t(y, .)``. Finite between components too, which share no heat.
 
+    Raises
+    ------
+    InvalidInputError
+        If there is no source, an index is out of range, or `time` is not positive.
+
     Notes
     -----
     Coifman and Lafon, *Diffusion maps*, Applied and Computational Harmonic Analysis 2006, with the
     heat kernel as the diffusion. Averaged over all pairs of points, k modes leave about
     ``exp(-2 lambda_k t) / (4 pi t)`` out of the square (Weyl's law).
+
+    References
+    ----------
+    R. R. Coifman, S. Lafon, "Diffusion maps", Applied and Computational Harmonic Analysis 21(1),
+    2006.
 
     Examples
     --------
@@ -67,12 +79,22 @@ def biharmonic_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
         ``sqrt(sum_i (u_i(x) - u_i(y))^2 / lambda_i^2)`` over the modes outside the kernel, in
         length. Infinite between components; parts that are fixed to zero somewhere count as one.
 
+    Raises
+    ------
+    InvalidInputError
+        If there is no source, an index is out of range, or all modes are zero modes.
+
     Notes
     -----
     Lipman, Rustamov and Funkhouser, *Biharmonic distance*, ACM Transactions on Graphics 2010. The
     sum grows with k and converges: averaged over all pairs of points, k modes leave about
     ``1 / (2 pi lambda_k)``, or ``area / (8 pi^2 k)``, out of the square (Weyl's law; exact on the
     sphere, where the whole is radius^2 / (2 pi)).
+
+    References
+    ----------
+    Y. Lipman, R. M. Rustamov, T. A. Funkhouser, "Biharmonic distance", ACM Transactions on
+    Graphics 29(3), 2010.
 
     Examples
     --------
@@ -115,6 +137,14 @@ def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     more modes: two points of a surface never meet, and the square grows by about
     ``area / (2 pi) log k``. Compare values of one k only; `biharmonic_distances` converge.
 
+    References
+    ----------
+    H. Qiu, E. R. Hancock, "Clustering and embedding using commute times", IEEE Transactions on
+    Pattern Analysis and Machine Intelligence 29(11), 2007.
+
+    F. Fouss, A. Pirotte, J.-M. Renders, M. Saerens, "Random-walk computation of similarities
+    between nodes of a graph", IEEE Transactions on Knowledge and Data Engineering 19(3), 2007.
+
     Examples
     --------
     Two points of mass 1, joined by a conductance of 1/2: the resistance is 2, the area too.
@@ -152,11 +182,21 @@ def global_point_signature(spectrum: Spectrum, count: int | None = None) -> Floa
         of the spectrum: compare two surfaces by what does not see them, as the distances
         within each (`commute_time_distances` are the square root of the area times these).
 
+    Raises
+    ------
+    InvalidInputError
+        If all modes are zero modes, or `count` is below 1 or above the number of the others.
+
     Notes
     -----
     Rustamov, *Laplace-Beltrami eigenfunctions for deformation invariant shape representation*, SGP
     2007. Inner products of rows are Green's function of the Laplacian, which on a surface has no
     finite value on the diagonal: norms grow as the root of log k.
+
+    References
+    ----------
+    R. M. Rustamov, "Laplace-Beltrami eigenfunctions for deformation invariant shape
+    representation", Symposium on Geometry Processing, 2007.
 
     Examples
     --------

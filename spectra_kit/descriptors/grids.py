@@ -33,11 +33,21 @@ def heat_times(spectrum: Spectrum, count: int = 16) -> Floats:
         the smallest eigenvalue outside the kernel: the second for one component, the third for
         two.
 
+    Raises
+    ------
+    InvalidInputError
+        If all modes are zero modes, or `count` is below 2.
+
     Notes
     -----
     The interval of Sun et al. (2009, see `heat_kernel_signature`): the shortest time damps the last
     mode to 1e-4, so that truncation does not show; at the longest, so is every mode but the
     constants.
+
+    References
+    ----------
+    J. Sun, M. Ovsjanikov, L. Guibas, "A concise and provably informative multi-scale signature
+    based on heat diffusion", Computer Graphics Forum 28(5), 2009.
 
     Examples
     --------
@@ -75,6 +85,12 @@ def wave_energies(
         eigenvalues: multiplying lengths by s shifts them by -2 log s.
     width : float
         As given, or the default.
+
+    Raises
+    ------
+    InvalidInputError
+        If there are fewer than two different eigenvalues outside the kernel, `count` is below 2,
+        or `width` is not positive or so large that no energy is left.
 
     Notes
     -----

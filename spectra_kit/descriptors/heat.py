@@ -33,6 +33,11 @@ def heat_kernel(spectrum: Spectrum, sources: ArrayLike, times: ArrayLike) -> Flo
         integral 1, and 0 beyond the component of its source. For short times the truncated sum
         oscillates around zero.
 
+    Raises
+    ------
+    InvalidInputError
+        If there is no source, an index is out of range, or a time is not positive.
+
     Notes
     -----
     Averaged over pairs of points, truncation leaves out ``exp(-2 lambda_k t) / (8 pi t area)`` of
@@ -77,10 +82,20 @@ def heat_kernel_signature(
         ``sum_i exp(-lambda_i t) u_i(x)^2``, in 1/length^2: multiplying lengths by s divides the
         signature at the default times by s^2. About 1/(4 pi t) for short times.
 
+    Raises
+    ------
+    InvalidInputError
+        If a time is not positive, or there is no default for want of modes outside the kernel.
+
     Notes
     -----
     Sun, Ovsjanikov and Guibas, *A concise and provably informative multi-scale signature based on
     heat diffusion*, SGP 2009, who also scale by the heat trace to compare signatures.
+
+    References
+    ----------
+    J. Sun, M. Ovsjanikov, L. Guibas, "A concise and provably informative multi-scale signature
+    based on heat diffusion", Computer Graphics Forum 28(5), 2009.
 
     Examples
     --------
@@ -119,14 +134,23 @@ def landmark_heat_kernel_signature(
         k modes; zero modes take part.
     landmarks : array_like of shape (l,)
         Indices of points. On a second surface, give those of the same places in the same order.
-    times, count, scaled
-        As of `heat_kernel_signature`.
+    times : array_like of shape (t,), optional
+        In length^2, positive; by default ``heat_times(spectrum, count)``.
+    count : int, default 16
+        Number of times where none are given.
+    scaled : bool, default False
+        Divide by the heat trace of each time, as in `heat_kernel_signature`.
 
     Returns
     -------
     ndarray of shape (n, l * t)
         ``sum_i exp(-lambda_i t) u_i(landmark) u_i(x)`` in 1/length^2: all times of the first
         landmark, then those of the second.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no landmark, an index is out of range, or a time is not positive.
 
     Examples
     --------

@@ -31,11 +31,21 @@ def farthest_points(spectrum: Spectrum, count: int, *, start: int | None = None)
         Distinct indices, in the order in which they were picked. Without ties, they depend on the
         intrinsic geometry alone: two poses of a body without symmetries get the same places.
 
+    Raises
+    ------
+    InvalidInputError
+        If `count` or `start` is out of range, or all modes are zero modes.
+
     Notes
     -----
     Farthest point sampling (Gonzalez, *Clustering to minimize the maximum intercluster distance*,
     1985) in `biharmonic_distances`; O(n k) per point. The points are within twice the best possible
     covering radius in that distance.
+
+    References
+    ----------
+    T. F. Gonzalez, "Clustering to minimize the maximum intercluster distance", Theoretical
+    Computer Science 38, 1985.
 
     Examples
     --------

@@ -46,11 +46,22 @@ def shape_dna(
         Ascending, dimensionless unless `normalize` is None; about ``4 pi i`` for "area" and
         "weyl".
 
+    Raises
+    ------
+    InvalidInputError
+        If all modes are zero modes, `count` is below 1 or above the number of the others, or
+        `normalize` is unknown.
+
     Notes
     -----
     Reuter, Wolter and Peinecke, *Laplace-Beltrami spectra as 'Shape-DNA' of surfaces and solids*,
     Computer-Aided Design 2006. Isometric surfaces have equal ShapeDNA; a few surfaces that are not
     isometric share it too.
+
+    References
+    ----------
+    M. Reuter, F.-E. Wolter, N. Peinecke, "Laplace-Beltrami spectra as 'Shape-DNA' of surfaces and
+    solids", Computer-Aided Design 38(4), 2006.
 
     Examples
     --------
@@ -75,9 +86,24 @@ def shape_dna(
 
 @checked
 def shape_dna_distance(a: ArrayLike, b: ArrayLike, *, weight: Weighting | None = "index") -> float:
-    """Return the distance of two surfaces by their ShapeDNA, each of shape (count,).
+    """Distance of two surfaces by their ShapeDNA; see `shape_dna_distances`.
 
-    What `shape_dna_distances` finds for two rows.
+    Parameters
+    ----------
+    a, b : array_like of shape (count,)
+        As `shape_dna` returns them, with the same normalisation.
+    weight : {"index", "inverse"} or None, default "index"
+        As in `shape_dna_distances`.
+
+    Returns
+    -------
+    float
+        Zero for isometric surfaces, in the unit of `a` and `b`.
+
+    Raises
+    ------
+    InvalidInputError
+        As `shape_dna_distances`.
 
     Examples
     --------
@@ -114,11 +140,25 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
     ndarray of shape (s, s)
         Symmetric, with zeros on the diagonal; in the unit of `dnas`, or its inverse.
 
+    Raises
+    ------
+    InvalidInputError
+        If rows differ in length, an entry is not positive or not finite, or `weight` is unknown.
+
     Notes
     -----
     "index" is the reweighting that later work on ShapeDNA settled on (Wachinger et al.,
     *BrainPrint*, NeuroImage 2015), and "inverse" the weighted spectral distance (Konukoglu et al.,
     *WESD*, PAMI 2013, p = 2).
+
+    References
+    ----------
+    E. Konukoglu, B. Glocker, A. Criminisi, K. M. Pohl, "WESD - weighted spectral distance for
+    measuring shape dissimilarity", IEEE Transactions on Pattern Analysis and Machine Intelligence
+    35(9), 2013.
+
+    C. Wachinger, P. Golland, W. Kremen, B. Fischl, M. Reuter, "BrainPrint: a discriminative
+    characterization of brain morphology", NeuroImage 109, 2015.
 
     Examples
     --------

@@ -47,10 +47,21 @@ def wave_kernel_signature(
         width^2))``, in 1/length^2; each column has the integral 1 over the surface. Multiplying
         lengths by s divides the signature at the default energies by s^2.
 
+    Raises
+    ------
+    InvalidInputError
+        If there are fewer than two different eigenvalues outside the kernel, an energy is not
+        finite, or `width` is not positive.
+
     Notes
     -----
     Aubry, Schlickewei and Cremers, *The wave kernel signature: a quantum mechanical approach to
     shape analysis*, ICCV Workshops 2011. An energy far outside the spectrum shows its nearest mode.
+
+    References
+    ----------
+    M. Aubry, U. Schlickewei, D. Cremers, "The wave kernel signature: a quantum mechanical approach
+    to shape analysis", ICCV Workshops, 2011.
 
     Examples
     --------
@@ -95,6 +106,12 @@ def landmark_wave_kernel_signature(
         ``sum_i w_i u_i(landmark) u_i(x) / sum_i w_i`` with the weights of
         `wave_kernel_signature`, in 1/length^2: all energies of the first landmark, then those of
         the second.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no landmark, an index is out of range, there are fewer than two different
+        eigenvalues outside the kernel, an energy is not finite, or `width` is not positive.
 
     Examples
     --------

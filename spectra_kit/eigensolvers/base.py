@@ -51,7 +51,13 @@ class Eigensolver(Protocol):
     """
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs | tuple[Floats, Floats]:
-        """Return the k lowest eigenpairs of `laplacian`, or raise `NotConvergedError` with some."""
+        """Return the k lowest eigenpairs of `laplacian`.
+
+        Raises
+        ------
+        NotConvergedError
+            With the pairs there are; `eigensolve` certifies them and raises `ConvergenceError`.
+        """
         ...
 
 

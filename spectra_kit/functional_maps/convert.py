@@ -69,6 +69,12 @@ def functional_map_from_point_map(
     ndarray of shape (k2, k1)
         ``U2.T @ M2 @ U1[point_map]`` at unit area (Ovsjanikov et al. 2012, section 4).
 
+    Raises
+    ------
+    InvalidInputError
+        If `point_map` has another length, holds an index out of range, or there are fewer
+        modes than `k`.
+
     Examples
     --------
     >>> import numpy as np
@@ -103,6 +109,11 @@ def point_map_from_functional_map(
     -------
     ndarray of shape (n2,)
         Source point of each target point; exact, see `nearest_rows`.
+
+    Raises
+    ------
+    InvalidInputError
+        If `functional_map` is not finite or larger than the spectra.
 
     Notes
     -----

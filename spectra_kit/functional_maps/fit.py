@@ -34,6 +34,23 @@ Landmarks = tuple[ArrayLike, ArrayLike]
 class FitWeights:
     """Weights of the terms of `fit_functional_map` beside the descriptors, which have 1.
 
+    Parameters
+    ----------
+    commutativity : float, default 1.0
+        With the Laplacians, ``|C Lambda_1 - Lambda_2 C|^2``, masked.
+    multiplication : float, default 1.0
+        With multiplication by each descriptor; 0 leaves it out.
+    orientation : float, default 0.0
+        With the orientation operator of each descriptor, which only maps that keep the orientation
+        do; 0 leaves it out.
+    landmarks : float, default 1.0
+        Of carrying the delta function of each landmark to that of the other.
+
+    Raises
+    ------
+    InvalidInputError
+        If a weight is negative or not finite.
+
     Examples
     --------
     >>> import spectra_kit as sk
@@ -41,13 +58,10 @@ class FitWeights:
     1.0
     """
 
-    #: With the Laplacians, ``|C Lambda_1 - Lambda_2 C|^2``, masked.
     commutativity: float = 1.0
-    multiplication: float = 1.0  #: With multiplication by each descriptor; 0 leaves it out.
-    #: With the orientation operator of each descriptor, which only maps that keep the orientation
-    #: do; 0 leaves it out.
+    multiplication: float = 1.0
     orientation: float = 0.0
-    landmarks: float = 1.0  #: Of carrying the delta function of each landmark to that of the other.
+    landmarks: float = 1.0
 
     def __post_init__(self) -> None:
         check_weights(vars(self))
@@ -98,6 +112,10 @@ def fit_functional_map(
 
     Raises
     ------
+    InvalidInputError
+        If arrays do not fit the spectra, the surfaces differ in their number of components,
+        landmarks are empty, no triangles come with a positive weight of the orientation, or weights
+        of very different size make a singular system.
     ConvergenceError
         If a large fit with operators is too badly conditioned for conjugate gradients.
 

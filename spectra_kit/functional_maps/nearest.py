@@ -44,6 +44,12 @@ def nearest_rows(
     ndarray of shape (q,)
         Indices into `points`; the lowest of those at the same distance.
 
+    Raises
+    ------
+    InvalidInputError
+        If an array is not two-dimensional, not finite or empty, the widths differ, or torch cannot
+        use `device`.
+
     Notes
     -----
     The nearest point has the largest score ``q . p - |p|^2 / 2``: one matrix product in float32.

@@ -23,8 +23,10 @@ def precise_map(
 
     Parameters
     ----------
-    source, target, functional_map
-        As of `point_map_from_functional_map`.
+    source, target : Spectrum
+        Of the two surfaces, in any units.
+    functional_map : array_like of shape (k2, k1)
+        Source coefficients to target coefficients, at unit area.
     faces : array_like of shape (f, 3)
         Triangles of the source, where the map goes; not of the target.
 
@@ -33,6 +35,11 @@ def precise_map(
     csr_array of shape (n2, n1)
         Barycentric coordinates: rows of at most three positive entries that sum to 1. The map times
         values on the source's vertices, or its vertices themselves, gives those on the target.
+
+    Raises
+    ------
+    InvalidInputError
+        If `functional_map` does not fit the spectra, or `faces` do not fit the source.
 
     Notes
     -----
@@ -89,15 +96,23 @@ def functional_map_from_precise_map(
 
     Parameters
     ----------
-    source, target, k
-        As of `functional_map_from_point_map`.
+    source, target : Spectrum
+        Of the two surfaces, in any units.
     precise : sparse array of shape (n2, n1)
         As `precise_map` returns it: each row mixes source points.
+    k : int or (int, int), optional
+        Number of modes, or (source's, target's); all by default.
 
     Returns
     -------
     ndarray of shape (k2, k1)
         ``U2.T @ M2 @ (precise @ U1)`` at unit area.
+
+    Raises
+    ------
+    InvalidInputError
+        If `precise` is not sparse, not finite or of another shape, or there are fewer modes than
+        `k`.
 
     Examples
     --------

@@ -51,6 +51,11 @@ def bijective_zoomout(
     Correspondence
         The point map, and the functional map of `k_final` x `k_final` that it induces.
 
+    Raises
+    ------
+    InvalidInputError
+        As `zoomout`; if `features` do not fit the points or each other, or are not finite.
+
     Notes
     -----
     A bijection that preserves areas has ``C_21 = C_12^T``. Each iteration finds the point maps of
@@ -91,8 +96,10 @@ def icp(
 
     Parameters
     ----------
-    source, target, functional_map
-        As of `point_map_from_functional_map`, of as many components.
+    source, target : Spectrum
+        Of the two surfaces, in any units.
+    functional_map : array_like of shape (k2, k1)
+        Source coefficients to target coefficients.
     iterations : int, default 10
         How often to repeat; it ends sooner once the point map stays the same.
 
@@ -100,6 +107,11 @@ def icp(
     -------
     Correspondence
         The point map, and the functional map that it induces, of the given size.
+
+    Raises
+    ------
+    InvalidInputError
+        If `functional_map` does not fit the spectra, or the numbers of components differ.
 
     Notes
     -----

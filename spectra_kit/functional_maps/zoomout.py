@@ -41,7 +41,7 @@ def zoomout(
     source, target : Spectrum
         Of the two surfaces, in any units, of as many components, with at least `k_final` modes.
     initial : array_like of shape (k2, k1) or (n2,)
-        A functional map, or a point map.
+        A functional map of source to target, or the source point of each target point.
     k_final : int
         Number of modes to end with.
     k_start : int, optional
@@ -61,6 +61,13 @@ def zoomout(
     -------
     Correspondence
         The point map, and the functional map of `k_final` x `k_final` that it induces.
+
+    Raises
+    ------
+    InvalidInputError
+        If a map does not fit the spectra, `k_final` is below the start or above the number of
+        modes, the numbers of components differ, the samples are too few or out of range, or torch
+        cannot use `device`.
 
     Notes
     -----
@@ -179,6 +186,12 @@ def zoomout_many(
         Refined candidates: the least-squares fits on the samples.
     point_maps : ndarray of shape (c, s2)
         Source sample of each target sample, by the refined maps.
+
+    Raises
+    ------
+    InvalidInputError
+        If a shape does not fit, a value is not finite, or there are fewer target samples than
+        `k_final`.
 
     Notes
     -----

@@ -80,6 +80,12 @@ class HeatGeodesics:
     time_steps : ndarray of shape (n_components,)
         Of each component of `triangulation`, in length^2.
 
+    Raises
+    ------
+    InvalidInputError
+        If an argument is of another kind, `spectrum` has another number of points, or
+        `intrinsic_delaunay` refuses the geometry.
+
     Notes
     -----
     Heat u spreads from the sources for a short time t, ``(M + t L) u = b``; unit vectors X point
@@ -183,9 +189,16 @@ class HeatGeodesics:
         return self._distance(check_sources(sources, self._geometry, weights), *self._options(1))
 
     def distances(self, sources: Sequence[SourcesLike]) -> list[DistanceField]:
-        """Measure a field for each of many sources, or sets of them, as `distance` takes them.
+        """Measure a distance field for each of many sources, or sets of sources.
 
-        Their number decides what `Automatic` does.
+        Parameters
+        ----------
+        sources : sequence of whatever `distance` takes
+            Their number decides what `Automatic` does.
+
+        Returns
+        -------
+        list of DistanceField
         """
         checked = [check_sources(one, self._geometry) for one in sources]
         options, why = self._options(len(checked))
@@ -354,13 +367,30 @@ def geodesic_distance(
 
     Parameters
     ----------
-    geometry, sources, spectrum, weights, solver, time_coefficient, boundary
-        As of `HeatGeodesics` and of its method ``distance``.
+    geometry : TriangleMesh, PointCloud or IntrinsicTriangulation
+        Of n points.
+    sources : int, FacePoint, sequence or array of these, mask, or Sources
+        See `check_sources`.
+    spectrum : Spectrum, optional
+        Modes of the geometry, to be quicker.
+    weights : array_like of shape (s,), optional
+        Heat that each source emits, 1 by default.
+    solver : Direct, Iterative or Automatic, default Automatic()
+        How linear systems are solved.
+    time_coefficient : float, default 1.0
+        Time of the heat step over the square of the typical edge.
+    boundary : {"neumann", "dirichlet", "average"}, default "neumann"
+        Of the heat step; all as in `HeatGeodesics`.
 
     Returns
     -------
     DistanceField
         The distances, and how they were found.
+
+    Raises
+    ------
+    InvalidInputError, ConvergenceError
+        As those do.
 
     See Also
     --------

@@ -33,6 +33,11 @@ class FacePoint:
     barycentric : array_like of shape (3,)
         Weights of the corners of the face, in its order: not negative, and of sum 1.
 
+    Raises
+    ------
+    InvalidInputError
+        If `face` is negative, or the coordinates are not barycentric.
+
     See Also
     --------
     nearest_source : The point of a mesh that is nearest to a coordinate.
@@ -91,6 +96,11 @@ class FacePoint:
         -------
         ndarray of shape (3,)
             In the unit of `mesh`.
+
+        Raises
+        ------
+        InvalidInputError
+            If `mesh` has no such face.
         """
         return np.asarray(np.array(self.barycentric) @ mesh.points[_corners(self, mesh)])
 
@@ -127,7 +137,21 @@ class Sources:
     offsets: Floats
 
     def right_hand_side(self) -> Floats:
-        """Return the heat at all points, shape (n,), integrated: right side of the heat step."""
+        """Return the heat at all points: the right side of the heat step.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Integrated, as a mass is.
+
+        Examples
+        --------
+        >>> from spectra_kit.geodesics import check_sources
+        >>> from spectra_kit.geometry import PointCloud
+        >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+        >>> check_sources(2, cloud).right_hand_side()
+        array([0., 0., 1.])
+        """
         heat = np.zeros(self.n)
         heat[self.vertices] = self.heat
         return heat
@@ -168,6 +192,12 @@ def check_sources(
     Sources
         The heat of a point of a face goes to its corners by its barycentric coordinates, so that
         one at a corner is that vertex, and the heat stays linear across the face.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no source, one is out of range, at a vertex without a face or on a face of what
+        has none, or `weights` are not s positive numbers.
 
     Examples
     --------
@@ -227,6 +257,11 @@ def nearest_source(geometry: Geometry, coordinate: ArrayLike) -> int | FacePoint
     FacePoint or int
         The nearest point of the faces of a mesh, put on a corner or side within 1e-9 of it (in
         barycentric coordinates); the index of the nearest point of a cloud.
+
+    Raises
+    ------
+    InvalidInputError
+        If `coordinate` has another shape or is not finite, or all faces have zero area.
 
     Examples
     --------

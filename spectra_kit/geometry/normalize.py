@@ -29,6 +29,11 @@ class Normalization(Brief):
     scale : float
         The length that becomes 1, in the same unit.
 
+    Raises
+    ------
+    InvalidInputError
+        If `centre` is not one finite point or `scale` is not positive.
+
     Notes
     -----
     A spectrum of the normalised geometry belongs to the original after
@@ -56,7 +61,23 @@ class Normalization(Brief):
 
     @classmethod
     def unit_box(cls, geometry: Geometry) -> Normalization:
-        """Centre the bounding box at the origin and make its longest side 1."""
+        """Centre the bounding box at the origin and make its longest side 1.
+
+        Parameters
+        ----------
+        geometry : TriangleMesh or PointCloud
+            Must not be a single point.
+
+        Returns
+        -------
+        Normalization
+            Takes the geometry into [-0.5, 0.5]^3.
+
+        Raises
+        ------
+        InvalidInputError
+            If all points coincide.
+        """
         low, high = geometry.points.min(axis=0), geometry.points.max(axis=0)
         side = float((high - low).max())
         if side == 0:
@@ -69,7 +90,23 @@ class Normalization(Brief):
 
     @classmethod
     def unit_area(cls, mesh: TriangleMesh) -> Normalization:
-        """Centre the surface at its centroid and make its area 1."""
+        """Centre the surface at its centroid and make its area 1.
+
+        Parameters
+        ----------
+        mesh : TriangleMesh
+            Must have area.
+
+        Returns
+        -------
+        Normalization
+            With scale = sqrt(area) in the unit of the mesh.
+
+        Raises
+        ------
+        InvalidInputError
+            If `mesh` is a cloud or all its faces are degenerate.
+        """
         if mesh.area == 0:
             raise InvalidInputError("mesh", "have area", "only degenerate faces")
         weights = mesh.face_areas / mesh.area
@@ -113,6 +150,11 @@ def normalize(geometry: Geometry) -> tuple[Geometry, Normalization]:
         With its bounding box centred at the origin and its longest side 1.
     normalization : Normalization
         ``normalization.invert`` brings points and geometries back.
+
+    Raises
+    ------
+    InvalidInputError
+        If all points coincide.
 
     Examples
     --------

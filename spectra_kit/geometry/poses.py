@@ -46,6 +46,11 @@ def creature_pair(
         The source vertex of each target vertex: exact for equal triangles, else the nearest on the
         animal at rest.
 
+    Raises
+    ------
+    InvalidInputError
+        As `creature`.
+
     Examples
     --------
     >>> from spectra_kit.geometry import creature_pair
@@ -86,6 +91,11 @@ def permuted(geometry: Kind, *, seed: int = 0) -> tuple[Kind, Ints]:
         The source point that each point of the copy is: ``copy.points`` equals
         ``geometry.points[point_map]``.
 
+    Raises
+    ------
+    InvalidInputError
+        If `geometry` is neither, or `seed` is negative.
+
     Examples
     --------
     >>> from spectra_kit.geometry import creature, permuted
@@ -118,6 +128,11 @@ def mirrored(geometry: Kind, *, axis: int = 0) -> Kind:
     TriangleMesh or PointCloud
         Isometric to `geometry`, of the opposite orientation. Faces are turned over, so that those
         which looked outwards still do.
+
+    Raises
+    ------
+    InvalidInputError
+        If `geometry` is neither, or `axis` is not 0, 1 or 2.
 
     Examples
     --------

@@ -164,8 +164,10 @@ def disk(*, rings: int = 18, radius: float = 1.0, k: int = 100) -> Reference:
     ----------
     rings : int, default 18
         Gives 3 rings (rings + 1) + 1 vertices.
-    radius, k
-        As of `sphere`.
+    radius : float, default 1.0
+        In the unit of length.
+    k : int, default 100
+        Number of exact eigenvalues.
 
     Returns
     -------
@@ -218,6 +220,11 @@ def torus(*, n: int = 1800, major: float = 1.0, minor: float = 0.4, k: int = 100
     -------
     Reference
         Eigenvalues to a relative 1e-11 or so, from a Fourier collocation.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is out of range, or minor >= major.
 
     Notes
     -----

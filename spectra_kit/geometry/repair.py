@@ -74,6 +74,11 @@ class Repaired(Brief):
         -------
         ndarray of shape (n_original,) or (n_original, d)
             Merged points all get the value of their common point.
+
+        Raises
+        ------
+        InvalidInputError
+            If `values` has another number of rows.
         """
         array = real_array("values", values)
         if array.shape[:1] != (self.geometry.n,):
@@ -106,6 +111,11 @@ def repair(geometry: Geometry, *, merge: bool = True) -> Repaired:
     -------
     Repaired
         The copy, what was removed, and index arrays in both directions.
+
+    Raises
+    ------
+    InvalidInputError
+        If no face of a mesh has any area.
 
     Examples
     --------

@@ -37,6 +37,11 @@ class GaussianDensity:
     centre : tuple of 3 floats, optional
         Where the density peaks; by default a random point of the surface, drawn with the seed.
 
+    Raises
+    ------
+    InvalidInputError
+        If `sigma` is not positive or `centre` is not one finite point.
+
     Notes
     -----
     A face of area A and centroid x weighs ``A * exp(-0.5 * (|x - centre| / sigma)**2)``: the
@@ -86,6 +91,11 @@ class Samples(Brief):
         -------
         ndarray of shape (n,) or (n, d)
             The values at the sampled points, in the same unit.
+
+        Raises
+        ------
+        InvalidInputError
+            If there are fewer rows than the mesh has vertices in use, or a value is not finite.
         """
         array = real_array("values", values)
         if array.ndim == 0 or len(array) <= self.corners.max():
@@ -122,6 +132,12 @@ def sample(
     -------
     PointCloud
         Points of shape (n, 3) in the unit of the mesh.
+
+    Raises
+    ------
+    InvalidInputError
+        If `mesh` is a cloud, `n` is below 1, `seed` is negative or None, `density` is something
+        else, or no face has any area.
 
     Examples
     --------

@@ -53,6 +53,11 @@ class PointCloud(_Shape):
     points : array_like of shape (n, 3)
         Coordinates, in any unit of length.
 
+    Raises
+    ------
+    InvalidInputError
+        If `points` is empty, has another shape, or holds NaN or infinite values.
+
     Examples
     --------
     >>> from spectra_kit import PointCloud
@@ -81,7 +86,13 @@ class PointCloud(_Shape):
         return PointCloud(points)
 
     def without_duplicates(self) -> PointCloud:
-        """Return the cloud with each exactly distinct point once, at its first place."""
+        """Return the cloud with each distinct point kept once, at its first place.
+
+        Returns
+        -------
+        PointCloud
+            At most n points, in their original order. Only exactly equal coordinates count.
+        """
         first, _ = distinct_rows(self.points)
         return PointCloud(self.points[first])
 
@@ -101,6 +112,11 @@ class TriangleMesh(_Shape):
         Vertex coordinates, in any unit of length.
     faces : array_like of shape (f, 3)
         Vertex indices of each triangle, counted from 0.
+
+    Raises
+    ------
+    InvalidInputError
+        If an array is empty, has another shape or dtype, or an index is out of range.
 
     Examples
     --------
@@ -186,7 +202,18 @@ class TriangleMesh(_Shape):
         return TriangleMesh(self.points[used], np.searchsorted(used, self.faces))
 
     def without_degenerate_faces(self, *, relative_area: float = 1e-12) -> TriangleMesh:
-        """Return the mesh without `degenerate_faces`; some vertices may become unreferenced."""
+        """Return the mesh without faces of repeated vertices or (near) zero area.
+
+        Parameters
+        ----------
+        relative_area : float, default 1e-12
+            Faces of area <= relative_area * (longest side)^2 go as well.
+
+        Returns
+        -------
+        TriangleMesh
+            The vertices are untouched; some may have become unreferenced.
+        """
         return TriangleMesh(self.points, self.faces[~self.degenerate_faces(relative_area)])
 
     def degenerate_faces(self, relative_area: float = 1e-12) -> NDArray[np.bool_]:

@@ -46,7 +46,18 @@ class Preconditioner(Protocol):
     """
 
     def solve(self, rhs: Floats) -> Floats:
-        """Return its product with `rhs` (n,), which is not written to: a new array (n,)."""
+        """Apply it.
+
+        Parameters
+        ----------
+        rhs : ndarray of shape (n,)
+            Not to be written to.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            A new array.
+        """
 
 
 class CoarseSpace:
@@ -126,7 +137,23 @@ class CoarseSpace:
         return f"CoarseSpace(n={self.n}, dimension={self.dimension})"
 
     def solve(self, rhs: Floats) -> Floats:
-        """Return ``Y E^-1 Y^T rhs`` for `rhs` of shape (n,)."""
+        """Solve within the span.
+
+        Parameters
+        ----------
+        rhs : ndarray of shape (n,)
+            Any.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            ``Y E^-1 Y^T rhs``.
+
+        Raises
+        ------
+        InvalidInputError
+            If `rhs` is of another shape.
+        """
         out = np.zeros(self.n)
         self.add_to(out, in_threads(call, self.restrictions(rhs)))
         return out

@@ -73,11 +73,38 @@ class GroundedCholesky:
         self.seconds = clock.total
 
     def solve(self, rhs: ArrayLike) -> Floats:
-        """Return x (n,) of ``matrix @ x = rhs``, of mean zero on each component of the kernel."""
+        """Solve ``matrix @ x = rhs``.
+
+        Parameters
+        ----------
+        rhs : array_like of shape (n,)
+            In the range of `matrix`.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            x, with mean zero on each component of the kernel.
+
+        Raises
+        ------
+        InvalidInputError
+            If `rhs` is of another shape, not finite or not in the range, or x is no solution.
+        """
         return self.solution(rhs).x
 
     def solution(self, rhs: ArrayLike) -> LinearSolution:
-        """Solve, and say how well and how fast: of no iterations and one residual."""
+        """Solve, and say how well and how fast.
+
+        Parameters
+        ----------
+        rhs : array_like of shape (n,)
+            As for `solve`, which says what is refused.
+
+        Returns
+        -------
+        LinearSolution
+            Of no iterations and one residual.
+        """
         clock = Clock()
         b = check_rhs(rhs, self.n, self._kernel)
         x = np.zeros(self.n)

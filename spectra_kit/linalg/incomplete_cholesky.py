@@ -137,7 +137,23 @@ class IncompleteCholesky:
         return self._entries
 
     def solve(self, rhs: Floats) -> Floats:
-        """Return the x (n,) of ``P (I + L) D (I + L)^T P^T x = rhs`` for `rhs` of shape (n,)."""
+        """Apply the inverse of the factor.
+
+        Parameters
+        ----------
+        rhs : ndarray of shape (n,)
+            Any.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            The x of ``P (I + L) D (I + L)^T P^T x = rhs``.
+
+        Raises
+        ------
+        InvalidInputError
+            If `rhs` is of another shape.
+        """
         from spectra_kit.linalg._incomplete_kernels import solve_factor
 
         out, work = np.empty(self.n), np.empty(self.n)

@@ -129,10 +129,19 @@ class SparseLDL:
         return Inertia(negative, int(zero.sum()), self.n - negative - int(zero.sum()))
 
     def backward_error(self, weight: Floats) -> float:
-        """Bound ``||W^-1/2 (A - P (I + L) D (I + L)^T P^T) W^-1/2||``, W = diag(`weight`) positive.
+        """Bound how far the product of the factors is from the matrix.
 
-        By so much `inertia` is certain: the negative eigenvalues of ``A + bound W`` are no more
-        than those it counts, and those of ``A - bound W`` no fewer. Infinite if it overflows.
+        Parameters
+        ----------
+        weight : ndarray of shape (n,)
+            Positive: W, diagonal.
+
+        Returns
+        -------
+        float
+            At least ``||W^-1/2 (A - P (I + L) D (I + L)^T P^T) W^-1/2||`` (2-norm), by which
+            `inertia` is certain: the negative eigenvalues of ``A + bound W`` are no more than
+            those it counts, and those of ``A - bound W`` no fewer. Infinite if it overflows.
 
         Notes
         -----
@@ -157,10 +166,24 @@ class SparseLDL:
         return (longest + 6) * _EPS * bound if np.isfinite(bound) else np.inf
 
     def solve(self, rhs: NDArray[np.floating], *, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """Solve ``A x = rhs`` for `rhs` of shape (n,) or (n, s), in C order (any other is copied).
+        """Solve ``A x = rhs``.
 
-        In float32 if that is the `dtype`, which halves memory and time; the error is some 1e-7
-        times the condition of A.
+        Parameters
+        ----------
+        rhs : ndarray of shape (n,) or (n, s)
+            C order is read as it is, any other is copied.
+        dtype : {float64, float32}, default float64
+            Of the arithmetic and of the solution. float32 halves memory and time; its error is
+            some 1e-7 times the condition of A.
+
+        Returns
+        -------
+        ndarray of the shape of `rhs`
+
+        Raises
+        ------
+        InvalidInputError
+            If `rhs` has another number of rows, or `dtype` is neither of the two.
         """
         from spectra_kit.linalg._kernels import solve_columns
 

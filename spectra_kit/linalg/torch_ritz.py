@@ -25,9 +25,16 @@ _NOTHING = 1e-13  # share of the largest squared norm: orthonormal columns may b
 
 
 class RitzPairs(NamedTuple):
-    """The lowest eigenpairs inside a subspace, float64, M-orthonormal, and what they took.
+    """The lowest eigenpairs inside a subspace.
 
-    The stages are ``orthonormalize``, ``project``, ``eigh`` (with the lift) and ``settle``.
+    Attributes
+    ----------
+    eigenvalues : Tensor of shape (k,)
+        Ascending, float64, in 1/length^2.
+    eigenvectors : Tensor of shape (n, k)
+        M-orthonormal, float64.
+    seconds : dict of str to float
+        ``orthonormalize``, ``project``, ``eigh`` (with the lift) and ``settle``.
     """
 
     eigenvalues: Tensor

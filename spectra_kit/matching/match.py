@@ -79,6 +79,13 @@ def match(
     Match
         The point map, the functional map, and how sure they are.
 
+    Raises
+    ------
+    InvalidInputError
+        If a spectrum has fewer than 30 modes, no constant mode or several components, `k` is below
+        30, `mirrored` is given without both geometries, or landmarks are empty, unpaired or out of
+        range.
+
     Warns
     -----
     DoubtfulMatchWarning

@@ -11,7 +11,12 @@ from spectra_kit._validate import check_count, check_weights
 @checked
 @dataclass(frozen=True, kw_only=True)
 class ScoreWeights:
-    """Exponents of the `mismatches` in a score; those of a kind that is absent are left out.
+    """Exponents of the mismatches in a score; those of a kind that is absent are left out.
+
+    Parameters
+    ----------
+    curvature, wave, spacing, embedding, orientation, landmarks : float
+        See `mismatches`.
 
     Examples
     --------
@@ -38,6 +43,82 @@ class MatchOptions:
 
     Lengths and areas are those of surfaces at unit area.
 
+    Parameters
+    ----------
+    signed_modes : int, default 7
+        Modes whose signs are tried, the constant among them: 2^6 choices.
+    orders : int, default 32
+        Likeliest orders of these modes that are tried: 2048 candidates in all.
+    first_samples : int, default 48
+        On which these are compared.
+    growing : int, default 96
+        How many then start to grow.
+    kept : tuple of (int, int), default ((8, 48), (11, 16))
+        From so many modes on, how many go on growing.
+    growing_samples : int, default 200
+        On which they grow.
+    grown_modes : int, default 30
+        To which they grow.
+    form_modes : int, default 8
+        Whose area forms are compared.
+    forms_until : int, default 20
+        Modes from which a map holds its orientation by itself, without area forms.
+    form_share : float, default 0.5
+        Squared length of the area forms, relative to that of the modes.
+    curvature_share : float, default 0.1
+        The same for curvature.
+    growing_curvatures : int, default 3
+        How many of the smoothed curvatures candidates grow by, from the finest.
+    landmark_energies : int, default 20
+        Of the wave kernel signature seen from each landmark.
+    finalists : int, default 6
+        Candidates that are refined.
+    refined_modes : int, default 60
+        To which they are refined.
+    same : float, default 0.05
+        Squared difference per mode below which two maps are one.
+    rival : float, default 0.15
+        The same, below which one is no rival of the other.
+    weights : ScoreWeights
+        Of the mismatches in a score.
+    scored_curvatures : int, default 2
+        How many of the smoothed curvatures are scored, from the finest.
+    rough_samples : int, default 200
+        Of a rough score.
+    least_mismatch : float, default 1e-3
+        Below which maps count as equally good.
+    mirrored_by : float, default 1.5
+        How many times better a mirrored map must be to be believed.
+    last_steps : int, default 3
+        From the refined modes to the end.
+    curvature_scale : float, default 2.0
+        Of each curvature in those steps: it counts like four modes.
+    pull : float, default 400.0
+        Weight of the target in bending: rigid below lengths of 1/20.
+    normal_length : float, default 0.05
+        Length that a turn of the normal by one radian counts like.
+    rounds : int, default 5
+        Of finding nearest points.
+    bends : int, default 2
+        Of bending within each round.
+    first_bends : int, default 8
+        The same in the first round.
+    clear_margin : float, default 1.04
+        Below which a match is ambiguous: right ones of bodies had 1.06 and more, but three of 130.
+    doubtful_mirror : float, default 1.1
+        How many times better a map of the other orientation must be to raise doubts: it was up to
+        1.16 times better for right ones.
+    clear_orientation : float, default 0.5
+        Size of it below which a map may be flipped in parts: right ones had 0.7 and more.
+    clear_sides : float, default 0.9
+        Share of the triangles that agree below which it is in doubt which side of a cloud is out.
+    convincing_score : float, default 0.47
+        Above which the two do not correspond. Set, like the next, between 48 right maps (bodies and
+        animals, some of different kinds) and 42 between unrelated shapes, one of which passed; of
+        others, 1 of 44 right ones was doubted, and none of 43 passed.
+    convincing_coverage : float, default 1.1
+        Below which they do not.
+
     Examples
     --------
     >>> import spectra_kit as sk
@@ -45,56 +126,41 @@ class MatchOptions:
     12
     """
 
-    #: Modes whose signs are tried, the constant among them: 2^6 choices.
     signed_modes: int = 7
-    #: Likeliest orders of these modes that are tried: 2048 candidates in all.
     orders: int = 32
-    first_samples: int = 48  #: On which these are compared.
-    growing: int = 96  #: How many then start to grow.
-    #: From so many modes on, how many go on growing.
+    first_samples: int = 48
+    growing: int = 96
     kept: tuple[tuple[int, int], ...] = ((8, 48), (11, 16))
-    growing_samples: int = 200  #: On which they grow.
-    grown_modes: int = 30  #: To which they grow.
-    form_modes: int = 8  #: Whose area forms are compared.
-    #: Modes from which a map holds its orientation by itself, without area forms.
+    growing_samples: int = 200
+    grown_modes: int = 30
+    form_modes: int = 8
     forms_until: int = 20
-    form_share: float = 0.5  #: Squared length of the area forms, relative to that of the modes.
-    curvature_share: float = 0.1  #: The same for curvature.
-    #: How many of the smoothed curvatures candidates grow by, from the finest.
+    form_share: float = 0.5
+    curvature_share: float = 0.1
     growing_curvatures: int = 3
-    landmark_energies: int = 20  #: Of the wave kernel signature seen from each landmark.
-    finalists: int = 6  #: Candidates that are refined.
-    refined_modes: int = 60  #: To which they are refined.
-    same: float = 0.05  #: Squared difference per mode below which two maps are one.
-    rival: float = 0.15  #: The same, below which one is no rival of the other.
-    weights: ScoreWeights = ScoreWeights()  #: Of the mismatches in a score.
-    #: How many of the smoothed curvatures are scored, from the finest.
+    landmark_energies: int = 20
+    finalists: int = 6
+    refined_modes: int = 60
+    same: float = 0.05
+    rival: float = 0.15
+    weights: ScoreWeights = ScoreWeights()
     scored_curvatures: int = 2
-    rough_samples: int = 200  #: Of a rough score.
-    least_mismatch: float = 1e-3  #: Below which maps count as equally good.
-    mirrored_by: float = 1.5  #: How many times better a mirrored map must be to be believed.
-    last_steps: int = 3  #: From the refined modes to the end.
-    curvature_scale: float = 2.0  #: Of each curvature in those steps: it counts like four modes.
-    #: Weight of the target in bending: rigid below lengths of 1/20.
+    rough_samples: int = 200
+    least_mismatch: float = 1e-3
+    mirrored_by: float = 1.5
+    last_steps: int = 3
+    curvature_scale: float = 2.0
     pull: float = 400.0
-    normal_length: float = 0.05  #: Length that a turn of the normal by one radian counts like.
-    rounds: int = 5  #: Of finding nearest points.
-    bends: int = 2  #: Of bending within each round.
-    first_bends: int = 8  #: The same in the first round.
-    #: Below which a match is ambiguous: right ones of bodies had 1.06 and more, but three of 130.
+    normal_length: float = 0.05
+    rounds: int = 5
+    bends: int = 2
+    first_bends: int = 8
     clear_margin: float = 1.04
-    #: How many times better a map of the other orientation must be to raise doubts: it was up to
-    #: 1.16 times better for right ones.
     doubtful_mirror: float = 1.1
-    #: Size of it below which a map may be flipped in parts: right ones had 0.7 and more.
     clear_orientation: float = 0.5
-    #: Share of the triangles that agree below which it is in doubt which side of a cloud is out.
     clear_sides: float = 0.9
-    #: Above which the two do not correspond. Set, like the next, between 48 right maps (bodies and
-    #: animals, some of different kinds) and 42 between unrelated shapes, one of which passed; of
-    #: others, 1 of 44 right ones was doubted, and none of 43 passed.
     convincing_score: float = 0.47
-    convincing_coverage: float = 1.1  #: Below which they do not.
+    convincing_coverage: float = 1.1
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

@@ -66,7 +66,18 @@ class Prepared(Rebuilt):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def truncate(self, k: int) -> Prepared:
-        """Return the surface prepared with its first k modes alone, 30 or more."""
+        """Return the surface prepared with its first k modes alone.
+
+        Parameters
+        ----------
+        k : int
+            At least 30, and at most as many as there are.
+
+        Returns
+        -------
+        Prepared
+            As if it had been made of a truncated spectrum.
+        """
         if check_count("k", k, low=LOWEST_K, high=self.spectrum.k) == self.spectrum.k:
             return self
         surface = self.surface
@@ -99,6 +110,13 @@ def prepare(
     -------
     Prepared
         At unit area, for any number of matches.
+
+    Raises
+    ------
+    InvalidInputError
+        If the spectrum has fewer than 30 modes, no constant mode or several components,
+        `n_samples` is below 200, the geometry has other points or another area, or its faces have
+        no consistent winding (`operators.oriented_triangles`).
 
     Examples
     --------

@@ -132,8 +132,10 @@ def orientation_of(source: Prepared, target: Prepared, functional_map: Floats) -
 
     Parameters
     ----------
-    source, target, functional_map
-        As of `mismatches`.
+    source, target : Prepared
+        The surfaces.
+    functional_map : ndarray of shape (k, k)
+        Of source to target.
 
     Returns
     -------

@@ -43,6 +43,11 @@ def laplacian(geometry: Geometry) -> Laplacian:
     Laplacian
         Neumann; mass in the squared length unit of `geometry`.
 
+    Raises
+    ------
+    InvalidInputError
+        As of the two.
+
     Examples
     --------
     >>> import spectra_kit as sk
@@ -93,8 +98,10 @@ def robust_laplacian(
     Meshes are handed to the library robust_laplacian. Its operator of clouds does not converge:
     each triangle is found by three points, and it glues these copies to each other, which the edge
     flips then deflate. The eigenvalues 2, 6, 12 of the unit sphere come out as 1.90, 5.69, 11.37 on
-    8,000 random directions, 5 % low as they are on 2,000; those of `delaunay_laplacian` are 2.00,
-    5.99, 11.96. And its triangles depend on where the origin is.
+    8,000 random directions (``default_rng(1).standard_normal``, normalised), 5 % low as they are on
+    2,000; those of `delaunay_laplacian` are 2.00, 5.99, 11.96. And it fits the plane of a point
+    around the sum of its k neighbours over k + 1, so its triangles depend on where the origin is:
+    of 32,000 directions it finds 64 % of the area, after a shift by (3, 3, 3) 98 %.
 
     References
     ----------
@@ -152,6 +159,11 @@ def cotan_laplacian(mesh: TriangleMesh) -> Laplacian:
     -------
     Laplacian
         Neumann, positive semi-definite (libigl's matrix with its sign turned).
+
+    Raises
+    ------
+    InvalidInputError
+        If `mesh` is a cloud, a vertex belongs to no face, or a face is degenerate or duplicated.
 
     References
     ----------
@@ -212,6 +224,11 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
     Laplacian
         ``L = D - K`` with mass ``D`` (row sums of K): **dimensionless**, its eigenvalues are in
         [0, 2] whatever the unit of length.
+
+    Raises
+    ------
+    InvalidInputError
+        If there are not more points than `n_neighbors`, or points coincide.
 
     Notes
     -----

@@ -16,14 +16,23 @@ def delaunay_laplacian(
 
     Parameters
     ----------
-    geometry, mollify_factor, n_neighbors
-        As of `intrinsic_delaunay`, whose Laplacian this is.
+    geometry : TriangleMesh or PointCloud
+        With n points.
+    mollify_factor : float, default 1e-5
+        Intrinsic mollification of (near) degenerate triangles, relative to their mean side.
+    n_neighbors : int, default 30
+        Of a cloud: candidates for the triangles of a point; see `intrinsic_delaunay`.
 
     Returns
     -------
     Laplacian
         Neumann; edge weights are not negative beyond rounding; mass in the squared length unit
         of `geometry`. The same bits whatever the number of threads.
+
+    Raises
+    ------
+    InvalidInputError, ConvergenceError
+        As `intrinsic_delaunay`, whose Laplacian this is.
 
     Examples
     --------

@@ -56,6 +56,11 @@ class IntrinsicTriangulation(Rebuilt):
     laplacian : Laplacian
         Of piecewise linear functions on these triangles, Neumann, on n points.
 
+    Raises
+    ------
+    InvalidInputError
+        If shapes disagree, an index is out of range, or a length is not positive.
+
     Examples
     --------
     >>> from spectra_kit import intrinsic_delaunay
@@ -154,6 +159,11 @@ class IntrinsicTriangulation(Rebuilt):
         ndarray of shape (f, 2)
             In the unit of `values` over length, in a frame of each triangle: x runs along side 0,
             y points to corner 2. Frames of different triangles have nothing to do with each other.
+
+        Raises
+        ------
+        InvalidInputError
+            If `values` has another shape or is not finite.
         """
         return gradients(self.corners, self.lengths, _of_shape("values", values, (self.n,)))
 
@@ -170,6 +180,11 @@ class IntrinsicTriangulation(Rebuilt):
         ndarray of shape (n,)
             For any function v, ``v @ divergence(X)`` is the integral of ``<grad v, X>`` over the
             surface, so ``divergence(gradient(u))`` is ``laplacian.stiffness @ u``.
+
+        Raises
+        ------
+        InvalidInputError
+            If `vectors` has another shape or is not finite.
         """
         field = _of_shape("vectors", vectors, (len(self.corners), 2))
         return np.asarray(self.share * divergences(self.corners, self.lengths, field, self.n))

@@ -43,6 +43,12 @@ class Laplacian(Rebuilt):
     fixed : array_like of int, default ()
         Points held at zero (homogeneous Dirichlet). None of them means Neumann.
 
+    Raises
+    ------
+    InvalidInputError
+        If the sizes disagree, a value is not finite, the mass is not positive and diagonal, or L
+        is not symmetric or has a negative diagonal entry.
+
     Examples
     --------
     >>> from scipy import sparse

@@ -55,6 +55,12 @@ class OrientedTriangles(Rebuilt):
         Share of the triangles whose corners agree on the side: 1 for a mesh; for a cloud, a sign of
         how far its orientation can be trusted.
 
+    Raises
+    ------
+    InvalidInputError
+        If shapes disagree, an index is out of range, a weight is not positive or an
+        area is negative.
+
     Examples
     --------
     >>> from spectra_kit.operators import OrientedTriangles
@@ -215,6 +221,11 @@ def area_form(oriented: OrientedTriangles, functions: ArrayLike) -> Floats:
         the unit of length does not enter. Antisymmetric in b and c; on a closed surface
         changes sign with every swap of two indices.
 
+    Raises
+    ------
+    InvalidInputError
+        If `functions` has another shape or is not finite.
+
     Notes
     -----
     Exact for piecewise linear functions: a triangle (i, j, k) contributes the mean of f_a times
@@ -266,6 +277,11 @@ def orientation_operator(
     ndarray of shape (p, k, k)
         ``O[p, i, j]``, scale-free in the metric; antisymmetric in i and j on a closed surface.
 
+    Raises
+    ------
+    InvalidInputError
+        If an array has another shape or is not finite.
+
     Notes
     -----
     The operator ``g -> n . (grad f x grad g)`` in the basis, which commutes with maps that keep
@@ -311,6 +327,11 @@ def skew(oriented: OrientedTriangles, f: ArrayLike, g: ArrayLike) -> Floats:
     ndarray of shape (n,) or (n, p)
         In the units of f and g over length^2: the integral of ``df ^ dg`` over the triangles around
         a point, divided by their area; 0 where that is 0.
+
+    Raises
+    ------
+    InvalidInputError
+        If an array has another shape or is not finite.
 
     Examples
     --------

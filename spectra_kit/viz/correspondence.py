@@ -99,20 +99,23 @@ def plot_correspondence(
     Parameters
     ----------
     $path
-    source, target, point_map
-        As of `MatchedPair`. A cloud is drawn as balls.
+    source, target : TriangleMesh or PointCloud
+        With n1 and n2 points. A cloud is drawn as balls.
+    point_map : array_like of shape (n2,), integers
+        The source point of each target point.
     $view
     $page
-    errors
-        As of `MatchedPair`, drawn in a third column; those of a mesh are made by `map_errors`.
+    errors : MapErrors, optional
+        Of the map, drawn in a third column at the target points that they are of; those of a mesh
+        are made by `correspondence.map_errors`.
     transfer : {"colours", "texture"}, default "colours"
         What the map carries: gradual colours, or a chart of named squares.
     limit : float, optional
         The error at the dark end of the colours; by default the 99th percentile.
     error_label : str
         Says what the errors are, and in which unit.
-    names
-        As of `MatchedPair`.
+    names : tuple of str, default ("source", "target")
+        What to call the two.
 
     $returns
 
@@ -160,8 +163,12 @@ def plot_correspondences(
         At least one. If one has errors, all share their colour scale.
     $view
     $page
-    transfer, limit, error_label
-        As of `plot_correspondence`, for all.
+    transfer : {"colours", "texture"}, default "colours"
+        As in `plot_correspondence`.
+    limit : float, optional
+        The error at the dark end of the colours, for all.
+    error_label : str
+        Says what the errors are, and in which unit.
 
     $returns
 

@@ -122,7 +122,8 @@ def written(
         plot.__signature__ = own.replace(  # type: ignore[attr-defined]
             parameters=[path, *own.parameters.values()], return_annotation="Picture"
         )
-        plot.__doc__ = Template(inspect.cleandoc(draw.__doc__ or "")).substitute(_SHARED) + "\n"
+        own_words = Template(inspect.cleandoc(draw.__doc__ or ""))
+        plot.__doc__ = own_words.safe_substitute(_SHARED) + "\n"
         return cast(Plot[Options], plot)
 
     return decorate

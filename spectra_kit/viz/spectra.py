@@ -61,7 +61,8 @@ def plot_spectrum(
     Raises
     ------
     InvalidInputError
-        If a spectrum has no modes, or `free_boundary` is given for surfaces of several areas.
+        If there is no spectrum, one has no modes, or `free_boundary` is not finite or is given for
+        surfaces of several areas.
 
     Notes
     -----
