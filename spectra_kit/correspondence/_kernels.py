@@ -5,9 +5,12 @@ from __future__ import annotations
 from heapq import heappop, heappush
 
 import numpy as np
+from numpy.typing import NDArray
 
-from spectra_kit._types import Floats, Ints
 from spectra_kit.linalg.compiled import compiled
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 @compiled()
