@@ -188,8 +188,8 @@ def test_odd_environments(case: Case) -> None:
     environments = _odd_environments(case.folder)
     chosen = [
         ("info", name),
-        ("spectrum", name, "-k", "6", "-o", "modes.npz"),
         ("modes", name, "-k", "4", "-o", "a.svg"),
+        ("spectrum", name, "-k", "6", "-o", "modes.npz"),
         ("geodesic", name, "--source", "0", "--no-pictures", "-o", "out"),
         ("explore", name, "-k", "4", "-o", "a.html"),
     ][case.rng.integers(5)]
