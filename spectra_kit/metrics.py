@@ -437,4 +437,3 @@ def _outside(Y: Floats, mass: Floats, U: Floats) -> Floats:
 def _squared_norm(columns: Floats, mass: Floats) -> Floats:
     """M-norm of each column, squared."""
     return np.asarray(np.einsum("n,nk,nk->k", mass, columns, columns))
-
