@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import gc
-import json
 import os
+from collections import Counter
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -224,13 +224,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Show what became of the damaged cases, those of other processes of pytest-xdist too."""
-    reports = [r for kind in ("passed", "failed") for r in terminalreporter.getreports(kind)]
-    told = [json.loads(v) for r in reports for key, v in r.user_properties if key == "damage"]
+    reports = terminalreporter.getreports("passed")
+    told = Counter(value for r in reports for key, value in r.user_properties if key == "damage")
     if told:
         terminalreporter.section("damage")
-    for name, outcomes in sorted(told):
-        counts = ", ".join(f"{count:,} {outcome}" for outcome, count in sorted(outcomes.items()))
-        terminalreporter.line(f"{name}: {counts}")
+    for outcome, count in sorted(told.items()):
+        terminalreporter.line(f"{outcome}: {count:,}")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
