@@ -22,7 +22,6 @@ STARTS = {
     "too few columns": sk.RandomBasis(m=5),
     "no columns": lambda points, mass: np.empty((len(points), 0)),
     "constants alone": lambda points, mass: np.ones((len(points), 3)),
-    "union": sk.Union(sk.AmbientFourier(m=50, bandwidth=4.0), sk.RandomBasis(m=20)),
 }
 
 
@@ -50,7 +49,7 @@ def test_the_methods_agree_on_what_converged_means(animal) -> None:
 
 @pytest.mark.parametrize(
     ("noise", "missing"),
-    [(0.0, (7,)), (1e-12, (0, K - 1)), (1e-8, (K - 2, K - 1, K)), (1e-6, (7,)), (1e-4, (0, K - 1))],
+    [(0.0, (7,)), (1e-8, (K - 2, K - 1, K)), (1e-4, (0, K - 1))],
 )
 def test_modes_that_the_start_lacks_are_found(animal, animal_spectrum, noise, missing) -> None:
     """Neither silently left out, nor taken for rounding while they come up."""
@@ -64,7 +63,7 @@ def test_k_inside_a_cluster() -> None:
     """On the sphere, where the guards may end anywhere in a shell of equal eigenvalues."""
     laplacian = sk.robust_laplacian(sphere(subdivisions=4).geometry)
     exact = sk.eigensolve(laplacian, 36).eigenvalues
-    for k in (15, 16, 17, 21, 24):
+    for k in (15, 17, 21):
         for solver in (sk.Refined(), sk.Multilevel(rtol=1e-8)):
             s = sk.eigensolve(laplacian, k, solver)
             assert s.certificate.relative_residuals.max() <= 1e-8
@@ -124,7 +123,7 @@ def test_short_of_the_tolerance(animal, solver) -> None:
 def test_rounding_is_recognised_however_it_falls(bumpy_laplacian) -> None:
     """Residuals that are rounding fall as often as they rise: that is no progress."""
     exact = sk.eigensolve(bumpy_laplacian, K).eigenvalues
-    for seed in range(3):
+    for seed in range(2):
         with pytest.raises(sk.ConvergenceError, match="rounding stops the others; loosen") as e:
             sk.eigensolve(bumpy_laplacian, K, sk.Refined(rtol=1e-14, seed=seed))
         assert e.value.partial.certificate.relative_residuals.max() < 1e-10
