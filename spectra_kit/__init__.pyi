@@ -22,7 +22,7 @@ from . import subspaces as subspaces
 from . import training as training
 from . import viz as viz
 from .eigensolvers import Arpack as Arpack
-from .eigensolvers import Capped as Capped
+from .eigensolvers import Cascade as Cascade
 from .eigensolvers import Chebyshev as Chebyshev
 from .eigensolvers import Dense as Dense
 from .eigensolvers import Lobpcg as Lobpcg

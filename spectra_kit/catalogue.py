@@ -75,7 +75,7 @@ SOLVERS = _table(
     lobpcg=("lobpcg:Lobpcg", "preconditioned conjugate gradients", "to tolerance"),
     dense=("dense:Dense", "LAPACK on the full matrix, for few points", "exact"),
     polished=("refined:Polished", "a start and one sweep of Refined", "approximate"),
-    capped=("capped:Capped", "a prediction on few points, carried to all", "approximate"),
+    cascade=("cascade:Cascade", "few points solved, carried to all, smoothed", "approximate"),
     fourier=("rayleigh_ritz:RayleighRitz", "plane waves and Rayleigh-Ritz", "approximate"),
     neo=("neo:Neo", "the network and Rayleigh-Ritz", "approximate"),
 )

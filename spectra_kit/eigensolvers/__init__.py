@@ -2,7 +2,7 @@
 
 from spectra_kit.eigensolvers.arpack import Arpack
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
-from spectra_kit.eigensolvers.capped import Capped
+from spectra_kit.eigensolvers.cascade import Cascade
 from spectra_kit.eigensolvers.chebyshev import Chebyshev
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.lobpcg import Lobpcg
@@ -16,7 +16,7 @@ from spectra_kit.eigensolvers.verification import verify
 
 __all__ = [
     "Arpack",
-    "Capped",
+    "Cascade",
     "Chebyshev",
     "Dense",
     "Eigenpairs",

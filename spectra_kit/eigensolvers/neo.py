@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal
 
-import numpy as np
-
 from spectra_kit._checked import checked
-from spectra_kit._clock import Clock
-from spectra_kit._validate import Rebuilt, check_count, check_positive
+from spectra_kit._validate import Rebuilt, check_count
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
+from spectra_kit.eigensolvers.cascade import Cascade
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.operators.laplacian import Laplacian
 
@@ -46,19 +45,21 @@ class Neo(Rebuilt):
         Points whose temporaries are held at a time.
     cap : int, optional
         Points of a component that the network sees at most, well spread over the surface; the modes
-        are carried to all others and smoothed. This is the device's version of `Capped`, which on
-        a CPU also sweeps. Components with fewer than twice as many points are seen whole.
-    smoothing : int, default 6
-        Sparse products that smooth carried modes, before a last Rayleigh-Ritz; 0 leaves them as
-        they were carried. Without a cap there is nothing to smooth.
+        are carried to all others level by level (`Cascade`). Components with fewer than twice as
+        many points are seen whole.
+    smoothing : int, default 20
+        Steps at most, each some sparse products and Rayleigh-Ritz, that smooth the modes on all
+        points; 0 leaves them as they were predicted.
+    target : float, default 1e-3
+        Smooth until the relative errors of the eigenvalues, as estimated, are below this in the
+        mean.
     rank_tol : float, default 1e-10
         Relative cut on the singular values of the basis; see `linalg.orthonormalize`.
 
     Raises
     ------
     InvalidInputError
-        If an option is none of the above, the basis spans fewer than k dimensions, or so much
-        smoothing makes modes dependent.
+        If an option is none of the above, or the basis spans fewer than k dimensions.
     WeightsError
         If the weights are unknown, missing or damaged.
 
@@ -83,20 +84,23 @@ class Neo(Rebuilt):
     dtype: Literal["float32", "bfloat16", "float16"] = "float32"
     chunk: int = 65536
     cap: int | None = None
-    smoothing: int = 6
+    smoothing: int = 20
+    target: float = 1e-3
     rank_tol: float = 1e-10
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "device", str(self.device))
-        check_positive("rank_tol", self.rank_tol)
         if self.cap is not None:
             check_count("cap", self.cap, low=100)
         check_count("smoothing", self.smoothing, low=0)
-        _ = self.subspace  # checks the other options, and that the weights exist
+        _ = self._cascade  # checks the other options, and that the weights exist
 
     def __repr__(self) -> str:
-        capped = "" if self.cap is None else f"cap={self.cap}, smoothing={self.smoothing}, "
-        return f"Neo({self.subspace!r}, {capped}rank_tol={self.rank_tol:g})"
+        capped = "" if self.cap is None else f"cap={self.cap}, "
+        return (
+            f"Neo({self.subspace!r}, {capped}smoothing={self.smoothing}, target={self.target:g},"
+            f" rank_tol={self.rank_tol:g})"
+        )
 
     @cached_property
     def subspace(self) -> NeoSubspace:
@@ -111,21 +115,21 @@ class Neo(Rebuilt):
             chunk=self.chunk,
         )
 
-    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
-        """See `Eigensolver.eigenpairs`."""
-        from spectra_kit.neo import neo_eigenpairs
-
-        if laplacian.n <= 2 * self.subspace.n_functions:
-            return Dense().eigenpairs(laplacian, k)
-        values, vectors, seconds = neo_eigenpairs(
-            self.subspace,
-            laplacian,
-            k,
-            cap=self.cap,
-            smoothing=self.smoothing,
+    @cached_property
+    def _cascade(self) -> Cascade:
+        """What carries the prediction to all points, and smooths it there."""
+        return Cascade(
+            subspace=self.subspace,
+            target=self.target,
+            coarsest=sys.maxsize if self.cap is None else self.cap,
+            sweeps=0,
+            max_steps=self.smoothing,
+            device=str(self.device),
             rank_tol=self.rank_tol,
         )
-        clock = Clock()
-        found = Eigenpairs(np.asarray(values.cpu().numpy()), np.asarray(vectors.cpu().numpy()))
-        seconds["transfer"] += clock.total
-        return found._replace(seconds=seconds)
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
+        """See `Eigensolver.eigenpairs`."""
+        if laplacian.n <= 2 * self.subspace.n_functions:
+            return Dense().eigenpairs(laplacian, k)
+        return self._cascade.eigenpairs(laplacian, k)

@@ -7,6 +7,8 @@ are not distorted by the edges.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
@@ -17,6 +19,15 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
+
+
+@register_jitable
+def _longer(array: NDArray[Any], room: int) -> NDArray[Any]:
+    """Return a copy with room for more."""
+    longer = np.empty(room, array.dtype)
+    for t in range(len(array)):  # slices would have their error messages compiled
+        longer[t] = array[t]
+    return longer
 
 
 @compiled()
@@ -97,10 +108,7 @@ def balls(
                     ball[last] = j
                     last += 1
         if total + last > len(members):
-            longer = np.empty(2 * len(members) + last, np.int32)
-            for t in range(total):  # slices would have their error messages compiled
-                longer[t] = members[t]
-            members = longer
+            members = _longer(members, 2 * len(members) + last)
         for t in range(last):
             members[total + t] = ball[t]
         total += last
@@ -206,38 +214,79 @@ def _diagonalize(matrix: Floats, axes: Floats) -> None:
 
 
 @compiled()
-def smoothing_step(
+def galerkin_rows(
+    restrict_starts: Ints,
+    members: Ints,
+    shares: Floats,
     starts: Ints,
     neighbours: Ints,
-    stiffness: Singles,
-    mass: Singles,
-    inverse: Singles,
-    values: Singles,
-    residual: Singles,
-    old: Singles,
-    direction: Singles,
-    new: Singles,
-    keep: float,
-    step: float,
+    stiffness: Floats,
+    mass_starts: Ints,
+    mass_neighbours: Ints,
+    mass: Floats,
+    lift_starts: Ints,
+    centres: Ints,
+    weights: Floats,
     first: int,
     last: int,
-) -> None:
-    """Write one Chebyshev step of ``(L - lambda M) c = -residual`` to rows of `new`.
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """Return rows of the upper triangles of ``P^T L P`` and ``P^T M P``, of one pattern.
 
-    From the correction `old`; `direction` is overwritten by
-    ``keep direction - step (residual + (L - lambda M) old) / diag(L)``. All are (n, s) but
-    `values`, the lambda of each column, and `mass` and `inverse`, one over the diagonal.
+    As counts of entries, their columns, and both values. P^T, L, M and P are given by rows, those
+    of P with ascending columns.
     """
-    s = old.shape[1]
-    row = np.empty(s, np.float32)
+    n, m = len(lift_starts) - 1, len(restrict_starts) - 1
+    energy, weight = np.zeros(n), np.zeros(n)  # a row of P^T L and one of P^T M
+    reached, touched = np.empty(n, np.int32), np.zeros(n, np.bool_)
+    row_energy, row_mass = np.zeros(m), np.zeros(m)
+    columns, known = np.empty(m, np.int32), np.zeros(m, np.bool_)
+    counts = np.empty(last - first, np.int32)
+    room = 64 * (last - first) + m
+    found, energies, masses = np.empty(room, np.int32), np.empty(room), np.empty(room)
+    total = 0
     for i in range(first, last):
-        for c in range(s):
-            row[c] = residual[i, c] - values[c] * mass[i] * old[i, c]
-        for p in range(starts[i], starts[i + 1]):
-            j, weight = neighbours[p], stiffness[p]
-            for c in range(s):
-                row[c] += weight * old[j, c]
-        a, b = np.float32(keep), np.float32(step) * inverse[i]
-        for c in range(s):
-            direction[i, c] = a * direction[i, c] - b * row[c]
-            new[i, c] = old[i, c] + direction[i, c]
+        many = 0
+        for p in range(restrict_starts[i], restrict_starts[i + 1]):
+            r, share = members[p], shares[p]
+            for q in range(starts[r], starts[r + 1]):
+                j = neighbours[q]
+                if not touched[j]:
+                    touched[j] = True
+                    reached[many] = j
+                    many += 1
+                energy[j] += share * stiffness[q]
+            for q in range(mass_starts[r], mass_starts[r + 1]):
+                j = mass_neighbours[q]
+                if not touched[j]:
+                    touched[j] = True
+                    reached[many] = j
+                    many += 1
+                weight[j] += share * mass[q]
+        count = 0
+        for p in range(many):
+            j = reached[p]
+            a, b = energy[j], weight[j]
+            energy[j] = weight[j] = 0.0
+            touched[j] = False
+            for q in range(lift_starts[j + 1] - 1, lift_starts[j] - 1, -1):
+                c = centres[q]
+                if c < i:
+                    break
+                if not known[c]:
+                    known[c] = True
+                    columns[count] = c
+                    count += 1
+                row_energy[c] += a * weights[q]
+                row_mass[c] += b * weights[q]
+        if total + count > room:
+            room = 2 * room + count
+            found, energies = _longer(found, room), _longer(energies, room)
+            masses = _longer(masses, room)
+        for p in range(count):
+            c = columns[p]
+            found[total], energies[total], masses[total] = c, row_energy[c], row_mass[c]
+            row_energy[c] = row_mass[c] = 0.0
+            known[c] = False
+            total += 1
+        counts[i - first] = count
+    return counts, found[:total], energies[:total], masses[:total]

@@ -1,16 +1,87 @@
-"""A few sparse products that take the roughness out of carried modes."""
+"""Sparse products that take out of approximate modes what lies above them in the spectrum."""
 
 from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from spectra_kit._types import Floats
-from spectra_kit._validate import frozen
-from spectra_kit.linalg.residuals import residuals
-from spectra_kit.linalg.threads import in_threads, shares
+from spectra_kit.levels.coarse import Coarse
+from spectra_kit.linalg.blocks import operations
 from spectra_kit.operators.laplacian import Laplacian
 
 _FLOOR = 1e-3  # of the median diagonal entry: smaller ones would take steps of any length
+_ABOVE = 1.2  # of the frequency of the last columns: the interval that is damped begins there
+_REACH = 0.6  # degree d damps well from 1 / (1 + 0.6 d^2) of the top
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothing:
+    """What smoothing on the points of one operator needs, prepared once.
+
+    Attributes
+    ----------
+    stiffness, mass : sparse array and ndarray, or tensors
+        L, and M or its diagonal, where the columns live.
+    diagonal : ndarray or Tensor of shape (n,)
+        Of L, with a floor.
+    highest : float
+        Bound on the eigenvalues of ``diag(L)^-1 L``, by Gershgorin.
+    singles : host.Smoother or device.Smoother
+        The same in float32.
+    """
+
+    stiffness: Any
+    mass: Any
+    diagonal: Any
+    highest: float
+    singles: Any
+
+    @classmethod
+    def of(cls, operator: Laplacian | Coarse, device: str = "cpu") -> Smoothing:
+        """Prepare an operator for columns on a device; "cpu" means arrays."""
+        L, M = operator.stiffness, operator.mass
+        diagonal = L.diagonal()
+        diagonal = np.maximum(diagonal, _FLOOR * np.median(diagonal))
+        highest = float((np.asarray(abs(L).sum(axis=1)) / diagonal).max())
+        L, M, diagonal = (on_device(part, device) for part in (L, M, diagonal))
+        singles = operations(diagonal).smoother(L, M, diagonal)
+        return cls(L, M, diagonal, highest, singles)
+
+    def smoothed(
+        self, values: Floats, vectors: Any, *, degree: int | None = None, guards: int = 1
+    ) -> Any:
+        """Return columns whose errors above the last `guards` of them are damped.
+
+        By as many products as that takes, or `degree` at most. See `levels.smoothed`.
+        """
+        ops = operations(vectors)
+        last = slice(len(values) - guards, None)
+        theta = float(np.median(values[last] / ops.energies(self.diagonal, vectors[:, last])))
+        lowest = _ABOVE * theta
+        if degree is not None:
+            lowest = max(lowest, self.highest / (1 + _REACH * degree**2))
+        if lowest >= 0.9 * self.highest:
+            return vectors  # the columns fill the space of the points
+        steps = _steps(lowest, self.highest)
+        residual = ops.residual(self.stiffness, self.mass, values, vectors)
+        return vectors + ops.correction(self.singles, residual, values, steps)
+
+
+def on_device(array: Any, device: str) -> Any:
+    """Return a sparse or dense array as it is for "cpu", else as a tensor on the device."""
+    if device == "cpu":
+        return array
+    import torch
+
+    from spectra_kit.linalg.torch_device import sparse_tensor
+
+    if isinstance(array, np.ndarray):
+        return torch.tensor(array, device=device)
+    return array.to(device) if isinstance(array, torch.Tensor) else sparse_tensor(array, device)
 
 
 def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: int = 6) -> Floats:
@@ -21,11 +92,12 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
     laplacian : Laplacian
         On n points.
     values : ndarray of shape (k,)
-        Their approximate eigenvalues.
+        Their approximate eigenvalues, ascending.
     vectors : ndarray of shape (n, k)
-        Modes carried up from a coarse level.
+        Modes carried up from a coarse level, or predicted.
     degree : int, default 6
-        Products with L. The frequencies damped reach down with its square.
+        Products with L at most; fewer where these reach down to the modes themselves. The
+        frequencies damped reach down with its square.
 
     Returns
     -------
@@ -34,9 +106,10 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
 
     Notes
     -----
-    `degree` Chebyshev steps, preconditioned by the diagonal of L, for ``(L - lambda M) c = -r``
-    with the residual r of each column, aimed at the upper part of the spectrum (Saad, *Iterative
-    Methods for Sparse Linear Systems*, 2003, Algorithm 12.1). Only the correction c is float32.
+    Chebyshev steps, preconditioned by the diagonal of L, for ``(L - lambda M) c = -r``
+    with the residual r of each column, aimed at the spectrum above the last of them (Saad,
+    *Iterative Methods for Sparse Linear Systems*, 2003, Algorithm 12.1). Only the correction c is
+    float32.
 
     Examples
     --------
@@ -49,31 +122,15 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
     >>> bool(abs(u - exact.eigenvectors).max() < 1e-6)
     True
     """
-    from spectra_kit.levels._kernels import smoothing_step
+    return np.asarray(Smoothing.of(laplacian).smoothed(values, vectors, degree=degree))
 
-    L = laplacian.stiffness
-    diagonal = L.diagonal()
-    diagonal = np.maximum(diagonal, _FLOOR * np.median(diagonal))
-    highest = float((np.asarray(abs(L).sum(axis=1)) / diagonal).max())  # by Gershgorin
-    lowest = highest / (1 + 0.6 * degree**2)
+
+def _steps(lowest: float, highest: float) -> list[tuple[float, float]]:
+    """Return what Chebyshev steps keep of the last one, and how far they go, by interval."""
     centre, radius = (highest + lowest) / 2, (highest - lowest) / 2
-
-    residual, _ = residuals(L, laplacian.mass, np.asarray(values), vectors)
-    old, direction, new = (np.zeros(vectors.shape, np.float32) for _ in range(3))
-    # Read-only, and one kind of indices: numba compiles anew for others.
-    graph = tuple(frozen(np.asarray(a, dtype=np.int32)) for a in (L.indptr, L.indices))
-    singles = (
-        a.astype(np.float32) for a in (L.data, laplacian.mass, 1 / diagonal, np.asarray(values))
-    )
-    fixed = (*graph, *singles, residual)
-    ratio = 1.0
-    for i in range(degree):
-        before, ratio = ratio, radius / centre if i == 0 else 1 / (2 * centre / radius - ratio)
-        keep = 0.0 if i == 0 else ratio * before
-        step = 1 / centre if i == 0 else 2 * ratio / radius
-        state = (old, direction, new, keep, step)
-        in_threads(smoothing_step, ((*fixed, *state, *rows) for rows in shares(laplacian.n)))
-        old, new = new, old
-    # Of a mode far above the frequencies that are damped, steps may grow until they overflow.
-    old[:, ~np.isfinite(old).all(axis=0)] = 0.0
-    return np.asarray(vectors + old)
+    degree = max(1, math.ceil(math.sqrt((highest / lowest - 1) / _REACH) - 1e-9))
+    ratio, steps = radius / centre, [(0.0, 1 / centre)]
+    for _ in range(degree - 1):
+        before, ratio = ratio, 1 / (2 * centre / radius - ratio)
+        steps.append((ratio * before, 2 * ratio / radius))
+    return steps

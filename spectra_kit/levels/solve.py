@@ -11,11 +11,9 @@ from scipy import sparse
 from spectra_kit._types import Floats
 from spectra_kit.levels.coarse import Coarse
 from spectra_kit.linalg.ldl import SparseLDL
-from spectra_kit.linalg.orthonormal import RankError, orthonormalize
 from spectra_kit.linalg.products import spmm
-from spectra_kit.linalg.threads import single_threaded_blas
+from spectra_kit.linalg.ritz import ritz_pairs
 
-_NOTHING = 1e-13  # share of the largest squared norm: what has less is carried to nothing
 _RIDGE = 1e-13  # of the diagonal, added to it in the factor, for what is carried to nothing
 _SHIFT = 1 / 8  # of the guard eigenvalue, below the spectrum
 
@@ -35,7 +33,6 @@ class CoarsePairs(NamedTuple):
     eigenvectors: Floats
 
 
-@single_threaded_blas()
 def coarse_ritz(
     level: Coarse, basis: NDArray[np.floating], k: int, *, guard: int = 0
 ) -> CoarsePairs:
@@ -62,21 +59,8 @@ def coarse_ritz(
     InvalidInputError
         If the numerical rank of `basis` is below k, or it holds NaN, infinity or only zeros.
     """
-    Y = orthonormalize(basis, level.lumped)  # nearly so in the mass of the level, too
-    inside, gram = (Y.T @ spmm(matrix, Y) for matrix in (level.stiffness, level.mass))
-    # But where two sheets meet, different columns may be carried to the same function.
-    sizes, axes = np.linalg.eigh((gram + gram.T) / 2)
-    kept = sizes > _NOTHING * sizes[-1]
-    whitener = axes[:, kept] / np.sqrt(sizes[kept])
-    if whitener.shape[1] < k:
-        raise RankError(
-            f"`basis` must span at least k = {k} dimensions, got numerical rank"
-            f" {whitener.shape[1]} of {basis.shape[1]} columns on {level.n} points; ask for fewer"
-            " modes, or use a larger basis or more points",
-            whitener.shape[1],
-        )
-    values, rotation = np.linalg.eigh(whitener.T @ ((inside + inside.T) / 2) @ whitener)
-    return CoarsePairs(values[: k + guard], Y @ (whitener @ rotation[:, : k + guard]))
+    values, vectors, _ = ritz_pairs(level.stiffness, level.mass, basis, k + guard, least=k)
+    return CoarsePairs(values, vectors)
 
 
 def coarse_iteration(

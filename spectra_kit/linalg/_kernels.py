@@ -197,3 +197,49 @@ def residual_rows(
         for c in range(width):
             squares[c] += row[c] * row[c] / mass[i]
             out[i, c] = row[c]
+
+
+@compiled()
+def smoothing_step(
+    starts: Ints,
+    neighbours: Ints,
+    stiffness: Singles,
+    mass_starts: Ints,
+    mass_neighbours: Ints,
+    mass: Singles,
+    inverse: Singles,
+    values: Singles,
+    residual: Singles,
+    old: Singles,
+    direction: Singles,
+    new: Singles,
+    keep: float,
+    step: float,
+    first: int,
+    last: int,
+) -> None:
+    """Write one Chebyshev step of ``(L - lambda M) c = -residual`` to rows of `new`.
+
+    From the correction `old`; `direction` is overwritten by
+    ``keep direction - step (residual + (L - lambda M) old) / diag(L)``. L and M are given by rows,
+    `values` are the lambda of each column, and `inverse` is one over the diagonal of L.
+    """
+    s = old.shape[1]
+    row = np.empty(s, np.float32)
+    for i in range(first, last):
+        for c in range(s):
+            row[c] = 0.0
+        for p in range(mass_starts[i], mass_starts[i + 1]):
+            j, weight = mass_neighbours[p], mass[p]
+            for c in range(s):
+                row[c] += weight * old[j, c]
+        for c in range(s):
+            row[c] = residual[i, c] - values[c] * row[c]
+        for p in range(starts[i], starts[i + 1]):
+            j, weight = neighbours[p], stiffness[p]
+            for c in range(s):
+                row[c] += weight * old[j, c]
+        a, b = np.float32(keep), np.float32(step) * inverse[i]
+        for c in range(s):
+            direction[i, c] = a * direction[i, c] - b * row[c]
+            new[i, c] = old[i, c] + direction[i, c]

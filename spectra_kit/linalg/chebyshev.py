@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from spectra_kit.linalg.filters import shifted, spectral_bound, standard_form
+from spectra_kit.linalg.ritz import ritz_pairs
 from spectra_kit.linalg.torch_device import csr_diagonal, csr_like, csr_rows
-from spectra_kit.linalg.torch_ritz import leading_ritz_pairs
 
 _GAIN = 1e6  # largest amplification in one sweep: the condition number it may give a block
 _STIFF = 4.0  # diagonal of M^-1 L, relative to its median, beyond which quick sweeps add mass
@@ -73,11 +73,11 @@ def chebyshev_eigenpairs(
     Rayleigh-Ritz. If a Ritz value falls, the iteration goes on with these, and with twice as many
     the next time. That makes it unlikely that a mode is missed; only a count can prove it.
     """
-    values, X, _ = leading_ritz_pairs(stiffness, mass, start, block)
+    values, X = _ritz_pairs(stiffness, mass, start, block)
     if len(values) < block:
         drawn = np.random.default_rng(seed).standard_normal((len(X), block - len(values)))
         X = torch.cat([X, torch.from_numpy(drawn).to(X)], dim=1)
-        values, X, _ = leading_ritz_pairs(stiffness, mass, X, block)
+        values, X = _ritz_pairs(stiffness, mass, X, block)
     weights = mass.double().unsqueeze(1)
     operator = _Operator.quick(stiffness, mass, spacing * block)
     schedule = _Schedule(rtol, spacing, spacing * block)
@@ -89,7 +89,7 @@ def chebyshev_eigenpairs(
         if schedule.converged and len(X) > block + probes:
             noise = torch.from_numpy(rng.standard_normal((len(X), probes))).to(X)
             unseen = _unseen(operator, stiffness, weights, X, noise, schedule)
-            tried, joined, _ = leading_ritz_pairs(stiffness, mass, torch.cat([X, unseen], 1), block)
+            tried, joined = _ritz_pairs(stiffness, mass, torch.cat([X, unseen], 1), block)
             fall = (values - tried)[:k] / values[:k].clamp(min=spacing)
             if float(fall.max()) > rtol:
                 values, X, probes = tried, joined, 2 * probes
@@ -105,7 +105,7 @@ def chebyshev_eigenpairs(
         X[:, active] = _filtered(
             operator, X[:, active], residuals[:, active], values[active], sweep
         )
-        values, X, _ = leading_ritz_pairs(stiffness, mass, X, block)
+        values, X = _ritz_pairs(stiffness, mass, X, block)
     return FilteredPairs(
         values[:k],
         X[:, :k],
@@ -115,6 +115,14 @@ def chebyshev_eigenpairs(
         converged=schedule.converged,
         stalled=schedule.stalled,
     )
+
+
+def _ritz_pairs(
+    stiffness: Tensor, mass: Tensor, columns: Tensor, most: int
+) -> tuple[Tensor, Tensor]:
+    """Return the lowest Ritz pairs in the span of the columns, as many as it has dimensions."""
+    values, X, _ = ritz_pairs(stiffness, mass, columns, most)
+    return torch.from_numpy(values).to(X.device), X
 
 
 class _Operator(NamedTuple):

@@ -1,4 +1,4 @@
-"""Chebyshev filters of sparse matrices in torch: smoothing, and what eigenpairs are made with.
+"""Chebyshev filters of sparse matrices in torch: what eigenpairs are made with.
 
 A step costs one product of a sparse matrix with a block of columns, which an accelerator does at
 the speed of its memory; within a filter nothing waits for the host.
@@ -10,41 +10,9 @@ import torch
 from torch import Tensor
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.torch_device import csr_diagonal, csr_like, csr_product, csr_rows
+from spectra_kit.linalg.torch_device import csr_like, csr_rows
 
 _BOUND_STEPS = 20
-_FLOOR = 1e-3  # of the median diagonal entry: smaller ones would take steps of any length
-
-
-def smoothed(
-    stiffness: Tensor, mass: Tensor, values: Tensor, vectors: Tensor, *, degree: int = 6
-) -> Tensor:
-    """Return approximate modes without the high frequencies of their residuals.
-
-    The twin of `levels.smoothed`, where the method is described. float64 in and out; of `degree`
-    products with L all but the first are of float32.
-    """
-    diagonal = csr_diagonal(stiffness)
-    diagonal = diagonal.clamp_min(_FLOOR * float(diagonal.quantile(0.5)))
-    ones = torch.ones(len(mass), 1, dtype=torch.float64, device=mass.device)
-    sums = csr_like(stiffness, stiffness.values().abs()) @ ones
-    highest = float((sums.squeeze(1) / diagonal).max())  # by Gershgorin
-    lowest = highest / (1 + 0.6 * degree**2)
-    centre, radius = (highest + lowest) / 2, (highest - lowest) / 2
-    residual = csr_product(stiffness, vectors, torch.float64)
-    residual = residual.addcmul_(mass.unsqueeze(1) * vectors, values, value=-1).float()
-    matrix = csr_like(stiffness, stiffness.values().float())
-    inverse, weights = (t.float().unsqueeze(1) for t in (1 / diagonal, mass))
-    values = values.float()
-    direction = inverse * residual / -centre
-    correction, ratio = direction.clone(), radius / centre
-    for _ in range(degree - 1):
-        before, ratio = ratio, 1 / (2 * centre / radius - ratio)
-        image = csr_product(matrix, correction, torch.float32).add_(residual)
-        image.addcmul_(weights * correction, values, value=-1)
-        direction.mul_(ratio * before).addcmul_(inverse, image, value=-2 * ratio / radius)
-        correction.add_(direction)
-    return vectors + torch.where(correction.isfinite().all(dim=0), correction, 0.0)
 
 
 def spectral_bound(operator: Tensor) -> float:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
-from spectra_kit._types import Floats
+import numpy as np
+
 from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg.blocks import operations
 
-_ROWS = 65_536  # rows handled at once: bounds the temporaries, not the result
 _PASSES = 6  # three suffice down to rank_tol = 1e-14; more mean a bug or NaN
 _SETTLED = 1e-13  # deviation of the Gram matrix from the identity that rounding alone leaves
 _EPS = float(np.finfo(np.float64).eps)
@@ -23,15 +23,15 @@ class RankError(InvalidInputError):
         self.rank = rank
 
 
-def orthonormalize(basis: NDArray[np.floating], mass: Floats, *, rank_tol: float = 1e-10) -> Floats:
+def orthonormalize(basis: Any, mass: Any, *, rank_tol: float = 1e-10) -> Any:
     """Return an M-orthonormal basis Y of the numerical range of `basis`.
 
     Parameters
     ----------
-    basis : ndarray of shape (n, m)
+    basis : ndarray or Tensor of shape (n, m)
         Columns that span the wanted space; they may be dependent.
-    mass : ndarray of shape (n,)
-        Positive lumped mass, in length^2.
+    mass : ndarray or Tensor of shape (n,), or sparse matrix of shape (n, n)
+        Positive lumped mass, or a mass matrix, in length^2; of the kind of `basis`.
     rank_tol : float, default 1e-10
         Directions whose singular value (of the columns scaled to unit M-norm) is below
         ``rank_tol`` times the largest are dropped. Small directions carry real accuracy:
@@ -39,7 +39,7 @@ def orthonormalize(basis: NDArray[np.floating], mass: Floats, *, rank_tol: float
 
     Returns
     -------
-    ndarray of shape (n, r)
+    ndarray or Tensor of shape (n, r)
         float64 with r <= m, ``Y.T @ (mass[:, None] * Y) == I`` to rounding.
 
     Raises
@@ -63,9 +63,8 @@ def orthonormalize(basis: NDArray[np.floating], mass: Floats, *, rank_tol: float
     >>> orthonormalize(dependent, np.ones(3)).shape
     (3, 1)
     """
-    root = np.sqrt(mass)[:, None]
-    q = root * basis
-    norms = np.linalg.norm(q, axis=0)
+    ops = operations(basis)
+    norms = np.sqrt(np.maximum(np.diag(ops.gram(mass, basis)), 0.0))
     if not np.isfinite(norms).all() or not (norms > 0).any():
         message = (
             "`basis` must have finite columns that are not all zero, got"
@@ -73,11 +72,11 @@ def orthonormalize(basis: NDArray[np.floating], mass: Floats, *, rank_tol: float
             f" of {len(norms)}; look at the subspace that returned it"
         )
         raise RankError(message, 0) if np.isfinite(norms).all() else InvalidInputError(message)
-    q = q[:, norms > 0] / norms[norms > 0]
+    q = ops.scaled(basis, norms > 0, norms)
 
     triangle = np.eye(q.shape[1])  # the scaled columns are q @ triangle, throughout
     for _ in range(_PASSES):
-        values, vectors = np.linalg.eigh(q.T @ q)
+        values, vectors = np.linalg.eigh(ops.gram(mass, q))
         if values[-1] - 1 < _SETTLED and 1 - values[0] < _SETTLED:
             break
         # Eigenvalues below rounding carry no direction yet: raise them by a bounded factor only.
@@ -86,13 +85,5 @@ def orthonormalize(basis: NDArray[np.floating], mass: Floats, *, rank_tol: float
         left, singular, triangle_rows = np.linalg.svd(triangle, full_matrices=False)
         kept = singular > rank_tol * singular[0]
         triangle = singular[kept, None] * triangle_rows[kept]
-        _multiply_rows(q, (vectors / scale) @ left[:, kept])
-        q = q[:, : int(kept.sum())]
-    return np.asarray(q / root)
-
-
-def _multiply_rows(q: Floats, factor: Floats) -> None:
-    """Overwrite the leading columns of `q` by ``q @ factor``, a block of rows at a time."""
-    for start in range(0, len(q), _ROWS):
-        rows = slice(start, start + _ROWS)
-        q[rows, : factor.shape[1]] = q[rows] @ factor
+        q = ops.lifted(q, (vectors / scale) @ left[:, kept])
+    return q

@@ -6,11 +6,10 @@
 5365632
 """
 
-from spectra_kit.linalg.torch_ritz import RitzPairs
 from spectra_kit.neo.backbones import build_network
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
 from spectra_kit.neo.pretrained import WEIGHTS, Pretrained, load_pretrained, save_weights
-from spectra_kit.neo.subspace import NeoSubspace, neo_eigenpairs
+from spectra_kit.neo.subspace import NeoSubspace
 
 __all__ = [
     "WEIGHTS",
@@ -18,9 +17,7 @@ __all__ = [
     "NeoNetwork",
     "NeoSubspace",
     "Pretrained",
-    "RitzPairs",
     "build_network",
     "load_pretrained",
-    "neo_eigenpairs",
     "save_weights",
 ]

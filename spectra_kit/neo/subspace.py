@@ -11,23 +11,12 @@ from typing import Literal
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
 
 from spectra_kit._checked import checked
-from spectra_kit._clock import Clock
 from spectra_kit._validate import Rebuilt, check_count, check_mass, check_points
-from spectra_kit.levels import coarsen
-from spectra_kit.linalg.filters import smoothed
-from spectra_kit.linalg.torch_device import (
-    check_device,
-    device_clock,
-    device_memory,
-    sparse_tensor,
-)
-from spectra_kit.linalg.torch_ritz import RitzPairs, rayleigh_ritz, ritz_rotation
+from spectra_kit.linalg.torch_device import check_device
 from spectra_kit.neo.model import NeoNetwork
 from spectra_kit.neo.pretrained import find_weights, load_pretrained
-from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces.frame import POSES, Frame, canonical_frame
 
 _DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
@@ -154,94 +143,3 @@ class NeoSubspace(Rebuilt):
             network = load_pretrained(network).network
         model = copy.deepcopy(network) if network is self.network else network
         return model.eval().to(self.device, _DTYPES[self.dtype])
-
-
-@checked
-def neo_eigenpairs(
-    subspace: NeoSubspace,
-    laplacian: Laplacian,
-    k: int,
-    *,
-    cap: int | None = None,
-    smoothing: int = 6,
-    rank_tol: float = 1e-10,
-) -> RitzPairs:
-    """Predict a basis and solve inside it, all on the device of the subspace.
-
-    Parameters
-    ----------
-    subspace : NeoSubspace
-        The network.
-    laplacian : Laplacian
-        Of one connected surface.
-    k : int
-        Pairs to return.
-    cap : int, optional
-        Points of the subset that the network sees, about; see `eigensolvers.Capped`, of which this
-        is the twin on a device. With fewer than twice as many points it sees all.
-    smoothing : int, default 6
-        Products with L that smooth carried modes on all points (`linalg.filters.smoothed`), before
-        a last Rayleigh-Ritz there; 0 leaves them as they were carried.
-    rank_tol : float, default 1e-10
-        See `linalg.torch_ritz.orthonormalize`.
-
-    Returns
-    -------
-    RitzPairs
-        In the units of the Laplacian; ``seconds`` holds ``frame``, ``transfer`` (to the device),
-        ``forward``, ``orthonormalize``, ``project``, ``eigh`` and ``settle``; with a cap,
-        ``coarsen``, ``carry`` and ``smooth`` too.
-
-    Raises
-    ------
-    InvalidInputError
-        If the basis spans fewer than k dimensions, or so much smoothing makes modes dependent.
-    MemoryError
-        If the device has too little memory.
-    """
-    if cap is not None:
-        check_count("cap", cap, low=1)
-    check_count("smoothing", smoothing, low=0)
-    clock = device_clock(subspace.device)
-    with device_memory():
-        if cap is None or laplacian.n < 2 * cap:
-            points, mass = laplacian.points, laplacian.mass
-            return _solve(subspace, points, mass, laplacian.stiffness, mass, k, rank_tol, clock)
-        small = coarsen(laplacian, cap)
-        clock.stage("coarsen")
-        of_points = (small.points, small.lumped, small.stiffness, small.mass)
-        pairs = _solve(subspace, *of_points, k, rank_tol, clock)
-        prolongation = sparse_tensor(small.prolongation, subspace.device)
-        clock.stage("transfer")
-        carried = prolongation @ pairs.eigenvectors
-        clock.stage("carry")
-        if not smoothing:
-            return pairs._replace(eigenvectors=carried)
-        L = sparse_tensor(laplacian.stiffness, subspace.device)
-        M = torch.tensor(laplacian.mass, device=subspace.device)
-        clock.stage("transfer")
-        smooth = smoothed(L, M, pairs.eigenvalues, carried, degree=smoothing)
-        clock.stage("smooth")
-        return ritz_rotation(L, M, smooth, clock=clock)
-
-
-def _solve(
-    subspace: NeoSubspace,
-    points: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    stiffness: sparse.csr_array,
-    mass: NDArray[np.float64] | sparse.csr_array,
-    k: int,
-    rank_tol: float,
-    clock: Clock,
-) -> RitzPairs:
-    """Predict from points and their weights, and solve for a mass that need not be diagonal."""
-    frame = subspace.frame(points, weights)
-    clock.stage("frame")
-    device = subspace.device
-    L = sparse_tensor(stiffness, device)
-    M = torch.tensor(mass, device=device) if weights is mass else sparse_tensor(mass, device)
-    clock.stage("transfer")
-    basis = subspace.predict(points, weights, frame)
-    clock.stage("forward")
-    return rayleigh_ritz(L, M, basis, k, rank_tol=rank_tol, clock=clock)

@@ -21,8 +21,9 @@ from spectra_kit._types import Floats
 from spectra_kit.eigensolvers import Dense, eigensolve
 from spectra_kit.eigensolvers.base import Eigenpairs
 from spectra_kit.errors import DoubtfulSpectrumWarning
+from spectra_kit.linalg.orthonormal import orthonormalize
+from spectra_kit.linalg.ritz import ritz_pairs
 from spectra_kit.linalg.torch_device import device_clock, sparse_tensor
-from spectra_kit.linalg.torch_ritz import orthonormalize, rayleigh_ritz
 from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.operators import Laplacian
 from spectra_kit.spectra import Spectrum
@@ -132,8 +133,9 @@ class Ritz:
         mass = torch.from_numpy(np.array(laplacian.mass)).to(device)
         stiffness = sparse_tensor(laplacian.stiffness, device)
         clock.stage("transfer")
-        values, vectors, _ = rayleigh_ritz(stiffness, mass, basis, k, clock=clock)
-        pairs = Eigenpairs(values.cpu().numpy(), vectors.cpu().numpy(), clock.seconds)
+        values, vectors, _ = ritz_pairs(stiffness, mass, basis, k, least=k)
+        clock.stage("rayleigh_ritz")
+        pairs = Eigenpairs(values, vectors.cpu().numpy(), clock.seconds)
         clock.stage("transfer")
         self.bases[laplacian.points.tobytes()] = basis
         return pairs

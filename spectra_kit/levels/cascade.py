@@ -1,0 +1,148 @@
+"""Cascadic multigrid: modes of a coarse level, carried up and smoothed level by level."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from spectra_kit._clock import Clock
+from spectra_kit._types import Floats
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.levels.coarse import Coarse, coarsen
+from spectra_kit.levels.smoothing import Smoothing, on_device
+from spectra_kit.linalg.blocks import operations
+from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation
+from spectra_kit.operators.laplacian import Laplacian
+
+_RATIO = 10  # points of a level relative to those of the next one, at most
+_CARRIED = 8  # products of the first step on a level: interpolation errs at its own spacing
+_FIRST = 0.1  # share of an error that one step leaves, until two tell
+_LAST = 0.25  # what that share tends to, step by step, as the lowest frequencies are left
+_SLOWEST = 0.9  # share beyond which steps gain too little to say what is left
+
+
+class Climbed(NamedTuple):
+    """What `climb` reached."""
+
+    eigenvalues: Floats  #: Of all columns, ascending.
+    eigenvectors: Any  #: M-orthonormal, on the finest level.
+    errors: Floats  #: Estimated relative errors of the k wanted eigenvalues.
+    steps: int  #: Rayleigh-Ritz steps on the finest level.
+
+
+def nested(laplacian: Laplacian, coarsest: int) -> list[Coarse]:
+    """Return levels down to about `coarsest` points, from finer to coarser.
+
+    Each is a part of the one before; none where there are fewer than twice as many points.
+    """
+    levels: list[Coarse] = []
+    if laplacian.n >= 2 * coarsest:
+        count = math.ceil(math.log(laplacian.n / coarsest) / math.log(_RATIO))
+        for i in range(1, count + 1):
+            size = round(laplacian.n * (coarsest / laplacian.n) ** (i / count))
+            levels.append(coarsen(levels[-1] if levels else laplacian, size))
+    return levels
+
+
+def climb(
+    laplacian: Laplacian,
+    levels: Sequence[Coarse],
+    values: Floats,
+    vectors: Any,
+    k: int,
+    *,
+    keep: int,
+    target: float,
+    max_steps: int,
+    device: str = "cpu",
+    clock: Clock | None = None,
+) -> Climbed:
+    """Carry Ritz pairs of the coarsest level up to all points, and smooth them on each level.
+
+    Parameters
+    ----------
+    laplacian : Laplacian
+        On all points.
+    levels : sequence of Coarse
+        From `nested`; none, if the pairs are on all points.
+    values : ndarray of shape (b,)
+        Ritz values on the last of the levels, ascending.
+    vectors : ndarray or Tensor of shape (n, b)
+        Their M-orthonormal Ritz vectors; those beyond k guard the wanted ones.
+    k : int
+        Wanted pairs.
+    keep : int
+        Columns on all points, of at least k.
+    target : float
+        Stop when the estimated relative errors of the wanted eigenvalues are below, in the mean.
+    max_steps : int
+        Steps on all points at most.
+    device : str, default "cpu"
+        Where the levels above the coarsest are: arrays on "cpu", tensors elsewhere.
+    clock : Clock, optional
+        For the stages ``carry``, ``smooth`` and ``rayleigh_ritz``.
+
+    Returns
+    -------
+    Climbed
+        Ritz values bound the eigenvalues from above on every level, for the levels are nested.
+
+    Notes
+    -----
+    A step is a Chebyshev smoother (`Smoothing`) and Rayleigh-Ritz. How often it is repeated on all
+    points follows from what the steps gain. After Bornemann and Deuflhard, *The cascadic multigrid
+    method for elliptic problems*, 1996.
+    """
+    clock = clock or Clock()
+    X = vectors if device == "cpu" else on_device(vectors, device)
+    ops, errors, step = operations(X), np.full(k, np.inf), 0
+    finer: list[Laplacian | Coarse] = [laplacian]
+    finer += levels[:-1]
+    for i in range(len(finer) - 1, -1, -1):
+        finest = i == 0
+        if finest:
+            values, X = values[:keep], X[:, :keep]
+        if levels:
+            X = ops.product(on_device(levels[i].prolongation, device), X)
+        smoothing = Smoothing.of(finer[i], device)
+        clock.stage("carry")
+        falls: list[Floats] = []
+        for step in range(1, 1 + (max_steps if finest else 1)):
+            degree = _CARRIED if finest and levels and step == 1 else None
+            smooth = smoothing.smoothed(values, X, degree=degree, guards=max(1, len(values) - k))
+            clock.stage("smooth")
+            before = values
+            values, X = _rotated(smoothing, smooth, X, len(values))
+            clock.stage("rayleigh_ritz")
+            least = np.maximum(values, finer[i].eigenvalue_spacing)[:k]
+            falls.append(np.maximum(before[:k] - values[:k], 0.0) / least)
+            errors = estimated(falls)
+            if finest and errors.mean() <= target:
+                break
+    return Climbed(values, X, errors, step)
+
+
+def estimated(falls: Sequence[Floats]) -> Floats:
+    """Return what is left of relative errors after steps that lowered them by the `falls`.
+
+    A step leaves a share q of an error. From two steps on it is known of the last but one; that of
+    the next lies between it and the share that remains when only the lowest frequencies are left.
+    """
+    share = np.full(len(falls[-1]), _FIRST)
+    if len(falls) > 1:
+        known = falls[-1] / np.maximum(falls[-2], np.finfo(float).tiny)
+        share = np.minimum(np.sqrt(_LAST * known), _SLOWEST)
+    return np.asarray(falls[-1] * share / (1 - share))
+
+
+def _rotated(level: Smoothing, smooth: Any, before: Any, count: int) -> tuple[Floats, Any]:
+    """Return the Ritz pairs of smoothed columns."""
+    try:
+        return ritz_rotation(level.stiffness, level.mass, smooth)
+    except InvalidInputError:  # what some had beyond others was rough
+        both = operations(smooth).joined(smooth, before)
+        values, X, _ = ritz_pairs(level.stiffness, level.mass, both, count)
+        return values, X
