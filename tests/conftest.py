@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections import Counter
 from collections.abc import Callable
@@ -238,6 +239,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if isinstance(item, pytest.DoctestItem):  # an example has what it imports, as if pasted
             item.dtest.globs = {"__name__": "__main__"}
+
+
+def pytest_collection_finish() -> None:
+    """Leave what is imported by now out of collections of garbage, which `clocked` asks for."""
+    gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)  # pytest-xdist may be away
