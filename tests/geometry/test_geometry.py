@@ -5,6 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 import trimesh
+from conftest import joined, moved
 
 from spectra_kit.geometry import (
     Normalization,
@@ -44,11 +45,8 @@ def dirty(ball):
     return TriangleMesh(points, np.vstack([faces, extra]))
 
 
-def two_balls(ball, *, apart=5.0):
-    return TriangleMesh(
-        np.vstack([ball.points, 0.5 * ball.points + apart]),
-        np.vstack([ball.faces, ball.faces + ball.n]),
-    )
+def two_balls(ball):
+    return joined(ball, moved(ball, 5.0, scale=0.5))
 
 
 # --- the two types ------------------------------------------------------------------------------
