@@ -58,7 +58,7 @@ def test_every_command_refuses_bad_files_in_one_line(name, folder, inside, capsy
     for file, message in (
         ("bal.off", "bal.off: there is no such file; did you mean 'ball.off'?"),
         ("none.off", f"none.off: there is no such file; looked from {os.getcwd()}\n"),
-        ("sub", "sub: this is a folder, expected a file; name one that is in it"),
+        ("sub", "sub: this is a folder, expected a file; name one in it"),
         ("empty.off", "empty.off: the file is empty"),
         ("-", "/dev/stdin: pipes are not read, expected a file whose name ends in its format (o"),
         ("text.docx", "cannot read the format '.docx'; known are .glb, "),
@@ -92,13 +92,13 @@ AT_A_FACE = ("geodesic", BALL, "--face")
         ("`--max-points` must be at least 4, got 2", ("explore", BALL, "--max-points", "2")),
         ("`--port` must be in [0, 65535]", ("explore", BALL, "--serve", "--port", "70000")),
         ("`--turn` must be a finite number", ("modes", BALL, "-k", "3", "--turn", "nan")),
-        ("--operator cotan needs a mesh", ("spectrum", "cloud.ply", "--operator", "cotan")),
-        ("--cloud samples a mesh", ("spectrum", "cloud.ply", "--cloud", "100")),
+        ("got cotan, which needs a mesh", ("spectrum", "cloud.ply", "--operator", "cotan")),
+        ("`--cloud` must sample a mesh, got", ("spectrum", "cloud.ply", "--cloud", "100")),
         ("`--cloud` must be at least 1, got 0", ("spectrum", BALL, "--cloud", "0")),
         ("`--cloud` must fit into 64 bits, got 1000", ("info", BALL, "--cloud", str(10**30))),
         ("not enough memory", ("info", BALL, "--cloud", "90000000000000")),
-        ("--boundary dirichlet needs", ("spectrum", BALL, *DIRICHLET)),
-        ("--boundary dirichlet needs", ("spectrum", "cloud.ply", *DIRICHLET)),
+        ("`--boundary` must be neumann on what", ("spectrum", BALL, *DIRICHLET)),
+        ("`--boundary` must be neumann on what", ("spectrum", "cloud.ply", *DIRICHLET)),
         ("must be positive", ("spectrum", BALL, "--solver", "refined", "--rtol", "0")),
         ("got arpack; choose one of those by --solver", ("spectrum", BALL, "--rtol", "1e-4")),
         ("got arpack and dense", ("compare", BALL, "--solver", "dense", "--rtol", "1e-4")),
@@ -107,8 +107,8 @@ AT_A_FACE = ("geodesic", BALL, "--face")
         ("must be in [500, 5000000], got 10", ("spectrum", "demo", "--points", "10")),
         ("must be in [10, 2400], got 0", ("modes", BALL, "-k", "4", "--dpi", "0")),
         # What has no effect as things are.
-        ("--device is for the solvers chebyshev and neo", ("spectrum", BALL, "--device", "cuda")),
-        ("--rtol is for the solvers ", ("match", BALL, BALL, "--rtol", "1e-4")),
+        ("`--device` must go with chebyshev and neo", ("spectrum", BALL, "--device", "cuda")),
+        ("`--rtol` must go with ", ("match", BALL, BALL, "--rtol", "1e-4")),
         ("--solver has no effect", ("animate", BALL, "--spectrum", "x.npz", "--solver", "dense")),
         ("--no-browser has no effect without --serve", ("explore", BALL, "--no-browser")),
         ("--rtol has no effect on modes of", ("modes", BALL, "--spectrum", "x.npz", "--rtol", "1")),
@@ -141,8 +141,14 @@ AT_A_FACE = ("geodesic", BALL, "--face")
         ("`--spacing` must be positive", (*GEODESIC, "--spacing", "0")),
         ("must have the 162 points", (*GEODESIC, "--spectrum", "other.npz")),
         ("--method projected needs modes", (*GEODESIC, "--method", "projected")),
-        ("has no use for modes", (*GEODESIC, "--method", "direct", "--solver", "neo")),
-        ("--compare is f", (*GEODESIC, "--heat-boundary", "average", "--compare")),
+        (
+            "`--method direct` must be given no modes",
+            (*GEODESIC, "--method", "direct", "--solver", "neo"),
+        ),
+        (
+            "`--heat-boundary` must be neumann with",
+            (*GEODESIC, "--heat-boundary", "average", "--compare"),
+        ),
         ("--up has no effect with --no-pictures", (*GEODESIC, "--no-pictures", "--up", "y")),
         (
             "must not all lie on the boundary of",
@@ -225,7 +231,7 @@ def test_an_output_never_replaces_an_input(capsys, tmp_path):
     write(sphere(subdivisions=1).geometry, tmp_path / "ball.npz")
     before = (tmp_path / "ball.npz").read_bytes()
     again = ("spectrum", tmp_path / "ball.npz", "-k", 4, "-o", tmp_path / "ball.npz")
-    assert "the output must not replace an input, got" in refusal(capsys, *again)
+    assert "`output` must not replace an input, got" in refusal(capsys, *again)
     assert (tmp_path / "ball.npz").read_bytes() == before
     for k in (4, 6):  # another output is replaced
         printed(capsys, *again[:3], k, "-o", tmp_path / "modes.npz")
@@ -380,7 +386,7 @@ def test_saved_modes_must_be_of_this_geometry_and_operator(folder, capsys, tmp_p
     out, _ = printed(capsys, "explore", ball, *command, "-k", "5")
     assert "5 modes on all 162 points" in out
     page.unlink()
-    something_else = f"{saved} holds modes of something else"
+    something_else = f"{saved}: holds modes of something else"
     for wrong in (
         creature(500),
         TriangleMesh(mesh.points * [1, 1, 1.01], mesh.faces),

@@ -122,7 +122,7 @@ def test_sources_keep_their_place_when_a_file_is_repaired(files, tmp_path, capsy
     expected = HeatGeodesics(read(files / "ball.off")).distance(7).distance
     np.testing.assert_array_equal(distances(tmp_path), expected)
     assert main([*map(str, command), "--source", "0"]) == 2
-    assert "--source names points that --repair drops" in capsys.readouterr().err
+    assert "`--source` must name points that --repair keeps, got 0" in capsys.readouterr().err
 
 
 def test_farthest_points_are_opposite_and_reach_every_part(files, tmp_path, capsys):

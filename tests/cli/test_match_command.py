@@ -156,7 +156,7 @@ def test_files_of_another_match_are_not_mixed_with_its_own(files, tmp_path, caps
         (out / "source.npz", pair[1], *few, "--cloud", 700),
         (*pair, *few, "--truth", out / "point_map.npy"),
     ):
-        assert "the output must not replace an input, got" in refused(capsys, *options)
+        assert "`output` must not replace an input, got" in refused(capsys, *options)
 
 
 def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys, monkeypatch):
