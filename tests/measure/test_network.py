@@ -287,6 +287,11 @@ def test_a_question_is_answered(name, settings, store, tmp_path):
     assert found["figures"]
     assert all((tmp_path / figure).stat().st_size > 5000 for figure in found["figures"])
     assert all(f"]({figure})" in text for figure in found["figures"])
+    if name == "worst":
+        [found] = answer.rows
+        worst = found.cases[int(found.means().argmax())].shape.name
+        shown = [line.split("|")[2].strip() for line in text.splitlines() if "| demo" in line]
+        assert (shown[0], len(shown)) == (worst, 2)
     if name == "sampling":
         assert "demo, non-uniform, mass-aware: times the error on uniform samples" in text
     if name == "accuracy":  # where there is no room for a method it is left out
