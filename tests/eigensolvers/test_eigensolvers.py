@@ -129,11 +129,10 @@ def test_a_small_component_that_owns_the_low_modes() -> None:
     assert sk.eigensolve(L, 30).eigenvalues == pytest.approx(whole, rel=1e-7, abs=1e-9)
 
 
-@pytest.mark.parametrize("ratio", [1e-2, 1e-5])
 @pytest.mark.parametrize("solver", [sk.Arpack(), sk.Neo()], ids=repr)
-def test_a_speck_beside_a_large_part(bumpy_laplacian: sk.Laplacian, solver, ratio: float) -> None:
+def test_a_speck_beside_a_large_part(bumpy_laplacian: sk.Laplacian, solver) -> None:
     """Dust does not blur the zero modes or the certificate, however small it is."""
-    one = bumpy_laplacian
+    one, ratio = bumpy_laplacian, 1e-5
     L = sk.Laplacian(
         sparse.block_diag([one.stiffness, one.stiffness], format="csr"),
         np.r_[one.mass, ratio**2 * one.mass],
@@ -159,19 +158,6 @@ def test_isolated_points_of_a_user_matrix(bumpy_laplacian: sk.Laplacian) -> None
     assert s.eigenvalues[lone + 1 :] == pytest.approx(sk.eigensolve(L, 4).eigenvalues[1:], rel=1e-8)
     nothing = sk.Laplacian(sparse.csr_array((1, 1)), [2.0], [[0, 0, 0]])
     assert sk.eigensolve(nothing, 1).eigenvectors[0, 0] == pytest.approx(np.sqrt(0.5))
-
-
-def test_very_different_strengths(bumpy_laplacian: sk.Laplacian) -> None:
-    L = bumpy_laplacian
-    parts = [1e-12 * L.stiffness, 1e-12 * L.stiffness, L.stiffness]
-    three = sk.Laplacian(
-        sparse.block_diag(parts, format="csr"), np.tile(L.mass, 3), np.tile(L.points, (3, 1))
-    )
-    s = sk.eigensolve(three, 9)
-    single = sk.eigensolve(L, 5).eigenvalues
-    assert s.n_zero_modes == 3
-    assert s.eigenvalues[3:] == pytest.approx(1e-12 * np.repeat(single[1:4], 2), rel=1e-7)
-    assert s.certificate.relative_residuals.max() < 1e-8
 
 
 @pytest.mark.parametrize("k", [41, 42])
@@ -254,14 +240,6 @@ def test_no_convergence_keeps_the_components_solved_before_and_what_they_cost() 
     assert small.n_zero_modes == 1
     alone = sk.eigensolve(sk.robust_laplacian(sphere(subdivisions=2).geometry), small.k)
     assert small.eigenvalues == pytest.approx(alone.eigenvalues, abs=1e-9)
-
-
-def test_rayleigh_ritz_of_an_exact_span_is_exact(bumpy_laplacian: sk.Laplacian) -> None:
-    exact = sk.eigensolve(bumpy_laplacian, 30)
-    mixed = exact.eigenvectors @ np.random.default_rng(0).standard_normal((30, 30))
-    s = sk.eigensolve(bumpy_laplacian, 30, sk.RayleighRitz(subspace=lambda points, mass: mixed))
-    assert s.eigenvalues == pytest.approx(exact.eigenvalues, rel=1e-10, abs=1e-10)
-    assert s.certificate.relative_residuals.max() < 1e-7
 
 
 def test_user_matrices(bumpy_laplacian: sk.Laplacian) -> None:
