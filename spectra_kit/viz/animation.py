@@ -22,12 +22,11 @@ from spectra_kit.spectra import Spectrum
 from spectra_kit.viz.camera import View
 from spectra_kit.viz.colours import diverging_colours
 from spectra_kit.viz.contours import level_lines, triangles_of
-from spectra_kit.viz.modes import check_modes
+from spectra_kit.viz.modes import check_modes, display_signs
 from spectra_kit.viz.page import Page, new_figure
 from spectra_kit.viz.panels import symmetric_limit
 from spectra_kit.viz.picture import written
 from spectra_kit.viz.render import Scene, render
-from spectra_kit.viz.signs import display_signs
 
 _MOST_FRAMES = 20_000  # some quarter of an hour, and gigabytes while they are drawn
 _MODES = 6  # by default

@@ -19,8 +19,8 @@ from spectra_kit.explorer.payload import walk
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere
 from spectra_kit.metrics import align_modes, compare_spectra
 from spectra_kit.viz.contours import triangles_of
+from spectra_kit.viz.modes import display_signs
 from spectra_kit.viz.render import ball_diameter
-from spectra_kit.viz.signs import display_signs
 from spectra_kit.viz.spectra import free_boundary
 
 SMALL = sphere(subdivisions=1).geometry

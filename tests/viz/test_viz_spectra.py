@@ -16,9 +16,8 @@ from spectra_kit.descriptors import (
     wave_energies,
     wave_kernel_signature,
 )
-from spectra_kit.viz import Page, Panel, ParetoPoint, View, pareto_front
+from spectra_kit.viz import Page, Panel, ParetoPoint, View, pareto_front, plot_pareto
 from spectra_kit.viz.axes import LINE_COLOURS
-from spectra_kit.viz.pareto import pareto_figure
 from spectra_kit.viz.signatures import _pictures, draw_curves
 from spectra_kit.viz.spectra import spectrum_figure, weyl_law
 
@@ -185,7 +184,7 @@ RUNS = [
 
 
 def drawn(points, **marks):
-    return pareto_figure(points, 1e-12, marks, ("seconds", "error"), Page(dpi=60))
+    return plot_pareto.__wrapped__(points, marks=marks, page=Page(dpi=60))
 
 
 def test_the_front_is_what_nothing_beats():
