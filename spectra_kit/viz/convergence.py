@@ -94,7 +94,6 @@ class SolverRun(Brief):
 
 
 @plotted
-@checked
 def plot_convergence(
     runs: Sequence[SolverRun],
     *,

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
@@ -30,7 +29,6 @@ _TIED = 1e-6  # relative; differences below it may be rounding
 
 
 @plotted
-@checked
 def plot_modes(
     geometry: Geometry,
     spectrum: Spectrum,
@@ -82,7 +80,6 @@ def plot_modes(
 
 
 @plotted
-@checked
 def plot_comparison(
     geometry: Geometry,
     exact: Spectrum,

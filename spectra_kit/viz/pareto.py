@@ -98,7 +98,6 @@ def pareto_front(points: Sequence[ParetoPoint], *, floor: float = 0.0) -> list[P
 
 
 @plotted
-@checked
 def plot_pareto(
     points: Sequence[ParetoPoint],
     *,

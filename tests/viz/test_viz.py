@@ -282,7 +282,7 @@ def test_a_geometry_may_be_a_file_and_so_may_the_picture(tmp_path):
     assert viz.plot_fields(path=path, geometry=mesh, **options).path == path
     with pytest.raises(InvalidInputError, match="`path` must be a string, path or None, got a Tri"):
         viz.plot_modes(lone, SPECTRUM, lone)
-    with pytest.raises(InvalidInputError, match="the folder .* does not exist"):
+    with pytest.raises(InvalidInputError, match=r"the folder .* does not exist"):
         modes(path=tmp_path / "no" / "modes.png", view=Turned())
 
 
