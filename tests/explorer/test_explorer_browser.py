@@ -56,15 +56,8 @@ def pages(ball, tmp_path_factory):
     height = z + 0.02 * z**2  # a little more above: its larger end is shown in red
     exact = spectrum(ball, one, height, x, y, x * y)
     guess = spectrum(ball, one, height, x + 0.3 * y * z, y, x * y, certified=False)
-    write_explorer(
-        folder / "pair.html",
-        ball,
-        exact,
-        guess,
-        names=NAMES,
-        title="<i>Ball</i> & more",
-        view=View("z"),
-    )
+    style = {"names": NAMES, "title": "<i>Ball</i> & more", "view": View("z")}
+    write_explorer(folder / "pair.html", ball, exact, guess, **style)
     write_explorer(folder / "cloud.html", ball.as_cloud(), exact, view=View("z"), max_points=1500)
     fine = sphere(subdivisions=5).geometry
     write_explorer(folder / "many.html", fine, spectrum(fine, fine.points[:, 2]))
@@ -358,9 +351,8 @@ def test_names_are_shown_as_they_are(visit):
 @pytest.fixture(scope="module")
 def phone(browser, pages):
     """A cloud, on a small screen."""
-    visit = Visit(
-        browser, pages / "cloud.html", width=390, height=800, has_touch=True, is_mobile=True
-    )
+    small = {"width": 390, "height": 640, "has_touch": True, "is_mobile": True}
+    visit = Visit(browser, pages / "cloud.html", **small)
     yield visit
     visit.assert_silent()
     visit.page.context.close()
