@@ -64,7 +64,9 @@ class Truth(Rebuilt):
     @classmethod
     def of_map(cls, point_map: ArrayLike) -> Truth:
         """Return the truth that a whole true point map of shape (n2,) states."""
-        source = check_point_map("point_map", point_map, np.iinfo(np.int64).max)
+        source = check_indices("point_map", point_map, np.iinfo(np.int64).max)
+        if source.ndim != 1 or not len(source):
+            raise InvalidInputError("point_map", "have shape (n2,)", source.shape)
         return cls(source, np.arange(len(source)))
 
     def swapped(self) -> Truth:
