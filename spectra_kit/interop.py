@@ -201,21 +201,20 @@ def to_geomfum(spectrum: Spectrum, laplacian: Laplacian) -> GeomfumArrays:
 
     Parameters
     ----------
-    spectrum : Spectrum
-    laplacian : Laplacian
-        The one it was computed from.
+    spectrum, laplacian
+        As of `to_pyfm`.
 
     Returns
     -------
     dict
         ``stiffness_matrix``, ``mass_matrix`` (sparse, (n, n)), ``vals`` (k,), ``vecs`` (n, k).
     """
-    _check_pair(spectrum, laplacian)
+    arrays = to_pyfm(spectrum, laplacian)
     return GeomfumArrays(
-        stiffness_matrix=sparse.csc_matrix(laplacian.stiffness),
-        mass_matrix=sparse.diags(spectrum.mass),
-        vals=np.array(spectrum.eigenvalues),
-        vecs=np.array(spectrum.eigenvectors),
+        stiffness_matrix=arrays["stiffness"],
+        mass_matrix=arrays["mass"],
+        vals=arrays["eigenvalues"],
+        vecs=arrays["eigenvectors"],
     )
 
 
@@ -237,9 +236,8 @@ def to_diffusion_net(
 
     Parameters
     ----------
-    spectrum : Spectrum
-    laplacian : Laplacian
-        The one it was computed from.
+    spectrum, laplacian
+        As of `to_pyfm`.
     dtype : torch.dtype, optional
         float32 by default, as DiffusionNet has it.
 

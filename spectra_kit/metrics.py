@@ -268,7 +268,7 @@ def compare_spectra(
     values, other = exact.eigenvalues[:k], predicted.eigenvalues[match]
 
     cosines = np.einsum("n,nk,nk->k", mass, U, V)
-    vector_error = _squared_norm(U - V * _sign(cosines), mass)
+    vector_error = _squared_norm(U - V * np.copysign(1.0, cosines), mass)
     aligned = _rotate_within(clusters, mass, U, V)
     difference = _squared_norm(U - aligned, mass)
     cluster_error = np.concatenate([np.full(b - a, difference[a:b].mean()) for a, b in clusters])
@@ -437,8 +437,3 @@ def _outside(Y: Floats, mass: Floats, U: Floats) -> Floats:
 def _squared_norm(columns: Floats, mass: Floats) -> Floats:
     """M-norm of each column, squared."""
     return np.asarray(np.einsum("n,nk,nk->k", mass, columns, columns))
-
-
-def _sign(values: Floats) -> Floats:
-    """The sign of each value, +1 for zero."""
-    return np.where(values < 0, -1.0, 1.0)

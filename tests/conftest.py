@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import json
+import gc
 import os
+from collections import Counter
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -223,13 +224,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Show what became of the damaged cases, those of other processes of pytest-xdist too."""
-    reports = [r for kind in ("passed", "failed") for r in terminalreporter.getreports(kind)]
-    told = [json.loads(v) for r in reports for key, v in r.user_properties if key == "damage"]
+    reports = terminalreporter.getreports("passed")
+    told = Counter(value for r in reports for key, value in r.user_properties if key == "damage")
     if told:
         terminalreporter.section("damage")
-    for name, outcomes in sorted(told):
-        counts = ", ".join(f"{count:,} {outcome}" for outcome, count in sorted(outcomes.items()))
-        terminalreporter.line(f"{name}: {counts}")
+    for outcome, count in sorted(told.items()):
+        terminalreporter.line(f"{outcome}: {count:,}")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -239,6 +239,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if isinstance(item, pytest.DoctestItem):  # an example has what it imports, as if pasted
             item.dtest.globs = {"__name__": "__main__"}
+
+
+def pytest_collection_finish() -> None:
+    """Leave what is imported by now out of collections of garbage, which `clocked` asks for."""
+    gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)  # pytest-xdist may be away

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from docutils import nodes
 from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
 from sphinx.util import logging
 
 _NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
@@ -45,6 +46,14 @@ def _entry(folder: str, path: Path) -> str:
     return f"- [{title}]({folder}/{path.name}): {question[0].strip() if question else ''}"
 
 
+def _spread(app: Sphinx, env: BuildEnvironment, pages: list[str]) -> None:
+    """Reorder pages that are to be read: notebooks apart, as a process is given many in a row."""
+    slow = [page for page in pages if page.startswith("notebooks/")]
+    pages[:] = [page for page in pages if page not in slow]
+    for i, page in enumerate(slow):
+        pages.insert(i * len(pages) // len(slow), page)
+
+
 def _ask_for_a_picture(app: Sphinx, doctree: nodes.document) -> None:
     page = app.env.docname
     if page.startswith("notebooks/") and not any(doctree.findall(nodes.image)):
@@ -53,5 +62,6 @@ def _ask_for_a_picture(app: Sphinx, doctree: nodes.document) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     gather(_NOTEBOOKS, Path(app.srcdir) / "notebooks")
+    app.connect("env-before-read-docs", _spread)
     app.connect("doctree-read", _ask_for_a_picture)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +9,20 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._types import Floats
+from spectra_kit.geodesics._kernels import residual, scaled_entries, solve_scaled
 
 Ints = NDArray[np.int32]
 
 _RISE = 16  # iterations that suffice unless triangles differ much in size
 _MOST = 300
 _NARROW = 200  # binary orders of magnitude around 1 that need no new exponents
+
+
+def _scaled(matrix: sparse.csr_array, exponents: Ints) -> tuple[Floats, Floats]:
+    """Return the entries of a matrix in the scaling of its columns, and in that of its rows."""
+    forward, backward = np.empty_like(matrix.data), np.empty_like(matrix.data)
+    scaled_entries(matrix.indptr, matrix.indices, matrix.data, exponents, forward, backward)
+    return forward, backward
 
 
 class ScaledSystem:
@@ -33,38 +40,34 @@ class ScaledSystem:
         rhs: Floats,
         exponents: Ints,
     ) -> None:
-        from spectra_kit.geodesics import _kernels
+        self._matrix, self._lower, self._inverse, self._rhs = matrix, lower, inverse, rhs
+        self.exponents = exponents
+        self._entries, _ = _scaled(matrix, exponents)
+        self._forward, self._backward = _scaled(lower, exponents)
+        self._scaled_rhs = np.ldexp(rhs, -exponents)
 
-        self._kernels, self._inverse, self.exponents = _kernels, inverse, exponents
-        self._matrix, self._lower = matrix, lower
-        self._entries, spare = np.empty_like(matrix.data), np.empty_like(matrix.data)
-        self._forward, self._backward = np.empty_like(lower.data), np.empty_like(lower.data)
-        _kernels.scaled_entries(
-            matrix.indptr, matrix.indices, matrix.data, exponents, self._entries, spare
-        )
-        _kernels.scaled_entries(
-            lower.indptr, lower.indices, lower.data, exponents, self._forward, self._backward
-        )
-        self._rhs = np.ldexp(rhs, -exponents)
+    def aligned(self, x: Floats) -> tuple[ScaledSystem, Floats]:
+        """Return the system scaled so that all values of x are about 1, and x in it."""
+        size, power = np.frexp(x)
+        exponents = (self.exponents + power).astype(np.int32)
+        return ScaledSystem(self._matrix, self._lower, self._inverse, self._rhs, exponents), size
 
     def residual(self, x: Floats) -> tuple[float, Floats]:
         """Return the componentwise backward error of x, and ``b - A x``."""
         A, out = self._matrix, np.empty_like(x)
-        share = self._kernels.residual(A.indptr, A.indices, self._entries, self._rhs, x, out)
+        share = residual(A.indptr, A.indices, self._entries, self._scaled_rhs, x, out)
         return share, out
 
     def product(self, x: Floats) -> Floats:
         """Return ``A x``."""
         A, out = self._matrix, np.empty_like(x)
-        self._kernels.residual(A.indptr, A.indices, self._entries, np.zeros_like(x), -x, out)
+        residual(A.indptr, A.indices, self._entries, np.zeros_like(x), -x, out)
         return out
 
     def precondition(self, r: Floats) -> Floats:
         """Return ``F^-1 r`` with the incomplete factor F."""
         L, out = self._lower, np.empty_like(r)
-        self._kernels.solve_scaled(
-            L.indptr, L.indices, self._forward, self._backward, self._inverse, r, out
-        )
+        solve_scaled(L.indptr, L.indices, self._forward, self._backward, self._inverse, r, out)
         return out
 
 
@@ -93,11 +96,7 @@ def iterate(
     der Vorst, SIAM J. Sci. Stat. Comput. 1992) from there, with exponents so near that its norm,
     of u relative to itself, heeds all points alike.
     """
-
-    def scaled(exponents: Ints) -> ScaledSystem:
-        return ScaledSystem(matrix, lower, inverse, rhs, exponents)
-
-    system, x = scaled(exponents), np.zeros_like(rhs)
+    system, x = ScaledSystem(matrix, lower, inverse, rhs, exponents), np.zeros_like(rhs)
     share, r = system.residual(x)
     iterations = 0
     while share > accuracy and iterations < _RISE:
@@ -105,21 +104,13 @@ def iterate(
         iterations += 1
         power = np.frexp(x)[1]
         if np.abs(power).max() > _NARROW:
-            system, x = _aligned(scaled, system, x)
+            system, x = system.aligned(x)
         share, r = system.residual(x)
     while not share <= accuracy and iterations < _MOST and np.isfinite(x).all():
-        system, x = _aligned(scaled, system, x)
+        system, x = system.aligned(x)
         x, share, count = _stabilised(system, x, accuracy, _MOST - iterations)
         iterations += count
     return Iterate(x, system.exponents, share, iterations)
-
-
-def _aligned(
-    scaled: Callable[[Ints], ScaledSystem], system: ScaledSystem, x: Floats
-) -> tuple[ScaledSystem, Floats]:
-    """Return the system scaled so that all values of x are about 1, and x in it."""
-    size, power = np.frexp(x)
-    return scaled((system.exponents + power).astype(np.int32)), size
 
 
 def _stabilised(

@@ -208,13 +208,13 @@ class HeatGeodesics:
         ready = self._prepare(options)
         system = self._system
         used = ready.poisson.options if isinstance(ready.poisson, IterativePoisson) else Direct()
-        heated = system.inwards(sources.right_hand_side())
+        heated = sources.right_hand_side()[system.order]
         heats = {size: self._heat(steps, heated) for size, steps in ready.steps.items()}
         heat, labels = heats[0], self.triangulation.laplacian.component_labels
         clock = Clock()
         at_zero = np.zeros(self.triangulation.n, dtype=bool)
         at_zero[sources.vertices[sources.offsets == 0]] = True
-        flow = system.flow(heats, system.inwards(at_zero))
+        flow = system.flow(heats, at_zero[system.order])
         clock.stage("directions")
 
         def field(solution: LinearSolution) -> DistanceField:

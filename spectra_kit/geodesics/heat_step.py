@@ -102,28 +102,9 @@ class Heat:
 class HeatStep:
     """The system ``(M + t L) u = b`` of one implicit Euler step, factorised for any b >= 0.
 
-    Parameters
-    ----------
-    stiffness : csr_array of shape (n, n)
-        L, without positive entries off its diagonal beyond rounding (a Delaunay Laplacian), which
-        keeps u positive.
-    mass, points : ndarray of shape (n,), (n, 3)
-        M, and coordinates.
-    duration : float
-        t, in length^2.
-    inside : ndarray of shape (n,), bool, optional
-        Points that are not kept at zero; all by default.
-    direct : bool
-        Factorise completely: slow to set up, quick to solve.
-
-    Attributes
-    ----------
-    seconds : float
-        Time of the factor.
-
-    Notes
-    -----
-    What follows needs the direction in which u decays, so u must be right relative to itself at
+    L (`stiffness`) has no positive entries off its diagonal beyond rounding, as a Delaunay
+    Laplacian, which keeps u positive; points that are not `inside` are kept at zero. What follows
+    needs the direction in which u decays, so u must be right relative to itself at
     every point, ``exp(-d / sqrt(t))`` and all. A complete Cholesky factor of such a matrix gives
     that, as nothing cancels; conjugate gradients, which stop at a norm, do not. An incomplete one
     does so too: ``A = F - R`` with R >= 0 is a regular splitting, and the iteration
@@ -144,7 +125,6 @@ class HeatStep:
         inside: NDArray[np.bool_] | None = None,
         direct: bool,
     ) -> None:
-        clock = Clock()
         self._inside = inside
         if inside is not None:
             stiffness = sparse.csr_array(stiffness[inside][:, inside])
@@ -160,7 +140,6 @@ class HeatStep:
         self._complete = SparseCholesky(self._matrix) if direct else None
         if not direct:
             _ = self._incomplete
-        self.seconds = clock.total
 
     @cached_property
     def _incomplete(self) -> tuple[sparse.csr_array, Floats]:

@@ -88,10 +88,6 @@ class System:
     def _apexes(self) -> Floats:
         return apexes(self.lengths)
 
-    def inwards(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return `values` (n,) in the order of the input in that of memory."""
-        return values[self.order]
-
     def outwards(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return `values` (n,) in the order of memory in that of the input."""
         found = np.empty_like(values)

@@ -178,27 +178,6 @@ def _wider(values: NDArray[Any], size: int) -> NDArray[Any]:
 
 
 @compiled()
-def fill_quads(
-    starts: Ints, columns: Ints, values: Floats, quads: Ints, out_columns: Ints, out_values: Reals
-) -> None:
-    """Copy the rows of a sparse matrix to whole groups of four entries, filled up with zeros.
-
-    Row i takes the groups from ``quads[i]`` on; `out_columns` and `out_values` are (groups, 4). A
-    zero stands in the first column of its row, which the row refers to anyway.
-    """
-    for i in range(len(starts) - 1):
-        begin, end = starts[i], starts[i + 1]
-        for t in range(4 * (quads[i + 1] - quads[i])):
-            group, place = quads[i] + t // 4, t % 4
-            if begin + t < end:
-                out_columns[group, place] = columns[begin + t]
-                out_values[group, place] = values[begin + t]
-            else:
-                out_columns[group, place] = columns[begin]
-                out_values[group, place] = 0.0
-
-
-@compiled()
 def solve_factor(
     lower_quads: Ints,
     lower_columns: Ints,

@@ -229,12 +229,18 @@ def incomplete_factor(
 def _in_quads(
     matrix: sparse.csr_array, kind: np.dtype[np.floating]
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.floating]]:
-    """Return the rows of a matrix in groups of four entries, for `solve_factor`."""
-    from spectra_kit.linalg._incomplete_kernels import fill_quads
+    """Return the rows of a matrix in groups of four entries, for `solve_factor`.
 
-    quads = np.zeros(matrix.shape[0] + 1, dtype=np.int64)
-    np.cumsum(-(-np.diff(matrix.indptr) // 4), out=quads[1:])
-    columns, values = np.empty((quads[-1], 4), np.uint32), np.empty((quads[-1], 4), kind)
-    fill_quads(matrix.indptr, matrix.indices, matrix.data, quads, columns, values)
+    What fills the last group of a row is zero, in the first column of the row, which it reads
+    anyway.
+    """
+    counts = np.diff(matrix.indptr)
+    groups = -(-counts // 4)
+    quads = np.append(0, np.cumsum(groups))
+    first = matrix.indices[matrix.indptr[:-1][counts > 0]].astype(np.uint32)
+    columns = np.repeat(first, 4 * groups[counts > 0])
+    values = np.zeros(len(columns), kind)
+    place = np.arange(matrix.nnz) + np.repeat(4 * quads[:-1] - matrix.indptr[:-1], counts)
+    columns[place], values[place] = matrix.indices, matrix.data
     # Unsigned: the compiled loops need not test for negative indices.
-    return quads.astype(np.uint32), columns, values
+    return quads.astype(np.uint32), columns.reshape(-1, 4), values.reshape(-1, 4)

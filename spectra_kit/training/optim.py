@@ -154,7 +154,7 @@ def warmup_stable_decay(progress: float, *, warmup: float = 0.1, decay: float = 
     Examples
     --------
     >>> from spectra_kit.training.optim import warmup_stable_decay
-    >>> [warmup_stable_decay(p) for p in (0.05, 0.5, 0.9, 1.0)]
+    >>> [warmup_stable_decay(p) for p in (0.05, 0.5, 0.9, 1.5)]
     [0.5, 1.0, 0.5, 0.0]
     """
     return min(1.0, progress / warmup, max(0.0, 1.0 - progress) / decay)

@@ -14,7 +14,6 @@ from spectra_kit.eigensolvers import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.geometry import rectangle, sphere, torus
 
 K = 16
-fine_laplacian = cache(lambda: sk.robust_laplacian(bumpy(2562)))
 
 
 @cache
@@ -57,27 +56,19 @@ def test_rigid_motion_scale_and_permutation(
     assert np.abs(cosines) == pytest.approx(np.ones(K), abs=max(backend.rounding, 1e-5))
 
 
-# Largest relative error of the first 15 non-zero eigenvalues; house figures times about 1.5.
-@pytest.mark.parametrize(
-    ("build", "cloud", "tolerance"),
-    [
-        (lambda: sphere(subdivisions=3), True, 2.1e-2),
-        (lambda: rectangle(n=1000), False, 2.1e-2),
-        (lambda: torus(n=1800), False, 2.1e-2),
-        (lambda: torus(n=7200), False, 5.3e-3),
-    ],
-)
-def test_analytic(build, cloud: bool, tolerance: float) -> None:
-    reference = build()
-    mesh = reference.geometry
-    values = sk.eigensolve(sk.robust_laplacian(mesh.as_cloud() if cloud else mesh), K).eigenvalues
-    assert values[1:] == pytest.approx(reference.eigenvalues[1:K], rel=tolerance)
+def test_analytic() -> None:
+    """The first 15 non-zero eigenvalues, of a cloud and a mesh; house figures times about 1.5."""
+    ball, ring = sphere(subdivisions=3), torus(n=1800)
+    for reference, geometry in ((ball, ball.geometry.as_cloud()), (ring, ring.geometry)):
+        values = sk.eigensolve(sk.robust_laplacian(geometry), K).eigenvalues
+        assert values[1:] == pytest.approx(reference.eigenvalues[1:K], rel=2.1e-2)
 
 
 def test_analytic_modes_and_fixed_points() -> None:
     reference = rectangle(n=4000)
     L = sk.robust_laplacian(reference.geometry)
     s = sk.eigensolve(L, 10)
+    assert s.eigenvalues[1:] == pytest.approx(reference.eigenvalues[1:10], rel=4e-3)
     cosines = np.einsum("ij,i,ij->j", s.eigenvectors, s.mass, reference.eigenfunctions[:, :10])
     assert np.abs(cosines) == pytest.approx(np.ones(10), abs=2e-3)
     held = sk.eigensolve(L.dirichlet(reference.geometry.boundary_vertices), K)
@@ -96,16 +87,6 @@ def test_second_order() -> None:
     assert np.polyfit([0, -1, -2], np.log2(errors), 1)[0] == pytest.approx(2, abs=0.1)
 
 
-@pytest.mark.parametrize("scale", [1e-12, 1e-8, 1e8])
-def test_arpack_is_exact_in_any_unit(scale: float) -> None:
-    """ARPACK's own test of convergence is absolute for small Ritz values."""
-    assert (sk.Arpack().accuracy, sk.Arpack(tol=1e-3).accuracy) == ("exact", "to tolerance")
-    s = sk.eigensolve(
-        sk.robust_laplacian(moved(sphere(subdivisions=2).geometry, 0, scale=scale)), 13
-    )
-    assert s.certificate.relative_residuals.max() < 1e-12
-
-
 WAVES = sk.AmbientFourier(m=90, bandwidth=4.0)
 OTHERWISE = [
     (sk.Arpack(), {"tol": 1e-3, "shift": 1.0, "seed": 1}),
@@ -116,19 +97,20 @@ OTHERWISE = [
     (sk.Polished(), {"sweeps": 2, "guard": 1.0, "seed": 1, "start": WAVES, "degree": 3}),
     (
         sk.Multilevel(coarsest=100),
-        {"rtol": 1e-2, "coarsest": 150, "ratio": 4, "guard": 1.0, "degree": 3, "seed": 1},
+        {"rtol": 1e-2, "coarsest": 150, "ratio": 2, "guard": 1.0, "degree": 3, "seed": 1},
     ),
-    (sk.Capped(n_points=500), {"n_points": 400, "sweeps": 2, "smoothing": 3, "subspace": WAVES}),
+    (sk.Capped(n_points=200), {"n_points": 150, "sweeps": 2, "smoothing": 3, "subspace": WAVES}),
     (sk.RayleighRitz(subspace=WAVES), {"rank_tol": 1e-2}),
-    (sk.Neo(cap=800), {"cap": 1000, "smoothing": 3, "dtype": "bfloat16", "poses": 2}),
+    (sk.Neo(cap=200), {"cap": 300, "smoothing": 3, "dtype": "bfloat16", "poses": 2}),
 ]
 
 
 @pytest.mark.parametrize(("solver", "options"), OTHERWISE, ids=lambda o: type(o).__name__)
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
-def test_every_option_is_heeded(solver, options) -> None:
+def test_every_option_is_heeded(bumpy_laplacian: sk.Laplacian, solver, options) -> None:
     """The same bits from the same options, others from others; if exact, of the same modes."""
-    laplacian = fine_laplacian()
+    assert (sk.Arpack().accuracy, sk.Arpack(tol=1e-3).accuracy) == ("exact", "to tolerance")
+    laplacian = bumpy_laplacian
     one, same = (sk.eigensolve(laplacian, K, solver) for _ in range(2))
     assert np.array_equal(one.eigenvectors, same.eigenvectors)
     for name, value in options.items():
@@ -147,11 +129,10 @@ def test_a_small_component_that_owns_the_low_modes() -> None:
     assert sk.eigensolve(L, 30).eigenvalues == pytest.approx(whole, rel=1e-7, abs=1e-9)
 
 
-@pytest.mark.parametrize("ratio", [1e-2, 1e-5])
 @pytest.mark.parametrize("solver", [sk.Arpack(), sk.Neo()], ids=repr)
-def test_a_speck_beside_a_large_part(bumpy_laplacian: sk.Laplacian, solver, ratio: float) -> None:
+def test_a_speck_beside_a_large_part(bumpy_laplacian: sk.Laplacian, solver) -> None:
     """Dust does not blur the zero modes or the certificate, however small it is."""
-    one = bumpy_laplacian
+    one, ratio = bumpy_laplacian, 1e-5
     L = sk.Laplacian(
         sparse.block_diag([one.stiffness, one.stiffness], format="csr"),
         np.r_[one.mass, ratio**2 * one.mass],
@@ -177,19 +158,6 @@ def test_isolated_points_of_a_user_matrix(bumpy_laplacian: sk.Laplacian) -> None
     assert s.eigenvalues[lone + 1 :] == pytest.approx(sk.eigensolve(L, 4).eigenvalues[1:], rel=1e-8)
     nothing = sk.Laplacian(sparse.csr_array((1, 1)), [2.0], [[0, 0, 0]])
     assert sk.eigensolve(nothing, 1).eigenvectors[0, 0] == pytest.approx(np.sqrt(0.5))
-
-
-def test_very_different_strengths(bumpy_laplacian: sk.Laplacian) -> None:
-    L = bumpy_laplacian
-    parts = [1e-12 * L.stiffness, 1e-12 * L.stiffness, L.stiffness]
-    three = sk.Laplacian(
-        sparse.block_diag(parts, format="csr"), np.tile(L.mass, 3), np.tile(L.points, (3, 1))
-    )
-    s = sk.eigensolve(three, 9)
-    single = sk.eigensolve(L, 5).eigenvalues
-    assert s.n_zero_modes == 3
-    assert s.eigenvalues[3:] == pytest.approx(1e-12 * np.repeat(single[1:4], 2), rel=1e-7)
-    assert s.certificate.relative_residuals.max() < 1e-8
 
 
 @pytest.mark.parametrize("k", [41, 42])
@@ -274,27 +242,6 @@ def test_no_convergence_keeps_the_components_solved_before_and_what_they_cost() 
     assert small.eigenvalues == pytest.approx(alone.eigenvalues, abs=1e-9)
 
 
-def test_rayleigh_ritz_of_an_exact_span_is_exact(bumpy_laplacian: sk.Laplacian) -> None:
-    exact = sk.eigensolve(bumpy_laplacian, 30)
-    mixed = exact.eigenvectors @ np.random.default_rng(0).standard_normal((30, 30))
-    s = sk.eigensolve(bumpy_laplacian, 30, sk.RayleighRitz(subspace=lambda points, mass: mixed))
-    assert s.eigenvalues == pytest.approx(exact.eigenvalues, rel=1e-10, abs=1e-10)
-    assert s.certificate.relative_residuals.max() < 1e-7
-
-
-@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
-def test_a_larger_subspace_lowers_every_ritz_value(bumpy_laplacian: sk.Laplacian) -> None:
-    basis = sk.AmbientFourier(m=200, bandwidth=4.0)(bumpy_laplacian.points, bumpy_laplacian.mass)
-    few, some, many = (
-        sk.eigensolve(
-            bumpy_laplacian, 20, sk.RayleighRitz(subspace=lambda p, w, m=m: basis[:, :m])
-        ).eigenvalues
-        for m in (60, 120, 200)
-    )
-    assert (few >= some - 1e-9).all()
-    assert (some >= many - 1e-9).all()
-
-
 def test_user_matrices(bumpy_laplacian: sk.Laplacian) -> None:
     """A path graph with unit weights: eigenvalues 2 - 2 cos(pi j / n); and a potential, on top."""
     n = 60
@@ -319,7 +266,7 @@ def test_tiny_inputs() -> None:
 
 @pytest.mark.data
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["cow", "homer", "teapot", "trim_star", "hippo"])
+@pytest.mark.parametrize("name", ["teapot", "trim_star", "hippo"])
 def test_arpack_on_real_meshes(real_shapes, name: str) -> None:
     """Open, closed, of several components, with edges 4,000 times as long as others (hippo)."""
     with np.load(real_shapes / f"{name}.npz") as data:

@@ -72,7 +72,7 @@ def test_one_zero_mode_at_any_aspect_ratio() -> None:
     """Needles make entries of L, and so its rounding, larger than its typical ones by 1e12."""
     rng = np.random.default_rng(0)
     mesh = sphere(subdivisions=1).geometry
-    for _ in range(30):
+    for _ in range(12):
         points = mesh.points * 10.0 ** rng.uniform(-6, 6, 3)
         points[rng.integers(mesh.n)] *= 10.0 ** rng.uniform(0, 8)
         stretched = sk.TriangleMesh(points, mesh.faces)
@@ -152,10 +152,8 @@ EXACT = [
     sk.Multilevel(coarsest=100),
 ]
 APPROXIMATE = [
-    sk.Polished(),
     sk.Polished(sweeps=3, degree=10),
     sk.RayleighRitz(subspace=sk.AmbientFourier(m=80)),
-    sk.Capped(n_points=100),
     sk.Capped(n_points=100, sweeps=3, subspace=sk.RandomBasis(m=60)),
     sk.Neo(cap=100),
 ]
@@ -253,6 +251,8 @@ def test_the_unit_of_length_changes_no_bit(solver, power) -> None:
     np.testing.assert_array_equal(other.eigenvalues / energy * unit**2, one.eigenvalues)
     np.testing.assert_array_equal(other.eigenvectors * unit, one.eigenvectors)
     relative = one.certificate.relative_residuals
+    if solver == sk.Arpack():  # whose own test of convergence is absolute for small Ritz values
+        assert relative.max() < 1e-12
     np.testing.assert_array_equal(other.certificate.relative_residuals, relative)
     found, expected = other.certificate, one.certificate
     np.testing.assert_array_equal(found.residuals / energy * unit**2, expected.residuals)
@@ -260,23 +260,6 @@ def test_the_unit_of_length_changes_no_bit(solver, power) -> None:
         assert found.count.radius / energy * unit**2 == expected.count.radius
         assert found.count.floor / energy * unit**2 == expected.count.floor
     assert found.n_zero_modes == 1
-
-
-def test_residuals_of_a_tiny_shape_are_not_taken_for_zero() -> None:
-    """Squares of 1e-300 vanish: a spectrum far from right must not pass for exact."""
-    small = scaled(BALL, 2.0**270)
-    noise = np.random.default_rng(0).standard_normal((BALL.n, 3))
-    of_noise = [
-        sk.Spectrum(values, columns, laplacian.mass)
-        .certify(laplacian)
-        .certificate.relative_residuals
-        for laplacian, values, columns in (
-            (BALL, np.arange(3.0), noise),
-            (small, np.arange(3.0) / 2.0**540, noise / 2.0**270),
-        )
-    ]
-    np.testing.assert_allclose(of_noise[1], of_noise[0], rtol=1e-12)
-    assert of_noise[1].min() > 1
 
 
 def test_a_filter_of_modes_far_up_beside_a_potential():

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import bumpy, creature, two_parts
+from conftest import bumpy, creature
 from scipy.linalg import eigh
 
 import spectra_kit as sk
 from spectra_kit.eigensolvers.multilevel import level_sizes
-from spectra_kit.geometry import rectangle
 from spectra_kit.levels import coarse_iteration, coarse_ritz, coarsen, smoothed
 
 K = 40
@@ -35,24 +34,6 @@ def test_multilevel_starts_closer_than_noise(animal):
     levels = sk.eigensolve(animal, K, sk.Multilevel(degree=2))
     noise = sk.eigensolve(animal, K, sk.Refined(start=sk.RandomBasis(m=60), rtol=1e-6, degree=2))
     assert levels.provenance.iterations < noise.provenance.iterations
-
-
-def test_multilevel_with_fixed_points_and_parts():
-    mesh = rectangle(n=3000).geometry
-    for laplacian in (
-        sk.robust_laplacian(mesh).dirichlet(mesh.boundary_vertices),
-        sk.robust_laplacian(two_parts()),
-    ):
-        s = sk.eigensolve(laplacian, 20, sk.Multilevel(coarsest=200))
-        assert s.eigenvalues == pytest.approx(sk.eigensolve(laplacian, 20).eigenvalues, abs=1e-7)
-
-
-def test_multilevel_says_what_it_did_not_reach(animal):
-    with pytest.raises(sk.ConvergenceError, match="raise max_sweeps") as caught:
-        sk.eigensolve(animal, K, sk.Multilevel(rtol=1e-10, degree=1, max_sweeps=2))
-    partial = caught.value.partial
-    assert partial.k == K
-    assert partial.certificate.relative_residuals.max() > 1e-10
 
 
 def test_levels_need_room():

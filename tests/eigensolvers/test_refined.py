@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import two_parts
 
 import spectra_kit as sk
-from spectra_kit.geometry import rectangle, sphere
+from spectra_kit.geometry import sphere
 from spectra_kit.linalg.residuals import residual_norms, residuals
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation, weighted_gram
 from spectra_kit.linalg.shift_invert import shift_invert_iteration
@@ -22,7 +21,6 @@ STARTS = {
     "too few columns": sk.RandomBasis(m=5),
     "no columns": lambda points, mass: np.empty((len(points), 0)),
     "constants alone": lambda points, mass: np.ones((len(points), 3)),
-    "union": sk.Union(sk.AmbientFourier(m=50, bandwidth=4.0), sk.RandomBasis(m=20)),
 }
 
 
@@ -50,7 +48,7 @@ def test_the_methods_agree_on_what_converged_means(animal) -> None:
 
 @pytest.mark.parametrize(
     ("noise", "missing"),
-    [(0.0, (7,)), (1e-12, (0, K - 1)), (1e-8, (K - 2, K - 1, K)), (1e-6, (7,)), (1e-4, (0, K - 1))],
+    [(0.0, (7,)), (1e-8, (K - 2, K - 1, K)), (1e-4, (0, K - 1))],
 )
 def test_modes_that_the_start_lacks_are_found(animal, animal_spectrum, noise, missing) -> None:
     """Neither silently left out, nor taken for rounding while they come up."""
@@ -64,7 +62,7 @@ def test_k_inside_a_cluster() -> None:
     """On the sphere, where the guards may end anywhere in a shell of equal eigenvalues."""
     laplacian = sk.robust_laplacian(sphere(subdivisions=4).geometry)
     exact = sk.eigensolve(laplacian, 36).eigenvalues
-    for k in (15, 16, 17, 21, 24):
+    for k in (15, 17, 21):
         for solver in (sk.Refined(), sk.Multilevel(rtol=1e-8)):
             s = sk.eigensolve(laplacian, k, solver)
             assert s.certificate.relative_residuals.max() <= 1e-8
@@ -84,35 +82,21 @@ def test_a_better_start_takes_fewer_sweeps(animal, animal_spectrum) -> None:
     assert sweeps[0] < sweeps[1] < sweeps[2]
 
 
-def test_components_and_fixed_points() -> None:
-    mesh = rectangle(n=1000).geometry
-    held = sk.cotan_laplacian(mesh).dirichlet(mesh.boundary_vertices)
-    for laplacian in (sk.robust_laplacian(two_parts()), held):
-        columns = sk.GivenBasis(np.random.default_rng(0).standard_normal((laplacian.n, 60)))
-        exact = sk.eigensolve(laplacian, 12).eigenvalues
-        for start in (columns, sk.Union(columns, sk.AmbientFourier(m=64))):
-            s = sk.eigensolve(laplacian, 12, sk.Refined(start=start, rtol=1e-9))
-            assert s.certificate.relative_residuals.max() <= 1e-9
-            assert s.eigenvalues == pytest.approx(exact, rel=1e-10, abs=1e-12)
-
-
-def test_units(animal, animal_spectrum) -> None:
-    """Lengths in other units: the same sweeps, eigenvalues in 1/length^2."""
-    sweeps = sk.eigensolve(animal, K, sk.Refined(rtol=1e-6)).provenance.iterations
-    for unit in (1e-3, 1e18):
-        scaled = sk.Laplacian(animal.stiffness, animal.mass * unit**2, animal.points * unit)
-        s = sk.eigensolve(scaled, K, sk.Refined(rtol=1e-6))
-        assert s.eigenvalues * unit**2 == pytest.approx(animal_spectrum.eigenvalues[:K], rel=1e-10)
-        assert s.provenance.iterations == sweeps
-
-
-@pytest.mark.parametrize("solver", [sk.Refined, sk.Chebyshev])
+@pytest.mark.parametrize(
+    "solver",
+    [
+        sk.Refined(start=sk.RandomBasis(), max_sweeps=2),
+        sk.Chebyshev(start=sk.RandomBasis(), max_sweeps=2),
+        sk.Multilevel(rtol=1e-8, degree=1, max_sweeps=2),
+    ],
+    ids=lambda solver: type(solver).__name__,
+)
 def test_short_of_the_tolerance(animal, solver) -> None:
     """The error says how many made it and what to change, and carries what there is."""
     with pytest.raises(
         sk.ConvergenceError, match=r"of 40 modes .*raise max_sweeps, loosen rtol"
     ) as e:
-        sk.eigensolve(animal, K, solver(start=sk.RandomBasis(), max_sweeps=2))
+        sk.eigensolve(animal, K, solver)
     partial = e.value.partial
     assert partial.k == K
     made_it = (partial.certificate.relative_residuals <= 1e-8).sum()
@@ -124,7 +108,7 @@ def test_short_of_the_tolerance(animal, solver) -> None:
 def test_rounding_is_recognised_however_it_falls(bumpy_laplacian) -> None:
     """Residuals that are rounding fall as often as they rise: that is no progress."""
     exact = sk.eigensolve(bumpy_laplacian, K).eigenvalues
-    for seed in range(3):
+    for seed in range(2):
         with pytest.raises(sk.ConvergenceError, match="rounding stops the others; loosen") as e:
             sk.eigensolve(bumpy_laplacian, K, sk.Refined(rtol=1e-14, seed=seed))
         assert e.value.partial.certificate.relative_residuals.max() < 1e-10

@@ -1,10 +1,8 @@
 """The count of eigenvalues, against LAPACK's; and that nothing incomplete passes for verified."""
 
-import json
-
 import numpy as np
 import pytest
-from conftest import bumpy, creature, joined, moved, two_parts, whole_spectrum
+from conftest import bumpy, joined, moved, two_parts, whole_spectrum
 from scipy import sparse
 
 import spectra_kit as sk
@@ -238,17 +236,12 @@ def test_a_pivot_lost_in_rounding_may_be_negative() -> None:
 
 
 def test_the_command_line_says_what_is_verified(tmp_path, capsys) -> None:
-    path, saved = str(tmp_path / "bumpy.off"), str(tmp_path / "v.npz")
-    sk.write(creature(1300, seed=0), path)  # more points than plane waves
-    assert main(["spectrum", path, "-k", "12", "--verify", "-o", saved]) == 0
-    assert "all 12, none missed below" in capsys.readouterr().out
-    assert sk.Spectrum.load(saved).certificate.level == "verified"
-    assert main(["spectrum", path, "-k", "12", "--solver", "fourier", "--verify"]) == 0
-    assert " of 12; from mode " in capsys.readouterr().out
-    free = ["spectrum", path, "-k", "12", "--solver", "chebyshev"]
-    assert main(free) == 0
-    assert "not counted: modes may be missing between these" in capsys.readouterr().out
-    for options, level in ((["--verify"], "verified"), ([], "residuals")):
-        assert main([*free, "--json", *options]) == 0
-        record = json.loads(capsys.readouterr().out)["certificate"]
-        assert (record["level"], record["count"] is None) == (level, level == "residuals")
+    path = str(tmp_path / "bumpy.off")
+    sk.write(bumpy(), path)
+    command = ["spectrum", path, "-k", "12", "--solver", "chebyshev"]
+    for options, told in (
+        (["--verify"], "all 12, none missed below"),
+        ([], "not counted: modes may be missing between these"),
+    ):
+        assert main([*command, *options]) == 0
+        assert told in capsys.readouterr().out

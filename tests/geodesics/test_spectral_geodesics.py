@@ -153,15 +153,6 @@ def test_distance_is_never_shorter_than_the_straight_line(animal):
     assert (found >= straight - 1e-12).all()
 
 
-def test_nearest_of_several_sources_counts(animal):
-    mesh, triangulation, spectrum = animal
-    both = spectral_distance(spectrum, triangulation, [10, 1200])
-    alone = [spectral_distance(spectrum, triangulation, v) for v in (10, 1200)]
-    assert np.array_equal(both, np.minimum(*alone))
-    weighted = check_sources([10, 1200], mesh, weights=[1.0, 100.0])
-    assert spectral_distance(spectrum, triangulation, weighted) == pytest.approx(both, rel=1e-12)
-
-
 def test_unit_and_order_of_the_points_do_not_matter(animal):
     mesh, triangulation, spectrum = animal
     order = np.random.default_rng(0).permutation(mesh.n)
@@ -173,16 +164,17 @@ def test_unit_and_order_of_the_points_do_not_matter(animal):
     assert found == pytest.approx(expected, rel=1e-5, abs=1e-6)
 
 
-def test_distance_between_components_is_infinite(pair):
+def test_the_nearest_source_counts_and_none_reaches_another_component(pair):
     mesh, triangulation, spectrum = pair
-    label = triangulation.laplacian.component_labels
-    first, last = 0, mesh.n - 1
-    assert label[first] != label[last]
-    alone = {v: spectral_distance(spectrum, triangulation, v) for v in (first, last)}
+    label, sources = triangulation.laplacian.component_labels, [0, 100, mesh.n - 1]
+    assert label[0] == label[100] != label[-1]
+    alone = {v: spectral_distance(spectrum, triangulation, v) for v in sources}
     for vertex, found in alone.items():
         assert np.array_equal(np.isfinite(found), label == label[vertex])
-    both = spectral_distance(spectrum, triangulation, [first, last])
-    assert np.array_equal(both, np.minimum(alone[first], alone[last]))
+    nearest = np.minimum.reduce(list(alone.values()))
+    assert np.array_equal(spectral_distance(spectrum, triangulation, sources), nearest)
+    weighted = check_sources(sources, mesh, weights=[1.0, 100.0, 1.0])
+    assert spectral_distance(spectrum, triangulation, weighted) == pytest.approx(nearest, rel=1e-12)
 
 
 def test_a_second_component_changes_nothing(animal):

@@ -5,7 +5,6 @@ import pytest
 from conftest import refused
 from one_system import path
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from spectra_kit import ConvergenceError, InvalidInputError, delaunay_laplacian
 from spectra_kit.geometry import rectangle, sphere
@@ -238,10 +237,3 @@ def test_what_is_refused(body):
         refused(argument, expected, pcg, matrix, rhs, **options)
     for labels in ([0.5, 1.0], [-2, 0], [[0, 0]], []):
         refused("labels", "be integers from", ConstantKernel, labels)
-
-
-def test_matches_scipy_on_a_definite_matrix(body):
-    A = sparse.csr_array(body.A + sparse.diags_array(body.laplacian.mass))
-    rhs = RNG.standard_normal(body.n)
-    found = pcg(A, rhs, preconditioner=IncompleteCholesky(A), rtol=1e-13)
-    np.testing.assert_allclose(found.x, splu(sparse.csc_array(A)).solve(rhs), atol=1e-9)

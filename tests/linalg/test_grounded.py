@@ -7,23 +7,13 @@ from one_system import path
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from spectra_kit import InvalidInputError, delaunay_laplacian
+from spectra_kit import InvalidInputError
 from spectra_kit.geodesics import Direct, geodesic_distance
-from spectra_kit.geometry import rectangle, sphere
+from spectra_kit.geometry import rectangle
 from spectra_kit.linalg import ConstantKernel, GroundedCholesky
 from spectra_kit.operators import intrinsic_delaunay
 
 RNG = np.random.default_rng(0)
-
-
-def test_eigenvectors_are_solutions():
-    # x, y, z are eigenfunctions of the sphere: L x = 2 M x, up to the error of the mesh.
-    ball = sphere(subdivisions=4).geometry
-    laplacian = delaunay_laplacian(ball.as_cloud())
-    rhs = 2 * laplacian.mass * ball.points[:, 0]
-    kernel = ConstantKernel(laplacian.component_labels)
-    x = GroundedCholesky(laplacian.stiffness, kernel).solve(kernel.remove(rhs))
-    np.testing.assert_allclose(x, ball.points[:, 0], atol=0.01)
 
 
 def test_against_scipy_and_whichever_point_is_held():

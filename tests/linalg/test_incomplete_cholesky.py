@@ -160,25 +160,6 @@ def test_breakdown_raises_the_diagonal_and_says_so():
     np.testing.assert_allclose(found.x, x, rtol=1e-10)
 
 
-def test_hub_and_isolated_points():
-    # A fan of 500 triangles about one vertex, and a point in none.
-    n = 500
-    angle = 2 * np.pi * np.arange(n) / n
-    rim = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-    around = np.arange(n)
-    mesh = TriangleMesh(
-        np.vstack([rim, [[0, 0, 0.3]]]), np.column_stack([around, (around + 1) % n, n + 0 * around])
-    )
-    matrix = sparse.csr_array(
-        sparse.block_diag([cotan_laplacian(mesh).stiffness, sparse.csr_array((1, 1))])
-    )
-    rhs = matrix @ RNG.standard_normal(n + 2)
-    kernel = ConstantKernel([0] * (n + 1) + [1])
-    for options in ({}, {"drop": 0.01, "relaxation": 0.97}):
-        factor = IncompleteCholesky(matrix, **options)
-        assert pcg(matrix, rhs, preconditioner=factor, kernel=kernel).converged
-
-
 def test_what_is_refused():
     eye = sparse.eye_array(3, format="csr")
     for argument, expected, matrix, options in (

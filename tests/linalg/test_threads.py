@@ -32,7 +32,7 @@ def spun(call):
     time.sleep(0.1)  # they go on spinning for a while
     return others() - before
 
-mesh = sk.geometry.creature(1500, seed=0)
+mesh = sk.geometry.creature(1000, seed=0)
 laplacian = sk.robust_laplacian(mesh)
 small = sk.robust_laplacian(sk.geometry.sphere(subdivisions=2).geometry)
 s = sk.eigensolve(laplacian, 30)

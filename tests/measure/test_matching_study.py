@@ -385,7 +385,7 @@ def test_report_names_protocol_numbers_and_ratio(study):
 
 
 def test_the_app_matches_draws_and_goes_on(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(app, "demo_subjects", lambda: demo_subjects(500))
+    monkeypatch.setattr(app, "demo_subjects", lambda: demo_subjects(500, poses=2))
     command = [str(tmp_path), "--demo", "--pairs", "2", "-k", "30", "--jobs", "0"]
     command += ["--methods", PLAIN]
     assert app.main(command) == 0
@@ -404,7 +404,7 @@ def test_the_app_matches_draws_and_goes_on(tmp_path, capsys, monkeypatch):
 
 def test_the_app_says_what_is_wrong_and_can_be_interrupted(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("SPECTRA_KIT_DATA", raising=False)
-    monkeypatch.setattr(app, "demo_subjects", lambda: demo_subjects(500))
+    monkeypatch.setattr(app, "demo_subjects", lambda: demo_subjects(500, poses=2))
     out = str(tmp_path / "out")
     few = ["--demo", "--pairs", "1", "--jobs", "0", "--no-pictures", "--methods", PLAIN]
     for command, said in (

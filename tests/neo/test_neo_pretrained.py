@@ -66,28 +66,25 @@ def test_a_shipped_file_must_have_its_hash(path, monkeypatch, tmp_path):
         load_pretrained(path)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.99])
-def test_a_truncated_file_is_refused(path, share):
+def test_a_truncated_file_is_refused(path):
     content = path.read_bytes()
-    path.write_bytes(content[: int(share * len(content))])
-    with pytest.raises(WeightsError, match="is no complete safetensors file"):
-        load_pretrained(path)
+    for share in (0.0, 0.01, 0.5, 0.99):
+        path.write_bytes(content[: int(share * len(content))])
+        with pytest.raises(WeightsError, match="is no complete safetensors file"):
+            load_pretrained(path)
 
 
 SOUND = json.dumps({"record": {}, "config": asdict(TINY)})
 
 
 @pytest.mark.parametrize(
-    ("bias", "content", "told"),
+    ("change", "content", "told"),
     [
         (None, SOUND, "1 do not fit, the first is 'lift.bias': expected shape (16,), got None"),
-        (
-            torch.zeros(3),
-            SOUND,
-            "1 do not fit, the first is 'lift.bias': expected shape (16,), got",
-        ),
+        (torch.zeros(3), SOUND, "the first is 'lift.bias': expected shape (16,), got (3,)"),
         (torch.full((16,), torch.nan), SOUND, "must hold finite floats, its tensor 'lift.bias'"),
-        (torch.ones(16, dtype=torch.int32), SOUND, "must hold finite floats, its tensor 'lift.bia"),
+        (torch.ones(16).int(), SOUND, "must hold finite floats, its tensor 'lift.bias'"),
+        ({"steps": torch.ones(2).int()}, SOUND, "is 'steps': expected shape None, got (2,)"),
         (torch.zeros(16), None, "'spectra_kit.neo', got []; was it written by"),
         (torch.zeros(16), '{"config": {"width": 16}, "record": {}}', "has unreadable metadata"),
         (torch.zeros(16), '{"record": {}}', "has unreadable metadata"),
@@ -95,18 +92,11 @@ SOUND = json.dumps({"record": {}, "config": asdict(TINY)})
         (torch.zeros(16), "[]", "has unreadable metadata"),
     ],
 )
-def test_what_does_not_fit_together_is_refused(path, bias, content, told):
-    tensors = load_file(path) | {"lift.bias": bias}
+def test_what_does_not_fit_together_is_refused(path, change, content, told):
+    tensors = load_file(path) | (change if isinstance(change, dict) else {"lift.bias": change})
     tensors = {name: tensor for name, tensor in tensors.items() if tensor is not None}
     save_file(tensors, path, metadata=None if content is None else {"spectra_kit.neo": content})
-    with pytest.raises(WeightsError, match=re.escape(told).replace(r"\.\*", ".*")):
-        load_pretrained(path)
-
-
-def test_an_unknown_tensor_is_told_as_such_whatever_its_type(path):
-    tensors = load_file(path) | {"steps": torch.ones(2, dtype=torch.int32)}
-    save_file(tensors, path, metadata={"spectra_kit.neo": SOUND})
-    with pytest.raises(WeightsError, match=r"first is 'steps': expected shape None, got \(2,\)"):
+    with pytest.raises(WeightsError, match=re.escape(told)):
         load_pretrained(path)
 
 
@@ -123,7 +113,7 @@ def test_no_flipped_bit_changes_a_value_unseen(tmp_path):
     config = NeoConfig(width=1, depth=1, heads=1, head_width=1, latents=1, m=1, k=1)
     save_weights(path, NeoNetwork(config), {"steps": 3})
     content = path.read_bytes()
-    for bit in np.random.default_rng(0).permutation(8 * len(content))[:300]:
+    for bit in np.random.default_rng(0).permutation(8 * len(content))[:150]:
         changed = bytearray(content)
         changed[bit // 8] ^= 1 << bit % 8
         path.write_bytes(changed)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import pyvista as pv
 import trimesh
-from test_wrong_arguments import DrawnError, call_of, example, here, surface
+from test_wrong_arguments import DrawnError, call_of, here, instances, surface
 
 import spectra_kit as sk
 from spectra_kit._checked import _LATE
@@ -42,7 +42,7 @@ def thing(kind: str, geometry: Any) -> Any:
 def taking_geometries() -> list[tuple[str, str]]:
     """Every public callable and its argument that is a geometry, by their annotations."""
     found = []
-    for name, target, _ in surface():
+    for name, (target, _) in surface().items():
         function = target.__init__ if inspect.isclass(target) else target
         hints = typing.get_type_hints(inspect.unwrap(function), localns=_LATE)
         hints.pop("return", None)
@@ -74,7 +74,7 @@ def test_everything_goes_in(name: str, argument: str) -> None:
     for kind in KINDS:
         other = own.as_cloud() if kind == "points" and isinstance(own, TriangleMesh) else own
         if isinstance(own, PointCloud) and kind == "arrays":
-            other = example()["mesh"]
+            other = instances()["TriangleMesh"]
         if id(other) not in known:
             known[id(other)] = outcome(name, argument, other), other
         assert outcome(name, argument, thing(kind, other)) == known[id(other)][0]
@@ -82,7 +82,7 @@ def test_everything_goes_in(name: str, argument: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_points_and_faces_are_kept(kind: str) -> None:
-    mesh = example()["mesh"]
+    mesh = instances()["TriangleMesh"]
     made = sk.as_geometry(thing(kind, mesh))
     assert np.array_equal(made.points, mesh.points)
     assert isinstance(made, PointCloud if kind == "points" else TriangleMesh)
@@ -93,7 +93,7 @@ def test_points_and_faces_are_kept(kind: str) -> None:
 
 
 def test_geometries_stay_themselves() -> None:
-    for own in (example()["mesh"], example()["cloud"]):
+    for own in (instances()["TriangleMesh"], instances()["PointCloud"]):
         assert sk.as_geometry(own) is own
 
 
@@ -132,5 +132,5 @@ def test_a_file_that_is_refused_is_told_as_read_tells_it() -> None:
 
 def test_swapped_arguments_are_told_before_a_path_is_read() -> None:
     with pytest.raises(InvalidInputError) as error:
-        sk.write("out.obj", example()["mesh"])
+        sk.write("out.obj", instances()["TriangleMesh"])
     assert error.value.advice == "did you swap it with `path`?"

@@ -58,9 +58,6 @@ LEFT_TO_TORCH = {"NeoNetwork.forward", "NeoNetwork.features", "NeoNetwork.evalua
 HOOKS = re.compile(r"\.eigenpairs$|^(?!GivenBasis|Laplacian).*restricted$")
 
 
-WAVES = ("landmark_wave_kernel_signature", "wave_energies", "wave_kernel_signature")
-
-
 class Call(NamedTuple):
     """A public callable, and how it is called well."""
 
@@ -83,8 +80,13 @@ def public(module: Any) -> Iterator[tuple[str, Any]]:
                 yield name, thing
 
 
-def surface() -> Iterator[tuple[str, Callable[..., Any], bool]]:
-    """Every public callable by name: functions, constructors, and methods (unbound)."""
+@cache
+def surface() -> dict[str, tuple[Callable[..., Any], bool]]:
+    """Every public callable by name: functions, constructors, and methods, which are unbound."""
+    return {name: (thing, is_method) for name, thing, is_method in _surface()}
+
+
+def _surface() -> Iterator[tuple[str, Callable[..., Any], bool]]:
     seen = set()
     for package in PACKAGES:
         for name, thing in public(importlib.import_module(package)):
@@ -105,8 +107,8 @@ def surface() -> Iterator[tuple[str, Callable[..., Any], bool]]:
 
 
 @cache
-def example() -> dict[str, Any]:
-    """Good arguments by name; ``callable.name`` where the name alone does not tell."""
+def examples() -> tuple[dict[str, Any], dict[str, Any]]:
+    """Good arguments by name, or ``callable.name``; and one instance of each class, by its name."""
     ball = geometry.sphere(subdivisions=2).geometry
     x, y, z = ball.points.T
     mesh = ball.with_points(ball.points * (1 + 0.3 * np.sin(2 * x + y) + 0.2 * z)[:, None])
@@ -134,70 +136,63 @@ def example() -> dict[str, Any]:
         **{"first_samples": 12, "growing": 8, "growing_samples": 40, "grown_modes": 10},
         **{"finalists": 1, "refined_modes": 20, "rough_samples": 40, "last_steps": 1, "rounds": 1},
     )
-    instances = (  # whose methods are called, and which no argument below is
+    instances = (  # whose methods are called, or which are arguments of their kind
+        *(mesh, mesh.as_cloud(), laplacian, spectrum, spectrum.provenance, spectrum.certificate),
+        *(oriented, triangulation, prepared, heat_geodesics, field, field.poisson, field.heat),
         *(
-            oriented,
-            triangulation,
-            heat_geodesics,
-            field,
+            field.sources,
+            config,
+            network,
+            neo.NeoSubspace(network),
+            candidate,
             panel,
             pair,
-            viz.View(),
-            spectrum.certificate,
+            point,
+            run,
         ),
-        *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), geometry.repair(mesh), field.heat),
+        *(viz.View(), sk.RayleighRitz(), geodesics.Automatic(), given, map_errors),
+        *(metrics.compare_spectra(spectrum, spectrum), geometry.repair(mesh)),
+        *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), correspondence.Truth(same, same)),
         *(geometry.sample_with_origin(mesh, 50, seed=0), geometry.Normalization.unit_box(mesh)),
         *(geometry.Problem(1, "a hole", "mend it"), geodesics.FacePoint(0, (1.0, 0.0, 0.0))),
-        *(sk.RayleighRitz(), geodesics.Automatic(), neo.NeoSubspace(network)),
-        *(correspondence.Truth(same, same), correspondence.MapErrors(np.ones(3), np.arange(3))),
+        subspaces.canonical_frame(mesh.points, spectrum.mass),
+        functional_maps.precise_map(spectrum, spectrum, identity, mesh.faces),
     )
     arguments = (
         # Of the geometry and its spectrum.
-        ("geometry mesh thing", mesh),
-        ("cloud", mesh.as_cloud()),
-        ("points queries source_points", mesh.points),
+        ("thing geometry", mesh),
+        ("points queries source_points normals", ball.points),
         ("faces source_faces target_faces", mesh.faces),
-        ("normals", ball.points),
-        ("back point_map vertex_index", same),
-        ("errors f g point_arrays values Samples.interpolate.values", np.ones(n)),
-        ("inside", np.ones(n, dtype=bool)),
-        ("face_index", np.arange(len(mesh.faces))),
-        ("vectors", np.ones((len(triangulation.corners), 2))),
-        ("laplacian dirichlet_energy.source dirichlet_energy.target", laplacian),
-        ("spectrum match.source match.target", spectrum),
-        ("spectra", {"a": spectrum}),
+        ("back point_map vertex_index face_index", same),
+        ("Truth.source Truth.target Truth.symmetric", same),
+        ("errors f g symmetric point_arrays values Samples.interpolate.values", np.ones(n)),
         ("mass", spectrum.mass),
-        ("provenance", spectrum.provenance),
-        ("comparison", metrics.compare_spectra(spectrum, spectrum)),
+        ("inside", np.ones(n, dtype=bool)),
+        ("vectors", np.ones((len(triangulation.corners), 2))),
+        ("dirichlet_energy.source dirichlet_energy.target", laplacian),
+        ("match.source match.target", spectrum),
+        ("spectra", {"a": spectrum}),
         ("dirichlet eigenvalues", spectrum.eigenvalues),
         ("eigenfunctions eigenvectors", spectrum.eigenvectors),
         ("basis", spectrum.eigenvectors[:, :5]),
         ("functions", spectrum.eigenvectors[:, :4]),
         ("source_rows target_rows", spectrum.eigenvectors[:, :12]),
-        ("excess", np.zeros(spectrum.k)),
-        ("coefficients", np.ones(spectrum.k)),
+        ("excess coefficients", np.ones(spectrum.k)),
         ("descriptors signature source_descriptors target_descriptors", signature),
         ("features", (signature, signature)),
         ("fit_functional_map.oriented", (oriented, oriented)),
         ("operators", interop.to_diffusion_net(spectrum, laplacian)),
         ("mismatches.source mismatches.target", prepared),
-        ("orientation_of.source orientation_of.target", prepared),
         ("Union.parts start subspace", given),
         ("neo_eigenpairs.subspace", neo.NeoSubspace(network)),
-        ("NeoSubspace.predict.frame", subspaces.canonical_frame(mesh.points, spectrum.mass)),
-        ("config", config),
-        ("network", network),
         # Distances and maps.
         ("distance", field.distance),
-        ("poisson", field.poisson),
         ("DistanceField.sources", field.sources),
-        ("DistanceField.solver", field.solver),
         ("functional_map initial", identity),
         ("maps", np.stack([identity[:10, :10]])),
-        ("precise", functional_maps.precise_map(spectrum, spectrum, identity, mesh.faces)),
         ("candidates", (candidate,)),
         ("MatchedPair.errors plot_correspondence.errors", map_errors),
-        ("mismatches score_of.values", {"wave": 0.1}),
+        ("score_of.values", {"wave": 0.1}),
         ("match.landmarks fit_functional_map.landmarks", ([0, 1], [0, 1])),
         ("mismatches.landmarks", (np.array([0, 1]), np.array([0, 1]))),
         # Pictures.
@@ -211,55 +206,36 @@ def example() -> dict[str, Any]:
         ("runs", [run]),
         ("marks", {"day": 3.0}),
         ("plot_distance.sources", [[0.0, 0.0, 1.0]]),
-        ("plot_fields.symmetric decimated", True),
-        ("plot_fields.columns plot_modes.columns", 2),
-        # Numbers, words and functions.
-        ("n n_points samples cap animate_modes.width", 100),
+        ("plot_fields.symmetric", True),
+        # Numbers, words and functions, where those of `USUAL` are no good.
+        ("MapErrors.at_points.n", n),
+        ("samples cap animate_modes.width", 100),
         ("sample.n sample_with_origin.n", 50),
-        ("bytes count k n_modes n_shown", 6),
-        ("Prepared.truncate.k", 35),
+        ("max_iterations Prepared.truncate.k", 35),
         ("match.options", quick),
         ("k_final", 24),
-        ("k_start", 10),
-        ("zoomout_many.k_final", 12),
+        ("k_start zoomout_many.k_final", 10),
         ("creature.n_points creature_pair.n_source n_target", 520),
         ("dimension iterations", 2),
-        ("n_sources", 1),
         ("farthest_points.start", 0),
-        ("max_iterations", 500),
-        ("consistent coverage orientation seconds", 1.0),
-        ("mirror_margin margin", 1.5),
-        ("error score time spacing", 0.1),
-        ("wave_kernel_signature.width", 0.2),
+        ("wave_kernel_signature.width quantisation", 0.2),
         ("low", 0.0),
         ("limit", 5.0),
-        ("factor square", 4.0),
-        ("time_step", 0.01),
-        ("quantisation", 1e-4),
         ("spectral_distance.time weights", None),
         ("mirrored match.elastic", False),
-        ("a b thresholds", [1.0, 2.0]),
+        ("a b thresholds energies times", [0.5, 1.0]),
         ("dnas", [[1.0, 2.0], [1.0, 3.0]]),
-        ("energies times", [0.5, 1.0]),
-        ("SolverRun.times", [0.1, 0.2]),
-        ("SolverRun.residuals", [1.0, 0.1]),
         ("scales", np.geomspace(0.01, 1, 16)),
-        ("symmetric", np.ones(3)),
-        ("centre lower", (0.0, 0.0, 0.0)),
+        ("centre lower coordinate", (0.0, 0.0, 0.0)),
         ("upper", (1.0, 1.0, 1.0)),
-        ("coordinate", [0.0, 0.0, 0.0]),
         ("modes ends", [1, 2]),
         ("landmarks shown sources starts targets vertices plot_signatures.points", [0, 1]),
         ("HeatGeodesics.distances.sources", [0, 1]),
-        ("Truth.source Truth.target Truth.symmetric", [0, 1]),
         ("indices", np.arange(50)),
         ("rows", np.arange(100)),
-        ("stages DistanceField.seconds", {"factor": 1.0}),
+        ("DistanceField.seconds", {"factor": 1.0}),
         ("record", {"legs": []}),
-        ("description group name", "a"),
-        ("reason", ""),
         ("kind", "mesh"),
-        ("up", "z"),
         ("NeoConfig.named.name name_or_path", "small"),
         ("Panel.lines Problem.remedies", ("x",)),
         ("move", lambda values: values),
@@ -276,13 +252,18 @@ def example() -> dict[str, Any]:
         ("save_weights.path", "out.safetensors"),
         ("write_explorer.path", "out.html"),
         ("animate_modes.path", "out.gif"),
-        ("Picture.path", Path("out.png")),
-        ("Explorer.path", Path("out.html")),
+        ("Picture.path Explorer.path", Path("out.png")),
     )
-    return {name: value for names, value in arguments for name in names.split()} | {
-        f"{type(thing).__name__}.self": thing for thing in instances
-    }
+    by_name = {name: value for names, value in arguments for name in names.split()}
+    return by_name, {type(thing).__name__: thing for thing in instances}
 
+
+def instances() -> dict[str, Any]:
+    return examples()[1]
+
+
+# Where nothing else tells.
+USUAL = {int: 6, float: 0.5, str: "a", bool: True}
 
 # Clouds have no area, a lone candidate no rival, and zero modes no relative error.
 MAY_BE_INFINITE = {"diagnose", "match", "compare_spectra"}
@@ -348,7 +329,7 @@ def family(value: Any) -> str:
 @cache
 def anything() -> dict[str, Any]:
     """What may arrive anywhere by mistake."""
-    good = example()
+    made = instances()
     return {
         "None": None,
         "a class": sk.Arpack,
@@ -377,10 +358,7 @@ def anything() -> dict[str, Any]:
         "NaN array": np.full((162, 3), np.nan),
         "sparse": sparse.eye_array(5, format="csr"),
         "mapping": {"a": object()},
-        "mesh": good["mesh"],
-        "cloud": good["cloud"],
-        "Laplacian": good["laplacian"],
-        "Spectrum": good["spectrum"],
+        **{kind: made[kind] for kind in ("TriangleMesh", "PointCloud", "Laplacian", "Spectrum")},
         "solver": sk.Arpack(),
         "function": lambda *_: None,
     }
@@ -413,7 +391,7 @@ def broken(value: Any) -> dict[str, Any]:
 
 
 def call_of(name: str) -> Call:
-    thing, is_method = next((t, m) for full, t, m in surface() if full == name)
+    thing, is_method = surface()[name]
     target = inspect.unwrap(thing.__init__ if inspect.isclass(thing) else thing)
     hints = typing.get_type_hints(target, localns=_LATE)
     good, optional, function, owner = {}, set(), thing, None
@@ -436,7 +414,7 @@ def _spread(function: Callable[..., Any], name: str, **arguments: Any) -> Any:
 
 def example_of(name: str, p: inspect.Parameter, owner: Any, hint: Any) -> Any:
     """A good value: told by name, of an instance, the default, or what has the kind asked for."""
-    values, made = example(), instances()
+    values, made = examples()
     short = name.rpartition(".")[2]
     for key in (f"{name}.{p.name}", f"{short}.{p.name}"):
         if key in values:
@@ -447,23 +425,16 @@ def example_of(name: str, p: inspect.Parameter, owner: Any, hint: Any) -> Any:
         return p.default
     if p.name in values:
         return values[p.name]
-    for kind in (hint, *typing.get_args(hint)):
+    kinds = (hint, *typing.get_args(hint))
+    for kind in kinds:
         if getattr(kind, "__name__", None) in made:
             return made[kind.__name__]
+    for kind in kinds:
+        if kind in USUAL:
+            return USUAL[kind]
     if p.default is None:
         return None
     raise AssertionError(f"tell what `{p.name}` of {name} may be")
-
-
-@cache
-def instances() -> dict[str, Any]:
-    """One of each class, as far as the examples hold one."""
-    found = {type(value).__name__: value for value in example().values()}
-    return found | {
-        name.removesuffix(".self"): value
-        for name, value in example().items()
-        if name.endswith(".self")
-    }
 
 
 def finite(result: Any, depth: int = 3) -> bool:
@@ -509,8 +480,7 @@ def fault(call: Call, argument: str, wrong: Any) -> str:
 def kinds_of(call: Call, argument: str) -> set[str]:
     """Families of values that are right for an argument."""
     also = ALSO.get(f"{call.name}.{argument}", ALSO.get(argument, set()))
-    optional = {"none"} if argument in call.optional else set()
-    return {family(call.good[argument])} | also | optional
+    return {family(call.good[argument])} | also
 
 
 @pytest.fixture(autouse=True)
@@ -523,11 +493,11 @@ def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("spectra_kit.viz.render.draw_requests", drawn)
     monkeypatch.setattr("matplotlib.figure.Figure", drawn)
-    geometry.write(example()["mesh"], "mesh.obj")
-    example()["spectrum"].save("spectrum.npz")
+    geometry.write(instances()["TriangleMesh"], "mesh.obj")
+    instances()["Spectrum"].save("spectrum.npz")
 
 
-@pytest.mark.parametrize("name", [name for name, _, _ in surface()])
+@pytest.mark.parametrize("name", surface())
 def test_wrong_arguments_are_refused_by_name(name):
     call = call_of(name)
     with suppress(DrawnError):
@@ -536,6 +506,7 @@ def test_wrong_arguments_are_refused_by_name(name):
         f"{argument} = {label}: {bad}"
         for argument, good in call.good.items()
         for label, wrong in {**anything(), **broken(good)}.items()
+        if not (wrong is None and argument in call.optional)
         if (bad := fault(call, argument, wrong))
     ]
     assert not faults, "\n".join(faults)
@@ -545,31 +516,34 @@ def test_wrong_arguments_are_refused_by_name(name):
     ("call", "message"),
     [
         (
-            lambda e: sk.verify(e["laplacian"], e["spectrum"]),
+            lambda e: sk.verify(e["Laplacian"], e["Spectrum"]),
             "`spectrum` must be a Spectrum, got a Laplacian; did you swap it with `laplacian`?",
         ),
         (
-            lambda e: viz.plot_modes(e["spectrum"], e["mesh"]),
+            lambda e: viz.plot_modes(e["Spectrum"], e["TriangleMesh"]),
             "`geometry` must be a TriangleMesh or PointCloud, got a Spectrum; did you swap it with"
             " `spectrum`?",
         ),
         (
-            lambda e: sk.match(e["mesh"], e["mesh"]),
+            lambda e: sk.match(e["TriangleMesh"], e["TriangleMesh"]),
             "`source` must be a Prepared or Spectrum, got a TriangleMesh; pass prepare(spectrum",
         ),
         (
-            lambda e: sk.eigensolve(e["laplacian"], 5, sk.Dense),
+            lambda e: sk.eigensolve(e["Laplacian"], 5, sk.Dense),
             "`solver` must be an Eigensolver, got the class Dense; pass an instance of it",
         ),
         (
             lambda e: sk.PointCloud(np.ma.masked_less(np.eye(3), 1)),
             "`points` must be whole, got 6 masked entries; leave them out",
         ),
-        (lambda e: sk.spectrum(e["mesh"], solvr=1), "spectrum takes no argument `solvr`; did you"),
+        (
+            lambda e: sk.spectrum(e["TriangleMesh"], solvr=1),
+            "spectrum takes no argument `solvr`; did you",
+        ),
         (lambda e: viz.Page(colour="red"), "Page takes no argument `colour`"),
     ],
 )
 def test_what_to_do_instead_is_told(call, message):
     with pytest.raises((InvalidInputError, TypeError)) as error:
-        call(example())
+        call(instances())
     assert str(error.value).startswith(message)

@@ -1,6 +1,7 @@
 """The stream: the samples of the corpus, made by processes, read while they come in."""
 
 import multiprocessing
+import os
 import subprocess
 import sys
 import time
@@ -97,45 +98,49 @@ def test_reading_waits_for_nothing():
     assert not stream.ready(8, timeout=1e9)  # none will come
 
 
-def test_a_dead_worker_is_an_error_and_not_a_hang():
-    with SampleStream(TINY, workers=1, capacity=1000) as stream:
+def test_workers_have_one_thread_end_with_the_block_and_are_missed_when_dead(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    with SampleStream(TINY, workers=2, capacity=1000) as stream:
         assert stream.ready(1, timeout=300)
-        (worker,) = multiprocessing.active_children()
+        worker, other = multiprocessing.active_children()
+        # As it was when the libraries were loaded.
+        told = set(Path(f"/proc/{worker.pid}/environ").read_text().split("\0"))
+        assert told >= {f"{name}_NUM_THREADS=1" for name in ("OMP", "OPENBLAS", "MKL")}
+        assert os.environ["OMP_NUM_THREADS"] == "2"
+        assert "MKL_NUM_THREADS" not in os.environ
         worker.kill()
         with pytest.raises(WorkerError, match=r"has died.*start again with fewer `workers`"):
             stream.ready(1000, timeout=300)
-        for told in (stream.corpus, stream.report):
+        for call in (stream.corpus, stream.report):
             with pytest.raises(WorkerError, match="has died"):
-                told()
+                call()
+    assert not other.is_alive()
 
 
 SCRIPT = """
 import itertools, multiprocessing, os, signal, time
 from spectra_kit.training.corpus import CorpusConfig, produced
-from spectra_kit.training.stream import SampleStream
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    config = CorpusConfig(seed=0, n_points=100, k=4)
-    try:
-        with SampleStream(config, workers=1, capacity=64) as stream:
-            stream.ready(1, timeout=300)
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(300)
-    except KeyboardInterrupt:
-        print(multiprocessing.active_children(), flush=True)
-    with produced(config, itertools.count(), 1) as made:
+    with produced(CorpusConfig(seed=0, n_points=100, k=4), itertools.count(), 1) as made:
         next(made)
+        try:
+            os.killpg(0, signal.SIGINT)
+            time.sleep(300)
+        except KeyboardInterrupt:  # which workers leave to this process
+            next(made)
         print(multiprocessing.active_children()[0].pid, flush=True)
         time.sleep(300)
 """
 
 
-def test_processes_end_on_ctrl_c_and_with_the_one_that_started_them(tmp_path):
+def test_processes_ignore_ctrl_c_and_end_with_the_one_that_started_them(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    parent = subprocess.Popen([sys.executable, str(script)], **pipes)
-    assert parent.stdout.readline().strip() == "[]"
+    command = [sys.executable, str(script)]
+    parent = subprocess.Popen(command, start_new_session=True, **pipes)
     worker = int(parent.stdout.readline())
     parent.kill()
     assert "Traceback" not in parent.communicate()[1]

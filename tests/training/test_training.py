@@ -54,9 +54,8 @@ def corpora(folder):
 
 @pytest.fixture(scope="module")
 def whole(corpora):
-    """Return a run of ten steps, and the rows that it reported."""
-    rows = []
-    return train(*corpora, replace(CONFIG, log=3), report=rows.append), rows
+    """Return a run of ten steps."""
+    return train(*corpora, CONFIG)
 
 
 def same(one, other):
@@ -121,27 +120,18 @@ def test_averaged_weights_forget_the_start_and_then_decay():
         assert average.weight.item() == pytest.approx(expected, rel=1e-6)
 
 
-def test_schedule_rises_stays_and_falls():
-    rates = [warmup_stable_decay(p) for p in np.linspace(0, 1, 1001)]
-    assert rates[0] == 0
-    np.testing.assert_allclose(rates[100:801], 1.0, rtol=1e-12)
-    np.testing.assert_allclose(np.diff(rates[:100]), 1 / 100, atol=1e-12)
-    np.testing.assert_allclose(np.diff(rates[800:]), -1 / 200, atol=1e-12)
-    assert warmup_stable_decay(1.5) == 0
-
-
 @pytest.mark.parametrize("seconds", [0.0, 100.0, 300.0, 1150.0])
-@pytest.mark.parametrize("left", [10.0, 200.0, 2000.0])
-def test_a_shortened_schedule_goes_on_where_the_rate_is(seconds, left):
+def test_a_shortened_schedule_goes_on_where_the_rate_is(seconds):
     def rate(config, at):
         progress = at / (60 * config.minutes)
         return warmup_stable_decay(progress, warmup=config.warmup, decay=config.decay)
 
     old = replace(CONFIG, minutes=20, warmup=0.2, decay=0.3)
-    new = _shortened(old, seconds, left)
-    assert 60 * new.minutes == pytest.approx(min(1200, seconds + left))
-    assert rate(new, seconds) == pytest.approx(rate(old, seconds), abs=1e-9)
-    assert rate(new, 60 * new.minutes) == 0
+    for left in (10.0, 200.0, 2000.0):
+        new = _shortened(old, seconds, left)
+        assert 60 * new.minutes == pytest.approx(min(1200, seconds + left))
+        assert rate(new, seconds) == pytest.approx(rate(old, seconds), abs=1e-9)
+        assert rate(new, 60 * new.minutes) == 0
 
 
 # The loop
@@ -173,7 +163,7 @@ def test_training_learns(corpora, tmp_path, device, options):
 
 
 def test_half_precision_follows_float32_and_shares_change_no_gradient(corpora, whole):
-    expected = whole[0].record["span_error"]
+    expected = whole.record["span_error"]
     rounded = train(*corpora, replace(CONFIG, precision="bfloat16"))
     assert rounded.record["span_error"] == pytest.approx(expected, rel=0.1)
     config, losses = replace(CONFIG, log=1, ema=0.0), {1: [], 3: []}
@@ -197,18 +187,14 @@ def test_the_result_is_the_average_and_the_checkpoint_holds_both(corpora, tmp_pa
     assert same(content["average"], ours)
     assert not same(content["network"], ours)
     assert same(content["network"], train(*corpora, replace(CONFIG, ema=0.0)).network.state_dict())
-    assert same(ours, whole[0].network.state_dict())
+    assert same(ours, whole.network.state_dict())
     still = train(*corpora, replace(CONFIG, lr=1e-9, ema=0.0), initial=result.network)
     assert still.record["span_error"] == pytest.approx(result.record["span_error"], rel=1e-4)
 
 
-@pytest.mark.parametrize(("workers", "precision"), [(1, "float32"), (2, "float16")])
-def test_a_stopped_run_resumes_bit_by_bit(corpora, tmp_path, whole, workers, precision):
-    config = replace(CONFIG, workers=workers, precision=precision, log=3)
-    result, rows = whole
-    if precision != "float32":
-        rows = []
-        result = train(*corpora, config, report=rows.append)
+def test_a_stopped_run_resumes_bit_by_bit(corpora, tmp_path):
+    config, rows = replace(CONFIG, workers=2, precision="float16", log=3), []
+    result = train(*corpora, config, report=rows.append)
     assert not train(*corpora, config, out=tmp_path, stop_after=4).finished
     resumed = train(*corpora, config, out=tmp_path, resume=True)
     assert resumed.finished
@@ -338,7 +324,7 @@ with process_group("cpu") as device:
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
-def command(folder, out, *, steps=40, resume=False, pause=0.0):
+def command(folder, out, *, steps=24, resume=False, pause=0.0):
     """Train for so many steps, with so many seconds between them."""
     rest = [str(folder), str(out), str(steps), "resume" if resume else "begin", str(pause)]
     return [sys.executable, "-c", SCRIPT, *rest]
@@ -373,7 +359,7 @@ def test_a_killed_run_resumes_to_the_same_loss_curve(folder, tmp_path, run_here)
             time.sleep(0.05)
         time.sleep(random.uniform(0, 0.3))
         process.kill()
-    assert 0 < checkpoint.read(killed)["state"]["step"] < 40
+    assert 0 < checkpoint.read(killed)["state"]["step"] < 24
     run_here(command(folder, killed, resume=True))
     assert curve(killed) == curve(whole)
     one, other = checkpoint.read(killed), checkpoint.read(whole)

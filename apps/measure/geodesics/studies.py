@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -154,7 +155,7 @@ class Distances(Study[str, Shape]):
         points, faces = np.array(shape.mesh.points), np.array(shape.mesh.faces)
         # Loads libraries, and compiled code from the disk.
         ball = sphere(subdivisions=self.warm).geometry
-        modes = None if spectrum is None else eigensolve(robust_laplacian(ball), _WARM_MODES)
+        modes = None if spectrum is None else _warm_modes(self.warm)
         who.build(np.array(ball.points), np.array(ball.faces), modes, many)([0] * len(sources))
         with clocked() as clock:
             found = who.build(points, faces, spectrum, many)(sources)
@@ -165,6 +166,12 @@ class Distances(Study[str, Shape]):
             "solver": found[0].solver,
             "stages": dict(found[0].stages),
         }
+
+
+@cache
+def _warm_modes(subdivisions: int) -> Spectrum:
+    """Solve for a few modes of a sphere, once in a process."""
+    return eigensolve(robust_laplacian(sphere(subdivisions=subdivisions).geometry), _WARM_MODES)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from frame import Case, damaged, part, wrong
+from frame import Case, damaged, part, pytest_generate_tests  # noqa: F401
 
 from spectra_kit import Spectrum, eigensolve, robust_laplacian
 from spectra_kit.geometry import sphere
@@ -30,7 +30,7 @@ def _spectrum() -> tuple[Spectrum, bytes]:
 
 
 @part()
-def saved_spectrum(case: Case) -> None:
+def test_saved_spectrum(case: Case) -> None:
     """What can still be read is what was written."""
     spectrum, content = _spectrum()
     path = case.folder / "modes.npz"
@@ -39,7 +39,7 @@ def saved_spectrum(case: Case) -> None:
 
 
 @part()
-def mapped_spectrum(case: Case) -> None:
+def test_mapped_spectrum(case: Case) -> None:
     """Mapped values are not checked, as its documentation says; they can be looked at."""
     path = case.folder / "modes.npz"
     path.write_bytes(damaged(case.rng, _spectrum()[1]))
@@ -47,7 +47,7 @@ def mapped_spectrum(case: Case) -> None:
 
 
 @part()
-def edited_spectrum(case: Case) -> None:
+def test_edited_spectrum(case: Case) -> None:
     """Fields that somebody changed, checksums and all, are refused or can be worked with."""
     with np.load(io.BytesIO(_spectrum()[1])) as old:
         members = dict(old)
@@ -70,12 +70,9 @@ def edited_spectrum(case: Case) -> None:
 
 def _compare(back: Spectrum, spectrum: Spectrum) -> None:
     for name in ("eigenvalues", "eigenvectors", "mass"):
-        if not np.array_equal(getattr(back, name), getattr(spectrum, name)):
-            wrong(f"`{name}` differ")
-    if repr(back.certificate) != repr(spectrum.certificate):
-        wrong("the certificates differ")
-    if repr(back.provenance) != repr(spectrum.provenance):
-        wrong("the provenances differ")
+        np.testing.assert_array_equal(getattr(back, name), getattr(spectrum, name))
+    assert repr(back.certificate) == repr(spectrum.certificate)
+    assert repr(back.provenance) == repr(spectrum.provenance)
 
 
 def _edit(rng: np.random.Generator, tree: dict[str, Any]) -> None:
@@ -107,21 +104,18 @@ def _weights() -> tuple[dict[str, torch.Tensor], dict[str, Any], bytes]:
 
 
 @part()
-def saved_weights(case: Case) -> None:
+def test_saved_weights(case: Case) -> None:
     state, record, content = _weights()
     path = case.folder / "w.safetensors"
     path.write_bytes(damaged(case.rng, content))
     back = load_pretrained(path)
-    if back.record != record:
-        wrong("the records differ")
-    if not all(
-        torch.equal(tensor, state[name]) for name, tensor in back.network.state_dict().items()
-    ):
-        wrong("the weights differ")
+    assert back.record == record
+    for name, tensor in back.network.state_dict().items():
+        assert torch.equal(tensor, state[name])
 
 
 @part()
-def edited_weights(case: Case) -> None:
+def test_edited_weights(case: Case) -> None:
     """Headers that somebody changed, without the digest, fit the network or are refused."""
     content = _weights()[2]
     start = 8 + int.from_bytes(content[:8], "little")
@@ -148,11 +142,9 @@ def _checkpoint() -> tuple[dict[str, Any], bytes]:
 
 
 @part()
-def training_checkpoint(case: Case) -> None:
+def test_training_checkpoint(case: Case) -> None:
     content, data = _checkpoint()
     (case.folder / checkpoint.NAME).write_bytes(damaged(case.rng, data))
     back = checkpoint.read(case.folder)
-    if back is None or back["state"] != content["state"]:
-        wrong("the states differ")
-    if not torch.equal(back["network"]["a"], content["network"]["a"]):
-        wrong("the weights differ")
+    assert back["state"] == content["state"]
+    assert torch.equal(back["network"]["a"], content["network"]["a"])
