@@ -27,7 +27,7 @@ from measure.shapes import (
 from measure.store import Store, code_digest
 from measure.study import run
 from measure.tables import number, plain, ratio, table, write_csv, write_json
-from measure.worker import Limits, Worker
+from measure.worker import FailedError, Limits, Worker
 from toy_study import Lasting, Toy, calls, clock_ones, toy
 
 from spectra_kit import PointCloud, robust_laplacian
@@ -190,9 +190,12 @@ def _serving(folder):
     return found
 
 
-def test_a_clock_measures_time_and_memory():
+def test_a_worker_clocks_time_and_memory_and_outlives_a_failure():
     with Worker(Limits()) as worker:  # a heap that is new has no freed memory to take again
         found = worker.call(clock_ones, size := 8_000_000)
+        with pytest.raises(FailedError, match="ValueError: "):
+            worker.call(int, "no number")
+        assert worker.call(abs, -3) == 3
     assert 0.05 <= found["seconds"] < 5
     assert found["peak_bytes"] >= 0.9 * 8 * size
     assert found["waited_seconds"] >= 0
