@@ -124,7 +124,8 @@ def _laplacian(
     corners: Ints, lengths: Floats, twins: Ints, n: int, copies: int
 ) -> tuple[sparse.csr_array, Floats]:
     """Return stiffness and lumped mass of one copy of the surface."""
-    area = areas(lengths)
+    a, b, c = lengths.T  # differences of sides as they are: ratios would be rounded once more
+    area = np.sqrt(np.maximum((a + b + c) * (b + c - a) * (c + a - b) * (a + b - c), 0.0)) / 4
     squares = lengths**2
     with np.errstate(divide="ignore", invalid="ignore"):
         cotangents = (squares[:, [1, 2, 0]] + squares[:, [2, 0, 1]] - squares) / (4 * area[:, None])

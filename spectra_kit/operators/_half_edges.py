@@ -37,9 +37,9 @@ def side_lengths(points: Floats, triangles: Ints, mollify: float) -> Floats:
     """
     corners = points.take(triangles, axis=0)
     steps = np.roll(corners, -1, axis=1) - corners
-    sides = np.sqrt(np.einsum("tcr,tcr->tc", steps, steps))
+    sides = np.linalg.norm(steps, axis=2)
     wanted = mollify * np.maximum(sides.sum(axis=1, keepdims=True) / 3, _COINCIDENT)
-    lacking = wanted - sides - sides[:, [2, 0, 1]] + sides[:, [1, 2, 0]]
+    lacking = wanted - (sides + sides[:, [2, 0, 1]] - sides[:, [1, 2, 0]])
     thin = (lacking > 0).any(axis=1)
     offsets = np.zeros(len(points))
     np.maximum.at(offsets, triangles[thin], lacking[thin] / 2)
