@@ -190,6 +190,12 @@ class Rebuilt(Brief):
     So a copy is validated and read-only like the original, and leaves cached values behind.
     """
 
+    def __post_init__(self) -> None:
+        """Make its arrays read-only; classes that check more do so in its place."""
+        for name, value in list(vars(self).items()):
+            if isinstance(value, np.ndarray | list):
+                object.__setattr__(self, name, frozen(np.asarray(value)))
+
     def __reduce__(self) -> tuple[Any, ...]:
         values = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
         plain = {k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()}

@@ -54,9 +54,7 @@ def shape_dna(
 
     Notes
     -----
-    Reuter, Wolter and Peinecke, *Laplace-Beltrami spectra as 'Shape-DNA' of surfaces and solids*,
-    Computer-Aided Design 2006. Isometric surfaces have equal ShapeDNA; a few surfaces that are not
-    isometric share it too.
+    Isometric surfaces have equal ShapeDNA; a few surfaces that are not isometric share it too.
 
     References
     ----------
@@ -147,9 +145,8 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
 
     Notes
     -----
-    "index" is the reweighting that later work on ShapeDNA settled on (Wachinger et al.,
-    *BrainPrint*, NeuroImage 2015), and "inverse" the weighted spectral distance (Konukoglu et al.,
-    *WESD*, PAMI 2013, p = 2).
+    "index" is the reweighting that later work on ShapeDNA settled on (Wachinger et al. 2015), and
+    "inverse" the weighted spectral distance (Konukoglu et al. 2013, p = 2).
 
     References
     ----------

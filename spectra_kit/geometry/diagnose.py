@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._checked import checked
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh, distinct_rows
+from spectra_kit.geometry.units import box_unit
 
 
 @checked
@@ -178,9 +178,10 @@ def diagnose(geometry: Geometry) -> Diagnosis:
     points = geometry.points
     counts = _face_counts(geometry) if isinstance(geometry, TriangleMesh) else {}
     first, _ = distinct_rows(points)
+    scaled = points / box_unit(points)
     return Diagnosis(
         n_points=geometry.n,
-        dimension=_dimension(points),
+        dimension=int(np.linalg.matrix_rank(scaled - scaled[0], rtol=1e-7)),
         duplicate_points=geometry.n - len(first),
         lower=tuple(points.min(axis=0).tolist()),
         upper=tuple(points.max(axis=0).tolist()),
@@ -229,15 +230,3 @@ def _count_split_fans(mesh: TriangleMesh, block: int = 1 << 16) -> int:
         fans = np.unique(at * size + fan[:n]) // size
         count += int((np.diff(np.flatnonzero(np.diff(fans, prepend=-1, append=-1))) > 1).sum())
     return count
-
-
-def _dimension(points: NDArray[np.float64]) -> int:
-    """Return the dimension of the affine hull, up to rounding."""
-    offsets = points - points[0]
-    extent = np.abs(offsets).max()
-    if extent == 0:
-        return 0
-    offsets /= extent
-    # Squares of the singular values of the offsets, hence a relative cut of 1e-7 on those.
-    spread = np.linalg.eigvalsh(offsets.T @ offsets)
-    return int((spread > 1e-14 * spread[-1]).sum())

@@ -208,7 +208,7 @@ def test_options_reach_the_solvers_that_take_them():
                 solving.check_solvers(asked, solver)
                 assert text in repr(solving.make_solver(solver, asked, 4))
             else:
-                with pytest.raises(InvalidInputError, match=f"--{option} is for the solvers"):
+                with pytest.raises(InvalidInputError, match=f"--{option}` must go with"):
                     solving.check_solvers(asked, solver)
     asked = parse(["compare", "a", "--solver", "refined", "--start", "neo", "--poses", "4"])
     solving.check_solvers(asked, "arpack", "refined")  # one of the two takes it

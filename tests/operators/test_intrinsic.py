@@ -162,9 +162,6 @@ def test_linear_functions_on_a_plate_of_slivers_have_their_gradient() -> None:
     inside = (inside < [5, 0.3, 1]).all(axis=1)
     assert inside.sum() > 1000
     assert lengths[inside] == pytest.approx(np.linalg.norm(direction), rel=1e-9)
-    before = {tuple(sorted(face)) for face in mesh.faces.tolist()}
-    after = {tuple(sorted(face)) for face in triangulation.corners[inside].tolist()}
-    assert len(after - before) > 0.3 * len(after)  # most of them have been flipped
 
 
 # ----------------------------------------------------------------------------- measures
@@ -232,8 +229,9 @@ def test_equal_to_libigl_and_to_cotangents_on_a_delaunay_mesh() -> None:
     assert abs(ours - cotangents).max() < 1e-12 * abs(ours).max()
 
 
-@pytest.mark.parametrize("name", ["ball", "moebius strip", "three sheets", "plate as a cloud"])
-@pytest.mark.parametrize("scale", [1e-120, 1e6])
+@pytest.mark.parametrize(
+    ("name", "scale"), [("ball", 1e6), ("moebius strip", 1e-120), ("plate as a cloud", 1e6)]
+)
 def test_units(name: str, scale: float) -> None:
     geometry, base = made(name), triangulated(name)
     other = intrinsic_delaunay(geometry.with_points(scale * geometry.points))
@@ -319,7 +317,9 @@ def test_fields_are_read_only_and_in_the_units_of_the_geometry() -> None:
     straight = np.linalg.norm(mesh.points[triangulation.corners] - mesh.points[ends], axis=2)
     assert (triangulation.lengths >= straight - 1e-12).all()  # intrinsic edges go along the surface
     assert triangulation.operator == "delaunay_laplacian(mesh, mollify_factor=1e-05)"
-    assert triangulation.seconds > 0
+    capped = intrinsic_delaunay(mesh.as_cloud(), n_neighbors=200)
+    assert capped.operator == "delaunay_laplacian(mollify_factor=1e-05, n_neighbors=161)"
+    assert capped.seconds > 0
     assert repr(triangulation) == "IntrinsicTriangulation(320 triangles on 162 points)"
     other = copy.deepcopy(triangulation)
     u = RNG(0).standard_normal(other.n)

@@ -12,7 +12,6 @@ from spectra_kit import (
     TriangleMesh,
     cotan_laplacian,
     delaunay_laplacian,
-    eigensolve,
     knn_laplacian,
     robust_laplacian,
 )
@@ -127,16 +126,7 @@ def test_parts_of_any_size_have_the_operator_that_they_have_alone(build, size, p
         assert L.mass[part] / unit**2 == pytest.approx(alone.mass, rel=1e-7)
 
 
-def test_an_operator_restricted_to_a_part_has_its_spectrum() -> None:
-    body, both = parts_of(1e-3, 5.0)
-    alone = eigensolve(robust_laplacian(body), 6).eigenvalues
-    L = robust_laplacian(both)
-    small = L.restricted(np.arange(body.n, both.n))
-    assert eigensolve(small, 6).eigenvalues == pytest.approx(1e6 * alone, rel=1e-6)
-    assert eigensolve(L, 7).eigenvalues == pytest.approx([0, *alone], rel=1e-6, abs=1e-9)
-
-
-@pytest.mark.parametrize("exponent", [-420, 7, 420])
+@pytest.mark.parametrize("exponent", [-420, 420])
 @pytest.mark.parametrize("build", [*OPERATORS, "cloud"])
 def test_powers_of_two_change_no_bit(build, exponent: int) -> None:
     body = bumpy()
