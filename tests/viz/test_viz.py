@@ -354,7 +354,7 @@ def test_one_process_draws_all_pictures_until_it_dies(monkeypatch):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):  # by the one that came in its place
-        film(modes=[1], amplitude=0.0, progress=interrupt)
+        film(modes=[1], amplitude=0.0, width=60, progress=interrupt)
     assert processes[-1].wait(10) == -signal.SIGKILL
     assert np.array_equal(draw(BALL)[0], first)
     n = len(processes)

@@ -3,10 +3,12 @@
 import re
 from base64 import b64decode
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import pytest
 from drawing import BALL, SQUARE, can_draw, page  # noqa: F401
+from matplotlib.figure import Figure
 from PIL import Image
 
 from spectra_kit import eigensolve, robust_laplacian
@@ -241,6 +243,16 @@ def test_fields_share_a_view_and_limits(tmp_path, monkeypatch, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_colours_are_symmetric_where_values_are_negative_or_it_is_asked_for():
+    def content(values, **options):
+        return plot_fields(BALL, {"f": values}, page=Page(dpi=20), **options).content
+
+    height = BALL.points[:, 2]
+    assert content(height) == content(height, symmetric=True) != content(height, symmetric=False)
+    square = height**2
+    assert content(square) == content(square, symmetric=False) != content(square, symmetric=True)
+
+
 def embedded(svg):
     """The pictures in an SVG that are more than a bar."""
     found = re.findall(r"data:image/png;base64,\s*([A-Za-z0-9+/=\s]+)", svg)
@@ -250,7 +262,7 @@ def embedded(svg):
 
 def test_vector_pages_hold_text_and_pictures_of_their_resolution(tmp_path, spectrum):
     def draw(name, modes):
-        page = Page("T & λ", dpi=150)
+        page = Page("T & λ", dpi=90)
         return plot_modes(tmp_path / name, BALL, spectrum, modes=modes, page=page).path
 
     svg = draw("modes.svg", [0, 4]).read_text()
@@ -265,13 +277,13 @@ def test_vector_pages_hold_text_and_pictures_of_their_resolution(tmp_path, spect
     assert svg.count("<image") == 4  # two pictures, two bars
     constant, mode = embedded(svg)
     assert constant.shape == mode.shape
-    assert constant.shape[1] == 4.5 * 150
+    assert constant.shape[1] == 4.5 * 90
     inked = [((p.max(axis=2) < 90) & (np.ptp(p, axis=2) < 25)).sum() for p in (constant, mode)]
     assert inked[0] == 0
     assert inked[1] > 60  # its nodal lines
     pdf = draw("modes.pdf", [4]).read_bytes()
     assert pdf.startswith(b"%PDF")
-    assert max(int(n) for n in re.findall(rb"/Width (\d+)", pdf)) == 4.5 * 150
+    assert max(int(n) for n in re.findall(rb"/Width (\d+)", pdf)) == 4.5 * 90
 
 
 @pytest.mark.parametrize("name", ["a.svg", "a.pdf"])
@@ -279,6 +291,18 @@ def test_the_same_page_has_the_same_bytes(tmp_path, name):
     style = {"page": Page("C", dpi=30)}
     plots = (plot_functional_map(tmp_path / name, np.eye(4), **style) for _ in range(2))
     assert len({plot.path.read_bytes() for plot in plots}) == 1
+
+
+def test_a_page_that_cannot_be_written_whole_leaves_the_last_one(tmp_path, monkeypatch):
+    def fails(figure, path, **_):
+        Path(path).write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Figure, "savefig", fails)
+    (path := tmp_path / "x.png").write_text("the last one")
+    with pytest.raises(OSError, match="No space"):
+        plot_functional_map(path, np.eye(3))
+    assert [(x.name, x.read_text()) for x in tmp_path.iterdir()] == [("x.png", "the last one")]
 
 
 def test_comparisons_draw_zeros_of_modes_alone(tmp_path, spectrum):
