@@ -85,15 +85,20 @@ def test_heat_kernel_is_the_exponential_of_the_operator(complete):
 
 
 def test_wks_is_a_loop_over_its_formula(bumps):
-    energies, width = wave_energies(bumps, 9)
+    energies, width = wave_energies(bumps, 9, width=0.2)
+    assert width == 0.2
     expected = np.zeros((bumps.n, 9))
     for j, e in enumerate(energies):
         weights = np.exp(-((e - np.log(bumps.eigenvalues[1:])) ** 2) / (2 * width**2))
         for i, w in enumerate(weights):
             expected[:, j] += w / weights.sum() * bumps.eigenvectors[:, i + 1] ** 2
-    np.testing.assert_allclose(wave_kernel_signature(bumps, count=9), expected, rtol=1e-10)
-    np.testing.assert_allclose(wave_kernel_signature(bumps, energies, width=width), expected)
-    np.testing.assert_allclose(wave_kernel_signature(bumps, energies), expected)
+    for given in ({"count": 9}, {"energies": energies}):
+        found = wave_kernel_signature(bumps, **given, width=width)
+        np.testing.assert_allclose(found, expected, rtol=1e-10)
+    energies, width = wave_energies(bumps)
+    np.testing.assert_allclose(
+        wave_kernel_signature(bumps, energies), wave_kernel_signature(bumps, energies, width=width)
+    )
 
 
 def test_the_diagonal_of_landmarks_is_the_signature(bumps):
