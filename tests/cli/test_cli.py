@@ -103,7 +103,9 @@ def test_two_runs_give_identical_eigenvalues_and_another_seed_others(files, caps
             record(capsys, "spectrum", *command, "-k", 4, *seed)
             for seed in ((), ("--seed", 0), ("--seed", 1))
         )
-        assert first["eigenvalues"] == second["eigenvalues"] != other["eigenvalues"]
+        assert first["eigenvalues"] == second["eigenvalues"]
+        # The solver's seed alone would change their last digits.
+        assert not np.allclose(first["eigenvalues"], other["eigenvalues"], rtol=1e-6)
     assert first["geometry"] == {"kind": "cloud", "points": 500}
 
 
