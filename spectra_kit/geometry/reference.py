@@ -166,7 +166,7 @@ def disk(*, rings: int = 18, radius: float = 1.0, k: int = 100) -> Reference:
     rings : int, default 18
         Gives 3 rings (rings + 1) + 1 vertices.
     radius : float, default 1.0
-        In the unit of length.
+        Of the rim, in the unit of length.
     k : int, default 100
         Number of exact eigenvalues.
 

@@ -221,14 +221,6 @@ def test_interrupted_mesh_writer_keeps_the_old_mesh(mesh, tmp_path, suffix):
     assert os.listdir(tmp_path) == [path.name]
 
 
-def test_write_replaces_and_follows_links(mesh, tmp_path):
-    write(PointCloud([[1, 2, 3]]), tmp_path / "real.ply")
-    (tmp_path / "link.ply").symlink_to(tmp_path / "real.ply")
-    write(mesh, tmp_path / "link.ply")
-    assert (tmp_path / "link.ply").is_symlink()
-    assert_same(read(tmp_path / "real.ply"), mesh)
-
-
 PLY = (
     "ply\nformat ascii 1.0\ncomment the end_header line follows\nelement vertex 3\n"
     "property float x\nproperty float y\nproperty float z\nelement face 1\n"
