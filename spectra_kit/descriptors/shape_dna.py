@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
-from spectra_kit._validate import check_count, real_array
+from spectra_kit._validate import check_count, positive_array
 from spectra_kit.descriptors._checks import outside_kernel
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectra import Spectrum
@@ -181,12 +181,4 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
 
 
 def _positive(name: str, values: ArrayLike) -> Floats:
-    array = real_array(name, values)
-    if not (array > 0).all():
-        raise InvalidInputError(
-            name,
-            "be positive",
-            f"{int((array <= 0).sum())} of {array.size} <= 0",
-            advice="`shape_dna` leaves out zero modes",
-        )
-    return array
+    return positive_array(name, values, advice="`shape_dna` leaves out zero modes")

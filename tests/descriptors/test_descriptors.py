@@ -10,14 +10,11 @@ from spectra_kit import (
     Dense,
     Spectrum,
     cotan_laplacian,
+    descriptors,
     eigensolve,
     robust_laplacian,
 )
 from spectra_kit.descriptors import (
-    biharmonic_distances,
-    commute_time_distances,
-    diffusion_distances,
-    farthest_points,
     global_point_signature,
     heat_kernel,
     heat_kernel_signature,
@@ -88,15 +85,20 @@ def test_heat_kernel_is_the_exponential_of_the_operator(complete):
 
 
 def test_wks_is_a_loop_over_its_formula(bumps):
-    energies, width = wave_energies(bumps, 9)
+    energies, width = wave_energies(bumps, 9, width=0.2)
+    assert width == 0.2
     expected = np.zeros((bumps.n, 9))
     for j, e in enumerate(energies):
         weights = np.exp(-((e - np.log(bumps.eigenvalues[1:])) ** 2) / (2 * width**2))
         for i, w in enumerate(weights):
             expected[:, j] += w / weights.sum() * bumps.eigenvectors[:, i + 1] ** 2
-    np.testing.assert_allclose(wave_kernel_signature(bumps, count=9), expected, rtol=1e-10)
-    np.testing.assert_allclose(wave_kernel_signature(bumps, energies, width=width), expected)
-    np.testing.assert_allclose(wave_kernel_signature(bumps, energies), expected)
+    for given in ({"count": 9}, {"energies": energies}):
+        found = wave_kernel_signature(bumps, **given, width=width)
+        np.testing.assert_allclose(found, expected, rtol=1e-10)
+    energies, width = wave_energies(bumps)
+    np.testing.assert_allclose(
+        wave_kernel_signature(bumps, energies), wave_kernel_signature(bumps, energies, width=width)
+    )
 
 
 def test_the_diagonal_of_landmarks_is_the_signature(bumps):
@@ -238,9 +240,9 @@ def test_bad_input_is_refused(bumps):
                 (heat_times,),
                 (global_point_signature,),
                 (shape_dna,),
-                (biharmonic_distances, [0]),
-                (commute_time_distances, [0]),
-                (farthest_points, 1),
+                (descriptors.biharmonic_distances, [0]),
+                (descriptors.commute_time_distances, [0]),
+                (descriptors.farthest_points, 1),
             )
         ),
         ("spectrum", "have two different eigenvalues outside its", wave_energies, ONE_VALUE),
@@ -249,7 +251,7 @@ def test_bad_input_is_refused(bumps):
         ("count", "be in [1, 39], got 40", global_point_signature, s, s.k),
         ("count", "be in [1, 39], got 0", shape_dna, s, 0),
         ("count", "be in [1, 39], got 40", shape_dna, s, 40),
-        ("count", "be in [1, 642], got 643", farthest_points, s, 643),
+        ("count", "be in [1, 642], got 643", descriptors.farthest_points, s, 643),
         ("energies", "be a vector of at least one number, got shape (); write [1.0]",
          wave_kernel_signature, s, 1.0),
         ("energies", "be a vector of at least one number, got shape (0,)",
@@ -261,8 +263,8 @@ def test_bad_input_is_refused(bumps):
         ("sources", "name at least one point, got none", heat_kernel, s, [], [1.0]),
         ("sources", "be a vector, got shape (); write [3]", heat_kernel, s, 3, [1.0]),
         ("sources", "be in [0, 642), got 642", heat_kernel, s, [s.n], [1.0]),
-        ("sources", "name at least one point", biharmonic_distances, s, []),
-        ("sources", "be in [0, 642), got 642", commute_time_distances, s, [642]),
+        ("sources", "name at least one point", descriptors.biharmonic_distances, s, []),
+        ("sources", "be in [0, 642), got 642", descriptors.commute_time_distances, s, [642]),
         ("landmarks", "name at least one point", landmark_heat_kernel_signature, s, []),
         ("landmarks", "name at least one point", landmark_wave_kernel_signature, s, []),
         ("landmarks", "be in [0, 642)", landmark_wave_kernel_signature, s, [-1]),
@@ -272,7 +274,7 @@ def test_bad_input_is_refused(bumps):
         ("dnas", "have shape (s, count), count >= 1, got (2,)", shape_dna_distances, [1.0, 2.0]),
         ("dnas", "have shape (s, count)", shape_dna_distances, np.ones((2, 0))),
         ("dnas", "have rows of one length", shape_dna_distances, [[1.0, 2.0], [1.0]]),
-        ("dnas", "be positive, got 1 of 2 <= 0", shape_dna_distances, [[0.0, 2.0]]),
+        ("dnas", "be positive, got 1 entry <= 0", shape_dna_distances, [[0.0, 2.0]]),
         ("dnas", "be finite", shape_dna_distances, [[np.nan, 2.0]]),
         ("a` and `b", "have the same shape", shape_dna_distance, [1.0], [1.0, 2.0]),
         ("a", "hold real numbers", shape_dna_distance, ["x"], [1.0]),
@@ -282,9 +284,9 @@ def test_bad_input_is_refused(bumps):
         ("width", "be below a quarter of the range", wave_energies, (s,), 9.0),
         ("width", "be positive and finite, got 0", wave_energies, (s,), 0.0),
         ("width", "be positive", wave_kernel_signature, (s, [1.0]), -1.0),
-        ("sources", "hold integers", diffusion_distances, (s, [0.5]), 1.0),
-        ("time", "be positive and finite", diffusion_distances, (s, [0]), 0.0),
-        ("start", "be in [0, 641], got -1", farthest_points, (s, 3), -1),
+        ("sources", "hold integers", descriptors.diffusion_distances, (s, [0.5]), 1.0),
+        ("time", "be positive and finite", descriptors.diffusion_distances, (s, [0]), 0.0),
+        ("start", "be in [0, 641], got -1", descriptors.farthest_points, (s, 3), -1),
         ("normalize", "be 'area', 'weyl', 'first' or None", shape_dna, (s,), "volume"),
         ("weight", "be 'index', 'inverse' or", shape_dna_distances, ([[1.0]],), "weyl"),
         ("descriptors", "have no constant column, got one in column 0", normalize_descriptors,
