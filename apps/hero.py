@@ -14,12 +14,12 @@ from spectra_kit.viz.camera import View
 from spectra_kit.viz.colours import distance_colours, position_colours, refined
 from spectra_kit.viz.contours import distance_levels
 from spectra_kit.viz.isolines import distance_lines
+from spectra_kit.viz.modes import display_signs
 from spectra_kit.viz.page import MARGIN, Page, new_figure
 from spectra_kit.viz.panels import Panel, draw_panels
 from spectra_kit.viz.pen import Pen
 from spectra_kit.viz.picture import save
 from spectra_kit.viz.render import Scene, render
-from spectra_kit.viz.signs import display_signs
 from spectra_kit.viz.spectra import draw_eigenvalues
 
 MODE = 33

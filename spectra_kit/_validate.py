@@ -112,14 +112,26 @@ def check_mass(name: str, values: ArrayLike, n: int) -> Floats:
     """Return `values` as n positive float64 weights."""
     if np.shape(values) != (n,):
         raise InvalidInputError(name, f"have shape ({n},)", np.shape(values))
+    return positive_array(
+        name,
+        values,
+        advice="drop unreferenced vertices with {} or duplicate points with {}",
+        remedies=("mesh.without_unreferenced()", "cloud.without_duplicates()"),
+    )
+
+
+def positive_array(
+    name: str, values: ArrayLike, *, advice: str, remedies: tuple[str, ...] = ()
+) -> Floats:
+    """Return `values` as a finite float64 array of positive entries."""
     array = real_array(name, values)
     if not (array > 0).all():
         raise InvalidInputError(
             name,
             "be positive",
             f"{quantity((array <= 0).sum(), 'entry')} <= 0 (smallest {array.min():.3g})",
-            advice="drop unreferenced vertices with {} or duplicate points with {}",
-            remedies=("mesh.without_unreferenced()", "cloud.without_duplicates()"),
+            advice=advice,
+            remedies=remedies,
         )
     return array
 
@@ -189,6 +201,12 @@ class Rebuilt(Brief):
 
     So a copy is validated and read-only like the original, and leaves cached values behind.
     """
+
+    def __post_init__(self) -> None:
+        """Make its arrays read-only; classes that check more do so in its place."""
+        for name, value in list(vars(self).items()):
+            if isinstance(value, np.ndarray | list):
+                object.__setattr__(self, name, frozen(np.asarray(value)))
 
     def __reduce__(self) -> tuple[Any, ...]:
         values = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]

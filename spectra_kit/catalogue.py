@@ -85,7 +85,7 @@ OPERATORS = _table(
     robust=("assemble:robust_laplacian", "intrinsic Delaunay, of any mesh or cloud"),
     cotan=("assemble:cotan_laplacian", "the cotangents of a mesh as it is"),
     knn=("assemble:knn_laplacian", "the graph of nearest neighbours"),
-    delaunay=("delaunay:delaunay_laplacian", "local Delaunay triangles of points"),
+    delaunay=("assemble:delaunay_laplacian", "local Delaunay triangles of points"),
 )
 
 SUBSPACES = MappingProxyType(

@@ -88,6 +88,12 @@ def refused(
 creature = cache(geometry.creature)
 
 
+def ball(n: int, seed: int = 0) -> np.ndarray:
+    """Random points on the unit sphere."""
+    points = np.random.default_rng(seed).standard_normal((n, 3))
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
 @cache
 def bumpy(n: int = 642) -> TriangleMesh:
     """A sphere with bumps of no symmetry: every low eigenvalue is simple."""

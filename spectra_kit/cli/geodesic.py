@@ -38,7 +38,10 @@ def geodesic_distances(asked: program.Geodesic) -> None:
         check_positive("--spacing", asked.spacing)
     if asked.compare and asked.heat_boundary != "neumann":
         raise InvalidInputError(
-            f"--compare is for --heat-boundary neumann, got {asked.heat_boundary}; leave one out"
+            "--heat-boundary",
+            "be neumann with --compare",
+            asked.heat_boundary,
+            advice="leave one out",
         )
     setup.check_solver(asked)
     farthest = setup.check_named(asked)

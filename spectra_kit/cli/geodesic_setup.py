@@ -44,12 +44,12 @@ def check_solver(asked: program.Geodesic) -> None:
     with_modes = bool(asked.spectrum or asked.solver)
     if asked.method == "projected" and not with_modes:
         raise InvalidInputError(
-            "--method projected needs modes; choose what solves for them by --solver"
+            "--method projected needs modes", advice="choose what solves for them by --solver"
         )
     if asked.method in ("direct", "plain") and with_modes and not asked.compare:
         named = f"--spectrum {asked.spectrum}" if asked.spectrum else f"--solver {asked.solver}"
         raise InvalidInputError(
-            f"--method {asked.method} has no use for modes, got {named}; leave one out"
+            f"--method {asked.method}", "be given no modes", named, advice="leave one out"
         )
 
 
@@ -93,18 +93,19 @@ def check_named(asked: program.Geodesic) -> int:
     if asked.file != DEMO:
         if not (asked.source or asked.at or asked.face or asked.farthest):
             raise InvalidInputError(
-                "distances need at least one source; name some by --source, --at, --face or"
-                " --farthest"
+                "distances need at least one source",
+                advice="name some by --source, --at, --face or --farthest",
             )
         sampled = asked.cloud is not None and (asked.source or asked.face)
         if sampled or (asked.repair and asked.face):
             raise InvalidInputError(
                 "--source and --face number the points and faces of the file, which --cloud"
-                " changes, and --repair the faces; name places by --at instead"
+                " changes, and --repair the faces",
+                advice="name places by --at instead",
             )
     for face, *_ in asked.face:
         if not face.is_integer():
-            raise InvalidInputError(f"--face must begin with the number of a face, got {face:g}")
+            raise InvalidInputError("--face", "begin with the number of a face", f"{face:g}")
     return asked.farthest or int(not (asked.source or asked.at or asked.face))
 
 
@@ -131,8 +132,10 @@ def _renumbered(points: Ints, numbers: Ints) -> Ints:
     if (new < 0).any():
         lost = ", ".join(map(str, points[new < 0]))
         raise InvalidInputError(
-            f"--source names points that --repair drops, as no face has them: {lost}; name others,"
-            " or places by --at"
+            "--source",
+            "name points that --repair keeps",
+            f"{lost}, which no face has",
+            advice="name others, or places by --at",
         )
     if moved := [f"{a} is now {b}" for a, b in zip(points, new, strict=True) if a != b]:
         say(f"{quantity(len(moved), 'source')} renumbered by the repair: {', '.join(moved)}")

@@ -13,7 +13,7 @@ from spectra_kit._types import Ints
 from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli.options import DEMO, FORMATS, OnOne, Operator, Reading
 from spectra_kit.cli.progress import say, step
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature, read, repair, sample
 from spectra_kit.operators import Laplacian, laplacian
 
@@ -48,7 +48,7 @@ def load(file: str, asked: Reading, *, pose: int = 0) -> tuple[Geometry, Ints | 
         say(f"repaired: {done or 'nothing to do'}")
     if asked.cloud is not None:
         if not isinstance(geometry, TriangleMesh):
-            raise InvalidInputError("--cloud samples a mesh, and this file holds a point cloud")
+            raise InvalidInputError("--cloud", "sample a mesh", "a file that holds a point cloud")
         check_count("--cloud", asked.cloud, low=1)
         with step(f"sampling {asked.cloud:,} points"):
             geometry = sample(geometry, asked.cloud, seed=asked.seed)
@@ -58,18 +58,19 @@ def load(file: str, asked: Reading, *, pose: int = 0) -> tuple[Geometry, Ints | 
 def _check_there(path: Path) -> None:
     """Refuse what is no file, or not there, and name the likeliest of those that are."""
     if path.is_dir():
-        raise InvalidInputError(
-            f"{path}: this is a folder, expected a file; name one that is in it"
-        )
+        folder = InvalidInputError("this is a folder, expected a file", advice="name one in it")
+        raise InvalidFileError(path, folder)
     if str(path) == "/dev/stdin" or (path.exists() and not path.is_file()):
-        raise InvalidInputError(
-            f"{path}: pipes are not read, expected a file whose name ends in its format"
-            f" ({FORMATS}); save the data as one"
+        pipe = InvalidInputError(
+            f"pipes are not read, expected a file whose name ends in its format ({FORMATS})",
+            advice="save the data as one",
         )
+        raise InvalidFileError(path, pipe)
     if path.exists() or not path.parent.is_dir():
         return
     for near in get_close_matches(path.name, [other.name for other in path.parent.iterdir()], n=1):
-        raise InvalidInputError(f"{path}: there is no such file; did you mean {near!r}?")
+        absent = InvalidInputError("there is no such file", advice=f"did you mean {near!r}?")
+        raise InvalidFileError(path, absent)
 
 
 def prepare(asked: OnOne) -> tuple[Geometry, Laplacian]:
@@ -91,11 +92,11 @@ def prepare(asked: OnOne) -> tuple[Geometry, Laplacian]:
 def assemble(asked: Operator, geometry: Geometry) -> Laplacian:
     """Assemble the operator with its boundary condition."""
     if asked.operator == "cotan" and not isinstance(geometry, TriangleMesh):
-        raise InvalidInputError("--operator cotan needs a mesh; use another for points")
+        raise InvalidInputError("--operator", "be one for points", "cotan, which needs a mesh")
     build = catalogue.OPERATORS[asked.operator] if asked.operator else laplacian
     assembled: Laplacian = build(geometry)
     if asked.boundary == "dirichlet":
         if not isinstance(geometry, TriangleMesh) or not len(geometry.boundary_vertices):
-            raise InvalidInputError("--boundary dirichlet needs a mesh that has a boundary")
+            raise InvalidInputError("--boundary", "be neumann on what has none", "dirichlet")
         assembled = assembled.dirichlet(geometry.boundary_vertices)
     return assembled

@@ -29,7 +29,7 @@ from spectra_kit.correspondence import (
     orientation,
     way_back,
 )
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature_pair, write
 from spectra_kit.geometry.formats._arrays import text_lines, whole
 from spectra_kit.geometry.formats.numpy_arrays import read_npy
@@ -44,6 +44,7 @@ from spectra_kit.viz import Page, View, plot_correspondence, plot_error_curves, 
 _MAPS = ("point_map.npy", "functional_map.npy", "report.json")
 _SIDES = ("source.npz", "target.npz")
 _MIRRORED = {"either": None, "kept": False, "reversed": True}
+_LINES = "hold lines of two integers, on the source and on the target"
 _PICTURES = ("correspondence.png", "functional_map.png", "errors.png")
 
 
@@ -56,7 +57,8 @@ def match_shapes(asked: program.Match) -> None:
     if renumbered and (asked.landmarks or asked.truth):
         raise InvalidInputError(
             "--landmarks and --truth number the points of the files, which --repair and --cloud"
-            " change; repair or sample first, and match what came out"
+            " change",
+            advice="repair or sample first, and match what came out",
         )
     if asked.k < LOWEST_K:
         raise InvalidInputError(
@@ -186,13 +188,11 @@ def _read_landmarks(path: Path, n_source: int, n_target: int) -> tuple[Ints, Int
         try:
             source, target = map(whole, words)
         except ValueError as error:
-            raise InvalidInputError(
-                f"{path}: must hold lines of two integers, on the source and on the target, got"
-                f" {' '.join(words)[:60]!r} in line {number}"
-            ) from error
+            found = f"{' '.join(words)[:60]!r} in line {number}"
+            raise InvalidFileError(path, InvalidInputError("--landmarks", _LINES, found)) from error
         rows.append((source, target))
     if not rows:
-        raise InvalidInputError(f"{path}: must hold lines of two integers, got none")
+        raise InvalidFileError(path, InvalidInputError("--landmarks", _LINES, "none"))
     sources, targets = zip(*rows, strict=True)
     try:
         return (
@@ -200,7 +200,10 @@ def _read_landmarks(path: Path, n_source: int, n_target: int) -> tuple[Ints, Int
             check_indices("target landmarks", targets, n_target),
         )
     except InvalidInputError as error:
-        raise InvalidInputError(f"{path}: {error}; are the columns exchanged?") from error
+        problem = InvalidInputError(
+            error.argument, error.expected, error.got, advice="are the columns exchanged?"
+        )
+        raise InvalidFileError(path, problem) from error
 
 
 def _read_truth(path: Path, n_source: int, n_target: int) -> Ints:
@@ -208,14 +211,17 @@ def _read_truth(path: Path, n_source: int, n_target: int) -> Ints:
     try:
         truth = np.asarray(read_npy(path)[0])
     except InvalidInputError as error:
-        raise InvalidInputError(f"{path}: {error}") from error
+        raise InvalidFileError(path, error) from error
     fits = truth.dtype.kind in "iu" and truth.shape == (n_target,)
     if not fits or truth.max() < 0 or truth.max() >= n_source:
-        raise InvalidInputError(
-            f"{path}: must hold {n_target} integers below {n_source}, the source point of each"
-            f" target point, some of them known, got {truth.dtype} of shape {truth.shape}; are"
-            " source and target exchanged?"
+        problem = InvalidInputError(
+            "--truth",
+            f"hold {n_target} integers below {n_source}, the source point of each target point,"
+            " some of them known",
+            f"{truth.dtype} of shape {truth.shape}",
+            advice="are source and target exchanged?",
         )
+        raise InvalidFileError(path, problem)
     return np.asarray(truth, dtype=np.int64)
 
 

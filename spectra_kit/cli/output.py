@@ -22,17 +22,21 @@ def check_output(path: Path, suffixes: Sequence[str], inputs: Iterable[Path]) ->
     cannot = f"cannot write {str(path)!r}"
     if path.suffix.lower() not in suffixes:
         known = " or ".join(suffixes)
-        raise InvalidInputError(f"the output must be a {known} file, got {str(path)!r}")
+        raise InvalidInputError("output", f"be a {known} file", repr(str(path)))
     if not path.parent.is_dir():
-        raise InvalidInputError(f"{cannot}: there is no folder {str(path.parent)!r}; make it first")
+        raise InvalidInputError(
+            f"{cannot}: there is no folder {str(path.parent)!r}", advice="make it first"
+        )
     if path.is_dir():
         raise InvalidInputError(f"{cannot}: a folder has that name")
     if not os.access(path if is_special(path) else path.parent, os.W_OK):
         what = "it" if is_special(path) else f"the folder {str(path.parent)!r}"
-        raise InvalidInputError(f"{cannot}: {what} is not yours to write to; name another place")
+        raise InvalidInputError(
+            f"{cannot}: {what} is not yours to write to", advice="name another place"
+        )
     if path.resolve() in {file.resolve() for file in inputs}:
         raise InvalidInputError(
-            f"the output must not replace an input, got {str(path)!r} as both; name another file"
+            "output", "not replace an input", f"{str(path)!r} as both", advice="name another file"
         )
 
 
@@ -46,26 +50,33 @@ def check_folder(
     elsewhere = "name another folder with --output"
     if not folder.parent.is_dir():
         raise InvalidInputError(
-            f"cannot make {str(folder)!r}: there is no {str(folder.parent)!r}; make that first"
+            f"cannot make {str(folder)!r}: there is no {str(folder.parent)!r}",
+            advice="make that first",
         )
     if folder.exists() and not folder.is_dir():
         raise InvalidInputError(f"cannot make the folder {str(folder)!r}: a file has that name")
     if odd := [name for name in files if is_special(folder / name)]:
         raise InvalidInputError(
-            f"{str(folder)!r} must hold plain files where the output goes, got a pipe or a device"
-            f" as {', '.join(odd)}; {elsewhere}"
+            str(folder),
+            "hold plain files where the output goes",
+            f"a pipe or a device as {', '.join(odd)}",
+            advice=elsewhere,
         )
     read = {path.resolve() for path in inputs}
     there = [name for name in known if (folder / name).exists()]
     if taken := [name for name in files if (folder / name).resolve() in read]:
         raise InvalidInputError(
-            f"the output must not replace an input, got {', '.join(taken)} in {str(folder)!r} as"
-            f" one; {elsewhere}"
+            "output",
+            "not replace an input",
+            f"{', '.join(taken)} in {str(folder)!r} as one",
+            advice=elsewhere,
         )
     if left := [n for n in there if n not in files and (folder / n).resolve() not in read]:
         raise InvalidInputError(
-            f"{str(folder)!r} must hold no other result, got {', '.join(left)}, which would stay"
-            f" beside the new one; remove what is old, or {elsewhere}"
+            str(folder),
+            "hold no other result",
+            f"{', '.join(left)}, which would stay beside the new one",
+            advice=f"remove what is old, or {elsewhere}",
         )
 
 

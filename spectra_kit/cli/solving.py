@@ -14,7 +14,7 @@ from spectra_kit.cli.progress import step
 from spectra_kit.cli.words import listed
 from spectra_kit.eigensolvers import Eigensolver, Neo, eigensolve
 from spectra_kit.eigensolvers.starts import plane_waves
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.operators import Laplacian
 from spectra_kit.spectra import Spectrum
 from spectra_kit.subspaces import Subspace
@@ -36,8 +36,10 @@ def check_solvers(asked: Solver, *names: str) -> None:
         if getattr(asked, option) != getattr(Solver, option) and not set(names) & set(takers):
             got = listed([*dict.fromkeys(names)])
             raise InvalidInputError(
-                f"--{option} is for the solvers {listed(takers)}, got {got}; choose one of those"
-                " by --solver, or leave it out"
+                f"--{option}",
+                f"go with {listed(takers)}",
+                got,
+                advice="choose one of those by --solver, or leave it out",
             )
     for name in names:
         make_solver(name, asked, 1)
@@ -99,24 +101,27 @@ def refuse_solving(asked: Solver) -> None:
 
 def saved(path: Path, laplacian: Laplacian) -> Spectrum:
     """Read a spectrum, and make sure by its residuals that it is one of this operator."""
-    wrong = f"{path} holds modes of something else"
+    wrong = "holds modes of something else"
     hint = "give the file and the options it was made with, or leave --spectrum out"
     with step(f"reading {path}"):
         spectrum = Spectrum.load(path)
         try:
             certified = spectrum.certify(laplacian)
         except InvalidInputError as error:
-            raise InvalidInputError(f"{wrong}: {error}; {hint}") from error
+            problem = InvalidInputError(f"{wrong}: {error}", advice=hint)
+            raise InvalidFileError(path, problem) from error
     now, then = certified.certificate, spectrum.certificate
     if then is None or now is None:
         return certified
     factor, slack = _SAME
     if (now.relative_residuals > factor * then.relative_residuals + slack).any():
-        raise InvalidInputError(
+        problem = InvalidInputError(
             f"{wrong}: their relative residuals were up to"
             f" {then.relative_residuals.max():.1e} and are {now.relative_residuals.max():.1e}"
-            f" by {laplacian.operator}; {hint}"
+            f" by {laplacian.operator}",
+            advice=hint,
         )
+        raise InvalidFileError(path, problem)
     return spectrum
 
 

@@ -13,6 +13,7 @@ from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt, check_indices, check_positive, frozen, real_array
 from spectra_kit.correspondence.geodesic import geodesic_distances
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.functional_maps.checks import check_point_map
 from spectra_kit.geometry import TriangleMesh
 
 #: A map is flipped if its mean symmetric error is lower than its direct one by more than this.
@@ -183,9 +184,7 @@ def map_errors(
     >>> float(map_errors(mesh, range(mesh.n), Truth.of_map(range(mesh.n))).direct.max())
     0.0
     """
-    p = check_indices("point_map", point_map, mesh.n)
-    if p.ndim != 1:
-        raise InvalidInputError("point_map", "have shape (n2,)", p.shape)
+    p = check_point_map("point_map", point_map, mesh.n)
     at = check_indices("truth.target", truth.target, len(p))
     goals = [truth.source] if truth.symmetric is None else [truth.source, truth.symmetric]
     found = geodesic_distances(

@@ -14,6 +14,7 @@ from spectra_kit.functional_maps import (
     functional_map_from_point_map,
     point_map_from_functional_map,
 )
+from spectra_kit.functional_maps.checks import check_point_map
 from spectra_kit.geometry import TriangleMesh
 from spectra_kit.operators import Laplacian
 from spectra_kit.spectra import Spectrum
@@ -45,7 +46,7 @@ def coverage(point_map: ArrayLike, mass: ArrayLike) -> float:
     0.5
     """
     weights = check_mass("mass", mass, np.size(mass))
-    p = _checked(point_map, len(weights))
+    p = check_point_map("point_map", point_map, len(weights))
     return float(weights[np.unique(p)].sum() / weights.sum())
 
 
@@ -89,7 +90,7 @@ def dirichlet_energy(source: Laplacian, target: Laplacian, point_map: ArrayLike)
     >>> round(sk.correspondence.dirichlet_energy(laplacian, laplacian, range(laplacian.n)), 6)
     1.0
     """
-    p = _checked(point_map, source.n, target.n)
+    p = check_point_map("point_map", point_map, source.n, target.n)
     X = source.points[p]
     return float(np.sum(X * (target.stiffness @ X)) / (2 * source.area))
 
@@ -122,7 +123,7 @@ def bijectivity_errors(mesh: TriangleMesh, point_map: ArrayLike, back: ArrayLike
     >>> float(sk.correspondence.bijectivity_errors(mesh, there, np.argsort(there)).max())
     0.0
     """
-    p = _checked(point_map, mesh.n)
+    p = check_point_map("point_map", point_map, mesh.n)
     q = check_indices("back", back, len(p))
     if q.shape != (mesh.n,):
         raise InvalidInputError(
@@ -162,8 +163,7 @@ def way_back(source: Spectrum, target: Spectrum, point_map: ArrayLike) -> Ints:
     True
     """
     k = min(_WAY_BACK, source.k, target.k)
-    p = _checked(point_map, source.n, target.n)
-    C = functional_map_from_point_map(source, target, p, k=k)
+    C = functional_map_from_point_map(source, target, point_map, k=k)
     return point_map_from_functional_map(target, source, C.T)
 
 
@@ -209,7 +209,7 @@ def orientation(
     """
     points = check_points("source_points", source_points)
     faces = check_faces("source_faces", source_faces, len(points))
-    p = _checked(point_map, len(points))
+    p = check_point_map("point_map", point_map, len(points))
     images = p[check_faces("target_faces", target_faces, len(p))]
     normals = np.zeros_like(points)
     cross = _crosses(points, faces)
@@ -226,16 +226,3 @@ def orientation(
 def _crosses(points: Floats, faces: Ints) -> Floats:
     a, b, c = (points[faces[:, i]] for i in range(3))
     return np.asarray(np.cross(b - a, c - a))
-
-
-def _checked(point_map: ArrayLike, n_source: int, n_target: int | None = None) -> Ints:
-    p = check_indices("point_map", point_map, n_source)
-    if p.ndim != 1 or (n_target is not None and len(p) != n_target):
-        expected = "n2" if n_target is None else n_target
-        raise InvalidInputError(
-            "point_map",
-            f"have shape ({expected},), a source point for each target point",
-            p.shape,
-            advice="are source and target exchanged?",
-        )
-    return p

@@ -47,6 +47,7 @@ from spectra_kit.descriptors.distances import (
     biharmonic_distances,
     commute_time_distances,
     diffusion_distances,
+    farthest_points,
     global_point_signature,
 )
 from spectra_kit.descriptors.grids import heat_times, wave_energies
@@ -55,7 +56,6 @@ from spectra_kit.descriptors.heat import (
     heat_kernel_signature,
     landmark_heat_kernel_signature,
 )
-from spectra_kit.descriptors.sampling import farthest_points
 from spectra_kit.descriptors.shape_dna import shape_dna, shape_dna_distance, shape_dna_distances
 from spectra_kit.descriptors.wave import landmark_wave_kernel_signature, wave_kernel_signature
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import check_indices, quantity, real_array
+from spectra_kit._validate import check_indices, positive_array, quantity, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectra import Spectrum
 
@@ -49,15 +49,8 @@ def check_energies(values: ArrayLike) -> Floats:
 
 def check_times(values: ArrayLike) -> Floats:
     """Return `values` as a vector of positive times."""
-    times = check_grid("times", values)
-    if not (times > 0).all():
-        raise InvalidInputError(
-            "times",
-            "be positive",
-            f"{quantity((times <= 0).sum(), 'entry')} <= 0 (smallest {times.min():.3g})",
-            advice="times are in length^2, `heat_times` suggests some",
-        )
-    return times
+    advice = "times are in length^2, `heat_times` suggests some"
+    return positive_array("times", check_grid("times", values), advice=advice)
 
 
 def check_sources(name: str, values: ArrayLike, spectrum: Spectrum) -> Ints:

@@ -1,4 +1,4 @@
-"""Distances between points that all paths count in, and the embedding by the modes themselves."""
+"""Distances that all paths count in, points spread by them, and the embedding by the modes."""
 
 from __future__ import annotations
 
@@ -39,8 +39,7 @@ def diffusion_distances(spectrum: Spectrum, sources: ArrayLike, *, time: float) 
 
     Notes
     -----
-    Coifman and Lafon, *Diffusion maps*, Applied and Computational Harmonic Analysis 2006, with the
-    heat kernel as the diffusion. Averaged over all pairs of points, k modes leave about
+    The diffusion is the heat kernel. Averaged over all pairs of points, k modes leave about
     ``exp(-2 lambda_k t) / (4 pi t)`` out of the square (Weyl's law).
 
     References
@@ -86,8 +85,7 @@ def biharmonic_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
 
     Notes
     -----
-    Lipman, Rustamov and Funkhouser, *Biharmonic distance*, ACM Transactions on Graphics 2010. The
-    sum grows with k and converges: averaged over all pairs of points, k modes leave about
+    The sum grows with k and converges: averaged over all pairs of points, k modes leave about
     ``1 / (2 pi lambda_k)``, or ``area / (8 pi^2 k)``, out of the square (Weyl's law; exact on the
     sphere, where the whole is radius^2 / (2 pi)).
 
@@ -108,9 +106,9 @@ def biharmonic_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     True
     """
     sources = check_sources("sources", sources, spectrum)
-    embedding = biharmonic_embedding(spectrum)
+    embedding = _biharmonic_embedding(spectrum)
     distances = np.asarray(cdist(embedding[sources], embedding))
-    return _infinite_between(kernel_labels(spectrum), sources, distances)
+    return _infinite_between(_kernel_labels(spectrum), sources, distances)
 
 
 @checked
@@ -131,11 +129,9 @@ def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
 
     Notes
     -----
-    Qiu and Hancock, *Clustering and embedding using commute times*, PAMI 2007, after Fouss et al.,
-    *Random-walk computation of similarities between nodes of a graph*, 2007. With all n modes of a
-    mesh the sum is the effective resistance of its edges. There is no limit for finer meshes or
-    more modes: two points of a surface never meet, and the square grows by about
-    ``area / (2 pi) log k``. Compare values of one k only; `biharmonic_distances` converge.
+    With all n modes of a mesh the sum is the effective resistance of its edges. There is no limit
+    for finer meshes or more modes: two points of a surface never meet, and the square grows by
+    about ``area / (2 pi) log k``. Compare values of one k only; `biharmonic_distances` converge.
 
     References
     ----------
@@ -158,7 +154,7 @@ def commute_time_distances(spectrum: Spectrum, sources: ArrayLike) -> Floats:
     sources = check_sources("sources", sources, spectrum)
     modes = outside_kernel(spectrum)
     embedding = modes.eigenvectors / np.sqrt(modes.eigenvalues)
-    labels = kernel_labels(spectrum)
+    labels = _kernel_labels(spectrum)
     area = np.bincount(labels, spectrum.mass)[labels[sources]]
     distances = np.sqrt(area)[:, None] * cdist(embedding[sources], embedding)
     return _infinite_between(labels, sources, distances)
@@ -189,9 +185,8 @@ def global_point_signature(spectrum: Spectrum, count: int | None = None) -> Floa
 
     Notes
     -----
-    Rustamov, *Laplace-Beltrami eigenfunctions for deformation invariant shape representation*, SGP
-    2007. Inner products of rows are Green's function of the Laplacian, which on a surface has no
-    finite value on the diagonal: norms grow as the root of log k.
+    Inner products of rows are Green's function of the Laplacian, which on a surface has no finite
+    value on the diagonal: norms grow as the root of log k.
 
     References
     ----------
@@ -214,13 +209,72 @@ def global_point_signature(spectrum: Spectrum, count: int | None = None) -> Floa
     return np.asarray(modes.eigenvectors / np.sqrt(modes.eigenvalues))
 
 
-def biharmonic_embedding(spectrum: Spectrum) -> Floats:
+@checked
+def farthest_points(spectrum: Spectrum, count: int, *, start: int | None = None) -> Ints:
+    """Pick points one after the other, each as far as possible from those before.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        k modes, zero modes among them, so that every component gets a point before any gets two.
+    count : int
+        Number of points, at most n.
+    start : int, optional
+        Index of the first point; by default the one farthest from the middle, in the sense of
+        `biharmonic_distances` to the average of all points: a tip of the surface.
+
+    Returns
+    -------
+    ndarray of shape (count,)
+        Distinct indices, in the order in which they were picked. Without ties, they depend on the
+        intrinsic geometry alone: two poses of a body without symmetries get the same places.
+
+    Raises
+    ------
+    InvalidInputError
+        If `count` or `start` is out of range, or all modes are zero modes.
+
+    Notes
+    -----
+    Farthest point sampling in `biharmonic_distances`; O(n k) per point. The points are within twice
+    the best possible covering radius in that distance.
+
+    References
+    ----------
+    T. F. Gonzalez, "Clustering to minimize the maximum intercluster distance", Theoretical
+    Computer Science 38, 1985.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> laplacian = sk.robust_laplacian(sk.geometry.rectangle(height=1.0, n=100).geometry)
+    >>> sk.descriptors.farthest_points(sk.eigensolve(laplacian, 30), 2, start=0)  # opposite corners
+    array([ 0, 99])
+    """
+    check_count("count", count, low=1, high=spectrum.n)
+    embedding, labels = _biharmonic_embedding(spectrum), _kernel_labels(spectrum)
+    from_middle = np.sum(embedding**2, axis=1)  # squared, as all that follows
+    # Components without a point are farther than any distance; among their points, tips go first.
+    gap = 4 * from_middle.max() + from_middle
+    if start is not None:
+        start = check_count("start", start, low=0, high=spectrum.n - 1)
+    chosen = [int(np.argmax(gap)) if start is None else start]
+    while len(chosen) < count:
+        last = chosen[-1]
+        distance = from_middle + from_middle[last] - 2 * (embedding @ embedding[last])
+        gap = np.where(labels == labels[last], np.minimum(gap, distance), gap)
+        gap[last] = -np.inf  # where points coincide, a distance may round below zero
+        chosen.append(int(np.argmax(gap)))
+    return np.array(chosen, dtype=np.int64)
+
+
+def _biharmonic_embedding(spectrum: Spectrum) -> Floats:
     """Return ``u_i(x) / lambda_i``, (n, modes outside the kernel), in length."""
     modes = outside_kernel(spectrum)
     return np.asarray(modes.eigenvectors / modes.eigenvalues)
 
 
-def kernel_labels(spectrum: Spectrum) -> Ints:
+def _kernel_labels(spectrum: Spectrum) -> Ints:
     """Return a label of each point, (n,): equal where the zero modes cannot tell them apart.
 
     These are the components, except that all points of components without a zero mode (fixed

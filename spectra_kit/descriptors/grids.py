@@ -40,9 +40,8 @@ def heat_times(spectrum: Spectrum, count: int = 16) -> Floats:
 
     Notes
     -----
-    The interval of Sun et al. (2009, see `heat_kernel_signature`): the shortest time damps the last
-    mode to 1e-4, so that truncation does not show; at the longest, so is every mode but the
-    constants.
+    The interval of Sun et al.: the shortest time damps the last mode to 1e-4, so that truncation
+    does not show; at the longest, so is every mode but the constants.
 
     References
     ----------

@@ -89,8 +89,7 @@ def heat_kernel_signature(
 
     Notes
     -----
-    Sun, Ovsjanikov and Guibas, *A concise and provably informative multi-scale signature based on
-    heat diffusion*, SGP 2009, who also scale by the heat trace to compare signatures.
+    Sun, Ovsjanikov and Guibas also scale by the heat trace to compare signatures.
 
     References
     ----------
@@ -108,8 +107,7 @@ def heat_kernel_signature(
     >>> hks[0] * 4 * 3.14159
     array([4.366..., 1.005...])
     """
-    times = heat_times(spectrum, count) if times is None else check_times(times)
-    weights = heat_weights(spectrum, times, scaled=scaled)
+    weights = _heat_weights(spectrum, times, count, scaled)
     with blas_threads_for(spectrum.eigenvectors.size):
         return np.asarray(spectrum.eigenvectors**2 @ weights.T)
 
@@ -162,13 +160,13 @@ def landmark_heat_kernel_signature(
            [0.   , 0.367...]])
     """
     landmarks = check_sources("landmarks", landmarks, spectrum)
-    times = heat_times(spectrum, count) if times is None else check_times(times)
-    weights = heat_weights(spectrum, times, scaled=scaled)
+    weights = _heat_weights(spectrum, times, count, scaled)
     return seen_from(spectrum, landmarks, weights).reshape(spectrum.n, -1)
 
 
-def heat_weights(spectrum: Spectrum, times: Floats, *, scaled: bool) -> Floats:
+def _heat_weights(spectrum: Spectrum, times: ArrayLike | None, count: int, scaled: bool) -> Floats:
     """Return exp(-lambda t) of shape (t, k), over its sum over the modes where `scaled`."""
+    times = heat_times(spectrum, count) if times is None else check_times(times)
     exponents = -np.outer(times, spectrum.eigenvalues)
     return shares(exponents) if scaled else np.asarray(np.exp(exponents))
 

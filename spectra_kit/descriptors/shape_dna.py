@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
-from spectra_kit._validate import check_count, real_array
+from spectra_kit._validate import check_count, positive_array
 from spectra_kit.descriptors._checks import outside_kernel
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.spectra import Spectrum
@@ -54,9 +54,7 @@ def shape_dna(
 
     Notes
     -----
-    Reuter, Wolter and Peinecke, *Laplace-Beltrami spectra as 'Shape-DNA' of surfaces and solids*,
-    Computer-Aided Design 2006. Isometric surfaces have equal ShapeDNA; a few surfaces that are not
-    isometric share it too.
+    Isometric surfaces have equal ShapeDNA; a few surfaces that are not isometric share it too.
 
     References
     ----------
@@ -147,9 +145,8 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
 
     Notes
     -----
-    "index" is the reweighting that later work on ShapeDNA settled on (Wachinger et al.,
-    *BrainPrint*, NeuroImage 2015), and "inverse" the weighted spectral distance (Konukoglu et al.,
-    *WESD*, PAMI 2013, p = 2).
+    "index" is the reweighting that later work on ShapeDNA settled on (Wachinger et al. 2015), and
+    "inverse" the weighted spectral distance (Konukoglu et al. 2013, p = 2).
 
     References
     ----------
@@ -184,12 +181,4 @@ def shape_dna_distances(dnas: ArrayLike, *, weight: Weighting | None = "index") 
 
 
 def _positive(name: str, values: ArrayLike) -> Floats:
-    array = real_array(name, values)
-    if not (array > 0).all():
-        raise InvalidInputError(
-            name,
-            "be positive",
-            f"{int((array <= 0).sum())} of {array.size} <= 0",
-            advice="`shape_dna` leaves out zero modes",
-        )
-    return array
+    return positive_array(name, values, advice="`shape_dna` leaves out zero modes")

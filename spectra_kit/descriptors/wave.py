@@ -55,8 +55,7 @@ def wave_kernel_signature(
 
     Notes
     -----
-    Aubry, Schlickewei and Cremers, *The wave kernel signature: a quantum mechanical approach to
-    shape analysis*, ICCV Workshops 2011. An energy far outside the spectrum shows its nearest mode.
+    An energy far outside the spectrum shows its nearest mode.
 
     References
     ----------

@@ -11,8 +11,7 @@ from spectra_kit.geometry.normals import estimate_normals, orient_normals
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 from spectra_kit.metrics import Comparison, align_modes
 from spectra_kit.spectra import Spectrum
-from spectra_kit.viz.contours import triangles_of
-from spectra_kit.viz.signs import display_signs
+from spectra_kit.viz.modes import display_signs
 
 _TRIES = 6
 
@@ -107,14 +106,6 @@ def _first_of_each(rows: Ints) -> Ints:
     side = int(rows.max()) + 1  # at most 1e6: three digits of that base fit 64 bits
     keys = (rows[:, 0] * side + rows[:, 1]) * side + rows[:, 2]
     return np.sort(np.unique(keys, return_index=True)[1]).astype(np.int64)
-
-
-def stars_of(cloud: PointCloud, order: Ints) -> Ints:
-    """Triangles (f, 3) for the nodal lines of a cloud, of its points in this order, sorted."""
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    rows = np.sort(rank[triangles_of(cloud)], axis=1)
-    return np.asarray(rows[np.lexsort(rows.T[::-1])])
 
 
 def normal_steps(cloud: PointCloud) -> NDArray[np.int64]:

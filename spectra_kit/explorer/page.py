@@ -17,12 +17,7 @@ from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path, check_target
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.explorer.display import (
-    for_display,
-    functions_of,
-    normal_steps,
-    stars_of,
-)
+from spectra_kit.explorer.display import for_display, functions_of, normal_steps
 from spectra_kit.explorer.document import assembled
 from spectra_kit.explorer.facts import colour_facts, comparison_facts, numbers, spectrum_facts
 from spectra_kit.explorer.payload import (
@@ -39,6 +34,7 @@ from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.spectra import Spectrum
 from spectra_kit.viz.camera import View
 from spectra_kit.viz.colours import diverging_colours
+from spectra_kit.viz.contours import triangles_of
 from spectra_kit.viz.render import ball_diameter
 from spectra_kit.viz.spectra import free_boundary
 
@@ -259,15 +255,13 @@ def _write(
     facts["shown"] = geometry.n
     facts["diameter"] = ball_diameter(geometry) / side
     parts = [steps16(steps)]
-    facts["faces"] = 0
+    triangles = renumbered(triangles_of(geometry), order)
     if isinstance(geometry, TriangleMesh):
-        facts["faces"] = len(geometry.faces)
-        parts.append(face_bytes(renumbered(geometry.faces, order)))
-    else:
-        stars = stars_of(geometry, order)
-        facts["stars"] = len(stars)
-        parts += [steps16(normal_steps(geometry)[order]), face_bytes(stars)]
-    blocks = {"geometry": packed(*parts)}
+        facts["faces"] = len(triangles)
+    else:  # they carry its nodal lines alone
+        facts |= {"faces": 0, "stars": len(triangles)}
+        parts.append(steps16(normal_steps(geometry)[order]))
+    blocks = {"geometry": packed(*parts, face_bytes(triangles))}
     for name, values in zip(("exact", "predicted"), functions, strict=False):
         blocks[name] = packed(steps16(values))
     text = assembled(facts, blocks).encode("utf-8")

@@ -49,7 +49,7 @@ def walk(geometry: Geometry) -> Ints:
     return np.asarray(order[1:], dtype=np.int64)
 
 
-def renumbered(faces: Ints, order: Ints) -> Ints:
+def renumbered(faces: NDArray[np.integer], order: Ints) -> Ints:
     """Faces (f, 3) of the points in another order, sorted by where they start."""
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))

@@ -13,15 +13,18 @@ from spectra_kit.spectra import Spectrum
 _START = 20  # modes with which a point map starts: enough to tell the limbs of a body apart
 
 
-def check_point_map(name: str, values: ArrayLike, n_source: int, n_target: int) -> Ints:
+def check_point_map(
+    name: str, values: ArrayLike, n_source: int, n_target: int | None = None
+) -> Ints:
     """Return `values` as the source point of each target point: int64 of shape (n_target,)."""
-    if np.shape(values) != (n_target,):
-        backwards = " (it seems to run from source to target)" if n_source != n_target else ""
-        hint = backwards if np.shape(values) == (n_source,) else ""
+    shape = np.shape(values)
+    if len(shape) != 1 or (n_target is not None and shape != (n_target,)):
+        backwards = n_source != n_target and shape == (n_source,)
+        hint = " (it seems to run from source to target)" if backwards else ""
         raise InvalidInputError(
             name,
-            f"have shape ({n_target},), the source point of each target point",
-            f"{np.shape(values)}{hint}",
+            f"have shape ({n_target or 'n2'},), the source point of each target point",
+            f"{shape}{hint}",
         )
     return check_indices(name, values, n_source)
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import Rebuilt, frozen
+from spectra_kit._validate import Rebuilt
 from spectra_kit.functional_maps.checks import (
     at_unit_area,
     check_functional_map,
@@ -35,10 +34,6 @@ class Correspondence(Rebuilt):
 
     point_map: Ints
     functional_map: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "point_map", frozen(np.asarray(self.point_map)))
-        object.__setattr__(self, "functional_map", frozen(np.asarray(self.functional_map)))
 
     def __repr__(self) -> str:
         k2, k1 = self.functional_map.shape

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
@@ -85,48 +85,37 @@ def nearest_rows(
 def nearest(Q: Floats, X: Floats, *, exact: bool = False) -> Ints:
     """Do the same with checked arrays; threads share the rows of `Q`."""
     single = np.asarray(X, dtype=np.float32)
-    scorers = np.ascontiguousarray(single.T), 0.5 * np.einsum("nd,nd->n", single, single)
-    bound = _rounding(Q, X) if exact else None
+    transposed = np.ascontiguousarray(single.T)
+    half_squares = 0.5 * np.einsum("nd,nd->n", single, single)
+    bound = _rounding(Q, X) if exact and len(X) > 1 else None
     out = np.empty(len(Q), dtype=np.int64)
     rows = max(16, _BLOCK // len(X))
+
+    def search(start: int, stop: int) -> None:
+        scores = np.empty((min(rows, stop - start), len(X)), dtype=np.float32)
+        for a in range(start, stop, rows):
+            b = min(a + rows, stop)
+            block, each = scores[: b - a], np.arange(b - a)
+            np.matmul(Q[a:b].astype(np.float32), transposed, out=block)
+            block -= half_squares
+            found = block.argmax(axis=1)
+            if bound is not None:
+                best = block[each, found]
+                block[each, found] = -np.inf
+                open_rows = np.flatnonzero(best - block.max(axis=1) <= bound[a:b])
+                block[open_rows, found[open_rows]] = best[open_rows]
+                for i in open_rows:
+                    rivals = np.flatnonzero(block[i] >= best[i] - bound[a + i])
+                    squared = ((X[rivals] - Q[a + i]) ** 2).sum(axis=1)
+                    found[i] = rivals[squared.argmin()]
+            out[a:b] = found
+
     share = -(-len(Q) // thread_count())
     # Shares are whole blocks: a small problem is not worth a second thread.
     share = -(-share // rows) * rows
-    fixed = (Q, X, scorers, bound, out, rows)
     with single_threaded_blas():
-        in_threads(_search, [(*fixed, *cut) for cut in ranges(len(Q), max(share, 1))])
+        in_threads(search, ranges(len(Q), max(share, 1)))
     return out
-
-
-def _search(
-    Q: Floats,
-    X: Floats,
-    scorers: tuple[NDArray[np.float32], NDArray[np.float32]],
-    bound: Floats | None,
-    out: Ints,
-    rows: int,
-    start: int,
-    stop: int,
-) -> None:
-    """Write the neighbours of rows `start` to `stop` of `Q` to `out`."""
-    transposed, half_squares = scorers
-    scores = np.empty((min(rows, stop - start), len(X)), dtype=np.float32)
-    for a in range(start, stop, rows):
-        b = min(a + rows, stop)
-        block, each = scores[: b - a], np.arange(b - a)
-        np.matmul(Q[a:b].astype(np.float32), transposed, out=block)
-        block -= half_squares
-        found = block.argmax(axis=1)
-        if bound is not None and len(X) > 1:
-            best = block[each, found]
-            block[each, found] = -np.inf
-            open_rows = np.flatnonzero(best - block.max(axis=1) <= bound[a:b])
-            block[open_rows, found[open_rows]] = best[open_rows]
-            for i in open_rows:
-                rivals = np.flatnonzero(block[i] >= best[i] - bound[a + i])
-                squared = ((X[rivals] - Q[a + i]) ** 2).sum(axis=1)
-                found[i] = rivals[squared.argmin()]
-        out[a:b] = found
 
 
 def nearest_torch(Q: torch.Tensor, X: torch.Tensor, *, exact: bool = True) -> torch.Tensor:

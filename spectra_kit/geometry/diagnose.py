@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spectra_kit._checked import checked
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh, distinct_rows
+from spectra_kit.geometry.units import box_unit
 
 
 @checked
@@ -178,9 +178,10 @@ def diagnose(geometry: Geometry) -> Diagnosis:
     points = geometry.points
     counts = _face_counts(geometry) if isinstance(geometry, TriangleMesh) else {}
     first, _ = distinct_rows(points)
+    scaled = points / box_unit(points)
     return Diagnosis(
         n_points=geometry.n,
-        dimension=_dimension(points),
+        dimension=int(np.linalg.matrix_rank(scaled - scaled[0], rtol=1e-7)),
         duplicate_points=geometry.n - len(first),
         lower=tuple(points.min(axis=0).tolist()),
         upper=tuple(points.max(axis=0).tolist()),
@@ -205,39 +206,23 @@ def _face_counts(mesh: TriangleMesh) -> dict[str, Any]:
     }
 
 
-def _count_split_fans(mesh: TriangleMesh, block: int = 1 << 16) -> int:
-    """Count vertices whose faces are not connected through edges at that vertex.
-
-    Vertices are taken a block of corners at a time: all at once take as much memory as an operator.
-    """
-    vertex = mesh.faces.ravel()  # of corner 3 * face + i
-    by_vertex = np.argsort(vertex, kind="stable")
-    starts = np.flatnonzero(np.diff(vertex[by_vertex], prepend=-1))
-    cuts = starts[np.searchsorted(starts, np.arange(block, len(vertex), block), side="right") - 1]
-    count = 0
-    for corners in filter(len, np.split(by_vertex, np.unique(cuts))):
-        # A corner has two edges at its vertex; corners on one edge belong to one fan.
-        face, i = np.divmod(corners, 3)
-        ends = mesh.faces[face[:, None], (i[:, None] + [1, 2]) % 3]
-        at = vertex[corners]
-        _, edge = np.unique((at[:, None] * mesh.n + ends).ravel(), return_inverse=True)
-        n = len(corners)
-        links = (np.repeat(np.arange(n), 2), n + edge)
-        size = n + int(edge.max()) + 1
-        graph = sparse.coo_array((np.ones(2 * n), links), shape=(size, size))
-        _, fan = connected_components(graph, directed=False)
-        fans = np.unique(at * size + fan[:n]) // size
-        count += int((np.diff(np.flatnonzero(np.diff(fans, prepend=-1, append=-1))) > 1).sum())
-    return count
-
-
-def _dimension(points: NDArray[np.float64]) -> int:
-    """Return the dimension of the affine hull, up to rounding."""
-    offsets = points - points[0]
-    extent = np.abs(offsets).max()
-    if extent == 0:
-        return 0
-    offsets /= extent
-    # Squares of the singular values of the offsets, hence a relative cut of 1e-7 on those.
-    spread = np.linalg.eigvalsh(offsets.T @ offsets)
-    return int((spread > 1e-14 * spread[-1]).sum())
+def _count_split_fans(mesh: TriangleMesh) -> int:
+    """Count vertices whose faces are not connected through edges at that vertex."""
+    corner = np.arange(3 * len(mesh.faces), dtype=np.int32)
+    following = np.roll(corner.reshape(-1, 3), -1, axis=1).ravel()
+    vertex = mesh.faces.ravel()
+    is_upward = vertex < vertex[following]
+    low = np.where(is_upward, corner, following)  # ends of the side that begins at each corner
+    high = np.where(is_upward, following, corner)
+    edge = vertex[low] * mesh.n + vertex[high]
+    by_edge = np.argsort(edge)
+    shared = np.flatnonzero(np.diff(edge[by_edge]) == 0)
+    one, other = by_edge[shared], by_edge[shared + 1]
+    # Where two faces share an edge, their corners at each end of it belong to one fan.
+    links = np.concatenate([low[one], high[one]]), np.concatenate([low[other], high[other]])
+    graph = sparse.coo_array(
+        (np.ones(len(links[0]), dtype=bool), links), shape=(len(corner), len(corner))
+    )
+    _, fan = connected_components(graph, directed=False)
+    at = np.unique(vertex * len(corner) + fan) // len(corner)  # the vertex of each fan
+    return int((np.bincount(at) > 1).sum())

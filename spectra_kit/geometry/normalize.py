@@ -142,7 +142,7 @@ def normalize(geometry: Geometry) -> tuple[Geometry, Normalization]:
     Parameters
     ----------
     geometry : TriangleMesh or PointCloud
-        Must not be a single point.
+        Of more than a single point.
 
     Returns
     -------

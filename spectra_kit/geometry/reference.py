@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 import igl
 import numpy as np
@@ -165,7 +166,7 @@ def disk(*, rings: int = 18, radius: float = 1.0, k: int = 100) -> Reference:
     rings : int, default 18
         Gives 3 rings (rings + 1) + 1 vertices.
     radius : float, default 1.0
-        In the unit of length.
+        Of the rim, in the unit of length.
     k : int, default 100
         Number of exact eigenvalues.
 
@@ -329,9 +330,7 @@ def _icosahedron() -> tuple[Floats, Ints]:
     near = np.linalg.norm(points[:, None] - points, axis=2) < 2.1  # edges have length 2
     faces = [
         (i, j, l) if np.linalg.det(points[[i, j, l]]) > 0 else (i, l, j)
-        for i in range(12)
-        for j in range(i + 1, 12)
-        for l in range(j + 1, 12)
+        for i, j, l in combinations(range(12), 3)
         if near[i, j] and near[j, l] and near[i, l]
     ]
     return points / np.linalg.norm(points[0]), np.array(faces, dtype=np.int64)

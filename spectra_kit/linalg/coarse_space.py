@@ -137,23 +137,7 @@ class CoarseSpace:
         return f"CoarseSpace(n={self.n}, dimension={self.dimension})"
 
     def solve(self, rhs: Floats) -> Floats:
-        """Solve within the span.
-
-        Parameters
-        ----------
-        rhs : ndarray of shape (n,)
-            Any.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            ``Y E^-1 Y^T rhs``.
-
-        Raises
-        ------
-        InvalidInputError
-            If `rhs` is of another shape.
-        """
+        """Return ``Y E^-1 Y^T rhs``, the solution within the span; both of shape (n,)."""
         out = np.zeros(self.n)
         self.add_to(out, in_threads(call, self.restrictions(rhs)))
         return out

@@ -278,7 +278,7 @@ def _check_start(start: ArrayLike | None, n: int, kernel: ConstantKernel | None)
     if start is None:
         return np.zeros(n)
     guess = real_array("start", check_vector("start", start, n))
-    return guess.copy() if kernel is None else kernel.remove(guess)
+    return guess if kernel is None else kernel.remove(guess)
 
 
 def _indefinite(name: str, energy: float) -> InvalidInputError:

@@ -39,16 +39,8 @@ def sign_candidates(
     They are those that fit best on the way; with `mirrored`, which needs both geometries, of those
     that mirror.
     """
-    first, second = (side.samples[: options.growing_samples] for side in (source, target))
-    a, b = source.spectrum, target.spectrum
-    samples = _Samples(
-        a.eigenvectors[first, : options.grown_modes],
-        b.eigenvectors[second, : options.grown_modes],
-        _form_values(source, target, first, second, mirrored, options),
-        _curvatures(source, target, first, second, options),
-        options,
-    )
-    maps, kept = _starts(a, b, options), dict(options.kept)
+    samples = _sampled(source, target, mirrored, options)
+    maps, kept = _starts(source.spectrum, target.spectrum, options), dict(options.kept)
     _, fits = samples.head(options.first_samples).nearest(maps)
     maps = maps[_best(fits, options.growing)]
     Q, R = np.linalg.qr(samples.rows2)
@@ -84,45 +76,23 @@ def _starts(a: Spectrum, b: Spectrum, options: MatchOptions) -> Floats:
     return starts
 
 
-class _Forms(NamedTuple):
-    """Area forms of the lowest modes at samples, scaled to those of the target."""
-
-    source: Floats  # (s1, m, m)
-    target: Floats  # (s2, pairs)
-    scale: Floats  # (pairs,)
-    pairs: tuple[Ints, Ints]
-
-    def mapped(self, maps: Floats) -> Floats:
-        """Return the forms of the mapped modes at the source's samples, (c, s1, pairs)."""
-        m = min(len(self.source[0]), maps.shape[1])
-        C = np.zeros((len(maps), len(self.source[0]), m))
-        C[:, :m] = maps[:, :m, :m]
-        c, q, s = len(maps), len(self.source[0]), len(self.source)
-        half = C @ self.source[:, :m, :m].transpose(1, 0, 2).reshape(m, s * m)
-        turned = (half.reshape(c, q * s, m) @ C.transpose(0, 2, 1)).reshape(c, q, s, q)
-        out: Floats = turned.transpose(0, 2, 1, 3)[:, :, self.pairs[0], self.pairs[1]] / self.scale
-        return out
-
-
 class _Samples(NamedTuple):
-    """What maps are compared by, at samples of both surfaces."""
+    """What maps are compared by, at samples of both surfaces; None without the geometries."""
 
+    options: MatchOptions
+    scale: Floats | None  # (pairs,) of the target's area forms
     rows1: Floats  # (s1, 30) modes of the source
     rows2: Floats  # (s2, 30) and of the target
-    forms: _Forms | None
-    curved: tuple[Floats, Floats] | None
-    options: MatchOptions
+    forms1: Floats | None  # (s1, m, m) area forms of the lowest modes
+    forms2: Floats | None  # (s2, pairs), scaled
+    curved1: Floats | None  # (s1, c) curvatures
+    curved2: Floats | None  # (s2, c)
 
     def head(self, count: int) -> _Samples:
         """Return the first samples."""
-        forms, curved = self.forms, self.curved
-        if forms is not None:
-            forms = forms._replace(source=forms.source[:count], target=forms.target[:count])
-        if curved is not None:
-            curved = (curved[0][:count], curved[1][:count])
-        return self._replace(
-            rows1=self.rows1[:count], rows2=self.rows2[:count], forms=forms, curved=curved
-        )
+        names = ("rows1", "rows2", "forms1", "forms2", "curved1", "curved2")
+        known = {name: x for name in names if (x := getattr(self, name)) is not None}
+        return self._replace(**{name: x[:count] for name, x in known.items()})
 
     def nearest(self, maps: Floats) -> tuple[Ints, Floats]:
         """Return the source's sample nearest to each of the target's, (c, s2), and the fit (c,).
@@ -132,55 +102,63 @@ class _Samples(NamedTuple):
         k, options = maps.shape[1], self.options
         columns1 = [self.rows1[:, :k] @ maps.transpose(0, 2, 1)]
         columns2 = [self.rows2[:, :k]]
-        if self.forms is not None and k < options.forms_until:
-            weight = np.sqrt(options.form_share * k / self.forms.target.shape[1])
-            columns1.append(weight * self.forms.mapped(maps))
-            columns2.append(weight * self.forms.target)
-        if self.curved is not None:
-            on_source, on_target = self.curved
-            weight = np.sqrt(options.curvature_share * k / on_target.shape[1])
-            columns1.append(np.broadcast_to(weight * on_source, (len(maps), *on_source.shape)))
-            columns2.append(weight * on_target)
+        if self.forms2 is not None and k < options.forms_until:
+            weight = np.sqrt(options.form_share * k / self.forms2.shape[1])
+            columns1.append(weight * self._mapped_forms(maps))
+            columns2.append(weight * self.forms2)
+        if self.curved1 is not None and self.curved2 is not None:
+            weight = np.sqrt(options.curvature_share * k / self.curved2.shape[1])
+            there = weight * self.curved1
+            columns1.append(np.broadcast_to(there, (len(maps), *there.shape)))
+            columns2.append(weight * self.curved2)
         images = np.concatenate(columns1, axis=2, dtype=np.float32).transpose(0, 2, 1)
         scores = np.concatenate(columns2, axis=1, dtype=np.float32) @ images
         scores -= 0.5 * (images**2).sum(axis=1)[:, None]
         return scores.argmax(axis=2), scores.max(axis=2).sum(axis=1)
 
+    def _mapped_forms(self, maps: Floats) -> Floats:
+        """Return the forms of the mapped modes at the source's samples, (c, s1, pairs)."""
+        forms = np.asarray(self.forms1)
+        c, s, q = len(maps), *forms.shape[:2]
+        m = min(q, maps.shape[1])
+        C = np.zeros((c, q, m))
+        C[:, :m] = maps[:, :m, :m]
+        half = C @ forms[:, :m, :m].transpose(1, 0, 2).reshape(m, s * m)
+        turned = (half.reshape(c, q * s, m) @ C.transpose(0, 2, 1)).reshape(c, q, s, q)
+        i, j = _pairs(q)
+        return np.asarray(turned.transpose(0, 2, 1, 3)[:, :, i, j] / self.scale)
 
-def _form_values(
-    source: Prepared,
-    target: Prepared,
-    first: Ints,
-    second: Ints,
-    mirrored: bool,
-    options: MatchOptions = DEFAULT,
-) -> _Forms | None:
-    """Return the area forms at the samples, or None without both geometries."""
-    if source.surface is None or target.surface is None:
-        return None
-    m = options.form_modes
-    values = [
-        np.einsum(
-            "sl,lij->sij",
-            side.spectrum.eigenvectors[chosen, : len(form)],
-            form[:, :m, :m],
+
+def _sampled(source: Prepared, target: Prepared, mirrored: bool, options: MatchOptions) -> _Samples:
+    """Return what candidates of one orientation grow by."""
+    first, second = (side.samples[: options.growing_samples] for side in (source, target))
+    forms1 = forms2 = scale = curved1 = curved2 = None
+    if source.surface is not None and target.surface is not None:
+        m = options.form_modes
+        forms1, on_target = (
+            np.einsum(
+                "sl,lij->sij",
+                side.spectrum.eigenvectors[chosen, : len(form)],
+                form[:, :m, :m],
+            )
+            for side, form, chosen in (
+                (source, source.surface.form, first),
+                (target, target.surface.form, second),
+            )
         )
-        for side, form, chosen in (
-            (source, source.surface.form, first),
-            (target, target.surface.form, second),
-        )
-    ]
+        i, j = _pairs(m)
+        forms2 = on_target[:, i, j]
+        scale = np.sqrt((forms2**2).mean(axis=0))
+        forms2 = (-forms2 if mirrored else forms2) / scale
+    if both := curvatures(source, target):
+        few = options.growing_curvatures
+        curved1, curved2 = both[0][first, :few], both[1][second, :few]
+    rows1 = source.spectrum.eigenvectors[first, : options.grown_modes]
+    rows2 = target.spectrum.eigenvectors[second, : options.grown_modes]
+    return _Samples(options, scale, rows1, rows2, forms1, forms2, curved1, curved2)
+
+
+def _pairs(m: int) -> tuple[Ints, Ints]:
+    """Return the pairs i < j of m modes whose area form may be other than 0: not the constant."""
     i, j = np.triu_indices(m, 1)
-    pairs = (i[i > 0], j[i > 0])  # those with the constant vanish
-    on_target = values[1][:, pairs[0], pairs[1]]
-    scale = np.sqrt((on_target**2).mean(axis=0))
-    return _Forms(values[0], (-on_target if mirrored else on_target) / scale, scale, pairs)
-
-
-def _curvatures(
-    source: Prepared, target: Prepared, first: Ints, second: Ints, options: MatchOptions
-) -> tuple[Floats, Floats] | None:
-    """Return the finer curvatures at the samples, where they can be compared."""
-    both = curvatures(source, target)
-    few = options.growing_curvatures
-    return both and (both[0][first, :few], both[1][second, :few])
+    return i[i > 0], j[i > 0]

@@ -8,7 +8,7 @@ import numpy as np
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import Rebuilt, check_count, frozen
+from spectra_kit._validate import Rebuilt, check_count
 from spectra_kit.descriptors import farthest_points, wave_kernel_signature
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry
@@ -34,10 +34,6 @@ class Surface(Rebuilt):
     curvature: Floats
     form: Floats  # (q, q, q): the integrals of ``u_a du_b ^ du_c`` of the lowest modes
 
-    def __post_init__(self) -> None:
-        for name in ("points", "mass", "curvature", "form"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-
 
 @checked
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -60,10 +56,6 @@ class Prepared(Rebuilt):
     samples: Ints
     wave: Floats
     surface: Surface | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("samples", "wave"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def truncate(self, k: int) -> Prepared:
         """Return the surface prepared with its first k modes alone.

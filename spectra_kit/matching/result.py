@@ -7,7 +7,7 @@ from typing import Literal
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import Rebuilt, frozen
+from spectra_kit._validate import Rebuilt
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 
 #: What may be wrong with a map: see `Match.doubts`.
@@ -35,9 +35,6 @@ class Candidate(Rebuilt):
     score: float
     mismatches: dict[str, float]
     mirrored: bool
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "functional_map", frozen(self.functional_map))
 
 
 @checked
@@ -85,10 +82,6 @@ class Match(Rebuilt):
     coverage: float
     candidates: tuple[Candidate, ...]
     options: MatchOptions = DEFAULT
-
-    def __post_init__(self) -> None:
-        for name in ("point_map", "functional_map"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def score(self) -> float:

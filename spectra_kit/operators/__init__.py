@@ -9,11 +9,11 @@
 
 from spectra_kit.operators.assemble import (
     cotan_laplacian,
+    delaunay_laplacian,
     knn_laplacian,
     laplacian,
     robust_laplacian,
 )
-from spectra_kit.operators.delaunay import delaunay_laplacian
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.operators.oriented import (

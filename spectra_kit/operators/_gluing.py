@@ -124,15 +124,16 @@ def _laplacian(
     corners: Ints, lengths: Floats, twins: Ints, n: int, copies: int
 ) -> tuple[sparse.csr_array, Floats]:
     """Return stiffness and lumped mass of one copy of the surface."""
-    a, b, c = lengths, np.roll(lengths, -1, axis=1), np.roll(lengths, 1, axis=1)
-    squares = (a + b + c) * (b + c - a) * (c + a - b) * (a + b - c)  # of four times the area
-    area = np.sqrt(np.maximum(squares, 0.0)) / 4
+    a, b, c = lengths.T  # differences of sides as they are: ratios would be rounded once more
+    area = np.sqrt(np.maximum((a + b + c) * (b + c - a) * (c + a - b) * (a + b - c), 0.0)) / 4
+    squares = lengths**2
     with np.errstate(divide="ignore", invalid="ignore"):
-        cotangents = ((b * b + c * c - a * a) / (4 * area)).ravel()
-    tails, heads = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+        cotangents = (squares[:, [1, 2, 0]] + squares[:, [2, 0, 1]] - squares) / (4 * area[:, None])
+    cotangents = cotangents.ravel()
+    tails, heads = corners.ravel(), corners[:, [1, 2, 0]].ravel()
     edges = np.flatnonzero((np.arange(len(twins)) < twins) & (tails != heads))
     weights = (cotangents[edges] + cotangents[twins[edges]]) / 2
-    mass = np.bincount(tails, np.repeat(area[:, 0] / 3, 3), n)
+    mass = np.bincount(tails, np.repeat(area / 3, 3), n)
     if not np.isfinite(weights).all():
         raise InvalidInputError(
             "mollify_factor",

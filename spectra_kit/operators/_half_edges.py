@@ -35,14 +35,16 @@ def side_lengths(points: Floats, triangles: Ints, mollify: float) -> Floats:
     of Sharp and Crane with an offset for each corner instead of one for all, which would smear
     the dense parts of a cloud.
     """
-    corners = points[triangles]
-    sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-    wanted = np.maximum(mollify * sides.sum(axis=1) / 3, mollify * _COINCIDENT)
-    slack = sides + np.roll(sides, 1, axis=1) - np.roll(sides, -1, axis=1)
+    corners = points.take(triangles, axis=0)
+    steps = np.roll(corners, -1, axis=1) - corners
+    sides = np.linalg.norm(steps, axis=2)
+    wanted = mollify * np.maximum(sides.sum(axis=1, keepdims=True) / 3, _COINCIDENT)
+    lacking = wanted - (sides + sides[:, [2, 0, 1]] - sides[:, [1, 2, 0]])
+    thin = (lacking > 0).any(axis=1)
     offsets = np.zeros(len(points))
-    np.maximum.at(offsets, triangles, (wanted[:, None] - slack) / 2)
+    np.maximum.at(offsets, triangles[thin], lacking[thin] / 2)
     longer = offsets[triangles]
-    return np.asarray(sides + longer + np.roll(longer, -1, axis=1))
+    return np.asarray(sides + longer + longer[:, [1, 2, 0]])
 
 
 def sides_by_corner(triangles: Ints, n: int) -> tuple[Ints, Ints, Ints]:

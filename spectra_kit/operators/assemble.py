@@ -21,7 +21,7 @@ from spectra_kit.operators.checks import (
     unit_of,
     units_of,
 )
-from spectra_kit.operators.delaunay import delaunay_laplacian
+from spectra_kit.operators.intrinsic import intrinsic_delaunay
 from spectra_kit.operators.laplacian import Laplacian, with_zero_sums
 
 # What robust_laplacian 1.1 took of address space, on meshes of 2,000 to 400,000 faces (1,550 to
@@ -141,6 +141,45 @@ def _check_room(size: int) -> None:
             f"robust_laplacian needs up to {size / 1e9:.1f} GB, more than there is",
             advice="use delaunay_laplacian, which needs less, or a coarser geometry",
         ) from error
+
+
+@checked
+def delaunay_laplacian(
+    geometry: Geometry, *, mollify_factor: float = 1e-5, n_neighbors: int = 30
+) -> Laplacian:
+    """Build the intrinsic Delaunay Laplacian of a mesh or a point cloud.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        With n points.
+    mollify_factor : float, default 1e-5
+        Intrinsic mollification of (near) degenerate triangles, relative to their mean side.
+    n_neighbors : int, default 30
+        Of a cloud: candidates for the triangles of a point; see `intrinsic_delaunay`.
+
+    Returns
+    -------
+    Laplacian
+        Neumann; edge weights are not negative beyond rounding; mass in the squared length unit
+        of `geometry`. The same bits whatever the number of threads.
+
+    Raises
+    ------
+    InvalidInputError, ConvergenceError
+        As `intrinsic_delaunay`, whose Laplacian this is.
+
+    Examples
+    --------
+    >>> from spectra_kit import delaunay_laplacian
+    >>> from spectra_kit.geometry import sphere
+    >>> mesh = sphere(subdivisions=3).geometry
+    >>> round(delaunay_laplacian(mesh).area, 2), round(delaunay_laplacian(mesh.as_cloud()).area, 2)
+    (12.51, 12.51)
+    """
+    return intrinsic_delaunay(
+        geometry, mollify_factor=mollify_factor, n_neighbors=n_neighbors
+    ).laplacian
 
 
 @checked

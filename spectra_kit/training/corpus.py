@@ -206,14 +206,6 @@ def produced(
 
     Of any number of `indices`, in the precisions of the shards. Taking one raises `WorkerError` if
     a process has died. Leaving the block ends the processes; they also end with this one.
-
-    Examples
-    --------
-    >>> from spectra_kit.training.corpus import CorpusConfig, produced
-    >>> config = CorpusConfig(seed=1, n_points=128, k=4)
-    >>> with produced(config, [3, 1], 1) as samples:
-    ...     [sample.labels["index"] for sample in samples]
-    [3, 1]
     """
     todo = iter(indices)
     executor = ProcessPoolExecutor(

@@ -34,20 +34,9 @@ class Feed:
 
     A thread reads and poses the samples of the next step while the device works on the last. On an
     accelerator with room for all that there may be, they stay in its memory, posed, in the
-    precisions of the shards, and a batch of them is drawn there without a transfer.
-
-    Parameters
-    ----------
-    source : Corpus or SampleStream
-        Where samples come from; a stream is looked at once a second.
-    config : TrainConfig
-        The run.
-    device : torch.device
-        Where batches are wanted.
-    share : slice
-        Places of the batch that this process works on.
-    resident : bool, optional
-        Keep samples on the device; by default on an accelerator with room for them.
+    precisions of the shards, and a batch of them is drawn there without a transfer; `resident`
+    says whether, where that is not to be found out. A stream is looked at once a second. `share`
+    are the places of the batch that this process works on.
     """
 
     def __init__(

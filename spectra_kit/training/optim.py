@@ -17,16 +17,16 @@ from spectra_kit.errors import InvalidInputError
 _QUINTIC = (3.4445, -4.7750, 2.0315)  # Newton-Schulz coefficients, Jordan et al. 2024
 
 
-def orthogonalise(matrices: Tensor, *, steps: int = 5) -> Tensor:
+def orthogonalise(matrices: Tensor) -> Tensor:
     """Return (b, rows, columns) matrices with all singular values pushed to about one.
 
-    Quintic Newton-Schulz iteration in the precision of the argument.
+    Five steps of quintic Newton-Schulz iteration in the precision of the argument.
     """
     tall = matrices.shape[-2] > matrices.shape[-1]
     Z = matrices.mT if tall else matrices
     Z = Z / Z.norm(dim=(-2, -1), keepdim=True).clamp_min(1e-7)
     a, b, c = _QUINTIC
-    for _ in range(steps):
+    for _ in range(5):
         A = Z @ Z.mT
         Z = a * Z + (b * A + c * A @ A) @ Z
     result: Tensor = Z.mT if tall else Z

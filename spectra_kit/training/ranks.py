@@ -17,15 +17,7 @@ from torch import distributed as dist
 
 @dataclass(frozen=True)
 class Ranks:
-    """Which of how many processes this is.
-
-    Parameters
-    ----------
-    rank : int
-        Number of this process; number 0 decides, validates, logs and saves.
-    world : int
-        Number of processes.
-    """
+    """Number `rank` of `world` processes is this one; number 0 decides, validates, logs, saves."""
 
     rank: int = 0
     world: int = 1

@@ -74,7 +74,7 @@ def superquadric(
     return grid_mesh(points, wrap_v=True)
 
 
-def revolve(profile: Floats, *, n_v: int = 64) -> TriangleMesh:
+def revolve(profile: Floats) -> TriangleMesh:
     """Turn a profile of (radius, height) rows (p, 2) around the z axis.
 
     Examples
@@ -84,7 +84,7 @@ def revolve(profile: Floats, *, n_v: int = 64) -> TriangleMesh:
     >>> revolve(np.array([[1.0, 0.0], [1.0, 1.0]])).area / np.pi
     2.00
     """
-    v = np.arange(n_v) * (2 * np.pi / n_v)
+    v = np.arange(64) * (2 * np.pi / 64)
     r, z = profile[:, :1], profile[:, 1:]
     points = np.stack(np.broadcast_arrays(r * np.cos(v), r * np.sin(v), z), axis=-1)
     return grid_mesh(points, wrap_v=True)
@@ -95,18 +95,9 @@ def sweep(
 ) -> TriangleMesh:
     """Tube around a curve (p, 3), with an elliptic section that turns along it.
 
-    Parameters
-    ----------
-    curve : ndarray of shape (p, 3)
-        The centre line; a closed one does not repeat its first point.
-    radius : float or array_like of shape (p,)
-        Half the width of the section.
-    closed : bool
-        Join the last section to the first; else both ends stay open.
-    aspect : float
-        Height over width of the section.
-    turns : float
-        Of the section, besides those that close it; halves keep a closed tube smooth.
+    A `closed` curve does not repeat its first point; another leaves both ends open. The `radius`,
+    one or (p,), is half the width of the section, `aspect` its height over its width. Halves of
+    `turns`, beside those that close it, keep a closed tube smooth.
     """
     if closed:
         tangent = np.roll(curve, -1, axis=0) - np.roll(curve, 1, axis=0)
@@ -140,13 +131,11 @@ def sweep(
     return grid_mesh(points, wrap_v=True)
 
 
-def waves(
-    points: Floats, rng: np.random.Generator, *, frequency: float, n_waves: int = 6
-) -> Floats:
-    """Random smooth function (n,) of unit variance: plane waves of about `frequency` radians."""
-    directions = rng.normal(size=(3, n_waves)) * frequency
-    phase = rng.uniform(0, 2 * np.pi, n_waves)
-    return np.asarray(np.sin(points @ directions + phase).sum(axis=1) * np.sqrt(2 / n_waves))
+def waves(points: Floats, rng: np.random.Generator, *, frequency: float) -> Floats:
+    """Random smooth function (n,) of unit variance: six plane waves of about this frequency."""
+    directions = rng.normal(size=(3, 6)) * frequency
+    phase = rng.uniform(0, 2 * np.pi, 6)
+    return np.asarray(np.sin(points @ directions + phase).sum(axis=1) * np.sqrt(2 / 6))
 
 
 def bend(points: Floats, angle: float) -> Floats:

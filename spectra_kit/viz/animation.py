@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from spectra_kit._checked import checked
 from spectra_kit._types import Bytes, Floats
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.errors import InvalidInputError
@@ -22,12 +21,11 @@ from spectra_kit.spectra import Spectrum
 from spectra_kit.viz.camera import View
 from spectra_kit.viz.colours import diverging_colours
 from spectra_kit.viz.contours import level_lines, triangles_of
-from spectra_kit.viz.modes import check_modes
+from spectra_kit.viz.modes import check_modes, display_signs
 from spectra_kit.viz.page import Page, new_figure
 from spectra_kit.viz.panels import symmetric_limit
 from spectra_kit.viz.picture import written
 from spectra_kit.viz.render import Scene, render
-from spectra_kit.viz.signs import display_signs
 
 _MOST_FRAMES = 20_000  # some quarter of an hour, and gigabytes while they are drawn
 _MODES = 6  # by default
@@ -53,7 +51,6 @@ class Film:
 
 
 @written(Film.write, ".gif", ".mp4")
-@checked
 def animate_modes(
     geometry: Geometry,
     spectrum: Spectrum,
@@ -128,11 +125,9 @@ def animate_modes(
     quarter = max(round(check_positive("seconds_per_mode", seconds_per_mode) * rate / 4), 1)
     count = 4 * quarter
     if count * len(chosen) > _MOST_FRAMES:
-        raise InvalidInputError(
-            "fps",
-            f"make at most {_MOST_FRAMES:,} frames with `seconds_per_mode`",
-            f"{fps:g} in a second and {seconds_per_mode:g} seconds for each of {len(chosen)} modes",
-        )
+        expected = f"make at most {_MOST_FRAMES:,} frames with `seconds_per_mode`"
+        each = f"{seconds_per_mode:g} seconds for each of {len(chosen)} modes"
+        raise InvalidInputError("fps", expected, f"{fps:g} in a second and {each}")
     swings = np.round(np.sin(2 * np.pi * np.arange(count) / count), 12)
     distinct, number = np.unique(swings, return_inverse=True)
     vectors = spectrum.eigenvectors[:, chosen]

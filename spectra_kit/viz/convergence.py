@@ -94,7 +94,6 @@ class SolverRun(Brief):
 
 
 @plotted
-@checked
 def plot_convergence(
     runs: Sequence[SolverRun],
     *,
@@ -135,13 +134,7 @@ def plot_convergence(
     if not runs:
         raise InvalidInputError("runs", "hold at least one SolverRun", "none")
     check_positive("rtol", rtol)
-    return convergence_figure(runs, rtol, solve_name, page)
-
-
-def convergence_figure(
-    runs: Sequence[SolverRun], rtol: float, solve_name: str, page: Page
-) -> Figure:
-    """Three diagrams; below the first a table, below the two clocks the bars of its rows."""
+    # Below the first diagram is a table, below the two clocks are the bars of its rows.
     rows = _ROW * (len(runs) + 1.2)
     begin = page.head + 0.25
     height = begin + 3.4 + rows + 1.1

@@ -78,7 +78,6 @@ class MatchedPair(Brief):
 
 
 @plotted
-@checked
 def plot_correspondence(
     source: Geometry,
     target: Geometry,
@@ -144,7 +143,6 @@ def plot_correspondence(
 
 
 @plotted
-@checked
 def plot_correspondences(
     pairs: Sequence[MatchedPair],
     *,

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, real_array
 from spectra_kit.errors import InvalidInputError
@@ -35,7 +34,6 @@ Lines = Literal["none", "nodal", "levels"]
 
 
 @plotted
-@checked
 def plot_panels(
     geometry: Geometry,
     rows: Sequence[Sequence[Panel]],
@@ -83,7 +81,6 @@ def plot_panels(
 
 
 @plotted
-@checked
 def plot_fields(
     geometry: Geometry,
     fields: Mapping[str, ArrayLike] | Sequence[tuple[str, ArrayLike]],

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spectra_kit._checked import checked
 from spectra_kit._types import Bytes, Floats
 from spectra_kit._validate import check_points
 from spectra_kit.errors import InvalidInputError
@@ -34,7 +33,6 @@ _FOOT, _THICKNESS = 0.75, 0.13
 
 
 @plotted
-@checked
 def plot_distance(
     geometry: Geometry,
     distance: ArrayLike,
@@ -132,12 +130,10 @@ def distance_lines(geometry: Geometry, values: Floats, levels: Floats) -> tuple[
 def _check_distance(distance: ArrayLike, n: int) -> Floats:
     values = np.asarray(distance, dtype=np.float64)
     if values.shape != (n,) or np.isnan(values).any() or (values < 0).any():
-        raise InvalidInputError(
-            "distance",
-            f"have shape ({n},), one number >= 0 or infinity for each point",
-            f"shape {values.shape} with {int(np.isnan(values).sum())} NaN and"
-            f" {int((values < 0).sum())} negative",
-        )
+        expected = f"have shape ({n},), one number >= 0 or infinity for each point"
+        nan, negative = int(np.isnan(values).sum()), int((values < 0).sum())
+        got = f"shape {values.shape} with {nan} NaN and {negative} negative"
+        raise InvalidInputError("distance", expected, got)
     return values
 
 

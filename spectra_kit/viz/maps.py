@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spectra_kit._checked import checked
 from spectra_kit._validate import check_positive, real_array
 from spectra_kit.correspondence import accuracy_curve, auc
 from spectra_kit.errors import InvalidInputError
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
 
 
 @plotted
-@checked
 def plot_functional_map(
     functional_map: ArrayLike,
     *,
@@ -68,7 +66,6 @@ def plot_functional_map(
 
 
 @plotted
-@checked
 def plot_error_curves(
     errors: Mapping[str, ArrayLike],
     *,

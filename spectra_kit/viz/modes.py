@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
@@ -20,17 +19,16 @@ from spectra_kit.viz.page import Page
 from spectra_kit.viz.panels import Panel, symmetric_limit
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import plotted
-from spectra_kit.viz.signs import display_signs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SHOWN = 12  # modes of a gallery
 _FAINT = 1e-4  # differences below this part of the mode stay white
+_TIED = 1e-6  # relative; differences below it may be rounding
 
 
 @plotted
-@checked
 def plot_modes(
     geometry: Geometry,
     spectrum: Spectrum,
@@ -82,7 +80,6 @@ def plot_modes(
 
 
 @plotted
-@checked
 def plot_comparison(
     geometry: Geometry,
     exact: Spectrum,
@@ -191,6 +188,24 @@ def check_modes(
     if not len(modes):
         raise InvalidInputError("modes", "hold at least one mode", "none")
     return [check_count("modes", mode, low=0, high=spectrum.k - 1) for mode in modes]
+
+
+def display_signs(eigenvectors: Floats) -> Floats:
+    """Return the factor (k,), 1 or -1, with which each mode, a column of (n, k), is shown.
+
+    1 where the largest entry in absolute value is positive, otherwise -1. Where the largest and the
+    smallest entry are opposite to rounding, the sum of the cubes decides, and where that is zero
+    too, the first of the largest entries.
+    """
+    peak = np.abs(eigenvectors).max(axis=0, initial=0.0)
+    scaled = eigenvectors / np.where(peak > 0, peak, 1.0)
+    lean = scaled.max(axis=0, initial=0.0) + scaled.min(axis=0, initial=0.0)
+    cubes = scaled**3
+    skew = cubes.sum(axis=0) / np.maximum(np.abs(cubes).sum(axis=0), 1.0)
+    first = (np.abs(scaled) >= 1.0 - _TIED).argmax(axis=0)
+    foremost = np.take_along_axis(scaled, first[None], axis=0)[0]
+    decisive = np.where(np.abs(lean) > _TIED, lean, np.where(np.abs(skew) > _TIED, skew, foremost))
+    return np.where(decisive < 0, -1.0, 1.0)
 
 
 def _residual(spectrum: Spectrum, mode: int) -> str:

@@ -98,7 +98,6 @@ def pareto_front(points: Sequence[ParetoPoint], *, floor: float = 0.0) -> list[P
 
 
 @plotted
-@checked
 def plot_pareto(
     points: Sequence[ParetoPoint],
     *,
@@ -143,26 +142,14 @@ def plot_pareto(
     if not points:
         raise InvalidInputError("points", "hold at least one ParetoPoint", "none")
     check_positive("floor", floor)
-    for seconds in (marks or {}).values():
-        check_positive("marks", seconds)
-    return pareto_figure(points, floor, marks or {}, (xlabel, ylabel), page)
-
-
-def pareto_figure(
-    points: Sequence[ParetoPoint],
-    floor: float,
-    marks: Mapping[str, float],
-    labels: tuple[str, str],
-    page: Page,
-) -> Figure:
-    """Return the page: dots with names, fronts and marks."""
+    marks = {name: check_positive("marks", seconds) for name, seconds in (marks or {}).items()}
     figure = new_diagram(page, _WIDTH, _HEIGHT)
-    panel = figure.add_subplot(xlabel=labels[0], ylabel=labels[1])
-    errors = [max(p.error, floor) for p in points]
+    panel = figure.add_subplot(xlabel=xlabel, ylabel=ylabel)
+    times, errors = _places(points, floor).T
     panel.set(
         xscale="log",
         yscale="log",
-        xlim=_limits([*(p.seconds for p in points), *marks.values()], right=0.16),
+        xlim=_limits([*times, *marks.values()], right=0.16),
         ylim=_limits(errors, right=0.1),
     )
     tidy(panel)
@@ -182,12 +169,8 @@ def pareto_figure(
         panel.axhspan(panel.get_ylim()[0], floor, color="0.92", lw=0, zorder=0, label=told)
     for name, seconds in marks.items():
         panel.axvline(seconds, color="0.45", ls=(0, (4, 2)), lw=1.1, zorder=0)
-        place: dict[str, Any] = {
-            "transform": panel.get_xaxis_transform(),
-            "ha": "right",
-            "va": "top",
-        }
-        panel.text(seconds, 0.985, f"{name} ", rotation=90, **_INK, **place)
+        place: dict[str, Any] = {"transform": panel.get_xaxis_transform(), "va": "top"}
+        panel.text(seconds, 0.985, f"{name} ", rotation=90, ha="right", **_INK, **place)
         lines.append(np.column_stack([[seconds] * 2, panel.get_ylim()]))
     log_ticks(panel.xaxis, plain=True)
     log_ticks(panel.yaxis)

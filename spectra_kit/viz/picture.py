@@ -91,13 +91,14 @@ class Plot(Protocol[Options]):
 def written(
     write: Callable[[Drawn, Path], None], *suffixes: str
 ) -> Callable[[Callable[Options, Drawn]], Plot[Options]]:
-    """Decorate what draws something: it then takes a path, and returns a `Picture`.
+    """Decorate what draws something: it then is `checked`, takes a path, and returns a `Picture`.
 
     The path is refused before the drawing if `write` could not write there. The first of the
     `suffixes` is what a picture without a path is made of.
     """
 
     def decorate(draw: Callable[Options, Drawn]) -> Plot[Options]:
+        draw = checked(draw)
         own, kind = inspect.signature(draw), inspect.Parameter.POSITIONAL_OR_KEYWORD
         needed = [p.name for p in own.parameters.values() if p.kind is kind]
 

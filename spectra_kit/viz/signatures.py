@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spectra_kit._checked import checked
 from spectra_kit._types import Bytes, Floats, Ints
 from spectra_kit._validate import check_indices, real_array
 from spectra_kit.errors import InvalidInputError
@@ -39,7 +38,6 @@ _NARROWEST = 1.8  # of a picture with its caption
 
 
 @plotted
-@checked
 def plot_signatures(
     geometry: Geometry,
     signature: ArrayLike,
@@ -173,16 +171,13 @@ def _pictures(
     marked, rim = with_balls(geometry, rims, 1.35 * radius)
     marked, ball = with_balls(marked, centres, radius)
     red = np.array([255, 0, 0], dtype=np.uint8)
-    inks = [bytes.fromhex(line_style(i)[0].removeprefix("#")) for i in range(len(points))]
-    colours = np.array([tuple(ink) for ink in inks], dtype=np.uint8)
+    inks = [tuple(bytes.fromhex(line_style(i)[0][1:])) for i in range(len(points))]
+    own = np.array(inks, dtype=np.uint8)[ball[ball >= 0]]
     white = np.full((np.count_nonzero(rim >= 0), 3), 255, dtype=np.uint8)
     scene = Scene(
         geometry=marked,
         functions=[
-            *(
-                np.vstack([_coloured(panel), white, np.array(colours, np.uint8)[ball[ball >= 0]]])
-                for panel in panels
-            ),
+            *(np.vstack([_coloured(panel), white, own]) for panel in panels),
             *(np.where(ball[:, None] == i, red, 0 * red) for i in range(len(points))),
         ],
         rotation=rotation,

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
@@ -33,7 +32,6 @@ _MANY = 120  # modes: more than so many get smaller markers
 
 
 @plotted
-@checked
 def plot_spectrum(
     spectra: Spectrum | Mapping[str, Spectrum],
     *,
@@ -99,12 +97,9 @@ def plot_spectrum(
     """
     named = {"": spectra} if isinstance(spectra, Spectrum) else spectra
     if not isinstance(named, Mapping) or not all(isinstance(s, Spectrum) for s in named.values()):
-        raise InvalidInputError(
-            "spectra",
-            "be a Spectrum or a mapping of names to Spectrum objects",
-            f"a {type(spectra).__name__}",
-            advice="write {'name': spectrum}",
-        )
+        expected = "be a Spectrum or a mapping of names to Spectrum objects"
+        kind, advice = f"a {type(spectra).__name__}", "write {'name': spectrum}"
+        raise InvalidInputError("spectra", expected, kind, advice=advice)
     if not named:
         raise InvalidInputError("spectra", "hold at least one Spectrum", "none")
     for name, spectrum in named.items():
@@ -114,12 +109,8 @@ def plot_spectrum(
         raise InvalidInputError("free_boundary", "be a finite length", repr(free_boundary))
     if free_boundary and len(areas := _areas(named)) > 1:
         listed = ", ".join(f"{area:.4g}" for area in areas)
-        raise InvalidInputError(
-            "free_boundary",
-            "be of one surface",
-            f"{free_boundary:g} for spectra of the areas {listed}",
-            advice="draw them one by one",
-        )
+        got, advice = f"{free_boundary:g} for spectra of the areas {listed}", "draw them one by one"
+        raise InvalidInputError("free_boundary", "be of one surface", got, advice=advice)
     return spectrum_figure(named, weyl, page, free_boundary)
 
 

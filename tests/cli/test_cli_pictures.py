@@ -134,19 +134,6 @@ def test_the_page_has_the_name_of_the_file_and_says_what_it_holds(folder, capsys
     assert "9 modes on" in out
 
 
-def test_exact_modes_of_a_comparison_may_be_saved_ones(folder, capsys):
-    command = ("compare", folder / "animal.ply", "-q", "--solver", "dense", "-k", "9")
-    command += ("--spectrum", folder / "animal.npz")
-    told = record(capsys, *command)
-    assert told["comparison"]["mean_span_error"] < 1e-12
-    assert "Arpack" in told["reference"]["provenance"]["solver"]
-    out, _ = printed(capsys, *command)
-    assert "exact (arpack)  exact (dense)" in out
-    assert re.search(r"mode +first +second +change", out)
-    assert "errors are" not in out
-    assert "predicted" not in out
-
-
 def test_where_the_second_side_is_exact_the_errors_are_those_of_the_first(folder, capsys):
     command = ("compare", folder / "animal.ply", "--solver", "arpack", "--against", "fourier")
     told = record(capsys, *command, "-k", "6", "-o", "errors.svg", *DRAWN)

@@ -60,7 +60,7 @@ def left_over(text):
 def test_a_long_step_counts_the_seconds_and_says_how_many_it_took(terminal):
     """It keeps to one line, however long its text."""
     with terminal, step("work" * 50):
-        time.sleep(1.15)
+        time.sleep(1.05)
     text = terminal.text
     assert re.search(r"\r(work)+w?  0\.\d s", text)
     assert re.fullmatch(r"(work){50}: done in 1\.\d s", *left_over(text))
@@ -72,7 +72,7 @@ def test_a_long_step_counts_the_seconds_and_says_how_many_it_took(terminal):
 def test_a_step_that_is_short_or_fails_leaves_nothing(terminal, error):
     with terminal, pytest.raises(error or ZeroDivisionError):  # noqa: PT012
         with step("working"):
-            time.sleep(0.25)
+            time.sleep(0.15)
             if error:
                 raise error
         raise ZeroDivisionError

@@ -92,7 +92,7 @@ def test_clouds_are_matched_and_judged_as_far_as_they_can_be(files, tmp_path, ca
 
 def test_the_demo_draws_its_pictures(tmp_path, capsys, monkeypatch):
     folder = tmp_path / "demo"
-    command = ("match", "demo", "demo", "--points", 600, "-k", 30, "--dpi", 50, "-o", folder)
+    command = ("match", "demo", "demo", "--points", 500, "-k", 30, "--dpi", 30, "-o", folder)
     out, _ = printed(capsys, *command)
     assert "dirichlet energy" in out
     assert "the map: the point of demo that each point of demo is" in out
@@ -148,14 +148,15 @@ def test_files_of_another_match_are_not_mixed_with_its_own(files, tmp_path, caps
     few = ("-k", 30, "-o", out)
     assert "got source.npz, which would stay beside the new one" in refused(capsys, *pair, *few)
     assert (out / "source.npz").read_bytes() == b"of the demo"
-    write(creature(600), out / "source.npz")
-    for _ in range(2):  # all is replaced
-        report(capsys, out / "source.npz", pair[1], *few)  # an input may lie there
+    write(creature(600), out / "source.npz")  # an input may lie there
+    (out / "point_map.npy").write_bytes(b"old")
+    report(capsys, out / "source.npz", pair[1], *few)
+    assert len(np.load(out / "point_map.npy")) == 600
     for options in (
         (out / "source.npz", pair[1], *few, "--cloud", 700),
         (*pair, *few, "--truth", out / "point_map.npy"),
     ):
-        assert "the output must not replace an input, got" in refused(capsys, *options)
+        assert "`output` must not replace an input, got" in refused(capsys, *options)
 
 
 def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys, monkeypatch):
@@ -188,6 +189,7 @@ def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys, monkeypat
         (("--truth", truth, "--repair"), "repair or sample first"),
         (("--landmarks", landmarks, "--cloud", 700), "repair or sample first"),
         (("-o", tmp_path / "no" / "out"), "cannot make"),
+        (("-o", tmp_path / "broken.npy"), "a file has that name"),
         (("-k", 20), "`-k` must be at least 30, got 20; solve for more (150 match best)"),
     ):
         assert message in refused(capsys, *pair, *out, *options)

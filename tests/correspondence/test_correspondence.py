@@ -191,6 +191,8 @@ def test_bijectivity_finds_what_does_not_come_back():
     back[[3, 4]] = back[[4, 3]]
     errors = bijectivity_errors(mesh, there, back)
     np.testing.assert_array_equal(np.flatnonzero(errors), [3, 4])
+    apart = geodesic_distances(mesh, [3], [4])[0]
+    assert errors[[3, 4]] == pytest.approx(np.full(2, 100 * apart / np.sqrt(mesh.area)))
 
 
 def test_what_does_not_fit_is_refused(ball):

@@ -1,16 +1,16 @@
-"""Signatures of points: closed forms, definitions by brute force, and what must not matter."""
+"""Descriptors of points and surfaces: closed forms, brute force, and what must not matter."""
 
 import numpy as np
 import pytest
-from conftest import bumpy, two_parts
+from conftest import bumpy, refused, two_parts
 from scipy.linalg import block_diag, expm
-from scipy.special import eval_legendre, gammaln, lpmv
+from scipy.special import gammaln, lpmv
 
 from spectra_kit import (
     Dense,
-    InvalidInputError,
     Spectrum,
     cotan_laplacian,
+    descriptors,
     eigensolve,
     robust_laplacian,
 )
@@ -22,6 +22,9 @@ from spectra_kit.descriptors import (
     landmark_heat_kernel_signature,
     landmark_wave_kernel_signature,
     normalize_descriptors,
+    shape_dna,
+    shape_dna_distance,
+    shape_dna_distances,
     wave_energies,
     wave_kernel_signature,
 )
@@ -66,17 +69,6 @@ def complete():
     return eigensolve(laplacian, laplacian.n, Dense()), laplacian
 
 
-def test_heat_kernel_of_the_sphere():
-    spectrum, cosine = harmonics(degree=12)
-    times = [0.3, 1.0]
-    expected = sum(
-        (2 * l + 1) / (4 * np.pi) * np.exp(-l * (l + 1) * np.array(times))
-        * eval_legendre(l, cosine[:5, :, None])
-        for l in range(13)
-    )  # fmt: skip
-    np.testing.assert_allclose(heat_kernel(spectrum, range(5), times), expected, atol=1e-12)
-
-
 def test_heat_kernel_is_the_exponential_of_the_operator(complete):
     spectrum, laplacian = complete
     generator = laplacian.stiffness.toarray() / laplacian.mass[:, None]
@@ -93,15 +85,20 @@ def test_heat_kernel_is_the_exponential_of_the_operator(complete):
 
 
 def test_wks_is_a_loop_over_its_formula(bumps):
-    energies, width = wave_energies(bumps, 9)
+    energies, width = wave_energies(bumps, 9, width=0.2)
+    assert width == 0.2
     expected = np.zeros((bumps.n, 9))
     for j, e in enumerate(energies):
         weights = np.exp(-((e - np.log(bumps.eigenvalues[1:])) ** 2) / (2 * width**2))
         for i, w in enumerate(weights):
             expected[:, j] += w / weights.sum() * bumps.eigenvectors[:, i + 1] ** 2
-    np.testing.assert_allclose(wave_kernel_signature(bumps, count=9), expected, rtol=1e-10)
-    np.testing.assert_allclose(wave_kernel_signature(bumps, energies, width=width), expected)
-    np.testing.assert_allclose(wave_kernel_signature(bumps, energies), expected)
+    for given in ({"count": 9}, {"energies": energies}):
+        found = wave_kernel_signature(bumps, **given, width=width)
+        np.testing.assert_allclose(found, expected, rtol=1e-10)
+    energies, width = wave_energies(bumps)
+    np.testing.assert_allclose(
+        wave_kernel_signature(bumps, energies), wave_kernel_signature(bumps, energies, width=width)
+    )
 
 
 def test_the_diagonal_of_landmarks_is_the_signature(bumps):
@@ -188,47 +185,112 @@ def test_normalized_columns_have_one_size(bumps):
     np.testing.assert_allclose(normalize_descriptors(in_mm, heat_kernel_signature(in_mm)), unit)
 
 
+# --- ShapeDNA ---
+
+
+def exact_sphere(k, radius=1.0):
+    """A spectrum with the exact eigenvalues of a sphere and its area, on one point."""
+    values = sphere(subdivisions=0, radius=radius, k=k).eigenvalues
+    return Spectrum(values, np.ones((1, k)), [4 * np.pi * radius**2])
+
+
+def test_dna_of_the_sphere():
+    ball = exact_sphere(16, radius=3.0)
+    degree = np.repeat([1, 2, 3], [3, 5, 7])
+    np.testing.assert_allclose(shape_dna(ball), 4 * np.pi * degree * (degree + 1))
+    np.testing.assert_allclose(shape_dna(ball, normalize="first"), degree * (degree + 1) / 2)
+    np.testing.assert_allclose(shape_dna(ball, normalize=None), degree * (degree + 1) / 9)
+    np.testing.assert_array_equal(shape_dna(ball, 4), shape_dna(ball)[:4])
+
+
+def test_weyls_law_finds_the_area():
+    ball = exact_sphere(2500)
+    ratio = shape_dna(ball, normalize="weyl") / shape_dna(ball)
+    np.testing.assert_allclose(ratio, ratio[0])
+    assert ratio[0] == pytest.approx(1, rel=2e-3)
+
+
+def test_distances_of_dna_by_their_formulas():
+    rows = np.cumsum(np.random.default_rng(0).uniform(0.5, 2, (5, 12)), axis=1)
+    gaps = rows[:, None] - rows
+    for weight, scale in (
+        ("index", np.arange(1, 13)),
+        ("inverse", rows[:, None] * rows),
+        (None, 1.0),
+    ):
+        expected = np.linalg.norm(gaps / scale, axis=2)
+        np.testing.assert_allclose(shape_dna_distances(rows, weight=weight), expected)
+        one = shape_dna_distance(rows[1], rows[3], weight=weight)
+        assert one == pytest.approx(expected[1, 3])
+    assert shape_dna_distance(*rows[:2]) == shape_dna_distances(rows)[0, 1]
+
+
+# --- what is refused ---
+
 TWO = Spectrum(np.zeros(2), np.eye(2), np.ones(2))
 ONE_VALUE = Spectrum(np.array([0.0, 2.0, 2.0]), np.eye(3), np.ones(3))
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda s: heat_times(TWO), "modes outside its kernel, got 2 zero modes alone"),
-        (lambda s: global_point_signature(TWO), "`spectrum` must have modes outside its kernel"),
-        (lambda s: wave_energies(ONE_VALUE), "must have two different eigenvalues .* 2 times 2"),
-        (lambda s: heat_times(s, 1), "`count` must be at least 2, got 1"),
-        (lambda s: wave_energies(s, 1), "`count` must be at least 2, got 1"),
-        (lambda s: wave_energies(s, width=9.0), "`width` must be below a quarter of the range"),
-        (lambda s: wave_energies(s, width=0.0), "`width` must be positive and finite, got 0"),
-        (lambda s: wave_kernel_signature(s, [1.0], width=-1.0), "`width` must be positive"),
-        (lambda s: wave_kernel_signature(s, 1.0), r"`energies` must be a vector.*; write \[1.0\]"),
-        (lambda s: wave_kernel_signature(s, []), r"at least one number, got shape \(0,\)"),
-        (lambda s: heat_kernel_signature(s, [0.0, 1.0]), "`times` must be positive, got 1 entry"),
-        (lambda s: heat_kernel_signature(s, [np.nan]), "`times` must be finite"),
-        (lambda s: heat_kernel(s, [], [1.0]), "`sources` must name at least one point, got none"),
-        (lambda s: heat_kernel(s, 3, [1.0]), r"`sources` must be a vector.*; write \[3\]"),
-        (lambda s: heat_kernel(s, [s.n], [1.0]), r"`sources` must be in \[0, 642\), got 642"),
-        (lambda s: landmark_heat_kernel_signature(s, []), "`landmarks` must name at least one"),
-        (lambda s: landmark_wave_kernel_signature(s, []), "`landmarks` must name at least one"),
-        (lambda s: landmark_wave_kernel_signature(s, [-1]), r"`landmarks` must be in \[0, 642\)"),
-        (
-            lambda s: wave_kernel_signature(s, wave_energies(s)),
-            "a vector, got a tuple .* write `energies, width = wave_energies",
+def test_bad_input_is_refused(bumps):
+    s, unlike = bumps, np.eye(bumps.n)[:, :2] * [1, 0]
+    for argument, expected, call, *given in (
+        *(
+            ("spectrum", "have modes outside its kernel, got 2 zero modes alone", call, TWO, *more)
+            for call, *more in (
+                (heat_times,),
+                (global_point_signature,),
+                (shape_dna,),
+                (descriptors.biharmonic_distances, [0]),
+                (descriptors.commute_time_distances, [0]),
+                (descriptors.farthest_points, 1),
+            )
         ),
-        (lambda s: global_point_signature(s, s.k), r"`count` must be in \[1, 39\], got 40"),
-        (lambda s: normalize_descriptors(s, np.ones(3)), r"must have shape \(642, d\)"),
-        (
-            lambda s: normalize_descriptors(s, np.eye(s.n)[:, :2] * [1, 0]),
-            "no zero column, got one in column 1",
-        ),
-        (
-            lambda s: normalize_descriptors(s, np.full((s.n, 1), 0.1), center=True),
-            "no constant column, got one in column 0",
-        ),
-    ],
-)
-def test_bad_input_is_refused(bumps, call, message):
-    with pytest.raises(InvalidInputError, match=message):
-        call(bumps)
+        ("spectrum", "have two different eigenvalues outside its", wave_energies, ONE_VALUE),
+        ("count", "be at least 2, got 1", heat_times, s, 1),
+        ("count", "be at least 2, got 1", wave_energies, s, 1),
+        ("count", "be in [1, 39], got 40", global_point_signature, s, s.k),
+        ("count", "be in [1, 39], got 0", shape_dna, s, 0),
+        ("count", "be in [1, 39], got 40", shape_dna, s, 40),
+        ("count", "be in [1, 642], got 643", descriptors.farthest_points, s, 643),
+        ("energies", "be a vector of at least one number, got shape (); write [1.0]",
+         wave_kernel_signature, s, 1.0),
+        ("energies", "be a vector of at least one number, got shape (0,)",
+         wave_kernel_signature, s, []),
+        ("energies", "be a vector, got a tuple of two as `wave_energies` returns it; write",
+         wave_kernel_signature, s, wave_energies(s)),
+        ("times", "be positive, got 1 entry", heat_kernel_signature, s, [0.0, 1.0]),
+        ("times", "be finite", heat_kernel_signature, s, [np.nan]),
+        ("sources", "name at least one point, got none", heat_kernel, s, [], [1.0]),
+        ("sources", "be a vector, got shape (); write [3]", heat_kernel, s, 3, [1.0]),
+        ("sources", "be in [0, 642), got 642", heat_kernel, s, [s.n], [1.0]),
+        ("sources", "name at least one point", descriptors.biharmonic_distances, s, []),
+        ("sources", "be in [0, 642), got 642", descriptors.commute_time_distances, s, [642]),
+        ("landmarks", "name at least one point", landmark_heat_kernel_signature, s, []),
+        ("landmarks", "name at least one point", landmark_wave_kernel_signature, s, []),
+        ("landmarks", "be in [0, 642)", landmark_wave_kernel_signature, s, [-1]),
+        ("descriptors", "have shape (642, d)", normalize_descriptors, s, np.ones(3)),
+        ("descriptors", "have no zero column, got one in column 1", normalize_descriptors, s,
+         unlike),
+        ("dnas", "have shape (s, count), count >= 1, got (2,)", shape_dna_distances, [1.0, 2.0]),
+        ("dnas", "have shape (s, count)", shape_dna_distances, np.ones((2, 0))),
+        ("dnas", "have rows of one length", shape_dna_distances, [[1.0, 2.0], [1.0]]),
+        ("dnas", "be positive, got 1 entry <= 0", shape_dna_distances, [[0.0, 2.0]]),
+        ("dnas", "be finite", shape_dna_distances, [[np.nan, 2.0]]),
+        ("a` and `b", "have the same shape", shape_dna_distance, [1.0], [1.0, 2.0]),
+        ("a", "hold real numbers", shape_dna_distance, ["x"], [1.0]),
+    ):  # fmt: skip
+        refused(argument, expected, call, *given)
+    for argument, expected, call, given, option in (
+        ("width", "be below a quarter of the range", wave_energies, (s,), 9.0),
+        ("width", "be positive and finite, got 0", wave_energies, (s,), 0.0),
+        ("width", "be positive", wave_kernel_signature, (s, [1.0]), -1.0),
+        ("sources", "hold integers", descriptors.diffusion_distances, (s, [0.5]), 1.0),
+        ("time", "be positive and finite", descriptors.diffusion_distances, (s, [0]), 0.0),
+        ("start", "be in [0, 641], got -1", descriptors.farthest_points, (s, 3), -1),
+        ("normalize", "be 'area', 'weyl', 'first' or None", shape_dna, (s,), "volume"),
+        ("weight", "be 'index', 'inverse' or", shape_dna_distances, ([[1.0]],), "weyl"),
+        ("descriptors", "have no constant column, got one in column 0", normalize_descriptors,
+         (s, np.full((s.n, 1), 0.1)), True),
+    ):  # fmt: skip
+        name = {"sources": "time", "descriptors": "center"}.get(argument, argument)
+        refused(argument, expected, call, *given, **{name: option})

@@ -56,15 +56,8 @@ def pages(ball, tmp_path_factory):
     height = z + 0.02 * z**2  # a little more above: its larger end is shown in red
     exact = spectrum(ball, one, height, x, y, x * y)
     guess = spectrum(ball, one, height, x + 0.3 * y * z, y, x * y, certified=False)
-    write_explorer(
-        folder / "pair.html",
-        ball,
-        exact,
-        guess,
-        names=NAMES,
-        title="<i>Ball</i> & more",
-        view=View("z"),
-    )
+    style = {"names": NAMES, "title": "<i>Ball</i> & more", "view": View("z")}
+    write_explorer(folder / "pair.html", ball, exact, guess, **style)
     write_explorer(folder / "cloud.html", ball.as_cloud(), exact, view=View("z"), max_points=1500)
     fine = sphere(subdivisions=5).geometry
     write_explorer(folder / "many.html", fine, spectrum(fine, fine.points[:, 2]))
@@ -83,7 +76,7 @@ def browser():
 class Visit:
     """An open page, and everything that it said and asked for."""
 
-    def __init__(self, browser, path, *, width=1000, height=640, **options):
+    def __init__(self, browser, path, *, width=920, height=640, **options):
         context = browser.new_context(viewport={"width": width, "height": height}, **options)
         self.page = context.new_page()
         self.said, self.asked = [], []
@@ -269,12 +262,11 @@ def test_a_drag_turns_every_view_and_a_double_click_turns_back(visit):
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     visit.page.mouse.move(x, y)
     visit.page.mouse.down()
-    visit.page.mouse.move(x + 120, y, steps=4)
+    visit.page.mouse.move(x + 120, y, steps=2)
     visit.page.mouse.up()
-    visit.settle()
     after = visit.view("exact"), visit.view("predicted")
     assert all(np.abs(a - b).max() > 60 for a, b in zip(after, before, strict=True))
-    visit.page.mouse.dblclick(x, y)
+    visit.page.mouse.dblclick(x, y)  # while it glides on
     visit.settle()
     assert np.abs(visit.view("exact") - before[0]).mean() < 1
 
@@ -344,7 +336,7 @@ def test_nothing_is_covered(visit):
         assert visit.page.locator("#note").bounding_box()["y"] >= max(bottoms)
         hidden = visit.page.eval_on_selector("#table", "e => e.scrollWidth - e.clientWidth")
         assert (hidden > 0) == (width == 900)  # then it scrolls
-    visit.page.set_viewport_size({"width": 1000, "height": 640})
+    visit.page.set_viewport_size({"width": 920, "height": 640})
 
 
 def test_names_are_shown_as_they_are(visit):
@@ -356,10 +348,17 @@ def test_names_are_shown_as_they_are(visit):
     assert visit.page.locator("#title i").count() == 0
 
 
-def test_a_thinned_cloud_alone_on_a_phone(browser, pages):
-    phone = Visit(
-        browser, pages / "cloud.html", width=390, height=800, has_touch=True, is_mobile=True
-    )
+@pytest.fixture(scope="module")
+def phone(browser, pages):
+    """A cloud, on a small screen."""
+    small = {"width": 390, "height": 640, "has_touch": True, "is_mobile": True}
+    visit = Visit(browser, pages / "cloud.html", **small)
+    yield visit
+    visit.assert_silent()
+    visit.page.context.close()
+
+
+def test_a_thinned_cloud_alone_on_a_phone(phone):
     assert not phone.page.is_visible("#view-predicted")
     assert "Nodal lines run over triangles between neighbouring points" in phone.text("#note")
     assert re.match(r"shown: 1,\d{3} of 2,562 points", phone.text("#subtitle"))
@@ -373,13 +372,11 @@ def test_a_thinned_cloud_alone_on_a_phone(browser, pages):
     assert phone.page.evaluate("document.documentElement.scrollWidth") <= 390
     phone.page.tap("#next")
     assert phone.mode() == 2
-    phone.assert_silent()
-    phone.page.context.close()
 
 
-def test_a_cloud_has_nodal_lines_where_the_function_vanishes(browser, pages):
-    visit = Visit(browser, pages / "cloud.html", width=500, height=500)
-    visit.page.evaluate("explorer.stage.look([1, 0, 0])")
+def test_a_cloud_has_nodal_lines_where_the_function_vanishes(phone):
+    visit = phone
+    visit.page.evaluate("explorer.choose(1); explorer.stage.look([1, 0, 0])")
     visit.settle()
 
     def darkest(across):
@@ -411,21 +408,16 @@ def test_a_cloud_has_nodal_lines_where_the_function_vanishes(browser, pages):
     visit.page.click("#play")
     visit.settle()
     assert darkest(0.5) < 120
-    visit.assert_silent()
-    visit.page.context.close()
 
 
-@pytest.mark.parametrize(
-    ("lack", "reason"),
-    [
-        ("delete window.DecompressionStream", "has no DecompressionStream"),
-        ("HTMLCanvasElement.prototype.getContext = () => null", "WebGL 2 is missing"),
-    ],
-)
-def test_an_old_browser_is_told_what_it_lacks(browser, pages, lack, reason):
+def test_an_old_browser_is_told_what_it_lacks(browser, pages):
     page = browser.new_page()
-    page.add_init_script(lack)
-    page.goto((pages / "pair.html").as_uri())
-    page.wait_for_selector("body.failed")
-    assert reason in page.inner_text("#notice")
+    for lack, reason in (
+        ("HTMLCanvasElement.prototype.getContext = () => null", "WebGL 2 is missing"),
+        ("delete window.DecompressionStream", "has no DecompressionStream"),
+    ):
+        page.add_init_script(lack)
+        page.goto((pages / "pair.html").as_uri())
+        page.wait_for_selector("body.failed")
+        assert reason in page.inner_text("#notice")
     page.close()

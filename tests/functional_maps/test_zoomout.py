@@ -57,6 +57,7 @@ def test_a_copy_gives_the_permutation(spectrum, copy, shuffle, options) -> None:
     start = functional_map_from_point_map(spectrum, copy, shuffle, k=(14, 9))
     found = zoomout(spectrum, copy, start, k_final=K, **options)
     assert (found.point_map == shuffle).all()
+    assert not found.functional_map.flags.writeable
     expected = functional_map_from_point_map(spectrum, copy, shuffle)
     assert found.functional_map == pytest.approx(expected, abs=1e-12)
     # A point map that is wrong at two of five points will do, and nothing need be added.

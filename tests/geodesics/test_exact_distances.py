@@ -82,6 +82,21 @@ def test_over_a_cube_they_unfold():
     np.testing.assert_allclose(exact_distances(fine, 0)[9], np.hypot(1.5, 0.5))
 
 
+@pytest.mark.parametrize("turn", [1, -1])
+def test_around_a_corner_of_the_boundary_they_bend(turn):
+    # Three of four quarters of a square; one half of each cell is wound the other way.
+    i, j = (index.ravel() for index in np.indices((11, 11)))
+    corner = np.flatnonzero((i < 10) & (j < 10) & ((i < 5) | (j < 5)))[:, None]
+    faces = np.vstack([corner + [12, 11, 0], corner + [0, 12, 1]])[:, ::turn]
+    mesh = TriangleMesh(np.column_stack([i, j, 0 * i]), faces).without_unreferenced()
+    x, y, _ = mesh.points.T
+    source = int(np.flatnonzero((x == 10) & (y == 0))[0])
+    hidden = (y > 5) & (x + y > 10)  # behind the corner (5, 5)
+    around = np.hypot(5, 5) + np.hypot(x - 5, y - 5)
+    truth = np.where(hidden, around, straight(mesh.points, source))
+    np.testing.assert_allclose(exact_distances(mesh, source), truth, atol=1e-12)
+
+
 @pytest.mark.parametrize("count", [6, 12])
 def test_around_a_tip_they_follow_its_angle(count):
     # Sectors of 40 degrees: six make a cone, twelve, up and down by turns, more than a plane.

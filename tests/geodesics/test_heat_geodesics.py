@@ -146,6 +146,20 @@ def test_modes_save_iterations_and_wrong_ones_do_no_harm(animal, modes) -> None:
     assert iterations(wrong, coarse="additive", **PAPER) <= plain / 2
 
 
+def test_every_option_of_the_iteration_is_heeded(animal, modes) -> None:
+    def norms(**options) -> list[float]:
+        field = HeatGeodesics(animal, modes, solver=Iterative(**options)).distance(7)
+        return field.poisson.residual_norms.tolist()
+
+    default = norms()
+    for name, value in {"coarse": "projected", "modes": 7, "drop": 0.05, "relaxation": 0.1}.items():
+        assert norms(**{name: value}) != default, name
+    assert norms(modes=24, drop=5e-3, relaxation=0.9, rtol=1e-8) == default
+    loose = norms(rtol=1e-3)
+    assert loose[:-1] == default[: len(loose) - 1]
+    assert len(loose) < len(default)
+
+
 # --- invariances --------------------------------------------------------------------------------
 
 

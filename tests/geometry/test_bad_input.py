@@ -6,7 +6,7 @@ import torch
 
 from spectra_kit import geometry
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import PointCloud, TriangleMesh, diagnose, sphere
+from spectra_kit.geometry import PointCloud, TriangleMesh, sphere
 
 POINTS = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
 
@@ -78,15 +78,6 @@ def test_any_integer_type_is_welcome(dtype):
     mesh = TriangleMesh(np.asfortranarray(POINTS, dtype=np.float32), np.array([[0, 1, 2]], dtype))
     assert (mesh.faces.dtype, mesh.points.dtype) == (np.int64, np.float64)
     assert mesh.points.flags.c_contiguous
-
-
-def test_dirt_is_kept_until_its_removal_is_asked_for():
-    """Unreferenced, degenerate, duplicate, non-manifold: all legal, all reported, none touched."""
-    faces = [[0, 1, 2], [0, 1, 2], [1, 0, 2], [1, 1, 2]]
-    mesh = TriangleMesh([*POINTS, POINTS[0]], faces)
-    np.testing.assert_array_equal(mesh.faces, faces)
-    assert mesh.n == 5
-    assert len(diagnose(mesh).problems) == 5
 
 
 BALL = sphere(subdivisions=1).geometry

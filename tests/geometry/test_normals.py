@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import creature
+from conftest import ball, creature
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
@@ -13,11 +13,6 @@ from spectra_kit.geometry.signs import (
     symmetric_votes,
     turn_outwards,
 )
-
-
-def ball(n: int, seed: int = 0) -> np.ndarray:
-    points = np.random.default_rng(seed).standard_normal((n, 3))
-    return points / np.linalg.norm(points, axis=1, keepdims=True)
 
 
 def oriented(points: np.ndarray) -> np.ndarray:

@@ -55,6 +55,7 @@ def test_what_is_damaged_below_can_be_read(tmp_path, kind):
         ("off", "3 1 0", "BINARY", "must announce its numbers of vertices and faces"),
         ("off", "3 1 0", "3 1_0 0", "must announce its numbers of vertices and faces"),
         ("off", "3 1 0", "4 1 0", "announces 4 vertices and 1 face, followed by 4 lines;"),
+        ("off", "3 1 0", "2 1 0", "announces 2 vertices and 1 face, followed by 4 lines;"),
         ("off", "3 1 0", "6 -2 0", "announces 6 vertices and -2 faces"),
         ("off", "3 0 1 2", "3 0 1", "line 6 is broken: '3 0 1'"),
         ("off", "3 0 1 2", "3 0 1 3", r"must be in \[0, 3\), got 3"),

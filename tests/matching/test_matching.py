@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 from conftest import creature, refused
-from scipy.spatial.transform import Rotation
 
 from spectra_kit import InvalidInputError, Spectrum, TriangleMesh, robust_laplacian
 from spectra_kit.correspondence import Truth, geodesic_errors
@@ -186,21 +185,6 @@ def test_clouds_have_sides_too(mesh) -> None:
 
 
 # --- doubt ----------------------------------------------------------------------------------
-
-
-@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulMatchWarning")
-def test_a_map_of_a_surface_of_revolution_is_a_turn_or_ambiguous() -> None:
-    """Bases within its eigenspaces are what rounding makes them, and so is the map found."""
-    ball = sphere(subdivisions=3).geometry
-    turns = Rotation.random(2, random_state=0).as_matrix()
-    one, other = (ball.with_points((ball.points @ turn) * (1, 1, 1.7)) for turn in turns)
-    found = match(prepared(one, 60), prepared(other, 60))
-    images = one.points[found.point_map]
-    # The nearest symmetry: about the axis by Procrustes, along it by sign.
-    left, _, right = np.linalg.svd(images[:, :2].T @ other.points[:, :2])
-    along = np.sign(images[:, 2] @ other.points[:, 2])
-    nearest = np.column_stack([other.points[:, :2] @ (left @ right).T, along * other.points[:, 2]])
-    assert found.ambiguous or np.linalg.norm(images - nearest, axis=1).mean() < 0.15
 
 
 def test_unlike_surfaces_score_badly(source) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from ast import literal_eval
+
 import numpy as np
 import pytest
 from conftest import creature
@@ -225,3 +228,11 @@ def test_the_score_is_a_geometric_mean() -> None:
     low, high = score_of({"wave": 0.1, "embedding": 0.3}), score_of({"wave": 0.1, "embedding": 0.4})
     assert 0.1 < low < high < 0.4
     assert score_of({"wave": 0.0, "embedding": -1e-17}) == pytest.approx(1e-3)
+
+
+def test_options_are_what_their_documentation_says() -> None:
+    told = dict(
+        re.findall(r"^ *(\w+) : .*, default (.+)$", str(MatchOptions.__doc__), re.MULTILINE)
+    )
+    options = {k: v for k, v in vars(MatchOptions()).items() if k != "weights"}
+    assert {name: literal_eval(value) for name, value in told.items()} == options

@@ -287,6 +287,11 @@ def test_a_question_is_answered(name, settings, store, tmp_path):
     assert found["figures"]
     assert all((tmp_path / figure).stat().st_size > 5000 for figure in found["figures"])
     assert all(f"]({figure})" in text for figure in found["figures"])
+    if name == "worst":
+        [found] = answer.rows
+        worst = found.cases[int(found.means().argmax())].shape.name
+        shown = [line.split("|")[2].strip() for line in text.splitlines() if "| demo" in line]
+        assert (shown[0], len(shown)) == (worst, 2)
     if name == "sampling":
         assert "demo, non-uniform, mass-aware: times the error on uniform samples" in text
     if name == "accuracy":  # where there is no room for a method it is left out
@@ -360,7 +365,13 @@ def test_the_app_shows_the_training_without_data(trained, tmp_path, capsys, monk
     assert app.main(["training", str(out), *weights]) == 2
     assert "error: `weights` must hold the validations" in capsys.readouterr().err
     monkeypatch.setattr(app, "QUESTIONS", {})  # the other chapters take a while
+    asked = []
+    monkeypatch.setattr(app, "Settings", lambda **given: asked.append(Settings(**given)))
     assert app.main(["all", str(out), "--quick", *weights]) == 0
     assert "training is not drawn: `weights` must hold the validations" in capsys.readouterr().err
+    assert {name: len(shapes) for name, shapes in asked[0].sets.items()} == {
+        "demo": 1, "procedural": 1,
+    }  # fmt: skip
+    assert (asked[0].k, asked[0].points, asked[0].poses) == (16, (512, 1024), (1, 2))
     assert app.main(["worst", str(tmp_path), "--procedural", "0"]) == 2
     assert "error: `sets` and `weights` must hold at least one shape" in capsys.readouterr().err

@@ -72,4 +72,4 @@ def test_eigenvalues_of_the_solver(exact):
     predicted = eigensolve(laplacian, 48, Neo(weights="small", poses=4))
     relative = predicted.eigenvalues[1:] / spectrum.eigenvalues[1:48] - 1
     assert relative.min() > -1e-9
-    assert relative.mean() < 0.004
+    assert relative.mean() < 0.0015  # two poses alone: 0.0021

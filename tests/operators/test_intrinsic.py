@@ -6,9 +6,11 @@ from functools import cache
 import igl
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import ball as random_directions
+from conftest import joined, moved, refused
 from scipy import sparse
 from scipy.spatial import Delaunay
+from scipy.spatial.transform import Rotation
 
 from spectra_kit import (
     Dense,
@@ -19,7 +21,7 @@ from spectra_kit import (
     eigensolve,
     robust_laplacian,
 )
-from spectra_kit.geometry import sphere
+from spectra_kit.geometry import permuted, sphere
 from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
 
 RNG = np.random.default_rng
@@ -81,9 +83,7 @@ def with_copies(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def two_parts() -> TriangleMesh:
-    one, other = ball(), flat_free(plate(100, 2.0))
-    points = np.vstack([one.points, other.points + [9, 0, 0]])
-    return TriangleMesh(points, np.vstack([one.faces, other.faces + one.n]))
+    return joined(ball(), moved(flat_free(plate(100, 2.0)), 9, 0, 0))
 
 
 GEOMETRIES = {
@@ -162,9 +162,6 @@ def test_linear_functions_on_a_plate_of_slivers_have_their_gradient() -> None:
     inside = (inside < [5, 0.3, 1]).all(axis=1)
     assert inside.sum() > 1000
     assert lengths[inside] == pytest.approx(np.linalg.norm(direction), rel=1e-9)
-    before = {tuple(sorted(face)) for face in mesh.faces.tolist()}
-    after = {tuple(sorted(face)) for face in triangulation.corners[inside].tolist()}
-    assert len(after - before) > 0.3 * len(after)  # most of them have been flipped
 
 
 # ----------------------------------------------------------------------------- measures
@@ -203,9 +200,7 @@ def test_boundary_of_clouds() -> None:
     border = np.flatnonzero((x == 0) | (x == 11) | (y == 0) | (y == 14))
     grid = PointCloud(np.c_[x, y, np.zeros(len(x))])
     assert intrinsic_delaunay(grid).boundary.tolist() == border.tolist()
-    points = RNG(0).standard_normal((3000, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    assert len(intrinsic_delaunay(PointCloud(points)).boundary) == 0
+    assert len(intrinsic_delaunay(PointCloud(random_directions(3000))).boundary) == 0
 
 
 def test_boundary_of_a_random_disc() -> None:
@@ -232,8 +227,9 @@ def test_equal_to_libigl_and_to_cotangents_on_a_delaunay_mesh() -> None:
     assert abs(ours - cotangents).max() < 1e-12 * abs(ours).max()
 
 
-@pytest.mark.parametrize("name", ["ball", "moebius strip", "three sheets", "plate as a cloud"])
-@pytest.mark.parametrize("scale", [1e-120, 1e6])
+@pytest.mark.parametrize(
+    ("name", "scale"), [("ball", 1e6), ("moebius strip", 1e-120), ("plate as a cloud", 1e6)]
+)
 def test_units(name: str, scale: float) -> None:
     geometry, base = made(name), triangulated(name)
     other = intrinsic_delaunay(geometry.with_points(scale * geometry.points))
@@ -248,16 +244,14 @@ def test_units(name: str, scale: float) -> None:
     assert slopes[1] * scale == pytest.approx(slopes[0], rel=1e-3)
 
 
-@pytest.mark.parametrize("name", ["ball", "moebius strip", "three sheets"])
-def test_order_of_vertices_and_faces(name: str) -> None:
-    mesh, base = made(name), triangulated(name)
-    order, rank = (p := RNG(0).permutation(mesh.n)), np.argsort(p)
-    faces = RNG(1).permutation(rank[mesh.faces])
-    faces[::3] = np.roll(faces[::3], 1, axis=1)
-    other = intrinsic_delaunay(TriangleMesh(mesh.points[order], faces))
+@pytest.mark.parametrize("name", ["ball", "moebius strip", "three sheets", "ball as a cloud"])
+def test_order_of_vertices_and_faces_and_moves(name: str) -> None:
+    base, (geometry, order) = triangulated(name), permuted(made(name), seed=0)
+    turn = Rotation.from_rotvec([0.3, -1, 2]).as_matrix()
+    other = intrinsic_delaunay(geometry.with_points(geometry.points @ turn.T + [3, -7, 11]))
     expected = base.laplacian.stiffness[order][:, order]
-    assert abs(other.laplacian.stiffness - expected).max() < 1e-9 * abs(expected).max()
-    assert other.laplacian.mass == pytest.approx(base.laplacian.mass[order], rel=1e-9)
+    assert abs(other.laplacian.stiffness - expected).max() < 1e-7 * abs(expected).max()
+    assert other.laplacian.mass == pytest.approx(base.laplacian.mass[order], rel=1e-7)
     assert np.sort(order[other.boundary]).tolist() == base.boundary.tolist()
 
 
@@ -319,7 +313,9 @@ def test_fields_are_read_only_and_in_the_units_of_the_geometry() -> None:
     straight = np.linalg.norm(mesh.points[triangulation.corners] - mesh.points[ends], axis=2)
     assert (triangulation.lengths >= straight - 1e-12).all()  # intrinsic edges go along the surface
     assert triangulation.operator == "delaunay_laplacian(mesh, mollify_factor=1e-05)"
-    assert triangulation.seconds > 0
+    capped = intrinsic_delaunay(mesh.as_cloud(), n_neighbors=200)
+    assert capped.operator == "delaunay_laplacian(mollify_factor=1e-05, n_neighbors=161)"
+    assert capped.seconds > 0
     assert repr(triangulation) == "IntrinsicTriangulation(320 triangles on 162 points)"
     other = copy.deepcopy(triangulation)
     u = RNG(0).standard_normal(other.n)

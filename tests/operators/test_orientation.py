@@ -23,14 +23,6 @@ def volume_of(mesh: TriangleMesh) -> float:
     return np.linalg.det(mesh.points[mesh.faces]).sum() / 6
 
 
-def joined(*meshes: TriangleMesh) -> TriangleMesh:
-    starts = np.cumsum([0] + [m.n for m in meshes[:-1]])
-    return TriangleMesh(
-        np.vstack([m.points for m in meshes]),
-        np.vstack([m.faces + s for m, s in zip(meshes, starts, strict=True)]),
-    )
-
-
 def smooth_functions(points: np.ndarray, k: int = 5, seed: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     return np.sin(points @ rng.standard_normal((3, k)) + rng.standard_normal(k))
@@ -128,7 +120,7 @@ def test_the_area_form_of_a_cloud_is_near_that_of_its_mesh(mirror: float) -> Non
 
 def test_random_points_of_an_animal_are_oriented_outwards() -> None:
     mesh = creature(1500)
-    samples, f = sample_with_origin(mesh, 3000, seed=0), smooth_functions(mesh.points)
+    samples, f = sample_with_origin(mesh, 2000, seed=0), smooth_functions(mesh.points)
     form = area_form(oriented_triangles(samples.cloud), samples.interpolate(f))
     assert relative_error(form, area_form(oriented_triangles(mesh), f)) < 0.1
 
@@ -190,18 +182,6 @@ def test_area_form_and_orientation_operator_match_quadrature() -> None:
     assert np.abs(form + form.transpose(0, 2, 1)).max() == 0
     assert operators.shape == (2, 4, 4)
     assert np.allclose(operators, form.transpose(1, 0, 2)[:2], atol=1e-14)
-
-
-def test_area_form_is_antisymmetric_multilinear_and_does_not_see_the_metric() -> None:
-    mesh = creature(600)
-    f = smooth_functions(mesh.points)
-    mixing = np.random.default_rng(1).standard_normal((5, 5))
-    form = area_form(oriented_triangles(mesh), f)
-    stretched = oriented_triangles(mesh.with_points(mesh.points * [1000, 1, 3]))
-    mixed = np.einsum("abc,ai,bj,ck->ijk", form, mixing, mixing, mixing)
-    assert np.allclose(area_form(stretched, f @ mixing), mixed, atol=1e-12)
-    for swap in ((1, 0, 2), (2, 1, 0), (0, 2, 1)):
-        assert np.allclose(form, -form.transpose(swap), atol=1e-13)
 
 
 def test_weights_count() -> None:

@@ -11,11 +11,14 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 # Without the package's own folder as the current one, which would be found first.
+WHERE = "import spectra_kit as sk; print(sk.__file__)"
+# Walks along edges in a compiled loop.
 USE = """
-import spectra_kit as sk
-ball = sk.geometry.sphere(subdivisions=3).geometry
-sk.eigensolve(sk.cotan_laplacian(ball), 4, sk.Refined())  # runs compiled loops
-print(sk.__file__)
+import numpy as np
+ball = sk.geometry.sphere(subdivisions=1).geometry
+sk.correspondence.map_errors(
+    ball, np.arange(ball.n)[::-1], sk.correspondence.Truth.of_map(np.arange(ball.n))
+)
 """
 
 
@@ -48,8 +51,8 @@ def test_the_commands_of_the_readme_one_after_the_other(tmp_path: Path) -> None:
         )
         assert done.returncode == 0, done.stderr
 
-    def used() -> Path:
-        done = run(python, "-c", USE)
+    def used(code: str = "") -> Path:
+        done = run(python, "-c", f"{WHERE}\n{code}")
         assert done.returncode == 0, done.stderr
         return Path(done.stdout.strip()).parent
 
@@ -59,7 +62,7 @@ def test_the_commands_of_the_readme_one_after_the_other(tmp_path: Path) -> None:
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
 
     install(str(source))
-    assert used() == site / "spectra_kit"
+    assert used(USE) == site / "spectra_kit"
     assert list((tmp_path / "cache").rglob("*.nbc"))  # it did compile, and keep it elsewhere
     assert not list(site.rglob("*.nb[ci]"))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import pkgutil
 import re
 import typing
 import warnings
@@ -41,17 +42,9 @@ from spectra_kit import (
 from spectra_kit._checked import _LATE
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 
-PACKAGES = (
-    "spectra_kit",
-    *(
-        f"spectra_kit.{name}"
-        for name in (
-            *("geometry", "operators", "eigensolvers", "subspaces", "spectra", "matching"),
-            *("geodesics", "descriptors", "functional_maps", "correspondence", "metrics", "viz"),
-            *("interop", "explorer", "neo"),
-        )
-    ),
-)
+# Their arrays are checked by whom they serve; the command line has its own tests.
+INNER = re.compile("_|catalogue|cli|errors|levels|linalg|training")
+PACKAGES = [name for _, name, _ in pkgutil.iter_modules(sk.__path__) if not INNER.match(name)]
 # Tensors are torch's to check, where a compiler has to see through every line.
 LEFT_TO_TORCH = {"NeoNetwork.forward", "NeoNetwork.features", "NeoNetwork.evaluate_chunked"}
 # Called by `eigensolve` alone, which has checked what it hands on.
@@ -88,8 +81,8 @@ def surface() -> dict[str, tuple[Callable[..., Any], bool]]:
 
 def _surface() -> Iterator[tuple[str, Callable[..., Any], bool]]:
     seen = set()
-    for package in PACKAGES:
-        for name, thing in public(importlib.import_module(package)):
+    for module in (sk, *(importlib.import_module(f"spectra_kit.{name}") for name in PACKAGES)):
+        for name, thing in public(module):
             if id(thing) in seen:
                 continue
             seen.add(id(thing))

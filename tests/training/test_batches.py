@@ -173,15 +173,6 @@ def test_a_stream_shows_what_is_there(monkeypatch, resident):
         batches(12)
 
 
-def test_joined_corpora_must_be_of_one_size():
-    joined = join([CORPUS, CORPUS])
-    assert len(joined) == 48
-    np.testing.assert_array_equal(joined.batch([30]).mass, CORPUS.batch([6]).mass)
-    small = Corpus((Batch(*(a[:, :32] for a in vars(CORPUS.shards[0]).values())),), {})
-    with pytest.raises(InvalidInputError, match=r"the same \(points, modes\).*got \[\(32, 8\)"):
-        join([CORPUS, small])
-
-
 @pytest.mark.parametrize("frame", ["principal", "none"])
 def test_validation_shows_whole_samples_the_same_way_every_time(frame):
     settings = config(frame=frame)

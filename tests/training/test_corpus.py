@@ -2,6 +2,7 @@
 
 import csv
 import json
+import multiprocessing
 import shutil
 from dataclasses import replace
 
@@ -118,6 +119,7 @@ def test_workers_in_other_processes_make_the_same_samples_bit_for_bit(folder, tm
     progress = lambda done, total: told.append((done, total))  # noqa: E731
     generate(tmp_path, 10, config=TINY, workers=2, progress=progress)
     assert told == [(i, 10) for i in range(1, 11)]
+    assert not multiprocessing.active_children()
     assert_same(tmp_path, folder)
 
 

@@ -2,6 +2,8 @@
 
 import signal
 import subprocess
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from drawing import BALL, SQUARE, borders_are_white, can_draw, draw, page  # noq
 from scipy.spatial.transform import Rotation
 
 from spectra_kit import eigensolve, robust_laplacian, viz
+from spectra_kit.correspondence import MapErrors
 from spectra_kit.errors import InvalidInputError, MissingDependencyError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
 from spectra_kit.metrics import compare_spectra
@@ -24,56 +27,33 @@ PAIR = viz.MatchedPair(source=BALL, target=BALL, point_map=SAME)
 TIMES = np.arange(1.0, 9)
 SIGNATURE = np.ones((BALL.n, 8))
 RUN = viz.SolverRun(name="CG", stages={}, times=[0, 1], residuals=[1.0, 0.1])
+several = partial(viz.plot_spectrum, spectra={"a": SPECTRUM, "b": SPECTRUM.rescale(2)})
+EMPTY = SPECTRUM.truncate(1).nonzero()
 POINT = viz.ParetoPoint(name="a", group="", seconds=1.0, error=0.1)
 
 
-def modes(s=SPECTRUM, geometry=BALL, **options):
-    return viz.plot_modes(geometry, s, **options)
-
-
-def comparison(geometry=BALL, s=SPECTRUM, **options):
-    return viz.plot_comparison(geometry, s, s, compare_spectra(s, s), **{"modes": [1]} | options)
-
-
-def fields(values=None, **options):
-    return viz.plot_fields(BALL, {"a": ONES} if values is None else values, **options)
-
-
-def panels(rows=([PANEL],), across="b", down="a", **options):
-    names = {"rows_named": [*down], "columns_named": [*across]}
-    return viz.plot_panels(BALL, rows, **names, **options)
-
-
-def distance(values=ONES, **options):
-    return viz.plot_distance(BALL, values, **options)
-
-
-def match(point_map=SAME, **options):
-    return viz.plot_correspondence(BALL, BALL, point_map, **options)
-
-
-def matches(pairs=(PAIR,), **options):
-    return viz.plot_correspondences(pairs, **options)
-
-
-def signatures(signature=SIGNATURE, scales=TIMES, points=(0,), **options):
-    return viz.plot_signatures(BALL, signature, scales, points=points, **options)
-
-
-def film(geometry=BALL, s=SPECTRUM, **options):
-    return viz.animate_modes(geometry, s, **options)
-
-
-def spectrum(free_boundary=0.0, **others):
-    return viz.plot_spectrum({"a": SPECTRUM, **others}, free_boundary=free_boundary)
-
-
-def pareto(seconds=1.0, error=0.1):
-    return viz.ParetoPoint(name="", group="", seconds=seconds, error=error)
-
-
-def run(times, residuals=(1.0,)):
-    return viz.SolverRun(name="", stages={}, times=times, residuals=residuals)
+modes = partial(viz.plot_modes, geometry=BALL, spectrum=SPECTRUM)
+comparison = partial(
+    viz.plot_comparison,
+    geometry=BALL,
+    exact=SPECTRUM,
+    predicted=SPECTRUM,
+    comparison=compare_spectra(SPECTRUM, SPECTRUM),
+    modes=[1],
+)
+fields = partial(viz.plot_fields, geometry=BALL, fields={"a": ONES})
+panels = partial(
+    viz.plot_panels, geometry=BALL, rows=[[PANEL]], rows_named=["a"], columns_named=["b"]
+)
+distance = partial(viz.plot_distance, geometry=BALL, distance=ONES)
+match = partial(viz.plot_correspondence, source=BALL, target=BALL, point_map=SAME)
+matches = partial(viz.plot_correspondences, pairs=[PAIR])
+signatures = partial(
+    viz.plot_signatures, geometry=BALL, signature=SIGNATURE, scales=TIMES, points=[0]
+)
+film = partial(viz.animate_modes, geometry=BALL, spectrum=SPECTRUM)
+convergence = partial(viz.plot_convergence, runs=[RUN])
+pareto = partial(viz.plot_pareto, points=[POINT])
 
 
 class TurnedError(Exception):
@@ -102,19 +82,20 @@ def test_a_view_reaches_the_camera(plot):
         (panels, {"rows": [[Panel(values=ONES[:3], limit=1.0)]]}, "values", r"\(642,\)", "3"),
         (panels, {"rows": [[Panel(values=ONES * np.nan, limit=1.0)]]}, "values", "finite", "NaN"),
         (panels, {"rows": []}, "rows", "table of 1 columns", ""),
-        (panels, {"across": "ab"}, "rows", "table of 2 columns", r"\[1\]"),
-        (panels, {"down": "ab"}, "rows_named", "1 names", "2"),
+        (panels, {"columns_named": ["a", "b"]}, "rows", "table of 2 columns", r"\[1\]"),
+        (panels, {"rows_named": ["a", "b"]}, "rows_named", "1 names", "2"),
         (comparison, {"modes": [9]}, "modes", r"in \[0, 8\]", "9"),
         (modes, {"modes": []}, "modes", "at least one mode", "none"),
         (modes, {"geometry": SQUARE}, "geometry", "the 642 points", "4"),
         (modes, {"columns": 0}, "columns", "at least 1", "0"),
-        (fields, {"values": {}}, "fields", "at least one function", "none"),
-        (fields, {"values": ONES}, "fields", "mapping of names", "ndarray"),
-        (fields, {"values": {"a": ONES[:4]}}, r"fields\['a'\]", r"\(642,\)", "4"),
-        (fields, {"values": {"a": ONES * np.nan}}, r"fields\['a'\]", "finite", "NaN"),
-        (distance, {"values": ONES[:3]}, "distance", r"shape \(642,\)", r"\(3,\)"),
-        (distance, {"values": ONES * np.nan}, "distance", "one number >= 0", "642 NaN"),
-        (distance, {"values": -ONES}, "distance", "one number >= 0", "642 negative"),
+        (modes, {"path": "modes.jpg"}, "path", "end in .png, .pdf or .svg", "'modes.jpg'"),
+        (fields, {"fields": {}}, "fields", "at least one function", "none"),
+        (fields, {"fields": ONES}, "fields", "mapping of names", "ndarray"),
+        (fields, {"fields": {"a": ONES[:4]}}, r"fields\['a'\]", r"\(642,\)", "4"),
+        (fields, {"fields": {"a": ONES * np.nan}}, r"fields\['a'\]", "finite", "NaN"),
+        (distance, {"distance": ONES[:3]}, "distance", r"shape \(642,\)", r"\(3,\)"),
+        (distance, {"distance": ONES * np.nan}, "distance", "one number >= 0", "642 NaN"),
+        (distance, {"distance": -ONES}, "distance", "one number >= 0", "642 negative"),
         (distance, {"spacing": 1e-3}, "spacing", "at least 0.005", "0.001"),
         (distance, {"spacing": -1.0}, "spacing", "positive", "-1"),
         (distance, {"sources": [1, 2, 3]}, "sources", "shape", ""),
@@ -125,21 +106,15 @@ def test_a_view_reaches_the_camera(plot):
         (matches, {"pairs": []}, "pairs", "at least one MatchedPair", "none"),
         (viz.plot_functional_map, {"functional_map": [1.0]}, "functional_map", r"\(k2, k1\)", ""),
         (viz.plot_error_curves, {"errors": {}}, "errors", "at least one method", "none"),
-        (viz.plot_convergence, {"runs": []}, "runs", "at least one SolverRun", "none"),
-        (viz.plot_convergence, {"runs": [RUN], "rtol": 0.0}, "rtol", "positive", "0"),
-        (viz.plot_pareto, {"points": []}, "points", "at least one ParetoPoint", "none"),
-        (viz.plot_pareto, {"points": [POINT], "marks": {"a": 0.0}}, "marks", "positive", "0"),
+        (convergence, {"runs": []}, "runs", "at least one SolverRun", "none"),
+        (convergence, {"rtol": 0.0}, "rtol", "positive", "0"),
+        (pareto, {"points": []}, "points", "at least one ParetoPoint", "none"),
+        (pareto, {"marks": {"a": 0.0}}, "marks", "positive", "0"),
         (viz.plot_spectrum, {"spectra": {}}, "spectra", "at least one Spectrum", "none"),
         (viz.plot_spectrum, {"spectra": {"a": BALL}}, "spectra", "names to Spectrum", "a dict"),
-        (spectrum, {"b": SPECTRUM.truncate(1).nonzero()}, "spectra", "have modes", "'b'"),
-        (spectrum, {"free_boundary": np.inf}, "free_boundary", "finite length", "inf"),
-        (
-            spectrum,
-            {"b": SPECTRUM.rescale(2), "free_boundary": 1},
-            "free_boundary",
-            "of one",
-            "1 f",
-        ),
+        (viz.plot_spectrum, {"spectra": {"b": EMPTY}}, "spectra", "have modes", "none in 'b'"),
+        (several, {"free_boundary": np.inf}, "free_boundary", "finite length", "inf"),
+        (several, {"free_boundary": 1}, "free_boundary", "of one surface", "1 for .* areas"),
         (signatures, {"signature": ONES[:, None]}, "signature", r"\(642, 8\)", ""),
         (signatures, {"scales": TIMES[::-1]}, "scales", "two or more ascending", ""),
         (signatures, {"scales": TIMES - 1}, "scales", "positive times", ".*say kind='wave'"),
@@ -147,33 +122,20 @@ def test_a_view_reaches_the_camera(plot):
         (signatures, {"points": [1, 1]}, "points", "one to 9 different", r"\[1, 1\]"),
         (signatures, {"shown": np.empty(0, int)}, "shown", "one to 9 different", r"\[\]"),
         (film, {"modes": [9]}, "modes", r"in \[0, 8\]", "9"),
-        (film, {"geometry": SQUARE}, "geometry", "the 642 points", "4"),
         (film, {"amplitude": -1.0}, "amplitude", "finite and >= 0", "-1"),
         (film, {"width": 3}, "width", "at least 16", "3"),
         (film, {"fps": 0}, "fps", "positive", "0"),
         (film, {"fps": 1e6}, "fps", "at most 20,000 frames", ""),
         (film, {"seconds_per_mode": 0.0}, "seconds_per_mode", "positive", "0"),
-        (pareto, {"error": -1.0}, "error", "finite and >= 0", "-1"),
-        (pareto, {"seconds": 0.0}, "seconds", "positive", "0"),
-        (run, {"times": [0, 1]}, "times", "ascending", r"shapes \(2,\) and \(1,\)"),
-        (run, {"times": [1, 0], "residuals": [1.0, 1.0]}, "times", "ascending", ""),
+        (partial(replace, POINT), {"error": -1.0}, "error", "finite and >= 0", "-1"),
+        (partial(replace, POINT), {"seconds": 0.0}, "seconds", "positive", "0"),
+        (partial(replace, RUN), {"times": [0.0]}, "times", "ascending", r"shapes \(1,\) and \(2,"),
+        (partial(replace, RUN), {"times": [1, 0]}, "times", "ascending", ""),
     ],
 )
-def test_bad_input_is_refused(plot, arguments, argument, expected, got):
+def test_bad_input_is_refused_before_anything_is_drawn(plot, arguments, argument, expected, got):
     with pytest.raises(InvalidInputError, match=rf"`{argument}` must .*{expected}.*, got .*{got}"):
         plot(**arguments)
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("modes.jpg", r"`path` must end in .png, .pdf or .svg, got 'modes.jpg'"),
-        ("no/modes.png", r"the folder .* does not exist"),
-    ],
-)
-def test_a_path_that_cannot_be_written_is_refused_before_anything_is_drawn(name, message):
-    with pytest.raises(InvalidInputError, match=message):
-        viz.plot_modes(name, BALL, SPECTRUM, view=Turned())
 
 
 @pytest.mark.parametrize("as_cloud", [False, True])
@@ -258,20 +220,21 @@ def test_a_turn_takes_the_front_to_the_right():
         np.testing.assert_allclose(View(up, 360.0).rotation(geometry), view, atol=1e-12)
 
 
-@pytest.mark.parametrize("points", [[[0, 0, 0]], [[0, 0, 0], [1, 0, 0]]])
-def test_geometries_without_extent_are_drawn(points):
-    cloud = PointCloud(points)
-    assert len(draw(cloud, [np.zeros(cloud.n)], rotation=View().rotation(cloud), width=30)) == 1
+def test_geometries_without_extent_are_drawn():
+    for points in ([[0, 0, 0]], [[0, 0, 0], [1, 0, 0]]):
+        cloud = PointCloud(points)
+        rotation = View().rotation(cloud)
+        assert len(draw(cloud, [np.zeros(cloud.n)], rotation=rotation, width=30)) == 1
 
 
 @pytest.mark.parametrize(
     ("name", "plot"),
     [
-        ("modes.png", lambda **o: comparison(modes=[0, 3], **o)),
-        ("match.png", lambda **o: match(errors=viz_errors(), **o)),
-        ("pareto.png", lambda **o: viz.plot_pareto([POINT], marks={"ARPACK": 3.0}, **o)),
-        ("hks.png", lambda **o: signatures(SIGNATURE + TIMES, shown=[1, 4, 6], **o)),
-        ("runs.png", lambda **o: viz.plot_convergence([RUN], **o)),
+        ("modes.png", partial(comparison, modes=[0, 3])),
+        ("match.png", partial(match, errors=MapErrors(np.linspace(0, 10, BALL.n - 9), SAME[9:]))),
+        ("pareto.png", partial(pareto, marks={"ARPACK": 3.0})),
+        ("hks.png", partial(signatures, signature=SIGNATURE + TIMES, shown=[1, 4, 6])),
+        ("runs.png", convergence),
     ],
 )
 def test_pages_keep_their_margins(tmp_path, name, plot):
@@ -281,12 +244,6 @@ def test_pages_keep_their_margins(tmp_path, name, plot):
     assert picture.shape[1] <= 12 * 50
     assert borders_are_white(picture)
     assert [path.name for path in tmp_path.iterdir()] == [name]
-
-
-def viz_errors():
-    from spectra_kit.correspondence import MapErrors
-
-    return MapErrors(np.linspace(0, 10, BALL.n - 9), SAME[9:])
 
 
 def test_wide_geometries_stand_in_rows_tall_ones_in_columns(tmp_path):
@@ -315,52 +272,67 @@ def without(fake, tmp_path, monkeypatch):
     drawer.end_drawing()
 
 
-@pytest.mark.parametrize(
-    ("fake", "message"),
-    [
-        (r"import os; os.write(2, b'\xff\n'); raise ImportError('no GL')", r"\(ImportError: no GL"),
-        ("import os; os.abort()", r"could not draw \(it crashed\).* apt-get install libegl1"),
-    ],
-)
-def test_a_machine_without_opengl_gets_an_error_and_keeps_its_picture(
-    tmp_path, monkeypatch, fake, message
-):
-    picture = tmp_path / "x.png"
-    picture.write_text("the old one")
-    without(fake, tmp_path, monkeypatch)
-    with pytest.raises(MissingDependencyError, match=message):
-        panels(path=picture)
-    assert picture.read_text() == "the old one"
+def test_a_geometry_may_be_a_file_and_so_may_the_picture(tmp_path):
+    lone = TriangleMesh(SQUARE.points[:3], [[0, 1, 2]])
+    write(lone, mesh := tmp_path / "lone.obj")
+    options = {"fields": {"x": lone.points[:, 0]}, "page": Page(dpi=30)}
+    path = tmp_path / "x.png"
+    for picture in (viz.plot_fields(mesh, **options), viz.plot_fields(path, mesh, **options)):
+        assert (picture.content or path.read_bytes()).startswith(b"\x89PNG")
+    assert viz.plot_fields(path=path, geometry=mesh, **options).path == path
+    with pytest.raises(InvalidInputError, match="`path` must be a string, path or None, got a Tri"):
+        viz.plot_modes(lone, SPECTRUM, lone)
+    with pytest.raises(InvalidInputError, match=r"the folder .* does not exist"):
+        modes(path=tmp_path / "no" / "modes.png", view=Turned())
 
 
-@pytest.mark.parametrize(
-    ("raised", "error", "told"),
-    [
-        ("MemoryError('no room for colours')", MemoryError, r"^no room for colours"),
-        ("Odd('no room', 3)", RuntimeError, r"^Odd\('no room'\)"),  # it cannot be unpickled
-    ],
-)
-def test_an_error_in_the_process_that_draws_comes_out_as_itself(
-    tmp_path, monkeypatch, raised, error, told
-):
-    """It is no sign of a missing library, and nobody is sent to install one."""
-    fake = f"""
+PLOTTER = """
 class Odd(Exception):
     def __init__(self, text, number):
         super().__init__(text)
 def Color(name):
-    raise {raised}
+    raise {}
 class Plotter:
     def __init__(self, **_): ...
 """
-    without(fake, tmp_path, monkeypatch)
-    with pytest.raises(error, match=told) as caught:
-        panels(path=tmp_path / "x.png")
+
+
+@pytest.mark.parametrize(
+    ("fake", "error", "told", "note"),
+    [
+        (
+            r"import os; os.write(2, b'\xff\n'); raise ImportError('no GL')",
+            MissingDependencyError,
+            r"\(ImportError: no GL",
+            "",
+        ),
+        (
+            "import os; os.abort()",
+            MissingDependencyError,
+            r"could not draw \(it crashed\).* apt-get install libegl1",
+            "",
+        ),
+        # No sign of a missing library: nobody is sent to install one.
+        (PLOTTER.format("MemoryError('no room')"), MemoryError, "^no room", "in Color"),
+        # It cannot be unpickled.
+        (PLOTTER.format("Odd('no room', 3)"), RuntimeError, r"^Odd\('no room'\)", "in Color"),
+    ],
+)
+def test_what_fails_in_the_process_that_draws_is_told_and_the_picture_kept(
+    tmp_path, monkeypatch, fake, error, told, note
+):
+    picture = tmp_path / "x.png"
+    picture.write_text("the old one")
+    (tmp_path / "pyvista.py").write_text(fake)  # in front of the real one, for new processes only
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     drawer.end_drawing()
-    (note,) = caught.value.__notes__
-    assert note.startswith("It was raised in the process that draws:\nTraceback")
-    assert "in Color" in note
-    assert not (tmp_path / "x.png").exists()
+    with pytest.raises(error, match=told) as caught:
+        panels(path=picture)
+    drawer.end_drawing()
+    assert picture.read_text() == "the old one"
+    notes = "".join(getattr(caught.value, "__notes__", ()))
+    assert note in notes
+    assert bool(note) == notes.startswith("It was raised in the process that draws:\nTraceback")
 
 
 def test_one_process_draws_all_pictures_until_it_dies(monkeypatch):
@@ -377,31 +349,19 @@ def test_one_process_draws_all_pictures_until_it_dies(monkeypatch):
     assert np.array_equal(first, again)
     assert len(processes) == 1
     processes[0].kill()
-    assert np.array_equal(draw(BALL)[0], first)
 
     def interrupt(done, total):
         raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        film(progress=interrupt)
+    with pytest.raises(KeyboardInterrupt):  # by the one that came in its place
+        film(modes=[1], amplitude=0.0, width=60, progress=interrupt)
     assert processes[-1].wait(10) == -signal.SIGKILL
+    assert np.array_equal(draw(BALL)[0], first)
     n = len(processes)
     with pytest.raises(IndexError, match="out of bounds") as caught:
         draw(BALL, [np.zeros(5)])
     assert "in the process that draws" in caught.value.__notes__[0]
     assert np.array_equal(draw(BALL)[0], first)
-    assert len(processes) == n + 1  # it goes on
+    assert len(processes) == n  # it goes on
     drawer.end_drawing()
     assert [process.poll() is None for process in processes] == [False] * len(processes)
-
-
-def test_a_geometry_may_be_a_file_and_so_may_the_picture(tmp_path):
-    lone = TriangleMesh(SQUARE.points[:3], [[0, 1, 2]])
-    write(lone, mesh := tmp_path / "lone.obj")
-    options = {"fields": {"x": lone.points[:, 0]}, "page": Page(dpi=30)}
-    path = tmp_path / "x.png"
-    for picture in (viz.plot_fields(mesh, **options), viz.plot_fields(path, mesh, **options)):
-        assert (picture.content or path.read_bytes()).startswith(b"\x89PNG")
-    assert viz.plot_fields(path=path, geometry=mesh, **options).path == path
-    with pytest.raises(InvalidInputError, match="`path` must be a string, path or None, got a Tri"):
-        viz.plot_modes(lone, SPECTRUM, lone)

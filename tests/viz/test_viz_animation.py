@@ -59,11 +59,9 @@ def width_of(frame):
 
 
 def test_a_film_has_its_frames_its_time_and_no_end(film, frames):
-    assert frames.shape[0] == 32
-    assert frames.shape[2] == SIZE["width"]
-    with Image.open(film) as gif:
-        assert gif.info["loop"] == 0
-        assert gif.info["duration"] == 120  # of 125 milliseconds the nearest number of hundredths
+    assert (len(frames), frames.shape[2]) == (32, SIZE["width"])
+    with Image.open(film) as gif:  # of 125 milliseconds the nearest number of hundredths
+        assert (gif.info["loop"], gif.info["duration"]) == (0, 120)
 
 
 def test_colours_are_opposite_half_a_swing_later(frames):
@@ -134,13 +132,9 @@ def test_a_film_as_mp4(ball, modes, tmp_path):
     width, height = (int(side) for side in re.search(r"h264.* (\d+)x(\d+)", about).groups())
     assert " 8 fps" in about
     frames = np.frombuffer(film.stdout, np.uint8).reshape(-1, height, width, 3).astype(int)
-    assert frames.shape[0] == 8
-    assert frames.shape[2] == 72
-    assert frames.shape[1] % 2 == 0
+    assert (len(frames), height % 2, width) == (8, 0, 72)
     first, middle = redness(frames[0]), redness(frames[4])
-    held = (np.abs(first) > 0.2) & (np.abs(middle) > 0.2)
-    assert held.sum() > 100
-    assert (np.sign(first[held]) == -np.sign(middle[held])).mean() > 0.95
+    assert (first * middle < -0.04).sum() > 100 > (first * middle > 0.04).sum()
 
 
 def test_without_ffmpeg_the_error_names_the_extra(ball, modes, tmp_path, monkeypatch):
@@ -152,7 +146,7 @@ def test_without_ffmpeg_the_error_names_the_extra(ball, modes, tmp_path, monkeyp
 
 
 def test_thin_parts_do_not_turn_inside_out():
-    mesh = creature(4000, seed=0)
+    mesh = creature(2500, seed=0)
     spectrum = eigensolve(robust_laplacian(mesh), 7)
     functions = [u / np.abs(u).max() for u in spectrum.eigenvectors.T[1:]]
     resting = np.cross(*np.diff(mesh.points[mesh.faces], axis=1).swapaxes(0, 1))

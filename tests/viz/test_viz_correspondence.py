@@ -6,24 +6,12 @@ from drawing import can_draw, draw, grey, page  # noqa: F401
 
 from spectra_kit.correspondence import Truth, map_errors
 from spectra_kit.geometry import creature_pair, sphere
-from spectra_kit.viz import (
-    MatchedPair,
-    Page,
-    View,
-    plot_correspondence,
-    plot_functional_map,
-)
+from spectra_kit.viz import MatchedPair, Page, View, plot_correspondence, plot_functional_map
 from spectra_kit.viz.colours import UNKNOWN, error_colours, position_colours, refined
 
 BOX = np.zeros(3), np.ones(3)
 BALL = sphere(subdivisions=2).geometry
 PAIR = creature_pair(600, poses=(0, 1))
-
-
-def painted(geometry, colour, **options):
-    """Draw everything in one colour."""
-    colours = np.tile(np.array(colour, np.uint8), (geometry.n, 1))
-    return draw(geometry, [colours], colours=None, **options)
 
 
 def test_positions_are_told_apart_in_every_direction():
@@ -66,10 +54,9 @@ def test_refining_interpolates_linearly():
 
 
 def test_behind_is_the_same_outline_mirrored():
-    mesh = PAIR[0]
-    front, behind = painted(
-        mesh, [200, 80, 40], rotation=View("z").rotation(mesh), width=90, behind=True
-    )
+    mesh, style = PAIR[0], {"width": 90, "behind": True, "colours": None}
+    red = np.full((mesh.n, 3), [200, 80, 40], np.uint8)
+    front, behind = draw(mesh, [red], rotation=View("z").rotation(mesh), **style)
     assert (front < 250).any()
     differing = (front < 250).any(axis=2) != (behind[:, ::-1] < 250).any(axis=2)
     assert differing.mean() < 0.01

@@ -3,10 +3,12 @@
 import re
 from base64 import b64decode
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import pytest
 from drawing import BALL, SQUARE, can_draw, page  # noqa: F401
+from matplotlib.figure import Figure
 from PIL import Image
 
 from spectra_kit import eigensolve, robust_laplacian
@@ -32,6 +34,9 @@ from spectra_kit.viz.colours import (
 )
 from spectra_kit.viz.contours import level_lines, triangles_of
 from spectra_kit.viz.gallery import _panel
+from spectra_kit.viz.modes import _panel as mode_panel
+from spectra_kit.viz.modes import _panels as mode_panels
+from spectra_kit.viz.modes import display_signs
 from spectra_kit.viz.panels import Panel, symmetric_limit
 from spectra_kit.viz.render import Scene, render
 
@@ -145,13 +150,10 @@ def test_zeros_at_vertices_make_one_line():
 
 def test_rounding_and_plateaus_make_no_line():
     noise = 1e-9 * np.random.default_rng(0).normal(size=BALL.n)
-    assert len(level_lines(BALL.points, BALL.faces, 1 + noise)) == 0
-    assert len(level_lines(BALL.points, BALL.faces, np.zeros(BALL.n))) == 0
-    for sign in (1, -1):
-        bump = sign * np.maximum(BALL.points[:, 2] - 0.5, 0) + noise
-        assert len(level_lines(BALL.points, BALL.faces, bump)) == 0
-    two = np.clip(np.abs(BALL.points[:, 2]) - 0.5, 0, None) * np.sign(BALL.points[:, 2]) + noise
-    assert len(level_lines(BALL.points, BALL.faces, two)) == 0  # a wide zero between
+    bump = np.maximum(BALL.points[:, 2] - 0.5, 0)
+    wide = np.clip(np.abs(BALL.points[:, 2]) - 0.5, 0, None) * np.sign(BALL.points[:, 2])
+    for values in (1 + noise, 0 * noise, noise + bump, noise - bump, noise + wide):
+        assert len(level_lines(BALL.points, BALL.faces, values)) == 0
 
 
 @pytest.mark.parametrize("offset", [1e9, -1e6, None])
@@ -241,6 +243,16 @@ def test_fields_share_a_view_and_limits(tmp_path, monkeypatch, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_colours_are_symmetric_where_values_are_negative_or_it_is_asked_for():
+    def content(values, **options):
+        return plot_fields(BALL, {"f": values}, page=Page(dpi=20), **options).content
+
+    height = BALL.points[:, 2]
+    assert content(height) == content(height, symmetric=True) != content(height, symmetric=False)
+    square = height**2
+    assert content(square) == content(square, symmetric=False) != content(square, symmetric=True)
+
+
 def embedded(svg):
     """The pictures in an SVG that are more than a bar."""
     found = re.findall(r"data:image/png;base64,\s*([A-Za-z0-9+/=\s]+)", svg)
@@ -250,7 +262,7 @@ def embedded(svg):
 
 def test_vector_pages_hold_text_and_pictures_of_their_resolution(tmp_path, spectrum):
     def draw(name, modes):
-        page = Page("T & λ", dpi=150)
+        page = Page("T & λ", dpi=90)
         return plot_modes(tmp_path / name, BALL, spectrum, modes=modes, page=page).path
 
     svg = draw("modes.svg", [0, 4]).read_text()
@@ -265,13 +277,13 @@ def test_vector_pages_hold_text_and_pictures_of_their_resolution(tmp_path, spect
     assert svg.count("<image") == 4  # two pictures, two bars
     constant, mode = embedded(svg)
     assert constant.shape == mode.shape
-    assert constant.shape[1] == 4.5 * 150
+    assert constant.shape[1] == 4.5 * 90
     inked = [((p.max(axis=2) < 90) & (np.ptp(p, axis=2) < 25)).sum() for p in (constant, mode)]
     assert inked[0] == 0
     assert inked[1] > 60  # its nodal lines
     pdf = draw("modes.pdf", [4]).read_bytes()
     assert pdf.startswith(b"%PDF")
-    assert max(int(n) for n in re.findall(rb"/Width (\d+)", pdf)) == 4.5 * 150
+    assert max(int(n) for n in re.findall(rb"/Width (\d+)", pdf)) == 4.5 * 90
 
 
 @pytest.mark.parametrize("name", ["a.svg", "a.pdf"])
@@ -279,6 +291,18 @@ def test_the_same_page_has_the_same_bytes(tmp_path, name):
     style = {"page": Page("C", dpi=30)}
     plots = (plot_functional_map(tmp_path / name, np.eye(4), **style) for _ in range(2))
     assert len({plot.path.read_bytes() for plot in plots}) == 1
+
+
+def test_a_page_that_cannot_be_written_whole_leaves_the_last_one(tmp_path, monkeypatch):
+    def fails(figure, path, **_):
+        Path(path).write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Figure, "savefig", fails)
+    (path := tmp_path / "x.png").write_text("the last one")
+    with pytest.raises(OSError, match="No space"):
+        plot_functional_map(path, np.eye(3))
+    assert [(x.name, x.read_text()) for x in tmp_path.iterdir()] == [("x.png", "the last one")]
 
 
 def test_comparisons_draw_zeros_of_modes_alone(tmp_path, spectrum):
@@ -297,9 +321,8 @@ def test_comparisons_draw_zeros_of_modes_alone(tmp_path, spectrum):
     )
     darker = without.sum(axis=2) - with_lines.sum(axis=2) > 100
     along = int(darker.shape[1] > darker.shape[0])  # the three stand beside or below each other
-    exact, predicted, difference = (part.sum() for part in np.array_split(darker, 3, axis=along))
-    assert min(exact, predicted) > 50
-    assert difference == 0
+    *modes, difference = (part.sum() for part in np.array_split(darker, 3, axis=along))
+    assert min(modes) > 50 > difference == 0
 
 
 def test_squares_are_named_light_and_dark():
@@ -345,3 +368,37 @@ def test_notebooks_show_pictures_with_a_file_and_without(tmp_path):
     assert list(Picture(content=b"GIF89a")._repr_mimebundle_()) == ["image/gif"]
     for nothing in (Picture(tmp_path / "x.pdf"), Picture(tmp_path / "missing.png"), Picture()):
         assert nothing._repr_mimebundle_() == {}
+
+
+def test_the_largest_entry_decides_then_the_cubes_then_the_first():
+    columns = np.array([[1, -3, 0], [-2, 2, 2, -1.5], [2, -2, 1, 0], [0, 0, 0], [-5]], dtype=object)
+    signs = [float(display_signs(np.array(c, dtype=float)[:, None])[0]) for c in columns]
+    assert signs == [-1.0, 1.0, 1.0, 1.0, -1.0]
+
+
+def test_rounding_does_not_turn_a_tie():
+    rng = np.random.default_rng(0)
+    odd = np.concatenate([[1.0, -1.0], rng.uniform(-0.9, 0.9, 40)])
+    skewed = odd.copy()
+    skewed[2:] = np.abs(skewed[2:])
+    antisymmetric = np.concatenate([odd, -odd])
+    for v in (skewed, antisymmetric):
+        noisy = v[:, None] + 1e-9 * rng.normal(size=(len(v), 50))
+        assert (display_signs(noisy) == display_signs(v[:, None])).all()
+        assert (display_signs(-noisy) == -display_signs(v[:, None])).all()
+    assert display_signs(skewed[:, None]) == 1.0
+
+
+def test_modes_look_the_same_in_galleries_and_comparisons():
+    ball = BALL.with_points(BALL.points * [1.5, 1.2, 1.0])
+    found = eigensolve(robust_laplacian(ball), 5)
+    turned = type(found)(found.eigenvalues, -found.eigenvectors, found.mass)
+    comparison = compare_spectra(turned, found)
+    for mode in range(found.k):
+        shown = mode_panel(turned, mode, ()).values
+        np.testing.assert_allclose(shown, mode_panel(found, mode, ()).values)
+        aligned = turned.eigenvectors[:, mode]
+        left, right, _ = mode_panels(turned, found, aligned, comparison, mode, ())
+        for side in (left, right):
+            np.testing.assert_allclose(side.values, shown)
+        assert shown.max() > (1 - 1e-5) * -shown.min()

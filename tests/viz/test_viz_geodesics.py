@@ -5,10 +5,9 @@ import pytest
 from drawing import SQUARE, can_draw, grey, page  # noqa: F401
 
 from spectra_kit.geometry import PointCloud, TriangleMesh, sphere
-from spectra_kit.viz import Page, SolverRun, View, plot_distance
+from spectra_kit.viz import Page, SolverRun, View, plot_convergence, plot_distance
 from spectra_kit.viz.colours import UNKNOWN, distance_colours
 from spectra_kit.viz.contours import distance_levels, round_number
-from spectra_kit.viz.convergence import convergence_figure
 from spectra_kit.viz.isolines import distance_lines
 
 
@@ -96,7 +95,7 @@ def test_a_run_knows_its_seconds():
 
 
 def test_curves_start_after_their_stages_and_bars_add_up():
-    figure = convergence_figure([CG, DIRECT, PEER], 1e-8, "Poisson step", Page())
+    figure = plot_convergence.__wrapped__([CG, DIRECT, PEER])
     iterations, _, clock, bars, counted, counted_bars = figure.axes
     np.testing.assert_array_equal(iterations.lines[0].get_ydata(), CG.residuals)
     for panel, spectrum in ((clock, 0.0), (counted, 2.0)):
@@ -116,5 +115,5 @@ def test_curves_start_after_their_stages_and_bars_add_up():
     assert bars.get_xlim() == clock.get_xlim()
     key = [text.get_text() for text in figure.legends[0].get_texts()]
     assert key[:3] == ["spectrum", "triangulation", "setup"]
-    plain = convergence_figure([DIRECT], 1e-8, "solve", Page()).legends[0].get_texts()
-    assert [text.get_text() for text in plain] == ["factor", "solve (colour of the line)"]
+    plain = plot_convergence.__wrapped__([DIRECT], solve_name="step").legends[0].get_texts()
+    assert [text.get_text() for text in plain] == ["factor", "step (colour of the line)"]

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from conftest import two_parts
 from drawing import BALL, can_draw  # noqa: F401
-from matplotlib.colors import to_hex
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from spectra_kit import Dense, Spectrum, eigensolve, robust_laplacian, verify
@@ -16,9 +17,8 @@ from spectra_kit.descriptors import (
     wave_energies,
     wave_kernel_signature,
 )
-from spectra_kit.viz import Page, Panel, ParetoPoint, View, pareto_front
+from spectra_kit.viz import Page, Panel, ParetoPoint, View, pareto_front, plot_pareto
 from spectra_kit.viz.axes import LINE_COLOURS
-from spectra_kit.viz.pareto import pareto_figure
 from spectra_kit.viz.signatures import _pictures, draw_curves
 from spectra_kit.viz.spectra import spectrum_figure, weyl_law
 
@@ -185,7 +185,7 @@ RUNS = [
 
 
 def drawn(points, **marks):
-    return pareto_figure(points, 1e-12, marks, ("seconds", "error"), Page(dpi=60))
+    return plot_pareto.__wrapped__(points, marks=marks, page=Page(dpi=60))
 
 
 def test_the_front_is_what_nothing_beats():
@@ -243,22 +243,15 @@ def test_names_cover_neither_each_other_nor_a_dot():
 # --- signatures ---------------------------------------------------------------------------------
 
 
-def axes():
-    from matplotlib.figure import Figure
-
-    return Figure().add_subplot()
-
-
 def test_curves_are_rows_of_the_signature():
     times = heat_times(EXACT, 12)
     hks = heat_kernel_signature(EXACT, times)
-    panel = axes()
+    panel, wave = Figure().subplots(1, 2)
     draw_curves(panel, hks, times, {"point 5": 5, "point 9": 9}, np.array([2, 7]), "heat")
     for line, point in zip(panel.lines, (5, 9), strict=False):
         np.testing.assert_array_equal(line.get_xydata(), np.column_stack([times, hks[point]]))
     assert [line.get_xdata()[0] for line in panel.lines[2:]] == [times[2], times[7]]
     assert panel.get_xscale() == panel.get_yscale() == "log"
-    wave = axes()
     energies, width = wave_energies(EXACT, 12)
     wks = wave_kernel_signature(EXACT, energies, width=width)
     draw_curves(wave, wks, energies, {"point 5": 5}, np.array([2]), "wave")
@@ -281,5 +274,4 @@ def test_balls_have_the_colours_of_their_curves_and_hidden_ones_are_told(as_clou
     for point, colour in zip(points[:2], LINE_COLOURS, strict=False):
         row, column = (int(side / 2 * (1 + 0.94 * at)) for at in (-seen[point, 1], seen[point, 0]))
         around = picture[row - 3 : row + 4, column - 3 : column + 4].reshape(-1, 3)
-        wanted = np.array([int(to_hex(colour)[i : i + 2], 16) for i in (1, 3, 5)])
-        assert np.abs(around - wanted).sum(axis=1).min() < 60
+        assert np.abs(around - 255 * np.array(to_rgb(colour))).sum(axis=1).min() < 60
