@@ -48,12 +48,12 @@ class Backend:
 OPTIONS = {
     "multilevel": {"rtol": 1e-8},
     "fourier": {"subspace": AmbientFourier(m=300, bandwidth=6.0)},
-    "capped": {"n_points": 150, "sweeps": 3},
+    "cascade": {"coarsest": 150},
     "neo": {"poses": 1},
 }
 RESIDUAL = {"polished": 0.05}
 ROUNDING = {
-    "capped": 1e-2,  # the order of the points decides which of them make the subset
+    "cascade": 1e-2,  # the order of the points decides which of them make the levels
     "neo": 1e-3,  # a float32 network: rounding of its features moves the predicted span a little
 }
 

@@ -155,7 +155,7 @@ def compared(asked: Predictor, laplacian: Laplacian, reference: Spectrum) -> Com
 def ritz_subspace(solver: Eigensolver) -> Subspace | None:
     """Return the subspace whose Ritz vectors on all points a solver returns, if it does so.
 
-    `Capped` evaluates its own on a few points: what it spans on all of them was never used.
+    `Cascade` evaluates its own on a few points: what it spans on all of them was never used.
     """
     if isinstance(solver, RayleighRitz) or (isinstance(solver, Neo) and solver.cap is None):
         return solver.subspace

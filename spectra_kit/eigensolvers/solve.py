@@ -61,7 +61,7 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
         Number of modes, zero modes included; at most the number of free points.
     solver : Eigensolver, default Arpack()
         `Arpack`, `Multilevel`, `Refined`, `Chebyshev`, `Lobpcg`, `Dense`; approximate: `Neo`,
-        `Capped`, `Polished`, `RayleighRitz`; or your own.
+        `Cascade`, `Polished`, `RayleighRitz`; or your own.
 
     Returns
     -------

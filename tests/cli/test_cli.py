@@ -8,7 +8,7 @@ import pytest
 from conftest import bumpy, two_parts
 from running import printed, record, refusal, write_shapes
 
-from spectra_kit import AmbientFourier, Capped, Lobpcg, RayleighRitz, Spectrum
+from spectra_kit import AmbientFourier, Cascade, Lobpcg, RayleighRitz, Spectrum
 from spectra_kit.catalogue import SOLVERS
 from spectra_kit.cli import main, solving
 from spectra_kit.cli.compare import ritz_subspace
@@ -67,7 +67,7 @@ def test_neo_runs_from_a_weights_file(capsys, tmp_path):
 
 def test_bad_predictions_are_announced(files, capsys):
     """With the numbers, on stderr while they are made, and in the JSON."""
-    command = (files / "sheet.off", "-k", 4, "--solver", "capped", "--start", "random")
+    command = (files / "sheet.off", "-k", 4, "--solver", "cascade", "--start", "random")
     with warnings.catch_warnings():
         warnings.simplefilter("always", SpectraKitWarning)
         out, err = printed(capsys, "spectrum", *command)
@@ -90,10 +90,10 @@ def test_bad_predictions_are_announced(files, capsys):
 
 
 def test_a_span_is_that_of_functions_that_were_used():
-    """`Capped` evaluates its subspace on a few points: its modes alone span what it returns."""
+    """`Cascade` evaluates its subspace on a few points: its modes alone span what it returns."""
     waves = AmbientFourier(m=64)
     assert ritz_subspace(RayleighRitz(subspace=waves)) is waves
-    assert ritz_subspace(Capped(subspace=waves)) is None
+    assert ritz_subspace(Cascade(subspace=waves)) is None
 
 
 def test_two_runs_give_identical_eigenvalues_and_another_seed_others(files, capsys):
@@ -199,7 +199,7 @@ def test_where_eigenvalues_coincide_the_means_are_those_of_spaces(files, capsys)
 def test_options_reach_the_solvers_that_take_them():
     takers = {
         "rtol": {"refined", "multilevel", "lobpcg", "chebyshev"},
-        "start": {"refined", "polished", "capped", "lobpcg", "chebyshev"},
+        "start": {"refined", "polished", "cascade", "lobpcg", "chebyshev"},
         "device": {"neo", "chebyshev"},
         "poses": {"neo"},
     }
@@ -224,7 +224,7 @@ def test_options_reach_the_solvers_that_take_them():
 
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 @pytest.mark.parametrize(
-    ("solver", "start"), [("refined", "random"), ("polished", "fourier"), ("capped", "random")]
+    ("solver", "start"), [("refined", "random"), ("polished", "fourier"), ("cascade", "random")]
 )
 def test_every_start_is_enough_for_a_comparison_of_few_modes(files, capsys, solver, start):
     """A comparison solves for more modes than were asked for; the starts must span them."""

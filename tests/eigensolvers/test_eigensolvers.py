@@ -99,9 +99,14 @@ OTHERWISE = [
         sk.Multilevel(coarsest=100),
         {"rtol": 1e-2, "coarsest": 150, "ratio": 2, "guard": 1.0, "degree": 3, "seed": 1},
     ),
-    (sk.Capped(n_points=200), {"n_points": 150, "sweeps": 2, "smoothing": 3, "subspace": WAVES}),
+    (
+        sk.Cascade(coarsest=200, target=0.1),
+        {"coarsest": 150, "sweeps": 1, "target": 1e-6, "subspace": WAVES, "guard": 1.0}
+        | {"max_steps": 0, "seed": 1},
+    ),
+    (sk.Cascade(coarsest=200, sweeps=0, subspace=WAVES), {"rank_tol": 1e-2}),
     (sk.RayleighRitz(subspace=WAVES), {"rank_tol": 1e-2}),
-    (sk.Neo(cap=200), {"cap": 300, "smoothing": 3, "dtype": "bfloat16", "poses": 2}),
+    (sk.Neo(cap=200), {"cap": 300, "smoothing": 0, "target": 1e-7, "dtype": "bfloat16", "poses": 2}),
 ]
 
 

@@ -72,9 +72,10 @@ TABLE = [
     (lambda: sk.Chebyshev(max_sweeps=0), "max_sweeps", "be at least 1"),
     (lambda: sk.Multilevel(coarsest=10), "coarsest", "be at least 100"),
     (lambda: sk.Multilevel(ratio=1), "ratio", "be at least 2"),
-    (lambda: sk.Capped(n_points=1), "n_points", "be at least 100"),
-    (lambda: sk.Capped(sweeps=-1), "sweeps", "be at least 0"),
-    (lambda: sk.Capped(smoothing=-1), "smoothing", "be at least 0"),
+    (lambda: sk.Cascade(coarsest=1), "coarsest", "be at least 100"),
+    (lambda: sk.Cascade(sweeps=-1), "sweeps", "be at least 0"),
+    (lambda: sk.Cascade(max_steps=-1), "max_steps", "be at least 0"),
+    (lambda: sk.Cascade(target=0.0), "target", "be positive"),
     (lambda: sk.Neo(poses=3), "poses", "be 1, 2 or 4"),  # type: ignore[arg-type]
     (lambda: sk.Neo(rank_tol=0.0), "rank_tol", "be positive"),
     # Subspaces.
@@ -91,7 +92,7 @@ TABLE = [
     ),
     *(
         (lambda s=solver: solve(s), "subspace", "return a real array of shape")
-        for solver in (sk.RayleighRitz(subspace=flat), sk.Capped(subspace=flat, n_points=200))
+        for solver in (sk.RayleighRitz(subspace=flat), sk.Cascade(subspace=flat, coarsest=200))
     ),
 ]
 
@@ -109,7 +110,7 @@ def test_what_is_refused(call, argument: str, expected: str) -> None:
     [
         (lambda: solve(sk.RayleighRitz(subspace=constant)), "at least k = 40 dim.* rank 1"),
         (lambda: solve(sk.Polished(start=FEW)), "`start` must span at least 40 dimensions"),
-        (lambda: solve(sk.Capped(subspace=FEW, n_points=200)), "must span at least k = 40"),
+        (lambda: solve(sk.Cascade(subspace=FEW, coarsest=200, sweeps=0)), "must span at least k = 40"),
         (lambda: solve(sk.RayleighRitz(subspace=nan)), "`basis` must have finite columns"),
         (lambda: solve(sk.Refined(start=nan)), "`basis` must have finite columns"),
         (lambda: solve(sk.Polished(start=nan)), "`basis` must have finite columns"),

@@ -7,10 +7,9 @@ from scipy import linalg, sparse
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
-from spectra_kit.levels import smoothed as smoothed_numpy
 from spectra_kit.linalg import chebyshev
 from spectra_kit.linalg.chebyshev import chebyshev_eigenpairs
-from spectra_kit.linalg.filters import shifted, smoothed, spectral_bound, standard_form
+from spectra_kit.linalg.filters import shifted, spectral_bound, standard_form
 from spectra_kit.linalg.torch_device import sparse_tensor
 from spectra_kit.operators import cotan_laplacian, robust_laplacian
 
@@ -139,16 +138,3 @@ def test_the_bound_is_never_below_the_spectrum_and_sharp_on_laplacians(laplacian
     operator = standard_form(sparse_tensor(laplacian.stiffness), root)
     top = np.linalg.eigvalsh(operator.to_dense().numpy())[-1]
     assert top <= spectral_bound(operator) < 1.5 * top
-
-
-@pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("degree", [1, 6])
-def test_smoothing_equals_the_numpy_twin(laplacian, exact, degree, device):
-    values, modes = exact[0][:20], exact[1][:, :20]
-    rough = modes + 0.1 * modes.std() * np.random.default_rng(0).standard_normal(modes.shape)
-    tensors = (torch.tensor(a, device=device) for a in (laplacian.mass, values, rough))
-    found = smoothed(sparse_tensor(laplacian.stiffness, device), *tensors, degree=degree)
-    assert found.dtype == torch.float64
-    twin = smoothed_numpy(laplacian, values, rough, degree=degree)
-    assert np.abs(twin - rough).max() > 0.01 * np.abs(rough).max()  # there was something to do
-    np.testing.assert_allclose(found.cpu(), twin, atol=1e-5 * np.abs(rough).max())

@@ -42,7 +42,7 @@ jobs = {
     "Multilevel": lambda: sk.eigensolve(laplacian, 30, sk.Multilevel()),
     "Refined": lambda: sk.eigensolve(laplacian, 30, sk.Refined()),
     "Lobpcg": lambda: sk.eigensolve(laplacian, 30, sk.Lobpcg()),
-    "Capped": lambda: sk.eigensolve(laplacian, 30, sk.Capped()),
+    "Cascade": lambda: sk.eigensolve(laplacian, 30, sk.Cascade()),
     "verify": lambda: sk.verify(s, laplacian),
     "HeatGeodesics": lambda: sk.HeatGeodesics(mesh, s).distance(0),
     "heat kernel": lambda: heat_kernel_signature(s),

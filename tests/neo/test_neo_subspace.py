@@ -5,10 +5,10 @@ import pytest
 import torch
 from conftest import creature, refused
 
-from spectra_kit.eigensolvers import Capped, Chebyshev, Neo, RayleighRitz, eigensolve
+from spectra_kit.eigensolvers import Chebyshev, Neo, RayleighRitz, eigensolve
 from spectra_kit.errors import InvalidInputError, WeightsError
 from spectra_kit.geometry import PointCloud
-from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace, neo_eigenpairs, save_weights
+from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace, save_weights
 from spectra_kit.operators import robust_laplacian
 from spectra_kit.subspaces.frame import POSES
 
@@ -97,46 +97,6 @@ def test_chunks_and_precisions_agree(network, laplacian):
     assert next(network.parameters()).dtype == torch.float32
 
 
-def test_eigenpairs_equal_those_of_the_numpy_twin(network, laplacian):
-    subspace = NeoSubspace(network, poses=2)
-    pairs = neo_eigenpairs(subspace, laplacian, 10)
-    twin = RayleighRitz(subspace=subspace).eigenpairs(laplacian, 10)
-    np.testing.assert_allclose(pairs.eigenvalues, twin.eigenvalues, rtol=1e-6, atol=1e-9)
-    assert span_distance(pairs.eigenvectors.numpy(), twin.eigenvectors, laplacian.mass) < 1e-4
-    assert set(pairs.seconds) == {
-        *("frame", "transfer", "forward", "orthonormalize", "project", "eigh", "settle")
-    }
-
-
-def check_pairs(pairs, laplacian, k):
-    """M-orthonormal vectors, with their Rayleigh quotients as values."""
-    U, values = pairs.eigenvectors.numpy(), pairs.eigenvalues.numpy()
-    assert U.shape == (laplacian.n, k)
-    np.testing.assert_allclose(U.T @ (laplacian.mass[:, None] * U), np.eye(k), atol=1e-10)
-    inside = U.T @ (laplacian.stiffness @ U)
-    np.testing.assert_allclose(inside, np.diag(values), atol=1e-9 * values[-1])
-
-
-@pytest.mark.parametrize("smoothing", [0, 6])
-def test_a_cap_equals_the_capped_backend_without_sweeps(network, laplacian, smoothing):
-    subspace = NeoSubspace(network, poses=2)
-    pairs = neo_eigenpairs(subspace, laplacian, 10, cap=150, smoothing=smoothing)
-    check_pairs(pairs, laplacian, 10)
-    twin = Capped(subspace=subspace, n_points=150, sweeps=0, smoothing=smoothing)
-    twin = twin.eigenpairs(laplacian, 10)
-    np.testing.assert_allclose(pairs.eigenvalues, twin.eigenvalues, rtol=1e-5, atol=1e-9)
-    assert span_distance(pairs.eigenvectors.numpy(), twin.eigenvectors, laplacian.mass) < 1e-3
-    assert {"coarsen", "carry", "transfer"} <= set(pairs.seconds)
-    assert ("smooth" in pairs.seconds) == bool(smoothing)
-
-
-def test_a_cap_that_does_not_bind_changes_nothing(network, laplacian):
-    subspace = NeoSubspace(network)
-    whole, capped = (neo_eigenpairs(subspace, laplacian, 10, cap=c) for c in (None, 201))
-    assert torch.equal(whole.eigenvalues, capped.eigenvalues)
-    assert torch.equal(whole.eigenvectors, capped.eigenvectors)
-
-
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_the_shipped_network_gains_from_a_cap():
     laplacian = robust_laplacian(creature(2500, seed=1))
@@ -145,7 +105,9 @@ def test_the_shipped_network_gains_from_a_cap():
     def error(solver):
         return (eigensolve(laplacian, 64, solver).eigenvalues[1:] / exact - 1).mean()
 
-    assert 0 < error(Neo(cap=1000)) < 0.2 * min(error(Neo()), error(Neo(cap=1000, smoothing=0)))
+    raw, capped = (error(Neo(cap=cap, smoothing=0)) for cap in (None, 1000))
+    assert 0 < error(Neo(cap=1000)) < 0.2 * min(raw, capped)
+    assert 0 < error(Neo()) < 0.2 * raw
 
 
 @pytest.mark.parametrize("device", ["cpu"] + ["cuda"] * torch.cuda.is_available())
@@ -160,11 +122,11 @@ def test_a_prediction_is_refined_where_it_was_made(device):
 
 
 def test_the_zero_mode_is_exact_and_eigenvalues_scale(network, laplacian):
-    subspace = NeoSubspace(network)
-    values = neo_eigenpairs(subspace, laplacian, 8).eigenvalues.numpy()
+    solver = RayleighRitz(subspace=NeoSubspace(network))
+    values = solver.eigenpairs(laplacian, 8).eigenvalues
     assert abs(values[0]) < 1e-12 * values[-1]
     scaled = robust_laplacian(PointCloud(1000 * laplacian.points))
-    again = neo_eigenpairs(subspace, scaled, 8).eigenvalues.numpy()
+    again = solver.eigenpairs(scaled, 8).eigenvalues
     np.testing.assert_allclose(1e6 * again[1:], values[1:], rtol=1e-4)
 
 
@@ -177,12 +139,11 @@ def test_repr_tells_weights_and_options(network, tmp_path):
         f" sha256={digest[:12]!r})"
     )
     assert "<NeoNetwork, " in repr(NeoSubspace(network))
-    assert "cap=2048, smoothing=6" in repr(Neo(cap=2048))
+    assert "cap=2048, smoothing=20" in repr(Neo(cap=2048))
     assert "cap" not in repr(Neo())
 
 
 def test_what_cannot_be_done_is_refused(network, laplacian):
-    one, four = NeoSubspace(network), NeoSubspace(network, poses=4)
     for argument, expected, call, options in (
         ("poses", "be 1, 2 or 4, got 3", NeoSubspace, {"poses": 3}),
         ("dtype", "be 'float32', ", NeoSubspace, {"dtype": "int8"}),
@@ -193,10 +154,6 @@ def test_what_cannot_be_done_is_refused(network, laplacian):
         refused(argument, expected, call, **options)
     with pytest.raises(WeightsError, match="must be one of"):
         NeoSubspace("huge")
-    with pytest.raises(InvalidInputError, match="smooth them less"):
-        neo_eigenpairs(four, laplacian, 40, cap=150, smoothing=60)
-    with pytest.raises(InvalidInputError, match="at least k = 60 dimensions"):
-        neo_eigenpairs(one, laplacian, 60)
 
 
 def test_a_device_may_be_torchs_own():

@@ -177,7 +177,6 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("operators", interop.to_diffusion_net(spectrum, laplacian)),
         ("mismatches.source mismatches.target", prepared),
         ("Union.parts start subspace", given),
-        ("neo_eigenpairs.subspace", neo.NeoSubspace(network)),
         # Distances and maps.
         ("distance", field.distance),
         ("DistanceField.sources", field.sources),

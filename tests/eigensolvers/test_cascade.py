@@ -1,0 +1,126 @@
+"""Modes of a coarse level, carried up and smoothed: `Cascade`, and what it is made of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from conftest import bumpy, creature
+
+import spectra_kit as sk
+from spectra_kit.geometry import sphere
+from spectra_kit.levels import climb, coarse_iteration, coarse_ritz, nested, smoothed
+
+K = 40
+DEVICES = ["cpu:0"] + ["cuda"] * torch.cuda.is_available()  # "cpu" alone means arrays
+
+
+def errors(spectrum, exact) -> np.ndarray:
+    return spectrum.eigenvalues[1:] / exact.eigenvalues[1 : spectrum.k] - 1
+
+
+@pytest.fixture(scope="module")
+def uneven() -> tuple[sk.Laplacian, sk.Spectrum]:
+    """A cloud in random order, half of its points on a tenth of its area."""
+    rng = np.random.default_rng(0)
+    points = bumpy(2562).points
+    dense = sphere(subdivisions=5).geometry.points
+    cap = dense[dense[:, 2] > 0.8]
+    wave = 0.2 * np.sin(2 * cap[:, 0] + 1) + 0.15 * np.cos(3 * cap[:, 1] - cap[:, 2])
+    cap = cap * (1 + wave + 0.1 * cap[:, 2] ** 3)[:, None] * [1.0, 1.3, 1.7]
+    cloud = np.vstack([points, cap])
+    laplacian = sk.robust_laplacian(sk.PointCloud(cloud[rng.permutation(len(cloud))]))
+    return laplacian, sk.eigensolve(laplacian, K)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("target", [1e-2, 1e-5])
+def test_the_target_is_reached_from_random_columns(animal, animal_spectrum, target, device):
+    found = sk.eigensolve(animal, K, sk.Cascade(target=target, coarsest=500, device=device))
+    above = errors(found, animal_spectrum)
+    assert above.min() > -1e-10  # Ritz values
+    assert above.mean() < target
+    assert {"coarsen", "coarse", "carry", "smooth", "rayleigh_ritz"} <= set(
+        found.provenance.seconds
+    )
+
+
+def test_uneven_clouds_in_random_order(uneven):
+    laplacian, exact = uneven
+    loose, close = (
+        sk.eigensolve(laplacian, K, sk.Cascade(target=target, coarsest=500))
+        for target in (1e-2, 1e-6)
+    )
+    assert errors(loose, exact).mean() < 1e-2
+    assert errors(close, exact).mean() < 1e-6
+    assert close.provenance.iterations > loose.provenance.iterations
+
+
+@pytest.mark.parametrize("cap", [None, 1500])
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
+def test_smoothing_makes_a_prediction_ten_times_better(animal, animal_spectrum, cap):
+    raw, smooth = (
+        errors(sk.eigensolve(animal, K, sk.Neo(cap=cap, smoothing=steps)), animal_spectrum)
+        for steps in (0, 20)
+    )
+    assert smooth.mean() < 0.1 * raw.mean()
+
+
+def test_columns_that_belong_to_the_points(animal, animal_spectrum):
+    """Their rows on the coarsest of three levels are taken."""
+    given = sk.GivenBasis(animal_spectrum.eigenvectors[:, : K + 20])
+    solver = sk.Cascade(subspace=given, coarsest=250, sweeps=0, max_steps=0)
+    assert len(nested(animal, 400)) == 2
+    assert errors(sk.eigensolve(animal, 20, solver), animal_spectrum).mean() < 0.05
+
+
+def test_few_points_are_solved_as_they_are(bumpy_laplacian):
+    waves = sk.AmbientFourier(m=60, bandwidth=3.0)
+    given = {"subspace": waves, "coarsest": 400}
+    for cascade, whole in (
+        (sk.Cascade(**given, sweeps=0, max_steps=0), sk.RayleighRitz(subspace=waves)),
+        (sk.Cascade(**given, sweeps=2), sk.Polished(start=waves, sweeps=2, guard=0.67)),
+        (sk.Cascade(**given), sk.Refined(start=waves, rtol=1e-3, guard=0.67)),
+    ):
+        a, b = (sk.eigensolve(bumpy_laplacian, 10, solver) for solver in (cascade, whole))
+        np.testing.assert_allclose(a.eigenvalues, b.eigenvalues, rtol=1e-12, atol=1e-12)
+
+
+def test_levels_are_evenly_apart_and_have_room():
+    laplacian = sk.robust_laplacian(creature(8000, seed=0))
+    sizes = [level.n for level in nested(laplacian, 100)]
+    assert len(sizes) == 2
+    assert 750 < sizes[0] < 900
+    assert 80 < sizes[1] <= 100
+    assert nested(laplacian, 4001) == []
+
+
+def test_estimates_tell_the_error(animal, animal_spectrum):
+    """Within a factor of three, of nine in ten modes, from the second step on."""
+    levels = nested(animal, 500)
+    noise = np.random.default_rng(0).standard_normal((levels[-1].n, 60))
+    pairs = coarse_iteration(levels[-1], coarse_ritz(levels[-1], noise, 60), K, rtol=0.01)
+    for steps in (2, 3):
+        found = climb(animal, levels, *pairs, K, keep=60, target=0.0, max_steps=steps)
+        assert found.steps == steps
+        true = found.eigenvalues[1:K] / animal_spectrum.eigenvalues[1:K] - 1
+        ratio = found.errors[1:] / true
+        assert np.mean((ratio > 1 / 3) & (ratio < 3)) >= 0.9
+
+
+def test_smoothing_leaves_modes_alone_and_takes_noise_away(animal, animal_spectrum, monkeypatch):
+    values, modes = animal_spectrum.eigenvalues[:K], animal_spectrum.eigenvectors[:, :K]
+    root = np.sqrt(animal.mass)[:, None]
+    assert np.linalg.norm(root * (smoothed(animal, values, modes) - modes), axis=0).max() < 1e-6
+    noise = np.random.default_rng(0).standard_normal(modes.shape) / np.sqrt(animal.area)
+    noisy = modes + 0.01 * noise
+
+    def energy(error):
+        return np.einsum("ij,ij->j", error, animal.stiffness @ error)
+
+    once, twice = (smoothed(animal, values, noisy, degree=degree) for degree in (6, 12))
+    left, less = (energy(smooth - modes) / energy(noisy - modes) for smooth in (once, twice))
+    assert left.max() < 0.05
+    assert (less < left).all()
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "3")  # the same bits on any number
+    np.testing.assert_array_equal(once, smoothed(animal, values, noisy))
