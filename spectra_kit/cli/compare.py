@@ -155,11 +155,11 @@ def compared(asked: Predictor, laplacian: Laplacian, reference: Spectrum) -> Com
 def ritz_subspace(solver: Eigensolver) -> Subspace | None:
     """Return the subspace whose Ritz vectors on all points a solver returns, if it does so.
 
-    `Cascade` evaluates its own on a few points: what it spans on all of them was never used.
+    Modes that were smoothed are in the span of none.
     """
-    if isinstance(solver, RayleighRitz) or (isinstance(solver, Neo) and solver.cap is None):
-        return solver.subspace
-    return None
+    if isinstance(solver, Neo) and (solver.smoothing or solver.cap is not None):
+        return None
+    return solver.subspace if isinstance(solver, RayleighRitz | Neo) else None
 
 
 def is_exact(spectrum: Spectrum) -> bool:

@@ -14,7 +14,8 @@ from spectra_kit._validate import check_count, check_positive
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.eigensolvers.refined import Polished, Refined
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size
-from spectra_kit.levels import Coarse, climb, coarse_iteration, coarse_ritz, nested
+from spectra_kit.levels import Coarse, coarse_iteration, coarse_ritz
+from spectra_kit.levels.cascade import climb, nested
 from spectra_kit.levels.smoothing import on_device
 from spectra_kit.linalg.ritz import ritz_pairs
 from spectra_kit.operators.laplacian import Laplacian
@@ -23,9 +24,7 @@ from spectra_kit.subspaces.given import OnPoints
 
 _SWEEPS = 20  # at most; three or four settle random columns
 _SETTLED = 0.01  # change of the coarsest Ritz values in the last sweep; the next gains nothing
-_ROOM = (
-    12  # points of the coarsest level for each column: with fewer it has no low modes of its own
-)
+_ROOM = 6  # points of the coarsest level for each column: fewer have no low modes
 
 
 @checked
@@ -129,10 +128,12 @@ class Cascade(OnPoints):
         basis = basis_with_kernel(subspace, bottom)
         clock.stage("subspace")
         with device_memory():
+            begun = self._begun(bottom, basis, k, block)
+            clock.stage("coarse")
             found = climb(
                 laplacian,
                 levels,
-                *self._begun(bottom, basis, k, block),
+                *begun,
                 k,
                 keep=block_size(k, self.guard / 2),
                 target=self.target,

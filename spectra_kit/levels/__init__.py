@@ -1,22 +1,18 @@
 """Coarse levels of an operator: a well-spread subset of its points, and the way back to all."""
 
-from spectra_kit.levels.cascade import climb, nested
 from spectra_kit.levels.coarse import Coarse, coarsen
 from spectra_kit.levels.interpolation import prolongation
-from spectra_kit.levels.smoothing import Smoothing, smoothed
+from spectra_kit.levels.smoothing import smoothed
 from spectra_kit.levels.solve import CoarsePairs, coarse_iteration, coarse_ritz
 from spectra_kit.levels.subset import Subset, well_spread
 
 __all__ = [
     "Coarse",
     "CoarsePairs",
-    "Smoothing",
     "Subset",
-    "climb",
     "coarse_iteration",
     "coarse_ritz",
     "coarsen",
-    "nested",
     "prolongation",
     "smoothed",
     "well_spread",

@@ -17,10 +17,12 @@ from spectra_kit.linalg.blocks import operations
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation
 from spectra_kit.operators.laplacian import Laplacian
 
+_TINY = float(np.finfo(float).tiny)
 _RATIO = 10  # points of a level relative to those of the next one, at most
 _CARRIED = 8  # products of the first step on a level: interpolation errs at its own spacing
-_FIRST = 0.1  # share of an error that one step leaves, until two tell
-_LAST = 0.25  # what that share tends to, step by step, as the lowest frequencies are left
+_FEW = 10  # times better than the target one step must seem to be: a lone step tells less
+_LAST = 0.3  # share of an error that a step tends to leave, as the lowest frequencies are left
+_LEFT = 1.8  # by which the shares told by residuals and by falls are too small, in the mean
 _SLOWEST = 0.9  # share beyond which steps gain too little to say what is left
 
 
@@ -109,32 +111,41 @@ def climb(
             X = ops.product(on_device(levels[i].prolongation, device), X)
         smoothing = Smoothing.of(finer[i], device)
         clock.stage("carry")
+        residual = smoothing.residual(values, X)
         falls: list[Floats] = []
         for step in range(1, 1 + (max_steps if finest else 1)):
+            before, size = values, smoothing.sizes(residual)[:k]
             degree = _CARRIED if finest and levels and step == 1 else None
-            smooth = smoothing.smoothed(values, X, degree=degree, guards=max(1, len(values) - k))
+            guards = max(1, len(values) - k)
+            smooth = smoothing.smoothed(values, X, residual, degree=degree, guards=guards)
             clock.stage("smooth")
-            before = values
             values, X = _rotated(smoothing, smooth, X, len(values))
             clock.stage("rayleigh_ritz")
-            least = np.maximum(values, finer[i].eigenvalue_spacing)[:k]
+            if not finest:
+                break
+            residual = smoothing.residual(values, X)
+            least = np.maximum(values, laplacian.eigenvalue_spacing)[:k]
             falls.append(np.maximum(before[:k] - values[:k], 0.0) / least)
-            errors = estimated(falls)
-            if finest and errors.mean() <= target:
+            errors = estimated(falls, smoothing.sizes(residual)[:k] / np.maximum(size, _TINY))
+            clock.stage("smooth")
+            if errors.mean() <= target / (_FEW if step == 1 else 1):
                 break
     return Climbed(values, X, errors, step)
 
 
-def estimated(falls: Sequence[Floats]) -> Floats:
+def estimated(falls: Sequence[Floats], shrunk: Floats) -> Floats:
     """Return what is left of relative errors after steps that lowered them by the `falls`.
 
-    A step leaves a share q of an error. From two steps on it is known of the last but one; that of
-    the next lies between it and the share that remains when only the lowest frequencies are left.
+    A step leaves a share of an error. The ratio by which it shrunk the residual tells less than
+    this share, for residuals weigh high frequencies more, which go first. The ratio of two falls is
+    the share that the step before left; that of the last one lies between it and what remains in
+    the end. So the two are taken together; the constants are those of seven meshes.
     """
-    share = np.full(len(falls[-1]), _FIRST)
+    share = shrunk
     if len(falls) > 1:
-        known = falls[-1] / np.maximum(falls[-2], np.finfo(float).tiny)
-        share = np.minimum(np.sqrt(_LAST * known), _SLOWEST)
+        before = np.minimum(falls[-1] / np.maximum(falls[-2], _TINY), 1.0)
+        share = np.sqrt(shrunk * np.cbrt(_LAST * before**2))
+    share = np.minimum(_LEFT * share, _SLOWEST)
     return np.asarray(falls[-1] * share / (1 - share))
 
 

@@ -51,8 +51,22 @@ class Smoothing:
         singles = operations(diagonal).smoother(L, M, diagonal)
         return cls(L, M, diagonal, highest, singles)
 
+    def residual(self, values: Floats, vectors: Any) -> Any:
+        """Return ``L U - M U diag(values)``."""
+        return operations(vectors).residual(self.stiffness, self.mass, values, vectors)
+
+    def sizes(self, residual: Any) -> Floats:
+        """Return ``r^T diag(L)^-1 r`` of each column, which falls with the error of its value."""
+        return np.asarray(operations(residual).energies(1 / self.diagonal, residual))
+
     def smoothed(
-        self, values: Floats, vectors: Any, *, degree: int | None = None, guards: int = 1
+        self,
+        values: Floats,
+        vectors: Any,
+        residual: Any,
+        *,
+        degree: int | None = None,
+        guards: int = 1,
     ) -> Any:
         """Return columns whose errors above the last `guards` of them are damped.
 
@@ -60,14 +74,13 @@ class Smoothing:
         """
         ops = operations(vectors)
         last = slice(len(values) - guards, None)
-        theta = float(np.median(values[last] / ops.energies(self.diagonal, vectors[:, last])))
+        theta = float((values[last] / ops.energies(self.diagonal, vectors[:, last])).max())
         lowest = _ABOVE * theta
         if degree is not None:
             lowest = max(lowest, self.highest / (1 + _REACH * degree**2))
         if lowest >= 0.9 * self.highest:
             return vectors  # the columns fill the space of the points
         steps = _steps(lowest, self.highest)
-        residual = ops.residual(self.stiffness, self.mass, values, vectors)
         return vectors + ops.correction(self.singles, residual, values, steps)
 
 
@@ -122,7 +135,9 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
     >>> bool(abs(u - exact.eigenvectors).max() < 1e-6)
     True
     """
-    return np.asarray(Smoothing.of(laplacian).smoothed(values, vectors, degree=degree))
+    level = Smoothing.of(laplacian)
+    residual = level.residual(values, vectors)
+    return np.asarray(level.smoothed(values, vectors, residual, degree=degree))
 
 
 def _steps(lowest: float, highest: float) -> list[tuple[float, float]]:

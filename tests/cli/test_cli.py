@@ -8,7 +8,7 @@ import pytest
 from conftest import bumpy, two_parts
 from running import printed, record, refusal, write_shapes
 
-from spectra_kit import AmbientFourier, Cascade, Lobpcg, RayleighRitz, Spectrum
+from spectra_kit import AmbientFourier, Cascade, Lobpcg, Neo, RayleighRitz, Spectrum
 from spectra_kit.catalogue import SOLVERS
 from spectra_kit.cli import main, solving
 from spectra_kit.cli.compare import ritz_subspace
@@ -62,12 +62,12 @@ def test_neo_runs_from_a_weights_file(capsys, tmp_path):
     result = record(capsys, *command)
     exact, predicted = result["reference"]["eigenvalues"], result["predicted"]["eigenvalues"]
     assert (np.array(predicted) >= np.array(exact) * (1 - 1e-9) - 1e-9).all()  # Rayleigh-Ritz
-    assert result["comparison"]["span_dimension"] == 81
+    assert "poses=2" in result["predicted"]["provenance"]["solver"]
 
 
 def test_bad_predictions_are_announced(files, capsys):
     """With the numbers, on stderr while they are made, and in the JSON."""
-    command = (files / "sheet.off", "-k", 4, "--solver", "cascade", "--start", "random")
+    command = (files / "sheet.off", "-k", 4, "--solver", "polished", "--start", "random")
     with warnings.catch_warnings():
         warnings.simplefilter("always", SpectraKitWarning)
         out, err = printed(capsys, "spectrum", *command)
@@ -90,10 +90,12 @@ def test_bad_predictions_are_announced(files, capsys):
 
 
 def test_a_span_is_that_of_functions_that_were_used():
-    """`Cascade` evaluates its subspace on a few points: its modes alone span what it returns."""
+    """Smoothed modes are in no span but their own."""
     waves = AmbientFourier(m=64)
     assert ritz_subspace(RayleighRitz(subspace=waves)) is waves
-    assert ritz_subspace(Cascade(subspace=waves)) is None
+    assert ritz_subspace(Neo(smoothing=0)) == Neo().subspace
+    for solver in (Cascade(subspace=waves), Neo(), Neo(smoothing=0, cap=2000)):
+        assert ritz_subspace(solver) is None
 
 
 def test_two_runs_give_identical_eigenvalues_and_another_seed_others(files, capsys):
@@ -200,7 +202,7 @@ def test_options_reach_the_solvers_that_take_them():
     takers = {
         "rtol": {"refined", "multilevel", "lobpcg", "chebyshev"},
         "start": {"refined", "polished", "cascade", "lobpcg", "chebyshev"},
-        "device": {"neo", "chebyshev"},
+        "device": {"neo", "chebyshev", "cascade"},
         "poses": {"neo"},
     }
     values = {"rtol": "1e-4", "start": "random", "device": "cpu:0", "poses": "2"}

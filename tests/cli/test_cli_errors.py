@@ -108,7 +108,10 @@ AT_A_FACE = ("geodesic", BALL, "--face")
         ("must be in [500, 5000000], got 10", ("spectrum", "demo", "--points", "10")),
         ("must be in [10, 2400], got 0", ("modes", BALL, "-k", "4", "--dpi", "0")),
         # What has no effect as things are.
-        ("`--device` must go with chebyshev and neo", ("spectrum", BALL, "--device", "cuda")),
+        (
+            "`--device` must go with chebyshev, cascade and neo",
+            ("spectrum", BALL, "--device", "cuda"),
+        ),
         ("`--rtol` must go with ", ("match", BALL, BALL, "--rtol", "1e-4")),
         ("--solver has no effect", ("animate", BALL, "--spectrum", "x.npz", "--solver", "dense")),
         ("--no-browser has no effect without --serve", ("explore", BALL, "--no-browser")),

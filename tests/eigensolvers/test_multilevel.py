@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import bumpy, creature
+from conftest import bumpy
 from scipy.linalg import eigh
 
 import spectra_kit as sk

@@ -110,7 +110,10 @@ def test_what_is_refused(call, argument: str, expected: str) -> None:
     [
         (lambda: solve(sk.RayleighRitz(subspace=constant)), "at least k = 40 dim.* rank 1"),
         (lambda: solve(sk.Polished(start=FEW)), "`start` must span at least 40 dimensions"),
-        (lambda: solve(sk.Cascade(subspace=FEW, coarsest=200, sweeps=0)), "must span at least k = 40"),
+        (
+            lambda: solve(sk.Cascade(subspace=FEW, coarsest=200, sweeps=0)),
+            "must span at least k = 40",
+        ),
         (lambda: solve(sk.RayleighRitz(subspace=nan)), "`basis` must have finite columns"),
         (lambda: solve(sk.Refined(start=nan)), "`basis` must have finite columns"),
         (lambda: solve(sk.Polished(start=nan)), "`basis` must have finite columns"),

@@ -122,7 +122,10 @@ def test_no_more_pairs_than_dimensions(problem):
     twice, bad = vectors[:, [0, 1, 2, 2]], vectors[:, :4] * np.nan
     np.testing.assert_allclose(ritz_pairs(L, mass, twice, 8)[0], values[:3], atol=1e-12)
     for call, message in (
-        (lambda: ritz_pairs(L, mass, twice, 4, least=4), "at least k = 4 dimensions, got .* rank 3"),
+        (
+            lambda: ritz_pairs(L, mass, twice, 4, least=4),
+            "at least k = 4 dimensions, got .* rank 3",
+        ),
         (lambda: orthonormalize(bad, mass), "4 columns with NaN or infinite values of 4"),
         (lambda: orthonormalize(0 * vectors, mass), "finite columns that are not all zero"),
         (lambda: ritz_rotation(L, mass, twice), "far from dependent, got 4 with a Gram"),
@@ -143,17 +146,17 @@ def test_the_same_on_the_host_and_on_a_device(where, full):
     steps = [(0.0, 0.7), (0.2, 0.9), (0.3, 1.1)]
 
     def results(ops, place):
-        L_, M_, d, Y_ = (on_device(part, place) for part in (L, M, diagonal, Y))
-        yield ops.product(L_, Y_)
-        yield ops.gram(M_, Y_)
-        yield ops.projected(L_, Y_)
-        yield ops.lifted(Y_, np.eye(9)[:, ::2] - 0.1)
-        yield ops.energies(d, Y_)
-        yield ops.joined(Y_, 2 * Y_)
-        yield ops.scaled(Y_, values > 3, values)
-        residual = ops.residual(L_, M_, values, Y_)
+        energy, weight, d, block = (on_device(part, place) for part in (L, M, diagonal, Y))
+        yield ops.product(energy, block)
+        yield ops.gram(weight, block)
+        yield ops.projected(energy, block)
+        yield ops.lifted(block, np.eye(9)[:, ::2] - 0.1)
+        yield ops.energies(d, block)
+        yield ops.joined(block, 2 * block)
+        yield ops.scaled(block, values > 3, values)
+        residual = ops.residual(energy, weight, values, block)
         yield residual
-        yield ops.correction(ops.smoother(L_, M_, d), residual, values, steps)
+        yield ops.correction(ops.smoother(energy, weight, d), residual, values, steps)
 
     for mine, other in zip(results(host, "cpu"), results(device, where), strict=True):
         found = arrays(other)

@@ -6,7 +6,7 @@ import torch
 from conftest import creature, refused
 
 from spectra_kit.eigensolvers import Chebyshev, Neo, RayleighRitz, eigensolve
-from spectra_kit.errors import InvalidInputError, WeightsError
+from spectra_kit.errors import WeightsError
 from spectra_kit.geometry import PointCloud
 from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace, save_weights
 from spectra_kit.operators import robust_laplacian

@@ -21,9 +21,10 @@ from spectra_kit._types import Floats
 from spectra_kit.eigensolvers import Dense, eigensolve
 from spectra_kit.eigensolvers.base import Eigenpairs
 from spectra_kit.errors import DoubtfulSpectrumWarning
+from spectra_kit.levels.smoothing import on_device
 from spectra_kit.linalg.orthonormal import orthonormalize
 from spectra_kit.linalg.ritz import ritz_pairs
-from spectra_kit.linalg.torch_device import device_clock, sparse_tensor
+from spectra_kit.linalg.torch_device import device_clock
 from spectra_kit.metrics import Comparison, compare_spectra
 from spectra_kit.operators import Laplacian
 from spectra_kit.spectra import Spectrum
@@ -130,15 +131,15 @@ class Ritz:
         clock = device_clock(device)
         basis = self.method.basis(laplacian.points, laplacian.mass)
         clock.stage("subspace")
-        mass = torch.from_numpy(np.array(laplacian.mass)).to(device)
-        stiffness = sparse_tensor(laplacian.stiffness, device)
-        clock.stage("transfer")
-        values, vectors, _ = ritz_pairs(stiffness, mass, basis, k, least=k)
-        clock.stage("rayleigh_ritz")
-        pairs = Eigenpairs(values, vectors.cpu().numpy(), clock.seconds)
-        clock.stage("transfer")
         self.bases[laplacian.points.tobytes()] = basis
-        return pairs
+        block = basis.numpy() if device == "cpu" else basis
+        stiffness, mass = (on_device(a, device) for a in (laplacian.stiffness, laplacian.mass))
+        clock.stage("transfer")
+        values, vectors, _ = ritz_pairs(stiffness, mass, block, k, least=k)
+        clock.stage("rayleigh_ritz")
+        vectors = np.asarray(torch.as_tensor(vectors).cpu())
+        clock.stage("transfer")
+        return Eigenpairs(values, vectors, clock.seconds)
 
     def span_error(self, laplacian: Laplacian, exact: Spectrum) -> tuple[Floats, int]:
         """``1 - |Y^T M u|^2`` of each exact mode, and the columns of Y, over all components."""
