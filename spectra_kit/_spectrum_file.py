@@ -17,8 +17,8 @@ from spectra_kit._files import atomic_path, parsing
 from spectra_kit.catalogue import SOLVERS
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 
-# 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`
-FORMAT_VERSION = 4
+# 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`; 5: `errors`
+FORMAT_VERSION = 5
 _ARRAYS = ("eigenvalues", "eigenvectors", "mass")
 _RESIDUALS = ("residuals", "relative_residuals")
 _ALIGNMENT = 64

@@ -39,8 +39,8 @@ def title(name: str, geometry: Geometry) -> str:
 
 def modes_table(spectrum: Spectrum, modes: Sequence[int]) -> str:
     """Number, eigenvalue and residuals of some modes."""
-    certificate = _certificate(spectrum)
-    rows = [("mode", "eigenvalue", "residual", "relative")]
+    certificate, errors = _certificate(spectrum), _certificate(spectrum).errors
+    rows: list[tuple[str, ...]] = [("mode", "eigenvalue", "residual", "relative")]
     rows += [
         (
             str(i),
@@ -50,6 +50,9 @@ def modes_table(spectrum: Spectrum, modes: Sequence[int]) -> str:
         )
         for i in modes
     ]
+    if errors is not None:
+        last = ["error, about", *(f"{errors[i]:.0e}" for i in modes)]
+        rows = [(*row, cell) for row, cell in zip(rows, last, strict=True)]
     return align(rows)
 
 
@@ -57,6 +60,8 @@ def certificate_lines(spectrum: Spectrum) -> str:
     """The certificate and the times of one spectrum."""
     facts: Record = {"solver": spectrum.provenance.solver, "modes": spectrum.k}
     facts |= _accuracy(spectrum) | {"lowest modes": _certificate(spectrum).completeness}
+    if (errors := _certificate(spectrum).errors) is not None:
+        facts["estimated errors"] = f"{errors.mean():.0e} in the mean, at most {errors.max():.0e}"
     if _certificate(spectrum).excess is not None:  # residuals left doubts
         nothing = f"no eigenvalue is proved to be more than {DOUBTFUL:.0%} too high"
         facts["verdict"] = verdict(spectrum) or nothing

@@ -28,12 +28,15 @@ class Eigenpairs(NamedTuple):
         Wall time of the backend's own stages, where it tells them apart.
     iterations : int, optional
         How many an iterative backend took.
+    errors : ndarray of shape (k,), optional
+        Relative errors of the eigenvalues as an approximate backend estimates them.
     """
 
     eigenvalues: Floats
     eigenvectors: Floats
     seconds: Mapping[str, float] | None = None
     iterations: int | None = None
+    errors: Floats | None = None
 
 
 @runtime_checkable

@@ -145,7 +145,8 @@ class Cascade(OnPoints):
             if not isinstance(vectors, np.ndarray):
                 vectors = np.asarray(vectors.cpu().numpy())
                 clock.stage("transfer")
-        return Eigenpairs(found.eigenvalues[:k], vectors, clock.seconds, found.steps)
+        errors = found.errors if found.steps else None  # carried modes alone tell nothing
+        return Eigenpairs(found.eigenvalues[:k], vectors, clock.seconds, found.steps, errors)
 
     def _without_levels(self, start: Subspace) -> Polished | Refined:
         """Return what solves where there are few points."""

@@ -25,7 +25,7 @@ def with_excess(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     certificate = spectrum.certificate
     assert certificate is not None
     # Some true eigenvalue lies within the residual of each: smaller ones leave nothing to prove.
-    if not (certificate.relative_residuals > DOUBTFUL).any():
+    if certificate.errors is not None or not (certificate.relative_residuals > DOUBTFUL).any():
         return spectrum
     excess = proved_excess(spectrum, laplacian)
     return spectrum.described(replace(certificate, excess=excess), spectrum.provenance)
@@ -55,18 +55,19 @@ def proved_excess(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
 
 
 def verdict(spectrum: Spectrum) -> str:
-    """Say in a line which eigenvalues are proved to be far too high; nothing if none is."""
+    """Say in a line which eigenvalues are far too high, proved or estimated; nothing if none is."""
     certificate = spectrum.certificate
-    if certificate is None or certificate.excess is None:
+    if certificate is None:
         return ""
-    high = certificate.excess > DOUBTFUL
-    if not high.any():
+    proved = certificate.excess is not None
+    by = certificate.excess if proved else certificate.errors
+    if by is None or not (high := by > DOUBTFUL).any():
         return ""
-    worst = int(certificate.excess.argmax())
+    worst = int(by.argmax())
+    much = f"{by[worst]:.0%} or more" if proved else f"about {by[worst]:.0%}"
     return (
-        f"proved to be more than {DOUBTFUL:.0%} too high: {high.sum()} of"
-        f" {quantity(spectrum.k, 'eigenvalue')}, that of mode {worst} by"
-        f" {certificate.excess[worst]:.0%} or more"
+        f"{'proved' if proved else 'estimated'} to be more than {DOUBTFUL:.0%} too high:"
+        f" {high.sum()} of {quantity(spectrum.k, 'eigenvalue')}, that of mode {worst} by {much}"
     )
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal
 
+import numpy as np
+
 from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, check_count
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
@@ -131,5 +133,5 @@ class Neo(Rebuilt):
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
         if laplacian.n <= 2 * self.subspace.n_functions:
-            return Dense().eigenpairs(laplacian, k)
+            return Dense().eigenpairs(laplacian, k)._replace(errors=np.zeros(k))
         return self._cascade.eigenpairs(laplacian, k)

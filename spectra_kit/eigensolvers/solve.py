@@ -86,7 +86,8 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
     -----
     DoubtfulSpectrumWarning
         If eigenvalues of an approximate backend are proved to be more than 10 % too high, by
-        smoothing its modes (`Certificate.excess`). No warning is no proof that they are not.
+        smoothing its modes (`Certificate.excess`), or estimated to be (`Certificate.errors`). No
+        warning is no proof that they are not.
 
     Examples
     --------
@@ -269,7 +270,8 @@ class _Run:
             return Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)))
         if laplacian.n == 1:  # an isolated point: nothing to solve
             value = laplacian.stiffness.diagonal() / laplacian.mass
-            return Eigenpairs(value, 1 / np.sqrt(laplacian.mass)[:, None])
+            vector = 1 / np.sqrt(laplacian.mass)[:, None]
+            return Eigenpairs(value, vector, errors=np.zeros(1))
         try:
             pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
         except NotConvergedError as error:
@@ -278,6 +280,7 @@ class _Run:
             raise
         values, vectors = _of_checked_form(pairs, solver, (laplacian.n, k))
         self.count(pairs, time.perf_counter() - start)
+        errors = None if pairs.errors is None else np.asarray(pairs.errors)[np.argsort(values)]
         values, vectors = _sorted(values, vectors)
         if values[0] < -_NEGATIVE * laplacian.eigenvalue_spacing:
             raise InvalidSpectrumError(
@@ -285,7 +288,8 @@ class _Run:
                 advice="is the stiffness positive semi-definite? (Where entries spread over many"
                 " decades, so does rounding.)",
             )
-        return _with_exact_constant(laplacian, np.maximum(values, 0.0), vectors)
+        found = _with_exact_constant(laplacian, np.maximum(values, 0.0), vectors)
+        return found._replace(errors=errors)
 
     def merged(self, k: int) -> Eigenpairs:
         """Return the k lowest pairs (or all there are) of the components solved, on all points."""
@@ -301,7 +305,9 @@ class _Run:
         for j, source in enumerate(lowest):
             part = owner[source]
             vectors[parts[part], j] = pairs[part].eigenvectors[:, column[source]]
-        return Eigenpairs(values[lowest], vectors)
+        told = [p.errors for p in pairs if p.errors is not None]
+        errors = np.concatenate(told)[lowest] if len(told) == len(pairs) else None
+        return Eigenpairs(values[lowest], vectors, errors=errors)
 
     def rescued(self) -> Spectrum | None:
         """Certify what was solved before a failure, if anything was."""
@@ -319,7 +325,8 @@ class _Run:
                 f"{self.name} returned modes that are not M-orthonormal: |U^T M U - I| is"
                 f" {error:.2e}"
             )
-        spectrum = with_excess(spectrum, laplacian)
+        certificate = replace(spectrum.certificate, errors=pairs.errors)
+        spectrum = with_excess(spectrum.described(certificate, spectrum.provenance), laplacian)
         self.book("certify", time.perf_counter() - begin)
         provenance = Provenance(
             solver=self.name,

@@ -93,11 +93,13 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     certified = with_excess(spectrum.certify(laplacian), laplacian)
     assert certified.certificate is not None
     count = _counted(certified, laplacian, thorough=True)
-    if spectrum.certificate is not None and spectrum.certificate.count is not None:
-        count = replace(count, added=spectrum.certificate.count.added)
+    before = spectrum.certificate
+    if before is not None and before.count is not None:
+        count = replace(count, added=before.count.added)
     seconds = {**spectrum.provenance.seconds, "verify": clock.total}
     return certified.described(
-        replace(certified.certificate, count=count), replace(spectrum.provenance, seconds=seconds)
+        replace(certified.certificate, count=count, errors=before and before.errors),
+        replace(spectrum.provenance, seconds=seconds),
     )
 
 

@@ -113,6 +113,7 @@ def climb(
         clock.stage("carry")
         residual = smoothing.residual(values, X)
         falls: list[Floats] = []
+        step = 0
         for step in range(1, 1 + (max_steps if finest else 1)):
             before, size = values, smoothing.sizes(residual)[:k]
             degree = _CARRIED if finest and levels and step == 1 else None

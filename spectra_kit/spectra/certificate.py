@@ -82,7 +82,10 @@ class Certificate(Rebuilt):
     excess : ndarray of shape (k,), optional
         By how much each eigenvalue is too high at least, relative to the true one; 0 where nothing
         is proved. `eigensolve` adds it where a relative residual is above 0.1, as those of
-        predictions are.
+        predictions are, and the solver has no estimates.
+    errors : ndarray of shape (k,), optional
+        Estimated relative error of each eigenvalue, from what the last steps of a solver gained:
+        `Cascade` and `Neo` give it. An estimate, no bound.
 
     Notes
     -----
@@ -98,9 +101,10 @@ class Certificate(Rebuilt):
     n_components: int
     count: ModeCount | None = None
     excess: Floats | None = None
+    errors: Floats | None = None
 
     def __post_init__(self) -> None:
-        for name in ("residuals", "relative_residuals", "excess"):
+        for name in ("residuals", "relative_residuals", "excess", "errors"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, frozen(real_array(name, getattr(self, name))))
         if self.residuals.ndim != 1 or self.relative_residuals.shape != self.residuals.shape:
@@ -109,10 +113,11 @@ class Certificate(Rebuilt):
                 "have the same shape (k,) as `residuals`",
                 f"{self.relative_residuals.shape} and {self.residuals.shape}",
             )
-        if self.excess is not None and self.excess.shape != self.residuals.shape:
-            raise InvalidInputError(
-                "excess", f"have the shape {self.residuals.shape} of `residuals`", self.excess.shape
-            )
+        for name, array in (("excess", self.excess), ("errors", self.errors)):
+            if array is not None and array.shape != self.residuals.shape:
+                raise InvalidInputError(
+                    name, f"have the shape {self.residuals.shape} of `residuals`", array.shape
+                )
         for name in ("n_zero_modes", "kernel_dimension", "n_components"):
             check_count(name, getattr(self, name), low=0)
 

@@ -396,6 +396,7 @@ class Spectrum(Rebuilt):
             kernel_dimension=max(old.kernel_dimension - start, 0),
             count=old.count and self._count_of(old.count, start, stop),
             excess=None if old.excess is None else old.excess[columns],
+            errors=None if old.errors is None else old.errors[columns],
         )
         return replace(
             self,
@@ -422,13 +423,12 @@ def _check_covers(certificate: Certificate | None, k: int) -> None:
 
 
 def _plain(certificate: Certificate) -> dict[str, Any]:
-    """Return the fields of a certificate; an absent count or excess is left out."""
-    record = dict(vars(certificate))
-    count, excess = record.pop("count"), record.pop("excess")
-    if count is not None:
-        record["count"] = dict(vars(count))
-    if excess is not None:
-        record["excess"] = excess.tolist()
+    """Return the fields of a certificate; what it does not have is left out."""
+    record = {name: value for name, value in vars(certificate).items() if value is not None}
+    if certificate.count is not None:
+        record["count"] = dict(vars(certificate.count))
+    for name in record.keys() & {"excess", "errors"}:
+        record[name] = record[name].tolist()
     return record
 
 

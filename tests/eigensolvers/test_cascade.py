@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from conftest import creature
+from conftest import bumpy, creature, joined, moved
 
 import spectra_kit as sk
 from spectra_kit.geometry import sphere
@@ -110,6 +110,25 @@ def test_estimates_tell_the_error(animal, animal_spectrum, uneven):
             true = found.eigenvalues[1:K] / exact.eigenvalues[1:K] - 1
             ratio = found.errors[1:] / true
             assert np.mean((ratio > 1 / 4) & (ratio < 4)) >= 0.9
+
+
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
+def test_estimates_stay_with_the_modes(tmp_path):
+    """Merged in the order of the eigenvalues, cut, scaled, written and read."""
+    parts = sk.robust_laplacian(joined(creature(3000, seed=0), moved(bumpy(2562), 9, 0, 0)))
+    found = sk.eigensolve(parts, 20, sk.Cascade(coarsest=400))
+    exact = sk.eigensolve(parts, 20)
+    errors = found.certificate.errors
+    assert errors.mean() < 1e-3
+    off = found.eigenvalues[2:] / exact.eigenvalues[2:] - 1
+    assert np.median(np.abs(np.log10(errors[2:] / off))) < 0.5
+    found.save(tmp_path / "s.npz")
+    for same in (sk.Spectrum.load(tmp_path / "s.npz"), found.rescale(3.0)):
+        np.testing.assert_array_equal(same.certificate.errors, errors)
+    np.testing.assert_array_equal(found.truncate(5).certificate.errors, errors[:5])
+    np.testing.assert_array_equal(sk.verify(found, parts).certificate.errors, errors)
+    for solver in (sk.Cascade(coarsest=400, max_steps=0), sk.Arpack()):
+        assert sk.eigensolve(parts, 20, solver).certificate.errors is None
 
 
 def test_smoothing_leaves_modes_alone_and_takes_noise_away(animal, animal_spectrum, monkeypatch):

@@ -170,7 +170,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("basis", spectrum.eigenvectors[:, :5]),
         ("functions", spectrum.eigenvectors[:, :4]),
         ("source_rows target_rows", spectrum.eigenvectors[:, :12]),
-        ("excess coefficients", np.ones(spectrum.k)),
+        ("excess coefficients Certificate.errors", np.ones(spectrum.k)),
         ("descriptors signature source_descriptors target_descriptors", signature),
         ("features", (signature, signature)),
         ("fit_functional_map.oriented", (oriented, oriented)),
