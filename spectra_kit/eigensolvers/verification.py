@@ -98,7 +98,9 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
         count = replace(count, added=before.count.added)
     seconds = {**spectrum.provenance.seconds, "verify": clock.total}
     return certified.described(
-        replace(certified.certificate, count=count, errors=before and before.errors),
+        replace(
+            certified.certificate, count=count, errors=None if before is None else before.errors
+        ),
         replace(spectrum.provenance, seconds=seconds),
     )
 
