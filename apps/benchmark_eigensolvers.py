@@ -1,7 +1,7 @@
 """Time every backend and every installed peer, side by side: seconds, memory, residuals, errors.
 
     python apps/benchmark_eigensolvers.py OUT                 # hours; needs SPECTRA_KIT_DATA
-    python apps/benchmark_eigensolvers.py OUT --members hippo "bunny cloud" --methods capped eigsh
+    python apps/benchmark_eigensolvers.py OUT --members hippo "bunny cloud" --methods cascade eigsh
     python apps/benchmark_eigensolvers.py OUT --quick        # without the slowest methods
     python apps/benchmark_eigensolvers.py OUT --set animal --sizes 2000 8000 32000 64000
     python apps/benchmark_eigensolvers.py OUT --file bunny.obj

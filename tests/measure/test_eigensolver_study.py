@@ -247,16 +247,16 @@ def on(problem, name, seconds, error, **changes):
 def test_a_set_has_a_geometric_mean_and_its_worst_and_nobody_is_excused(tmp_path):
     results = [
         *(on(recipe, "eigsh", 8.0, 1e-15) for recipe in (EASY, HARD, SPOTS)),
-        *(on(EASY, "capped", 1.0, 1e-4), on(HARD, "capped", 8.0, 5e-2)),
-        on(SPOTS, "capped", 1.0, 1e-4, peak_bytes=3e9),
+        *(on(EASY, "cascade", 1.0, 1e-4), on(HARD, "cascade", 8.0, 5e-2)),
+        on(SPOTS, "cascade", 1.0, 1e-4, peak_bytes=3e9),
         *(on(EASY, "neo", 0.1, 1e-9), on(SPOTS, "neo", 0.1, 1e-9)),
         on(HARD, "neo", None, None, status="failed", reason="too hard"),
         on(EASY, "lobpcg", None, None, status="failed", reason="never"),
     ]
-    eigsh, capped, neo = summaries(repeats_of(results))
-    assert capped.over["slowdown"] == (pytest.approx(1 / 4), 1.0, "hard")  # 8 * 1 * 8 = 4 ** 3
-    assert capped.over["eigenvalue_error"] == (pytest.approx(5.02e-2 / 3), 5e-2, "hard")
-    assert capped.over["bytes"] == (pytest.approx(1e9), 3e9, "spots")
+    eigsh, cascade, neo = summaries(repeats_of(results))
+    assert cascade.over["slowdown"] == (pytest.approx(1 / 4), 1.0, "hard")  # 8 * 1 * 8 = 4 ** 3
+    assert cascade.over["eigenvalue_error"] == (pytest.approx(5.02e-2 / 3), 5e-2, "hard")
+    assert cascade.over["bytes"] == (pytest.approx(1e9), 3e9, "spots")
     assert eigsh.over["slowdown"].mean == 1
     assert (neo.members, neo.lost) == (3, ("hard",))
     assert np.isnan(neo.over["slowdown"].mean)  # of the easier two it would flatter
@@ -267,7 +267,7 @@ def test_a_set_has_a_geometric_mean_and_its_worst_and_nobody_is_excused(tmp_path
     assert headlines == [f"{name}: {count} members" for name, count in counts]
     table = text[text.index("## all") : text.index("## held back")]
     rows = [line.replace(" ", "").split("|")[1:-1] for line in table.splitlines() if "/3" in line]
-    assert rows[1][:5] == ["**capped**", "", "3/3", "4.00", "1.00(hard)"]
+    assert rows[1][:5] == ["**cascade**", "", "3/3", "4.00", "1.00(hard)"]
     assert rows[1][5:] == ["1.7e-02", "5.0e-02(hard)", "1.7e-02", "5.0e-02", "1.00", "3.00"]
     assert rows[2][:5] == ["neo", "", "2/3", "-", "none(hard)"]
     assert "- neo (hard): too hard" in text
