@@ -1,12 +1,15 @@
 """Time every backend and every installed peer, side by side: seconds, memory, residuals, errors.
 
-    python apps/benchmark_eigensolvers.py OUT                 # hours: all sizes
-    python apps/benchmark_eigensolvers.py OUT --sizes 64000 --methods arpack neo eigsh
-    python apps/benchmark_eigensolvers.py OUT --file bunny.obj
+    python apps/benchmark_eigensolvers.py OUT                 # hours; needs SPECTRA_KIT_DATA
+    python apps/benchmark_eigensolvers.py OUT --members hippo "bunny cloud" --methods capped eigsh
     python apps/benchmark_eigensolvers.py OUT --quick        # without the slowest methods
+    python apps/benchmark_eigensolvers.py OUT --set animal --sizes 2000 8000 32000 64000
+    python apps/benchmark_eigensolvers.py OUT --file bunny.obj
 
-Without --file the demo animal is solved at each size; clouds are drawn from the surface and get the
-Delaunay operator, meshes the robust one. OUT gets
+By default the set of real meshes and clouds of measure/recipes.py is solved: means over it and the
+worst of it, also of the members that no constant was tuned on. The demo animal at each size, and
+clouds from it or from a file, show how times grow, and no more. Clouds get the Delaunay operator,
+meshes the robust one. OUT gets
 benchmark.json, benchmark.md and the plots; every solve is a line of OUT/measurements.jsonl as soon
 as it ends, so the same command after an interruption, or with more sizes, computes only what is
 missing. What was measured with another code or other options is measured again. Nothing else should
@@ -29,8 +32,9 @@ from pathlib import Path
 from measure.command import add_threads, exit_code, parser_of
 from measure.eigensolvers.methods import METHODS, QUICK, contenders
 from measure.eigensolvers.report import write_report
-from measure.eigensolvers.studies import KINDS, Preparation, Solves, problems
+from measure.eigensolvers.studies import KINDS, Preparation, Solves, sizes_of
 from measure.machine import describe_machine, most_memory
+from measure.recipes import REAL, Recipe
 from measure.store import Store
 from measure.study import run
 from measure.worker import Limits
@@ -42,9 +46,14 @@ def _parser() -> argparse.ArgumentParser:
     parser = parser_of("benchmark_eigensolvers.py", __doc__)
     add = parser.add_argument
     add("out", type=Path, help="folder for measurements, tables and plots")
-    add("--file", default="", help="a mesh (default: the demo animal)")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--set", choices=("real", "animal"), default="real", help="default: real")
+    what.add_argument("--members", nargs="+", choices=list(REAL), metavar="NAME",
+        help=f"of the real ones: {', '.join(REAL)}")  # fmt: skip
+    what.add_argument("--file", default="", help="a mesh instead")
     sizes = [2000, 8000, 32000, 64000, 131000, 512000]
-    add("--sizes", type=int, nargs="+", default=sizes, metavar="N", help="points")
+    add("--sizes", type=int, nargs="+", default=sizes, metavar="N",
+        help="points of the animal, and of clouds from a file")  # fmt: skip
     add("-k", type=int, default=96, help="modes (%(default)s)")
     add("--geometry", nargs="+", choices=KINDS, default=list(KINDS), help="default: both")
     which = parser.add_mutually_exclusive_group()
@@ -73,6 +82,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     return exit_code(lambda: _measure(args))
 
 
+def _problems(args: argparse.Namespace) -> list[Recipe]:
+    if args.file or args.set == "animal":
+        return sizes_of(args.file, args.sizes, args.geometry)
+    return [REAL[name] for name in args.members or REAL if REAL[name].kind in args.geometry]
+
+
 def _measure(args: argparse.Namespace) -> None:
     for name in ("k", "repeats", "threads"):
         check_count(name, getattr(args, name), low=1)
@@ -81,9 +96,7 @@ def _measure(args: argparse.Namespace) -> None:
         seconds=args.time_limit,
         memory=most_memory() if args.memory is None else args.memory * 1e9,
     )
-    prepared = Preparation(
-        folder=args.out, problems=problems(args.sizes, args.geometry, args.file), k=args.k
-    )
+    prepared = Preparation(folder=args.out, problems=_problems(args), k=args.k)
     store = Store(args.out)
     made = run(
         prepared,

@@ -45,11 +45,14 @@ class ParetoPoint:
         Not negative.
     league : str, default ""
         Points of one league share a front: a processor, for example.
+    worst : tuple of (float, float), optional
+        Seconds and error of the worst case, where these are means: a bar leads to each. Neither
+        may be below its mean.
 
     Raises
     ------
     InvalidInputError
-        If `seconds` is not positive, or `error` negative or not finite.
+        If `seconds` is not positive, `error` negative or not finite, or `worst` below them.
     """
 
     name: str
@@ -57,11 +60,18 @@ class ParetoPoint:
     seconds: float
     error: float
     league: str = ""
+    worst: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         check_positive("seconds", self.seconds)
         if not (np.isfinite(self.error) and self.error >= 0):
             raise InvalidInputError("error", "be finite and >= 0", repr(self.error))
+        least = np.array([self.seconds, self.error])
+        if self.worst is not None and not (
+            np.isfinite(self.worst).all() and (np.array(self.worst) >= least).all()
+        ):
+            wanted = f"be finite seconds >= {self.seconds:g} and an error >= {self.error:g}"
+            raise InvalidInputError("worst", wanted, repr(self.worst))
 
 
 @checked
@@ -126,7 +136,8 @@ def plot_pareto(
 
     Notes
     -----
-    The steps of the front say which error can be had within a time: to the left of its first dot
+    A bar leads from the dot of a mean to its worst, in time and in error. The steps of the front,
+    of the dots alone, say which error can be had within a time: to the left of its first dot
     none. Each league has its own front.
 
     Examples
@@ -145,7 +156,9 @@ def plot_pareto(
     marks = {name: check_positive("marks", seconds) for name, seconds in (marks or {}).items()}
     figure = new_diagram(page, _WIDTH, _HEIGHT)
     panel = figure.add_subplot(xlabel=xlabel, ylabel=ylabel)
-    times, errors = _places(points, floor).T
+    ends = np.array([p.worst or (p.seconds, p.error) for p in points])
+    ends[:, 1] = np.maximum(ends[:, 1], floor)
+    times, errors = np.vstack([_places(points, floor), ends]).T
     panel.set(
         xscale="log",
         yscale="log",
@@ -160,9 +173,16 @@ def plot_pareto(
         told = None if lines[1:] else "nothing is both faster and better"
         panel.plot(*lines[-1].T, color="0.72", lw=2.0, zorder=1, label=told)
     for i, group in enumerate(dict.fromkeys(p.group for p in points)):
+        here = [p.group == group for p in points]
+        least = _places(points, floor)[here]
+        (x, y), (slow, far) = least.T, ends[here].T
+        if np.any(slow > x) or np.any(far > y):
+            bars: dict[str, Any] = {"xerr": [0 * x, slow - x], "yerr": [0 * y, far - y]}
+            bars |= {"ecolor": line_style(i)[0], "alpha": 0.6, "elinewidth": 1.8, "capsize": 3}
+            panel.errorbar(x, y, fmt="none", **bars)
         style: dict[str, Any] = {"color": line_style(i)[0], "marker": _MARKERS[i % len(_MARKERS)]}
         style |= {"ls": "", "ms": 7, "mec": "white", "mew": 0.8, "label": group, "zorder": 3}
-        panel.plot(*_places([p for p in points if p.group == group], floor).T, **style)
+        panel.plot(*least.T, **style)
     if rounded := [p for p in points if p.error <= floor]:
         panel.plot(*_places(rounded, floor).T, ls="", marker="o", ms=3.4, color="white", zorder=3)
         told = f"hollow: {floor:.2g} or less, rounding"
@@ -175,7 +195,8 @@ def plot_pareto(
     log_ticks(panel.xaxis, plain=True)
     log_ticks(panel.yaxis)
     handles, names = panel.get_legend_handles_labels()
-    style = {"loc": "outside lower center", "ncols": 5, "columnspacing": 1.5}
+    columns = 5 if len(handles) < 5 else 3  # as many as the page is wide
+    style = {"loc": "outside lower center", "ncols": columns, "columnspacing": 1.5}
     figure.legend(  # the front last
         *([*handles[1:], handles[0]], [*names[1:], names[0]]), fontsize=9, frameon=False, **style
     )

@@ -8,10 +8,18 @@ import numpy as np
 import pytest
 from conftest import bumpy
 from measure.eigensolvers.methods import METHODS, Contender, Method, contenders
-from measure.eigensolvers.report import write_report
-from measure.eigensolvers.studies import EXACT, OPERATOR, Preparation, Problem, Solves, problems
+from measure.eigensolvers.report import summaries, write_report
+from measure.eigensolvers.studies import (
+    EXACT,
+    OPERATOR,
+    Preparation,
+    Solves,
+    assemble,
+    sizes_of,
+)
+from measure.recipes import REAL, Recipe
 from measure.store import Store
-from measure.study import Result, run
+from measure.study import Result, repeats_of, run
 
 from spectra_kit import Arpack, Provenance, eigensolve, robust_laplacian
 from spectra_kit.errors import InvalidInputError
@@ -21,8 +29,21 @@ from spectra_kit.metrics import compare_spectra
 PEERS = [name for name, method in METHODS.items() if method.peer]
 MACHINE = {"name": "box", "processor": "fast", "accelerator": "", "cores": 2, "threads": 1}
 MACHINE |= {"versions": {}, "commit": "", "code": ""}
-CLOUD = Problem("cloud", 600)
-TINY = ["--sizes", "600", "-k", "6", "--repeats", "1", "--threads", "1", "--geometry", "cloud"]
+(CLOUD,) = sizes_of("", [600], ["cloud"])
+TINY = [
+    "--set",
+    "animal",
+    "--sizes",
+    "600",
+    "-k",
+    "6",
+    "--repeats",
+    "1",
+    "--threads",
+    "1",
+    "--geometry",
+    "cloud",
+]
 TINY += ["--methods", "arpack", "eigsh", "--machine", "test", "--commit", "c0"]
 
 
@@ -65,8 +86,8 @@ def test_json_says_what_was_measured(finished):
         assert result["peak_bytes"] >= 0
         assert result["residual_max"] < 1e-9
         assert result["eigenvalue_error"] < 1e-9
-        assert result["span_error"] < 1e-9
-        assert result["missed"] == 0
+        assert result["eigenvalue_error"] <= result["eigenvalue_error_max"] < 1e-9
+    assert record["summaries"] == {}  # the animal is in no headline
 
 
 def test_tables_and_plots_are_written_and_a_rerun_measures_nothing(finished, capsys):
@@ -74,7 +95,7 @@ def test_tables_and_plots_are_written_and_a_rerun_measures_nothing(finished, cap
     assert "### cloud, 600 points" in text
     assert len(re.findall(r"^\| \**(?:arpack|eigsh)\** +\| rounding \|", text, re.MULTILINE)) == 2
     pictures = {path.name for path in finished.glob("*.png")}
-    assert pictures == {"time-cloud.png", "accuracy-cloud-600.png"}
+    assert pictures == {"time-cloud.png"}
     measured = (finished / "measurements.jsonl").read_text()
     assert app.main([str(finished), *TINY]) == 0
     assert (finished / "measurements.jsonl").read_text() == measured
@@ -117,9 +138,9 @@ def test_a_method_is_what_is_told_of_it(name):
 def test_a_file_has_one_mesh_and_clouds_of_any_size(tmp_path):
     file = tmp_path / "ball.off"
     write(sphere(subdivisions=3).geometry, file)
-    found = problems((800, 700), file=str(file))
-    assert [(p.kind, p.points) for p in found] == [("mesh", 0), ("cloud", 700), ("cloud", 800)]
-    mesh, cloud, _ = (problem.assemble() for problem in found)
+    found = sizes_of(str(file), (800, 700))
+    assert [str(p) for p in found] == ["mesh", "cloud, 700 points", "cloud, 800 points"]
+    mesh, cloud, _ = (assemble(recipe)[0] for recipe in found)
     assert (mesh.n, cloud.n) == (642, 700)
     assert [x.operator.split("(")[0] for x in (mesh, cloud)] == [
         *("robust_laplacian", "delaunay_laplacian")
@@ -129,7 +150,7 @@ def test_a_file_has_one_mesh_and_clouds_of_any_size(tmp_path):
     # Of unit area, so radius 1 / sqrt(4 pi): eigenvalues 4 pi l (l + 1).
     assert eigensolve(mesh, 4).eigenvalues[1:] == pytest.approx(8 * np.pi, rel=0.02)
     with pytest.raises(InvalidInputError, match="sizes"):
-        problems((499,))
+        sizes_of("", (499,))
 
 
 # --- how ---
@@ -146,7 +167,7 @@ def test_without_exact_modes_there_are_no_errors_but_seconds(tmp_path):
     assert "eigenvalue_error" not in result.record
     stopped = Result(EXACT, CLOUD, 0, {"status": "stopped", "reason": "took more than 5 s"})
     text = write_report(solves, [result], [stopped], MACHINE)[1].read_text()
-    assert "- exact modes (cloud, 600 points): took more than 5 s" in text
+    assert "- exact eigenvalues (cloud, 600 points): took more than 5 s" in text
     # Once they are there, it is measured again.
     (tmp_path / "elsewhere").rename(exact)
     (result,) = run(solves, Store(tmp_path), jobs=0)
@@ -158,14 +179,16 @@ def test_without_exact_modes_there_are_no_errors_but_seconds(tmp_path):
 def test_what_is_absent_failed_or_too_slow_is_not_tried(tmp_path, monkeypatch):
     monkeypatch.setitem(METHODS, "lapy", Method(make=Arpack, needs="no_such_module"))
     solves = study(tmp_path)
-    eigsh, small, large, mesh = Contender("eigsh"), CLOUD, *problems([700])[::-1]
+    eigsh, small, large, mesh = Contender("eigsh"), CLOUD, *sizes_of("", [700])[::-1]
     assert solves.excuse(eigsh, mesh, []) == "there is no operator"
     for problem in (large, mesh):
         solves.prepared.file(OPERATOR, problem, ".npz").touch()
     absent = "not installed: pip install no_such_module"
     assert solves.excuse(Contender("lapy"), small, []) == absent
     stopped = Result(eigsh, small, 0, {"status": "stopped", "reason": "took more than 9 s"})
-    assert solves.excuse(eigsh, large, [stopped]) == "stopped at 600 points: took more than 9 s"
+    assert (
+        solves.excuse(eigsh, large, [stopped]) == "stopped at cloud, 600 points: took more than 9 s"
+    )
     failed = Result(eigsh, small, 0, {"status": "failed", "reason": "no"})
     assert solves.excuse(eigsh, small, [failed]) == "no"
     assert solves.excuse(eigsh, large, [failed]) == ""
@@ -176,10 +199,11 @@ def test_what_is_absent_failed_or_too_slow_is_not_tried(tmp_path, monkeypatch):
 # --- what follows ---
 
 
-def measured(name, seconds, error, points=600, device="cpu", **changes):
+def measured(name, seconds, error, points=600, device="cpu", problem=None, **changes):
     record = {"status": "ok", "n": points, "seconds": seconds, "assembly_seconds": 0.1}
     record |= {"eigenvalue_error": error, "waiting": 0.0, **changes}
-    return Result(Contender(name, device), Problem("mesh", points), 0, record)
+    problem = problem or sizes_of("", [points], ["mesh"])[0]
+    return Result(Contender(name, device), problem, 0, record)
 
 
 def report(folder, results):
@@ -206,5 +230,64 @@ def test_the_report_says_who_is_best_what_is_missing_and_what_disturbed(tmp_path
     assert "up to 25% of a solve's time was spent waiting for a core" in text
     cells = next(x for x in text.splitlines() if x.startswith("| **neo**")).replace(" ", "")
     assert cells.startswith("|**neo**||0.5|10.00|0.6|")
+    assert "members" not in text  # of one animal at many sizes
     assert "- mesh, cpu: eigsh 1.00 (3 sizes)\n" in text  # and none for two sizes
     assert "- spectra (mesh, 600 points): too slow" in text
+
+
+EASY = Recipe(name="easy", sources=("a",), traits=("smooth",))
+HARD = Recipe(name="hard", sources=("b",), traits=("CAD", "smooth"), held_back=True)
+SPOTS = Recipe(name="spots", sources=("c",), steps=(("sample", 9),), traits=("CAD",))
+
+
+def on(problem, name, seconds, error, **changes):
+    return measured(name, seconds, error, problem=problem, residual_max=error, **changes)
+
+
+def test_a_set_has_a_geometric_mean_and_its_worst_and_nobody_is_excused(tmp_path):
+    results = [
+        *(on(recipe, "eigsh", 8.0, 1e-15) for recipe in (EASY, HARD, SPOTS)),
+        *(on(EASY, "capped", 1.0, 1e-4), on(HARD, "capped", 8.0, 5e-2)),
+        on(SPOTS, "capped", 1.0, 1e-4, peak_bytes=3e9),
+        *(on(EASY, "neo", 0.1, 1e-9), on(SPOTS, "neo", 0.1, 1e-9)),
+        on(HARD, "neo", None, None, status="failed", reason="too hard"),
+        on(EASY, "lobpcg", None, None, status="failed", reason="never"),
+    ]
+    eigsh, capped, neo = summaries(repeats_of(results))
+    assert capped.over["slowdown"] == (pytest.approx(1 / 4), 1.0, "hard")  # 8 * 1 * 8 = 4 ** 3
+    assert capped.over["eigenvalue_error"] == (pytest.approx(5.02e-2 / 3), 5e-2, "hard")
+    assert capped.over["bytes"] == (pytest.approx(1e9), 3e9, "spots")
+    assert eigsh.over["slowdown"].mean == 1
+    assert (neo.members, neo.lost) == (3, ("hard",))
+    assert np.isnan(neo.over["slowdown"].mean)  # of the easier two it would flatter
+    text = report(tmp_path, results)
+    headlines = re.findall("^## (.*)$", text, re.MULTILINE)
+    counts = [("all", 3), ("held back", 1), ("for tuning", 2), ("mesh", 2), ("cloud", 1)]
+    counts += [("CAD", 2), ("smooth", 2)]
+    assert headlines == [f"{name}: {count} members" for name, count in counts]
+    table = text[text.index("## all") : text.index("## held back")]
+    rows = [line.replace(" ", "").split("|")[1:-1] for line in table.splitlines() if "/3" in line]
+    assert rows[1][:5] == ["**capped**", "", "3/3", "4.00", "1.00(hard)"]
+    assert rows[1][5:] == ["1.7e-02", "5.0e-02(hard)", "1.7e-02", "5.0e-02", "1.00", "3.00"]
+    assert rows[2][:5] == ["neo", "", "2/3", "-", "none(hard)"]
+    assert "- neo (hard): too hard" in text
+    assert (tmp_path / "accuracy.png").exists()
+
+
+def test_what_is_not_there_is_skipped_with_a_reason(tmp_path, monkeypatch):
+    monkeypatch.delenv("SPECTRA_KIT_DATA", raising=False)
+    igea = REAL["igea"]
+    prepared = Preparation(folder=tmp_path, problems=(igea, REAL["40 parts"]), k=4)
+    results = run(prepared, Store(tmp_path), jobs=0)
+    assert {result.record["status"] for result in results} == {"skipped"}
+    told = "no data: ood_public/igea; set SPECTRA_KIT_DATA"
+    assert results[0].record["reason"] == told
+    solves = Solves(folder=tmp_path, contenders=(), problems=(), prepared=prepared)
+    assert solves.excuse(Contender("eigsh"), igea, []) == told
+
+
+def test_a_member_of_the_set_is_not_excused_by_another(tmp_path):
+    solves = study(tmp_path, given=())
+    solves.prepared.file(OPERATOR, HARD, ".npz").touch()
+    stopped = Result(Contender("eigsh"), EASY, 0, {"status": "stopped", "reason": "took long"})
+    assert solves.excuse(Contender("eigsh"), HARD, [stopped]) == ""

@@ -110,6 +110,8 @@ def test_a_view_reaches_the_camera(plot):
         (convergence, {"rtol": 0.0}, "rtol", "positive", "0"),
         (pareto, {"points": []}, "points", "at least one ParetoPoint", "none"),
         (pareto, {"marks": {"a": 0.0}}, "marks", "positive", "0"),
+        (partial(replace, POINT), {"worst": (0.5, 1.0)}, "worst", "seconds >= 1 and", "0.5"),
+        (partial(replace, POINT), {"worst": (2.0, 0.0)}, "worst", "error >= 0.1", "2.0"),
         (viz.plot_spectrum, {"spectra": {}}, "spectra", "at least one Spectrum", "none"),
         (viz.plot_spectrum, {"spectra": {"a": BALL}}, "spectra", "names to Spectrum", "a dict"),
         (viz.plot_spectrum, {"spectra": {"b": EMPTY}}, "spectra", "have modes", "none in 'b'"),

@@ -222,6 +222,19 @@ def test_each_league_has_its_own_front():
     assert [line.get_xdata()[0] for line in fronts] == [0.1, 1.0]
 
 
+def test_bars_lead_from_means_to_the_worst_and_the_page_holds_them():
+    runs = [replace(RUNS[0], worst=(30.0, 5.0)), *RUNS[1:]]
+    panel = drawn(runs).axes[0]
+    (bars,) = panel.containers
+    time, error = (collection.get_segments() for collection in bars.lines[2])
+    np.testing.assert_allclose(time[0], [(0.1, 0.1), (30, 0.1)])
+    np.testing.assert_allclose(error[0], [(0.1, 0.1), (0.1, 5)])
+    assert panel.get_xlim()[1] > 30
+    assert panel.get_ylim()[1] > 5
+    assert not drawn(RUNS).axes[0].containers
+    assert pareto_front(runs)[0] == runs[0]
+
+
 def test_names_cover_neither_each_other_nor_a_dot():
     rng = np.random.default_rng(3)
     crowd = [

@@ -11,9 +11,10 @@ import numpy as np
 
 from measure import tables
 from measure.eigensolvers.methods import BASELINE, METHODS, Contender
-from measure.eigensolvers.studies import KINDS, Problem, Solves
+from measure.eigensolvers.studies import KINDS, OPERATOR, Solves
 from measure.figures import dots, draw_pareto, legend, panels, save, ticks, undominated
 from measure.machine import machine_line
+from measure.recipes import Recipe
 from measure.store import Record
 from measure.study import Repeats, Result, repeats_of
 from spectra_kit.viz import ParetoPoint
@@ -28,7 +29,67 @@ FIT_SIZES = 3
 
 _BUSY = 0.05  # of a solve's time without a core; times are longer than they should be
 
-Row = Repeats[Contender, Problem]
+Row = Repeats[Contender, Recipe]
+
+
+class Over(NamedTuple):
+    """A figure over a set: its mean, its worst, and on which member."""
+
+    mean: float
+    worst: float
+    where: str
+
+
+class Summary(NamedTuple):
+    """One contender over a set."""
+
+    contender: Contender
+    members: int  #: That anyone has solved.
+    lost: tuple[str, ...]  #: Of these, what this one did not.
+    #: Name -> figure: without means where some are lost, as those would be of easier members.
+    over: dict[str, Over]
+
+
+def summaries(rows: Sequence[Row]) -> list[Summary]:
+    """Summarise each contender that has solved something: speed-ups, errors, residuals, memory.
+
+    Speed-ups have a geometric mean, all others an arithmetic one, which their largest decide.
+    """
+    base = {
+        str(row.problem): row.median("seconds")
+        for row in rows
+        if str(row.contender) == BASELINE and row.ok
+    }
+    members = list(dict.fromkeys(str(row.problem) for row in rows if row.ok))
+    found = []
+    for who in dict.fromkeys(row.contender for row in rows if row.ok):
+        mine = {str(row.problem): row for row in rows if row.contender == who and row.ok}
+        lost = tuple(name for name in members if name not in mine)
+        figures: dict[str, dict[str, float | None]] = {
+            "slowdown": {
+                name: tables.ratio(row.median("seconds"), base.get(name))
+                for name, row in mine.items()
+            },
+            "bytes": {name: _memory(row) for name, row in mine.items()},
+        }
+        for figure in ("eigenvalue_error", "residual_max"):
+            figures[figure] = {name: row.largest(figure) for name, row in mine.items()}
+        over = {
+            name: told for name, values in figures.items() if (told := _over(name, values, lost))
+        }
+        found.append(Summary(who, len(members), lost, over))
+    return found
+
+
+def _over(figure: str, values: Mapping[str, float | None], lost: Sequence[str]) -> Over | None:
+    known = {name: value for name, value in values.items() if value is not None}
+    if not known:
+        return None
+    where = max(known, key=lambda name: known[name])
+    numbers = np.array([*known.values()])
+    mean = np.exp(np.log(numbers).mean()) if figure == "slowdown" else numbers.mean()
+    mean = min(mean, numbers.max())  # which that of equal numbers may exceed, by rounding
+    return Over(float("nan") if lost else float(mean), known[where], where)
 
 
 class Fit(NamedTuple):
@@ -39,11 +100,14 @@ class Fit(NamedTuple):
 
 
 def exponents(rows: Iterable[Row]) -> dict[tuple[str, Contender], Fit]:
-    """Fit an exponent for each geometry and contender with enough sizes from `FIT_FROM` on."""
+    """Fit an exponent for each geometry and contender with enough sizes from `FIT_FROM` on.
+
+    Of one surface: members of the set differ in more than their size.
+    """
     lines: dict[tuple[str, Contender], dict[int, float]] = {}
     for row in rows:
         seconds = row.median("seconds")
-        if seconds is not None and row.first("n") >= FIT_FROM:
+        if seconds is not None and row.first("n") >= FIT_FROM and not row.problem.traits:
             line = lines.setdefault((row.problem.kind, row.contender), {})
             line[row.first("n")] = seconds
     return {
@@ -55,18 +119,20 @@ def exponents(rows: Iterable[Row]) -> dict[tuple[str, Contender], Fit]:
 
 def write_report(
     study: Solves,
-    results: Iterable[Result[Contender, Problem]],
-    prepared: Iterable[Result[str, Problem]],
+    results: Iterable[Result[Contender, Recipe]],
+    prepared: Iterable[Result[str, Recipe]],
     machine: Record,
 ) -> list[Path]:
     """Write ``benchmark.json``, ``benchmark.md`` and the plots into the folder of the study.
 
-    Return their paths: JSON, Markdown, then ``time-KIND.png`` and ``accuracy-KIND-POINTS.png``.
+    Return their paths: JSON, Markdown, then ``accuracy.png`` over the members of the set, or
+    ``time-KIND.png`` over the sizes of another surface.
     """
-    rows, folder = repeats_of(results), study.folder
+    rows, ready, folder = repeats_of(results), repeats_of(prepared), study.folder
     fitted = exponents(rows)
+    groups = {name: summaries(some) for name, some in _groups(rows).items()}
     record = {
-        "schema": 2,
+        "schema": 3,
         "machine": machine,
         "settings": {"k": study.prepared.k, "repeats": study.repeats, "operators": KINDS},
         "methods": {
@@ -77,6 +143,17 @@ def write_report(
             }
             for row in rows
         },
+        "summaries": {
+            name: [
+                {
+                    **{"method": one.contender.name, "device": one.contender.device},
+                    **{"members": one.members, "lost": one.lost},
+                    **{figure: over._asdict() for figure, over in one.over.items()},
+                }
+                for one in found
+            ]
+            for name, found in groups.items()
+        },
         "results": [_as_json(row) for row in rows],
         "exponents": [
             {"geometry": kind, "device": who.device, "method": who.name, **fit._asdict()}
@@ -84,23 +161,46 @@ def write_report(
         ],
     }
     paths = [tables.write_json(folder / "benchmark.json", record), folder / "benchmark.md"]
-    missing = _missing([*repeats_of(prepared), *rows])
-    tables.write_markdown(paths[1], [*_markdown(study, rows, machine), *missing])
+    parts = [
+        *_head(study, rows, machine),
+        *(part for name, found in groups.items() for part in _summary(name, found)),
+        *_members(ready),
+        *(_table(here) for _, here in _grouped(rows, lambda row: row.problem)),
+        *_exponent_lines(rows),
+        *_solver_lines(rows),
+        *_missing([*ready, *rows]),
+    ]
+    tables.write_markdown(paths[1], parts)
+    if len(points := _pareto_points(groups.get(ALL, ()))) > 1:
+        labels = {
+            "xlabel": f"time, {BASELINE} = 1: geometric mean; bars lead to the worst",
+            "ylabel": "mean relative eigenvalue error",
+        }
+        title = f"{len({row.problem for row in rows})} real meshes and clouds"
+        paths.append(draw_pareto(folder / "accuracy.png", points, title=title, **labels))
     for kind, these in _grouped(rows, lambda row: row.problem.kind):
-        if any(row.ok for row in these):
+        if any(row.ok and not row.problem.traits for row in these):
             paths.append(_draw_times(kind, these, fitted, folder / f"time-{kind}.png"))
-        for problem, here in _grouped(these, lambda row: row.problem):
-            if len(points := _pareto_points(here)) > 1:
-                n = here[0].first("n")
-                paths.append(
-                    draw_pareto(
-                        folder / f"accuracy-{kind}-{problem.points or n}.png",
-                        points,
-                        ylabel="mean relative eigenvalue error",
-                        title=f"{kind}, {n or problem.points:,} points: accuracy against time",
-                    )
-                )
     return paths
+
+
+#: The group of all members.
+ALL = "all"
+
+
+def _groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Gather what was measured on the set: all, one side of it, one kind, one trait."""
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        member = row.problem
+        if member.traits:
+            side = "held back" if member.held_back else "for tuning"
+            for name in (ALL, side, member.kind, *member.traits):
+                groups.setdefault(name, []).append(row)
+    first = (ALL, "held back", "for tuning", *KINDS)
+    return {
+        name: groups[name] for name in (*first, *sorted({*groups} - {*first})) if name in groups
+    }
 
 
 def _as_json(row: Row) -> Record:
@@ -108,7 +208,9 @@ def _as_json(row: Row) -> Record:
     last = row.results[-1].record
     return {
         "geometry": row.problem.kind,
-        "points": row.problem.points,
+        "recipe": row.problem.told,
+        "traits": row.problem.traits,
+        "held_back": row.problem.held_back,
         "method": row.contender.name,
         "device": row.contender.device,
         **{name: value for name, value in last.items() if name not in ("key", "study", "time")},
@@ -116,31 +218,78 @@ def _as_json(row: Row) -> Record:
     }
 
 
-def _markdown(study: Solves, rows: Sequence[Row], machine: Record) -> list[str]:
+def _head(study: Solves, rows: Sequence[Row], machine: Record) -> list[str]:
     waiting = max((value for row in rows for value in row.values("waiting")), default=0.0)
     return [
         f"k = {study.prepared.k} modes; median of {study.repeats} interleaved runs."
         f" {machine_line(machine)}",
         "Seconds leave out assembly and certificate; each solve has a process of its own, which"
         f" has solved something small before. Speed-up: over {BASELINE}. GB: peak above the"
-        " operator. Residuals are relative; eigenvalue and span errors are means against ARPACK at"
-        " machine precision; missed: exact modes with more than half of their energy outside the"
-        " modes found. Bold: no other method on that device is both faster and more accurate.",
+        " operator. Residuals are relative, the largest of all modes; eigenvalue errors are"
+        " relative, by place, against ARPACK at machine precision: the mean over the modes, and"
+        " the worst. Over a set, speed-ups have a geometric mean, all else an arithmetic one; who"
+        f" did not solve every member has no mean. What {BASELINE} did not solve has no speed-up,"
+        " and what has no exact eigenvalues no error, for all alike. Bold: no other method on that"
+        " device is both faster and more accurate.",
         "Stops at: the tolerance, each in the sense of its own stopping test (the residuals say"
         " what came of it); *rounding* is machine precision, *default* what the package has set;"
         " predictions have no tolerance. A speed-up compares like with like only where both stop"
         " at the same.",
         f"**Something else was running**: up to {waiting:.0%} of a solve's time was spent waiting"
         " for a core." * (waiting > _BUSY),
-        *(_table(here) for _, here in _grouped(rows, lambda row: row.problem)),
-        *_exponent_lines(rows),
-        *_solver_lines(rows),
     ]
+
+
+_OVER = (
+    *("method", "stops at", "solved", "speed-up", "worst", "eigenvalue error", "worst"),
+    *("residual", "worst", "GB", "worst"),
+)
+
+
+def _summary(name: str, found: Sequence[Summary]) -> list[str]:
+    """Tell of a group: means and worst, the worst with its member."""
+    best = undominated(_pareto_points(found))
+    lines = []
+    for one in found:
+        who = str(one.contender)
+        cells = [f"**{who}**" if who in best else who, one.contender.method.stops]
+        cells.append(f"{one.members - len(one.lost)}/{one.members}")
+        for figure, form in (("slowdown", ".2f"), ("eigenvalue_error", ".1e")):
+            over = one.over.get(figure)
+            if over is None:
+                cells += [tables.NONE] * 2
+            elif figure == "slowdown":
+                at = f"none ({one.lost[0]})" if one.lost else f"{1 / over.worst:.2f} ({over.where})"
+                cells += [tables.number(1 / over.mean, form), at]
+            else:
+                cells += [tables.number(over.mean, form), f"{over.worst:{form}} ({over.where})"]
+        for figure, form, unit in (("residual_max", ".1e", 1.0), ("bytes", ".2f", 1e9)):
+            over = one.over.get(figure)
+            both = (over.mean / unit, over.worst / unit) if over else (None, None)
+            cells += [tables.number(value, form) for value in both]
+        lines.append(cells)
+    return [f"## {name}: {found[0].members} members" if found else "", tables.table(_OVER, lines)]
+
+
+def _members(prepared: Iterable[Repeats[str, Recipe]]) -> list[str]:
+    """List the set: what each member is made of, and the hash of what came of it."""
+    header = ("member", "kind", "traits", "made of", "points", "for", "hash")
+    lines = [
+        [
+            *(str(row.problem), row.problem.kind, ", ".join(row.problem.traits), row.problem.told),
+            f"{row.first('n'):,}",
+            "checking" if row.problem.held_back else "tuning",
+            row.first("digest"),
+        ]
+        for row in prepared
+        if row.contender == OPERATOR and row.ok and row.problem.traits
+    ]
+    return ["## The set", tables.table(header, lines)] if lines else []
 
 
 _COLUMNS = (
     *("method", "stops at", "seconds", "speed-up", "with assembly", "GB"),
-    *("residual, max", "median", "eigenvalue error", "span error", "missed"),
+    *("residual, max", "median", "eigenvalue error", "worst mode"),
 )
 
 
@@ -149,15 +298,18 @@ def _table(here: Sequence[Row]) -> str:
     if not good:
         return f"### {problem}\n\nNothing was measured."
     n, assembly = good[0].first("n"), good[0].first("assembly_seconds")
-    base = next((row.median("seconds") for row in good if row.contender.name == BASELINE), None)
-    best = undominated(_pareto_points(good))
+    base = next((row.median("seconds") for row in good if str(row.contender) == BASELINE), None)
+    best = undominated(
+        _point(row.contender, row.median("seconds"), row.first("eigenvalue_error"))
+        for row in good
+        if row.first("eigenvalue_error") is not None
+    )
     lines = []
     for row in good:
         name, seconds = str(row.contender), row.median("seconds")
         assert seconds is not None
-        memory = (row.largest("peak_bytes") or 0) + (row.largest("device_peak_bytes") or 0)
         errors = [row.largest(name) for name in ("residual_max", "residual_median")]
-        errors += [row.first(name) for name in ("eigenvalue_error", "span_error")]
+        errors += [row.first(name) for name in ("eigenvalue_error", "eigenvalue_error_max")]
         lines.append(
             [
                 f"**{name}**" if name in best else name,
@@ -165,13 +317,12 @@ def _table(here: Sequence[Row]) -> str:
                 tables.number(seconds),
                 tables.number(tables.ratio(base, seconds), ".2f"),
                 tables.number(seconds + assembly),
-                f"{memory / 1e9:.2f}",
+                f"{_memory(row) / 1e9:.2f}",
                 *(tables.number(error, ".1e") for error in errors),
-                tables.number(row.first("missed"), ",.0f"),
             ]
         )
     return (
-        f"### {problem.kind}, {n:,} points\n\nOperator: {KINDS[problem.kind]}, assembled in"
+        f"### {problem}\n\n{n:,} points; operator: {KINDS[problem.kind]}, assembled in"
         f" {tables.number(assembly)} s.\n\n{tables.table(_COLUMNS, lines)}"
     )
 
@@ -190,7 +341,7 @@ def _solver_lines(rows: Sequence[Row]) -> list[str]:
     return ["What the names stand for:", tables.listed(f"{n}: `{s}`" for n, s in solvers.items())]
 
 
-def _missing(rows: Iterable[Row | Repeats[str, Problem]]) -> list[str]:
+def _missing(rows: Iterable[Row | Repeats[str, Recipe]]) -> list[str]:
     reasons: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         if not row.ok:
@@ -200,24 +351,36 @@ def _missing(rows: Iterable[Row | Repeats[str, Problem]]) -> list[str]:
     return [title, told] if told else []
 
 
-def _pareto_points(rows: Iterable[Row]) -> list[ParetoPoint]:
-    """Return what has an error as points of a Pareto plot, a league each device."""
+def _pareto_points(found: Iterable[Summary]) -> list[ParetoPoint]:
+    """Return who solved every member as points of a Pareto plot, with their worst."""
     points = []
-    for row in rows:
-        seconds, error = row.median("seconds"), row.first("eigenvalue_error")
-        if seconds is not None and error is not None:
-            method = row.contender.method
-            group = f"to {method.stops}" if method.stops else "predictions"
-            points.append(
-                ParetoPoint(
-                    name=str(row.contender),
-                    group="other packages" if method.peer else group,
-                    seconds=seconds,
-                    error=error,
-                    league=row.contender.device,
-                )
-            )
+    for one in found:
+        time, error = one.over.get("slowdown"), one.over.get("eigenvalue_error")
+        if time and error and not one.lost:
+            worst = time.worst, error.worst
+            points.append(_point(one.contender, time.mean, error.mean, worst))
     return points
+
+
+def _point(
+    who: Contender, seconds: float | None, error: float, worst: tuple[float, float] | None = None
+) -> ParetoPoint:
+    """Return a point of a Pareto plot, in a league for each device."""
+    assert seconds is not None
+    group = f"to {who.method.stops}" if who.method.stops else "predictions"
+    return ParetoPoint(
+        name=str(who),
+        group="other packages" if who.method.peer else group,
+        seconds=seconds,
+        error=error,
+        league=who.device,
+        worst=worst,
+    )
+
+
+def _memory(row: Row) -> float:
+    """Return the peak on processor and accelerator, in bytes."""
+    return (row.largest("peak_bytes") or 0) + (row.largest("device_peak_bytes") or 0)
 
 
 def _draw_times(
