@@ -63,8 +63,9 @@ class HeatGeodesics:
         Modes of the geometry, by whatever solver: they make an iterative solver quicker, and do
         not change the distances.
     solver : Direct, Iterative or Automatic, default Automatic()
-        How linear systems are solved. `distance` takes its call for the only one: for more than a
-        few use `distances`, or say so (``Automatic(n_sources=100)``), as complete factors then pay.
+        How linear systems are solved. `Automatic` counts the sources of all calls so far, and
+        changes to complete factors when iterations have cost as much as these would; for many
+        use `distances`, or say so (``Automatic(n_sources=100)``), and it has them at once.
     time_coefficient : float, default 1.0
         The time of the heat step is this times the square of the typical edge of each component
         (`IntrinsicTriangulation.spacings`). Larger ones give smoother, less exact distances.
@@ -150,6 +151,7 @@ class HeatGeodesics:
         self.time_steps = frozen(time_coefficient * self.triangulation.spacings**2)
         self._time_coefficient = time_coefficient
         self._ready: dict[Direct | Iterative, _Ready] = {}
+        self._asked = 0  # sources, by all calls so far
 
     def __repr__(self) -> str:
         return (
@@ -194,7 +196,7 @@ class HeatGeodesics:
         Parameters
         ----------
         sources : sequence of whatever `distance` takes
-            Their number decides what `Automatic` does.
+            Their number, and those of calls before, decide what `Automatic` does.
 
         Returns
         -------
@@ -326,7 +328,8 @@ class HeatGeodesics:
     def _options(self, count: int) -> tuple[Direct | Iterative, str]:
         if not isinstance(self._solver, Automatic):
             return self._solver, "as asked"
-        return self._solver.choose(self.triangulation.n, max(count, self._solver.n_sources))
+        self._asked += count
+        return self._solver.choose(self.triangulation.n, max(self._asked, self._solver.n_sources))
 
 
 def _from_sources(potential: Floats, sources: Sources, labels: Ints) -> Floats:

@@ -26,7 +26,9 @@ from spectra_kit.linalg.solution import LinearSolution
 from spectra_kit.spectra import Spectrum
 
 _SMALL = 10_000  # points, of which a complete factor takes less than a tenth of a second
-_FEW = 4  # sources: for more, complete factors pay; see `benchmark_geodesics.py`
+# Sources whose iterations cost what complete factors do: 3 to 5 on 48,000 and 134,000 points.
+# Who changes over then has spent at most twice what the better of both takes (rent or buy).
+_FEW = 4
 _MODES = 24  # beyond these, the bytes of a mode cost more than its iterations
 _DROP, _RELAXATION = 5e-3, 0.9
 _RITZ = 0.1  # relative error of the energies up to which they serve a preconditioner
@@ -117,8 +119,8 @@ class Automatic:
     Parameters
     ----------
     n_sources : int, default 1
-        How often distances will be asked for in all. `HeatGeodesics.distances` counts its sources,
-        too; `HeatGeodesics.distance` does not know of other calls.
+        How often distances will be asked for in all, if that is known. `HeatGeodesics` counts the
+        sources that it was asked for, and goes by the larger number.
     memory : float, default 4.0
         GiB that two complete factors may take.
     modes : int, default 24

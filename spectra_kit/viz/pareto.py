@@ -180,6 +180,7 @@ def plot_pareto(
             bars: dict[str, Any] = {"xerr": [0 * x, slow - x], "yerr": [0 * y, far - y]}
             bars |= {"ecolor": line_style(i)[0], "alpha": 0.6, "elinewidth": 1.8, "capsize": 3}
             panel.errorbar(x, y, fmt="none", **bars)
+            lines += [np.array([[t, e], [w, e]]) for t, e, w in zip(x, y, slow, strict=True)]
         style: dict[str, Any] = {"color": line_style(i)[0], "marker": _MARKERS[i % len(_MARKERS)]}
         style |= {"ls": "", "ms": 7, "mec": "white", "mew": 0.8, "label": group, "zorder": 3}
         panel.plot(*least.T, **style)

@@ -320,9 +320,27 @@ def test_many_sources_or_the_promise_of_them_decide_alike() -> None:
     promised = HeatGeodesics(mesh, solver=Automatic(n_sources=6)).distance(0)
     assert {f.solver for f in (*fields, promised)} == {Direct()}
     assert {f.reason for f in fields} == {promised.reason}
-    alone = [geodesics.distance(0), HeatGeodesics(mesh).distance(0)]  # whatever was asked before
-    assert {f.solver for f in alone} == {Iterative(coarse="none")}
-    assert np.array_equal(alone[0], alone[1])
+    assert HeatGeodesics(mesh).distance(0).solver == Iterative(coarse="none")
+    after = geodesics.distance(0)  # the factors are there
+    assert after.solver == Direct()
+    assert np.array_equal(after, fields[0])
+
+
+def test_single_calls_go_on_with_factors_once_iterations_have_cost_as_much() -> None:
+    mesh = sphere(subdivisions=5).geometry
+    geodesics, other = HeatGeodesics(mesh), HeatGeodesics(mesh, solver=Iterative())
+    fields = [geodesics.distance(i) for i in range(8)]
+    direct = [f.solver == Direct() for f in fields]
+    assert direct == sorted(direct)  # once, and not back
+    assert not direct[0]
+    assert direct[-1]
+    five = HeatGeodesics(mesh).distances(range(5))[0]  # as many at once
+    assert fields[direct.index(True)].reason == five.reason
+    for i, field in enumerate(fields):
+        assert np.abs(field.distance - other.distance(i).distance).max() < 1e-6
+    assert not any(other.distance(i).solver == Direct() for i in range(8))  # as asked
+    low = HeatGeodesics(mesh, solver=Automatic(memory=0.001))  # no room for factors
+    assert {low.distance(i).solver for i in range(6)} == {Iterative(coarse="none")}
 
 
 def test_a_field_is_an_array_and_keeps_its_record(animal) -> None:
