@@ -69,7 +69,7 @@ def lifted(Y: Block, rotation: Floats) -> Floats:
 
 def energies(diagonal: Floats, Y: Block) -> Floats:
     """Return the diagonal of ``Y^T D Y``."""
-    return np.asarray(np.einsum("ij,i,ij->j", Y, diagonal, Y))
+    return _sum_of(lambda rows: diagonal[rows] @ np.square(Y[rows]), len(Y))
 
 
 def joined(Y: Block, Z: Block) -> Block:
