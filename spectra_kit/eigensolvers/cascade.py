@@ -24,6 +24,7 @@ from spectra_kit.subspaces.given import OnPoints
 
 _SWEEPS = 20  # at most; three or four settle random columns
 _SETTLED = 0.01  # change of the coarsest Ritz values in the last sweep; the next gains nothing
+_CLOSEST = 1e-8  # residuals that few points are solved to at most: errors are their squares
 _ROOM = 6  # points of the coarsest level for each column: fewer have no low modes
 
 
@@ -32,9 +33,9 @@ _ROOM = 6  # points of the coarsest level for each column: fewer have no low mod
 class Cascade(OnPoints):
     """Solve on few points, carry the modes up level by level, and smooth them on each.
 
-    Approximate, without a factor of more than `coarsest` points: what grows with the resolution
-    is sparse products and Rayleigh-Ritz. How many follows from the operator and from what they
-    gain; the certificate says what was reached.
+    Approximate, without a factor of more than a few thousand points: what grows with the
+    resolution is sparse products and Rayleigh-Ritz. How many follows from the operator and from
+    what they gain; the certificate says what was reached.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ class Cascade(OnPoints):
     max_steps : int, default 20
         Steps on all points at most: a smoother and Rayleigh-Ritz. 0 carries the modes up alone.
     device : str or torch.device, default "cpu"
-        "cpu" or "cuda", for all but the coarsest level; never chosen for you.
+        "cpu" or "cuda", for all but the coarsest level and few points; never chosen for you.
     rank_tol : float, default 1e-10
         Of a basis that is not swept: relative cut on its singular values; see
         `linalg.orthonormalize`.
@@ -120,7 +121,7 @@ class Cascade(OnPoints):
         clock = device_clock(self.device)
         levels = nested(laplacian, max(self.coarsest, _ROOM * block))
         if not levels and self.sweeps != 0:
-            return self._without_levels(subspace).eigenpairs(laplacian, k)
+            return self._without_levels(subspace, laplacian, k)
         clock.stage("coarsen")
         if levels:
             subspace = restricted(subspace, _points(levels))
@@ -148,13 +149,15 @@ class Cascade(OnPoints):
         errors = found.errors if found.steps else None  # carried modes alone tell nothing
         return Eigenpairs(found.eigenvalues[:k], vectors, clock.seconds, found.steps, errors)
 
-    def _without_levels(self, start: Subspace) -> Polished | Refined:
-        """Return what solves where there are few points."""
-        if self.sweeps is None:
-            return Refined(
-                start=start, rtol=min(self.target, 0.1), guard=self.guard, seed=self.seed
-            )
-        return Polished(start=start, sweeps=self.sweeps, guard=self.guard, seed=self.seed)
+    def _without_levels(self, start: Subspace, laplacian: Laplacian, k: int) -> Eigenpairs:
+        """Solve where there are few points, on the host."""
+        if self.sweeps is not None:
+            polished = Polished(start=start, sweeps=self.sweeps, guard=self.guard, seed=self.seed)
+            return polished.eigenpairs(laplacian, k)
+        rtol = min(max(self.target, _CLOSEST), 0.1)
+        refined = Refined(start=start, rtol=rtol, guard=self.guard, seed=self.seed)
+        # The error of an eigenvalue is of second order in its residual.
+        return refined.eigenpairs(laplacian, k)._replace(errors=np.full(k, rtol**2))
 
     def _begun(
         self, bottom: Coarse | Laplacian, basis: NDArray[np.floating], k: int, block: int
@@ -168,6 +171,9 @@ class Cascade(OnPoints):
         assert isinstance(bottom, Coarse)
         least = 1 if self.sweeps is None else k  # sweeps until they settle make up for the rest
         start = coarse_ritz(bottom, basis, least, guard=block - least)
+        if len(start.eigenvalues) < block and self.sweeps is None:
+            noise = np.random.default_rng(self.seed).standard_normal((bottom.n, block))
+            start = coarse_ritz(bottom, np.hstack([start.eigenvectors, noise]), k, guard=block - k)
         return coarse_iteration(
             bottom, start, k, rtol=_SETTLED, max_sweeps=self.sweeps or _SWEEPS, least=1
         )

@@ -25,7 +25,7 @@ def with_excess(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     certificate = spectrum.certificate
     assert certificate is not None
     # Some true eigenvalue lies within the residual of each: smaller ones leave nothing to prove.
-    if certificate.errors is not None or not (certificate.relative_residuals > DOUBTFUL).any():
+    if not (certificate.relative_residuals > DOUBTFUL).any():
         return spectrum
     excess = proved_excess(spectrum, laplacian)
     return spectrum.described(replace(certificate, excess=excess), spectrum.provenance)
@@ -59,16 +59,15 @@ def verdict(spectrum: Spectrum) -> str:
     certificate = spectrum.certificate
     if certificate is None:
         return ""
-    proved = certificate.excess is not None
-    by = certificate.excess if proved else certificate.errors
-    if by is None or not (high := by > DOUBTFUL).any():
-        return ""
-    worst = int(by.argmax())
-    much = f"{by[worst]:.0%} or more" if proved else f"about {by[worst]:.0%}"
-    return (
-        f"{'proved' if proved else 'estimated'} to be more than {DOUBTFUL:.0%} too high:"
-        f" {high.sum()} of {quantity(spectrum.k, 'eigenvalue')}, that of mode {worst} by {much}"
-    )
+    for known, by in (("proved", certificate.excess), ("estimated", certificate.errors)):
+        if by is not None and (high := by > DOUBTFUL).any():
+            worst = int(by.argmax())
+            return (
+                f"{known} to be more than {DOUBTFUL:.0%} too high: {high.sum()} of"
+                f" {quantity(spectrum.k, 'eigenvalue')}, that of mode {worst} by {by[worst]:.0%}"
+                f" {'or more' if known == 'proved' else 'or so'}"
+            )
+    return ""
 
 
 def warn_of_doubts(spectrum: Spectrum) -> None:

@@ -267,7 +267,7 @@ class _Run:
         """Call the backend on one component, check the form of its answer, and sort it."""
         start = time.perf_counter()
         if k == 0:
-            return Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)))
+            return Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)), errors=np.empty(0))
         if laplacian.n == 1:  # an isolated point: nothing to solve
             value = laplacian.stiffness.diagonal() / laplacian.mass
             vector = 1 / np.sqrt(laplacian.mass)[:, None]
@@ -368,6 +368,10 @@ def _of_checked_form(
         raise InvalidSpectrumError(
             f"{solver!r} must return shapes ({k},) and ({n}, {k}),"
             f" got {values.shape} and {vectors.shape}"
+        )
+    if pairs.errors is not None and np.shape(pairs.errors) != (k,):
+        raise InvalidSpectrumError(
+            f"{solver!r} must return errors of shape ({k},), got {np.shape(pairs.errors)}"
         )
     if values.dtype.kind not in "fiu" or vectors.dtype.kind not in "fiu":
         raise InvalidSpectrumError(

@@ -97,12 +97,10 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     if before is not None and before.count is not None:
         count = replace(count, added=before.count.added)
     seconds = {**spectrum.provenance.seconds, "verify": clock.total}
-    return certified.described(
-        replace(
-            certified.certificate, count=count, errors=None if before is None else before.errors
-        ),
-        replace(spectrum.provenance, seconds=seconds),
-    )
+    # Estimates know nothing of a mode that was passed over.
+    errors = None if before is None or count.missing else before.errors
+    certificate = replace(certified.certificate, count=count, errors=errors)
+    return certified.described(certificate, replace(spectrum.provenance, seconds=seconds))
 
 
 def count_modes(spectrum: Spectrum, laplacian: Laplacian) -> ModeCount:

@@ -168,7 +168,8 @@ def interpolate(
                 normal = e
         slope[:] = 0.0
         for e in range(3):
-            if e == normal or spread[e, e] <= flat * widest:
+            # Where a centre is alone all is rounding, and slopes would be of any size.
+            if e == normal or spread[e, e] <= max(flat * widest, 1e-6 * radius * radius):
                 continue
             along = 0.0
             for a in range(3):

@@ -15,6 +15,7 @@ from spectra_kit.operators.laplacian import Laplacian
 
 _FLOOR = 1e-3  # of the median diagonal entry: smaller ones would take steps of any length
 _ABOVE = 1.2  # of the frequency of the last columns: the interval that is damped begins there
+_MOST = 60  # products: where the columns are few, what lies just above them is left to more steps
 _REACH = 0.6  # degree d damps well from 1 / (1 + 0.6 d^2) of the top
 
 
@@ -70,14 +71,13 @@ class Smoothing:
     ) -> Any:
         """Return columns whose errors above the last `guards` of them are damped.
 
-        By as many products as that takes, or `degree` at most. See `levels.smoothed`.
+        By as many products as that takes, `degree` or 60 at most. See `levels.smoothed`.
         """
         ops = operations(vectors)
         last = slice(len(values) - guards, None)
         theta = float((values[last] / ops.energies(self.diagonal, vectors[:, last])).max())
-        lowest = _ABOVE * theta
-        if degree is not None:
-            lowest = max(lowest, self.highest / (1 + _REACH * degree**2))
+        most = _MOST if degree is None else degree
+        lowest = max(_ABOVE * theta, self.highest / (1 + _REACH * most**2))
         if lowest >= 0.9 * self.highest:
             return vectors  # the columns fill the space of the points
         steps = _steps(lowest, self.highest)

@@ -44,6 +44,7 @@ def gram(mass: Weights, Y: Block) -> Floats:
 
 def projected(matrix: sparse.csr_array, Y: Block) -> Floats:
     """Return ``Y^T L Y``, symmetric, in float64."""
+    Y = np.ascontiguousarray(Y)  # SciPy would copy all of it for each block of rows
     if Y.dtype == np.float64:
         inside = _sum_of(lambda rows: Y[rows].T @ (matrix[rows] @ Y), len(Y))
         return (inside + inside.T) / 2

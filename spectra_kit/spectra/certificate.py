@@ -82,10 +82,11 @@ class Certificate(Rebuilt):
     excess : ndarray of shape (k,), optional
         By how much each eigenvalue is too high at least, relative to the true one; 0 where nothing
         is proved. `eigensolve` adds it where a relative residual is above 0.1, as those of
-        predictions are, and the solver has no estimates.
+        predictions are.
     errors : ndarray of shape (k,), optional
         Estimated relative error of each eigenvalue, from what the last steps of a solver gained:
-        `Cascade` and `Neo` give it. An estimate, no bound.
+        `Cascade` and `Neo` give it. An estimate, no bound: it knows nothing of a mode that was
+        passed over, and is too low on shapes that are thin beside the spacing of coarse levels.
 
     Notes
     -----

@@ -77,6 +77,29 @@ def test_columns_that_belong_to_the_points():
     assert errors(sk.eigensolve(laplacian, 12, solver), exact).mean() < 0.01
 
 
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
+@pytest.mark.parametrize("flat", [[1, 0.01, 0.01], [1, 1e-3, 1e-3]], ids=["thin", "needle"])
+def test_shapes_thinner_than_the_levels(flat):
+    """A centre may be alone within reach: constants are carried to constants all the same."""
+    mesh = creature(8000, seed=0)
+    laplacian = sk.robust_laplacian(mesh.with_points(mesh.points * flat))
+    (level,) = nested(laplacian, 2000)
+    assert abs(level.prolongation.sum(axis=1) - 1).max() < 1e-9
+    assert abs(level.prolongation).max() < 10
+    exact = sk.eigensolve(laplacian, 20)
+    assert errors(sk.eigensolve(laplacian, 20, sk.Cascade(coarsest=2000)), exact).mean() < 0.01
+
+
+def test_a_start_may_lack_columns_or_be_a_constant():
+    laplacian = sk.robust_laplacian(creature(3000, seed=0))
+    exact = sk.eigensolve(laplacian, 20)
+    few = sk.GivenBasis(np.random.default_rng(0).standard_normal((laplacian.n, 5)))
+    found = sk.eigensolve(laplacian, 20, sk.Cascade(subspace=few, coarsest=500))
+    assert errors(found, exact).mean() < 1e-3
+    one = sk.Cascade(subspace=sk.GivenBasis(np.ones((laplacian.n, 1))), sweeps=0)
+    assert sk.eigensolve(laplacian, 1, one).eigenvalues[0] == 0
+
+
 def test_few_points_are_solved_as_they_are(bumpy_laplacian):
     waves = sk.AmbientFourier(m=60, bandwidth=3.0)
     given = {"subspace": waves, "coarsest": 400}
@@ -115,13 +138,14 @@ def test_estimates_tell_the_error(animal, animal_spectrum, uneven):
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_estimates_stay_with_the_modes(tmp_path):
     """Merged in the order of the eigenvalues, cut, scaled, written and read."""
-    parts = sk.robust_laplacian(joined(creature(3000, seed=0), moved(bumpy(2562), 9, 0, 0)))
+    many = joined(creature(3000, seed=0), moved(bumpy(2562), 9, 0, 0), moved(bumpy(), 19, 0, 0))
+    parts = sk.robust_laplacian(many)
     found = sk.eigensolve(parts, 20, sk.Cascade(coarsest=400))
     exact = sk.eigensolve(parts, 20)
     errors = found.certificate.errors
     assert errors.mean() < 1e-3
-    off = found.eigenvalues[2:] / exact.eigenvalues[2:] - 1
-    assert np.median(np.abs(np.log10(errors[2:] / off))) < 0.5
+    off = found.eigenvalues[3:] / exact.eigenvalues[3:] - 1
+    assert np.median(np.abs(np.log10(errors[3:] / off))) < 0.5
     found.save(tmp_path / "s.npz")
     for same in (sk.Spectrum.load(tmp_path / "s.npz"), found.rescale(3.0)):
         np.testing.assert_array_equal(same.certificate.errors, errors)
