@@ -23,6 +23,7 @@ _CARRIED = 8  # products of the first step on a level: interpolation errs at its
 _FEW = 10  # times better than the target one step must seem to be: a lone step tells less
 _LAST = 0.3  # share of an error that a step tends to leave, as the lowest frequencies are left
 _LEFT = 1.8  # by which the shares told by residuals and by falls are too small, in the mean
+_ROUNDING = 1e-10  # of the last Ritz value: a rise beyond it is none of rounding
 _SLOWEST = 0.9  # share beyond which steps gain too little to say what is left
 
 
@@ -120,7 +121,7 @@ def climb(
             guards = max(1, len(values) - k)
             smooth = smoothing.smoothed(values, X, residual, degree=degree, guards=guards)
             clock.stage("smooth")
-            values, X = _rotated(smoothing, smooth, X, len(values))
+            values, X = _rotated(smoothing, smooth, values, X, k)
             clock.stage("rayleigh_ritz")
             if not finest:
                 break
@@ -150,11 +151,18 @@ def estimated(falls: Sequence[Floats], shrunk: Floats) -> Floats:
     return np.asarray(falls[-1] * share / (1 - share))
 
 
-def _rotated(level: Smoothing, smooth: Any, before: Any, count: int) -> tuple[Floats, Any]:
-    """Return the Ritz pairs of smoothed columns."""
+def _rotated(level: Smoothing, smooth: Any, values: Floats, X: Any, k: int) -> tuple[Floats, Any]:
+    """Return the Ritz pairs of smoothed columns, whose k lowest values are not above the old ones.
+
+    Together with the old columns, where they alone are dependent or a value rose: what some had
+    beyond others was rough, or rounding grew in the correction.
+    """
     try:
-        return ritz_rotation(level.stiffness, level.mass, smooth)
-    except InvalidInputError:  # what some had beyond others was rough
-        both = operations(smooth).joined(smooth, before)
-        values, X, _ = ritz_pairs(level.stiffness, level.mass, both, count)
-        return values, X
+        lower, Y = ritz_rotation(level.stiffness, level.mass, smooth)
+        if (lower[:k] <= values[:k] + _ROUNDING * values[-1]).all():
+            return lower, Y
+    except InvalidInputError:
+        pass
+    both = operations(smooth).joined(smooth, X)
+    lower, Y, _ = ritz_pairs(level.stiffness, level.mass, both, len(values), least=k)
+    return lower, Y

@@ -11,6 +11,7 @@ import spectra_kit as sk
 from spectra_kit.geometry import sphere
 from spectra_kit.levels import coarse_iteration, coarse_ritz, smoothed
 from spectra_kit.levels.cascade import climb, nested
+from spectra_kit.levels.smoothing import Smoothing
 
 K = 40
 DEVICES = ["cpu:0"] + ["cuda"] * torch.cuda.is_available()  # "cpu" alone means arrays
@@ -153,6 +154,26 @@ def test_estimates_stay_with_the_modes(tmp_path):
     np.testing.assert_array_equal(sk.verify(found, parts).certificate.errors, errors)
     for solver in (sk.Cascade(coarsest=400, max_steps=0), sk.Arpack()):
         assert sk.eigensolve(parts, 20, solver).certificate.errors is None
+
+
+@pytest.mark.parametrize("spoilt", [0.3, 1e9])
+def test_a_bad_step_leaves_no_value_higher(animal, animal_spectrum, monkeypatch, spoilt):
+    """Rounding that grew in a correction, until nothing else is left of most columns."""
+    levels = nested(animal, 700)
+    noise = np.random.default_rng(0).standard_normal((levels[-1].n, 60))
+    pairs = coarse_iteration(levels[-1], coarse_ritz(levels[-1], noise, 60), K, rtol=0.01)
+    smoothed_well = Smoothing.smoothed
+
+    def spoil(self, values, vectors, residual, **options):
+        ruined = smoothed_well(self, values, vectors, residual, **options)
+        return ruined + spoilt * vectors[:, :1] + spoilt * np.sin(5 * self.diagonal)[:, None]
+
+    given = {"keep": 60, "target": 1e-300, "max_steps": 1}
+    before = climb(animal, levels, *pairs, K, **given | {"max_steps": 0}).eigenvalues[:K]
+    monkeypatch.setattr(Smoothing, "smoothed", spoil)
+    after = climb(animal, levels, *pairs, K, **given).eigenvalues[:K]
+    assert (after <= before + 1e-9 * before[-1]).all()
+    assert (after >= animal_spectrum.eigenvalues[:K] - 1e-9 * before[-1]).all()
 
 
 def test_smoothing_leaves_modes_alone_and_takes_noise_away(animal, animal_spectrum, monkeypatch):
