@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
@@ -14,10 +14,13 @@ from spectra_kit._validate import check_count, check_positive
 from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
 from spectra_kit.eigensolvers.refined import Polished, Refined
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels import Coarse, coarse_iteration, coarse_ritz
 from spectra_kit.levels.cascade import climb, nested
+from spectra_kit.levels.ordering import gathered
 from spectra_kit.levels.smoothing import on_device
 from spectra_kit.linalg.ritz import ritz_pairs
+from spectra_kit.linalg.threads import single_threaded_blas
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import RandomBasis, Subspace, restricted
 from spectra_kit.subspaces.given import OnPoints
@@ -26,6 +29,8 @@ _SWEEPS = 20  # at most; three or four settle random columns
 _SETTLED = 0.01  # change of the coarsest Ritz values in the last sweep; the next gains nothing
 _CLOSEST = 1e-8  # residuals that few points are solved to at most: errors are their squares
 _ROOM = 6  # points of the coarsest level for each column: fewer have no low modes
+_DENSE = 1500  # points whose dense eigenproblem takes no longer than sweeps
+_PREDICTED = 2048  # points of the coarsest level that a prediction begins on
 
 
 @checked
@@ -41,34 +46,35 @@ class Cascade(OnPoints):
     ----------
     subspace : Subspace, optional
         Where to begin on the coarsest level: any function of points and masses, such as
-        ``Neo().subspace``. Random columns without it, swept until they settle.
+        ``Neo().subspace``. Without it, the coarsest level is solved.
     target : float, default 1e-3
         Smooth on all points until the relative errors of the eigenvalues, as estimated, are below
         this in the mean.
-    coarsest : int, default 2048
-        Points of the coarsest level, about; more where k is large. With fewer than twice as many
-        points in all, this is `Refined` (`Polished`, where `sweeps` are given; with 0, the subspace
-        on all points).
-    sweeps : int, optional
-        Filtered shift-invert sweeps on the coarsest level; until they settle without it. 0
-        leaves a prediction as it is, and no matrix is ever factorised.
+    coarsest : int, optional
+        Points of the coarsest level, about; more where k is large. 6 for each column without it
+        (2,048 at least, with a subspace). With fewer than twice as many points in all, this is
+        `Refined`; with a subspace, `Polished` if there are sweeps, else the subspace on all points.
+    sweeps : int, default 0
+        Filtered shift-invert sweeps on the coarsest level that follow the subspace. With none,
+        no matrix is ever factorised.
     guard : float, default 0.67
-        Columns beyond k, relative to k, below the finest level; half as many there. The worse the
-        coarse levels, the more of them are needed.
+        Columns beyond k, relative to k, below the finest level; a few there. The worse the coarse
+        levels, the more of them are needed.
     max_steps : int, default 20
         Steps on all points at most: a smoother and Rayleigh-Ritz. 0 carries the modes up alone.
     device : str or torch.device, default "cpu"
         "cpu" or "cuda", for all but the coarsest level and few points; never chosen for you.
     rank_tol : float, default 1e-10
-        Of a basis that is not swept: relative cut on its singular values; see
+        Of a subspace that is not swept: relative cut on its singular values; see
         `linalg.orthonormalize`.
     seed : int, default 0
-        Of random columns.
+        Of random columns, where the coarsest level is too large to be solved densely.
 
     Raises
     ------
     InvalidInputError
-        If a parameter is out of range, or the subspace spans fewer than k dimensions.
+        If a parameter is out of range, there are sweeps without a subspace, or this spans fewer
+        than k dimensions.
 
     Notes
     -----
@@ -89,8 +95,8 @@ class Cascade(OnPoints):
     accuracy: ClassVar[Accuracy] = "approximate"
     subspace: Subspace | None = None
     target: float = 1e-3
-    coarsest: int = 2048
-    sweeps: int | None = None
+    coarsest: int | None = None
+    sweeps: int = 0
     guard: float = 0.67
     max_steps: int = 20
     device: str = "cpu"
@@ -100,9 +106,15 @@ class Cascade(OnPoints):
     def __post_init__(self) -> None:
         object.__setattr__(self, "device", str(self.device))
         check_positive("target", self.target)
-        check_count("coarsest", self.coarsest, low=100)
-        if self.sweeps is not None:
-            check_count("sweeps", self.sweeps, low=0)
+        if self.coarsest is not None:
+            check_count("coarsest", self.coarsest, low=100)
+        if check_count("sweeps", self.sweeps, low=0) and self.subspace is None:
+            raise InvalidInputError(
+                "sweeps",
+                "be 0 without a subspace",
+                self.sweeps,
+                advice="they improve what it predicts; without one, the coarsest level is solved",
+            )
         check_positive("guard", self.guard)
         check_count("max_steps", self.max_steps, low=0)
         check_count("seed", self.seed, low=0)
@@ -117,26 +129,22 @@ class Cascade(OnPoints):
         from spectra_kit.linalg.torch_device import device_clock, device_memory
 
         block = block_size(k, self.guard)
-        subspace = self.subspace or RandomBasis(m=block, seed=self.seed)
         clock = device_clock(self.device)
-        levels = nested(laplacian, max(self.coarsest, _ROOM * block))
-        if not levels and self.sweeps != 0:
-            return self._without_levels(subspace, laplacian, k)
+        gathers, order = gathered(laplacian)
+        least = self.coarsest or (0 if self.subspace is None else _PREDICTED)
+        levels = nested(gathers, max(least, _ROOM * block))
+        if not levels and (self.subspace is None or self.sweeps):
+            return self._without_levels(laplacian, k, block)
         clock.stage("coarsen")
-        if levels:
-            subspace = restricted(subspace, _points(levels))
-        bottom = levels[-1] if levels else laplacian
-        basis = basis_with_kernel(subspace, bottom)
-        clock.stage("subspace")
         with device_memory():
-            begun = self._begun(bottom, basis, k, block)
+            begun = self._begun(gathers, order, levels, k, block)
             clock.stage("coarse")
             found = climb(
-                laplacian,
+                gathers,
                 levels,
                 *begun,
                 k,
-                keep=block_size(k, self.guard / 2),
+                keep=block_size(k, self.guard / 4),
                 target=self.target,
                 max_steps=self.max_steps,
                 device=self.device,
@@ -146,42 +154,66 @@ class Cascade(OnPoints):
             if not isinstance(vectors, np.ndarray):
                 vectors = np.asarray(vectors.cpu().numpy())
                 clock.stage("transfer")
+        if order is not None:
+            there, vectors = vectors, np.empty_like(vectors)
+            vectors[order] = there
         errors = found.errors if found.steps else None  # carried modes alone tell nothing
         return Eigenpairs(found.eigenvalues[:k], vectors, clock.seconds, found.steps, errors)
 
-    def _without_levels(self, start: Subspace, laplacian: Laplacian, k: int) -> Eigenpairs:
+    def _without_levels(self, laplacian: Laplacian, k: int, block: int) -> Eigenpairs:
         """Solve where there are few points, on the host."""
-        if self.sweeps is not None:
-            polished = Polished(start=start, sweeps=self.sweeps, guard=self.guard, seed=self.seed)
+        if self.subspace is not None:
+            polished = Polished(
+                start=self.subspace, sweeps=self.sweeps, guard=self.guard, seed=self.seed
+            )
             return polished.eigenpairs(laplacian, k)
+        start = RandomBasis(m=block, seed=self.seed)
         rtol = min(max(self.target, _CLOSEST), 0.1)
         refined = Refined(start=start, rtol=rtol, guard=self.guard, seed=self.seed)
         # The error of an eigenvalue is of second order in its residual.
         return refined.eigenpairs(laplacian, k)._replace(errors=np.full(k, rtol**2))
 
     def _begun(
-        self, bottom: Coarse | Laplacian, basis: NDArray[np.floating], k: int, block: int
+        self, laplacian: Laplacian, order: Ints | None, levels: list[Coarse], k: int, block: int
     ) -> tuple[Floats, Any]:
-        """Return Ritz pairs of the coarsest level, k at least, and swept there if that is asked."""
-        if self.sweeps == 0:
+        """Return Ritz pairs of the coarsest level, at least k: its own, or those of the subspace.
+
+        `order` says which points those of `laplacian` are.
+        """
+        bottom = levels[-1] if levels else laplacian
+        if self.subspace is None:
+            assert isinstance(bottom, Coarse)
+            return self._solved(bottom, k, block)
+        points = _points(laplacian, levels)
+        subspace = restricted(self.subspace, points if order is None else order[points])
+        basis = basis_with_kernel(subspace, bottom)
+        if not self.sweeps:
             L, M, Y = (
                 on_device(part, self.device) for part in (bottom.stiffness, bottom.mass, basis)
             )
             return ritz_pairs(L, M, Y, block, least=k, rank_tol=self.rank_tol)[:2]
         assert isinstance(bottom, Coarse)
-        least = 1 if self.sweeps is None else k  # sweeps until they settle make up for the rest
-        start = coarse_ritz(bottom, basis, least, guard=block - least)
-        if len(start.eigenvalues) < block and self.sweeps is None:
-            noise = np.random.default_rng(self.seed).standard_normal((bottom.n, block))
-            start = coarse_ritz(bottom, np.hstack([start.eigenvectors, noise]), k, guard=block - k)
-        return coarse_iteration(
-            bottom, start, k, rtol=_SETTLED, max_sweeps=self.sweeps or _SWEEPS, least=1
-        )
+        start = coarse_ritz(bottom, basis, k, guard=block - k)
+        return coarse_iteration(bottom, start, k, max_sweeps=self.sweeps, least=1)
+
+    def _solved(self, bottom: Coarse, k: int, block: int) -> tuple[Floats, Floats]:
+        """Return the lowest eigenpairs of the coarsest level."""
+        if bottom.n <= _DENSE:
+            with single_threaded_blas():
+                values, vectors = eigh(
+                    bottom.stiffness.toarray(),
+                    bottom.mass.toarray(),
+                    subset_by_index=[0, min(block, bottom.n) - 1],
+                )
+            return values, np.ascontiguousarray(vectors)
+        noise = np.random.default_rng(self.seed).standard_normal((bottom.n, block))
+        start = coarse_ritz(bottom, noise, k, guard=block - k)
+        return coarse_iteration(bottom, start, k, rtol=_SETTLED, max_sweeps=_SWEEPS, least=1)
 
 
-def _points(levels: list[Coarse]) -> Ints:
+def _points(laplacian: Laplacian, levels: list[Coarse]) -> Ints:
     """Return which of all points the coarsest level has."""
-    points = levels[0].subset.indices
-    for level in levels[1:]:
+    points = np.arange(laplacian.n)
+    for level in levels:
         points = points[level.subset.indices]
     return points

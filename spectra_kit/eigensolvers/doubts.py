@@ -16,14 +16,17 @@ from spectra_kit.spectra import Spectrum
 
 #: Eigenvalues that are too high by more than this, relative to the true ones, are told.
 DOUBTFUL = 0.1
+_ESTIMATED = 0.01  # errors estimated to be below need no proof: estimates are better than this
 _DEGREE = 12  # sparse products; twice as many prove hardly more
 _COLUMNS = 32  # smoothed at a time, for the sake of memory
 
 
 def with_excess(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
-    """Return a certified spectrum with `Certificate.excess`, where its residuals leave doubts."""
+    """Return a certified spectrum with `Certificate.excess`, where it leaves doubts without it."""
     certificate = spectrum.certificate
     assert certificate is not None
+    if certificate.errors is not None and (certificate.errors <= _ESTIMATED).all():
+        return spectrum  # these come from smoothing, too
     # Some true eigenvalue lies within the residual of each: smaller ones leave nothing to prove.
     if not (certificate.relative_residuals > DOUBTFUL).any():
         return spectrum

@@ -17,10 +17,12 @@ from spectra_kit.linalg.blocks import operations
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation
 from spectra_kit.operators.laplacian import Laplacian
 
+_MIDDLE = 4  # steps on a level between: what more would gain, the next finer one does as well
 _TINY = float(np.finfo(float).tiny)
 _RATIO = 10  # points of a level relative to those of the next one, at most
 _CARRIED = 8  # products of the first step on a level: interpolation errs at its own spacing
 _FEW = 10  # times better than the target one step must seem to be: a lone step tells less
+_MORE = 2  # times smaller than the target are errors to become by the next step
 _LAST = 0.3  # share of an error that a step tends to leave, as the lowest frequencies are left
 _LEFT = 1.8  # by which the shares told by residuals and by falls are too small, in the mean
 _ROUNDING = 1e-10  # of the last Ritz value: a rise beyond it is none of rounding
@@ -114,17 +116,18 @@ def climb(
         clock.stage("carry")
         residual = smoothing.residual(values, X)
         falls: list[Floats] = []
+        gain = 1.0
         step = 0
-        for step in range(1, 1 + (max_steps if finest else 1)):
+        for step in range(1, 1 + (max_steps if finest else min(max_steps, _MIDDLE))):
             before, size = values, smoothing.sizes(residual)[:k]
             degree = _CARRIED if finest and levels and step == 1 else None
             guards = max(1, len(values) - k)
-            smooth = smoothing.smoothed(values, X, residual, degree=degree, guards=guards)
+            smooth = smoothing.smoothed(
+                values, X, residual, degree=degree, guards=guards, gain=gain
+            )
             clock.stage("smooth")
             values, X = _rotated(smoothing, smooth, values, X, k)
             clock.stage("rayleigh_ritz")
-            if not finest:
-                break
             residual = smoothing.residual(values, X)
             least = np.maximum(values, laplacian.eigenvalue_spacing)[:k]
             falls.append(np.maximum(before[:k] - values[:k], 0.0) / least)
@@ -132,6 +135,7 @@ def climb(
             clock.stage("smooth")
             if errors.mean() <= target / (_FEW if step == 1 else 1):
                 break
+            gain = _MORE * errors.mean() / target
     return Climbed(values, X, errors, step)
 
 

@@ -14,8 +14,8 @@ from spectra_kit.linalg.blocks import operations
 from spectra_kit.operators.laplacian import Laplacian
 
 _FLOOR = 1e-3  # of the median diagonal entry: smaller ones would take steps of any length
-_ABOVE = 1.2  # of the frequency of the last columns: the interval that is damped begins there
-_MOST = 60  # products: where the columns are few, what lies just above them is left to more steps
+
+_MOST = 100  # products: where the columns are few, what lies just above them is left to more steps
 _REACH = 0.6  # degree d damps well from 1 / (1 + 0.6 d^2) of the top
 
 
@@ -68,19 +68,21 @@ class Smoothing:
         *,
         degree: int | None = None,
         guards: int = 1,
+        gain: float = 1.0,
     ) -> Any:
         """Return columns whose errors above the last `guards` of them are damped.
 
-        By as many products as that takes, `degree` or 60 at most. See `levels.smoothed`.
+        By as many products as that takes, `degree` or 100 at most; by more, up to these, if those of
+        the eigenvalue before the guards are to be divided by `gain`. See `levels.smoothed`.
         """
         ops = operations(vectors)
-        last = slice(len(values) - guards, None)
-        theta = float((values[last] / ops.energies(self.diagonal, vectors[:, last])).max())
+        last = slice(max(len(values) - guards - 1, 0), None)
+        thetas = values[last] / ops.energies(self.diagonal, vectors[:, last])
         most = _MOST if degree is None else degree
-        lowest = max(_ABOVE * theta, self.highest / (1 + _REACH * most**2))
+        lowest = max(float(thetas.max()), self.highest / (1 + _REACH * most**2))
         if lowest >= 0.9 * self.highest:
             return vectors  # the columns fill the space of the points
-        steps = _steps(lowest, self.highest)
+        steps = _steps(lowest, self.highest, float(thetas[0]), gain, most)
         return vectors + ops.correction(self.singles, residual, values, steps)
 
 
@@ -140,12 +142,21 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
     return np.asarray(level.smoothed(values, vectors, residual, degree=degree))
 
 
-def _steps(lowest: float, highest: float) -> list[tuple[float, float]]:
-    """Return what Chebyshev steps keep of the last one, and how far they go, by interval."""
+def _steps(
+    lowest: float, highest: float, wanted: float, gain: float, most: int
+) -> list[tuple[float, float]]:
+    """Return what Chebyshev steps keep of the last one, and how far they go, by interval.
+
+    The polynomial of degree d is ``cosh(d acosh(x))`` times larger at the frequency `wanted`, x
+    below the interval, than inside it, and an error of an eigenvalue is the square of one of modes.
+    """
     centre, radius = (highest + lowest) / 2, (highest - lowest) / 2
-    degree = max(1, math.ceil(math.sqrt((highest / lowest - 1) / _REACH) - 1e-9))
+    degree = math.sqrt((highest / lowest - 1) / _REACH)
+    if gain > 1:
+        below = max((centre - wanted) / radius, 1 + 1e-9)
+        degree = max(degree, math.acosh(math.sqrt(gain)) / math.acosh(below))
     ratio, steps = radius / centre, [(0.0, 1 / centre)]
-    for _ in range(degree - 1):
+    for _ in range(max(1, math.ceil(min(degree, most) - 1e-9)) - 1):
         before, ratio = ratio, 1 / (2 * centre / radius - ratio)
         steps.append((ratio * before, 2 * ratio / radius))
     return steps

@@ -235,10 +235,18 @@ def smoothing_step(
                 row[c] += weight * old[j, c]
         for c in range(s):
             row[c] = residual[i, c] - values[c] * row[c]
-        for p in range(starts[i], starts[i + 1]):
-            j, weight = neighbours[p], stiffness[p]
+        p, end = starts[i], starts[i + 1]
+        while p + 4 <= end:  # four rows of `old` to one pass over the sums
+            v0, v1, v2, v3 = stiffness[p], stiffness[p + 1], stiffness[p + 2], stiffness[p + 3]
+            j0, j1, j2, j3 = neighbours[p], neighbours[p + 1], neighbours[p + 2], neighbours[p + 3]
+            for c in range(s):
+                row[c] += (v0 * old[j0, c] + v1 * old[j1, c]) + (v2 * old[j2, c] + v3 * old[j3, c])
+            p += 4
+        while p < end:
+            weight, j = stiffness[p], neighbours[p]
             for c in range(s):
                 row[c] += weight * old[j, c]
+            p += 1
         a, b = np.float32(keep), np.float32(step) * inverse[i]
         for c in range(s):
             direction[i, c] = a * direction[i, c] - b * row[c]
