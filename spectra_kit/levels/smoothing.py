@@ -15,7 +15,11 @@ from spectra_kit.operators.laplacian import Laplacian
 
 _FLOOR = 1e-3  # of the median diagonal entry: smaller ones would take steps of any length
 
-_MOST = 100  # products: where the columns are few, what lies just above them is left to more steps
+# Share of the masses, in units of their median: with the diagonal alone, modes of large triangles
+# beside small ones are far below zero in its units, where the polynomials grow without bound.
+_MASS = 0.3
+_MOST = 60  # products: where the columns are few, what lies just above them is left to more steps
+_LONGER = 3  # times more products than damping takes: columns lean to the lowest mode by cosh(8)
 _REACH = 0.6  # degree d damps well from 1 / (1 + 0.6 d^2) of the top
 
 
@@ -28,9 +32,9 @@ class Smoothing:
     stiffness, mass : sparse array and ndarray, or tensors
         L, and M or its diagonal, where the columns live.
     diagonal : ndarray or Tensor of shape (n,)
-        Of L, with a floor.
+        That of L, with a floor and a share of the masses: the preconditioner.
     highest : float
-        Bound on the eigenvalues of ``diag(L)^-1 L``, by Gershgorin.
+        Bound on the eigenvalues of ``diagonal^-1 L``, by Gershgorin.
     singles : host.Smoother or device.Smoother
         The same in float32.
     """
@@ -47,6 +51,8 @@ class Smoothing:
         L, M = operator.stiffness, operator.mass
         diagonal = L.diagonal()
         diagonal = np.maximum(diagonal, _FLOOR * np.median(diagonal))
+        mass = operator.mass if isinstance(operator, Laplacian) else operator.lumped
+        diagonal += _MASS * np.median(diagonal / mass) * mass
         highest = float((np.asarray(abs(L).sum(axis=1)) / diagonal).max())
         L, M, diagonal = (on_device(part, device) for part in (L, M, diagonal))
         singles = operations(diagonal).smoother(L, M, diagonal)
@@ -57,7 +63,7 @@ class Smoothing:
         return operations(vectors).residual(self.stiffness, self.mass, values, vectors)
 
     def sizes(self, residual: Any) -> Floats:
-        """Return ``r^T diag(L)^-1 r`` of each column, which falls with the error of its value."""
+        """Return ``r^T diagonal^-1 r`` of each column, which falls with the error of its value."""
         return np.asarray(operations(residual).energies(1 / self.diagonal, residual))
 
     def smoothed(
@@ -72,8 +78,8 @@ class Smoothing:
     ) -> Any:
         """Return columns whose errors above the last `guards` of them are damped.
 
-        By as many products as that takes, `degree` or 100 at most; by more, up to these, if those of
-        the eigenvalue before the guards are to be divided by `gain`. See `levels.smoothed`.
+        By as many products as that takes, `degree` or 60 at most; by up to three times as many if
+        that of the eigenvalue before the guards is to be divided by `gain`. See `levels.smoothed`.
         """
         ops = operations(vectors)
         last = slice(max(len(values) - guards - 1, 0), None)
@@ -82,7 +88,7 @@ class Smoothing:
         lowest = max(float(thetas.max()), self.highest / (1 + _REACH * most**2))
         if lowest >= 0.9 * self.highest:
             return vectors  # the columns fill the space of the points
-        steps = _steps(lowest, self.highest, float(thetas[0]), gain, most)
+        steps = _steps(lowest, self.highest, float(thetas[0]), gain)
         return vectors + ops.correction(self.singles, residual, values, steps)
 
 
@@ -142,9 +148,7 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
     return np.asarray(level.smoothed(values, vectors, residual, degree=degree))
 
 
-def _steps(
-    lowest: float, highest: float, wanted: float, gain: float, most: int
-) -> list[tuple[float, float]]:
+def _steps(lowest: float, highest: float, wanted: float, gain: float) -> list[tuple[float, float]]:
     """Return what Chebyshev steps keep of the last one, and how far they go, by interval.
 
     The polynomial of degree d is ``cosh(d acosh(x))`` times larger at the frequency `wanted`, x
@@ -154,9 +158,10 @@ def _steps(
     degree = math.sqrt((highest / lowest - 1) / _REACH)
     if gain > 1:
         below = max((centre - wanted) / radius, 1 + 1e-9)
-        degree = max(degree, math.acosh(math.sqrt(gain)) / math.acosh(below))
+        enough = math.acosh(math.sqrt(gain)) / math.acosh(below)
+        degree = min(max(degree, enough), _LONGER * degree)
     ratio, steps = radius / centre, [(0.0, 1 / centre)]
-    for _ in range(max(1, math.ceil(min(degree, most) - 1e-9)) - 1):
+    for _ in range(max(1, math.ceil(degree - 1e-9)) - 1):
         before, ratio = ratio, 1 / (2 * centre / radius - ratio)
         steps.append((ratio * before, 2 * ratio / radius))
     return steps
