@@ -117,7 +117,7 @@ AT_A_FACE = ("geodesic", BALL, "--face")
             ("spectrum", BALL, "--solver", "arpack", "--accuracy", "1e-3"),
         ),
         ("`--accuracy` must be less than 1", ("modes", BALL, "--accuracy", "2")),
-        ("`--accuracy` must be positive", ("compare", BALL, "--accuracy", "nan")),
+        ("`--accuracy` must be a number", ("compare", BALL, "--accuracy", "nan")),
         (
             "--accuracy has no effect on modes",
             ("modes", BALL, "--accuracy", ".1", "--spectrum", "x.npz"),
