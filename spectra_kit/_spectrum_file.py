@@ -87,7 +87,7 @@ def _named(provenance: Mapping[str, Any]) -> dict[str, Any]:
     name = "" if made == "user" else made.partition("(")[0].lower()
     if made.startswith("RayleighRitz(subspace=AmbientFourier("):
         name = "fourier"
-    accuracy = SOLVERS[name].accuracy if name in SOLVERS else ""
+    accuracy = SOLVERS[name].promise if name in SOLVERS else ""
     return {"name": name, "accuracy": accuracy, **provenance}
 
 

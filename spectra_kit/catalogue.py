@@ -32,13 +32,13 @@ class Entry:
         The public class or function that makes it, as ``"module:name"`` inside spectra_kit.
     summary : str
         What it is, in a few words.
-    accuracy : {"exact", "to tolerance", "approximate", ""}
+    promise : {"exact", "to tolerance", "approximate", ""}
         Of a solver: what its answers are by default; see `eigensolvers.Eigensolver`.
     """
 
     maker: str
     summary: str
-    accuracy: str = ""
+    promise: str = ""
 
     @cached_property
     def made_by(self) -> Any:

@@ -10,7 +10,7 @@ from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._validate import check_count, check_positive, quantity
-from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs, NotConvergedError
+from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError, Promise
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg import SparseCholesky
@@ -73,7 +73,7 @@ class Arpack:
     max_restarts: int = 1000
 
     @property
-    def accuracy(self) -> Accuracy:
+    def promise(self) -> Promise:
         """See `Eigensolver`."""
         return "to tolerance" if self.tol else "exact"
 

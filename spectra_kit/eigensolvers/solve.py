@@ -238,7 +238,7 @@ class _Run:
                         self.found[i] = error.pairs
                     raise
                 except RankError as error:  # columns of all parts may have few on this one
-                    if len(parts) == 1 or getattr(solver, "accuracy", "") != "approximate":
+                    if len(parts) == 1 or getattr(solver, "promise", "") != "approximate":
                         raise
                     lacking, most[i] = error, min(error.rank, wanted[i] - 1)
                     wanted[i] = most[i]
@@ -336,7 +336,7 @@ class _Run:
             input_hash=_fingerprint(laplacian),
             version=VERSION,
             iterations=self.iterations,
-            accuracy=getattr(solver, "accuracy", ""),
+            accuracy=getattr(solver, "promise", ""),
             name=str(getattr(solver, "name", type(solver).__name__.lower())),
         )
         return spectrum.described(spectrum.certificate, provenance)
