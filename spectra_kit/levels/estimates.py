@@ -54,7 +54,8 @@ def excess(
     told by a fit to their number, ``r^T diag(L)^-1 r`` and falls, all logarithms.
     """
     k = len(falls)
-    columns = np.linspace(0, k - 1, min(_COLUMNS, k - 1) + 1).round().astype(int)[-_COLUMNS:]
+    first = int(k > _COLUMNS)  # the lowest is the constant, as a rule
+    columns = np.linspace(first, k - 1, min(_COLUMNS, k)).round().astype(int)
     ops, some, last = operations(residual), residual[:, columns], slice(3 * len(values) // 4, None)
     lowest = float((values[last] / ops.energies(smoothing.diagonal, vectors[:, last])).max())
     share = np.clip(lowest / smoothing.highest, 1 / (_REACH * _MOST**2), _WHOLE)
@@ -83,8 +84,8 @@ def _steps(share: float, highest: float) -> list[tuple[float, float]]:
 def _fitted(columns: NDArray[np.intp], known: Floats, sizes: Floats, falls: Floats) -> Floats:
     """Return what is known of some columns, and what follows from it for all."""
     k = len(falls)
-    if len(columns) >= k - 1:
-        return np.append(0.0, known)[-k:] if k > 1 else known
+    if len(columns) == k:
+        return known
     size, fall = (np.log(np.maximum(x, _TINY)) for x in (sizes, falls))
     apart = np.clip(size - fall, *np.quantile((size - fall)[columns], [0, 1]))
     features = np.column_stack([np.ones(k), np.arange(k) / k, apart])

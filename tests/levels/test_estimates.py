@@ -13,13 +13,13 @@ from spectra_kit.levels.cascade import climb, nested
 from spectra_kit.levels.estimates import excess
 from spectra_kit.levels.smoothing import Smoothing, on_device
 
-K = 40
+K = 49  # on a sphere, all copies of each eigenvalue
 
 
 def cloud() -> sk.PointCloud:
     """Points in random order, a third of them on a tenth of the area."""
     ball = sphere(subdivisions=5).geometry.points
-    x, y, z = ball.T
+    x, _, z = ball.T
     body = ball * (1 + 0.2 * np.sin(2 * x + 1) + 0.1 * z**3)[:, None] * [1.0, 1.3, 1.7]
     rng = np.random.default_rng(0)
     kept = body[(z > 0.8) | (rng.random(len(ball)) < 0.2)]
@@ -46,8 +46,8 @@ SHAPES = {
 def start(laplacian, k=K):
     """Levels, and Ritz pairs of the coarsest."""
     levels = nested(laplacian, 700)
-    noise = np.random.default_rng(0).standard_normal((levels[-1].n, 60))
-    coarse = coarse_ritz(levels[-1], noise, 60)
+    noise = np.random.default_rng(0).standard_normal((levels[-1].n, 80))
+    coarse = coarse_ritz(levels[-1], noise, 80)
     return levels, coarse_iteration(levels[-1], coarse, k, rtol=0.01)
 
 
@@ -59,13 +59,13 @@ def test_within_three_of_the_true_error(shape):
     levels, pairs = start(laplacian)
     ratios = []
     for steps in (1, 2, 4):
-        found = climb(laplacian, levels, *pairs, K, keep=60, target=1e-300, max_steps=steps)
+        found = climb(laplacian, levels, *pairs, K, keep=80, target=1e-300, max_steps=steps)
         true = found.eigenvalues[1:K] / exact[1:] - 1
         ratios.append(np.maximum(found.errors[1:], 1e-11) / np.maximum(true, 1e-11))
     ratio = np.array(ratios)
     assert np.mean((ratio > 1 / 3) & (ratio < 3), axis=1).min() >= 0.85
     assert np.mean((ratio > 1 / 3) & (ratio < 3)) >= 0.9
-    assert np.mean(ratio < 1 / 3) <= 0.05  # copies of an eigenvalue of which k cuts some off
+    assert np.mean(ratio < 1 / 3) <= 0.02
 
 
 def test_few_modes_are_told_one_by_one(animal, animal_spectrum):
@@ -80,7 +80,7 @@ def test_few_modes_are_told_one_by_one(animal, animal_spectrum):
 
 def test_neither_unit_nor_order_nor_place_matters(animal):
     levels, pairs = start(animal)
-    found = climb(animal, levels, *pairs, K, keep=60, target=1e-300, max_steps=1)
+    found = climb(animal, levels, *pairs, K, keep=80, target=1e-300, max_steps=1)
     values, X, falls = found.eigenvalues, found.eigenvectors, np.linspace(0, 1e-3, K)
 
     def told(laplacian, values, X, falls, place="cpu"):
@@ -91,15 +91,13 @@ def test_neither_unit_nor_order_nor_place_matters(animal):
     order = np.random.default_rng(0).permutation(animal.n)
     L = animal.stiffness[order][:, order]
     shuffled = sk.Laplacian(L, animal.mass[order], animal.points[order])
-    np.testing.assert_allclose(
-        told(shuffled, values, X[order], falls), first, rtol=1e-2, atol=1e-12
-    )
     larger = sk.Laplacian(animal.stiffness, 49 * animal.mass, 7 * animal.points)
-    scaled = told(larger, values / 49, X / 7, falls / 49)
-    np.testing.assert_allclose(49 * scaled, first, rtol=1e-2, atol=1e-12)
-    np.testing.assert_allclose(
-        told(animal, values, X, falls, "cpu:0"), first, rtol=1e-2, atol=1e-12
-    )
+    for same in (
+        told(shuffled, values, X[order], falls),
+        49 * told(larger, values / 49, X / 7, falls / 49),
+        told(animal, values, X, falls, "cpu:0"),
+    ):
+        np.testing.assert_allclose(same, first, rtol=1e-2, atol=1e-12)
 
 
 def test_a_true_mode_is_not_off(animal, animal_spectrum):
