@@ -36,7 +36,7 @@ def uneven() -> tuple[sk.Laplacian, sk.Spectrum]:
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("target", [1e-2, 1e-5])
-def test_the_target_is_reached_from_random_columns(animal, animal_spectrum, target, device):
+def test_the_target_is_reached(animal, animal_spectrum, target, device):
     found = sk.eigensolve(animal, K, sk.Cascade(target=target, coarsest=500, device=device))
     above = errors(found, animal_spectrum)
     assert above.min() > -1e-10  # Ritz values
@@ -95,7 +95,7 @@ def test_a_start_may_lack_columns_or_be_a_constant():
     laplacian = sk.robust_laplacian(creature(3000, seed=0))
     exact = sk.eigensolve(laplacian, 20)
     few = sk.GivenBasis(np.random.default_rng(0).standard_normal((laplacian.n, 5)))
-    found = sk.eigensolve(laplacian, 20, sk.Cascade(subspace=few, coarsest=500))
+    found = sk.eigensolve(laplacian, 20, sk.Cascade(subspace=few, coarsest=500, sweeps=2))
     assert errors(found, exact).mean() < 1e-3
     one = sk.Cascade(subspace=sk.GivenBasis(np.ones((laplacian.n, 1))), sweeps=0)
     assert sk.eigensolve(laplacian, 1, one).eigenvalues[0] == 0
@@ -105,9 +105,9 @@ def test_few_points_are_solved_as_they_are(bumpy_laplacian):
     waves = sk.AmbientFourier(m=60, bandwidth=3.0)
     given = {"subspace": waves, "coarsest": 400}
     for cascade, whole in (
-        (sk.Cascade(**given, sweeps=0, max_steps=0), sk.RayleighRitz(subspace=waves)),
+        (sk.Cascade(**given, max_steps=0), sk.RayleighRitz(subspace=waves)),
         (sk.Cascade(**given, sweeps=2), sk.Polished(start=waves, sweeps=2, guard=0.67)),
-        (sk.Cascade(**given), sk.Refined(start=waves, rtol=1e-3, guard=0.67)),
+        (sk.Cascade(coarsest=400), sk.Refined(start=sk.RandomBasis(m=18), rtol=1e-3, guard=0.67)),
     ):
         a, b = (sk.eigensolve(bumpy_laplacian, 10, solver) for solver in (cascade, whole))
         np.testing.assert_allclose(a.eigenvalues, b.eigenvalues, rtol=1e-12, atol=1e-12)
@@ -120,20 +120,6 @@ def test_levels_are_evenly_apart_and_have_room():
     assert 750 < sizes[0] < 900
     assert 80 < sizes[1] <= 100
     assert nested(laplacian, 4001) == []
-
-
-def test_estimates_tell_the_error(animal, animal_spectrum, uneven):
-    """Within a factor of four, of nine in ten modes, after any number of steps."""
-    for laplacian, exact in ((animal, animal_spectrum), uneven):
-        levels = nested(laplacian, 700)
-        noise = np.random.default_rng(0).standard_normal((levels[-1].n, 60))
-        pairs = coarse_iteration(levels[-1], coarse_ritz(levels[-1], noise, 60), K, rtol=0.01)
-        for steps in (1, 2, 3):
-            found = climb(laplacian, levels, *pairs, K, keep=60, target=1e-300, max_steps=steps)
-            assert found.steps == steps
-            true = found.eigenvalues[1:K] / exact.eigenvalues[1:K] - 1
-            ratio = found.errors[1:] / true
-            assert np.mean((ratio > 1 / 4) & (ratio < 4)) >= 0.9
 
 
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
