@@ -48,8 +48,8 @@ class Cascade(OnPoints):
         Where to begin on the coarsest level: any function of points and masses, such as
         ``Neo().subspace``. Without it, the coarsest level is solved.
     target : float, default 1e-3
-        Smooth on all points until the relative errors of the eigenvalues, as estimated, are below
-        this in the mean.
+        Relative errors of the eigenvalues, in the mean: smooth until they are estimated to be a
+        third of it, for estimates are off by that much at times.
     coarsest : int, optional
         Points of the coarsest level, about; more where k is large. 6 for each column without it
         (2,048 at least, with a subspace). With fewer than twice as many points in all, this is
@@ -198,14 +198,16 @@ class Cascade(OnPoints):
 
     def _solved(self, bottom: Coarse, k: int, block: int) -> tuple[Floats, Floats]:
         """Return the lowest eigenpairs of the coarsest level."""
+        L, M = bottom.stiffness, bottom.mass
         if bottom.n <= _DENSE:
-            with single_threaded_blas():
-                values, vectors = eigh(
-                    bottom.stiffness.toarray(),
-                    bottom.mass.toarray(),
-                    subset_by_index=[0, min(block, bottom.n) - 1],
-                )
-            return values, np.ascontiguousarray(vectors)
+            try:
+                with single_threaded_blas():
+                    values, vectors = eigh(
+                        L.toarray(), M.toarray(), subset_by_index=[0, min(block, bottom.n) - 1]
+                    )
+                return values, np.ascontiguousarray(vectors)
+            except np.linalg.LinAlgError:  # some points are carried to what others are
+                return ritz_pairs(L, M, np.eye(bottom.n), block, least=k)[:2]
         noise = np.random.default_rng(self.seed).standard_normal((bottom.n, block))
         start = coarse_ritz(bottom, noise, k, guard=block - k)
         return coarse_iteration(bottom, start, k, rtol=_SETTLED, max_sweeps=_SWEEPS, least=1)

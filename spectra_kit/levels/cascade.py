@@ -21,7 +21,8 @@ from spectra_kit.operators.laplacian import Laplacian
 _RATIO = 10  # points of a level relative to those of the next one, at most
 _CARRIED = 8  # products of the first step on a level: interpolation errs at its own spacing
 _MIDDLE = 4  # steps on a level between: what more would gain, the next finer one does as well
-_MORE = 2  # times smaller than the target are errors to become by the next step
+_SURE = 3  # times smaller than the target are estimates to be: so far off are some of them
+_MORE = 2  # times smaller than that are errors to become by the next step
 _ROUNDING = 1e-10  # of the last Ritz value: a rise beyond it is none of rounding
 
 
@@ -78,7 +79,8 @@ def climb(
     keep : int
         Columns on all points, of at least k.
     target : float
-        Stop when the estimated relative errors of the wanted eigenvalues are below, in the mean.
+        Stop when the estimated relative errors of the wanted eigenvalues are a third of it, in the
+        mean.
     max_steps : int
         Steps on all points at most.
     device : str, default "cpu"
@@ -127,9 +129,10 @@ def climb(
             falls = np.maximum(before[:k] - values[:k], 0.0)
             errors = excess(smoothing, values, X, residual, falls) / least
             clock.stage("smooth")
-            if errors.mean() <= target:
+            above = _SURE * errors.mean() / target
+            if above <= 1:
                 break
-            gain = _MORE * errors.mean() / target
+            gain = _MORE * above
     return Climbed(values, X, errors, step)
 
 

@@ -71,11 +71,9 @@ def test_columns_that_belong_to_the_points():
     """Their rows on the coarsest of three levels are taken."""
     laplacian = sk.robust_laplacian(creature(8000, seed=0))
     exact = sk.eigensolve(laplacian, 20)
-    solver = sk.Cascade(
-        subspace=sk.GivenBasis(exact.eigenvectors), coarsest=300, sweeps=0, max_steps=0
-    )
+    solver = sk.Cascade(subspace=sk.GivenBasis(exact.eigenvectors), coarsest=300, max_steps=1)
     assert len(nested(laplacian, 300)) == 2
-    assert errors(sk.eigensolve(laplacian, 12, solver), exact).mean() < 0.01
+    assert errors(sk.eigensolve(laplacian, 12, solver), exact).mean() < 1e-3
 
 
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
@@ -91,12 +89,8 @@ def test_shapes_thinner_than_the_levels(flat):
     assert errors(sk.eigensolve(laplacian, 20, sk.Cascade(coarsest=2000)), exact).mean() < 0.01
 
 
-def test_a_start_may_lack_columns_or_be_a_constant():
+def test_a_start_may_be_a_constant():
     laplacian = sk.robust_laplacian(creature(3000, seed=0))
-    exact = sk.eigensolve(laplacian, 20)
-    few = sk.GivenBasis(np.random.default_rng(0).standard_normal((laplacian.n, 5)))
-    found = sk.eigensolve(laplacian, 20, sk.Cascade(subspace=few, coarsest=500, sweeps=2))
-    assert errors(found, exact).mean() < 1e-3
     one = sk.Cascade(subspace=sk.GivenBasis(np.ones((laplacian.n, 1))), sweeps=0)
     assert sk.eigensolve(laplacian, 1, one).eigenvalues[0] == 0
 
