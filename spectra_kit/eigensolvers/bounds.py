@@ -79,9 +79,9 @@ def _absolute(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
         higher = values[last] if last < (verified or k) else floor
         gap = min(below, higher - values[last - 1]) - radius - size
         skew = float(np.linalg.norm(quotients - np.diag(theta)))
-        linear = radius if last <= verified else size
+        linear = np.where(last <= verified, radius, residuals[first:last])
         quadratic = skew + size**2 / gap if gap > 0 else np.inf
-        off[first:last] = min(linear, quadratic) + least
+        off[first:last] = np.minimum(linear, quadratic) + least
     return off
 
 
