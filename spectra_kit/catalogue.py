@@ -60,6 +60,7 @@ def _table(module: str, **entries: tuple[str, ...]) -> Mapping[str, Entry]:
 #: Those that are exact, or go on to a tolerance, come first.
 SOLVERS = _table(
     "eigensolvers",
+    automatic=("automatic:Automatic", "the cheapest for an accuracy", "exact"),
     arpack=("arpack:Arpack", "Lanczos on a sparse factor", "exact"),
     multilevel=("multilevel:Multilevel", "from few points to all of them", "to tolerance"),
     refined=(

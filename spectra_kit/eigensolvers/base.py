@@ -30,6 +30,10 @@ class Eigenpairs(NamedTuple):
         How many an iterative backend took.
     errors : ndarray of shape (k,), optional
         Relative errors of the eigenvalues as an approximate backend estimates them.
+    solver : Eigensolver, optional
+        What solved, where a backend chose another one.
+    reason : str, optional
+        Why it chose this one.
     """
 
     eigenvalues: Floats
@@ -37,6 +41,8 @@ class Eigenpairs(NamedTuple):
     seconds: Mapping[str, float] | None = None
     iterations: int | None = None
     errors: Floats | None = None
+    solver: Eigensolver | None = None
+    reason: str = ""
 
 
 @runtime_checkable

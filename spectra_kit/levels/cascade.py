@@ -12,16 +12,14 @@ from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels.coarse import Coarse, coarsen
-from spectra_kit.levels.estimates import estimated
+from spectra_kit.levels.estimates import excess
 from spectra_kit.levels.smoothing import Smoothing, on_device
 from spectra_kit.linalg.blocks import operations
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation
 from spectra_kit.operators.laplacian import Laplacian
 
-_TINY = float(np.finfo(float).tiny)
 _RATIO = 10  # points of a level relative to those of the next one, at most
 _CARRIED = 8  # products of the first step on a level: interpolation errs at its own spacing
-_FEW = 10  # times better than the target one step must seem to be: a lone step tells less
 _ROUNDING = 1e-10  # of the last Ritz value: a rise beyond it is none of rounding
 
 
@@ -111,10 +109,9 @@ def climb(
         smoothing = Smoothing.of(finer[i], device)
         clock.stage("carry")
         residual = smoothing.residual(values, X)
-        falls: list[Floats] = []
         step = 0
         for step in range(1, 1 + (max_steps if finest else 1)):
-            before, size = values, smoothing.sizes(residual)[:k]
+            before = values
             degree = _CARRIED if finest and levels and step == 1 else None
             guards = max(1, len(values) - k)
             smooth = smoothing.smoothed(values, X, residual, degree=degree, guards=guards)
@@ -125,10 +122,10 @@ def climb(
                 break
             residual = smoothing.residual(values, X)
             least = np.maximum(values, laplacian.eigenvalue_spacing)[:k]
-            falls.append(np.maximum(before[:k] - values[:k], 0.0) / least)
-            errors = estimated(falls, smoothing.sizes(residual)[:k] / np.maximum(size, _TINY))
+            falls = np.maximum(before[:k] - values[:k], 0.0)
+            errors = excess(smoothing, values, X, residual, falls) / least
             clock.stage("smooth")
-            if errors.mean() <= target / (_FEW if step == 1 else 1):
+            if errors.mean() <= target:
                 break
     return Climbed(values, X, errors, step)
 
