@@ -81,7 +81,7 @@ def _absolute(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
         skew = float(np.linalg.norm(quotients - np.diag(theta)))
         linear = np.where(last <= verified, radius, residuals[first:last])
         quadratic = skew + size**2 / gap if gap > 0 else np.inf
-        off[first:last] = np.minimum(linear, quadratic) + least
+        off[first:last] = np.minimum(linear, quadratic) + least * (last <= verified)
     return off
 
 
