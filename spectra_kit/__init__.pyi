@@ -22,6 +22,7 @@ from . import subspaces as subspaces
 from . import training as training
 from . import viz as viz
 from .eigensolvers import Arpack as Arpack
+from .eigensolvers import Automatic as Automatic
 from .eigensolvers import Cascade as Cascade
 from .eigensolvers import Chebyshev as Chebyshev
 from .eigensolvers import Dense as Dense

@@ -18,6 +18,7 @@ from spectra_kit.catalogue import SOLVERS
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 
 # 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`; 5: `errors`
+# and `reason`
 FORMAT_VERSION = 5
 _ARRAYS = ("eigenvalues", "eigenvectors", "mass")
 _RESIDUALS = ("residuals", "relative_residuals")
@@ -87,7 +88,7 @@ def _named(provenance: Mapping[str, Any]) -> dict[str, Any]:
     name = "" if made == "user" else made.partition("(")[0].lower()
     if made.startswith("RayleighRitz(subspace=AmbientFourier("):
         name = "fourier"
-    accuracy = SOLVERS[name].accuracy if name in SOLVERS else ""
+    accuracy = SOLVERS[name].promise if name in SOLVERS else ""
     return {"name": name, "accuracy": accuracy, **provenance}
 
 

@@ -32,13 +32,13 @@ class Entry:
         The public class or function that makes it, as ``"module:name"`` inside spectra_kit.
     summary : str
         What it is, in a few words.
-    accuracy : {"exact", "to tolerance", "approximate", ""}
+    promise : {"exact", "to tolerance", "approximate", ""}
         Of a solver: what its answers are by default; see `eigensolvers.Eigensolver`.
     """
 
     maker: str
     summary: str
-    accuracy: str = ""
+    promise: str = ""
 
     @cached_property
     def made_by(self) -> Any:
@@ -60,6 +60,7 @@ def _table(module: str, **entries: tuple[str, ...]) -> Mapping[str, Entry]:
 #: Those that are exact, or go on to a tolerance, come first.
 SOLVERS = _table(
     "eigensolvers",
+    automatic=("automatic:Automatic", "the cheapest for an accuracy", "exact"),
     arpack=("arpack:Arpack", "Lanczos on a sparse factor", "exact"),
     multilevel=("multilevel:Multilevel", "from few points to all of them", "to tolerance"),
     refined=(

@@ -63,7 +63,7 @@ ROUNDING = {
 BACKENDS = [
     Backend(
         entry(**OPTIONS.get(name, {})),
-        RESIDUAL.get(name, 3.0 if entry.accuracy == "approximate" else 1e-8),
+        RESIDUAL.get(name, 3.0 if entry.promise == "approximate" else 1e-8),
         ROUNDING.get(name, 1e-6),
     )
     for name, entry in SOLVERS.items()

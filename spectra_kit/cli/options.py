@@ -146,8 +146,11 @@ class Solver(Reading):
 
     k: Count | None = None
     """number of modes"""
+    accuracy: float | None = None
+    """relative error that the eigenvalues may have in the mean, such as 1e-3: what costs least for
+    it is chosen (default: none, exact)"""
     solver: SolverName | None = None
-    """what solves"""
+    """what solves, for those who know"""
     rtol: float | None = None
     """largest relative residual, of solvers that go on to a tolerance (default: their own)"""
     start: StartName | None = None
@@ -159,7 +162,11 @@ class Solver(Reading):
     dtype: Literal["float32", "bfloat16", "float16"] = "float32"
     """of neo"""
     device: str = "cpu"
-    """of neo and chebyshev: cpu, cuda"""
+    """of neo, cascade, chebyshev and automatic: cpu, cuda"""
+
+    def __post_init__(self) -> None:
+        if self.accuracy is not None and self.solver is None:
+            object.__setattr__(self, "solver", "automatic")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,13 +36,13 @@ class Spectrum(OnOne, options.Verified, options.Resolution):
     examples = (
         "spectrum bunny.obj -o bunny.npz",
         "spectrum bunny.obj --solver multilevel --rtol 1e-8 --verify",
-        f"spectrum {DEMO} -k 24 --picture spectrum.png",
+        f"spectrum {DEMO} -k 24 --accuracy 1e-3 --picture spectrum.png",
     )
     keys = "input, geometry, eigenvalues, certificate, provenance, verdict, output, picture"
     run = "modes.spectrum"
 
     k: Count = 96
-    solver: SolverName = "arpack"
+    solver: SolverName = "automatic"
     output: Output | None = None
     """write the spectrum to this .npz file (default: none)"""
     picture: Path | None = None
@@ -57,7 +57,7 @@ class Shown(OnOne, options.Spared, options.Turned):
 
     k: Count | None = None
     """number of modes (default: as many as are shown)"""
-    solver: SolverName = "arpack"
+    solver: SolverName = "automatic"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,7 +193,7 @@ class Match(_Known, options.Operator, options.Solver, options.FolderDrawing):
     operands = "SOURCE TARGET [options]"
 
     k: Count = 150
-    solver: SolverName = "arpack"
+    solver: SolverName = "automatic"
     output: Output = Path("match")
     """folder for the maps, the report and the pictures"""
 

@@ -24,7 +24,7 @@ from spectra_kit.subspaces import Subspace
 EXTRA = 6
 SHOWN = (0, 1, 2, 5, 10, 25, 50)  # of a table, and the last
 _SAME = (10.0, 1e-6)  # residuals of a saved mode may grow by this factor and this much
-_TOLD = ("rtol", "start", *NETWORK)  # what only some solvers may be told
+_TOLD = ("accuracy", "rtol", "start", *NETWORK)  # what only some solvers may be told
 
 
 def check_solvers(asked: Solver, *names: str) -> None:
@@ -64,7 +64,7 @@ def make_solver(name: str, asked: Solver, k: int) -> Eigensolver:
     known, k = _fields(name), asked.k or k
     told = {
         option: value
-        for option in ("rtol", "seed", *NETWORK)
+        for option in ("accuracy", "rtol", "seed", *NETWORK)
         if option in known and (value := getattr(asked, option)) is not None
     }
     if name == "fourier":

@@ -58,7 +58,10 @@ def modes_table(spectrum: Spectrum, modes: Sequence[int]) -> str:
 
 def certificate_lines(spectrum: Spectrum) -> str:
     """The certificate and the times of one spectrum."""
-    facts: Record = {"solver": spectrum.provenance.solver, "modes": spectrum.k}
+    facts: Record = {"solver": spectrum.provenance.solver}
+    if reason := spectrum.provenance.reason:
+        facts["reason"] = reason
+    facts["modes"] = spectrum.k
     facts |= _accuracy(spectrum) | {"lowest modes": _certificate(spectrum).completeness}
     if (errors := _certificate(spectrum).errors) is not None:
         facts["estimated errors"] = f"{errors.mean():.0e} in the mean, at most {errors.max():.0e}"

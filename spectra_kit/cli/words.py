@@ -12,6 +12,7 @@ _OPTIONS = {
     "k": "-k",
     "n_points": "--points",
     **{name: f"--{name}" for name in ("modes", "rtol", "seed", "dpi", "turn", "landmarks")},
+    "accuracy": "--accuracy",
     "name_or_path": "--weights",
     "coordinate": "--at",
     "mesh.without_unreferenced()": "--repair",

@@ -1,6 +1,7 @@
 """Interchangeable eigensolvers behind `eigensolve`."""
 
 from spectra_kit.eigensolvers.arpack import Arpack
+from spectra_kit.eigensolvers.automatic import Automatic
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigensolvers.cascade import Cascade
 from spectra_kit.eigensolvers.chebyshev import Chebyshev
@@ -16,6 +17,7 @@ from spectra_kit.eigensolvers.verification import verify
 
 __all__ = [
     "Arpack",
+    "Automatic",
     "Cascade",
     "Chebyshev",
     "Dense",

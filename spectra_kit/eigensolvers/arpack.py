@@ -1,4 +1,4 @@
-"""Shift-invert Lanczos on a sparse Cholesky factor: the reference backend."""
+"""Shift-invert Lanczos on sparse factors: the reference backend."""
 
 from __future__ import annotations
 
@@ -10,37 +10,40 @@ from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._validate import check_count, check_positive, quantity
-from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs, NotConvergedError
+from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError, Promise
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg import SparseCholesky
 from spectra_kit.linalg.shift_invert import shifted_factor
+from spectra_kit.linalg.slicing import MOST, sliced_eigenpairs
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
 
 # Lanczos needs a subspace well above k; below this multiple of it the dense solver is as fast.
 _DENSE_RATIO = 3
+_MANY = 40  # modes from which on blocks are faster than one vector at a time
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Arpack:
-    """Implicitly restarted Lanczos (ARPACK) in shift-invert mode, exact to rounding.
+    """Shift-invert Lanczos, exact to rounding: ARPACK for a few modes, spectrum slicing for many.
 
-    Where k is more than a third of n, LAPACK solves the dense problem instead: Lanczos has no room
-    there, and the answer is the same.
+    From 40 modes on, blocks of vectors are iterated on, around as many shifts as that takes, whose
+    factors count the modes between them. Where k is more than a third of n, LAPACK solves the dense
+    problem instead: Lanczos has no room there, and the answer is the same.
 
     Parameters
     ----------
     tol : float, default 0.0
         Relative accuracy of the eigenvalues of the shift-inverted operator; 0 is machine precision.
     shift : float, default 0.1
-        sigma = -shift * `Laplacian.eigenvalue_spacing`: below the spectrum, and the same
-        for a shape in millimetres or metres, at any resolution.
+        The first sigma is -shift * `Laplacian.eigenvalue_spacing`: below the spectrum, and the
+        same for a shape in millimetres or metres, at any resolution.
     seed : int, default 0
-        Of the start vector: same input and number of threads, same output.
+        Of the start vectors: same input and number of threads, same output.
     max_restarts : int, default 1000
-        Lanczos restarts before giving up.
+        Lanczos restarts, of many modes shifts, before giving up.
 
     Raises
     ------
@@ -52,7 +55,8 @@ class Arpack:
     Notes
     -----
     Works on the standard form ``M^1/2 (L - sigma M)^-1 M^1/2``, whose largest eigenvalues are
-    ``1 / (lambda - sigma)``. ARPACK: Lehoucq, Sorensen and Yang, *ARPACK Users' Guide*, 1998.
+    ``1 / (lambda - sigma)``. ARPACK: Lehoucq, Sorensen and Yang, *ARPACK Users' Guide*, 1998. Many
+    modes: see `linalg.slicing.sliced_eigenpairs`, after Grimes, Lewis and Simon, 1994.
 
     Examples
     --------
@@ -69,7 +73,7 @@ class Arpack:
     max_restarts: int = 1000
 
     @property
-    def accuracy(self) -> Accuracy:
+    def promise(self) -> Promise:
         """See `Eigensolver`."""
         return "to tolerance" if self.tol else "exact"
 
@@ -84,8 +88,10 @@ class Arpack:
         """See `Eigensolver.eigenpairs`."""
         if _DENSE_RATIO * k >= laplacian.n:
             return Dense().eigenpairs(laplacian, k)
-        clock = Clock()
         sigma = -self.shift * laplacian.eigenvalue_spacing
+        if k >= _MANY and laplacian.n >= 2 * MOST:
+            return self._sliced(laplacian, k, sigma)
+        clock = Clock()
         factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma, SparseCholesky)
         clock.stage("factor")
         # ARPACK takes a Ritz value below eps^(2/3) = 4e-11 for converged when it is so absolutely,
@@ -128,3 +134,25 @@ class Arpack:
             ) from error
         clock.stage("lanczos")
         return Eigenpairs(unit / values + sigma, vectors / root[:, None], clock.seconds)
+
+    def _sliced(self, laplacian: Laplacian, k: int, sigma: float) -> Eigenpairs:
+        """Return many modes, from block Lanczos around several shifts."""
+        values, vectors, shifts, seconds = sliced_eigenpairs(
+            laplacian.stiffness,
+            laplacian.mass,
+            k,
+            sigma=sigma,
+            tol=self.tol,
+            most_shifts=self.max_restarts,
+            seed=self.seed,
+        )
+        pairs = Eigenpairs(values, vectors, seconds)
+        if len(values) == k:
+            return pairs
+        raise NotConvergedError(
+            f"Lanczos found {len(values)} of {quantity(k, 'mode')} around"
+            f" {quantity(shifts, 'shift')}",
+            pairs,
+            advice=("raise {}", "loosen {}", "use {}"),
+            remedies=("max_restarts", "tol", "Multilevel"),
+        )

@@ -12,7 +12,7 @@ from spectra_kit._types import Floats
 from spectra_kit.operators.laplacian import Laplacian
 
 #: What a backend goes on for: until rounding, until the residuals asked for, or so much work.
-Accuracy = Literal["exact", "to tolerance", "approximate"]
+Promise = Literal["exact", "to tolerance", "approximate"]
 
 
 class Eigenpairs(NamedTuple):
@@ -30,6 +30,10 @@ class Eigenpairs(NamedTuple):
         How many an iterative backend took.
     errors : ndarray of shape (k,), optional
         Relative errors of the eigenvalues as an approximate backend estimates them.
+    solver : Eigensolver, optional
+        What solved, where a backend chose another one.
+    reason : str, optional
+        Why it chose this one.
     """
 
     eigenvalues: Floats
@@ -37,6 +41,8 @@ class Eigenpairs(NamedTuple):
     seconds: Mapping[str, float] | None = None
     iterations: int | None = None
     errors: Floats | None = None
+    solver: Eigensolver | None = None
+    reason: str = ""
 
 
 @runtime_checkable
@@ -47,7 +53,7 @@ class Eigensolver(Protocol):
     were fixed, one connected part of the free points), and 1 <= k <= n. It then checks, sorts and
     certifies what comes back, so a backend does none of that.
 
-    A backend may have three more attributes. ``accuracy`` says what its answers are (`Accuracy`):
+    A backend may have three more attributes. ``promise`` says what its answers are (`Promise`):
     where they are to be exact or to a tolerance, `eigensolve` counts the eigenvalues and completes
     what was missed, unless ``factor_free`` is true, for backends that are taken to avoid a factor.
     ``name`` is what `Provenance` calls it, if not its class in lower case.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, check_positive
-from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
+from spectra_kit.eigensolvers.base import Eigenpairs, Promise
 from spectra_kit.eigensolvers.refined import Polished, Refined
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size
 from spectra_kit.levels import Coarse, coarse_iteration, coarse_ritz
@@ -86,7 +86,7 @@ class Cascade(OnPoints):
     True
     """
 
-    accuracy: ClassVar[Accuracy] = "approximate"
+    promise: ClassVar[Promise] = "approximate"
     subspace: Subspace | None = None
     target: float = 1e-3
     coarsest: int = 2048

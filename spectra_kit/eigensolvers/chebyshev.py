@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from spectra_kit._checked import checked
-from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
+from spectra_kit.eigensolvers.base import Eigenpairs, Promise
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.refined import DENSE_RATIO, check_sweeping, within
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size, plane_waves
@@ -64,7 +64,7 @@ class Chebyshev(OnPoints):
     True
     """
 
-    accuracy: ClassVar[Accuracy] = "to tolerance"
+    promise: ClassVar[Promise] = "to tolerance"
     factor_free: ClassVar[bool] = True
     start: Subspace | None = None
     rtol: float = 1e-8

@@ -14,7 +14,7 @@ from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
-from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
+from spectra_kit.eigensolvers.base import Eigenpairs, Promise
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
@@ -46,7 +46,7 @@ class Dense:
     array([2., 2., 2.])
     """
 
-    accuracy: ClassVar[Accuracy] = "exact"
+    promise: ClassVar[Promise] = "exact"
     max_points: int = 20_000
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ from spectra_kit._clock import Clock
 from spectra_kit._optional import optional
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive, quantity
-from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs, NotConvergedError
+from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError, Promise
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.starts import basis_with_kernel
 from spectra_kit.linalg import SparseLDL, orthonormalize
@@ -75,7 +75,7 @@ class Lobpcg(OnPoints):
     array([2., 2., 2.])
     """
 
-    accuracy: ClassVar[Accuracy] = "to tolerance"
+    promise: ClassVar[Promise] = "to tolerance"
     rtol: float = 1e-8
     max_steps: int = 200
     preconditioner: Literal["cholesky", "amg"] = "cholesky"

@@ -11,7 +11,7 @@ from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive
-from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
+from spectra_kit.eigensolvers.base import Eigenpairs, Promise
 from spectra_kit.eigensolvers.refined import Refined
 from spectra_kit.eigensolvers.starts import block_size
 from spectra_kit.levels import Coarse, CoarsePairs, coarse_iteration, coarse_ritz, coarsen
@@ -74,7 +74,7 @@ class Multilevel:
     True
     """
 
-    accuracy: ClassVar[Accuracy] = "to tolerance"
+    promise: ClassVar[Promise] = "to tolerance"
     rtol: float = 1e-6
     coarsest: int = 2048
     ratio: int = 12

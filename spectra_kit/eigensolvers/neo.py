@@ -12,7 +12,7 @@ import numpy as np
 
 from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, check_count
-from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
+from spectra_kit.eigensolvers.base import Eigenpairs, Promise
 from spectra_kit.eigensolvers.cascade import Cascade
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.operators.laplacian import Laplacian
@@ -79,7 +79,7 @@ class Neo(Rebuilt):
     True
     """
 
-    accuracy: ClassVar[Accuracy] = "approximate"
+    promise: ClassVar[Promise] = "approximate"
     weights: str | os.PathLike[str] = "small"
     poses: Literal[1, 2, 4] = 1
     device: str | torch.device = "cpu"

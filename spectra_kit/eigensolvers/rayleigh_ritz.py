@@ -8,7 +8,7 @@ from typing import ClassVar
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._validate import check_positive
-from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs
+from spectra_kit.eigensolvers.base import Eigenpairs, Promise
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.starts import basis_with_kernel
 from spectra_kit.linalg.ritz import ritz_pairs
@@ -59,7 +59,7 @@ class RayleighRitz(OnPoints):
     array([2., 2., 2.])
     """
 
-    accuracy: ClassVar[Accuracy] = "approximate"
+    promise: ClassVar[Promise] = "approximate"
     subspace: Subspace = field(default_factory=AmbientFourier)
     rank_tol: float = 1e-10
 

@@ -11,7 +11,7 @@ from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive, quantity
-from spectra_kit.eigensolvers.base import Accuracy, Eigenpairs, NotConvergedError
+from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError, Promise
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size, plane_waves
 from spectra_kit.errors import InvalidInputError
@@ -76,7 +76,7 @@ class Refined(OnPoints):
     True
     """
 
-    accuracy: ClassVar[Accuracy] = "to tolerance"
+    promise: ClassVar[Promise] = "to tolerance"
     start: Subspace | None = None
     rtol: float = 1e-8
     guard: float = 0.5
@@ -131,7 +131,7 @@ class Polished(OnPoints):
     True
     """
 
-    accuracy: ClassVar[Accuracy] = "approximate"
+    promise: ClassVar[Promise] = "approximate"
     start: Subspace | None = None
     sweeps: int = 1
     guard: float = 0.5

@@ -6,7 +6,9 @@ import hashlib
 import math
 import time
 import traceback
+from collections import Counter
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +17,7 @@ from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, quantity
 from spectra_kit._version import VERSION
 from spectra_kit.eigensolvers._units import Units
-from spectra_kit.eigensolvers.arpack import Arpack
+from spectra_kit.eigensolvers.automatic import Automatic
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigensolvers.doubts import warn_of_doubts, with_excess
 from spectra_kit.eigensolvers.refined import Refined
@@ -42,7 +44,11 @@ _NEAR = 10  # modes that complete an exact spectrum may have residuals so many t
 
 
 @checked
-def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> Spectrum:  # noqa: B008
+def eigensolve(
+    laplacian: Laplacian,
+    k: int,
+    solver: Eigensolver = Automatic(),  # noqa: B008
+) -> Spectrum:
     """Compute the k lowest modes of a Laplacian with the backend of your choice, and certify them.
 
     Each connected component is solved on its own and the modes are merged: as many exact zero
@@ -59,9 +65,10 @@ def eigensolve(laplacian: Laplacian, k: int, solver: Eigensolver = Arpack()) -> 
         On n points.
     k : int
         Number of modes, zero modes included; at most the number of free points.
-    solver : Eigensolver, default Arpack()
-        `Arpack`, `Multilevel`, `Refined`, `Chebyshev`, `Lobpcg`, `Dense`; approximate: `Neo`,
-        `Cascade`, `Polished`, `RayleighRitz`; or your own.
+    solver : Eigensolver, default Automatic()
+        ``Automatic(accuracy=1e-3)`` takes what costs least for that accuracy; without it, all is
+        exact. For those who know: `Arpack`, `Multilevel`, `Refined`, `Chebyshev`, `Lobpcg`,
+        `Dense`; approximate: `Neo`, `Cascade`, `Polished`, `RayleighRitz`; or your own.
 
     Returns
     -------
@@ -127,6 +134,14 @@ def _in_units(units: Units, laplacian: Laplacian, k: int, solver: Eigensolver) -
         raise
 
 
+class Chosen(NamedTuple):
+    """What solved a component, where a solver chose it."""
+
+    solver: Eigensolver
+    reason: str
+    n: int  #: Points of the component.
+
+
 @dataclass
 class _Run:
     """One call of `eigensolve`: what is asked for, and what was found so far."""
@@ -136,6 +151,7 @@ class _Run:
     solver: Eigensolver
     start: float = field(default_factory=time.perf_counter)
     parts: list[Ints] = field(default_factory=list)  # the points of each component
+    chosen: dict[int, Chosen] = field(default_factory=dict)  # by component, where a solver chose
     found: dict[int, Eigenpairs] = field(default_factory=dict)  # by component
     stages: dict[str, float] = field(default_factory=dict)  # wall times, over the components
     iterations: int | None = None
@@ -168,7 +184,8 @@ class _Run:
             ) from error
         spectrum = self.packed(pairs)
         promised = spectrum.provenance.accuracy in ("exact", "to tolerance")
-        if promised and not getattr(self.solver, "factor_free", False):
+        solvers = [one.solver for one in self.chosen.values()] or [self.solver]
+        if promised and not any(getattr(one, "factor_free", False) for one in solvers):
             return self.completed(spectrum)
         warn_of_doubts(spectrum)
         return spectrum
@@ -232,13 +249,15 @@ class _Run:
                 part = laplacian if whole else laplacian.restricted(parts[i])
                 own = solver if whole else restricted(solver, parts[i])
                 try:
-                    self.found[i] = self.connected(part, wanted[i], own)
+                    self.found[i] = pairs = self.connected(part, wanted[i], own)
+                    if pairs.solver is not None:
+                        self.chosen[i] = Chosen(pairs.solver, pairs.reason, part.n)
                 except NotConvergedError as error:
                     if error.pairs is not None:
                         self.found[i] = error.pairs
                     raise
                 except RankError as error:  # columns of all parts may have few on this one
-                    if len(parts) == 1 or getattr(solver, "accuracy", "") != "approximate":
+                    if len(parts) == 1 or _promise_of(solver) != "approximate":
                         raise
                     lacking, most[i] = error, min(error.rank, wanted[i] - 1)
                     wanted[i] = most[i]
@@ -289,7 +308,7 @@ class _Run:
                 " decades, so does rounding.)",
             )
         found = _with_exact_constant(laplacian, np.maximum(values, 0.0), vectors)
-        return found._replace(errors=errors)
+        return found._replace(errors=errors, solver=pairs.solver, reason=pairs.reason)
 
     def merged(self, k: int) -> Eigenpairs:
         """Return the k lowest pairs (or all there are) of the components solved, on all points."""
@@ -305,9 +324,16 @@ class _Run:
         for j, source in enumerate(lowest):
             part = owner[source]
             vectors[parts[part], j] = pairs[part].eigenvectors[:, column[source]]
-        told = [p.errors for p in pairs if p.errors is not None]
+        told = [own for p in pairs if (own := self.errors_of(p)) is not None]
         errors = np.concatenate(told)[lowest] if len(told) == len(pairs) else None
         return Eigenpairs(values[lowest], vectors, errors=errors)
+
+    def errors_of(self, pairs: Eigenpairs) -> Floats | None:
+        """Return those of a component; zeros for one chosen to be exact beside approximate ones."""
+        exact = pairs.solver is not None and _promise_of(pairs.solver) != "approximate"
+        if pairs.errors is None and exact and self.promise == "approximate":
+            return np.zeros(len(pairs.eigenvalues))
+        return pairs.errors
 
     def rescued(self) -> Spectrum | None:
         """Certify what was solved before a failure, if anything was."""
@@ -316,7 +342,7 @@ class _Run:
 
     def packed(self, pairs: Eigenpairs) -> Spectrum:
         """Check and certify `pairs`, and say where they come from."""
-        begin, laplacian, solver = time.perf_counter(), self.laplacian, self.solver
+        begin, laplacian = time.perf_counter(), self.laplacian
         values, vectors = _sorted(pairs.eigenvalues, pairs.eigenvectors)
         spectrum = Spectrum(np.maximum(values, 0.0), vectors, laplacian.mass).certify(laplacian)
         assert spectrum.certificate is not None
@@ -328,18 +354,38 @@ class _Run:
         certificate = replace(spectrum.certificate, errors=pairs.errors)
         spectrum = with_excess(spectrum.described(certificate, spectrum.provenance), laplacian)
         self.book("certify", time.perf_counter() - begin)
+        solver, reason = self.solver_of_most()
         provenance = Provenance(
-            solver=self.name,
+            solver=self.name if solver is self.solver else repr(solver),
             operator=laplacian.operator,
             seed=None if (seed := getattr(solver, "seed", None)) is None else int(seed),
             seconds=self.seconds(),
             input_hash=_fingerprint(laplacian),
             version=VERSION,
             iterations=self.iterations,
-            accuracy=getattr(solver, "accuracy", ""),
-            name=str(getattr(solver, "name", type(solver).__name__.lower())),
+            accuracy=self.promise,
+            name=_name_of(solver),
+            reason=reason,
         )
         return spectrum.described(spectrum.certificate, provenance)
+
+    @property
+    def promise(self) -> str:
+        """What holds of all components."""
+        promises = {_promise_of(one.solver) for one in self.chosen.values()}
+        weakest = [p for p in ("approximate", "to tolerance", "exact") if p in promises]
+        return weakest[0] if weakest else _promise_of(self.solver)
+
+    def solver_of_most(self) -> tuple[Eigensolver, str]:
+        """Return what solved the largest component, and why it was chosen."""
+        if not self.chosen:
+            return self.solver, ""
+        solver, reason, _ = max(self.chosen.values(), key=lambda one: one.n)
+        names = Counter(_name_of(one.solver) for one in self.chosen.values())
+        others = [f"{m} by {name}" for name, m in names.items() if name != _name_of(solver)]
+        if others:
+            reason += f"; of {len(self.chosen)} components, {' and '.join(others)}"
+        return solver, reason
 
     def book(self, stage: str, seconds: float) -> None:
         """Add wall time to a stage."""
@@ -356,6 +402,14 @@ class _Run:
         """Wall time by stage, what is in none of them included."""
         other = time.perf_counter() - self.start - sum(self.stages.values())
         return {"assembly": self.laplacian.seconds, **self.stages, "other": max(other, 0.0)}
+
+
+def _promise_of(solver: Eigensolver) -> str:
+    return str(getattr(solver, "promise", ""))
+
+
+def _name_of(solver: Eigensolver) -> str:
+    return str(getattr(solver, "name", type(solver).__name__.lower()))
 
 
 def _of_checked_form(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from spectra_kit._checked import checked
-from spectra_kit.eigensolvers.arpack import Arpack
+from spectra_kit.eigensolvers.automatic import Automatic
 from spectra_kit.eigensolvers.base import Eigensolver
 from spectra_kit.eigensolvers.solve import eigensolve
 from spectra_kit.geometry import Geometry
@@ -12,7 +12,7 @@ from spectra_kit.spectra import Spectrum
 
 
 @checked
-def spectrum(geometry: Geometry, k: int, solver: Eigensolver = Arpack()) -> Spectrum:  # noqa: B008
+def spectrum(geometry: Geometry, k: int, solver: Eigensolver = Automatic()) -> Spectrum:  # noqa: B008
     """Compute the k lowest modes of a surface, by `laplacian` and `eigensolve`.
 
     Parameters
@@ -21,7 +21,7 @@ def spectrum(geometry: Geometry, k: int, solver: Eigensolver = Arpack()) -> Spec
         With n points.
     k : int
         Number of modes, zero modes included.
-    solver : Eigensolver, default Arpack()
+    solver : Eigensolver, default Automatic()
         As in `eigensolve`.
 
     Returns

@@ -22,6 +22,7 @@ from spectra_kit.linalg.coarse_space import (
 from spectra_kit.linalg.conjugate_gradients import pcg
 from spectra_kit.linalg.constant_kernel import ConstantKernel
 from spectra_kit.linalg.incomplete_cholesky import IncompleteCholesky
+from spectra_kit.linalg.memory import factor_gigabytes
 from spectra_kit.linalg.solution import LinearSolution
 from spectra_kit.spectra import Spectrum
 
@@ -141,7 +142,7 @@ class Automatic:
 
     def choose(self, n: int) -> tuple[Direct | Iterative, str]:
         """Return the solver on n points, and why it is this one."""
-        needed = factor_gigabytes(n)
+        needed = 2 * factor_gigabytes(n)  # of both systems
         if needed <= self.memory:
             return Direct(), f"factors of {n} points fit into {self.memory:g} GiB"
         reason = f"factors would take {needed:.1f} GiB, more than {self.memory:g}"
@@ -154,15 +155,6 @@ Solver = Direct | Iterative | Automatic
 def _check_rtol(rtol: float) -> None:
     if check_positive("rtol", rtol) >= 1:
         raise InvalidInputError("rtol", "be less than 1", rtol, advice="1e-8 is the default")
-
-
-def factor_gigabytes(n: int) -> float:
-    """Estimate what complete factors of both systems take on n points of a surface, in GiB.
-
-    Some ``3 n log2 n`` entries of 12 bytes each, by what factors of meshes of 90,000 and 134,000
-    vertices hold (4.9 and 7.2 million), and as much again while they are made.
-    """
-    return 2 * 2 * 12 * 3 * n * float(np.log2(max(n, 2))) / 2**30
 
 
 class IterativePoisson:

@@ -12,19 +12,15 @@ from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels.coarse import Coarse, coarsen
+from spectra_kit.levels.estimates import excess
 from spectra_kit.levels.smoothing import Smoothing, on_device
 from spectra_kit.linalg.blocks import operations
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation
 from spectra_kit.operators.laplacian import Laplacian
 
-_TINY = float(np.finfo(float).tiny)
 _RATIO = 10  # points of a level relative to those of the next one, at most
 _CARRIED = 8  # products of the first step on a level: interpolation errs at its own spacing
-_FEW = 10  # times better than the target one step must seem to be: a lone step tells less
-_LAST = 0.3  # share of an error that a step tends to leave, as the lowest frequencies are left
-_LEFT = 1.8  # by which the shares told by residuals and by falls are too small, in the mean
 _ROUNDING = 1e-10  # of the last Ritz value: a rise beyond it is none of rounding
-_SLOWEST = 0.9  # share beyond which steps gain too little to say what is left
 
 
 class Climbed(NamedTuple):
@@ -113,10 +109,9 @@ def climb(
         smoothing = Smoothing.of(finer[i], device)
         clock.stage("carry")
         residual = smoothing.residual(values, X)
-        falls: list[Floats] = []
         step = 0
         for step in range(1, 1 + (max_steps if finest else 1)):
-            before, size = values, smoothing.sizes(residual)[:k]
+            before = values
             degree = _CARRIED if finest and levels and step == 1 else None
             guards = max(1, len(values) - k)
             smooth = smoothing.smoothed(values, X, residual, degree=degree, guards=guards)
@@ -127,28 +122,12 @@ def climb(
                 break
             residual = smoothing.residual(values, X)
             least = np.maximum(values, laplacian.eigenvalue_spacing)[:k]
-            falls.append(np.maximum(before[:k] - values[:k], 0.0) / least)
-            errors = estimated(falls, smoothing.sizes(residual)[:k] / np.maximum(size, _TINY))
+            falls = np.maximum(before[:k] - values[:k], 0.0)
+            errors = excess(smoothing, values, X, residual, falls) / least
             clock.stage("smooth")
-            if errors.mean() <= target / (_FEW if step == 1 else 1):
+            if errors.mean() <= target:
                 break
     return Climbed(values, X, errors, step)
-
-
-def estimated(falls: Sequence[Floats], shrunk: Floats) -> Floats:
-    """Return what is left of relative errors after steps that lowered them by the `falls`.
-
-    A step leaves a share of an error. The ratio by which it shrunk the residual tells less than
-    this share, for residuals weigh high frequencies more, which go first. The ratio of two falls is
-    the share that the step before left; that of the last one lies between it and what remains in
-    the end. So the two are taken together; the constants are those of seven meshes.
-    """
-    share = shrunk
-    if len(falls) > 1:
-        before = np.minimum(falls[-1] / np.maximum(falls[-2], _TINY), 1.0)
-        share = np.sqrt(shrunk * np.cbrt(_LAST * before**2))
-    share = np.minimum(_LEFT * share, _SLOWEST)
-    return np.asarray(falls[-1] * share / (1 - share))
 
 
 def _rotated(level: Smoothing, smooth: Any, values: Floats, X: Any, k: int) -> tuple[Floats, Any]:

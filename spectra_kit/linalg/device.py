@@ -63,6 +63,11 @@ def energies(diagonal: Tensor, Y: Tensor) -> Floats:
     return _small((diagonal.unsqueeze(1) * Y.double().square()).sum(dim=0))
 
 
+def dots(Y: Tensor, Z: Tensor) -> Floats:
+    """Return the diagonal of ``Y^T Z``, in float64."""
+    return _small((Y.double() * Z.double()).sum(dim=0))
+
+
 def joined(Y: Tensor, Z: Tensor) -> Tensor:
     """Return the columns of both."""
     return torch.cat([Y, Z], dim=1)

@@ -73,6 +73,11 @@ def energies(diagonal: Floats, Y: Block) -> Floats:
     return _sum_of(lambda rows: diagonal[rows] @ np.square(Y[rows]), len(Y))
 
 
+def dots(Y: Block, Z: Block) -> Floats:
+    """Return the diagonal of ``Y^T Z``, in float64."""
+    return np.asarray(np.einsum("ij,ij->j", Y, Z, dtype=float))
+
+
 def joined(Y: Block, Z: Block) -> Block:
     """Return the columns of both."""
     return np.hstack([Y, Z])

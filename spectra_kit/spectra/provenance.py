@@ -18,7 +18,8 @@ class Provenance(Rebuilt):
     Attributes
     ----------
     solver, operator : str
-        The backend with its hyper-parameters, and how the matrices were built.
+        The backend with its hyper-parameters, that of the largest component where it was chosen for
+        each; and how the matrices were built.
     seed : int or None
         The backend's random seed, where it has one.
     seconds : mapping of str to float
@@ -34,6 +35,8 @@ class Provenance(Rebuilt):
     name : str
         The backend's in the `catalogue`, else that of its class in lower case; empty for the user's
         own modes.
+    reason : str
+        Why this solver, where `eigensolvers.Automatic` chose it; empty where the user did.
     """
 
     solver: str = "user"
@@ -45,10 +48,16 @@ class Provenance(Rebuilt):
     iterations: int | None = None
     accuracy: str = ""
     name: str = ""
+    reason: str = ""
 
     def __post_init__(self) -> None:
         seconds = {str(stage): float(t) for stage, t in self.seconds.items()}
         object.__setattr__(self, "seconds", MappingProxyType(seconds))
+
+    @property
+    def choice(self) -> str:
+        """The name of the solver, and the reason where it was chosen, in words."""
+        return f"{self.name}: {self.reason}" if self.reason else self.name
 
     @property
     def solving_seconds(self) -> float:

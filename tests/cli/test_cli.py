@@ -200,16 +200,23 @@ def test_where_eigenvalues_coincide_the_means_are_those_of_spaces(files, capsys)
 
 def test_options_reach_the_solvers_that_take_them():
     takers = {
+        "accuracy": {"automatic"},
         "rtol": {"refined", "multilevel", "lobpcg", "chebyshev"},
         "start": {"refined", "polished", "cascade", "lobpcg", "chebyshev"},
-        "device": {"neo", "chebyshev", "cascade"},
+        "device": {"neo", "chebyshev", "cascade", "automatic"},
         "poses": {"neo"},
     }
-    values = {"rtol": "1e-4", "start": "random", "device": "cpu:0", "poses": "2"}
+    values = {
+        "accuracy": "0.25",
+        "rtol": "1e-4",
+        "start": "random",
+        "device": "cpu:0",
+        "poses": "2",
+    }
     seeded = parse(["spectrum", "a", "--seed", "7"])
     assert "seed=7" in repr(solving.make_solver("lobpcg", seeded, 4))
     assert "seed=7" in repr(solving.make_solver("fourier", seeded, 4))
-    shown = ("rtol=0.0001", "RandomBasis(", "device='cpu:0'", "poses=2")
+    shown = ("accuracy=0.25", "rtol=0.0001", "RandomBasis(", "device='cpu:0'", "poses=2")
     for solver in SOLVERS:
         for (option, value), text in zip(values.items(), shown, strict=True):
             asked = parse(["spectrum", "a", "--solver", solver, f"--{option}", value])

@@ -101,7 +101,7 @@ AT_A_FACE = ("geodesic", BALL, "--face")
         ("`--boundary` must be neumann on what", ("spectrum", BALL, *DIRICHLET)),
         ("`--boundary` must be neumann on what", ("spectrum", "cloud.ply", *DIRICHLET)),
         ("must be positive", ("spectrum", BALL, "--solver", "refined", "--rtol", "0")),
-        ("got arpack; choose one of those by --solver", ("spectrum", BALL, "--rtol", "1e-4")),
+        ("got automatic; choose one of those by --solver", ("spectrum", BALL, "--rtol", "1e-4")),
         ("got arpack and dense", ("compare", BALL, "--solver", "dense", "--rtol", "1e-4")),
         ("must be one of", ("spectrum", BALL, "--solver", "neo", "--weights", "none")),
         ("torch can use here", ("compare", BALL, "--device", "meta", "-k", "4")),
@@ -109,8 +109,18 @@ AT_A_FACE = ("geodesic", BALL, "--face")
         ("must be in [10, 2400], got 0", ("modes", BALL, "-k", "4", "--dpi", "0")),
         # What has no effect as things are.
         (
-            "`--device` must go with chebyshev, cascade and neo",
-            ("spectrum", BALL, "--device", "cuda"),
+            "`--device` must go with automatic, chebyshev, cascade and neo",
+            ("spectrum", BALL, "--solver", "arpack", "--device", "cuda"),
+        ),
+        (
+            "`--accuracy` must go with automatic, got arpack",
+            ("spectrum", BALL, "--solver", "arpack", "--accuracy", "1e-3"),
+        ),
+        ("`--accuracy` must be less than 1", ("modes", BALL, "--accuracy", "2")),
+        ("`--accuracy` must be a number", ("compare", BALL, "--accuracy", "nan")),
+        (
+            "--accuracy has no effect on modes",
+            ("modes", BALL, "--accuracy", ".1", "--spectrum", "x.npz"),
         ),
         ("`--rtol` must go with ", ("match", BALL, BALL, "--rtol", "1e-4")),
         ("--solver has no effect", ("animate", BALL, "--spectrum", "x.npz", "--solver", "dense")),

@@ -82,8 +82,8 @@ def test_no_exact_solver_misses_a_mode(name: str, solver) -> None:
 class Forgetful:
     """An exact backend that passes over modes, as Lanczos may those that occur more than once."""
 
-    def __init__(self, *missed: int, accuracy: str = "exact") -> None:
-        self.missed, self.accuracy = missed, accuracy
+    def __init__(self, *missed: int, promise: str = "exact") -> None:
+        self.missed, self.promise = missed, promise
 
     def __repr__(self) -> str:
         return f"Forgetful{self.missed}"
@@ -106,7 +106,7 @@ def test_what_a_solver_passed_over_is_found_and_told(bumpy_laplacian, missed) ->
     assert completed.certificate.relative_residuals.max() < 1e-11
     assert completed.provenance.seconds["count"] > 0
     # What does not claim to be exact is left as it is, and not called complete.
-    left = sk.eigensolve(laplacian, 20, Forgetful(*missed, accuracy="approximate")).certificate
+    left = sk.eigensolve(laplacian, 20, Forgetful(*missed, promise="approximate")).certificate
     assert (left.level, left.count) == ("residuals", None)
     assert left.completeness == "not counted: modes may be missing between these"
 

@@ -106,15 +106,18 @@ def test_what_is_refused() -> None:
 
 STARVED = """
 import resource
+from scipy import sparse
 from test_cholesky import grid
 from spectra_kit.linalg import SparseCholesky
 
 SparseCholesky(grid(9))  # what it imports and compiles is not to be counted
-matrix = grid(400)
+line = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(40, 40))
+cube = sparse.kron(grid(40), sparse.eye_array(40)) + sparse.kron(sparse.eye_array(1600), line)
+cube = sparse.csr_array(cube)
 pages = int(open("/proc/self/statm").read().split()[0])
 limit = pages * resource.getpagesize() + 20 * 2**20
 resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-SparseCholesky(matrix)
+SparseCholesky(cube)
 """
 
 
@@ -123,4 +126,4 @@ def test_want_of_memory_is_an_error_of_its_own() -> None:
     tests = Path(__file__).parent
     code = f"import sys; sys.path[:0] = [{str(tests)!r}, {str(tests.parent)!r}]\n{STARVED}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "OutOfMemoryError: the factor of 160000 unknowns does not fit" in done.stderr
+    assert "OutOfMemoryError: the factor of 64000 unknowns does not fit" in done.stderr

@@ -152,6 +152,7 @@ def test_the_same_on_the_host_and_on_a_device(where, full):
         yield ops.projected(energy, block)
         yield ops.lifted(block, np.eye(9)[:, ::2] - 0.1)
         yield ops.energies(d, block)
+        yield ops.dots(block, block + 1)
         yield ops.joined(block, 2 * block)
         yield ops.scaled(block, values > 3, values)
         residual = ops.residual(energy, weight, values, block)

@@ -49,7 +49,7 @@ def _ours(
     The network takes the place of its option `neo`; with `device` it has an option of that name.
     """
     solver = SOLVERS[name]
-    if solver.accuracy == "to tolerance":
+    if solver.promise == "to tolerance":
         options["rtol"] = _RTOL
 
     def make(where: str) -> Eigensolver:
@@ -60,7 +60,7 @@ def _ours(
 
     return Method(
         make=make,
-        stops={"exact": _EXACT, "to tolerance": _AT_RTOL}.get(solver.accuracy, ""),
+        stops={"exact": _EXACT, "to tolerance": _AT_RTOL}.get(solver.promise, ""),
         devices=("cpu", "cuda") if device else ("cpu",),
         needs=needs,
         slow=name == "lobpcg",

@@ -1,0 +1,169 @@
+"""`Automatic`: who says how accurate the eigenvalues must be, need not choose a solver."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from spectra_kit._checked import checked
+from spectra_kit._types import Floats
+from spectra_kit._validate import check_count, check_positive, quantity
+from spectra_kit.eigensolvers.arpack import Arpack
+from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, Promise
+from spectra_kit.eigensolvers.cascade import Cascade
+from spectra_kit.eigensolvers.chebyshev import Chebyshev
+from spectra_kit.eigensolvers.multilevel import Multilevel
+from spectra_kit.eigensolvers.refined import Refined
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg.memory import factor_gigabytes
+from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.subspaces import GivenBasis
+
+# n k^(1/3) up to which nothing costs less than Lanczos on a factor: 12,000 points for 20 modes,
+# 9,000 for 96, 6,000 for 300.
+_FEW = 40_000
+_TIGHT = 1e-6  # an accuracy that one sweep on a factor reaches sooner than steps of smoothing
+# Smoothing steps that cost what going on with a factor does. Who changes over then has spent at
+# most twice what the better of both takes (rent or buy).
+_STEPS = 4
+_MARGIN = 3  # by which estimates of errors may be too low
+_EXACT = 1e-13  # an accuracy that is rounding
+_RTOL = 1e-8  # residuals whose errors are rounding, and the largest that one goes on from
+_GUARD = 0.5  # columns beyond k, relative to k, of what solves to a tolerance
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Automatic:
+    """Say how accurate the eigenvalues must be: what costs least for that is chosen.
+
+    The choice follows from measured costs: `Arpack` for few points and for what is to be exact,
+    `Cascade` for many, `Multilevel` where the accuracy is high, `Chebyshev` where no factor fits
+    or on a GPU. What the cascade estimates to have missed goes on from its modes with a factor, by
+    `Refined`. ``provenance.solver`` and ``provenance.reason`` tell what was chosen and why.
+
+    Parameters
+    ----------
+    accuracy : float, optional
+        Relative error that the eigenvalues may have, in the mean over the wanted modes; below 1.
+        Exact to rounding without it.
+    memory : float, default 4.0
+        GiB that a sparse factor may take.
+    device : str or torch.device, default "cpu"
+        "cpu" or "cuda", for what runs there; never chosen for you.
+    seed : int, default 0
+        Of all random columns.
+
+    Raises
+    ------
+    InvalidInputError
+        If a parameter is out of range.
+
+    Notes
+    -----
+    Components are chosen for one by one. If any is approximate, so is the spectrum:
+    `Certificate.errors` estimates how far its eigenvalues are off. Otherwise they are counted, and
+    none was missed.
+
+    An eigenvalue's error is of second order in its residual: with b columns on n points those at
+    more than ``b / k`` times its value take no part, so that by Weyl's law residuals of
+    ``rtol`` leave at most ``rtol**2 k / (b - k)``.
+
+    Examples
+    --------
+    >>> from spectra_kit import Automatic, eigensolve, robust_laplacian
+    >>> from spectra_kit.geometry import sphere
+    >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
+    >>> eigensolve(laplacian, 9, Automatic(accuracy=1e-3)).provenance.choice
+    'arpack: 642 points are few'
+    """
+
+    accuracy: float | None = None
+    memory: float = 4.0
+    device: str = "cpu"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "device", str(self.device))
+        if self.accuracy is not None and check_positive("accuracy", self.accuracy) >= 1:
+            raise InvalidInputError(
+                "accuracy",
+                "be less than 1, a relative error",
+                self.accuracy,
+                advice="1e-3 is a thousandth; leave it out for exact eigenvalues",
+            )
+        check_positive("memory", self.memory)
+        check_count("seed", self.seed, low=0)
+        if self.device != "cpu":
+            from spectra_kit.linalg.torch_device import check_device
+
+            check_device(self.device)
+
+    @property
+    def promise(self) -> Promise:
+        """See `Eigensolver`; what was chosen may promise more."""
+        return "exact" if self.accuracy is None else "approximate"
+
+    @property
+    def _rtol(self) -> float:
+        """Residuals that leave eigenvalues as accurate as that."""
+        return min(max(math.sqrt(_GUARD * (self.accuracy or 0.0)), _RTOL), 0.1)
+
+    def choose(self, n: int, k: int) -> tuple[Eigensolver, str]:
+        """Return what solves for k modes on n points, and why it is this one."""
+        exact = self.accuracy is None or self.accuracy <= _EXACT
+        few = n * k ** (1 / 3) <= _FEW
+        if (needed := factor_gigabytes(n)) <= self.memory and (few or exact):
+            why = f"{n} points are few" if few else "exact, and the factor fits into memory"
+            return Arpack(seed=self.seed), why
+        if self.accuracy is None or exact:
+            why = f"a factor would take {needed:.1f} GiB, more than {self.memory:g}"
+            return Chebyshev(rtol=_RTOL, device=self.device, seed=self.seed), why
+        if self.accuracy < _TIGHT and self._has_factor(n):
+            why = f"errors of {self.accuracy:g} on {n} points need a factor"
+            return Multilevel(rtol=self._rtol, guard=_GUARD, seed=self.seed), why
+        cascade = Cascade(
+            target=self.accuracy / _MARGIN, max_steps=_STEPS, device=self.device, seed=self.seed
+        )
+        return cascade, f"errors of {self.accuracy:g} on {n} points need no factor"
+
+    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
+        """See `Eigensolver.eigenpairs`."""
+        solver, reason = self.choose(laplacian.n, k)
+        pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
+        if isinstance(solver, Cascade) and not self._is_met(pairs.errors):
+            solver, reason = self._further(laplacian.n, pairs)
+            more = Eigenpairs(*solver.eigenpairs(laplacian, k))
+            pairs = more._replace(seconds=_sum(pairs.seconds, more.seconds))
+        return pairs._replace(solver=solver, reason=reason)
+
+    def _is_met(self, errors: Floats | None) -> bool:
+        """Whether eigenvalues of such errors are as accurate as asked for."""
+        return errors is not None and bool(errors.mean() <= (self.accuracy or 0.0))
+
+    def _further(self, n: int, pairs: Eigenpairs) -> tuple[Eigensolver, str]:
+        """Return what goes on where smoothing stalls, and why."""
+        left = "unknown errors" if pairs.errors is None else f"errors of {pairs.errors.mean():.1e}"
+        steps = quantity(pairs.iterations or 0, "step")
+        reason = f"{steps} of smoothing left {left}, more than {self.accuracy:g}"
+        start = GivenBasis(pairs.eigenvectors)
+        if self._has_factor(n):
+            return Refined(start=start, rtol=self._rtol, guard=_GUARD, seed=self.seed), reason
+        device = self.device
+        return Chebyshev(
+            start=start, rtol=self._rtol, guard=_GUARD, device=device, seed=self.seed
+        ), reason
+
+    def _has_factor(self, n: int) -> bool:
+        """Whether one may be made: on the host, and within the memory."""
+        return self.device == "cpu" and factor_gigabytes(n) <= self.memory
+
+
+def _sum(*stages: Mapping[str, float] | None) -> dict[str, float]:
+    """Add wall times by stage."""
+    total: Counter[str] = Counter()
+    for one in stages:
+        total.update(one or {})
+    return dict(total)

@@ -1,0 +1,162 @@
+"""Who says how accurate eigenvalues must be gets them so, and is told what was done for it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import bumpy, creature, joined, refused
+
+import spectra_kit as sk
+from spectra_kit.eigensolvers import automatic
+from spectra_kit.geometry import TriangleMesh, rectangle, sphere
+
+
+def errors(spectrum: sk.Spectrum, exact: sk.Spectrum) -> np.ndarray:
+    zero = exact.certificate.kernel_dimension
+    return np.abs(spectrum.eigenvalues[zero:] / exact.eigenvalues[zero:] - 1)
+
+
+@pytest.fixture(autouse=True)
+def few_are_fewer(monkeypatch) -> None:
+    """Let thousands of points be many: the rule is the same, and tests are quick."""
+    monkeypatch.setattr(automatic, "_FEW", 7_000)
+
+
+@pytest.fixture(scope="module")
+def animal() -> sk.Laplacian:
+    return sk.robust_laplacian(creature(6000, seed=0))
+
+
+@pytest.fixture(scope="module")
+def exact(animal) -> sk.Spectrum:
+    return sk.eigensolve(animal, 30, sk.Arpack())
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "name", "promise"),
+    [
+        (None, "arpack", "exact"),
+        (1e-14, "arpack", "exact"),
+        (1e-8, "multilevel", "to tolerance"),
+        (1e-5, "cascade", "approximate"),
+        (1e-2, "cascade", "approximate"),
+    ],
+)
+def test_the_accuracy_is_met_and_the_choice_is_told(animal, exact, accuracy, name, promise) -> None:
+    found = sk.eigensolve(animal, 30, sk.Automatic(accuracy=accuracy))
+    made, certificate = found.provenance, found.certificate
+    assert errors(found, exact).mean() <= (accuracy or 1e-12)
+    assert (made.name, made.accuracy) == (name, promise)
+    assert made.solver.lower().startswith(f"{name}(")
+    assert made.choice == f"{name}: {made.reason}"
+    needed = {"multilevel": "a", "cascade": "no"}.get(name)
+    told = f"errors of {accuracy} on {animal.n} points need {needed} factor"
+    assert made.reason == (told if needed else "exact, and the factor fits into memory")
+    assert (certificate.count is None) == (promise == "approximate")
+    if promise == "approximate":
+        assert certificate.errors.mean() <= accuracy
+
+
+def test_it_is_the_default() -> None:
+    laplacian = sk.robust_laplacian(bumpy())
+    [ours, theirs] = [sk.eigensolve(laplacian, 9), sk.eigensolve(laplacian, 9, sk.Arpack())]
+    np.testing.assert_array_equal(ours.eigenvectors, theirs.eigenvectors)
+    assert ours.provenance.solver == theirs.provenance.solver
+    assert (ours.provenance.reason, theirs.provenance.reason) == ("642 points are few", "")
+    assert theirs.provenance.choice == "arpack"
+    assert sk.spectrum(bumpy(), 4).provenance.reason
+
+
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-5])
+def test_analytic_spectrum_of_the_sphere(accuracy) -> None:
+    """Degrees l up to 6, as far as the mesh itself is off: its errors are of second order."""
+    found = sk.eigensolve(
+        sk.robust_laplacian(sphere(subdivisions=5).geometry), 49, sk.Automatic(accuracy=accuracy)
+    )
+    true = np.repeat([degree * (degree + 1) for degree in range(7)], range(1, 15, 2))
+    assert found.provenance.name == "cascade"
+    assert np.abs(found.eigenvalues[1:] / true[1:] - 1).mean() <= accuracy + 3e-3
+
+
+@pytest.mark.parametrize("accuracy", [1e-3, 1e-7])
+def test_points_held_at_zero(accuracy) -> None:
+    mesh = rectangle(n=6000).geometry
+    drum = sk.robust_laplacian(mesh).dirichlet(mesh.boundary_vertices)
+    found = sk.eigensolve(drum, 30, sk.Automatic(accuracy=accuracy))
+    exact = sk.eigensolve(drum, 30, sk.Arpack())
+    assert found.provenance.name in ("cascade", "multilevel")
+    assert errors(found, exact).mean() <= accuracy
+    assert not found.eigenvectors[drum.fixed].any()
+
+
+def test_smoothing_that_stalls_goes_on_with_a_factor(monkeypatch, animal, exact) -> None:
+    """From the modes that are there: those lack so little that a sweep or two are enough."""
+    monkeypatch.setattr(automatic, "_STEPS", 1)
+    found = sk.eigensolve(animal, 30, sk.Automatic(accuracy=2e-6))
+    assert errors(found, exact).mean() <= 2e-6
+    made = found.provenance
+    assert (made.name, made.accuracy) == ("refined", "to tolerance")
+    assert made.reason.startswith("1 step of smoothing left errors of ")
+    assert made.reason.endswith(", more than 2e-06")
+    assert {"coarsen", "smooth", "filter", "count"} <= made.seconds.keys(), "all work is told"
+    assert found.certificate.level == "verified"
+    assert found.certificate.errors is None, "what the smoothing left is no more"
+
+
+@pytest.mark.parametrize("device", ["cpu", "cpu:0"])
+def test_without_a_factor(monkeypatch, animal, exact, device) -> None:
+    """Where none fits into memory, and on a device, which has none."""
+    memory = 1e-3 if device == "cpu" else 4.0
+    solver = sk.Automatic(memory=memory, device=device)
+    tight = sk.eigensolve(animal, 30, replace(solver, accuracy=1e-7))
+    assert errors(tight, exact).mean() <= 1e-7
+    monkeypatch.setattr(automatic, "_STEPS", 1)
+    further = sk.eigensolve(animal, 30, replace(solver, accuracy=2e-6))
+    assert further.provenance.name == "chebyshev"
+    assert further.certificate.count is None, "that would take a factor"
+    assert errors(further, exact).mean() <= 2e-6
+    if device == "cpu":
+        none = sk.eigensolve(animal, 30, solver)
+        assert none.provenance.name == "chebyshev"
+        assert "more than 0.001" in none.provenance.reason
+        assert errors(none, exact).max() < 1e-12
+
+
+def test_each_component_has_its_own(tmp_path) -> None:
+    """A large part and small ones: approximate if any is, with errors of all."""
+    ball = bumpy()
+    small = [TriangleMesh(ball.points + [4.0 * i, 0, 0], ball.faces) for i in (1, 2)]
+    mesh = joined(creature(6000, seed=0), *small)
+    laplacian = sk.robust_laplacian(mesh)
+    found = sk.eigensolve(laplacian, 40, sk.Automatic(accuracy=1e-4))
+    exact = sk.eigensolve(laplacian, 40, sk.Arpack())
+    made = found.provenance
+    assert made.name == "cascade"
+    assert made.reason.endswith("; of 3 components, 2 by arpack")
+    assert made.accuracy == "approximate"
+    assert found.n_zero_modes == 3
+    assert errors(found, exact).mean() <= 1e-4
+    assert found.certificate.errors.shape == (40,)
+    found.save(tmp_path / "parts.npz")
+    assert sk.Spectrum.load(tmp_path / "parts.npz").provenance == made
+    few = sk.eigensolve(sk.robust_laplacian(joined(*small)), 20, sk.Automatic(accuracy=1e-4))
+    assert (few.provenance.accuracy, few.certificate.errors) == ("exact", None)
+    assert few.certificate.level == "verified"
+
+
+def test_nearly_all_modes_of_few_points() -> None:
+    laplacian = sk.robust_laplacian(sphere(subdivisions=2).geometry)
+    exact = sk.eigensolve(laplacian, laplacian.n, sk.Dense())
+    for k in (laplacian.n - 1, laplacian.n):
+        found = sk.eigensolve(laplacian, k, sk.Automatic(accuracy=1e-6))
+        np.testing.assert_allclose(found.eigenvalues, exact.eigenvalues[:k], rtol=1e-9, atol=1e-9)
+
+
+def test_what_cannot_be_chosen() -> None:
+    for accuracy in (0, -1e-3, np.nan, np.inf):
+        refused("accuracy", "be ", sk.Automatic, accuracy=accuracy)
+    for accuracy in (1, 50.0):
+        refused("accuracy", "be less than 1", sk.Automatic, accuracy=accuracy)
+    refused("accuracy", "be a number", sk.Automatic, accuracy="1e-3")
+    refused("memory", "be ", sk.Automatic, memory=0)
+    refused("seed", "be ", sk.Automatic, seed=-1)
