@@ -14,23 +14,20 @@ from spectra_kit.eigensolvers.arpack import Arpack
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, Promise
 from spectra_kit.eigensolvers.cascade import Cascade
 from spectra_kit.eigensolvers.chebyshev import Chebyshev
-from spectra_kit.eigensolvers.multilevel import Multilevel
 from spectra_kit.eigensolvers.refined import Refined
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.memory import factor_gigabytes
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import GivenBasis
 
-# n k^(1/3) up to which nothing costs less than Lanczos on a factor: 12,000 points for 20 modes,
-# 9,000 for 96, 6,000 for 300.
-_FEW = 40_000
-_TIGHT = 1e-6  # an accuracy that one sweep on a factor reaches sooner than steps of smoothing
+_FEW = 6_000  # points up to which nothing costs less than Lanczos on a factor
+_FEW_FOR_EACH = 60  # the same for each mode: coarse levels have to have room for them
+_TIGHT = 1e-5  # an accuracy below which smoothing costs more than to be exact
 # Smoothing steps that cost what going on with a factor does. Who changes over then has spent at
 # most twice what the better of both takes (rent or buy).
 _STEPS = 4
-_MARGIN = 3  # by which estimates of errors may be too low
-_EXACT = 1e-13  # an accuracy that is rounding
-_RTOL = 1e-8  # residuals whose errors are rounding, and the largest that one goes on from
+_MARGIN = 1.5  # by which estimates of errors may be too low
+_RTOL = 1e-8  # residuals whose errors are rounding
 _GUARD = 0.5  # columns beyond k, relative to k, of what solves to a tolerance
 
 
@@ -39,10 +36,11 @@ _GUARD = 0.5  # columns beyond k, relative to k, of what solves to a tolerance
 class Automatic:
     """Say how accurate the eigenvalues must be: what costs least for that is chosen.
 
-    The choice follows from measured costs: `Arpack` for few points and for what is to be exact,
-    `Cascade` for many, `Multilevel` where the accuracy is high, `Chebyshev` where no factor fits
-    or on a GPU. What the cascade estimates to have missed goes on from its modes with a factor, by
-    `Refined`. ``provenance.solver`` and ``provenance.reason`` tell what was chosen and why.
+    The choice follows from measured costs: `Arpack` for few points and where the accuracy is high,
+    `Cascade` elsewhere, `Chebyshev` in place of the first where no factor fits. Where the cascade
+    estimates that it has missed the accuracy, `Refined` goes on from its modes with a factor, or
+    without one `Chebyshev`. ``provenance.solver`` and ``provenance.reason`` tell what was chosen,
+    and why.
 
     Parameters
     ----------
@@ -77,7 +75,7 @@ class Automatic:
     >>> from spectra_kit.geometry import sphere
     >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
     >>> eigensolve(laplacian, 9, Automatic(accuracy=1e-3)).provenance.choice
-    'arpack: 642 points are few'
+    'arpack: 642 points are few for 9 modes'
     """
 
     accuracy: float | None = None
@@ -113,21 +111,18 @@ class Automatic:
 
     def choose(self, n: int, k: int) -> tuple[Eigensolver, str]:
         """Return what solves for k modes on n points, and why it is this one."""
-        exact = self.accuracy is None or self.accuracy <= _EXACT
-        few = n * k ** (1 / 3) <= _FEW
-        if (needed := factor_gigabytes(n)) <= self.memory and (few or exact):
-            why = f"{n} points are few" if few else "exact, and the factor fits into memory"
-            return Arpack(seed=self.seed), why
-        if self.accuracy is None or exact:
-            why = f"a factor would take {needed:.1f} GiB, more than {self.memory:g}"
-            return Chebyshev(rtol=_RTOL, device=self.device, seed=self.seed), why
-        if self.accuracy < _TIGHT and self._has_factor(n):
-            why = f"errors of {self.accuracy:g} on {n} points need a factor"
-            return Multilevel(rtol=self._rtol, guard=_GUARD, seed=self.seed), why
-        cascade = Cascade(
-            target=self.accuracy / _MARGIN, max_steps=_STEPS, device=self.device, seed=self.seed
-        )
-        return cascade, f"errors of {self.accuracy:g} on {n} points need no factor"
+        needed, fits = factor_gigabytes(n), factor_gigabytes(n) <= self.memory
+        if fits and n <= max(_FEW, _FEW_FOR_EACH * k):
+            return Arpack(seed=self.seed), f"{n} points are few for {quantity(k, 'mode')}"
+        if self.accuracy is not None and self.accuracy >= _TIGHT:
+            target, device = self.accuracy / _MARGIN, self.device
+            cascade = Cascade(target=target, max_steps=_STEPS, device=device, seed=self.seed)
+            return cascade, f"errors of {self.accuracy:g} on {n} points need no factor"
+        if fits:
+            why = "exact" if self.accuracy is None else f"for errors of {self.accuracy:g}"
+            return Arpack(seed=self.seed), f"{why}, and the factor fits into memory"
+        why = f"a factor would take {needed:.1f} GiB, more than {self.memory:g}"
+        return Chebyshev(rtol=self._rtol, device=self.device, seed=self.seed), why
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
@@ -141,7 +136,7 @@ class Automatic:
 
     def _is_met(self, errors: Floats | None) -> bool:
         """Whether eigenvalues of such errors are as accurate as asked for."""
-        return errors is not None and bool(errors.mean() <= (self.accuracy or 0.0))
+        return errors is not None and bool(errors.mean() <= (self.accuracy or 0.0) / _MARGIN)
 
     def _further(self, n: int, pairs: Eigenpairs) -> tuple[Eigensolver, str]:
         """Return what goes on where smoothing stalls, and why."""

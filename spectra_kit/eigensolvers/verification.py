@@ -14,7 +14,7 @@ from spectra_kit._types import Floats
 from spectra_kit.eigensolvers.doubts import with_excess
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg import SparseLDL
-from spectra_kit.linalg.threads import blas_threads_for
+from spectra_kit.linalg.host import gram
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.spectra import ModeCount, Spectrum
 
@@ -324,8 +324,7 @@ def _radii(spectrum: Spectrum, laplacian: Laplacian, residuals: Floats) -> Float
     """
     U, mass = spectrum.eigenvectors, laplacian.mass
     k = spectrum.k
-    with blas_threads_for(U.size):
-        squared = (U.T @ (mass[:, None] * U) - np.eye(k)) ** 2
+    squared = (gram(mass, U) - np.eye(k)) ** 2
     # Of each leading block of U^T M U - I, the Frobenius norm; with the rounding of the sums of
     # n products: at most (n + 1) eps in each entry, and j + 1 times that in the norm of a block.
     rounded = (len(mass) + 1) * _EPS * np.arange(1, k + 1)
