@@ -20,14 +20,13 @@ from spectra_kit.linalg.memory import factor_gigabytes
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import GivenBasis
 
-# n k^(1/3) up to which nothing costs less than Lanczos on a factor: 12,000 points for 20 modes,
-# 9,000 for 96, 6,000 for 300.
-_FEW = 40_000
+_FEW = 6_000  # points up to which nothing costs less than Lanczos on a factor
+_FEW_FOR_EACH = 60  # the same for each mode: coarse levels have to have room for them
 _TIGHT = 1e-5  # an accuracy below which smoothing costs more than to be exact
 # Smoothing steps that cost what going on with a factor does. Who changes over then has spent at
 # most twice what the better of both takes (rent or buy).
 _STEPS = 4
-_MARGIN = 1.5  # by which estimates of errors may be too low
+_MARGIN = 2.5  # times too low have estimates of the mean error been, at worst
 _RTOL = 1e-8  # residuals whose errors are rounding
 _GUARD = 0.5  # columns beyond k, relative to k, of what solves to a tolerance
 
@@ -76,7 +75,7 @@ class Automatic:
     >>> from spectra_kit.geometry import sphere
     >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
     >>> eigensolve(laplacian, 9, Automatic(accuracy=1e-3)).provenance.choice
-    'arpack: 642 points are few'
+    'arpack: 642 points are few for 9 modes'
     """
 
     accuracy: float | None = None
@@ -113,8 +112,8 @@ class Automatic:
     def choose(self, n: int, k: int) -> tuple[Eigensolver, str]:
         """Return what solves for k modes on n points, and why it is this one."""
         needed, fits = factor_gigabytes(n), factor_gigabytes(n) <= self.memory
-        if fits and n * k ** (1 / 3) <= _FEW:
-            return Arpack(seed=self.seed), f"{n} points are few"
+        if fits and n <= max(_FEW, _FEW_FOR_EACH * k):
+            return Arpack(seed=self.seed), f"{n} points are few for {quantity(k, 'mode')}"
         if self.accuracy is not None and self.accuracy >= _TIGHT:
             target, device = self.accuracy / _MARGIN, self.device
             cascade = Cascade(target=target, max_steps=_STEPS, device=device, seed=self.seed)

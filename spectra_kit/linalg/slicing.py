@@ -18,9 +18,9 @@ from spectra_kit.linalg.shift_invert import shifted_factor
 from spectra_kit.linalg.threads import single_threaded_blas, team
 
 _BLOCK = 8  # vectors of a step: solved together they cost a third; more need a larger space
-_ENOUGH = 52 * _BLOCK  # vectors of a space: beyond, another factor costs less than their products
+_ENOUGH = 64 * _BLOCK  # vectors of a space: beyond, another factor costs less than their products
 #: Vectors of a space at most, where the modes below its shift are not yet all found.
-MOST = 72 * _BLOCK
+MOST = 88 * _BLOCK
 _LOOK = 4  # steps between two looks at what has converged
 _ONE_SIDED = 0.7  # of what the first run reached above its shift, others reach to either side
 _SAFE = 0.8  # of what the last run reached, the next is asked for

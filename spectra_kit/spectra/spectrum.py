@@ -249,8 +249,8 @@ class Spectrum(Rebuilt):
 
     def orthonormality_error(self) -> float:
         """Return the largest entry of ``|U^T M U - I|``."""
-        inside = gram(self.mass, self.eigenvectors)
-        return float(np.abs(inside - np.eye(self.k)).max(initial=0.0))
+        error = gram(self.mass, self.eigenvectors) - np.eye(self.k)
+        return float(np.abs(error).max(initial=0.0))
 
     def certify(self, laplacian: Laplacian) -> Spectrum:
         """Return this spectrum with a `Certificate` against `laplacian`, whoever computed it."""
@@ -397,6 +397,7 @@ class Spectrum(Rebuilt):
             count=old.count and self._count_of(old.count, start, stop),
             excess=None if old.excess is None else old.excess[columns],
             errors=None if old.errors is None else old.errors[columns],
+            bounded=old.bounded[columns],
         )
         return replace(
             self,
@@ -427,7 +428,7 @@ def _plain(certificate: Certificate) -> dict[str, Any]:
     record = {name: value for name, value in vars(certificate).items() if value is not None}
     if certificate.count is not None:
         record["count"] = dict(vars(certificate.count))
-    for name in record.keys() & {"excess", "errors"}:
+    for name in record.keys() & {"excess", "errors", "bounded"}:
         record[name] = record[name].tolist()
     return record
 
