@@ -17,9 +17,10 @@ from spectra_kit._files import atomic_path, parsing
 from spectra_kit.catalogue import SOLVERS
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 
-# 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`; 5: `errors`
+# 2: certificates may hold a count; 3: what it misses, `accuracy`, `excess`; 4: `name`; 5: `errors`;
+# 6: `bounded`
 # and `reason`
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 _ARRAYS = ("eigenvalues", "eigenvectors", "mass")
 _RESIDUALS = ("residuals", "relative_residuals")
 _ALIGNMENT = 64

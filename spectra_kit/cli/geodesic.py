@@ -54,7 +54,7 @@ def geodesic_distances(asked: program.Geodesic) -> None:
     with step(f"triangulating {geometry.n:,} points"):
         triangulation = intrinsic_delaunay(geometry)
     modes = setup.number_of_modes(asked, triangulation.laplacian, usual=Iterative().modes)
-    solver = setup.linear_solver(asked, farthest + 1, modes)
+    solver = setup.linear_solver(asked, modes)
     unused = setup.why_without_modes(asked, solver, geometry.n)
     # Modes of a file cost nothing, and are checked.
     spectrum = None

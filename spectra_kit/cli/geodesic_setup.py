@@ -53,11 +53,11 @@ def check_solver(asked: program.Geodesic) -> None:
         )
 
 
-def linear_solver(asked: program.Geodesic, n_sources: int, modes: int) -> Solver:
+def linear_solver(asked: program.Geodesic, modes: int) -> Solver:
     """Return the solver that ``--method`` names, with so many modes at most."""
     rtol = asked.poisson_rtol
     if asked.method == "auto":
-        return Automatic(n_sources=n_sources, modes=modes, rtol=rtol)
+        return Automatic(modes=modes, rtol=rtol)
     if asked.method == "direct":
         return Direct()
     return Iterative(coarse=_COARSE[asked.method], modes=modes, rtol=rtol)
@@ -67,7 +67,7 @@ def why_without_modes(asked: program.Geodesic, solver: Solver, n: int) -> str:
     """Return why a solver that may choose on n points leaves the modes alone; "" if it does not."""
     if not (asked.solver or asked.spectrum) or not isinstance(solver, Automatic):
         return ""
-    chosen, reason = solver.choose(n, solver.n_sources)
+    chosen, reason = solver.choose(n)
     return f"not needed by the direct solver: {reason}" if isinstance(chosen, Direct) else ""
 
 

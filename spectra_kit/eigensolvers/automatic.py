@@ -26,7 +26,7 @@ _TIGHT = 1e-5  # an accuracy below which smoothing costs more than to be exact
 # Smoothing steps that cost what going on with a factor does. Who changes over then has spent at
 # most twice what the better of both takes (rent or buy).
 _STEPS = 4
-_MARGIN = 1.5  # by which estimates of errors may be too low
+_MARGIN = 2.5  # times too low have estimates of the mean error been, at worst
 _RTOL = 1e-8  # residuals whose errors are rounding
 _GUARD = 0.5  # columns beyond k, relative to k, of what solves to a tolerance
 

@@ -19,6 +19,7 @@ from spectra_kit._version import VERSION
 from spectra_kit.eigensolvers._units import Units
 from spectra_kit.eigensolvers.automatic import Automatic
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
+from spectra_kit.eigensolvers.bounds import with_bounds
 from spectra_kit.eigensolvers.doubts import warn_of_doubts, with_excess
 from spectra_kit.eigensolvers.refined import Refined
 from spectra_kit.eigensolvers.verification import count_modes, verify
@@ -187,6 +188,8 @@ class _Run:
         solvers = [one.solver for one in self.chosen.values()] or [self.solver]
         if promised and not any(getattr(one, "factor_free", False) for one in solvers):
             return self.completed(spectrum)
+        if pairs.errors is None:
+            spectrum = with_bounds(spectrum, self.laplacian)
         warn_of_doubts(spectrum)
         return spectrum
 
@@ -207,7 +210,7 @@ class _Run:
                 replace(spectrum.provenance, seconds=self.seconds()),
             )
             if not count.missing:
-                return counted
+                return with_bounds(counted, self.laplacian)
             room = _NEAR if spectrum.provenance.accuracy == "exact" else 1
             rtol = float(room * spectrum.certificate.relative_residuals.max())
             basis = Union(

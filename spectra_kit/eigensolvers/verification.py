@@ -11,6 +11,7 @@ from scipy import sparse
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
+from spectra_kit.eigensolvers.bounds import rounding, with_bounds
 from spectra_kit.eigensolvers.doubts import with_excess
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg import SparseLDL
@@ -98,9 +99,10 @@ def verify(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
         count = replace(count, added=before.count.added)
     seconds = {**spectrum.provenance.seconds, "verify": clock.total}
     # Estimates know nothing of a mode that was passed over.
-    errors = None if before is None or count.missing else before.errors
+    errors = None if before is None or count.missing or before.bounded.any() else before.errors
     certificate = replace(certified.certificate, count=count, errors=errors)
-    return certified.described(certificate, replace(spectrum.provenance, seconds=seconds))
+    provenance = replace(spectrum.provenance, seconds=seconds)
+    return with_bounds(certified.described(certificate, provenance), laplacian)
 
 
 def count_modes(spectrum: Spectrum, laplacian: Laplacian) -> ModeCount:
@@ -329,13 +331,7 @@ def _radii(spectrum: Spectrum, laplacian: Laplacian, residuals: Floats) -> Float
     # n products: at most (n + 1) eps in each entry, and j + 1 times that in the norm of a block.
     rounded = (len(mass) + 1) * _EPS * np.arange(1, k + 1)
     skew = np.sqrt(np.diag(squared.cumsum(axis=0).cumsum(axis=1))) + rounded
-    # The norms of |L| and of L - L^T bound the rounding of residuals, and what one triangle hides.
-    scale = sparse.diags_array(1 / np.sqrt(mass))
-    magnitude = scale @ abs(laplacian.stiffness) @ scale
-    asymmetry = scale @ abs(laplacian.stiffness - laplacian.stiffness.T) @ scale
-    longest = int(np.diff(laplacian.stiffness.indptr).max())
-    rounding = (longest + 4) * _EPS * magnitude.sum(axis=1).max() + asymmetry.sum(axis=1).max()
-    residual = np.sqrt(np.cumsum((residuals + rounding) ** 2))
+    residual = np.sqrt(np.cumsum((residuals + rounding(laplacian)) ** 2))
     # With Q = U (U^T M U)^-1/2 in place of U, commuting with Lambda costs at most lambda * skew.
     radii = (1 + skew) ** 2 * (residual + spectrum.eigenvalues * skew)
     return np.where(skew < 0.5, radii, np.inf)

@@ -63,9 +63,7 @@ class HeatGeodesics:
         Modes of the geometry, by whatever solver: they make an iterative solver quicker, and do
         not change the distances.
     solver : Direct, Iterative or Automatic, default Automatic()
-        How linear systems are solved. `Automatic` counts the sources of all calls so far, and
-        changes to complete factors when iterations have cost as much as these would; for many
-        use `distances`, or say so (``Automatic(n_sources=100)``), and it has them at once.
+        How linear systems are solved.
     time_coefficient : float, default 1.0
         The time of the heat step is this times the square of the typical edge of each component
         (`IntrinsicTriangulation.spacings`). Larger ones give smoother, less exact distances.
@@ -150,8 +148,11 @@ class HeatGeodesics:
         self._boundary: Boundary = boundary
         self.time_steps = frozen(time_coefficient * self.triangulation.spacings**2)
         self._time_coefficient = time_coefficient
-        self._ready: dict[Direct | Iterative, _Ready] = {}
-        self._asked = 0  # sources, by all calls so far
+        self._chosen: tuple[Direct | Iterative, str] = (
+            solver.choose(self.triangulation.n)
+            if isinstance(solver, Automatic)
+            else (solver, "as asked")
+        )
 
     def __repr__(self) -> str:
         return (
@@ -188,7 +189,7 @@ class HeatGeodesics:
             If an iterative solver stops short: `partial` is the `DistanceField` of what it had,
             or the `Heat` if that was the heat step.
         """
-        return self._distance(check_sources(sources, self._geometry, weights), *self._options(1))
+        return self._distance(check_sources(sources, self._geometry, weights))
 
     def distances(self, sources: Sequence[SourcesLike]) -> list[DistanceField]:
         """Measure a distance field for each of many sources, or sets of sources.
@@ -196,18 +197,17 @@ class HeatGeodesics:
         Parameters
         ----------
         sources : sequence of whatever `distance` takes
-            Their number, and those of calls before, decide what `Automatic` does.
+            One after the other.
 
         Returns
         -------
         list of DistanceField
         """
         checked = [check_sources(one, self._geometry) for one in sources]
-        options, why = self._options(len(checked))
-        return [self._distance(one, options, why) for one in checked]
+        return [self._distance(one) for one in checked]
 
-    def _distance(self, sources: Sources, options: Direct | Iterative, why: str) -> DistanceField:
-        ready = self._prepare(options)
+    def _distance(self, sources: Sources) -> DistanceField:
+        ready, why = self._ready, self._chosen[1]
         system = self._system
         used = ready.poisson.options if isinstance(ready.poisson, IterativePoisson) else Direct()
         heated = sources.right_hand_side()[system.order]
@@ -259,15 +259,15 @@ class HeatGeodesics:
     def _system(self) -> System:
         return System.of(self.triangulation)
 
-    def _prepare(self, options: Direct | Iterative) -> _Ready:
-        """Factorise what both steps need, side by side, or return it if that is done."""
-        if options not in self._ready:
-            clock = Clock()
-            _ = self._system
-            parts = [(self._heat_steps, options), (self._poisson, options)]
-            steps, poisson = in_threads(call, parts)
-            self._ready[options] = _Ready(steps, poisson, clock.total)
-        return self._ready[options]
+    @cached_property
+    def _ready(self) -> _Ready:
+        """Factorise what both steps need, side by side."""
+        clock, options = Clock(), self._chosen[0]
+        if isinstance(options, Direct):
+            _ = self._system.elimination  # once, before both threads ask for it
+        parts = [(self._heat_steps, options), (self._poisson, options)]
+        steps, poisson = in_threads(call, parts)
+        return _Ready(steps, poisson, clock.total)
 
     def _heat_steps(self, options: Direct | Iterative) -> dict[int, Mapping[Boundary, HeatStep]]:
         """Return for each size of triangles the step of each boundary condition that takes part."""
@@ -278,6 +278,7 @@ class HeatGeodesics:
             wanted = ("neumann",)
         elif not inside.any():
             wanted = tuple(condition for condition in wanted if condition == "neumann")
+        shared = system.elimination if isinstance(options, Direct) else None
         return {
             size: {
                 condition: HeatStep(
@@ -287,6 +288,7 @@ class HeatGeodesics:
                     duration=self._time_coefficient * float(COARSER) ** (2 * size),
                     inside=inside if condition == "dirichlet" else None,
                     direct=isinstance(options, Direct),
+                    elimination=shared,
                 )
                 for condition in wanted
             }
@@ -296,7 +298,7 @@ class HeatGeodesics:
     def _poisson(self, options: Direct | Iterative) -> GroundedCholesky | IterativePoisson:
         stiffness, kernel = self._system.stiffness, ConstantKernel(self._system.labels)
         if isinstance(options, Direct):
-            return GroundedCholesky(stiffness, kernel)
+            return GroundedCholesky(stiffness, kernel, elimination=self._system.elimination)
         return IterativePoisson(stiffness, kernel, options, self._spectrum, self._system.order)
 
     def _heat(self, steps: Mapping[Boundary, HeatStep], heated: Floats) -> Heat:
@@ -324,12 +326,6 @@ class HeatGeodesics:
                 " triangle wide",
             )
         return heat
-
-    def _options(self, count: int) -> tuple[Direct | Iterative, str]:
-        if not isinstance(self._solver, Automatic):
-            return self._solver, "as asked"
-        self._asked += count
-        return self._solver.choose(self.triangulation.n, max(self._asked, self._solver.n_sources))
 
 
 def _from_sources(potential: Floats, sources: Sources, labels: Ints) -> Floats:
@@ -407,7 +403,7 @@ def geodesic_distance(
     >>> from spectra_kit.geometry import rectangle
     >>> field = geodesic_distance(rectangle(n=1000).geometry, 0)
     >>> field.choice
-    'direct: 1... points are few'
+    'direct: factors of 1... points fit into 4 GiB'
     """
     geodesics = HeatGeodesics(
         geometry, spectrum, solver=solver, time_coefficient=time_coefficient, boundary=boundary

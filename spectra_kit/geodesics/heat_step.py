@@ -16,7 +16,7 @@ from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-from spectra_kit.linalg.cholesky import SparseCholesky
+from spectra_kit.linalg.cholesky import Elimination, SparseCholesky
 from spectra_kit.linalg.incomplete_cholesky import incomplete_factor
 
 Ints = NDArray[np.int32]
@@ -124,20 +124,19 @@ class HeatStep:
         duration: float,
         inside: NDArray[np.bool_] | None = None,
         direct: bool,
+        elimination: Elimination | None = None,
     ) -> None:
         self._inside = inside
         if inside is not None:
+            elimination = None
             stiffness = sparse.csr_array(stiffness[inside][:, inside])
             mass, points = mass[inside], points[inside]
         # In units of the mean mass: the same numbers whatever the unit of length.
         self._unit = float(mass.mean())
         self._mass, self._points = mass / self._unit, points
-        self._matrix = sparse.csr_array(
-            duration / self._unit * stiffness + sparse.diags_array(self._mass)
-        )
-        self._matrix.sort_indices()
+        self._matrix = _raised(duration / self._unit * stiffness, self._mass)
         self._root = float(np.sqrt(duration))
-        self._complete = SparseCholesky(self._matrix) if direct else None
+        self._complete = SparseCholesky(self._matrix, elimination=elimination) if direct else None
         if not direct:
             _ = self._incomplete
 
@@ -220,3 +219,16 @@ class HeatStep:
             " `time_coefficient` is large: use solver=Direct()",
             partial=heat,
         )
+
+
+def _raised(matrix: sparse.csr_array, diagonal: Floats) -> sparse.csr_array:
+    """Return ``matrix + diag(diagonal)``, in the pattern of `matrix` if that holds its diagonal."""
+    rows = np.repeat(np.arange(len(diagonal)), np.diff(matrix.indptr))
+    own = np.flatnonzero(rows == matrix.indices)
+    if len(own) < len(diagonal):
+        summed = sparse.csr_array(matrix + sparse.diags_array(diagonal))
+        summed.sort_indices()
+        return summed
+    entries = matrix.data.copy()
+    entries[own] += diagonal
+    return sparse.csr_array((entries, matrix.indices, matrix.indptr), matrix.shape)

@@ -26,10 +26,6 @@ from spectra_kit.linalg.memory import factor_gigabytes
 from spectra_kit.linalg.solution import LinearSolution
 from spectra_kit.spectra import Spectrum
 
-_SMALL = 10_000  # points, of which a complete factor takes less than a tenth of a second
-# Sources whose iterations cost what complete factors do: 3 to 5 on 48,000 and 134,000 points.
-# Who changes over then has spent at most twice what the better of both takes (rent or buy).
-_FEW = 4
 _MODES = 24  # beyond these, the bytes of a mode cost more than its iterations
 _DROP, _RELAXATION = 5e-3, 0.9
 _RITZ = 0.1  # relative error of the energies up to which they serve a preconditioner
@@ -38,7 +34,7 @@ _RITZ = 0.1  # relative error of the energies up to which they serve a precondit
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Direct:
-    """Complete Cholesky factors of both systems: slow to set up, then milliseconds a source.
+    """Complete Cholesky factors of both systems: tens of milliseconds a source once they are made.
 
     Examples
     --------
@@ -115,13 +111,12 @@ class Iterative:
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Automatic:
-    """`Direct` for small geometries and many sources, `Iterative` for few, or little memory.
+    """`Direct` where complete factors fit into memory, `Iterative` elsewhere.
+
+    The factors take about as long as the iterations for one source.
 
     Parameters
     ----------
-    n_sources : int, default 1
-        How often distances will be asked for in all, if that is known. `HeatGeodesics` counts the
-        sources that it was asked for, and goes by the larger number.
     memory : float, default 4.0
         GiB that two complete factors may take.
     modes : int, default 24
@@ -132,33 +127,26 @@ class Automatic:
     Examples
     --------
     >>> from spectra_kit.geodesics import Automatic
-    >>> Automatic().choose(100_000, 20)[1]
-    '20 sources pay for factors of 100000 points'
+    >>> Automatic().choose(100_000)
+    (Direct(), 'factors of 100000 points fit into 4 GiB')
     """
 
-    n_sources: int = 1
     memory: float = 4.0
     modes: int = _MODES
     rtol: float = 1e-8
 
     def __post_init__(self) -> None:
-        check_count("n_sources", self.n_sources, low=1)
         check_positive("memory", self.memory)
         check_count("modes", self.modes, low=1)
         _check_rtol(self.rtol)
 
-    def choose(self, n: int, n_sources: int) -> tuple[Direct | Iterative, str]:
-        """Return the solver for `n_sources` on n points, and why it is this one."""
+    def choose(self, n: int) -> tuple[Direct | Iterative, str]:
+        """Return the solver on n points, and why it is this one."""
         needed = 2 * factor_gigabytes(n)  # of both systems
-        iterative = Iterative(modes=self.modes, rtol=self.rtol)
-        if needed > self.memory:
-            return iterative, f"factors would take {needed:.1f} GiB, more than {self.memory:g}"
-        if n <= _SMALL:
-            return Direct(), f"{n} points are few"
-        if n_sources > _FEW:
-            return Direct(), f"{n_sources} sources pay for factors of {n} points"
-        some = "one source does" if n_sources == 1 else f"{n_sources} sources do"
-        return iterative, f"{some} not pay for factors of {n} points"
+        if needed <= self.memory:
+            return Direct(), f"factors of {n} points fit into {self.memory:g} GiB"
+        reason = f"factors would take {needed:.1f} GiB, more than {self.memory:g}"
+        return Iterative(modes=self.modes, rtol=self.rtol), reason
 
 
 Solver = Direct | Iterative | Automatic

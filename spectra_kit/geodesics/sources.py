@@ -224,7 +224,8 @@ def check_sources(
     shares = np.concatenate([w * row[1] for w, row in zip(emitted, rows, strict=True)])
     lengths = np.concatenate([row[2] for row in rows])
     if isinstance(geometry, TriangleMesh):
-        lone = np.setdiff1d(every, geometry.referenced_vertices)
+        used = geometry.referenced_vertices  # ascending
+        lone = np.sort(every[used[np.searchsorted(used[:-1], every)] != every])
         if len(lone):
             raise InvalidInputError(
                 "sources",

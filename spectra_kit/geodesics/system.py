@@ -16,6 +16,7 @@ from spectra_kit._types import Bools, Floats
 from spectra_kit._validate import warn
 from spectra_kit.errors import DoubtfulDistanceWarning
 from spectra_kit.geodesics.heat_step import Heat
+from spectra_kit.linalg.cholesky import Elimination
 from spectra_kit.linalg.incomplete_cholesky import untidy
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
 from spectra_kit.operators.triangle_calculus import apexes
@@ -79,14 +80,26 @@ class System:
         )
 
     @cached_property
+    def elimination(self) -> Elimination:
+        """What factors of matrices with the pattern of `stiffness` have in common."""
+        return Elimination.of(self.stiffness)
+
+    @cached_property
     def sizes(self) -> NDArray[np.int64]:
         """Of each triangle, k for which its longest side is at most ``8**(k + 1)``, shape (f,)."""
         steps = np.log(self.lengths.max(axis=1, initial=1.0)) / np.log(COARSER)
         return np.asarray(np.ceil(steps - 1).clip(0), dtype=np.int64)
 
     @cached_property
-    def _apexes(self) -> Floats:
-        return apexes(self.lengths)
+    def _triangles(self) -> dict[int, tuple[Ints, Floats, Floats]]:
+        """Corners, lengths and apexes of the triangles of each of `sizes`."""
+        whole = self.corners, self.lengths, apexes(self.lengths)
+        found = np.unique(self.sizes).tolist()
+        if len(found) == 1:
+            return {found[0]: whole}
+        corners, lengths, tops = whole
+        masks = {size: self.sizes == size for size in found}
+        return {k: (corners[here], lengths[here], tops[here]) for k, here in masks.items()}
 
     def outwards(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return `values` (n,) in the order of memory in that of the input."""
@@ -104,11 +117,10 @@ class System:
 
         found, level = np.zeros(len(self.order)), 0
         for size, heat in heats.items():
-            here = self.sizes == size
+            if size not in self._triangles:
+                continue
             part, still = divergence_of_directions(
-                self.corners[here],
-                self.lengths[here],
-                self._apexes[here],
+                *self._triangles[size],
                 heat.values,
                 heat.exponents,
                 _FLAT,

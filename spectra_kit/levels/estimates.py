@@ -12,7 +12,8 @@ from spectra_kit._types import Floats
 from spectra_kit.levels.smoothing import Smoothing
 from spectra_kit.linalg.blocks import operations
 
-_COLUMNS = 8  # whose residuals are solved for; those of the others are like theirs
+_COLUMNS = 12  # whose residuals are solved for; those of the others are like theirs
+_LOWEST = 0.8  # of the frequency of the last columns: errors lie above it, for the most part
 _REACH = 0.6  # degree d solves well down to 1 / (0.6 d^2) of the highest frequency
 _MOST = 60  # steps: lower frequencies are left out
 _WHOLE = 0.9  # of the highest frequency: where the columns reach up to it, little is left
@@ -57,9 +58,11 @@ def excess(
     first = int(k > _COLUMNS)  # the lowest is the constant, as a rule
     columns = np.linspace(first, k - 1, min(_COLUMNS, k)).round().astype(int)
     ops, some, last = operations(residual), residual[:, columns], slice(3 * len(values) // 4, None)
-    lowest = float((values[last] / ops.energies(smoothing.diagonal, vectors[:, last])).max())
-    share = np.clip(lowest / smoothing.highest, 1 / (_REACH * _MOST**2), _WHOLE)
-    steps = _steps(float(share), smoothing.highest)
+    thetas = values[last] / ops.energies(smoothing.diagonal, vectors[:, last])
+    share = np.clip(
+        _LOWEST * np.median(thetas) / smoothing.highest, 1 / (_REACH * _MOST**2), _WHOLE
+    )
+    steps = _steps(min(max(share, 1 / (_REACH * _MOST**2)), _WHOLE), smoothing.highest)
     c = ops.correction(smoothing.singles, some, np.zeros(len(columns)), steps)
     gain = np.maximum(-ops.dots(some, c), _TINY)
     nearness = values[columns] * np.diag(ops.gram(smoothing.mass, c)) / gain

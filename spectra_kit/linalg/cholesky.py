@@ -2,15 +2,84 @@
 
 from __future__ import annotations
 
-import cholespy
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._types import Floats
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.linalg._checks import check_matrix
+from spectra_kit.linalg.dissection import nested_dissection
 
-_MAX_ENTRIES = 2**31 - 1  # cholespy indexes with 32-bit integers
+_MAX_ENTRIES = 2**31 - 1  # of a matrix: 32-bit indices
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Elimination:
+    """All of a Cholesky factor that the pattern of a matrix decides; serves each of that pattern.
+
+    Make one with `of`. Columns are eliminated in `order`, in runs from ``begins[s]`` on that have
+    the same rows below them, ``rows[first[s]:first[s + 1]]``, counted in that order; ``above[s]``
+    is the run whose columns these begin with, and the factor holds run s from ``panels[s]`` on.
+    `sizes` are those of memory that the numbers need while they are made.
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> from spectra_kit.linalg import SparseCholesky
+    >>> from spectra_kit.linalg.cholesky import Elimination
+    >>> A = sparse.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(9, 9), format="csr")
+    >>> shared = Elimination.of(A)
+    >>> [SparseCholesky(matrix, elimination=shared).n for matrix in (A, 2 * A)]
+    [9, 9]
+    """
+
+    starts: NDArray[np.int32]
+    columns: NDArray[np.int32]
+    order: NDArray[np.int32]
+    begins: NDArray[np.int32]
+    first: NDArray[np.int64]
+    rows: NDArray[np.int32]
+    above: NDArray[np.int32]
+    panels: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+
+    @staticmethod
+    def of(matrix: sparse.csr_array) -> Elimination:
+        """Find an order for the pattern of a symmetric matrix, and what follows from it.
+
+        Parameters
+        ----------
+        matrix : sparse array of shape (n, n)
+            Both triangles stored.
+        """
+        from spectra_kit.linalg import _frontal_kernels as kernels
+
+        A = check_matrix(matrix)
+        if A.nnz > _MAX_ENTRIES:
+            raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", A.nnz)
+        starts, columns = (np.require(part, None, "W") for part in (A.indptr, A.indices))
+        order, parent, below = kernels.elimination_tree(starts, columns, nested_dissection(A))
+        begins = kernels.supernodes(parent, below)
+        first, rows, above, sizes = kernels.front_rows(
+            starts, columns, order, parent, below, begins
+        )
+        width = np.diff(begins).astype(np.int64)
+        entries = width * (width - 1) // 2 + width * np.diff(first)
+        panels = np.append(0, np.cumsum(entries))
+        return Elimination(starts, columns, order, begins, first, rows, above, panels, sizes)
+
+    @property
+    def fill(self) -> int:
+        """Entries that a factor holds below its diagonal; some of them are zero."""
+        return int(self.panels[-1])
+
+    def serves(self, matrix: sparse.csr_array) -> bool:
+        """Return whether `matrix` has the pattern that this was made for."""
+        pattern = (self.starts, self.columns)
+        return all(map(np.array_equal, pattern, (matrix.indptr, matrix.indices)))
 
 
 class SparseCholesky:
@@ -20,16 +89,29 @@ class SparseCholesky:
     ----------
     matrix : sparse array of shape (n, n)
         Symmetric positive definite; both triangles stored.
+    elimination : Elimination, optional
+        Of a matrix with the same pattern. Without it, that of `matrix` is found first, which takes
+        about as long as the factor itself.
+
+    Attributes
+    ----------
+    n : int
+        Size of the matrix.
+    fill : int
+        Entries of the factor below its diagonal.
 
     Raises
     ------
     InvalidInputError
-        If `matrix` is not square and finite, or not numerically positive definite.
+        If `matrix` is not square and finite, not numerically positive definite, or of another
+        pattern than that of `elimination`; from `solve`, if `rhs` has another number of rows.
+    OutOfMemoryError
+        If the factor does not fit into memory.
 
     Notes
     -----
-    The factorisation is CHOLMOD's, through cholespy. For one right-hand side at a time; `SparseLDL`
-    solves blocks faster.
+    A multifrontal factorisation in the order of `nested_dissection`, in compiled loops that release
+    the interpreter lock. For one right-hand side at a time; `SparseLDL` solves blocks faster.
 
     Examples
     --------
@@ -41,23 +123,66 @@ class SparseCholesky:
     array([1., 1.])
     """
 
-    def __init__(self, matrix: sparse.csr_array) -> None:
-        rows = check_matrix(matrix)
-        if rows.nnz > _MAX_ENTRIES:
-            raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", rows.nnz)
-        self.n: int = rows.shape[0]
-        parts = (np.require(part, None, "W") for part in (rows.indptr, rows.indices, rows.data))
+    def __init__(self, matrix: sparse.csr_array, *, elimination: Elimination | None = None) -> None:
+        from spectra_kit.linalg._frontal_kernels import factorise
+
+        A = check_matrix(matrix)
+        self.n: int = A.shape[0]
+        if elimination is not None and not elimination.serves(A):
+            raise InvalidInputError("elimination", "have the pattern of `matrix`", "another")
         try:
-            self._factor = cholespy.CholeskySolverD(self.n, *parts, cholespy.MatrixType.CSR)
-        except ValueError as error:
-            raise InvalidInputError(
-                f"`matrix` could not be factorised ({error});"
-                " it must be symmetric positive definite"
+            self._shared = known = Elimination.of(A) if elimination is None else elimination
+            self._factor, self._inverse = np.empty(known.fill), np.empty(self.n)
+            bad = factorise(
+                known.starts,
+                known.columns,
+                np.require(A.data, None, "W"),  # loops are compiled for what can be written to
+                known.order,
+                known.begins,
+                known.first,
+                known.rows,
+                known.above,
+                known.panels,
+                known.sizes,
+                self._factor,
+                self._inverse,
+            )
+        except MemoryError as error:
+            raise OutOfMemoryError(
+                f"the factor of {self.n} unknowns does not fit into memory; use a method without"
+                " one, such as Lobpcg(preconditioner='amg') or geodesics.Iterative()"
             ) from error
+        if bad >= 0:
+            raise InvalidInputError(
+                f"`matrix` must be symmetric positive definite: the pivot of row"
+                f" {known.order[bad]} is negative, zero or not finite"
+            )
+
+    @property
+    def fill(self) -> int:
+        """Entries of the factor below its diagonal."""
+        return len(self._factor)
 
     def solve(self, rhs: Floats) -> Floats:
         """Solve ``matrix @ x = rhs`` for `rhs` of shape (n,) or (n, s)."""
-        rhs = np.require(rhs, np.float64, ["C", "W"])  # cholespy takes no read-only array
-        solution = np.empty_like(rhs)
-        self._factor.solve(rhs, solution)
-        return solution
+        from spectra_kit.linalg._frontal_kernels import solve_one
+
+        rhs = np.asarray(rhs, dtype=np.float64)
+        if rhs.ndim not in (1, 2) or len(rhs) != self.n:
+            raise InvalidInputError("rhs", f"have shape ({self.n},) or ({self.n}, s)", rhs.shape)
+        known = self._shared
+        found = np.empty((rhs.size // self.n, self.n))
+        columns = np.require(rhs.T, None, ["C", "W"]).reshape(found.shape)
+        for b, x in zip(columns, found, strict=True):
+            solve_one(
+                known.order,
+                known.begins,
+                known.first,
+                known.rows,
+                known.panels,
+                self._factor,
+                self._inverse,
+                b,
+                x,
+            )
+        return found[0] if rhs.ndim == 1 else np.ascontiguousarray(found.T)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg._checks import check_kernel, check_matrix, check_rhs, check_symmetric
-from spectra_kit.linalg.cholesky import SparseCholesky
+from spectra_kit.linalg.cholesky import Elimination, SparseCholesky
 from spectra_kit.linalg.constant_kernel import ConstantKernel
 from spectra_kit.linalg.solution import LinearSolution
 
@@ -26,6 +26,8 @@ class GroundedCholesky:
         Symmetric positive semi-definite; both triangles stored.
     kernel : ConstantKernel, optional
         The kernel of `matrix`. Without it `matrix` is factorised as it is.
+    elimination : Elimination, optional
+        Of a matrix with the same pattern, as for `SparseCholesky`.
 
     Attributes
     ----------
@@ -42,9 +44,9 @@ class GroundedCholesky:
     Notes
     -----
     The solution is determined up to a constant on each component of the kernel. The factor fixes
-    that by dropping the row and column of one of its points, where the value is then zero: as a
-    right-hand side in the range sums to zero, the equation that was dropped holds too. Each
-    constant is moved to mean zero afterwards.
+    that by clearing the row and column of one of its points off the diagonal, where the value is
+    then zero: as a right-hand side in the range sums to zero, the equation that was dropped holds
+    too. Each constant is moved to mean zero afterwards.
 
     Examples
     --------
@@ -56,20 +58,24 @@ class GroundedCholesky:
     array([ 1.,  0., -1.])
     """
 
-    def __init__(self, matrix: sparse.csr_array, kernel: ConstantKernel | None = None) -> None:
+    def __init__(
+        self,
+        matrix: sparse.csr_array,
+        kernel: ConstantKernel | None = None,
+        *,
+        elimination: Elimination | None = None,
+    ) -> None:
         clock = Clock()
         self._matrix = check_matrix(matrix)
         check_symmetric(self._matrix)
         self._kernel = check_kernel(kernel, self._matrix)
         self.n: int = self._matrix.shape[0]
-        self._free = np.arange(self.n)
+        self._held = np.zeros(self.n, dtype=bool)
         if self._kernel is not None:
             labels, first = np.unique(self._kernel.labels, return_index=True)
-            self._free = np.delete(self._free, first[labels >= 0])
-        self._factor = None
-        if len(self._free):
-            inner = sparse.csr_array(self._matrix[self._free][:, self._free])
-            self._factor = SparseCholesky(inner)
+            self._held[first[labels >= 0]] = True
+        held = _held_at_zero(self._matrix, self._held)
+        self._factor = SparseCholesky(held, elimination=elimination)
         self.seconds = clock.total
 
     def solve(self, rhs: ArrayLike) -> Floats:
@@ -107,9 +113,7 @@ class GroundedCholesky:
         """
         clock = Clock()
         b = check_rhs(rhs, self.n, self._kernel)
-        x = np.zeros(self.n)
-        if self._factor is not None:
-            x[self._free] = self._factor.solve(b[self._free])
+        x = self._factor.solve(np.where(self._held, 0.0, b))
         if self._kernel is not None:
             x = self._kernel.remove(x)
         residual, norm = _norm(b - self._matrix @ x), _norm(b)
@@ -133,6 +137,25 @@ class GroundedCholesky:
             seconds=seconds,
             times=np.array([seconds]),
         )
+
+
+def _held_at_zero(matrix: sparse.csr_array, held: NDArray[np.bool_]) -> sparse.csr_array:
+    """Return `matrix` with rows and columns of points cleared but for a one on the diagonal.
+
+    In the same pattern, if all diagonal entries are stored.
+    """
+    if not held.any():
+        return matrix
+    rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    entries = np.where(held[rows] | held[matrix.indices], 0.0, matrix.data)
+    own = np.flatnonzero(rows == matrix.indices)
+    entries[own[held[rows[own]]]] = 1.0
+    cleared = sparse.csr_array((entries, matrix.indices, matrix.indptr), matrix.shape)
+    missing = held.copy()
+    missing[rows[own]] = False
+    return (
+        sparse.csr_array(cleared + sparse.diags_array(1.0 * missing)) if missing.any() else cleared
+    )
 
 
 def _norm(values: Floats) -> float:

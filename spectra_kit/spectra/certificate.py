@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
@@ -84,9 +87,15 @@ class Certificate(Rebuilt):
         is proved. `eigensolve` adds it where a relative residual is above 0.1, as those of
         predictions are.
     errors : ndarray of shape (k,), optional
-        Estimated relative error of each eigenvalue, from what the last steps of a solver gained:
-        `Cascade` and `Neo` give it. An estimate, no bound: it knows nothing of a mode that was
-        passed over, and is too low on shapes that are thin beside the spacing of coarse levels.
+        Relative error of each eigenvalue, as far as it is known: a bound, or an estimate, as
+        `bounded` says; relative to what `relative_residuals` are. `Cascade` and `Neo` estimate it
+        from residuals that they solve for, other spectra from residuals and gaps (Kato and Temple);
+        of predictions with relative residuals above 0.1 they tell nothing. An estimate knows
+        nothing of a mode that was passed over, and is too low on shapes that are thin beside the
+        spacing of coarse levels.
+    bounded : ndarray of bool, shape (k,)
+        Whether the error is a bound, which takes a count of the eigenvalues and is proved up to the
+        rounding of the matrices; otherwise it is an estimate. False without `errors`.
 
     Notes
     -----
@@ -103,6 +112,7 @@ class Certificate(Rebuilt):
     count: ModeCount | None = None
     excess: Floats | None = None
     errors: Floats | None = None
+    bounded: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
 
     def __post_init__(self) -> None:
         for name in ("residuals", "relative_residuals", "excess", "errors"):
@@ -119,6 +129,12 @@ class Certificate(Rebuilt):
                 raise InvalidInputError(
                     name, f"have the shape {self.residuals.shape} of `residuals`", array.shape
                 )
+        known = self.bounded if len(self.bounded) else np.zeros(self.residuals.shape)
+        object.__setattr__(self, "bounded", frozen(np.asarray(known, dtype=bool)))
+        if self.bounded.shape != self.residuals.shape:
+            raise InvalidInputError(
+                "bounded", f"have the shape {self.residuals.shape} of `residuals`", known.shape
+            )
         for name in ("n_zero_modes", "kernel_dimension", "n_components"):
             check_count(name, getattr(self, name), low=0)
 

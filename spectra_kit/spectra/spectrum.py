@@ -397,6 +397,7 @@ class Spectrum(Rebuilt):
             count=old.count and self._count_of(old.count, start, stop),
             excess=None if old.excess is None else old.excess[columns],
             errors=None if old.errors is None else old.errors[columns],
+            bounded=old.bounded[columns],
         )
         return replace(
             self,
@@ -427,7 +428,7 @@ def _plain(certificate: Certificate) -> dict[str, Any]:
     record = {name: value for name, value in vars(certificate).items() if value is not None}
     if certificate.count is not None:
         record["count"] = dict(vars(certificate.count))
-    for name in record.keys() & {"excess", "errors"}:
+    for name in record.keys() & {"excess", "errors", "bounded"}:
         record[name] = record[name].tolist()
     return record
 

@@ -137,9 +137,9 @@ def test_estimates_stay_with_the_modes(tmp_path):
     for same in (sk.Spectrum.load(tmp_path / "s.npz"), found.rescale(3.0)):
         np.testing.assert_array_equal(same.certificate.errors, errors)
     np.testing.assert_array_equal(found.truncate(5).certificate.errors, errors[:5])
-    np.testing.assert_array_equal(sk.verify(found, parts).certificate.errors, errors)
-    for solver in (sk.Cascade(coarsest=400, max_steps=0), sk.Arpack()):
-        assert sk.eigensolve(parts, 20, solver).certificate.errors is None
+    assert (sk.verify(found, parts).certificate.errors <= errors).all()
+    carried = sk.eigensolve(parts, 20, sk.Cascade(coarsest=400, max_steps=0))
+    assert carried.certificate.errors is None
 
 
 @pytest.mark.parametrize("spoilt", [0.3, 1e9])

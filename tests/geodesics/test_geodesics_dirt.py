@@ -17,7 +17,7 @@ BODIES = {"ball": BALL, "sheet": SHEET, "animal": creature(1500, seed=0)}
 SOURCE = 5
 
 
-def distances(geometry, sources=SOURCE):
+def distances(geometry, sources=SOURCE, *, apart=1e-7):
     """Measure by each solver, and return what they agree on."""
     triangulation = intrinsic_delaunay(geometry)  # what each would make of it
     fields = [HeatGeodesics(triangulation, solver=s).distance(sources).distance for s in SOLVERS]
@@ -25,7 +25,7 @@ def distances(geometry, sources=SOURCE):
     assert (fields[0] >= 0).all()  # so not NaN either
     for field in fields[1:]:
         np.testing.assert_array_equal(np.isfinite(field), reached)
-        assert np.abs(field[reached] - fields[0][reached]).max() <= 1e-7 * fields[0][reached].max()
+        assert np.abs(field[reached] - fields[0][reached]).max() <= apart * fields[0][reached].max()
     return fields[0]
 
 
@@ -231,7 +231,7 @@ def test_a_dense_cluster(scale) -> None:
     """Spacings differ by orders of magnitude, and so does the heat from point to point."""
     cluster = BALL.points[SOURCE] + scale * np.random.default_rng(0).standard_normal((300, 3))
     with pytest.warns(DoubtfulDistanceWarning, match="301 of 942 points are nearer to a source"):
-        distance = distances(cloud_with(cluster))
+        distance = distances(cloud_with(cluster), apart=1e-6)  # its masses are near rounding
     assert relative_error(distance[: BALL.n], angles(BALL.points, SOURCE)) < 0.03
 
 

@@ -1,0 +1,79 @@
+"""Errors told by residuals and gaps: bounds where modes were counted, estimates elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import creature, joined, moved
+
+import spectra_kit as sk
+from spectra_kit.geometry import rectangle, sphere
+
+SHAPES = {
+    "sphere": lambda: sphere(subdivisions=3).geometry,
+    "rectangle": lambda: rectangle(n=1000).geometry,
+    "animal": lambda: creature(3000, seed=0),
+    "parts": lambda: joined(creature(1500, seed=0), moved(creature(900, seed=0), 9, 0, 0)),
+}
+K = 30
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("rtol", [1e-2, 1e-5])
+def test_no_counted_eigenvalue_is_off_by_more(shape, rtol):
+    laplacian = sk.robust_laplacian(SHAPES[shape]())
+    exact = sk.eigensolve(laplacian, K)
+    found = sk.eigensolve(laplacian, K, sk.Refined(start=sk.AmbientFourier(m=50), rtol=rtol))
+    least = np.maximum(exact.eigenvalues, found.certificate.residuals / rtol)
+    off = np.abs(found.eigenvalues - exact.eigenvalues) / least
+    certificate = found.certificate
+    assert certificate.bounded.sum() == certificate.n_verified >= 0.6 * K
+    assert (off <= certificate.errors + 1e-13)[certificate.bounded].all()
+    if rtol == 1e-2:  # far from rounding, they are of second order
+        gained = certificate.errors / certificate.relative_residuals
+        assert np.median(gained[3:][certificate.bounded[3:]]) < 0.5
+
+
+def test_all_is_exact_up_to_rounding(animal, animal_spectrum):
+    certificate = animal_spectrum.certificate
+    assert certificate.bounded.all()
+    assert (certificate.errors < 1e-9).all()
+
+
+def test_estimates_where_nothing_is_counted(animal, animal_spectrum):
+    """Too low for none, of modes that were swept with a filter."""
+    found = sk.eigensolve(animal, 20, sk.Polished())
+    off = found.eigenvalues[1:] / animal_spectrum.eigenvalues[1:20] - 1
+    assert not found.certificate.bounded.any()
+    assert (found.certificate.errors[1:] > off / 3).all()
+
+
+@pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
+def test_a_prediction_is_told_nothing_by_its_residuals(animal):
+    waves = sk.RayleighRitz(subspace=sk.AmbientFourier(m=60))
+    found = sk.eigensolve(animal, 20, waves)
+    assert found.certificate.relative_residuals.max() > 0.1
+    assert found.certificate.errors is None
+    assert not found.certificate.bounded.any()
+
+
+def test_values_that_are_no_rayleigh_quotients_are_off(animal, animal_spectrum):
+    """By as much as that, to first order; the bound says so."""
+    exact = animal_spectrum.truncate(20)
+    wrong = exact.eigenvalues * (1 + 1e-5 * np.sin(np.arange(20)))
+    given = sk.verify(sk.Spectrum(wrong, exact.eigenvectors, exact.mass), animal)
+    bounded = given.certificate.bounded
+    assert bounded[1:-1].all()
+    least = np.maximum(exact.eigenvalues, animal.eigenvalue_spacing)
+    off = np.abs(wrong - exact.eigenvalues) / least
+    assert (given.certificate.errors >= off - 1e-12)[bounded].all()
+
+
+def test_the_kinds_stay_with_the_modes(tmp_path, animal_spectrum):
+    animal_spectrum.save(tmp_path / "s.npz")
+    for same in (sk.Spectrum.load(tmp_path / "s.npz"), animal_spectrum.rescale(3.0)):
+        certificate = same.certificate
+        np.testing.assert_array_equal(certificate.bounded, animal_spectrum.certificate.bounded)
+        np.testing.assert_array_equal(certificate.errors, animal_spectrum.certificate.errors)
+    assert animal_spectrum.truncate(5).certificate.bounded.tolist() == [True] * 5
+    assert len(animal_spectrum.nonzero().certificate.bounded) == animal_spectrum.k - 1

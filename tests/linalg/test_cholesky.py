@@ -1,0 +1,129 @@
+"""The complete factor, its order and what factors of one pattern share, against LAPACK."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import refused
+from scipy import sparse
+
+from spectra_kit import InvalidInputError
+from spectra_kit.geometry import sphere
+from spectra_kit.linalg import SparseCholesky
+from spectra_kit.linalg.cholesky import Elimination
+from spectra_kit.linalg.dissection import nested_dissection
+from spectra_kit.operators import intrinsic_delaunay
+
+
+def laplacian(graph: sparse.sparray) -> sparse.csr_array:
+    """Return that of a graph plus the identity: symmetric positive definite."""
+    links = sparse.csr_array(graph + graph.T)
+    links = sparse.csr_array((np.ones(links.nnz), links.indices, links.indptr), links.shape)
+    return sparse.csr_array(sparse.csgraph.laplacian(links) + sparse.eye_array(links.shape[0]))
+
+
+def grid(side: int) -> sparse.csr_array:
+    line = sparse.diags_array([1.0], offsets=[1], shape=(side, side))
+    eye = sparse.eye_array(side)
+    return laplacian(sparse.kron(line, eye) + sparse.kron(eye, line))
+
+
+def star(n: int) -> sparse.csr_array:
+    spokes = (np.ones(n - 1), (np.zeros(n - 1, int), np.arange(1, n)))
+    return laplacian(sparse.coo_array(spokes, shape=(n, n)))
+
+
+def scattered(n: int, density: float) -> sparse.csr_array:
+    rng = np.random.default_rng(0)
+    return laplacian(sparse.triu(sparse.random_array((n, n), density=density, rng=rng), 1))
+
+
+GRAPHS = {
+    "one point": sparse.csr_array([[2.0]]),
+    "no links": sparse.csr_array(sparse.diags_array(np.arange(1.0, 301.0))),
+    "path": laplacian(sparse.diags_array([1.0], offsets=[1], shape=(500, 500))),
+    "grid": grid(25),
+    "parts": sparse.csr_array(sparse.block_diag([grid(9), grid(12), star(3), grid(1)])),
+    "star": star(400),
+    "all linked": laplacian(sparse.csr_array(np.triu(np.ones((150, 150)), 1))),
+    "sparse, scattered": scattered(400, 0.005),
+    "dense, scattered": scattered(200, 0.2),
+    "ball": sparse.csr_array(
+        intrinsic_delaunay(sphere(subdivisions=3).geometry).laplacian.stiffness
+        + sparse.eye_array(642)
+    ),
+}
+
+
+@pytest.mark.parametrize("A", GRAPHS.values(), ids=GRAPHS)
+def test_solves_like_lapack_whatever_the_graph(A: sparse.csr_array) -> None:
+    n = A.shape[0]
+    assert np.array_equal(np.sort(nested_dissection(A)), np.arange(n))
+    b = np.random.default_rng(1).standard_normal((n, 3))
+    b[:, 1] = 0
+    b[n // 2, 1] = 1.0  # most of the first sweep has nothing to do
+    x = SparseCholesky(A).solve(b)
+    np.testing.assert_allclose(x, np.linalg.solve(A.toarray(), b), rtol=1e-10, atol=1e-12)
+    for column in range(3):
+        assert np.array_equal(SparseCholesky(A).solve(b[:, column]), x[:, column])
+    assert SparseCholesky(A).solve(b[:, :0]).shape == (n, 0)
+
+
+def test_factors_of_one_pattern_share_what_it_decides() -> None:
+    A = grid(30)
+    shared = Elimination.of(A)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        scale = rng.uniform(0.5, 2.0, 900)
+        B = sparse.csr_array((A.data * np.repeat(scale, np.diff(A.indptr)), A.indices, A.indptr))
+        B.data *= scale[B.indices]
+        factor = SparseCholesky(B, elimination=shared)
+        assert factor.fill == shared.fill
+        b = rng.standard_normal(900)
+        assert np.array_equal(factor.solve(b), SparseCholesky(B).solve(b))
+    refused(
+        "elimination", "have the pattern of `matrix`", SparseCholesky, star(9), elimination=shared
+    )
+
+
+def test_fill_of_a_grid_is_that_of_nested_dissection() -> None:
+    """At most ``31/4 n log2 n`` entries (George 1973); by rows there would be ``n^1.5``."""
+    for side in (32, 64, 128):
+        n = side**2
+        assert Elimination.of(grid(side)).fill <= 31 / 4 * n * np.log2(side)
+
+
+def test_what_is_refused() -> None:
+    broken = grid(20)
+    broken.setdiag(np.where(np.arange(400) == 123, -1.0, broken.diagonal()))
+    for matrix in (broken, sparse.csr_array([[1.0, 1.0], [1.0, 1.0]])):
+        with pytest.raises(InvalidInputError, match="positive definite: the pivot of row"):
+            SparseCholesky(matrix)
+    refused("rhs", "have shape (400,)", SparseCholesky(grid(20)).solve, np.ones(399))
+
+
+STARVED = """
+import resource
+from scipy import sparse
+from test_cholesky import grid
+from spectra_kit.linalg import SparseCholesky
+
+SparseCholesky(grid(9))  # what it imports and compiles is not to be counted
+line = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(40, 40))
+cube = sparse.kron(grid(40), sparse.eye_array(40)) + sparse.kron(sparse.eye_array(1600), line)
+cube = sparse.csr_array(cube)
+pages = int(open("/proc/self/statm").read().split()[0])
+limit = pages * resource.getpagesize() + 20 * 2**20
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+SparseCholesky(cube)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="counts memory as Linux does")
+def test_want_of_memory_is_an_error_of_its_own() -> None:
+    tests = Path(__file__).parent
+    code = f"import sys; sys.path[:0] = [{str(tests)!r}, {str(tests.parent)!r}]\n{STARVED}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "OutOfMemoryError: the factor of 64000 unknowns does not fit" in done.stderr
