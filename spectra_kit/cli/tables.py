@@ -51,7 +51,9 @@ def modes_table(spectrum: Spectrum, modes: Sequence[int]) -> str:
         for i in modes
     ]
     if errors is not None:
-        last = ["error, about", *(f"{errors[i]:.0e}" for i in modes)]
+        known = ("about", "at most")  # an estimate, a bound
+        told = (f"{known[int(certificate.bounded[i])]} {errors[i]:.0e}" for i in modes)
+        last = ["error", *told]
         rows = [(*row, cell) for row, cell in zip(rows, last, strict=True)]
     return align(rows)
 
@@ -64,7 +66,13 @@ def certificate_lines(spectrum: Spectrum) -> str:
     facts["modes"] = spectrum.k
     facts |= _accuracy(spectrum) | {"lowest modes": _certificate(spectrum).completeness}
     if (errors := _certificate(spectrum).errors) is not None:
-        facts["estimated errors"] = f"{errors.mean():.0e} in the mean, at most {errors.max():.0e}"
+        bounded = int(_certificate(spectrum).bounded.sum())
+        kind = f"bounds for {bounded} of {spectrum.k}, estimates for the others"
+        if bounded in (0, spectrum.k):
+            kind = "bounds" if bounded else "estimates"
+        facts["relative errors"] = (
+            f"{errors.mean():.0e} in the mean, up to {errors.max():.0e}; {kind}"
+        )
     if _certificate(spectrum).excess is not None:  # residuals left doubts
         nothing = f"no eigenvalue is proved to be more than {DOUBTFUL:.0%} too high"
         facts["verdict"] = verdict(spectrum) or nothing

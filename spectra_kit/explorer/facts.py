@@ -23,6 +23,9 @@ def spectrum_facts(spectrum: Spectrum, modes: NDArray[np.int64]) -> dict[str, An
         "eigenvalues": numbers(spectrum.eigenvalues[modes]),
         "residuals": certificate and numbers(certificate.residuals[modes]),
         "relative": certificate and numbers(certificate.relative_residuals[modes]),
+        "errors": certificate
+        and (None if certificate.errors is None else numbers(certificate.errors[modes])),
+        "bounded": certificate and certificate.bounded[modes].tolist(),
         "verified": int(certificate.n_verified) if certificate else 0,
         "completeness": certificate and certificate.completeness,
         "solver": spectrum.provenance.solver,

@@ -91,8 +91,15 @@ class System:
         return np.asarray(np.ceil(steps - 1).clip(0), dtype=np.int64)
 
     @cached_property
-    def _apexes(self) -> Floats:
-        return apexes(self.lengths)
+    def _triangles(self) -> dict[int, tuple[Ints, Floats, Floats]]:
+        """Corners, lengths and apexes of the triangles of each of `sizes`."""
+        whole = self.corners, self.lengths, apexes(self.lengths)
+        found = np.unique(self.sizes).tolist()
+        if len(found) == 1:
+            return {found[0]: whole}
+        corners, lengths, tops = whole
+        masks = {size: self.sizes == size for size in found}
+        return {k: (corners[here], lengths[here], tops[here]) for k, here in masks.items()}
 
     def outwards(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return `values` (n,) in the order of memory in that of the input."""
@@ -110,11 +117,10 @@ class System:
 
         found, level = np.zeros(len(self.order)), 0
         for size, heat in heats.items():
-            here: Any = slice(None) if len(heats) == 1 else self.sizes == size
+            if size not in self._triangles:
+                continue
             part, still = divergence_of_directions(
-                self.corners[here],
-                self.lengths[here],
-                self._apexes[here],
+                *self._triangles[size],
                 heat.values,
                 heat.exponents,
                 _FLAT,

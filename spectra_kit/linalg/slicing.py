@@ -26,6 +26,7 @@ _ONE_SIDED = 0.7  # of what the first run reached above its shift, others reach 
 _SAFE = 0.8  # of what the last run reached, the next is asked for
 _DENSITY = 100  # modes whose distance tells where the next are
 _ROUNDING = 1e-12  # residuals of the inverse, relative to its eigenvalues
+_LOOSEST = 1e-6  # the same: its square, of what runs share, must be rounding
 _BORDER = 1e-7  # of the distance of two shifts: a narrower gap may be one within a cluster
 _ACCURATE = 1e-10  # backward error of a solution, entry by entry
 _DENSER = 1.5  # times as many modes below a shift as expected are too many for one run
@@ -77,6 +78,7 @@ def sliced_eigenpairs(
     generalized eigenproblems*, 1994.
     """
     clock, root = Clock(), np.sqrt(mass)
+    tol = min(max(tol, _ROUNDING), _LOOSEST)
     scaling = sparse.diags_array(1 / root)
     A = sparse.csr_array(scaling @ stiffness @ scaling)
     values, X = np.empty(k), np.empty((k, len(mass)))  # rows are eigenvectors of A
@@ -95,7 +97,7 @@ def sliced_eigenpairs(
             if number - found > _DENSER * ahead:
                 sigma, closer = top + (sigma - top) * ahead / (number - found), closer + 1
                 continue
-            run = _Run(factor, sigma, max(tol, _ROUNDING), seed + shifts)
+            run = _Run(factor, sigma, tol, seed + shifts)
             cut = run.until(values[counted:found], number - counted, last, min(ahead, k - number))
             clock.stage("lanczos")
             if cut is None:
@@ -105,7 +107,8 @@ def sliced_eigenpairs(
             lower, upper = run.below[len(run.below) - (number - counted - cut) :], run.above
             begin, end = counted + cut, min(k, number + len(upper))
             values[begin:end], new = run.pairs(np.concatenate([lower, upper])[: end - begin])
-            before = X[first:begin]
+            # What is farther than a run away is orthogonal where residuals are rounding.
+            before = X[first if tol <= _ROUNDING else 0 : begin]
             X[begin:end] = new - combined(inner(new, before), before)
             clock.stage("pairs")
             if end < 2:

@@ -129,12 +129,14 @@ class Certificate(Rebuilt):
                 raise InvalidInputError(
                     name, f"have the shape {self.residuals.shape} of `residuals`", array.shape
                 )
-        known = self.bounded if len(self.bounded) else np.zeros(self.residuals.shape)
-        object.__setattr__(self, "bounded", frozen(np.asarray(known, dtype=bool)))
-        if self.bounded.shape != self.residuals.shape:
+        shape = self.residuals.shape
+        bounded = np.asarray(self.bounded, dtype=bool)
+        bounded = bounded if bounded.size else np.zeros(shape, dtype=bool)
+        if bounded.shape != shape:
             raise InvalidInputError(
-                "bounded", f"have the shape {self.residuals.shape} of `residuals`", known.shape
+                "bounded", f"have the shape {shape} of `residuals`", bounded.shape
             )
+        object.__setattr__(self, "bounded", frozen(bounded))
         for name in ("n_zero_modes", "kernel_dimension", "n_components"):
             check_count(name, getattr(self, name), low=0)
 

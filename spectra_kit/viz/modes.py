@@ -209,7 +209,12 @@ def display_signs(eigenvectors: Floats) -> Floats:
 
 
 def _residual(spectrum: Spectrum, mode: int) -> str:
-    """The relative residual of a mode in words, where it is certified."""
-    if spectrum.certificate is None:
+    """The relative residual of a mode in words, and how far its eigenvalue is off, if known."""
+    certificate = spectrum.certificate
+    if certificate is None:
         return "not certified"
-    return f"relative residual {short(spectrum.certificate.relative_residuals[mode])}"
+    told = f"relative residual {short(certificate.relative_residuals[mode])}"
+    if certificate.errors is None:
+        return told
+    kind = "≤" if certificate.bounded[mode] else "≈"
+    return f"{told}, error {kind} {short(certificate.errors[mode])}"

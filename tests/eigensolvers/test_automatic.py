@@ -38,7 +38,8 @@ def exact(animal) -> sk.Spectrum:
         (None, "arpack", "exact"),
         (1e-14, "arpack", "exact"),
         (1e-8, "arpack", "exact"),
-        (1e-5, "cascade", "approximate"),
+        (1e-5, "arpack", "exact"),
+        (1e-4, "cascade", "approximate"),
         (1e-2, "cascade", "approximate"),
     ],
 )
@@ -71,7 +72,7 @@ def test_it_is_the_default() -> None:
     assert sk.spectrum(bumpy(), 4).provenance.reason
 
 
-@pytest.mark.parametrize("accuracy", [1e-2, 1e-5])
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-4])
 def test_analytic_spectrum_of_the_sphere(accuracy) -> None:
     """Degrees l up to 6, as far as the mesh itself is off: its errors are of second order."""
     found = sk.eigensolve(
@@ -123,10 +124,10 @@ def test_without_a_factor(monkeypatch, animal, exact, device) -> None:
     assert errors(tight, exact).mean() <= 1e-7
     monkeypatch.setattr(automatic, "_STEPS", 0)
     memory = 4.0 if device == "cpu:0" else 1e-3
-    further = sk.eigensolve(animal, 30, replace(solver, accuracy=1e-5, memory=memory))
+    further = sk.eigensolve(animal, 30, replace(solver, accuracy=1e-4, memory=memory))
     assert further.provenance.name == "chebyshev"
     assert further.certificate.count is None, "that would take a factor"
-    assert errors(further, exact).mean() <= 1e-5
+    assert errors(further, exact).mean() <= 1e-4
     none = sk.eigensolve(animal, 30, solver)
     assert none.provenance.name == tight.provenance.name == "chebyshev"
     assert none.provenance.reason.endswith("GiB, more than 0.001")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import creature, joined, moved
 
 import spectra_kit as sk
+from spectra_kit.cli.tables import certificate_lines, modes_table
 from spectra_kit.geometry import rectangle, sphere
 
 SHAPES = {
@@ -32,6 +35,17 @@ def test_no_counted_eigenvalue_is_off_by_more(shape, rtol):
     if rtol == 1e-2:  # far from rounding, they are of second order
         gained = certificate.errors / certificate.relative_residuals
         assert np.median(gained[3:][certificate.bounded[3:]]) < 0.5
+
+
+def test_tables_tell_which_kind_it_is(animal_spectrum):
+    exact = animal_spectrum.truncate(3)
+    rough = replace(exact.certificate, errors=[0, 1e-3, 2e-3], bounded=[True, True, False])
+    told = exact.described(rough, exact.provenance)
+    rows = modes_table(told, range(3)).splitlines()
+    assert [row.split("  ")[-1].strip() for row in rows[2:]] == ["at most 1e-03", "about 2e-03"]
+    assert "bounds for 2 of 3" in certificate_lines(told)
+    with pytest.raises(sk.errors.InvalidInputError, match="bounded"):
+        replace(rough, bounded=[True])
 
 
 def test_all_is_exact_up_to_rounding(animal, animal_spectrum):

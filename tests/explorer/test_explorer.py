@@ -154,6 +154,9 @@ def test_numbers_on_the_page_are_those_of_the_comparison(mesh, exact, predicted,
         facts["exact"]["residuals"], exact.certificate.residuals[:6], rtol=1e-6
     )
     assert facts["predicted"]["residuals"] is None
+    np.testing.assert_allclose(facts["exact"]["errors"], exact.certificate.errors[:6], rtol=1e-6)
+    assert facts["exact"]["bounded"] == [True] * 6
+    assert facts["predicted"]["errors"] is None
     assert facts["area"] == pytest.approx(exact.area)
     assert facts["boundary"] == 0
     assert facts["first"] == 1

@@ -25,6 +25,12 @@ export function tick(value) {
   return new Intl.NumberFormat("en-US", { maximumSignificantDigits: 6 }).format(value);
 }
 
+/** How far an eigenvalue is off: at most (a bound) or about (an estimate). */
+export function off(spectrum, mode) {
+  const size = spectrum.errors?.[mode] ?? null;
+  return size === null ? "" : `${spectrum.bounded[mode] ? "≤" : "≈"} ${short(size, 1)}`;
+}
+
 /** A relative change in per cent, with its sign. */
 export function percent(value) {
   if (value === null || value === undefined) return "–";

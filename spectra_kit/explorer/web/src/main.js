@@ -1,6 +1,6 @@
 // The page: reads its data, then shows one mode at a time in every part.
 
-import { change, count, error, short } from "./format.js";
+import { change, count, error, off, short } from "./format.js";
 import { bytesOf, column16, readGeometry } from "./payload.js";
 import { Plot } from "./plot.js";
 import { ratioFor } from "./speed.js";
@@ -94,7 +94,7 @@ function captions(facts, mode, words) {
   const { exact, predicted, comparison, colours, names } = facts;
   const partner = comparison?.partner[mode];
   $("moved").textContent = partner !== undefined && partner !== mode ? `its mode ${partner}` : "";
-  const residual = (spectrum) => (spectrum.relative ? `relative residual ${short(spectrum.relative[mode], 2)}` : "not certified");
+  const residual = (spectrum) => (spectrum.relative ? `relative residual ${short(spectrum.relative[mode], 2)}${spectrum.errors ? `, error ${off(spectrum, mode)}` : ""}` : "not certified");
   const write = (view, title, first, second, limit) => {
     const part = (name) => $(view).querySelector(name);
     part("h2").firstChild.textContent = title;

@@ -1,6 +1,6 @@
 // One row for each mode; a click shows it.
 
-import { change, error, short } from "./format.js";
+import { change, error, off, short } from "./format.js";
 
 export class Table {
   constructor(host, facts, choose) {
@@ -14,9 +14,12 @@ export class Table {
     }
     const residual = "|L u − λ M u|, relative to λ or the spacing of eigenvalues";
     columns.push([predicted ? `residual ${names[0]}` : "relative residual", residual, (m) => short(exact.relative?.[m], 2)]);
+    const known = "Relative error of the eigenvalue: at most (a bound, proved) or about (an estimate)";
+    if (exact.errors) columns.push([predicted ? `error ${names[0]}` : "error", known, (m) => off(exact, m)]);
     if (!predicted) columns.push(["certified to ±", "Some true eigenvalue lies within this of λ", (m) => short(exact.residuals?.[m], 2)]);
     if (predicted) {
       columns.push([`residual ${names[1]}`, residual, (m) => short(predicted.relative?.[m], 2)]);
+      if (predicted.errors) columns.push([`error ${names[1]}`, known, (m) => off(predicted, m)]);
       columns.push(["cluster error", "|u − v|², after the best rotation within the cluster of near-equal λ", (m) => error(comparison.cluster_error[m])]);
       columns.push(["span error", "Energy of the mode outside the span of the others’ modes", (m) => error(comparison.span_error[m])]);
     }
