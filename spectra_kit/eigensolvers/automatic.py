@@ -115,8 +115,9 @@ class Automatic:
         if fits and n <= max(_FEW, _FEW_FOR_EACH * k):
             return Arpack(seed=self.seed), f"{n} points are few for {quantity(k, 'mode')}"
         if self.accuracy is not None and self.accuracy >= _TIGHT:
-            target, device = self.accuracy / _MARGIN, self.device
-            cascade = Cascade(target=target, max_steps=_STEPS, device=device, seed=self.seed)
+            cascade = Cascade(
+                target=self.accuracy, max_steps=_STEPS, device=self.device, seed=self.seed
+            )
             return cascade, f"errors of {self.accuracy:g} on {n} points need no factor"
         if fits:
             why = "exact" if self.accuracy is None else f"for errors of {self.accuracy:g}"
