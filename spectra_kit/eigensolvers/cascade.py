@@ -11,8 +11,9 @@ from scipy.linalg import eigh
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, check_positive
+from spectra_kit.eigensolvers.arpack import Arpack
 from spectra_kit.eigensolvers.base import Eigenpairs, Promise
-from spectra_kit.eigensolvers.refined import Polished, Refined
+from spectra_kit.eigensolvers.refined import Polished
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels import Coarse, coarse_iteration, coarse_ritz
@@ -22,12 +23,11 @@ from spectra_kit.levels.smoothing import on_device
 from spectra_kit.linalg.ritz import ritz_pairs
 from spectra_kit.linalg.threads import single_threaded_blas
 from spectra_kit.operators.laplacian import Laplacian
-from spectra_kit.subspaces import RandomBasis, Subspace, restricted
+from spectra_kit.subspaces import Subspace, restricted
 from spectra_kit.subspaces.given import OnPoints
 
 _SWEEPS = 20  # at most; three or four settle random columns
 _SETTLED = 0.01  # change of the coarsest Ritz values in the last sweep; the next gains nothing
-_CLOSEST = 1e-8  # residuals that few points are solved to at most: errors are their squares
 _ROOM = 6  # points of the coarsest level for each column: fewer have no low modes
 _DENSE = 1500  # points whose dense eigenproblem takes no longer than sweeps
 _PREDICTED = 2048  # points of the coarsest level that a prediction begins on
@@ -53,7 +53,7 @@ class Cascade(OnPoints):
     coarsest : int, optional
         Points of the coarsest level, about; more where k is large. 6 for each column without it
         (2,048 at least, with a subspace). With fewer than twice as many points in all, this is
-        `Refined`; with a subspace, `Polished` if there are sweeps, else the subspace on all points.
+        `Arpack`; with a subspace, `Polished` if there are sweeps, else the subspace on all points.
     sweeps : int, default 0
         Filtered shift-invert sweeps on the coarsest level that follow the subspace. With none,
         no matrix is ever factorised.
@@ -134,7 +134,7 @@ class Cascade(OnPoints):
         least = self.coarsest or (0 if self.subspace is None else _PREDICTED)
         levels = nested(gathers, max(least, _ROOM * block))
         if not levels and (self.subspace is None or self.sweeps):
-            return self._without_levels(laplacian, k, block)
+            return self._without_levels(laplacian, k)
         clock.stage("coarsen")
         with device_memory():
             begun = self._begun(gathers, order, levels, k, block)
@@ -160,18 +160,14 @@ class Cascade(OnPoints):
         errors = found.errors if found.steps else None  # carried modes alone tell nothing
         return Eigenpairs(found.eigenvalues[:k], vectors, clock.seconds, found.steps, errors)
 
-    def _without_levels(self, laplacian: Laplacian, k: int, block: int) -> Eigenpairs:
+    def _without_levels(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """Solve where there are few points, on the host."""
-        if self.subspace is not None:
-            polished = Polished(
-                start=self.subspace, sweeps=self.sweeps, guard=self.guard, seed=self.seed
-            )
-            return polished.eigenpairs(laplacian, k)
-        start = RandomBasis(m=block, seed=self.seed)
-        rtol = min(max(self.target, _CLOSEST), 0.1)
-        refined = Refined(start=start, rtol=rtol, guard=self.guard, seed=self.seed)
-        # The error of an eigenvalue is of second order in its residual.
-        return refined.eigenpairs(laplacian, k)._replace(errors=np.full(k, rtol**2))
+        if self.subspace is None:
+            return Arpack(seed=self.seed).eigenpairs(laplacian, k)._replace(errors=np.zeros(k))
+        polished = Polished(
+            start=self.subspace, sweeps=self.sweeps, guard=self.guard, seed=self.seed
+        )
+        return polished.eigenpairs(laplacian, k)
 
     def _begun(
         self, laplacian: Laplacian, order: Ints | None, levels: list[Coarse], k: int, block: int
