@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from spectra_kit._checked import checked
@@ -130,14 +131,24 @@ class Cascade(OnPoints):
 
         block = block_size(k, self.guard)
         clock = device_clock(self.device)
-        gathers, order = gathered(laplacian)
+        # Without sparse products nothing depends on the order of the points.
+        gathers, order = gathered(laplacian) if self.max_steps else (laplacian, None)
         least = self.coarsest or (0 if self.subspace is None else _PREDICTED)
         levels = nested(gathers, max(least, _ROOM * block))
         if not levels and (self.subspace is None or self.sweeps):
             return self._without_levels(laplacian, k)
         clock.stage("coarsen")
+        bottom = levels[-1] if levels else gathers
         with device_memory():
-            begun = self._begun(gathers, order, levels, k, block)
+            if self.subspace is None:
+                assert isinstance(bottom, Coarse)
+                begun = self._solved(bottom, k, block)
+            else:
+                points = _points(gathers, levels)
+                subspace = restricted(self.subspace, points if order is None else order[points])
+                basis = basis_with_kernel(subspace, bottom)
+                clock.stage("subspace")
+                begun = self._predicted(bottom, basis, k, block)
             clock.stage("coarse")
             found = climb(
                 gathers,
@@ -169,20 +180,10 @@ class Cascade(OnPoints):
         )
         return polished.eigenpairs(laplacian, k)
 
-    def _begun(
-        self, laplacian: Laplacian, order: Ints | None, levels: list[Coarse], k: int, block: int
+    def _predicted(
+        self, bottom: Coarse | Laplacian, basis: NDArray[np.floating], k: int, block: int
     ) -> tuple[Floats, Any]:
-        """Return Ritz pairs of the coarsest level, at least k: its own, or those of the subspace.
-
-        `order` says which points those of `laplacian` are.
-        """
-        bottom = levels[-1] if levels else laplacian
-        if self.subspace is None:
-            assert isinstance(bottom, Coarse)
-            return self._solved(bottom, k, block)
-        points = _points(laplacian, levels)
-        subspace = restricted(self.subspace, points if order is None else order[points])
-        basis = basis_with_kernel(subspace, bottom)
+        """Return Ritz pairs of the coarsest level, at least k, swept there if that is asked."""
         if not self.sweeps:
             L, M, Y = (
                 on_device(part, self.device) for part in (bottom.stiffness, bottom.mass, basis)

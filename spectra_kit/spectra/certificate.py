@@ -130,7 +130,9 @@ class Certificate(Rebuilt):
                     name, f"have the shape {self.residuals.shape} of `residuals`", array.shape
                 )
         shape = self.residuals.shape
-        bounded = np.asarray(self.bounded, dtype=bool)
+        bounded = np.asarray(self.bounded)
+        if bounded.dtype != bool:
+            raise InvalidInputError("bounded", "be an array of bool", f"one of {bounded.dtype}")
         bounded = bounded if bounded.size else np.zeros(shape, dtype=bool)
         if bounded.shape != shape:
             raise InvalidInputError(

@@ -126,7 +126,10 @@ def test_estimates_stay_with_the_modes(tmp_path):
     errors = found.certificate.errors
     assert errors.mean() < 1e-3
     off = found.eigenvalues[3:] / exact.eigenvalues[3:] - 1
-    assert np.median(np.abs(np.log10(errors[3:] / off))) < 0.5
+    some = errors[3:] > 0  # the smallest part has few points: it was solved exactly
+    assert 0 < some.sum() < len(some)
+    np.testing.assert_allclose(off[~some], 0, atol=1e-12)
+    assert np.median(np.abs(np.log10(errors[3:][some] / off[some]))) < 0.5
     found.save(tmp_path / "s.npz")
     for same in (sk.Spectrum.load(tmp_path / "s.npz"), found.rescale(3.0)):
         np.testing.assert_array_equal(same.certificate.errors, errors)

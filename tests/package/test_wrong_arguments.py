@@ -157,6 +157,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("points queries source_points normals", ball.points),
         ("faces source_faces target_faces", mesh.faces),
         ("back point_map vertex_index face_index", same),
+        ("Cascade.coarsest", 200),
         ("Truth.source Truth.target Truth.symmetric", same),
         ("errors f g symmetric point_arrays values Samples.interpolate.values", np.ones(n)),
         ("mass", spectrum.mass),
