@@ -213,7 +213,7 @@ def real_modes(studio: Studio) -> None:
     viz.plot_modes(
         studio.path("real_modes.png"),
         mesh,
-        sk.eigensolve(sk.robust_laplacian(mesh), 40, sk.Multilevel()),
+        sk.eigensolve(sk.robust_laplacian(mesh), 40),
         modes=(1, 5, 12, 33),
         columns=4,
         page=viz.Page("Modes of a koala of 49,999 vertices", dpi=studio.dpi),
@@ -267,7 +267,6 @@ def pareto(studio: Studio) -> None:
     laplacian = sk.robust_laplacian(creature(32000, seed=0))
     solvers = {
         "Arpack": (sk.Arpack(), "exact"),
-        "Multilevel": (sk.Multilevel(rtol=1e-6), "exact"),
         "Refined": (sk.Refined(rtol=1e-6), "exact"),
         "Polished": (sk.Polished(), "approximate"),
         "Cascade": (sk.Cascade(), "approximate"),

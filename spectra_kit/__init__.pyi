@@ -27,7 +27,6 @@ from .eigensolvers import Cascade as Cascade
 from .eigensolvers import Chebyshev as Chebyshev
 from .eigensolvers import Dense as Dense
 from .eigensolvers import Lobpcg as Lobpcg
-from .eigensolvers import Multilevel as Multilevel
 from .eigensolvers import Neo as Neo
 from .eigensolvers import Polished as Polished
 from .eigensolvers import RayleighRitz as RayleighRitz

@@ -62,7 +62,6 @@ SOLVERS = _table(
     "eigensolvers",
     automatic=("automatic:Automatic", "the cheapest for an accuracy", "exact"),
     arpack=("arpack:Arpack", "Lanczos on a sparse factor", "exact"),
-    multilevel=("multilevel:Multilevel", "from few points to all of them", "to tolerance"),
     refined=(
         "refined:Refined",
         "block iterations from any start, on a sparse factor",

@@ -46,7 +46,6 @@ class Backend:
 
 # What a solver is given and promises where that is not the default: a new one needs no line here.
 OPTIONS = {
-    "multilevel": {"rtol": 1e-8},
     "fourier": {"subspace": AmbientFourier(m=300, bandwidth=6.0)},
     "cascade": {"coarsest": 150},
     "neo": {"poses": 1},

@@ -35,7 +35,7 @@ class Spectrum(OnOne, options.Verified, options.Resolution):
     outcome = "certified modes"
     examples = (
         "spectrum bunny.obj -o bunny.npz",
-        "spectrum bunny.obj --solver multilevel --rtol 1e-8 --verify",
+        "spectrum bunny.obj --solver refined --rtol 1e-8 --verify",
         f"spectrum {DEMO} -k 24 --accuracy 1e-3 --picture spectrum.png",
     )
     keys = "input, geometry, eigenvalues, certificate, provenance, verdict, output, picture"

@@ -7,7 +7,6 @@ from spectra_kit.eigensolvers.cascade import Cascade
 from spectra_kit.eigensolvers.chebyshev import Chebyshev
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.lobpcg import Lobpcg
-from spectra_kit.eigensolvers.multilevel import Multilevel
 from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
 from spectra_kit.eigensolvers.refined import Polished, Refined
@@ -24,7 +23,6 @@ __all__ = [
     "Eigenpairs",
     "Eigensolver",
     "Lobpcg",
-    "Multilevel",
     "Neo",
     "NotConvergedError",
     "Polished",

@@ -124,13 +124,13 @@ class Arpack:
                 f" {quantity(self.max_restarts, 'restart')}",
                 pairs,
                 advice=("raise {}", "loosen {}", "use {}"),
-                remedies=("max_restarts", "tol", "Multilevel"),
+                remedies=("max_restarts", "tol", "Refined"),
             ) from error
         except ArpackError as error:  # such as no shift that it could apply, within a wide cluster
             raise NotConvergedError(
                 f"{error}; more equal eigenvalues than Lanczos has room for do this",
-                advice="ask for more modes, or use {} or {}",
-                remedies=("Multilevel", "Refined"),
+                advice="ask for more modes, or use {}",
+                remedies=("Refined",),
             ) from error
         clock.stage("lanczos")
         return Eigenpairs(unit / values + sigma, vectors / root[:, None], clock.seconds)
@@ -154,5 +154,5 @@ class Arpack:
             f" {quantity(shifts, 'shift')}",
             pairs,
             advice=("raise {}", "loosen {}", "use {}"),
-            remedies=("max_restarts", "tol", "Multilevel"),
+            remedies=("max_restarts", "tol", "Refined"),
         )

@@ -68,7 +68,7 @@ def eigensolve(
         Number of modes, zero modes included; at most the number of free points.
     solver : Eigensolver, default Automatic()
         ``Automatic(accuracy=1e-3)`` takes what costs least for that accuracy; without it, all is
-        exact. For those who know: `Arpack`, `Multilevel`, `Refined`, `Chebyshev`, `Lobpcg`,
+        exact. For those who know: `Arpack`, `Refined`, `Chebyshev`, `Lobpcg`,
         `Dense`; approximate: `Neo`, `Cascade`, `Polished`, `RayleighRitz`; or your own.
 
     Returns

@@ -201,7 +201,7 @@ def test_where_eigenvalues_coincide_the_means_are_those_of_spaces(files, capsys)
 def test_options_reach_the_solvers_that_take_them():
     takers = {
         "accuracy": {"automatic"},
-        "rtol": {"refined", "multilevel", "lobpcg", "chebyshev"},
+        "rtol": {"refined", "lobpcg", "chebyshev"},
         "start": {"refined", "polished", "cascade", "lobpcg", "chebyshev"},
         "device": {"neo", "chebyshev", "cascade", "automatic"},
         "poses": {"neo"},

@@ -23,7 +23,7 @@ from spectra_kit import (
     knn_laplacian,
     robust_laplacian,
 )
-from spectra_kit.eigensolvers import Arpack, Dense, Multilevel, Refined
+from spectra_kit.eigensolvers import Arpack, Dense, Refined
 from spectra_kit.geometry import (
     Geometry,
     PointCloud,
@@ -255,7 +255,7 @@ FACE_DAMAGE = (
     lambda rng, f, _: f[rng.random(len(f)) < rng.random()],
     lambda rng, f, n: np.minimum(f[: rng.integers(3)], max(n - 1, 0)),  # none or few
 )
-SOLVERS = (Dense(), Arpack(), Refined(), Multilevel())
+SOLVERS = (Dense(), Arpack(), Refined())
 
 
 @part(share=2)

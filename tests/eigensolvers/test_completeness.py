@@ -33,7 +33,6 @@ SHAPES = {
 }
 OTHERS = [
     sk.Dense(),
-    sk.Multilevel(),
     sk.Refined(),
     sk.Chebyshev(),
     sk.Lobpcg(),

@@ -98,10 +98,6 @@ OTHERWISE = [
     (sk.Chebyshev(start=sk.RandomBasis(m=5)), {"seed": 1}),  # for what a start lacks
     (sk.Polished(), {"sweeps": 2, "guard": 1.0, "seed": 1, "start": WAVES, "degree": 3}),
     (
-        sk.Multilevel(coarsest=100),
-        {"rtol": 1e-2, "coarsest": 150, "ratio": 2, "guard": 1.0, "degree": 3, "seed": 1},
-    ),
-    (
         sk.Cascade(coarsest=200, target=0.1),
         {"coarsest": 150, "target": 1e-6, "subspace": WAVES, "guard": 1.0, "max_steps": 0},
     ),

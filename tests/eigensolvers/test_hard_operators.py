@@ -151,7 +151,6 @@ EXACT = [
     sk.Lobpcg(max_steps=40),
     sk.Refined(degree=6),
     sk.Chebyshev(),
-    sk.Multilevel(coarsest=100),
 ]
 APPROXIMATE = [
     sk.Polished(sweeps=3, degree=10),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import creature, joined, moved, refused
+from conftest import bumpy, creature, joined, moved, refused
 from scipy import sparse
 from scipy.linalg import eigh
 from scipy.spatial import cKDTree
@@ -12,7 +12,14 @@ from scipy.spatial import cKDTree
 from spectra_kit import Laplacian, TriangleMesh, cotan_laplacian, eigensolve, robust_laplacian
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
-from spectra_kit.levels import Subset, coarsen, prolongation, well_spread
+from spectra_kit.levels import (
+    Subset,
+    coarse_iteration,
+    coarse_ritz,
+    coarsen,
+    prolongation,
+    well_spread,
+)
 
 
 @pytest.fixture(scope="module")
@@ -140,3 +147,26 @@ def test_what_is_refused(ball):
     two = robust_laplacian(joined(small, moved(small, 5, 5, 5)))
     refused("n_points", "be at least", well_spread, two, 1)
     assert (well_spread(two, 2).indices // small.n).tolist() == [0, 1]
+
+
+def test_nested_levels_compose(animal, animal_spectrum):
+    fine = coarsen(animal, 2000)
+    bottom = coarsen(fine, 500)
+    assert bottom.mass.sum() == pytest.approx(animal.area)
+    assert (bottom.lumped > 0).all()
+    values, vectors = eigh(
+        bottom.stiffness.toarray(), bottom.mass.toarray(), subset_by_index=[0, 9]
+    )
+    U = fine.prolongation @ (bottom.prolongation @ vectors)
+    np.testing.assert_allclose(U.T @ (animal.mass[:, None] * U), np.eye(10), atol=1e-9)
+    assert values[1:] == pytest.approx(animal_spectrum.eigenvalues[1:10], rel=0.01)
+
+
+def test_coarse_iteration_finds_the_lowest_pairs_of_the_level():
+    level = coarsen(robust_laplacian(bumpy(2562)), 600)
+    truth = eigh(level.stiffness.toarray(), level.mass.toarray(), eigvals_only=True)[:30]
+    noise = np.random.default_rng(0).standard_normal((level.n, 45))
+    found = coarse_iteration(level, coarse_ritz(level, noise, 45), 30, rtol=1e-12)
+    again = coarse_iteration(level, found, 30, max_sweeps=1)
+    for pairs in (found, again):
+        np.testing.assert_allclose(pairs.eigenvalues[:30], truth, rtol=1e-9, atol=1e-9)

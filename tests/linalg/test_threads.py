@@ -39,7 +39,6 @@ s = sk.eigensolve(laplacian, 30)
 jobs = {
     "default": lambda: sk.eigensolve(laplacian, 30),
     "Dense, tiny": lambda: sk.eigensolve(small, 30, sk.Dense()),
-    "Multilevel": lambda: sk.eigensolve(laplacian, 30, sk.Multilevel()),
     "Refined": lambda: sk.eigensolve(laplacian, 30, sk.Refined()),
     "Lobpcg": lambda: sk.eigensolve(laplacian, 30, sk.Lobpcg()),
     "Cascade": lambda: sk.eigensolve(laplacian, 30, sk.Cascade()),

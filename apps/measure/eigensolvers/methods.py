@@ -85,7 +85,6 @@ METHODS: dict[str, Method] = {
     "cascade-1e-5": _ours("cascade", device=True, target=1e-5),
     "polished": _ours("polished"),
     "polished-neo": _ours("polished", neo="start"),
-    "multilevel": _ours("multilevel"),
     "refined": _ours("refined"),
     "refined-neo": _ours("refined", neo="start"),
     "chebyshev": _ours("chebyshev", device=True),
