@@ -20,8 +20,8 @@ from spectra_kit.linalg.memory import factor_gigabytes
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import GivenBasis
 
-_FEW = 6_000  # points up to which nothing costs less than Lanczos on a factor
-_FEW_FOR_EACH = 60  # the same for each mode: coarse levels have to have room for them
+_FEW = 15_000  # points up to which nothing costs less than Lanczos on a factor
+_FEW_FOR_EACH = 160  # the same for each mode: coarse levels have to have room for them
 _TIGHT = 1e-4  # an accuracy below which smoothing costs more than to be exact
 # Smoothing steps that cost what going on with a factor does. Who changes over then has spent at
 # most twice what the better of both takes (rent or buy).

@@ -20,6 +20,7 @@ def errors(spectrum: sk.Spectrum, exact: sk.Spectrum) -> np.ndarray:
 def few_are_fewer(monkeypatch) -> None:
     """Let thousands of points be many: the rule is the same, and tests are quick."""
     monkeypatch.setattr(automatic, "_FEW", 5_000)
+    monkeypatch.setattr(automatic, "_FEW_FOR_EACH", 60)
 
 
 @pytest.fixture(scope="module")
