@@ -39,6 +39,7 @@ class Method:
 
 _RTOL, _AT_RTOL = 1e-6, "1e-6"  # of every method of ours that takes one
 _EXACT = "rounding"
+_STOPS = {"exact": _EXACT, "to tolerance": _AT_RTOL}
 
 
 def _ours(
@@ -60,7 +61,7 @@ def _ours(
 
     return Method(
         make=make,
-        stops={"exact": _EXACT, "to tolerance": _AT_RTOL}.get(solver.promise, ""),
+        stops="" if "accuracy" in options else _STOPS.get(solver.promise, ""),
         devices=("cpu", "cuda") if device else ("cpu",),
         needs=needs,
         slow=name == "lobpcg",
