@@ -105,7 +105,7 @@ class Arpack:
             dtype=np.float64,
         )
         v0 = np.random.default_rng(self.seed).standard_normal(laplacian.n)
-        ncv = min(laplacian.n, max(2 * k, k + 20)) if k < 40 else k + k // 2 + 10
+        ncv = min(laplacian.n, max(2 * k, k + 20)) if k < _MANY else k + k // 2 + 10
         try:
             with blas_threads_for(laplacian.n * ncv):
                 values, vectors = eigsh(

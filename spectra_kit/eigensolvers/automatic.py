@@ -46,7 +46,7 @@ class Automatic:
     ----------
     accuracy : float, optional
         Relative error that the eigenvalues may have, in the mean over the wanted modes; below 1.
-        Exact to rounding without it.
+        Exact to rounding without it, where a factor fits.
     memory : float, default 4.0
         GiB that a sparse factor may take.
     device : str or torch.device, default "cpu"
@@ -63,11 +63,11 @@ class Automatic:
     -----
     Components are chosen for one by one. If any is approximate, so is the spectrum:
     `Certificate.errors` estimates how far its eigenvalues are off. Otherwise they are counted, and
-    none was missed.
+    none was missed; but where no factor fits, modes have residuals of 1e-8, and are not counted.
 
     An eigenvalue's error is of second order in its residual: with b columns on n points those at
     more than ``b / k`` times its value take no part, so that by Weyl's law residuals of
-    ``rtol`` leave at most ``rtol**2 k / (b - k)``.
+    ``rtol`` leave about ``rtol**2 k / (b - k)``.
 
     Examples
     --------

@@ -70,23 +70,30 @@ def _absolute(spectrum: Spectrum, laplacian: Laplacian) -> Floats:
     radius = count.radius if count else 0.0
     least = rounding(laplacian)
     off = np.empty(k)
-    for (first, last), quotients in _clusters(spectrum, laplacian):
+    for (first, last), quotients, gram in _clusters(spectrum, laplacian):
         theta = values[first:last]
-        size = float(np.linalg.norm(residuals[first:last]))
+        apart = float(np.linalg.norm(gram - np.eye(last - first)))  # from orthonormal
+        size = (1 + apart) * float(np.linalg.norm(residuals[first:last]))
         below = values[first] - values[first - 1] if first else np.inf
         # What no count has told is taken to be no nearer than it is on average.
         floor = count.floor if count and verified else values[-1] + laplacian.eigenvalue_spacing
         higher = values[last] if last < (verified or k) else floor
         gap = min(below, higher - values[last - 1]) - radius - size
         skew = float(np.linalg.norm(quotients - np.diag(theta)))
-        linear = np.where(last <= verified, radius, residuals[first:last])
+        skew += (1 + apart) ** 2 * apart * float(theta[-1])
+        sure = np.arange(first, last) < verified
+        linear = np.where(sure, radius, residuals[first:last])
         quadratic = skew + size**2 / gap if gap > 0 else np.inf
-        off[first:last] = np.minimum(linear, quadratic) + least * (last <= verified)
+        # Of a cluster that was counted in part, nothing quadratic is proved.
+        quadratics = np.where(sure & (last > verified), np.inf, quadratic)
+        off[first:last] = np.minimum(linear, quadratics) + least * sure
     return off
 
 
-def _clusters(spectrum: Spectrum, laplacian: Laplacian) -> Iterator[tuple[tuple[int, int], Floats]]:
-    """Find first and last of modes that belong together, with the Rayleigh quotients of each."""
+def _clusters(
+    spectrum: Spectrum, laplacian: Laplacian
+) -> Iterator[tuple[tuple[int, int], Floats, Floats]]:
+    """Find first and last of modes that belong together, with their ``U^T L U`` and ``U^T M U``."""
     certificate = spectrum.certificate
     assert certificate is not None
     U, residuals = spectrum.eigenvectors, certificate.residuals
@@ -98,10 +105,11 @@ def _clusters(spectrum: Spectrum, laplacian: Laplacian) -> Iterator[tuple[tuple[
             continue
         some = np.ascontiguousarray(U[:, start:end])
         quotients = some.T @ spmm(laplacian.stiffness, some)
+        gram = some.T @ (laplacian.mass[:, None] * some)
         inside = [e for e in ends if start < e <= end]
         for last in inside:
             block = slice(first - start, last - start)
-            yield (first, last), quotients[block, block]
+            yield (first, last), quotients[block, block], gram[block, block]
             first = last
         start = end
 

@@ -56,8 +56,8 @@ class Cascade(OnPoints):
         (2,048 at least, with a subspace). With fewer than twice as many points in all, this is
         `Arpack`; with a subspace, `Polished` if there are sweeps, else the subspace on all points.
     sweeps : int, default 0
-        Filtered shift-invert sweeps on the coarsest level that follow the subspace. With none,
-        no matrix is ever factorised.
+        Filtered shift-invert sweeps on the coarsest level that follow the subspace. With a subspace
+        and none, no matrix is ever factorised.
     guard : float, default 0.67
         Columns beyond k, relative to k, below the finest level; a few there. The worse the coarse
         levels, the more of them are needed.

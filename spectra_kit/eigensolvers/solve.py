@@ -260,7 +260,8 @@ class _Run:
                         self.found[i] = error.pairs
                     raise
                 except RankError as error:  # columns of all parts may have few on this one
-                    if len(parts) == 1 or _promise_of(solver) != "approximate":
+                    given = getattr(solver, "subspace", None) or getattr(solver, "start", None)
+                    if len(parts) == 1 or given is None or _promise_of(solver) != "approximate":
                         raise
                     lacking, most[i] = error, min(error.rank, wanted[i] - 1)
                     wanted[i] = most[i]
@@ -302,7 +303,8 @@ class _Run:
             raise
         values, vectors = _of_checked_form(pairs, solver, (laplacian.n, k))
         self.count(pairs, time.perf_counter() - start)
-        errors = None if pairs.errors is None else np.asarray(pairs.errors)[np.argsort(values)]
+        errors = None if pairs.errors is None else np.asarray(pairs.errors)
+        errors = None if errors is None else errors[np.argsort(values, kind="stable")]
         values, vectors = _sorted(values, vectors)
         if values[0] < -_NEGATIVE * laplacian.eigenvalue_spacing:
             raise InvalidSpectrumError(

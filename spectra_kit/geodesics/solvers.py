@@ -118,7 +118,8 @@ class Automatic:
     Parameters
     ----------
     memory : float, default 4.0
-        GiB that two complete factors may take.
+        GiB that two complete factors may take; other boundaries and triangles of very different
+        sizes need more of them.
     modes : int, default 24
         How many modes the iterative solver uses at most.
     rtol : float, default 1e-8

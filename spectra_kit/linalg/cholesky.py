@@ -14,6 +14,7 @@ from spectra_kit.linalg._checks import check_matrix
 from spectra_kit.linalg.dissection import nested_dissection
 
 _MAX_ENTRIES = 2**31 - 1  # of a matrix: 32-bit indices
+_ASYMMETRY = 1e-8  # of the largest entry: more is none of rounding
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,7 +58,7 @@ class Elimination:
         """
         from spectra_kit.linalg import _frontal_kernels as kernels
 
-        A = check_matrix(matrix)
+        A = _symmetric(matrix)
         if A.nnz > _MAX_ENTRIES:
             raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", A.nnz)
         starts, columns = (np.require(part, None, "W") for part in (A.indptr, A.indices))
@@ -128,7 +129,7 @@ class SparseCholesky:
     def __init__(self, matrix: sparse.csr_array, *, elimination: Elimination | None = None) -> None:
         from spectra_kit.linalg._frontal_kernels import factorise
 
-        A = check_matrix(matrix)
+        A = _symmetric(matrix)
         self.n: int = A.shape[0]
         if elimination is not None and not elimination.serves(A):
             raise InvalidInputError("elimination", "have the pattern of `matrix`", "another")
@@ -188,3 +189,15 @@ class SparseCholesky:
                 x,
             )
         return found[0] if rhs.ndim == 1 else np.ascontiguousarray(found.T)
+
+
+def _symmetric(matrix: sparse.csr_array) -> sparse.csr_array:
+    """Return a matrix with the pattern of its transpose, on which the loops rely."""
+    A = check_matrix(matrix)
+    other = sparse.csr_array(A.T)
+    other.sort_indices()
+    if all(map(np.array_equal, (A.indptr, A.indices), (other.indptr, other.indices))):
+        return A
+    if abs(A - other).max() > _ASYMMETRY * abs(A).max():
+        raise InvalidInputError("matrix", "be symmetric, both triangles stored", "another")
+    return check_matrix((A + other) / 2)

@@ -111,11 +111,13 @@ def sliced_eigenpairs(
             before = X[first if tol <= _ROUNDING else 0 : begin]
             X[begin:end] = new - combined(inner(new, before), before)
             clock.stage("pairs")
+            gained, found = end > found, end
             if end < 2:
                 break  # nothing to go by
             reached = min(len(run.below), len(upper)) if last < sigma else _ONE_SIDED * len(upper)
             reach = max(reach, _SAFE * reached)
-            first, last, counted, found, closer = begin, sigma, min(number, k), end, 0
+            first, last, counted = begin, sigma, min(number, k)
+            closer = 0 if gained else closer + 1
             ahead = math.ceil((k - found) / (2 * max(1, math.ceil((k - found) / (2 * reach)))))
             some = min(_DENSITY, found - 1)
             sigma = values[found - 1] + ahead * np.ptp(values[found - 1 - some : found]) / some

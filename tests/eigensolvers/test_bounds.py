@@ -91,3 +91,13 @@ def test_the_kinds_stay_with_the_modes(tmp_path, animal_spectrum):
         np.testing.assert_array_equal(certificate.errors, animal_spectrum.certificate.errors)
     assert animal_spectrum.truncate(5).certificate.bounded.tolist() == [True] * 5
     assert len(animal_spectrum.nonzero().certificate.bounded) == animal_spectrum.k - 1
+
+
+def test_modes_that_are_not_of_unit_norm():
+    """A mode too long makes its Rayleigh quotient too large by the square: bounds must tell."""
+    laplacian = sk.robust_laplacian(sphere(subdivisions=3).geometry)
+    exact = sk.eigensolve(laplacian, 9)
+    long = sk.Spectrum(1.0201 * exact.eigenvalues, 1.01 * exact.eigenvectors, laplacian.mass)
+    proved = sk.verify(long, laplacian).certificate
+    off = np.abs(long.eigenvalues[1:] / exact.eigenvalues[1:] - 1)
+    assert (proved.errors[1:] >= off)[proved.bounded[1:]].all()

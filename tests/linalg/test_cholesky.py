@@ -127,3 +127,15 @@ def test_want_of_memory_is_an_error_of_its_own() -> None:
     code = f"import sys; sys.path[:0] = [{str(tests)!r}, {str(tests.parent)!r}]\n{STARVED}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "OutOfMemoryError: the factor of 64000 unknowns does not fit" in done.stderr
+
+
+def test_patterns_that_are_not_symmetric():
+    """Loops go by one triangle and by the other: rounding in one is taken out, more is refused."""
+    A = sparse.csr_array(sparse.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(50, 50)))
+    loose = sparse.coo_array(([1e-17, -1e-17], ([3, 40], [30, 7])), shape=A.shape)
+    b = np.arange(50.0)
+    found = SparseCholesky(sparse.csr_array(A + loose)).solve(b)
+    np.testing.assert_allclose(A @ found, b, atol=1e-12)
+    for half in (sparse.triu(A), sparse.tril(A)):
+        with pytest.raises(InvalidInputError, match="be symmetric, both triangles stored"):
+            SparseCholesky(sparse.csr_array(half))
