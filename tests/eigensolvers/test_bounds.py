@@ -105,7 +105,7 @@ def test_modes_that_are_not_of_unit_norm():
 
 
 def test_errors_stay_with_their_modes_when_the_constant_comes_out() -> None:
-    """A mode that held some of the constant has a larger eigenvalue without it, and another place."""
+    """A mode that held some of the constant has another place without it."""
     laplacian = sk.robust_laplacian(bumpy())
     exact = sk.eigensolve(laplacian, 10, sk.Dense())
     told = np.arange(1.0, 11.0) * 1e-3
