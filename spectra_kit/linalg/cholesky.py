@@ -11,7 +11,7 @@ from scipy import sparse
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.linalg._checks import check_matrix
-from spectra_kit.linalg.dissection import nested_dissection
+from spectra_kit.linalg.minimum_degree import minimum_degree
 
 _MAX_ENTRIES = 2**31 - 1  # of a matrix: 32-bit indices
 _ASYMMETRY = 1e-8  # of the largest entry: more is none of rounding
@@ -62,7 +62,7 @@ class Elimination:
         if A.nnz > _MAX_ENTRIES:
             raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", A.nnz)
         starts, columns = (np.require(part, None, "W") for part in (A.indptr, A.indices))
-        order, parent, below = kernels.elimination_tree(starts, columns, nested_dissection(A))
+        order, parent, below = kernels.elimination_tree(starts, columns, minimum_degree(A))
         begins = kernels.supernodes(parent, below)
         first, rows, above, sizes = kernels.front_rows(
             starts, columns, order, parent, below, begins
@@ -111,7 +111,7 @@ class SparseCholesky:
 
     Notes
     -----
-    A multifrontal factorisation in the order of `nested_dissection`, in compiled loops that release
+    A multifrontal factorisation in the order of `minimum_degree`, in compiled loops that release
     the interpreter lock. For one right-hand side at a time; `SparseLDL` solves blocks faster.
     CHOLMOD from a wheel took five to seven times as long on operators of surfaces, kept the lock,
     and analysed the pattern anew for each matrix.
@@ -153,7 +153,7 @@ class SparseCholesky:
         except MemoryError as error:
             raise OutOfMemoryError(
                 f"the factor of {self.n} unknowns does not fit into memory; use a method without"
-                " one, such as Lobpcg(preconditioner='amg') or geodesics.Iterative()"
+                " one, such as Cascade() or geodesics.Iterative()"
             ) from error
         if bad >= 0:
             raise InvalidInputError(
