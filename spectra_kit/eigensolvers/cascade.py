@@ -22,7 +22,7 @@ from spectra_kit.levels.cascade import climb, nested
 from spectra_kit.levels.ordering import gathered
 from spectra_kit.levels.smoothing import on_device
 from spectra_kit.linalg.ritz import ritz_pairs
-from spectra_kit.linalg.threads import single_threaded_blas
+from spectra_kit.linalg.threads import single_threaded_blas, team
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import Subspace, restricted
 from spectra_kit.subspaces.given import OnPoints
@@ -58,9 +58,9 @@ class Cascade(OnPoints):
     sweeps : int, default 0
         Filtered shift-invert sweeps on the coarsest level that follow the subspace. With a subspace
         and none, no matrix is ever factorised.
-    guard : float, default 0.67
-        Columns beyond k, relative to k, below the finest level; a few there. The worse the coarse
-        levels, the more of them are needed.
+    guard : float, default 0.4
+        Columns beyond k, relative to k, below the finest level; half as many there. The worse the
+        coarse levels, the more of them are needed.
     max_steps : int, default 20
         Steps on all points at most: a smoother and Rayleigh-Ritz. 0 carries the modes up alone.
     device : str or torch.device, default "cpu"
@@ -98,7 +98,7 @@ class Cascade(OnPoints):
     target: float = 1e-3
     coarsest: int | None = None
     sweeps: int = 0
-    guard: float = 0.67
+    guard: float = 0.4
     max_steps: int = 20
     device: str = "cpu"
     rank_tol: float = 1e-10
@@ -139,7 +139,7 @@ class Cascade(OnPoints):
             return self._without_levels(laplacian, k)
         clock.stage("coarsen")
         bottom = levels[-1] if levels else gathers
-        with device_memory():
+        with device_memory(), team():
             if self.subspace is None:
                 assert isinstance(bottom, Coarse)
                 begun = self._solved(bottom, k, block)
@@ -155,7 +155,7 @@ class Cascade(OnPoints):
                 levels,
                 *begun,
                 k,
-                keep=block_size(k, self.guard / 4),
+                keep=block_size(k, self.guard / 2),
                 target=self.target,
                 max_steps=self.max_steps,
                 device=self.device,
