@@ -13,7 +13,7 @@ from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError, Promise
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg import SparseCholesky
+from spectra_kit.linalg import SparseLDL
 from spectra_kit.linalg.shift_invert import shifted_factor
 from spectra_kit.linalg.slicing import MOST, sliced_eigenpairs
 from spectra_kit.linalg.threads import blas_threads_for
@@ -92,7 +92,7 @@ class Arpack:
         if k >= _MANY and laplacian.n >= 2 * MOST:
             return self._sliced(laplacian, k, sigma)
         clock = Clock()
-        factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma, SparseCholesky)
+        factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma, SparseLDL)
         clock.stage("factor")
         # ARPACK takes a Ritz value below eps^(2/3) = 4e-11 for converged when it is so absolutely,
         # not relatively: in units of the spacing they are all far above that, whatever the input's.
