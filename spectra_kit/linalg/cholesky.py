@@ -10,7 +10,7 @@ from scipy import sparse
 
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg._checks import check_matrix
-from spectra_kit.linalg.dissection import nested_dissection
+from spectra_kit.linalg.minimum_degree import minimum_degree
 
 _MAX_ENTRIES = 2**31 - 1  # of a matrix: 32-bit indices
 _ASYMMETRY = 1e-8  # of the largest entry: more is none of rounding
@@ -61,7 +61,7 @@ class Elimination:
         if A.nnz > _MAX_ENTRIES:
             raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", A.nnz)
         starts, columns = (np.require(part, None, "W") for part in (A.indptr, A.indices))
-        order, parent, below = kernels.elimination_tree(starts, columns, nested_dissection(A))
+        order, parent, below = kernels.elimination_tree(starts, columns, minimum_degree(A))
         begins = kernels.supernodes(parent, below)
         first, rows, above, sizes = kernels.front_rows(
             starts, columns, order, parent, below, begins

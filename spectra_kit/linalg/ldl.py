@@ -67,11 +67,10 @@ class SparseLDL:
 
     Notes
     -----
-    A multifrontal factorisation in the order of `nested_dissection`, solved in blocks of columns,
+    A multifrontal factorisation in the order of `minimum_degree`, solved in blocks of columns,
     one for each thread; all in compiled loops that release the interpreter lock. The bits of a
     solution depend neither on the number of threads nor on the other right-hand sides. On operators
-    of surfaces CHOLMOD from a wheel took five to seven times as long for a factor, QDLDL with
-    approximate minimum degree two to eight times.
+    of surfaces CHOLMOD from a wheel took five to seven times as long for a factor.
 
     Examples
     --------
