@@ -14,7 +14,7 @@ from spectra_kit._version import VERSION
 
 _PACKAGES = (
     *("numpy", "scipy", "torch", "numba", "libigl", "potpourri3d"),
-    *("robust_laplacian", "pyamg", "lapy", "pyFM"),
+    *("robust_laplacian", "lapy", "pyFM"),
 )
 _SHARE = 0.85  # of the memory that is available
 

@@ -117,7 +117,7 @@ class SparseLDL:
         except MemoryError as error:
             raise OutOfMemoryError(
                 f"the factor of {self.n} unknowns does not fit into memory; use a method without"
-                " one, such as Lobpcg(preconditioner='amg') or geodesics.Iterative()"
+                " one, such as Cascade() or geodesics.Iterative()"
             ) from error
         if bad >= 0:
             raise InvalidInputError(

@@ -138,7 +138,7 @@ def test_a_prediction_claims_only_what_holds(bumpy_laplacian) -> None:
     waves = sk.RayleighRitz(subspace=sk.AmbientFourier(m=200))
     predicted, loose = (
         sk.verify(sk.eigensolve(bumpy_laplacian, 16, solver), bumpy_laplacian).certificate
-        for solver in (waves, sk.Lobpcg(rtol=1e-5))
+        for solver in (waves, sk.Refined(rtol=1e-5))
     )
     assert predicted.level == "residuals"
     assert predicted.n_verified <= 4

@@ -251,7 +251,7 @@ def test_a_set_has_a_geometric_mean_and_its_worst_and_nobody_is_excused(tmp_path
         on(SPOTS, "cascade", 1.0, 1e-4, peak_bytes=3e9),
         *(on(EASY, "neo", 0.1, 1e-9), on(SPOTS, "neo", 0.1, 1e-9)),
         on(HARD, "neo", None, None, status="failed", reason="too hard"),
-        on(EASY, "lobpcg", None, None, status="failed", reason="never"),
+        on(EASY, "refined", None, None, status="failed", reason="never"),
     ]
     eigsh, cascade, neo = summaries(repeats_of(results))
     assert cascade.over["slowdown"] == (pytest.approx(1 / 4), 1.0, "hard")  # 8 * 1 * 8 = 4 ** 3

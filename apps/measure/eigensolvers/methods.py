@@ -64,7 +64,6 @@ def _ours(
         stops="" if "accuracy" in options else _STOPS.get(solver.promise, ""),
         devices=("cpu", "cuda") if device else ("cpu",),
         needs=needs,
-        slow=name == "lobpcg",
     )
 
 
@@ -84,21 +83,16 @@ METHODS: dict[str, Method] = {
     "automatic-1e-5": _ours("automatic", device=True, accuracy=1e-5),
     "cascade": _ours("cascade", device=True),
     "cascade-1e-5": _ours("cascade", device=True, target=1e-5),
-    "polished": _ours("polished"),
-    "polished-neo": _ours("polished", neo="start"),
     "refined": _ours("refined"),
     "refined-neo": _ours("refined", neo="start"),
     "chebyshev": _ours("chebyshev", device=True),
     "chebyshev-neo": _ours("chebyshev", neo="start", device=True),
-    "lobpcg": _ours("lobpcg"),
-    "lobpcg-amg": _ours("lobpcg", preconditioner="amg", needs="pyamg"),
     "arpack": _ours("arpack"),
     "eigsh": _theirs(peers.ScipyEigsh(), _EXACT),
     "eigsh-1e-6": _theirs(peers.ScipyEigsh(tol=_RTOL), _AT_RTOL),
     "eigsh-dnet": _theirs(peers.DiffusionNetEigsh(), _EXACT),
     "lapy": _theirs(peers.LapySolver(), _EXACT, needs="lapy"),
     "spectra": _theirs(peers.LibiglSpectra(), "default", slow=True),
-    "lobpcg-pyamg": _theirs(peers.PyamgLobpcg(rtol=_RTOL), _AT_RTOL, needs="pyamg", slow=True),
 }
 #: What a quick comparison measures.
 QUICK = tuple(name for name, method in METHODS.items() if not method.slow)
