@@ -155,15 +155,16 @@ def drawing(pictures: Sequence[Path], *, kept: str) -> Iterator[None]:
 
     The numbers took longer than their pictures, and are whole: Ctrl-C does not throw them away.
     """
-    before = [_state(path) for path in pictures]
+    before, done = [_state(path) for path in pictures], False
     try:
         with step("drawing"):
             yield
-    except BaseException:
-        drawn = zip(pictures, before, strict=True)
-        missing = [str(path) for path, old in drawn if _state(path) in (None, old)]
-        say(f"{kept}, but not drawn: {', '.join(missing)}")
-        raise
+        done = True
+    finally:
+        if not done:
+            drawn = zip(pictures, before, strict=True)
+            missing = [str(path) for path, old in drawn if _state(path) in (None, old)]
+            say(f"{kept}, but not drawn: {', '.join(missing)}")
 
 
 def _state(path: Path) -> tuple[int, int] | None:

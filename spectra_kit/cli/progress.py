@@ -73,10 +73,9 @@ def _line(text: str, **options: Any) -> Iterator[Any]:
     try:
         with tqdm(desc=text[: width - 10], leave=False, file=sys.stderr, **size, **options) as bar:
             yield bar
-    except BaseException:
+    finally:
         # Interrupted just as it is made, a line is shown and never closed.
         sys.stderr.write(f"\r{'':{width}}\r")
-        raise
     if (seconds := time.perf_counter() - start) >= _LONG:
         sys.stderr.write(f"{text}: done in {seconds:.1f} s\n")
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.arpack import Arpack
-from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, Promise
+from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError, Promise
 from spectra_kit.eigensolvers.cascade import Cascade
 from spectra_kit.eigensolvers.chebyshev import Chebyshev
 from spectra_kit.eigensolvers.refined import Refined
@@ -128,38 +129,39 @@ class Automatic:
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
         solver, reason = self.choose(laplacian.n, k)
-        pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
-        if isinstance(solver, Cascade) and not self._is_met(pairs.errors):
-            solver, reason = self._further(laplacian.n, pairs)
-            more = Eigenpairs(*solver.eigenpairs(laplacian, k))
-            pairs = more._replace(seconds=_sum(pairs.seconds, more.seconds))
-        return pairs._replace(solver=solver, reason=reason)
+        found = Eigenpairs(*solver.eigenpairs(laplacian, k))
+        found = found._replace(solver=solver, reason=reason)
+        missed = isinstance(solver, Cascade) and not self._is_met(found.errors)
+        return self._further(laplacian, k, found) if missed else found
 
     def _is_met(self, errors: Floats | None) -> bool:
         """Whether eigenvalues of such errors are as accurate as asked for."""
         return errors is not None and bool(errors.mean() <= (self.accuracy or 0.0) / _MARGIN)
 
-    def _further(self, n: int, pairs: Eigenpairs) -> tuple[Eigensolver, str]:
-        """Return what goes on where smoothing stalls, and why."""
+    def _further(self, laplacian: Laplacian, k: int, pairs: Eigenpairs) -> Eigenpairs:
+        """Go on where smoothing stalls; what it left is kept where that does not converge."""
         left = "unknown errors" if pairs.errors is None else f"errors of {pairs.errors.mean():.1e}"
         steps = quantity(pairs.iterations or 0, "step")
         reason = f"{steps} of smoothing left {left}, more than {self.accuracy:g}"
+        on_host = self.device == "cpu" and factor_gigabytes(laplacian.n) <= self.memory
+        solver: Refined | Chebyshev = Refined() if on_host else Chebyshev(device=self.device)
         start = GivenBasis(pairs.eigenvectors)
-        if self._has_factor(n):
-            return Refined(start=start, rtol=self._rtol, guard=_GUARD, seed=self.seed), reason
-        device = self.device
-        return Chebyshev(
-            start=start, rtol=self._rtol, guard=_GUARD, device=device, seed=self.seed
-        ), reason
+        solver = replace(solver, start=start, rtol=self._rtol, guard=_GUARD, seed=self.seed)
 
-    def _has_factor(self, n: int) -> bool:
-        """Whether one may be made: on the host, and within the memory."""
-        return self.device == "cpu" and factor_gigabytes(n) <= self.memory
+        def told(more: Eigenpairs) -> Eigenpairs:
+            seconds = dict(Counter(pairs.seconds) + Counter(more.seconds))
+            return more._replace(seconds=seconds, solver=solver, reason=reason)
 
-
-def _sum(*stages: Mapping[str, float] | None) -> dict[str, float]:
-    """Add wall times by stage."""
-    total: Counter[str] = Counter()
-    for one in stages:
-        total.update(one or {})
-    return dict(total)
+        try:
+            return told(solver.eigenpairs(laplacian, k))
+        except NotConvergedError as error:
+            error.pairs = told(error.pairs or pairs)
+            raise
+        except MemoryError as error:
+            raise NotConvergedError(
+                f"{reason}, and what goes on does not fit into memory ({error})",
+                pairs,
+                np.zeros(k, dtype=bool),
+                advice="use {}",
+                remedies=("Chebyshev",),
+            ) from error

@@ -68,8 +68,8 @@ def eigensolve(
         Number of modes, zero modes included; at most the number of free points.
     solver : Eigensolver, default Automatic()
         ``Automatic(accuracy=1e-3)`` takes what costs least for that accuracy; without it, all is
-        exact. For those who know: `Arpack`, `Refined`, `Chebyshev`, `Lobpcg`,
-        `Dense`; approximate: `Neo`, `Cascade`, `Polished`, `RayleighRitz`; or your own.
+        exact. For those who know: `Arpack`, `Refined`, `Chebyshev`, `Dense`; approximate:
+        `Neo`, `Cascade`, `RayleighRitz`; or your own.
 
     Returns
     -------
@@ -180,7 +180,7 @@ class _Run:
                 f"{self.name}: {self.k} modes on {self.laplacian.n} points do not fit into memory"
                 f" ({error})",
                 advice="ask for fewer, sample fewer points, or take a backend that needs less, such"
-                " as Chebyshev() or Lobpcg(preconditioner='amg')",
+                " as Cascade() or Chebyshev()",
                 partial=partial,
             ) from error
         spectrum = self.packed(pairs)
@@ -252,12 +252,10 @@ class _Run:
                 part = laplacian if whole else laplacian.restricted(parts[i])
                 own = solver if whole else restricted(solver, parts[i])
                 try:
-                    self.found[i] = pairs = self.connected(part, wanted[i], own)
-                    if pairs.solver is not None:
-                        self.chosen[i] = Chosen(pairs.solver, pairs.reason, part.n)
+                    self.keep(i, self.connected(part, wanted[i], own))
                 except NotConvergedError as error:
                     if error.pairs is not None:
-                        self.found[i] = error.pairs
+                        self.keep(i, error.pairs)
                     raise
                 except RankError as error:  # columns of all parts may have few on this one
                     given = getattr(solver, "subspace", None) or getattr(solver, "start", None)
@@ -286,6 +284,12 @@ class _Run:
         self.found.clear()  # gigabytes, while the merged ones are certified
         return merged
 
+    def keep(self, i: int, pairs: Eigenpairs) -> None:
+        """Remember what was found of a component, and what was chosen for it."""
+        self.found[i] = pairs
+        if pairs.solver is not None:
+            self.chosen[i] = Chosen(pairs.solver, pairs.reason, len(self.parts[i]))
+
     def connected(self, laplacian: Laplacian, k: int, solver: Eigensolver) -> Eigenpairs:
         """Call the backend on one component, check the form of its answer, and sort it."""
         start = time.perf_counter()
@@ -301,19 +305,15 @@ class _Run:
             nothing = Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)))
             self.count(error.pairs or nothing, time.perf_counter() - start)
             raise
-        values, vectors = _of_checked_form(pairs, solver, (laplacian.n, k))
+        pairs = _of_checked_form(pairs, solver, (laplacian.n, k))
         self.count(pairs, time.perf_counter() - start)
-        errors = None if pairs.errors is None else np.asarray(pairs.errors)
-        errors = None if errors is None else errors[np.argsort(values, kind="stable")]
-        values, vectors = _sorted(values, vectors)
-        if values[0] < -_NEGATIVE * laplacian.eigenvalue_spacing:
+        if pairs.eigenvalues.min() < -_NEGATIVE * laplacian.eigenvalue_spacing:
             raise InvalidSpectrumError(
-                f"{solver!r} returned a negative eigenvalue ({values[0]:.3e})",
+                f"{solver!r} returned a negative eigenvalue ({pairs.eigenvalues.min():.3e})",
                 advice="is the stiffness positive semi-definite? (Where entries spread over many"
                 " decades, so does rounding.)",
             )
-        found = _with_exact_constant(laplacian, np.maximum(values, 0.0), vectors)
-        return found._replace(errors=errors, solver=pairs.solver, reason=pairs.reason)
+        return _sorted(_with_exact_constant(laplacian, _sorted(pairs)))
 
     def merged(self, k: int) -> Eigenpairs:
         """Return the k lowest pairs (or all there are) of the components solved, on all points."""
@@ -348,8 +348,9 @@ class _Run:
     def packed(self, pairs: Eigenpairs) -> Spectrum:
         """Check and certify `pairs`, and say where they come from."""
         begin, laplacian = time.perf_counter(), self.laplacian
-        values, vectors = _sorted(pairs.eigenvalues, pairs.eigenvectors)
-        spectrum = Spectrum(np.maximum(values, 0.0), vectors, laplacian.mass).certify(laplacian)
+        pairs = _sorted(pairs)
+        spectrum = Spectrum(pairs.eigenvalues, pairs.eigenvectors, laplacian.mass)
+        spectrum = spectrum.certify(laplacian)
         assert spectrum.certificate is not None
         if (error := spectrum.certificate.orthonormality_error) > _ORTHONORMAL:
             raise InvalidSpectrumError(
@@ -417,10 +418,8 @@ def _name_of(solver: Eigensolver) -> str:
     return str(getattr(solver, "name", type(solver).__name__.lower()))
 
 
-def _of_checked_form(
-    pairs: Eigenpairs, solver: Eigensolver, shape: tuple[int, int]
-) -> tuple[Floats, Floats]:
-    """Return eigenvalues and eigenvectors; refuse what has another shape or no real numbers."""
+def _of_checked_form(pairs: Eigenpairs, solver: Eigensolver, shape: tuple[int, int]) -> Eigenpairs:
+    """Return the pairs as arrays; refuse what has another shape or no real numbers."""
     n, k = shape
     values, vectors = np.asarray(pairs.eigenvalues), np.asarray(pairs.eigenvectors)
     if values.shape != (k,) or vectors.shape != shape:
@@ -436,15 +435,20 @@ def _of_checked_form(
         raise InvalidSpectrumError(
             f"{solver!r} must return real numbers, got {values.dtype} and {vectors.dtype}"
         )
-    return values, vectors
+    return pairs._replace(eigenvalues=values, eigenvectors=vectors)
 
 
-def _sorted(values: Floats, vectors: Floats) -> tuple[Floats, Floats]:
-    """Return the pairs in ascending order, without a copy where they are."""
+def _sorted(pairs: Eigenpairs) -> Eigenpairs:
+    """Return the pairs ascending and none negative, eigenvectors without a copy where they are."""
+    values, vectors, errors = pairs.eigenvalues, pairs.eigenvectors, pairs.errors
     order = np.argsort(values, kind="stable")
-    if np.array_equal(order, np.arange(len(order))):
-        return values, vectors
-    return values[order], vectors[:, order]
+    if not np.array_equal(order, np.arange(len(order))):
+        vectors = vectors[:, order]
+    return pairs._replace(
+        eigenvalues=np.maximum(values[order], 0.0),
+        eigenvectors=vectors,
+        errors=None if errors is None else np.asarray(errors)[order],
+    )
 
 
 def _component_indices(laplacian: Laplacian) -> list[Ints]:
@@ -462,7 +466,7 @@ def _open_modes(error: NotConvergedError, partial: Spectrum) -> int:
     return int((values <= partial.eigenvalues[-1]).sum())
 
 
-def _with_exact_constant(laplacian: Laplacian, values: Floats, vectors: Floats) -> Eigenpairs:
+def _with_exact_constant(laplacian: Laplacian, pairs: Eigenpairs) -> Eigenpairs:
     """Take the rounding out of the zero mode of a connected Neumann operator.
 
     Its error is relative to the largest eigenvalue, which beside a much larger component would
@@ -471,20 +475,22 @@ def _with_exact_constant(laplacian: Laplacian, values: Floats, vectors: Floats) 
     others solved for once more.
     """
     constant = 1 / np.sqrt(laplacian.area)
-    with blas_threads_for(vectors.size):
-        cosines = constant * (laplacian.mass @ vectors)
+    with blas_threads_for(pairs.eigenvectors.size):
+        cosines = constant * (laplacian.mass @ pairs.eigenvectors)
     if not laplacian.kernel_dimension or not abs(cosines @ cosines - 1) <= _CONSTANT:
-        return Eigenpairs(values, vectors)
+        return pairs
     near = np.abs(cosines) >= min(_CONSTANT, np.abs(cosines).max())
-    values, vectors = values.copy(), vectors - constant * cosines
+    values, vectors = pairs.eigenvalues.copy(), pairs.eigenvectors - constant * cosines
     # The first axis goes to the constant, the others span what else these modes span.
     axes = np.linalg.qr(cosines[near, None], mode="complete")[0]
     others = ritz_rotation(laplacian.stiffness, laplacian.mass, vectors[:, near] @ axes[:, 1:])
-    values[near] = np.append(-1.0, np.maximum(others[0], 0.0))  # the constant comes first
+    values[near] = np.append(-1.0, others[0])  # the constant comes first
     vectors[:, near] = np.column_stack([np.full(laplacian.n, constant), others[1]])
-    values, vectors = _sorted(values, vectors)
-    values[0] = 0.0
-    return Eigenpairs(values, vectors)
+    errors = pairs.errors
+    if errors is not None:  # each of the others may be as far off as any that it is made of
+        errors = np.array(errors)
+        errors[near] = np.append(0.0, np.full(len(others[0]), errors[near].max()))
+    return pairs._replace(eigenvalues=values, eigenvectors=vectors, errors=errors)
 
 
 def _fingerprint(laplacian: Laplacian) -> str:

@@ -18,7 +18,7 @@ from spectra_kit.linalg.compiled import compiled
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Reals = Floats | Singles
-Ints = NDArray[np.int64] | NDArray[np.int32] | NDArray[np.uint32]
+Ints = NDArray[np.int64] | NDArray[np.int32]
 
 
 @register_jitable
@@ -33,95 +33,6 @@ def _four(columns: Ints, values: Reals, p: int, end: int) -> tuple[Any, ...]:
     v2 = values[q2] if p + 1 < last else zero
     v3 = values[q3] if p + 2 < last else zero
     return values[p], v1, v2, v3, columns[p], columns[q1], columns[q2], columns[q3]
-
-
-@compiled()
-def solve_columns(
-    starts: Ints,
-    rows: Ints,
-    lower: Reals,
-    inverse: Reals,
-    groups: Ints,
-    order: Ints,
-    rhs: Reals,
-    out: Reals,
-    first: int,
-    last: int,
-) -> None:
-    """Write the solution of ``P (I + L) D (I + L)^T P^T x = rhs`` to `out`, both (n, s).
-
-    For the columns `first` to `last`: each entry of the factor is read once for all of them, which
-    is where the time goes. L is stored by columns, ``rows[starts[j]:starts[j + 1]]`` below the
-    diagonal; `inverse` holds 1 / D. Columns ``groups[g]`` to ``groups[g + 1]``, four at most, have
-    the same rows below them: where there are four, one look at a row serves all.
-    """
-    n = len(inverse)
-    width = last - first
-    y = np.empty((n, width), lower.dtype)
-    for j in range(n):
-        for c in range(width):
-            y[j, c] = rhs[order[j], first + c]
-    for g in range(len(groups) - 1):
-        a, b = groups[g], groups[g + 1]
-        if b - a == 4:
-            p0, p1, p2, p3 = starts[a], starts[a + 1], starts[a + 2], starts[a + 3]
-            l10, l20, l30 = lower[p0], lower[p0 + 1], lower[p0 + 2]
-            l21, l31, l32 = lower[p1], lower[p1 + 1], lower[p2]
-            for c in range(width):
-                y0 = y[a, c]
-                y1 = y[a + 1, c] - l10 * y0
-                y2 = y[a + 2, c] - l20 * y0 - l21 * y1
-                y[a + 3, c] = y[a + 3, c] - l30 * y0 - l31 * y1 - l32 * y2
-                y[a + 1, c], y[a + 2, c] = y1, y2
-            p0, p1, p2 = p0 + 3, p1 + 2, p2 + 1
-            for t in range(starts[b] - p3):
-                i = rows[p3 + t]
-                v0, v1, v2, v3 = lower[p0 + t], lower[p1 + t], lower[p2 + t], lower[p3 + t]
-                for c in range(width):
-                    y[i, c] -= (v0 * y[a, c] + v1 * y[a + 1, c]) + (
-                        v2 * y[a + 2, c] + v3 * y[a + 3, c]
-                    )
-        else:
-            for j in range(a, b):
-                for p in range(starts[j], starts[j + 1]):
-                    i, v = rows[p], lower[p]
-                    for c in range(width):
-                        y[i, c] -= v * y[j, c]
-    for g in range(len(groups) - 2, -1, -1):
-        a, b = groups[g], groups[g + 1]
-        for j in range(a, b):
-            v = inverse[j]
-            for c in range(width):
-                y[j, c] *= v
-        if b - a == 4:
-            p0, p1, p2, p3 = starts[a], starts[a + 1], starts[a + 2], starts[a + 3]
-            l10, l20, l30 = lower[p0], lower[p0 + 1], lower[p0 + 2]
-            l21, l31, l32 = lower[p1], lower[p1 + 1], lower[p2]
-            p0, p1, p2 = p0 + 3, p1 + 2, p2 + 1
-            for t in range(starts[b] - p3):
-                i = rows[p3 + t]
-                v0, v1, v2, v3 = lower[p0 + t], lower[p1 + t], lower[p2 + t], lower[p3 + t]
-                for c in range(width):
-                    yi = y[i, c]
-                    y[a, c] -= v0 * yi
-                    y[a + 1, c] -= v1 * yi
-                    y[a + 2, c] -= v2 * yi
-                    y[a + 3, c] -= v3 * yi
-            for c in range(width):
-                y3 = y[a + 3, c]
-                y2 = y[a + 2, c] - l32 * y3
-                y1 = y[a + 1, c] - l21 * y2 - l31 * y3
-                y[a, c] = y[a, c] - l10 * y1 - l20 * y2 - l30 * y3
-                y[a + 1, c], y[a + 2, c] = y1, y2
-        else:
-            for j in range(b - 1, a - 1, -1):
-                for p in range(starts[j], starts[j + 1]):
-                    i, v = rows[p], lower[p]
-                    for c in range(width):
-                        y[j, c] -= v * y[i, c]
-    for j in range(n):
-        for c in range(width):
-            out[order[j], first + c] = y[j, c]
 
 
 @compiled()

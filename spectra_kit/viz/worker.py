@@ -67,11 +67,10 @@ def _asked() -> list[Request] | None:
 
 
 def _portable(error: Exception) -> Exception:
-    """The error with its traceback, or what it says of itself where it cannot be unpickled."""
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:  # noqa: BLE001  # whatever it is, it must not hide the one that is told
-        error = RuntimeError(repr(error)).with_traceback(error.__traceback__)
+    """The error with its traceback; of another package's, which may not unpickle, what it says."""
+    if type(error).__module__ != "builtins":
+        kind = MemoryError if isinstance(error, MemoryError) else RuntimeError
+        error = kind(repr(error))
     error.add_note(f"It was raised in the process that draws:\n{traceback.format_exc()}")
     return error
 

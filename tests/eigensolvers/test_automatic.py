@@ -117,6 +117,39 @@ def test_smoothing_that_stalls_goes_on_with_a_factor(
     assert found.certificate.bounded.all(), "what the smoothing left is no more"
 
 
+def test_what_goes_on_and_does_not_converge_keeps_the_modes(monkeypatch, animal, exact) -> None:
+    """The partial spectrum is certified, tells who made it, and all the time that it took."""
+    monkeypatch.setattr(automatic, "_STEPS", 1)
+    monkeypatch.setattr(automatic, "_TIGHT", 1e-9)
+    refined = replace(sk.Refined(), max_sweeps=1)
+    monkeypatch.setattr(automatic, "Refined", lambda: refined)
+    with pytest.raises(sk.errors.ConvergenceError, match=r"30 modes reached rtol") as caught:
+        sk.eigensolve(animal, 30, sk.Automatic(accuracy=1e-9))
+    partial = caught.value.partial
+    assert (partial.k, partial.provenance.name) == (30, "refined")
+    assert partial.provenance.reason.startswith("1 step of smoothing left errors of ")
+    assert {"coarsen", "smooth", "filter"} <= partial.provenance.seconds.keys()
+    assert errors(partial, exact).mean() < 1e-4
+
+
+def test_what_goes_on_and_does_not_fit_into_memory_keeps_the_modes(
+    monkeypatch, animal, exact
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise MemoryError("no room for a factor")
+
+    monkeypatch.setattr(automatic, "_STEPS", 1)
+    monkeypatch.setattr(automatic, "_TIGHT", 1e-9)
+    monkeypatch.setattr(sk.Refined, "eigenpairs", full)
+    with pytest.raises(sk.errors.ConvergenceError, match="no room for a factor") as caught:
+        sk.eigensolve(animal, 30, sk.Automatic(accuracy=1e-9))
+    partial = caught.value.partial
+    assert (partial.k, partial.provenance.name, caught.value.n_converged) == (30, "cascade", 0)
+    assert partial.certificate.errors.mean() > 1e-9
+    assert errors(partial, exact).mean() < 1e-2
+    assert str(caught.value).endswith("; use Chebyshev")
+
+
 @pytest.mark.parametrize("device", ["cpu", "cpu:0"])
 def test_without_a_factor(monkeypatch, animal, exact, device) -> None:
     """Where none fits into memory, and on a device, which has none."""
