@@ -91,7 +91,7 @@ class SparseLDL:
                 raise _singular("a pivot is zero") from error
             raise OutOfMemoryError(
                 f"the factor of {matrix.shape[0]} unknowns does not fit into memory; use a method"
-                " without one, such as Cascade() or Chebyshev()"
+                " without one, such as Cascade()"
             ) from error
         self.n: int = matrix.shape[0]
         self.pivots: Floats = np.asarray(pivots)
