@@ -22,7 +22,6 @@ from spectra_kit.eigensolvers.base import (
 from spectra_kit.eigensolvers.cascade import Cascade
 from spectra_kit.eigensolvers.refined import Refined
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.memory import exact_gigabytes
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import GivenBasis
 
@@ -131,9 +130,9 @@ class Automatic:
         --------
         >>> from spectra_kit import Automatic
         >>> Automatic().choose(3_000_000, 96)[1]
-        'an exact solution would take 26.7 GiB, more than 8'
+        'an exact solution would take 24.5 GiB, more than 8'
         """
-        needed = exact_gigabytes(n, k)
+        needed = Arpack.memory(n, k)
         fits = needed <= self.memory
         if fits and n <= max(_FEW, _FEW_FOR_EACH * k):
             return Arpack(seed=self.seed), f"{n} points are few for {quantity(k, 'mode')}"

@@ -10,7 +10,7 @@ from conftest import bumpy, creature, joined, refused
 import spectra_kit as sk
 from spectra_kit.eigensolvers import automatic
 from spectra_kit.geometry import TriangleMesh, rectangle, sphere
-from spectra_kit.linalg.memory import exact_gigabytes, factor_gigabytes
+from spectra_kit.linalg.memory import factor_gigabytes
 
 
 def errors(spectrum: sk.Spectrum, exact: sk.Spectrum) -> np.ndarray:
@@ -173,10 +173,10 @@ def test_memory_counts_the_factor_and_what_is_made_with_it() -> None:
     """The peak of an exact solution, of points that no factor of a few makes a difference to."""
     for n, k in ((500_000, 96), (100_000, 1000)):
         vectors = 8 * n * (704 + k) / 2**30
-        assert exact_gigabytes(n, k) > factor_gigabytes(n) + vectors
+        assert sk.Arpack.memory(n, k) > factor_gigabytes(n) + vectors
         solver, _ = sk.Automatic(memory=vectors).choose(n, k)
         assert isinstance(solver, sk.Cascade)
-        assert isinstance(sk.Automatic(memory=2 * exact_gigabytes(n, k)).choose(n, k)[0], sk.Arpack)
+        assert isinstance(sk.Automatic(memory=sk.Arpack.memory(n, k)).choose(n, k)[0], sk.Arpack)
 
 
 def test_each_component_has_its_own(tmp_path) -> None:

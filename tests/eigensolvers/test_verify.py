@@ -156,11 +156,8 @@ def test_backward_error_is_a_bound() -> None:
         near = np.linalg.eigvalsh(A.toarray())[20] * (1 + 1e-10)
         shifted = sparse.csr_array(A - near * sparse.eye_array(60))
         factor = SparseLDL(shifted, definite=False)
-        order = factor._order
-        L = np.eye(60, dtype=np.longdouble)
-        for j in range(60):
-            p = slice(factor._starts[j], factor._starts[j + 1])
-            L[factor._rows[p], j] = factor._lower[p]
+        order = factor.elimination.order
+        L = np.eye(60, dtype=np.longdouble) + factor.lower.toarray()
         product = (L * factor.pivots) @ L.T
         error = (shifted.toarray()[order][:, order] - product).astype(float)
         root = 1 / np.sqrt(weight[order])

@@ -28,6 +28,8 @@ class Method:
     #: A module beyond the dependencies of this package, called as on PyPI, or nothing.
     needs: str = ""
     peer: bool = False  #: Whether it is another package's.
+    #: Relative error of eigenvalues that it is asked for, in the mean over the modes; 0: not asked.
+    accuracy: float = 0.0
     #: Whether it takes many times longer than the rest, and a quick comparison leaves it out.
     slow: bool = False
 
@@ -62,6 +64,7 @@ def _ours(
     return Method(
         make=make,
         stops="" if "accuracy" in options else _STOPS.get(solver.promise, ""),
+        accuracy=options.get("accuracy", 0.0),
         devices=("cpu", "cuda") if device else ("cpu",),
         needs=needs,
     )
@@ -81,6 +84,7 @@ METHODS: dict[str, Method] = {
     "automatic-1e-2": _ours("automatic", device=True, accuracy=1e-2),
     "automatic-1e-3": _ours("automatic", device=True, accuracy=1e-3),
     "automatic-1e-5": _ours("automatic", device=True, accuracy=1e-5),
+    "automatic-1e-8": _ours("automatic", device=True, accuracy=1e-8),
     "cascade": _ours("cascade", device=True),
     "cascade-1e-5": _ours("cascade", device=True, target=1e-5),
     "refined": _ours("refined"),
