@@ -323,8 +323,8 @@ class HeatGeodesics:
         if not found:
             raise _cold()
         heat = reduce(Heat.plus, found)
-        sourced_points = np.isin(system.labels, sourced) & system.inside
-        if (cut := int((heat.values[sourced_points] == 0).sum())) > 0:
+        cold_points = (heat.values == 0) & system.inside
+        if (cut := int(np.isin(system.labels[cold_points], sourced).sum())) > 0:
             raise InvalidInputError(
                 "boundary",
                 "be 'neumann' or 'average' here",
