@@ -268,12 +268,10 @@ def pareto(studio: Studio) -> None:
     solvers = {
         "Arpack": (sk.Arpack(), "exact"),
         "Refined": (sk.Refined(rtol=1e-6), "exact"),
-        "Polished": (sk.Polished(), "approximate"),
         "Cascade": (sk.Cascade(), "approximate"),
         "Plane waves": (sk.RayleighRitz(subspace=sk.AmbientFourier()), "approximate"),
         "Neo": (sk.Neo(), "neural"),
         "Neo, two poses": (sk.Neo(poses=2), "neural"),
-        "Neo, polished": (sk.Polished(start=sk.Neo().subspace), "neural"),
         "Neo, capped": (sk.Neo(cap=2048), "neural"),
     }
     truth = sk.eigensolve(laplacian, 96).eigenvalues[1:]

@@ -1,7 +1,7 @@
 r"""Match a set of meshes whose correspondence is known, and measure the maps.
 
     python apps/match_faust.py OUT --data faust_r                       # 100 random pairs
-    python apps/match_faust.py OUT --data faust_r --backends exact neo neo-polished
+    python apps/match_faust.py OUT --data faust_r --backends exact neo
     python apps/match_faust.py OUT --data faust_r --methods match pyfm --pyfm-python other/python
     python apps/match_faust.py OUT --data faust_r --protocol ren-300
     python apps/match_faust.py OUT --data tosca_r --protocol same-class --only cat

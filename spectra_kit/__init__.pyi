@@ -26,9 +26,7 @@ from .eigensolvers import Automatic as Automatic
 from .eigensolvers import Cascade as Cascade
 from .eigensolvers import Chebyshev as Chebyshev
 from .eigensolvers import Dense as Dense
-from .eigensolvers import Lobpcg as Lobpcg
 from .eigensolvers import Neo as Neo
-from .eigensolvers import Polished as Polished
 from .eigensolvers import RayleighRitz as RayleighRitz
 from .eigensolvers import Refined as Refined
 from .eigensolvers import eigensolve as eigensolve

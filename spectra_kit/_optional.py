@@ -8,7 +8,6 @@ from types import ModuleType
 from spectra_kit.errors import MissingDependencyError
 
 _PACKAGES = {  # extra -> what pip calls the package
-    "amg": "pyamg",
     "backbones": "torch_geometric",
     "tensorboard": "tensorboard",
     "video": "imageio-ffmpeg",

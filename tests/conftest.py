@@ -18,7 +18,6 @@ from spectra_kit import (
     AmbientFourier,
     InvalidInputError,
     Laplacian,
-    Lobpcg,
     Spectrum,
     TriangleMesh,
     cotan_laplacian,
@@ -50,7 +49,6 @@ OPTIONS = {
     "cascade": {"coarsest": 150},
     "neo": {"poses": 1},
 }
-RESIDUAL = {"polished": 0.05}
 ROUNDING = {
     "cascade": 1e-2,  # the order of the points decides which of them make the levels
     "neo": 1e-3,  # a float32 network: rounding of its features moves the predicted span a little
@@ -62,11 +60,11 @@ ROUNDING = {
 BACKENDS = [
     Backend(
         entry(**OPTIONS.get(name, {})),
-        RESIDUAL.get(name, 3.0 if entry.promise == "approximate" else 1e-8),
+        3.0 if entry.promise == "approximate" else 1e-8,
         ROUNDING.get(name, 1e-6),
     )
     for name, entry in SOLVERS.items()
-] + [Backend(Lobpcg(preconditioner="amg"), 1e-8)]
+]
 
 
 @pytest.fixture(params=BACKENDS, ids=str, scope="session")

@@ -120,8 +120,8 @@ def _solvers(
     modes = number_of_modes(asked, laplacian, usual=_MODES)
     few = min(modes, shipped.modes)
 
-    def spectrum(solver: str, n: int, start: str | None = None) -> Spectrum:
-        told = replace(asked, start=start, rtol=None)
+    def spectrum(solver: str, n: int) -> Spectrum:
+        told = replace(asked, start=None, rtol=None)
         k = min(n + laplacian.kernel_dimension, laplacian.n)
         return solve(laplacian, k, solver, told)
 
@@ -133,7 +133,6 @@ def _solvers(
         "IC(0)": (base, None),
         f"IC(0) + {modes} exact modes": (additive, exact),
         f"IC(0) + {modes} NEO modes": (additive, spectrum("neo", modes)),
-        f"IC(0) + {modes} NEO modes, polished": (additive, spectrum("polished", modes, "neo")),
         f"IC(0) + {modes} exact modes, projected": (replace(base, coarse="projected"), exact),
         "relaxed IC": (replace(shipped, coarse="none"), None),
         f"relaxed IC + {few} exact modes": (shipped, spectrum("arpack", few)),

@@ -115,7 +115,7 @@ class Compare(OnOne, options.Predictor, options.Turned, options.Resolution):
     outcome = "predicted and exact"
     examples = (
         "compare bunny.obj -o errors.png",
-        "compare bunny.obj --spectrum bunny.npz --solver polished",
+        "compare bunny.obj --spectrum bunny.npz --solver cascade",
         f"compare {DEMO} --cloud 8000 --json",
     )
     keys = "input, geometry, reference, predicted, comparison, verdict, picture"

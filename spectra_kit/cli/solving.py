@@ -69,10 +69,8 @@ def make_solver(name: str, asked: Solver, k: int) -> Eigensolver:
     }
     if name == "fourier":
         told["subspace"] = SUBSPACES["fourier"](seed=asked.seed)
-    elif "subspace" in known:
-        told["subspace"] = _start(asked.start or "fourier", asked, k)
-    elif "start" in known and asked.start:
-        told["start"] = _start(asked.start, asked, k)
+    elif asked.start and (begin := known.keys() & {"subspace", "start"}):
+        told[begin.pop()] = _start(asked.start, asked, k)
     solver: Eigensolver = SOLVERS[name](**told)
     return solver
 

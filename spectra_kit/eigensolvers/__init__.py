@@ -6,10 +6,9 @@ from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedE
 from spectra_kit.eigensolvers.cascade import Cascade
 from spectra_kit.eigensolvers.chebyshev import Chebyshev
 from spectra_kit.eigensolvers.dense import Dense
-from spectra_kit.eigensolvers.lobpcg import Lobpcg
 from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
-from spectra_kit.eigensolvers.refined import Polished, Refined
+from spectra_kit.eigensolvers.refined import Refined
 from spectra_kit.eigensolvers.solve import eigensolve
 from spectra_kit.eigensolvers.spectrum import spectrum
 from spectra_kit.eigensolvers.verification import verify
@@ -22,10 +21,8 @@ __all__ = [
     "Dense",
     "Eigenpairs",
     "Eigensolver",
-    "Lobpcg",
     "Neo",
     "NotConvergedError",
-    "Polished",
     "RayleighRitz",
     "Refined",
     "eigensolve",

@@ -6,31 +6,23 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import eigh
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.eigensolvers.arpack import Arpack
 from spectra_kit.eigensolvers.base import Eigenpairs, Promise
-from spectra_kit.eigensolvers.refined import Polished
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size
-from spectra_kit.errors import InvalidInputError
-from spectra_kit.levels import Coarse, coarse_iteration, coarse_ritz
+from spectra_kit.levels import Coarse, coarse_pairs
 from spectra_kit.levels.cascade import climb, nested
 from spectra_kit.levels.ordering import gathered
 from spectra_kit.levels.smoothing import on_device
 from spectra_kit.linalg.ritz import ritz_pairs
-from spectra_kit.linalg.threads import single_threaded_blas
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import Subspace, restricted
 from spectra_kit.subspaces.given import OnPoints
 
-_SWEEPS = 20  # at most; three or four settle random columns
-_SETTLED = 0.01  # change of the coarsest Ritz values in the last sweep; the next gains nothing
 _ROOM = 6  # points of the coarsest level for each column: fewer have no low modes
-_DENSE = 1500  # points whose dense eigenproblem takes no longer than sweeps
 _PREDICTED = 2048  # points of the coarsest level that a prediction begins on
 
 
@@ -54,10 +46,7 @@ class Cascade(OnPoints):
     coarsest : int, optional
         Points of the coarsest level, about; more where k is large. 6 for each column without it
         (2,048 at least, with a subspace). With fewer than twice as many points in all, this is
-        `Arpack`; with a subspace, `Polished` if there are sweeps, else the subspace on all points.
-    sweeps : int, default 0
-        Filtered shift-invert sweeps on the coarsest level that follow the subspace. With a subspace
-        and none, no matrix is ever factorised.
+        `Arpack`; with a subspace, the subspace on all points.
     guard : float, default 0.67
         Columns beyond k, relative to k, below the finest level; a few there. The worse the coarse
         levels, the more of them are needed.
@@ -66,16 +55,14 @@ class Cascade(OnPoints):
     device : str or torch.device, default "cpu"
         "cpu" or "cuda", for all but the coarsest level and few points; never chosen for you.
     rank_tol : float, default 1e-10
-        Of a subspace that is not swept: relative cut on its singular values; see
-        `linalg.orthonormalize`.
+        Of a subspace: relative cut on its singular values; see `linalg.orthonormalize`.
     seed : int, default 0
         Of random columns, where the coarsest level is too large to be solved densely.
 
     Raises
     ------
     InvalidInputError
-        If a parameter is out of range, there are sweeps without a subspace, or this spans fewer
-        than k dimensions.
+        If a parameter is out of range, or the subspace spans fewer than k dimensions.
 
     Notes
     -----
@@ -97,7 +84,6 @@ class Cascade(OnPoints):
     subspace: Subspace | None = None
     target: float = 1e-3
     coarsest: int | None = None
-    sweeps: int = 0
     guard: float = 0.67
     max_steps: int = 20
     device: str = "cpu"
@@ -109,13 +95,6 @@ class Cascade(OnPoints):
         check_positive("target", self.target)
         if self.coarsest is not None:
             check_count("coarsest", self.coarsest, low=100)
-        if check_count("sweeps", self.sweeps, low=0) and self.subspace is None:
-            raise InvalidInputError(
-                "sweeps",
-                "be 0 without a subspace",
-                self.sweeps,
-                advice="they improve what it predicts; without one, the coarsest level is solved",
-            )
         check_positive("guard", self.guard)
         check_count("max_steps", self.max_steps, low=0)
         check_count("seed", self.seed, low=0)
@@ -135,20 +114,23 @@ class Cascade(OnPoints):
         gathers, order = gathered(laplacian) if self.max_steps else (laplacian, None)
         least = self.coarsest or (0 if self.subspace is None else _PREDICTED)
         levels = nested(gathers, max(least, _ROOM * block))
-        if not levels and (self.subspace is None or self.sweeps):
-            return self._without_levels(laplacian, k)
+        if not levels and self.subspace is None:
+            return Arpack(seed=self.seed).eigenpairs(laplacian, k)._replace(errors=np.zeros(k))
         clock.stage("coarsen")
         bottom = levels[-1] if levels else gathers
         with device_memory():
             if self.subspace is None:
                 assert isinstance(bottom, Coarse)
-                begun = self._solved(bottom, k, block)
+                begun: tuple[Floats, Any] = coarse_pairs(bottom, block, k, seed=self.seed)
             else:
                 points = _points(gathers, levels)
                 subspace = restricted(self.subspace, points if order is None else order[points])
                 basis = basis_with_kernel(subspace, bottom)
                 clock.stage("subspace")
-                begun = self._predicted(bottom, basis, k, block)
+                L, M, Y = (
+                    on_device(part, self.device) for part in (bottom.stiffness, bottom.mass, basis)
+                )
+                begun = ritz_pairs(L, M, Y, block, least=k, rank_tol=self.rank_tol)[:2]
             clock.stage("coarse")
             found = climb(
                 gathers,
@@ -170,44 +152,6 @@ class Cascade(OnPoints):
             vectors[order] = there
         errors = found.errors if found.steps else None  # carried modes alone tell nothing
         return Eigenpairs(found.eigenvalues[:k], vectors, clock.seconds, found.steps, errors)
-
-    def _without_levels(self, laplacian: Laplacian, k: int) -> Eigenpairs:
-        """Solve where there are few points, on the host."""
-        if self.subspace is None:
-            return Arpack(seed=self.seed).eigenpairs(laplacian, k)._replace(errors=np.zeros(k))
-        polished = Polished(
-            start=self.subspace, sweeps=self.sweeps, guard=self.guard, seed=self.seed
-        )
-        return polished.eigenpairs(laplacian, k)
-
-    def _predicted(
-        self, bottom: Coarse | Laplacian, basis: NDArray[np.floating], k: int, block: int
-    ) -> tuple[Floats, Any]:
-        """Return Ritz pairs of the coarsest level, at least k, swept there if that is asked."""
-        if not self.sweeps:
-            L, M, Y = (
-                on_device(part, self.device) for part in (bottom.stiffness, bottom.mass, basis)
-            )
-            return ritz_pairs(L, M, Y, block, least=k, rank_tol=self.rank_tol)[:2]
-        assert isinstance(bottom, Coarse)
-        start = coarse_ritz(bottom, basis, k, guard=block - k)
-        return coarse_iteration(bottom, start, k, max_sweeps=self.sweeps, least=1)
-
-    def _solved(self, bottom: Coarse, k: int, block: int) -> tuple[Floats, Floats]:
-        """Return the lowest eigenpairs of the coarsest level."""
-        L, M = bottom.stiffness, bottom.mass
-        if bottom.n <= _DENSE:
-            try:
-                with single_threaded_blas():
-                    values, vectors = eigh(
-                        L.toarray(), M.toarray(), subset_by_index=[0, min(block, bottom.n) - 1]
-                    )
-                return values, np.ascontiguousarray(vectors)
-            except np.linalg.LinAlgError:  # some points are carried to what others are
-                return ritz_pairs(L, M, np.eye(bottom.n), block, least=k)[:2]
-        noise = np.random.default_rng(self.seed).standard_normal((bottom.n, block))
-        start = coarse_ritz(bottom, noise, k, guard=block - k)
-        return coarse_iteration(bottom, start, k, rtol=_SETTLED, max_sweeps=_SWEEPS, least=1)
 
 
 def _points(laplacian: Laplacian, levels: list[Coarse]) -> Ints:

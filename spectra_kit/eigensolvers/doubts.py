@@ -79,6 +79,6 @@ def warn_of_doubts(spectrum: Spectrum) -> None:
         warn(
             told,
             DoubtfulSpectrumWarning,
-            advice="take {} or {} with this subspace as `start`, or an exact solver such as {}",
-            remedies=("Polished", "Refined", "Arpack"),
+            advice="smooth it by {}, go on from it by {}, or take an exact solver such as {}",
+            remedies=("Cascade", "Refined", "Arpack"),
         )

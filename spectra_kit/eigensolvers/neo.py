@@ -124,7 +124,6 @@ class Neo(Rebuilt):
             subspace=self.subspace,
             target=self.target,
             coarsest=sys.maxsize if self.cap is None else self.cap,
-            sweeps=0,
             max_steps=self.smoothing,
             device=str(self.device),
             rank_tol=self.rank_tol,

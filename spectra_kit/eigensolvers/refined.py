@@ -1,4 +1,4 @@
-"""`Refined` and `Polished`: from any subspace to any accuracy."""
+"""`Refined`: from any subspace to any accuracy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError, Promise
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size, plane_waves
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.shift_invert import Refinement, shift_invert_iteration
+from spectra_kit.linalg.shift_invert import shift_invert_iteration
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import Subspace
 from spectra_kit.subspaces.given import OnPoints
@@ -92,63 +92,25 @@ class Refined(OnPoints):
         """See `Eigensolver.eigenpairs`."""
         if DENSE_RATIO * block_size(k, self.guard) >= laplacian.n:
             return Dense().eigenpairs(laplacian, k)
-        pairs, reached = _iterate(self, laplacian, k, rtol=self.rtol, sweeps=self.max_sweeps)
-        return within(self.rtol, laplacian, pairs, reached.residuals, stalled=reached.stalled)
-
-
-@checked
-@dataclass(frozen=True, kw_only=True)
-class Polished(OnPoints):
-    """A predicted subspace and a fixed number of sweeps over it: cheap, no promise.
-
-    The certificate says what was reached; `Refined` goes on until it is enough.
-
-    Parameters
-    ----------
-    start : Subspace, optional
-        The prediction, of at least k dimensions; some 2.7 k plane waves without it.
-    sweeps : int, default 1
-        Filters to apply.
-    guard : float, default 0.5
-        Ritz vectors beyond k, relative to k.
-    degree : int, default 4
-        Of the filter: solves of each column in a sweep. 1 is a plain shift-invert iteration.
-    seed : int, default 0
-        Of all random columns.
-
-    Raises
-    ------
-    InvalidInputError
-        If a parameter is out of range, or the start spans fewer than k dimensions.
-
-    Examples
-    --------
-    >>> from spectra_kit import Arpack, Polished, eigensolve, robust_laplacian
-    >>> from spectra_kit.geometry import creature
-    >>> laplacian = robust_laplacian(creature(3000, seed=0))
-    >>> exact, polished = (eigensolve(laplacian, 60, s) for s in (Arpack(), Polished()))
-    >>> bool(abs(polished.eigenvalues[1:] / exact.eigenvalues[1:] - 1).mean() < 1e-3)
-    True
-    """
-
-    promise: ClassVar[Promise] = "approximate"
-    start: Subspace | None = None
-    sweeps: int = 1
-    guard: float = 0.5
-    degree: int = 4
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        check_count("sweeps", self.sweeps, low=1)
-        check_positive("guard", self.guard)
-        check_count("degree", self.degree, low=1)
-        check_count("seed", self.seed, low=0)
-
-    def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
-        """See `Eigensolver.eigenpairs`."""
-        if DENSE_RATIO * block_size(k, self.guard) >= laplacian.n:
-            return Dense().eigenpairs(laplacian, k)
-        return _iterate(self, laplacian, k, rtol=0.0, sweeps=self.sweeps, least_rank=k)[0]
+        clock, spacing = Clock(), laplacian.eigenvalue_spacing
+        start = plane_waves(k) if self.start is None else self.start
+        basis = basis_with_kernel(start, laplacian)
+        clock.stage("subspace")
+        found = shift_invert_iteration(
+            laplacian.stiffness,
+            laplacian.mass,
+            basis,
+            k,
+            tolerance=lambda values: self.rtol * np.maximum(values, spacing),
+            spacing=spacing,
+            block=block_size(k, self.guard),
+            degree=self.degree,
+            max_sweeps=self.max_sweeps,
+            seed=self.seed,
+        )
+        seconds = clock.seconds | found.seconds
+        pairs = Eigenpairs(found.eigenvalues, found.eigenvectors, seconds, found.sweeps)
+        return within(self.rtol, laplacian, pairs, found.residuals, stalled=found.stalled)
 
 
 def check_sweeping(rtol: float, guard: float, max_sweeps: int, seed: int) -> None:
@@ -188,38 +150,3 @@ def within(
         advice=("raise {}", "loosen {}", "use {}"),
         remedies=("max_sweeps", "rtol", "Arpack"),
     )
-
-
-def _iterate(
-    solver: Refined | Polished,
-    laplacian: Laplacian,
-    k: int,
-    *,
-    rtol: float,
-    sweeps: int,
-    least_rank: int = 0,
-) -> tuple[Eigenpairs, Refinement]:
-    """Predict, then sweep."""
-    clock = Clock()
-    basis = basis_with_kernel(plane_waves(k) if solver.start is None else solver.start, laplacian)
-    clock.stage("subspace")
-    refinement = shift_invert_iteration(
-        laplacian.stiffness,
-        laplacian.mass,
-        basis,
-        k,
-        tolerance=lambda values: rtol * np.maximum(values, laplacian.eigenvalue_spacing),
-        spacing=laplacian.eigenvalue_spacing,
-        block=block_size(k, solver.guard),
-        degree=solver.degree,
-        max_sweeps=sweeps,
-        least_rank=least_rank,
-        seed=solver.seed,
-    )
-    pairs = Eigenpairs(
-        refinement.eigenvalues,
-        refinement.eigenvectors,
-        clock.seconds | refinement.seconds,
-        refinement.sweeps,
-    )
-    return pairs, refinement

@@ -68,8 +68,8 @@ def eigensolve(
         Number of modes, zero modes included; at most the number of free points.
     solver : Eigensolver, default Automatic()
         ``Automatic(accuracy=1e-3)`` takes what costs least for that accuracy; without it, all is
-        exact. For those who know: `Arpack`, `Refined`, `Chebyshev`, `Lobpcg`,
-        `Dense`; approximate: `Neo`, `Cascade`, `Polished`, `RayleighRitz`; or your own.
+        exact. For those who know: `Arpack`, `Refined`, `Chebyshev`, `Dense`; approximate:
+        `Neo`, `Cascade`, `RayleighRitz`; or your own.
 
     Returns
     -------
@@ -180,7 +180,7 @@ class _Run:
                 f"{self.name}: {self.k} modes on {self.laplacian.n} points do not fit into memory"
                 f" ({error})",
                 advice="ask for fewer, sample fewer points, or take a backend that needs less, such"
-                " as Chebyshev() or Lobpcg(preconditioner='amg')",
+                " as Cascade() or Chebyshev()",
                 partial=partial,
             ) from error
         spectrum = self.packed(pairs)

@@ -16,8 +16,9 @@ from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-from spectra_kit.linalg.cholesky import Elimination, SparseCholesky
+from spectra_kit.linalg.cholesky import Elimination
 from spectra_kit.linalg.incomplete_cholesky import incomplete_factor
+from spectra_kit.linalg.ldl import SparseLDL
 
 Ints = NDArray[np.int32]
 
@@ -136,7 +137,7 @@ class HeatStep:
         self._mass, self._points = mass / self._unit, points
         self._matrix = _raised(duration / self._unit * stiffness, self._mass)
         self._root = float(np.sqrt(duration))
-        self._complete = SparseCholesky(self._matrix, elimination=elimination) if direct else None
+        self._complete = SparseLDL(self._matrix, elimination=elimination) if direct else None
         if not direct:
             _ = self._incomplete
 

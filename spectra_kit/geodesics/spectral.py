@@ -187,8 +187,8 @@ def spectral_distance(
     the nearest of the ten sources are off by 2 to 8 per cent. Half the default time makes the mean
     1.6 to 2 times as large, twice the time up to 1.4 times. An exact solve in the second step
     lowers it by an eighth at most, but on the sphere to a sixth. Modes must be good: 96 that the
-    network of `Neo` predicts are slightly worse than 30 exact ones (creature 6.4 against 5.8,
-    camel 7.9 against 7.4, three sources), polished ones nearly as good as exact.
+    network of `Neo` predicts, as they come, are slightly worse than 30 exact ones (creature 6.4
+    against 5.8, camel 7.9 against 7.4, three sources).
 
     Examples
     --------

@@ -3,15 +3,13 @@
 from spectra_kit.levels.coarse import Coarse, coarsen
 from spectra_kit.levels.interpolation import prolongation
 from spectra_kit.levels.smoothing import smoothed
-from spectra_kit.levels.solve import CoarsePairs, coarse_iteration, coarse_ritz
+from spectra_kit.levels.solve import coarse_pairs
 from spectra_kit.levels.subset import Subset, well_spread
 
 __all__ = [
     "Coarse",
-    "CoarsePairs",
     "Subset",
-    "coarse_iteration",
-    "coarse_ritz",
+    "coarse_pairs",
     "coarsen",
     "prolongation",
     "smoothed",

@@ -1,137 +1,100 @@
-"""Eigenpairs of a coarse level, from any start."""
+"""The lowest eigenpairs of a coarse level."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
+from scipy.linalg import eigh
 
 from spectra_kit._types import Floats
 from spectra_kit.levels.coarse import Coarse
 from spectra_kit.linalg.ldl import SparseLDL
 from spectra_kit.linalg.products import spmm
 from spectra_kit.linalg.ritz import ritz_pairs
+from spectra_kit.linalg.threads import single_threaded_blas
 
+_DENSE = 1500  # points whose dense eigenproblem takes no longer than sweeps
+_SWEEPS = 20  # at most; three or four settle random columns
+_DEGREE = 4  # of the filter: solves of each column in a sweep
 _RIDGE = 1e-13  # of the diagonal, added to it in the factor, for what is carried to nothing
 _SHIFT = 1 / 8  # of the guard eigenvalue, below the spectrum
 
 
-class CoarsePairs(NamedTuple):
-    """Ritz pairs of a coarse level.
-
-    Attributes
-    ----------
-    eigenvalues : ndarray of shape (b,)
-        Ascending; no smaller than those of the finest level.
-    eigenvectors : ndarray of shape (n, b)
-        On the subset, orthonormal in ``P^T M P``.
-    """
-
-    eigenvalues: Floats
-    eigenvectors: Floats
-
-
-def coarse_ritz(
-    level: Coarse, basis: NDArray[np.floating], k: int, *, guard: int = 0
-) -> CoarsePairs:
-    """Return the lowest Ritz pairs of a coarse level in the span of `basis`.
+def coarse_pairs(
+    level: Coarse, block: int, k: int, *, rtol: float = 0.01, seed: int = 0
+) -> tuple[Floats, Floats]:
+    """Return the lowest eigenpairs of a coarse level; of a large one, Ritz pairs near them.
 
     Parameters
     ----------
     level : Coarse
         On n points.
-    basis : ndarray of shape (n, m)
-        Columns of any scale, dependent ones allowed.
+    block : int
+        Pairs to return, if the level has as many: those beyond k guard the last wanted ones.
     k : int
-        Pairs to return at least.
-    guard : int, default 0
-        Pairs to return beyond these, as far as the rank allows.
+        Wanted pairs.
+    rtol : float, default 0.01
+        On more than 1,500 points, stop when a sweep changes the wanted Ritz values by less than
+        this share of them: no need to go below what the level itself is off by.
+    seed : int, default 0
+        Of the random columns that sweeps begin with.
 
     Returns
     -------
-    CoarsePairs
-        Between k and ``k + guard`` of them.
+    eigenvalues : ndarray of shape (block,)
+        Ascending; no smaller than those of the finest level.
+    eigenvectors : ndarray of shape (n, block)
+        On the subset, orthonormal in ``P^T M P``.
 
     Raises
     ------
     InvalidInputError
-        If the numerical rank of `basis` is below k, or it holds NaN, infinity or only zeros.
-    """
-    values, vectors, _ = ritz_pairs(level.stiffness, level.mass, basis, k + guard, least=k)
-    return CoarsePairs(values, vectors)
-
-
-def coarse_iteration(
-    level: Coarse,
-    start: CoarsePairs,
-    k: int,
-    *,
-    rtol: float = 0.0,
-    max_sweeps: int = 20,
-    degree: int = 4,
-    least: int | None = None,
-) -> CoarsePairs:
-    """Drive Ritz pairs of a coarse level towards its lowest eigenpairs.
-
-    Parameters
-    ----------
-    level : Coarse
-        On n points.
-    start : CoarsePairs
-        Of b > k columns: those beyond k guard the last wanted ones.
-    k : int
-        Wanted pairs.
-    rtol : float, default 0.0
-        Stop when a sweep changes the wanted Ritz values by less than this share of them: no need
-        to go below what the level itself is off by.
-    max_sweeps : int, default 20
-        Stop after so many in any case.
-    degree : int, default 4
-        Of the filter: solves of each column in a sweep.
-    least : int, optional
-        Rank to which a sweep may fall, k without it: a start for more sweeps needs none.
-
-    Returns
-    -------
-    CoarsePairs
-        All b of them, unless the rank fell.
+        If the functions of the level span fewer than k dimensions.
 
     Notes
     -----
     Each sweep filters the columns by a Chebyshev polynomial of ``(L - sigma M)^-1 M`` that is
-    small beyond the guard; see `linalg.shift_invert.shift_invert_iteration`, the same method for
-    a diagonal mass.
+    small beyond the guard, as `linalg.shift_invert.shift_invert_iteration` does for a diagonal
+    mass.
+
+    Examples
+    --------
+    >>> from spectra_kit import robust_laplacian
+    >>> from spectra_kit.geometry import sphere
+    >>> from spectra_kit.levels import coarse_pairs, coarsen
+    >>> level = coarsen(robust_laplacian(sphere(subdivisions=4).geometry), 600)
+    >>> coarse_pairs(level, 9, 4)[0][1:4].round(1)
+    array([2., 2., 2.])
     """
-    block = len(start.eigenvalues)
-    least = k if least is None else least
-    pairs = start
+    L, M = level.stiffness, level.mass
+    if level.n <= _DENSE:
+        try:
+            with single_threaded_blas():
+                some = [0, min(block, level.n) - 1]
+                values, X = eigh(L.toarray(), M.toarray(), subset_by_index=some)
+            return values, np.ascontiguousarray(X)
+        except np.linalg.LinAlgError:  # some points are carried to what others are
+            return ritz_pairs(L, M, np.eye(level.n), block, least=k)[:2]
+    noise = np.random.default_rng(seed).standard_normal((level.n, block))
+    values, X, _ = ritz_pairs(L, M, noise, block, least=k)
     factor: SparseLDL | None = None
     sigma = 0.0
-    for _ in range(max_sweeps):
-        guard = max(float(pairs.eigenvalues[-1]), level.eigenvalue_spacing)
+    for _ in range(_SWEEPS):
+        guard = max(float(values[-1]), level.eigenvalue_spacing)
         if factor is None or -sigma > 4 * _SHIFT * guard:
             # The Ritz values of a random start say nothing: not above what Weyl's law suggests.
             sigma = -_SHIFT * min(guard, 2 * block * level.eigenvalue_spacing)
-            shifted = level.stiffness - sigma * level.mass
+            shifted = L - sigma * M
             ridge = sparse.diags_array(_RIDGE * shifted.diagonal())
             factor = SparseLDL(sparse.csr_array(shifted + ridge))
-        filtered = _filtered(level, factor, pairs.eigenvectors, guard - sigma, degree)
-        before = pairs.eigenvalues[:k]
-        pairs = coarse_ritz(level, filtered, least, guard=block - least)
-        values = pairs.eigenvalues[:k]
-        change = np.abs(values - before[: len(values)])
-        if (change <= rtol * np.maximum(values, level.eigenvalue_spacing)).all():
+        # The Chebyshev polynomial that is at most 1 on the eigenvalues of T below 1 / edge.
+        edge = guard - sigma
+        previous, X = X, 2 * edge * factor.solve(spmm(M, X)) - X
+        for _ in range(_DEGREE - 1):
+            previous, X = X, 4 * edge * factor.solve(spmm(M, X)) - 2 * X - previous
+        before = values[:k]
+        values, X, _ = ritz_pairs(L, M, X, block, least=1)
+        change = np.abs(values[:k] - before[: len(values)])
+        if (change <= rtol * np.maximum(values[:k], level.eigenvalue_spacing)).all():
             break
-    return pairs
-
-
-def _filtered(level: Coarse, factor: SparseLDL, X: Floats, guard: float, degree: int) -> Floats:
-    """Apply the Chebyshev polynomial that is at most 1 on the eigenvalues of T below 1 / guard."""
-    previous = X
-    current = 2 * guard * factor.solve(spmm(level.mass, X)) - X
-    for _ in range(degree - 1):
-        solved = factor.solve(spmm(level.mass, current))
-        previous, current = current, 4 * guard * solved - 2 * current - previous
-    return current
+    return values, X

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from scipy import sparse
 
+from spectra_kit._validate import frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.threads import in_threads, shares
 
@@ -70,7 +71,8 @@ def spmm(
     n = rows.shape[0]
     out = np.empty((n, dense.shape[1]), result)
     cuts = shares(n, None if rows.nnz * dense.shape[1] > _SMALL else 1)
-    fixed = (rows.indptr, rows.indices, values, dense, out)
+    given = (frozen(array) for array in (rows.indptr, rows.indices, values, dense))
+    fixed = (*given, out)  # frozen or not, one loop is compiled
     in_threads(multiply_rows, ((*fixed, *cut) for cut in cuts))
     return out
 

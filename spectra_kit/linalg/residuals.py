@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._types import Floats, Singles
+from spectra_kit._validate import frozen
 from spectra_kit.linalg.threads import in_threads, ranges
 
 _ROWS = 8_192  # of one task: fixed, so that no sum depends on the threads
@@ -25,7 +26,8 @@ def residuals(
     R = np.empty(U.shape, np.float32)
     blocks = ranges(len(U), _ROWS)
     squares = np.empty((len(blocks), U.shape[1]))
-    fixed = (stiffness.indptr, stiffness.indices, stiffness.data, mass, U, values, R)
+    given = (stiffness.indptr, stiffness.indices, stiffness.data, mass, U, values)
+    fixed = (*map(frozen, given), R)  # frozen or not, one loop is compiled
     in_threads(residual_rows, ((*fixed, squares[i], *ends) for i, ends in enumerate(blocks)))
     return R, np.asarray(np.sqrt(squares.sum(axis=0)))
 

@@ -78,14 +78,13 @@ def shift_invert_iteration(
     block: int,
     degree: int = 4,
     max_sweeps: int = 30,
-    least_rank: int = 0,
     seed: int = 0,
 ) -> Refinement:
     """Drive the span of `start` to the k lowest eigenpairs of ``L u = lambda M u``.
 
     Until the residual norm of each Ritz value is at most `tolerance` of it. Of the `block` Ritz
     vectors those beyond k guard the last wanted ones; random columns make up for what the start
-    lacks, but a rank below `least_rank` is refused. At least one filter of this `degree`, which is
+    lacks. At least one filter of this `degree`, which is
     the number of solves of each column, is applied to whatever start. Eigenvalues far below the
     `spacing` are taken for zero.
 
@@ -108,27 +107,21 @@ def shift_invert_iteration(
     shifted: ShiftedFactor | None = None
     rng = np.random.default_rng(seed)
 
-    def ritz(columns: NDArray[np.floating], rank_tol: float) -> tuple[Floats, Floats, int]:
-        """Return the Ritz pairs of a whole block, and the rank before noise made up for the rest.
+    def ritz(columns: NDArray[np.floating], rank_tol: float) -> tuple[Floats, Floats]:
+        """Return the Ritz pairs of a whole block; noise makes up for what the columns lack.
 
         Where the eigenvalues jump within the block, the filter drowns columns in the modes below.
         """
         try:
-            values, X, rank = ritz_pairs(stiffness, mass, columns, block, rank_tol=rank_tol)
+            values, X, _ = ritz_pairs(stiffness, mass, columns, block, rank_tol=rank_tol)
         except RankError:  # zeros alone, such as columns that live on another component
-            X, rank = np.empty((len(mass), 0)), 0
+            X = np.empty((len(mass), 0))
         if X.shape[1] < block:
             X = np.hstack([X, _noise(rng, mass, block - X.shape[1])])
             values, X = ritz_rotation(stiffness, mass, X)
-        return values, X, rank
+        return values, X
 
-    values, X, rank = ritz(start, _RANK_TOL)
-    if rank < least_rank:
-        raise RankError(
-            f"`start` must span at least {least_rank} dimensions, got numerical rank {rank} of"
-            f" {start.shape[1]} columns; ask for fewer modes or use a larger subspace",
-            rank,
-        )
+    values, X = ritz(start, _RANK_TOL)
     clock.stage("rayleigh_ritz")
     R, norms = residuals(stiffness, mass, values, X)
     clock.stage("residuals")
@@ -154,11 +147,11 @@ def shift_invert_iteration(
         trace = values[:k].sum()
         try:
             if probes is not None:  # they may lie in the corrected block up to little
-                values, X, _ = ritz(np.hstack([X, probes]), _RANK_TOL)
+                values, X = ritz(np.hstack([X, probes]), _RANK_TOL)
             else:
                 values, X = ritz_rotation(stiffness, mass, X)
         except InvalidInputError:
-            values, X, _ = ritz(X, _FILTERED_TOL)
+            values, X = ritz(X, _FILTERED_TOL)
         clock.stage("rayleigh_ritz")
         R, norms = residuals(stiffness, mass, values, X)
         clock.stage("residuals")

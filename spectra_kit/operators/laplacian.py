@@ -225,6 +225,9 @@ def _check_stiffness(matrix: Any, n: int) -> sparse.csr_array:
     stiffness = sparse.csr_array(matrix, dtype=np.float64, copy=True)
     stiffness.sum_duplicates()
     stiffness.eliminate_zeros()
+    if stiffness.nnz <= np.iinfo(np.int32).max:  # half the memory, and the loops of all others
+        for name in ("indices", "indptr"):
+            setattr(stiffness, name, getattr(stiffness, name).astype(np.int32, copy=False))
     if not np.isfinite(stiffness.data).all():
         raise InvalidInputError(
             "stiffness",

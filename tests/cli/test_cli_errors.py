@@ -14,7 +14,7 @@ import pytest
 from conftest import creature
 from running import printed, refusal
 
-from spectra_kit import Lobpcg, eigensolve, robust_laplacian, spectrum, viz
+from spectra_kit import Refined, eigensolve, robust_laplacian, spectrum, viz
 from spectra_kit.cli import info, main
 from spectra_kit.cli.output import as_json, check_folder, together
 from spectra_kit.cli.program import COMMANDS
@@ -255,7 +255,7 @@ def test_an_output_never_replaces_an_input(capsys, tmp_path):
 
 def test_exit_codes(bumpy_laplacian, capsys, monkeypatch):
     def stalls(_):
-        eigensolve(bumpy_laplacian, 30, Lobpcg(max_steps=1, rtol=1e-14))
+        eigensolve(bumpy_laplacian, 30, Refined(max_sweeps=1, rtol=1e-14))
 
     def starves(_):
         raise OutOfMemoryError("Refined(): 9 modes do not fit into memory")
@@ -268,7 +268,7 @@ def test_exit_codes(bumpy_laplacian, capsys, monkeypatch):
 
     bug = "error: this is a bug of spectra_kit: IndexError: list index out of range; please report"
     for function, code, message in (
-        (stalls, 3, "error: Lobpcg("),
+        (stalls, 3, "error: Refined("),
         (starves, 3, "error: Refined(): 9 modes do not fit into memory\n"),
         (is_interrupted, 130, "interrupted\n"),
         (breaks, 1, bug),

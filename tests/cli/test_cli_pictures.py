@@ -173,8 +173,8 @@ def test_modes_that_were_predicted_are_never_called_exact(folder, capsys):
 @pytest.mark.parametrize(
     ("solver", "accuracy", "residual", "name"),
     [
-        ("lobpcg", "to tolerance", 9e-4, "exact (lobpcg)"),
-        ("lobpcg", "to tolerance", 0.02, "reference, solved to 2e-02 (lobpcg)"),
+        ("refined", "to tolerance", 9e-4, "exact (refined)"),
+        ("refined", "to tolerance", 0.02, "reference, solved to 2e-02 (refined)"),
         ("neo", "approximate", 1e-9, "reference, predicted (neo)"),
         ("pyfm", "", 1e-9, "reference, modes (pyfm)"),
         ("", "", 1e-9, "reference, modes (solver unknown)"),

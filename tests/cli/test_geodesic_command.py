@@ -151,7 +151,7 @@ def test_solvers_agree_and_modes_save_iterations(files, tmp_path, capsys):
         "file": ("--method", "iterative", "--spectrum", spectrum),
         "computed": ("--method", "iterative", "--solver", "arpack", "-k", 11),
         "projected": ("--method", "projected", "--spectrum", spectrum),
-        "polished": ("--method", "iterative", "--solver", "polished"),
+        "refined": ("--method", "iterative", "--solver", "refined"),
     }.items():
         out = tmp_path / name
         runs[name] = report(capsys, animal, "--source", 3, *options, "-o", out)
@@ -164,11 +164,11 @@ def test_solvers_agree_and_modes_save_iterations(files, tmp_path, capsys):
     assert runs["computed"]["iterations"] <= runs["plain"]["iterations"]  # ten modes are few
     for name in ("file", "projected"):
         assert runs[name]["iterations"] < runs["plain"]["iterations"]
-    for name in ("file", "computed", "projected", "polished"):
+    for name in ("file", "computed", "projected", "refined"):
         assert runs[name]["spectrum"]["seconds"] > 0
     assert runs["file"]["spectrum"]["from"] == str(spectrum)
     assert runs["computed"]["spectrum"]["modes"] == 11  # with the constant
-    assert runs["polished"]["spectrum"]["modes"] == Iterative().modes + 1
+    assert runs["refined"]["spectrum"]["modes"] == Iterative().modes + 1
 
 
 def test_modes_that_auto_does_not_need_are_not_computed(files, tmp_path, capsys):
@@ -250,7 +250,7 @@ def test_solvers_are_compared(files, tmp_path, capsys):
     assert set(os.listdir(out)) == FILES | {"field.png", "convergence.png"}
     runs = {r["name"]: r for r in json.loads((out / "report.json").read_text())["comparison"]}
     plain = runs["IC(0)"]
-    assert len(runs) == 9
+    assert len(runs) == 8
     assert "IC(0) + 30 exact modes" in runs
     for name, run in runs.items():
         assert name in text

@@ -57,7 +57,7 @@ def test_all_is_exact_up_to_rounding(animal, animal_spectrum):
 
 def test_estimates_where_nothing_is_counted(animal, animal_spectrum):
     """Too low for none, of modes that were swept with a filter."""
-    found = sk.eigensolve(animal, 20, sk.Polished())
+    found = sk.eigensolve(animal, 20, sk.Chebyshev(rtol=1e-2))
     off = found.eigenvalues[1:] / animal_spectrum.eigenvalues[1:20] - 1
     assert not found.certificate.bounded.any()
     assert (found.certificate.errors[1:] > off / 3).all()

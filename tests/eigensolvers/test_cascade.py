@@ -9,7 +9,7 @@ from conftest import bumpy, creature, joined, moved
 
 import spectra_kit as sk
 from spectra_kit.geometry import sphere
-from spectra_kit.levels import coarse_iteration, coarse_ritz, smoothed
+from spectra_kit.levels import coarse_pairs, smoothed
 from spectra_kit.levels.cascade import climb, nested
 from spectra_kit.levels.smoothing import Smoothing
 
@@ -91,7 +91,7 @@ def test_shapes_thinner_than_the_levels(flat):
 
 def test_a_start_may_be_a_constant():
     laplacian = sk.robust_laplacian(creature(3000, seed=0))
-    one = sk.Cascade(subspace=sk.GivenBasis(np.ones((laplacian.n, 1))), sweeps=0)
+    one = sk.Cascade(subspace=sk.GivenBasis(np.ones((laplacian.n, 1))))
     assert sk.eigensolve(laplacian, 1, one).eigenvalues[0] == 0
 
 
@@ -100,7 +100,6 @@ def test_few_points_are_solved_as_they_are(bumpy_laplacian):
     given = {"subspace": waves, "coarsest": 400}
     for cascade, whole in (
         (sk.Cascade(**given, max_steps=0), sk.RayleighRitz(subspace=waves)),
-        (sk.Cascade(**given, sweeps=2), sk.Polished(start=waves, sweeps=2, guard=0.67)),
         (sk.Cascade(coarsest=400), sk.Arpack()),
     ):
         a, b = (sk.eigensolve(bumpy_laplacian, 10, solver) for solver in (cascade, whole))
@@ -143,8 +142,7 @@ def test_estimates_stay_with_the_modes(tmp_path):
 def test_a_bad_step_leaves_no_value_higher(animal, animal_spectrum, monkeypatch, spoilt):
     """Rounding that grew in a correction, until nothing else is left of most columns."""
     levels = nested(animal, 700)
-    noise = np.random.default_rng(0).standard_normal((levels[-1].n, 60))
-    pairs = coarse_iteration(levels[-1], coarse_ritz(levels[-1], noise, 60), K, rtol=0.01)
+    pairs = coarse_pairs(levels[-1], 60, K)
     smoothed_well = Smoothing.smoothed
 
     def spoil(self, values, vectors, residual, **options):

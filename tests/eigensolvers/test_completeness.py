@@ -35,9 +35,6 @@ OTHERS = [
     sk.Dense(),
     sk.Refined(),
     sk.Chebyshev(),
-    sk.Lobpcg(),
-    sk.Lobpcg(preconditioner="amg"),
-    sk.Lobpcg(preconditioner="amg", start=sk.AmbientFourier(m=200)),
 ]
 
 

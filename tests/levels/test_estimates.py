@@ -8,7 +8,7 @@ from conftest import creature
 
 import spectra_kit as sk
 from spectra_kit.geometry import sphere, torus
-from spectra_kit.levels import coarse_iteration, coarse_ritz
+from spectra_kit.levels import coarse_pairs
 from spectra_kit.levels.cascade import climb, nested
 from spectra_kit.levels.estimates import excess
 from spectra_kit.levels.smoothing import Smoothing, on_device
@@ -46,9 +46,7 @@ SHAPES = {
 def start(laplacian, k=K):
     """Levels, and Ritz pairs of the coarsest."""
     levels = nested(laplacian, 700)
-    noise = np.random.default_rng(0).standard_normal((levels[-1].n, 80))
-    coarse = coarse_ritz(levels[-1], noise, 80)
-    return levels, coarse_iteration(levels[-1], coarse, k, rtol=0.01)
+    return levels, coarse_pairs(levels[-1], 80, k)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

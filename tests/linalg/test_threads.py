@@ -40,7 +40,6 @@ jobs = {
     "default": lambda: sk.eigensolve(laplacian, 30),
     "Dense, tiny": lambda: sk.eigensolve(small, 30, sk.Dense()),
     "Refined": lambda: sk.eigensolve(laplacian, 30, sk.Refined()),
-    "Lobpcg": lambda: sk.eigensolve(laplacian, 30, sk.Lobpcg()),
     "Cascade": lambda: sk.eigensolve(laplacian, 30, sk.Cascade()),
     "verify": lambda: sk.verify(s, laplacian),
     "HeatGeodesics": lambda: sk.HeatGeodesics(mesh, s).distance(0),

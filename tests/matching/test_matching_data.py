@@ -5,7 +5,7 @@ from conftest import data_folder
 from measure.matching.subjects import subjects_in, truth_between
 
 from spectra_kit.correspondence import geodesic_errors
-from spectra_kit.eigensolvers import Arpack, Polished, eigensolve
+from spectra_kit.eigensolvers import Arpack, Cascade, eigensolve
 from spectra_kit.matching import match, prepare
 from spectra_kit.neo import NeoSubspace
 from spectra_kit.operators import robust_laplacian
@@ -13,10 +13,10 @@ from spectra_kit.operators import robust_laplacian
 pytestmark = pytest.mark.data
 
 # Of other seeds than the figures in the README: bodies of different people, by predicted modes that
-# were polished once, and two horses. The limit of the bodies is what exact modes reach and a tenth,
+# were smoothed, and two horses. The limit of the bodies is what exact modes reach and a tenth,
 # that of the horses half as much again as what was measured.
 PAIRS = [
-    ("faust_r", "tr_reg_002", "tr_reg_062", Polished(start=NeoSubspace("small"), sweeps=1), 1.3),
+    ("faust_r", "tr_reg_002", "tr_reg_062", Cascade(subspace=NeoSubspace("small")), 1.3),
     ("tosca_r", "horse6", "horse0", Arpack(), 1.5),
 ]
 

@@ -268,8 +268,6 @@ ALSO = {
     "accuracy_curve.thresholds": {"number"},
     "k": {"array"},
     "Refined.start": {"function"},
-    "Polished.start": {"function"},
-    "Lobpcg.start": {"function"},
     "Chebyshev.start": {"function"},
     "subspace": {"function"},
     "parts": {"function"},

@@ -7,12 +7,11 @@ is tuned, for better or worse. Absolute shifts such as -0.01 suit surfaces of ab
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import eigsh, lobpcg
+from scipy.sparse.linalg import eigsh
 
 from spectra_kit._types import Floats
 from spectra_kit.operators import Laplacian
@@ -91,42 +90,6 @@ class LibiglSpectra:
         L, M = _csc(laplacian)
         vectors, values = spectra.eigs(L, M, k, spectra.EIGS_TYPE_SM)
         return values, vectors
-
-
-@dataclass(frozen=True, kw_only=True)
-class PyamgLobpcg:
-    """``scipy.sparse.linalg.lobpcg`` with smoothed aggregation, as pyamg's manual shows it.
-
-    On the standard form M^-1/2 L M^-1/2, where scipy's absolute tolerance means what `rtol` means
-    to `Lobpcg`: ``rtol * spacing`` for every mode. Started from seeded noise.
-    """
-
-    rtol: float = 1e-6
-    max_steps: int = 100
-    seed: int = 0
-
-    def eigenpairs(self, laplacian: Laplacian, k: int) -> Pairs:
-        """See `Eigensolver`."""
-        import pyamg
-
-        root, spacing = np.sqrt(laplacian.mass), laplacian.eigenvalue_spacing
-        scale = sparse.diags_array(1 / root)
-        operator = sparse.csr_matrix(scale @ laplacian.stiffness @ scale)
-        shifted = operator + 0.1 * spacing * sparse.eye(laplacian.n, format="csr")
-        cycle = pyamg.smoothed_aggregation_solver(shifted, B=root[:, None]).aspreconditioner()
-        start = np.random.default_rng(self.seed).standard_normal((laplacian.n, k))
-        with warnings.catch_warnings():
-            # It warns where it stops short; the residuals that are measured say so too.
-            warnings.simplefilter("ignore", UserWarning)
-            values, vectors = lobpcg(
-                operator,
-                start,
-                M=cycle,
-                tol=self.rtol * spacing,
-                maxiter=self.max_steps,
-                largest=False,
-            )
-        return values, vectors / root[:, None]
 
 
 def _csc(laplacian: Laplacian) -> tuple[sparse.csc_array, sparse.csc_array]:

@@ -11,7 +11,8 @@ import numpy as np
 
 from measure import tables
 from measure.eigensolvers.methods import BASELINE, METHODS, Contender
-from measure.eigensolvers.studies import KINDS, OPERATOR, Solves
+from measure.eigensolvers.studies import FACTOR, KINDS, OPERATOR, SEEN, Solves
+from measure.eigensolvers.summary import LIMITS, Row, Summary, memory, summaries
 from measure.figures import dots, draw_pareto, legend, panels, save, ticks, undominated
 from measure.machine import machine_line
 from measure.recipes import Recipe
@@ -28,68 +29,6 @@ FIT_FROM = 7500
 FIT_SIZES = 3
 
 _BUSY = 0.05  # of a solve's time without a core; times are longer than they should be
-
-Row = Repeats[Contender, Recipe]
-
-
-class Over(NamedTuple):
-    """A figure over a set: its mean, its worst, and on which member."""
-
-    mean: float
-    worst: float
-    where: str
-
-
-class Summary(NamedTuple):
-    """One contender over a set."""
-
-    contender: Contender
-    members: int  #: That anyone has solved.
-    lost: tuple[str, ...]  #: Of these, what this one did not.
-    #: Name -> figure: without means where some are lost, as those would be of easier members.
-    over: dict[str, Over]
-
-
-def summaries(rows: Sequence[Row]) -> list[Summary]:
-    """Summarise each contender that has solved something: speed-ups, errors, residuals, memory.
-
-    Speed-ups have a geometric mean, all others an arithmetic one, which their largest decide.
-    """
-    base = {
-        str(row.problem): row.median("seconds")
-        for row in rows
-        if str(row.contender) == BASELINE and row.ok
-    }
-    members = list(dict.fromkeys(str(row.problem) for row in rows if row.ok))
-    found = []
-    for who in dict.fromkeys(row.contender for row in rows if row.ok):
-        mine = {str(row.problem): row for row in rows if row.contender == who and row.ok}
-        lost = tuple(name for name in members if name not in mine)
-        figures: dict[str, dict[str, float | None]] = {
-            "slowdown": {
-                name: tables.ratio(row.median("seconds"), base.get(name))
-                for name, row in mine.items()
-            },
-            "bytes": {name: _memory(row) for name, row in mine.items()},
-        }
-        for figure in ("eigenvalue_error", "residual_max"):
-            figures[figure] = {name: row.largest(figure) for name, row in mine.items()}
-        over = {
-            name: told for name, values in figures.items() if (told := _over(name, values, lost))
-        }
-        found.append(Summary(who, len(members), lost, over))
-    return found
-
-
-def _over(figure: str, values: Mapping[str, float | None], lost: Sequence[str]) -> Over | None:
-    known = {name: value for name, value in values.items() if value is not None}
-    if not known:
-        return None
-    where = max(known, key=lambda name: known[name])
-    numbers = np.array([*known.values()])
-    mean = np.exp(np.log(numbers).mean()) if figure == "slowdown" else numbers.mean()
-    mean = min(mean, numbers.max())  # which that of equal numbers may exceed, by rounding
-    return Over(float("nan") if lost else float(mean), known[where], where)
 
 
 class Fit(NamedTuple):
@@ -132,7 +71,7 @@ def write_report(
     fitted = exponents(rows)
     groups = {name: summaries(some) for name, some in _groups(rows).items()}
     record = {
-        "schema": 3,
+        "schema": 4,
         "machine": machine,
         "settings": {"k": study.prepared.k, "repeats": study.repeats, "operators": KINDS},
         "methods": {
@@ -147,7 +86,7 @@ def write_report(
             name: [
                 {
                     **{"method": one.contender.name, "device": one.contender.device},
-                    **{"members": one.members, "lost": one.lost},
+                    **{"members": one.members, "lost": one.lost, "above": one.above},
                     **{figure: over._asdict() for figure, over in one.over.items()},
                 }
                 for one in found
@@ -164,6 +103,7 @@ def write_report(
     parts = [
         *_head(study, rows, machine),
         *(part for name, found in groups.items() for part in _summary(name, found)),
+        *_promises(groups.get(ALL, ())),
         *_members(ready),
         *(_table(here) for _, here in _grouped(rows, lambda row: row.problem)),
         *_exponent_lines(rows),
@@ -271,6 +211,50 @@ def _summary(name: str, found: Sequence[Summary]) -> list[str]:
     return [f"## {name}: {found[0].members} members" if found else "", tables.table(_OVER, lines)]
 
 
+_PROMISES = (
+    *("method", f"within {FACTOR:g}", "worst", "too low", "worst"),
+    *("asked", "error", "met", "time", "worst", f"above {LIMITS['behind']:g}"),
+)
+
+
+def _promises(found: Iterable[Summary]) -> list[str]:
+    """Tell of estimates, and of what was asked for: how many members, and what became of them."""
+    lines = []
+    for one in found:
+        asked, over = one.contender.method.accuracy, one.over
+        cells = [str(one.contender)]
+        for figure, good in (("apart", True), ("low", False)):
+            if figure in over:
+                shares = over[figure].mean, over[figure].worst
+                mean, worst = (1 - share if good else share for share in shares)
+                cells += [tables.number(mean, ".1%"), f"{worst:.0%} ({over[figure].where})"]
+            else:
+                cells += [tables.NONE] * 2
+        cells += [f"{asked:g}"] if asked else [tables.NONE]
+        if "over_asked" in over:
+            error, solved = over["over_asked"], one.members - len(one.lost)
+            cells.append(f"{asked * error.worst:.1e} ({error.where})")
+            cells.append(f"{solved - len(one.above['over_asked'])}/{one.members}")
+        else:
+            cells += [tables.NONE] * 2
+        if "behind" in over:
+            cells += [tables.number(over["behind"].mean, ".2f")]
+            cells += [f"{over['behind'].worst:.2f} ({over['behind'].where})"]
+            cells += [", ".join(one.above["behind"]) or "none"]
+        else:
+            cells += [tables.NONE] * 3
+        if {"apart", "over_asked"} & over.keys():
+            lines.append(cells)
+    told = (
+        f"Estimates of errors: the share within a factor {FACTOR:g} of the true error, and of those"
+        " that are too low by more, in the mean over members and on the worst. Modes whose error is"
+        f" below {SEEN:g} are left out, as the exact eigenvalues are not exact enough to tell."
+        " Where an accuracy was asked for: the largest error of a member, on how many it was met,"
+        " and the time over that of the quickest method that met it without being asked."
+    )
+    return ["## What is promised", told, tables.table(_PROMISES, lines)] if lines else []
+
+
 def _members(prepared: Iterable[Repeats[str, Recipe]]) -> list[str]:
     """List the set: what each member is made of, and the hash of what came of it."""
     header = ("member", "kind", "traits", "made of", "points", "for", "hash")
@@ -317,7 +301,7 @@ def _table(here: Sequence[Row]) -> str:
                 tables.number(seconds),
                 tables.number(tables.ratio(base, seconds), ".2f"),
                 tables.number(seconds + assembly),
-                f"{_memory(row) / 1e9:.2f}",
+                f"{memory(row) / 1e9:.2f}",
                 *(tables.number(error, ".1e") for error in errors),
             ]
         )
@@ -376,11 +360,6 @@ def _point(
         league=who.device,
         worst=worst,
     )
-
-
-def _memory(row: Row) -> float:
-    """Return the peak on processor and accelerator, in bytes."""
-    return (row.largest("peak_bytes") or 0) + (row.largest("device_peak_bytes") or 0)
 
 
 def _draw_times(

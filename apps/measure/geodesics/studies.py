@@ -25,7 +25,7 @@ from measure.study import Result, Study
 from measure.worker import clocked
 from spectra_kit._files import atomic_path
 from spectra_kit._types import Floats
-from spectra_kit.catalogue import SOLVERS, SUBSPACES
+from spectra_kit.catalogue import SOLVERS
 from spectra_kit.eigensolvers import Eigensolver, eigensolve
 from spectra_kit.geodesics import exact_distances
 from spectra_kit.geometry import sphere
@@ -36,7 +36,6 @@ from spectra_kit.spectra import Spectrum
 EIGENSOLVERS: Mapping[str, Callable[[], Eigensolver]] = {
     "exact": lambda: SOLVERS["arpack"](),
     "neo": lambda: SOLVERS["neo"](),
-    "neo-polished": lambda: SOLVERS["polished"](start=SUBSPACES["neo"]()),
 }
 
 _LARGE = 60_000  # vertices, above which errors are measured at two sources at most

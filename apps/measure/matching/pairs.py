@@ -29,11 +29,10 @@ from spectra_kit.spectra import Spectrum
 
 Kind = Literal["mesh", "cloud"]
 KINDS: tuple[Kind, ...] = ("mesh", "cloud")
-#: From the weights to what solves: ARPACK, the network alone, polished once, refined to the end.
+#: From the weights to what solves: ARPACK, the network, refined to the end.
 BACKENDS: dict[str, Callable[[str], Eigensolver]] = {
     "exact": lambda weights: SOLVERS["arpack"](),
     "neo": lambda weights: SOLVERS["neo"](weights=weights),
-    "neo-polished": lambda weights: SOLVERS["polished"](start=SUBSPACES["neo"](weights), sweeps=1),
     "neo-refined": lambda weights: SOLVERS["refined"](start=SUBSPACES["neo"](weights)),
 }
 _HELD = 8  # spectra in the memory of a process
