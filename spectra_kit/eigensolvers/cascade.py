@@ -11,7 +11,7 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.eigensolvers.arpack import Arpack
-from spectra_kit.eigensolvers.base import Eigenpairs, Promise
+from spectra_kit.eigensolvers.base import Eigenpairs, Promise, set_device
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size
 from spectra_kit.levels import Coarse, coarse_pairs
 from spectra_kit.levels.cascade import climb, nested
@@ -91,17 +91,13 @@ class Cascade(OnPoints):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "device", str(self.device))
+        set_device(self)
         check_positive("target", self.target)
         if self.coarsest is not None:
             check_count("coarsest", self.coarsest, low=100)
         check_positive("guard", self.guard)
         check_count("max_steps", self.max_steps, low=0)
         check_count("seed", self.seed, low=0)
-        if self.device != "cpu":
-            from spectra_kit.linalg.torch_device import check_device
-
-            check_device(self.device)
         check_positive("rank_tol", self.rank_tol)
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
