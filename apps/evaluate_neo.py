@@ -13,7 +13,7 @@ On a machine with PyTorch but no network and nothing installed, such as one lent
 fetch the other packages where there is a network (--python-version is the other machine's):
 
     pip download -d .wheels --only-binary=:all: --no-deps --python-version 3.12 \
-        robust_laplacian libigl matplotlib numba llvmlite qdldl threadpoolctl tqdm \
+        robust_laplacian libigl matplotlib numba llvmlite threadpoolctl tqdm \
         contourpy cycler fonttools kiwisolver packaging pillow pyparsing python-dateutil six
 
 then copy the tree with .wheels there and run, from its root:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 #: What training needs beside torch, NumPy and SciPy, which such machines have.
 NEEDED = (
-    *("lazy-loader", "libigl", "llvmlite", "numba", "qdldl", "robust_laplacian"),
+    *("lazy-loader", "libigl", "llvmlite", "numba", "robust_laplacian"),
     *("safetensors", "threadpoolctl"),
 )
 POOL = "pool_{}.npz"  # in the packed folder, by split

@@ -13,7 +13,7 @@ from measure.store import Record, code_digest
 from spectra_kit._version import VERSION
 
 _PACKAGES = (
-    *("numpy", "scipy", "torch", "qdldl", "numba", "libigl", "potpourri3d"),
+    *("numpy", "scipy", "torch", "numba", "libigl", "potpourri3d"),
     *("robust_laplacian", "lapy", "pyFM"),
 )
 _SHARE = 0.85  # of the memory that is available

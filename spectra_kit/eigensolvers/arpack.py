@@ -13,9 +13,10 @@ from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError, Promise
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg import SparseCholesky
+from spectra_kit.linalg import SparseLDL
+from spectra_kit.linalg.memory import factor_gigabytes
 from spectra_kit.linalg.shift_invert import shifted_factor
-from spectra_kit.linalg.slicing import MOST, sliced_eigenpairs
+from spectra_kit.linalg.slicing import MOST, sliced_eigenpairs, vectors_held
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
 
@@ -84,6 +85,23 @@ class Arpack:
         if not 0 <= self.tol < 1:
             raise InvalidInputError("tol", "be in [0, 1)", self.tol)
 
+    @staticmethod
+    def memory(n: int, k: int) -> float:
+        """Estimate the memory, in GiB, that k modes on n points of one component take.
+
+        Factor, vectors and modes together, the operator not. For components one after the other it
+        is the largest of theirs, and 8 bytes for each number of the modes of the others.
+
+        Examples
+        --------
+        >>> from spectra_kit import Arpack
+        >>> 1 < Arpack.memory(100_000, 300) < 2
+        True
+        """
+        if _DENSE_RATIO * k >= n:
+            return 3 * 8 * n**2 / 2**30  # the matrix, its copy in LAPACK, eigenvectors
+        return factor_gigabytes(n) + 8 * n * vectors_held(k) / 2**30
+
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
         if _DENSE_RATIO * k >= laplacian.n:
@@ -92,7 +110,7 @@ class Arpack:
         if k >= _MANY and laplacian.n >= 2 * MOST:
             return self._sliced(laplacian, k, sigma)
         clock = Clock()
-        factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma, SparseCholesky)
+        factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma, SparseLDL)
         clock.stage("factor")
         # ARPACK takes a Ritz value below eps^(2/3) = 4e-11 for converged when it is so absolutely,
         # not relatively: in units of the spacing they are all far above that, whatever the input's.

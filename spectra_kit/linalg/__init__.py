@@ -1,6 +1,5 @@
 """Dense and sparse linear algebra on bare arrays; nothing here knows about geometry."""
 
-from spectra_kit.linalg.cholesky import SparseCholesky
 from spectra_kit.linalg.coarse_space import (
     AdditiveTwoLevel,
     CoarseSpace,
@@ -26,7 +25,6 @@ __all__ = [
     "LinearSolution",
     "Preconditioner",
     "ProjectedTwoLevel",
-    "SparseCholesky",
     "SparseLDL",
     "orthonormalize",
     "pcg",

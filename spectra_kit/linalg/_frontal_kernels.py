@@ -1,4 +1,4 @@
-"""Inner loops of `SparseCholesky`, compiled by numba on first use.
+"""Inner loops of `SparseLDL`, compiled by numba on first use.
 
 A front is a dense symmetric matrix of the columns of a supernode, which are eliminated in it, and
 of the rows below them, whose Schur complement goes to the front of the parent in the elimination
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from spectra_kit.linalg.compiled import compiled
 
 Floats = NDArray[np.float64]
+Reals = Floats | NDArray[np.float32]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 
@@ -206,9 +207,9 @@ def factorise(
     panels: Longs,
     sizes: Longs,
     factor: Floats,
-    inverse: Floats,
+    pivots: Floats,
 ) -> int:
-    """Write L^T and 1 / D of ``(I + L) D (I + L)^T``; return the place of a bad pivot, or -1.
+    """Write L^T and D of ``(I + L) D (I + L)^T``; return the place of a bad pivot, or -1.
 
     L^T is held by supernodes, from ``panels[s]`` on: for each of its columns what is right of the
     diagonal, in the columns behind it of the supernode and in those of `rows`.
@@ -256,10 +257,10 @@ def factorise(
             k1 = min(k0 + 4, width)
             for k in range(k0, k1):
                 pivot = front[k * m + k]
-                if not 0.0 < pivot < np.inf:
+                if pivot == 0.0 or not abs(pivot) < np.inf:
                     return int(a + k)
+                pivots[a + k] = pivot
                 scale = 1.0 / pivot
-                inverse[a + k] = scale
                 row = four[k - k0]
                 for j in range(k, m):
                     row[j] = front[k * m + j]
@@ -269,12 +270,8 @@ def factorise(
                         front[i * m + j] -= l0 * row[j]
             if k1 - k0 == 4:
                 r0, r1, r2, r3 = four[0], four[1], four[2], four[3]
-                i0, i1, i2, i3 = (
-                    inverse[a + k0],
-                    inverse[a + k0 + 1],
-                    inverse[a + k0 + 2],
-                    inverse[a + k0 + 3],
-                )
+                i0, i1 = 1.0 / pivots[a + k0], 1.0 / pivots[a + k0 + 1]
+                i2, i3 = 1.0 / pivots[a + k0 + 2], 1.0 / pivots[a + k0 + 3]
                 for i in range(k1, m):
                     l0, l1, l2, l3 = r0[i] * i0, r1[i] * i1, r2[i] * i2, r3[i] * i3
                     rest = front[i * m + i : i * m + m]
@@ -284,7 +281,7 @@ def factorise(
             else:
                 for k in range(k0, k1):
                     row = four[k - k0]
-                    scale = inverse[a + k]
+                    scale = 1.0 / pivots[a + k]
                     for i in range(k1, m):
                         l0 = row[i] * scale
                         at = i * m
@@ -292,7 +289,7 @@ def factorise(
                             front[at + j] -= l0 * row[j]
         at = panels[s]
         for k in range(width):
-            scale = inverse[a + k]
+            scale = 1.0 / pivots[a + k]
             source, target = front[k * m + k + 1 : k * m + m], factor[at : at + m - k - 1]
             for j in range(len(target)):
                 target[j] = source[j] * scale
@@ -307,30 +304,53 @@ def factorise(
     return -1
 
 
+@compiled()
+def factor_columns(begins: Ints, first: Longs, rows: Ints, fill: int) -> tuple[Longs, Ints]:
+    """Return where the columns of L start in the factor, and the row of each entry."""
+    n = begins[-1]
+    starts, found = np.zeros(n + 1, np.int64), np.empty(fill, np.int32)
+    at = 0
+    for s in range(len(begins) - 1):
+        for j in range(begins[s], begins[s + 1]):
+            for i in range(j + 1, begins[s + 1]):
+                found[at] = i
+                at += 1
+            for p in range(first[s], first[s + 1]):
+                found[at] = rows[p]
+                at += 1
+            starts[j + 1] = at
+    return starts, found
+
+
 @compiled(fastmath={"reassoc", "nsz", "contract"})
-def solve_one(
+def solve_columns(
     order: Ints,
     begins: Ints,
     first: Longs,
     rows: Ints,
     panels: Longs,
-    factor: Floats,
-    inverse: Floats,
-    rhs: Floats,
-    out: Floats,
+    factor: Reals,
+    inverse: Reals,
+    rhs: Reals,
+    out: Reals,
+    left: int,
+    right: int,
 ) -> None:
-    """Write the solution of ``P (I + L) D (I + L)^T P^T x = rhs`` to `out`.
+    """Write the solution of ``P (I + L) D (I + L)^T P^T x = rhs`` to `out`, both (n, s).
 
-    Four columns at a time: a pass over w serves all of them.
+    For the columns `left` to `right`: what is read of the factor serves them all, four of its
+    columns in one pass over a right-hand side. Each of these goes through the same loops, so that
+    its bits do not depend on the others.
     """
-    n, count = len(order), len(begins) - 1
-    y = np.empty(n)
+    n, count, many = len(order), len(begins) - 1, right - left
+    y = np.empty((n, many), factor.dtype)
     for i in range(n):
-        y[i] = rhs[order[i]]
+        for c in range(many):
+            y[i, c] = rhs[order[i], left + c]
     most = 0
     for s in range(count):
         most = max(most, begins[s + 1] - begins[s] + first[s + 1] - first[s])
-    w = np.empty(most)
+    work = np.empty((many, most), factor.dtype)
     for s in range(count):
         a, b = begins[s], begins[s + 1]
         width, low = b - a, first[s]
@@ -338,82 +358,103 @@ def solve_one(
         m = width + u
         nothing = True
         for k in range(width):
-            w[k] = y[a + k]
-            nothing = nothing and w[k] == 0.0
+            for c in range(many):
+                work[c, k] = y[a + k, c]
+                nothing = nothing and y[a + k, c] == 0.0
         if nothing:  # as in most runs where few entries of `rhs` are not zero
             continue
-        for k in range(width, m):
-            w[k] = 0.0
+        for c in range(many):
+            for k in range(width, m):
+                work[c, k] = 0.0
         k = 0
         while k + 4 <= width:
             p0 = panels[s] + k * m - k * (k + 3) // 2 - 1  # p0 + j: entry j of column k
             p1 = p0 + m - k - 2
             p2 = p1 + m - k - 3
             p3 = p2 + m - k - 4
-            w0 = w[k]
-            w1 = w[k + 1] - factor[p0 + k + 1] * w0
-            w2 = w[k + 2] - factor[p0 + k + 2] * w0 - factor[p1 + k + 2] * w1
-            w3 = w[k + 3] - factor[p0 + k + 3] * w0 - factor[p1 + k + 3] * w1
-            w3 -= factor[p2 + k + 3] * w2
-            w[k + 1], w[k + 2], w[k + 3] = w1, w2, w3
-            rest = w[k + 4 : m]
+            l10, l20, l30 = factor[p0 + k + 1], factor[p0 + k + 2], factor[p0 + k + 3]
+            l21, l31, l32 = factor[p1 + k + 2], factor[p1 + k + 3], factor[p2 + k + 3]
             f0, f1 = factor[p0 + k + 4 : p0 + m], factor[p1 + k + 4 : p1 + m]
             f2, f3 = factor[p2 + k + 4 : p2 + m], factor[p3 + k + 4 : p3 + m]
-            for j in range(len(rest)):
-                rest[j] -= (f0[j] * w0 + f1[j] * w1) + (f2[j] * w2 + f3[j] * w3)
+            for c in range(many):
+                w = work[c]
+                w0 = w[k]
+                w1 = w[k + 1] - l10 * w0
+                w2 = w[k + 2] - l20 * w0 - l21 * w1
+                w3 = w[k + 3] - l30 * w0 - l31 * w1 - l32 * w2
+                w[k + 1], w[k + 2], w[k + 3] = w1, w2, w3
+                rest = w[k + 4 : m]
+                for j in range(len(rest)):
+                    rest[j] -= (f0[j] * w0 + f1[j] * w1) + (f2[j] * w2 + f3[j] * w3)
             k += 4
         while k < width:
-            value = w[k]
             p0 = panels[s] + k * m - k * (k + 3) // 2 - 1
-            rest, f0 = w[k + 1 : m], factor[p0 + k + 1 : p0 + m]
-            for j in range(len(rest)):
-                rest[j] -= f0[j] * value
+            f0 = factor[p0 + k + 1 : p0 + m]
+            for c in range(many):
+                value = work[c, k]
+                rest = work[c, k + 1 : m]
+                for j in range(len(rest)):
+                    rest[j] -= f0[j] * value
             k += 1
         for k in range(width):
-            y[a + k] = w[k]
+            for c in range(many):
+                y[a + k, c] = work[c, k]
         for k in range(u):
-            y[rows[low + k]] += w[width + k]
+            i = rows[low + k]
+            for c in range(many):
+                y[i, c] += work[c, width + k]
+    nought = factor.dtype.type(0)
     for s in range(count - 1, -1, -1):
         a, b = begins[s], begins[s + 1]
         width, low = b - a, first[s]
         u = first[s + 1] - low
         m = width + u
         for k in range(width):
-            w[k] = y[a + k] * inverse[a + k]
+            for c in range(many):
+                work[c, k] = y[a + k, c] * inverse[a + k]
         for k in range(u):
-            w[width + k] = y[rows[low + k]]
+            i = rows[low + k]
+            for c in range(many):
+                work[c, width + k] = y[i, c]
         k = width
         while k % 4 > 0:
             k -= 1
             p0 = panels[s] + k * m - k * (k + 3) // 2 - 1
-            rest, f0 = w[k + 1 : m], factor[p0 + k + 1 : p0 + m]
-            total = 0.0
-            for j in range(len(rest)):
-                total += f0[j] * rest[j]
-            w[k] -= total
+            f0 = factor[p0 + k + 1 : p0 + m]
+            for c in range(many):
+                rest = work[c, k + 1 : m]
+                total = nought
+                for j in range(len(rest)):
+                    total += f0[j] * rest[j]
+                work[c, k] -= total
         while k > 0:
             k -= 4
             p0 = panels[s] + k * m - k * (k + 3) // 2 - 1
             p1 = p0 + m - k - 2
             p2 = p1 + m - k - 3
             p3 = p2 + m - k - 4
-            t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0
-            rest = w[k + 4 : m]
+            l10, l20, l30 = factor[p0 + k + 1], factor[p0 + k + 2], factor[p0 + k + 3]
+            l21, l31, l32 = factor[p1 + k + 2], factor[p1 + k + 3], factor[p2 + k + 3]
             f0, f1 = factor[p0 + k + 4 : p0 + m], factor[p1 + k + 4 : p1 + m]
             f2, f3 = factor[p2 + k + 4 : p2 + m], factor[p3 + k + 4 : p3 + m]
-            for j in range(len(rest)):
-                x = rest[j]
-                t0 += f0[j] * x
-                t1 += f1[j] * x
-                t2 += f2[j] * x
-                t3 += f3[j] * x
-            w3 = w[k + 3] - t3
-            w2 = w[k + 2] - t2 - factor[p2 + k + 3] * w3
-            w1 = w[k + 1] - t1 - factor[p1 + k + 2] * w2 - factor[p1 + k + 3] * w3
-            w0 = w[k] - t0 - factor[p0 + k + 1] * w1 - factor[p0 + k + 2] * w2
-            w[k] = w0 - factor[p0 + k + 3] * w3
-            w[k + 1], w[k + 2], w[k + 3] = w1, w2, w3
+            for c in range(many):
+                w = work[c]
+                rest = w[k + 4 : m]
+                t0, t1, t2, t3 = nought, nought, nought, nought
+                for j in range(len(rest)):
+                    x = rest[j]
+                    t0 += f0[j] * x
+                    t1 += f1[j] * x
+                    t2 += f2[j] * x
+                    t3 += f3[j] * x
+                w3 = w[k + 3] - t3
+                w2 = w[k + 2] - t2 - l32 * w3
+                w1 = w[k + 1] - t1 - l21 * w2 - l31 * w3
+                w0 = w[k] - t0 - l10 * w1 - l20 * w2 - l30 * w3
+                w[k], w[k + 1], w[k + 2], w[k + 3] = w0, w1, w2, w3
         for k in range(width):
-            y[a + k] = w[k]
+            for c in range(many):
+                y[a + k, c] = work[c, k]
     for i in range(n):
-        out[order[i]] = y[i]
+        for c in range(many):
+            out[order[i], left + c] = y[i, c]

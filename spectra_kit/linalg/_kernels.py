@@ -7,7 +7,10 @@ the same bits however the work was cut.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from spectra_kit.linalg.compiled import compiled
@@ -15,96 +18,21 @@ from spectra_kit.linalg.compiled import compiled
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Reals = Floats | Singles
-Ints = NDArray[np.int64] | NDArray[np.int32] | NDArray[np.uint32]
+Ints = NDArray[np.int64] | NDArray[np.int32]
 
 
-@compiled()
-def solve_columns(
-    starts: Ints,
-    rows: Ints,
-    lower: Reals,
-    inverse: Reals,
-    groups: Ints,
-    order: Ints,
-    rhs: Reals,
-    out: Reals,
-    first: int,
-    last: int,
-) -> None:
-    """Write the solution of ``P (I + L) D (I + L)^T P^T x = rhs`` to `out`, both (n, s).
+@register_jitable
+def _four(columns: Ints, values: Reals, p: int, end: int) -> tuple[Any, ...]:
+    """Return four entries of a sparse row from `p` on, and their columns; zeros from `end` on.
 
-    For the columns `first` to `last`: each entry of the factor is read once for all of them, which
-    is where the time goes. L is stored by columns, ``rows[starts[j]:starts[j + 1]]`` below the
-    diagonal; `inverse` holds 1 / D. Columns ``groups[g]`` to ``groups[g + 1]``, four at most, have
-    the same rows below them: where there are four, one look at a row serves all.
+    Four rows of a dense block then go into one pass over its sums, the last ones, too.
     """
-    n = len(inverse)
-    width = last - first
-    y = np.empty((n, width), lower.dtype)
-    for j in range(n):
-        for c in range(width):
-            y[j, c] = rhs[order[j], first + c]
-    for g in range(len(groups) - 1):
-        a, b = groups[g], groups[g + 1]
-        if b - a == 4:
-            p0, p1, p2, p3 = starts[a], starts[a + 1], starts[a + 2], starts[a + 3]
-            l10, l20, l30 = lower[p0], lower[p0 + 1], lower[p0 + 2]
-            l21, l31, l32 = lower[p1], lower[p1 + 1], lower[p2]
-            for c in range(width):
-                y0 = y[a, c]
-                y1 = y[a + 1, c] - l10 * y0
-                y2 = y[a + 2, c] - l20 * y0 - l21 * y1
-                y[a + 3, c] = y[a + 3, c] - l30 * y0 - l31 * y1 - l32 * y2
-                y[a + 1, c], y[a + 2, c] = y1, y2
-            p0, p1, p2 = p0 + 3, p1 + 2, p2 + 1
-            for t in range(starts[b] - p3):
-                i = rows[p3 + t]
-                v0, v1, v2, v3 = lower[p0 + t], lower[p1 + t], lower[p2 + t], lower[p3 + t]
-                for c in range(width):
-                    y[i, c] -= (v0 * y[a, c] + v1 * y[a + 1, c]) + (
-                        v2 * y[a + 2, c] + v3 * y[a + 3, c]
-                    )
-        else:
-            for j in range(a, b):
-                for p in range(starts[j], starts[j + 1]):
-                    i, v = rows[p], lower[p]
-                    for c in range(width):
-                        y[i, c] -= v * y[j, c]
-    for g in range(len(groups) - 2, -1, -1):
-        a, b = groups[g], groups[g + 1]
-        for j in range(a, b):
-            v = inverse[j]
-            for c in range(width):
-                y[j, c] *= v
-        if b - a == 4:
-            p0, p1, p2, p3 = starts[a], starts[a + 1], starts[a + 2], starts[a + 3]
-            l10, l20, l30 = lower[p0], lower[p0 + 1], lower[p0 + 2]
-            l21, l31, l32 = lower[p1], lower[p1 + 1], lower[p2]
-            p0, p1, p2 = p0 + 3, p1 + 2, p2 + 1
-            for t in range(starts[b] - p3):
-                i = rows[p3 + t]
-                v0, v1, v2, v3 = lower[p0 + t], lower[p1 + t], lower[p2 + t], lower[p3 + t]
-                for c in range(width):
-                    yi = y[i, c]
-                    y[a, c] -= v0 * yi
-                    y[a + 1, c] -= v1 * yi
-                    y[a + 2, c] -= v2 * yi
-                    y[a + 3, c] -= v3 * yi
-            for c in range(width):
-                y3 = y[a + 3, c]
-                y2 = y[a + 2, c] - l32 * y3
-                y1 = y[a + 1, c] - l21 * y2 - l31 * y3
-                y[a, c] = y[a, c] - l10 * y1 - l20 * y2 - l30 * y3
-                y[a + 1, c], y[a + 2, c] = y1, y2
-        else:
-            for j in range(b - 1, a - 1, -1):
-                for p in range(starts[j], starts[j + 1]):
-                    i, v = rows[p], lower[p]
-                    for c in range(width):
-                        y[j, c] -= v * y[i, c]
-    for j in range(n):
-        for c in range(width):
-            out[order[j], first + c] = y[j, c]
+    last, zero = end - 1, values.dtype.type(0)
+    q1, q2, q3 = min(p + 1, last), min(p + 2, last), min(p + 3, last)
+    v1 = values[q1] if p < last else zero
+    v2 = values[q2] if p + 1 < last else zero
+    v3 = values[q3] if p + 2 < last else zero
+    return values[p], v1, v2, v3, columns[p], columns[q1], columns[q2], columns[q3]
 
 
 @compiled()
@@ -117,19 +45,13 @@ def multiply_rows(
         for c in range(width):
             out[i, c] = 0
         p, end = indptr[i], indptr[i + 1]
-        while p + 4 <= end:  # four rows of `dense` to one pass over the sums
-            v0, v1, v2, v3 = values[p], values[p + 1], values[p + 2], values[p + 3]
-            j0, j1, j2, j3 = columns[p], columns[p + 1], columns[p + 2], columns[p + 3]
+        while p < end:
+            v0, v1, v2, v3, j0, j1, j2, j3 = _four(columns, values, p, end)
             for c in range(width):
                 out[i, c] += (v0 * dense[j0, c] + v1 * dense[j1, c]) + (
                     v2 * dense[j2, c] + v3 * dense[j3, c]
                 )
             p += 4
-        while p < end:
-            value, j = values[p], columns[p]
-            for c in range(width):
-                out[i, c] += value * dense[j, c]
-            p += 1
 
 
 @compiled()
@@ -189,11 +111,12 @@ def residual_rows(
     for i in range(start, stop):
         for c in range(width):
             row[c] = -mass[i] * values[c] * X[i, c]
-        for p in range(indptr[i], indptr[i + 1]):
-            j = columns[p]
-            entry = entries[p]
+        p, end = indptr[i], indptr[i + 1]
+        while p < end:
+            v0, v1, v2, v3, j0, j1, j2, j3 = _four(columns, entries, p, end)
             for c in range(width):
-                row[c] += entry * X[j, c]
+                row[c] += (v0 * X[j0, c] + v1 * X[j1, c]) + (v2 * X[j2, c] + v3 * X[j3, c])
+            p += 4
         for c in range(width):
             squares[c] += row[c] * row[c] / mass[i]
             out[i, c] = row[c]
@@ -211,43 +134,43 @@ def smoothing_step(
     values: Singles,
     residual: Singles,
     old: Singles,
-    direction: Singles,
     new: Singles,
-    keep: float,
-    step: float,
+    keep: Singles,
+    step: Singles,
     first: int,
     last: int,
 ) -> None:
     """Write one Chebyshev step of ``(L - lambda M) c = -residual`` to rows of `new`.
 
-    From the correction `old`; `direction` is overwritten by
-    ``keep direction - step (residual + (L - lambda M) old) / diag(L)``. L and M are given by rows,
-    `values` are the lambda of each column, and `inverse` is one over the diagonal of L.
+    From the correction `old` and, in `new`, the one before it: ``old + keep (old - new)
+    - step (residual + (L - lambda M) old) / diag(L)``. L and M are given by rows; `values`, `keep`
+    and `step` are those of each column, and `inverse` is one over the diagonal of L.
     """
     s = old.shape[1]
     row = np.empty(s, np.float32)
     for i in range(first, last):
-        for c in range(s):
-            row[c] = 0.0
-        for p in range(mass_starts[i], mass_starts[i + 1]):
-            j, weight = mass_neighbours[p], mass[p]
+        p, end = mass_starts[i], mass_starts[i + 1]
+        if end == p + 1:  # a diagonal mass
+            weight, j = mass[p], mass_neighbours[p]
             for c in range(s):
-                row[c] += weight * old[j, c]
-        for c in range(s):
-            row[c] = residual[i, c] - values[c] * row[c]
+                row[c] = residual[i, c] - values[c] * weight * old[j, c]
+        else:
+            for c in range(s):
+                row[c] = residual[i, c]
+            while p < end:
+                v0, v1, v2, v3, j0, j1, j2, j3 = _four(mass_neighbours, mass, p, end)
+                for c in range(s):
+                    row[c] -= values[c] * (
+                        (v0 * old[j0, c] + v1 * old[j1, c]) + (v2 * old[j2, c] + v3 * old[j3, c])
+                    )
+                p += 4
         p, end = starts[i], starts[i + 1]
-        while p + 4 <= end:  # four rows of `old` to one pass over the sums
-            v0, v1, v2, v3 = stiffness[p], stiffness[p + 1], stiffness[p + 2], stiffness[p + 3]
-            j0, j1, j2, j3 = neighbours[p], neighbours[p + 1], neighbours[p + 2], neighbours[p + 3]
+        while p < end:
+            v0, v1, v2, v3, j0, j1, j2, j3 = _four(neighbours, stiffness, p, end)
             for c in range(s):
                 row[c] += (v0 * old[j0, c] + v1 * old[j1, c]) + (v2 * old[j2, c] + v3 * old[j3, c])
             p += 4
-        while p < end:
-            weight, j = stiffness[p], neighbours[p]
-            for c in range(s):
-                row[c] += weight * old[j, c]
-            p += 1
-        a, b = np.float32(keep), np.float32(step) * inverse[i]
+        scale = inverse[i]
         for c in range(s):
-            direction[i, c] = a * direction[i, c] - b * row[c]
-            new[i, c] = old[i, c] + direction[i, c]
+            ahead = keep[c] * (old[i, c] - new[i, c])
+            new[i, c] = old[i, c] + ahead - step[c] * scale * row[c]

@@ -10,8 +10,9 @@ from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg._checks import check_kernel, check_matrix, check_rhs, check_symmetric
-from spectra_kit.linalg.cholesky import Elimination, SparseCholesky
+from spectra_kit.linalg.cholesky import Elimination
 from spectra_kit.linalg.constant_kernel import ConstantKernel
+from spectra_kit.linalg.ldl import SparseLDL
 from spectra_kit.linalg.solution import LinearSolution
 
 _ACCURATE = 1e-7  # relative residual up to which a direct solution is one
@@ -27,7 +28,7 @@ class GroundedCholesky:
     kernel : ConstantKernel, optional
         The kernel of `matrix`. Without it `matrix` is factorised as it is.
     elimination : Elimination, optional
-        Of a matrix with the same pattern, as for `SparseCholesky`.
+        Of a matrix with the same pattern, as for `SparseLDL`.
 
     Attributes
     ----------
@@ -75,7 +76,7 @@ class GroundedCholesky:
             labels, first = np.unique(self._kernel.labels, return_index=True)
             self._held[first[labels >= 0]] = True
         held = _held_at_zero(self._matrix, self._held)
-        self._factor = SparseCholesky(held, elimination=elimination)
+        self._factor = SparseLDL(held, elimination=elimination)
         self.seconds = clock.total
 
     def solve(self, rhs: ArrayLike) -> Floats:
@@ -146,7 +147,7 @@ def _held_at_zero(matrix: sparse.csr_array, held: NDArray[np.bool_]) -> sparse.c
     """
     if not held.any():
         return matrix
-    rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    rows = np.repeat(np.arange(matrix.shape[0], dtype=np.int32), np.diff(matrix.indptr))
     entries = np.where(held[rows] | held[matrix.indices], 0.0, matrix.data)
     own = np.flatnonzero(rows == matrix.indices)
     entries[own[held[rows[own]]]] = 1.0

@@ -10,14 +10,13 @@ from numpy.typing import DTypeLike, NDArray
 from scipy import sparse
 
 from spectra_kit._types import Floats
-from spectra_kit._validate import quantity
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
-from spectra_kit.linalg._checks import check_matrix
+from spectra_kit.linalg.cholesky import Elimination, symmetric
 from spectra_kit.linalg.products import real_dtype
 from spectra_kit.linalg.threads import in_threads, shares, thread_count
 
-_WIDE = 64  # columns solved together: more gain nothing, and cost memory in each thread
-_NARROW = 8  # fewer than these are not worth a thread of their own
+_WIDE = 16  # columns solved together: more gain nothing, and cost memory in each thread
+_NARROW = 4  # fewer than these are not worth a thread of their own
 _BALANCING = 8  # steps towards the x that makes a bound sharpest; each costs two products
 _EPS = float(np.finfo(np.float64).eps)
 
@@ -36,10 +35,13 @@ class SparseLDL:
     Parameters
     ----------
     matrix : sparse array of shape (n, n)
-        A, symmetric; only its upper triangle is read.
+        A, symmetric; both triangles stored.
     definite : bool, default True
         Refuse a matrix that is not positive definite. Without it, pivots of either sign are
         accepted as they come: nothing is pivoted for stability, so look at `backward_error`.
+    elimination : Elimination, optional
+        Of a matrix with the same pattern. Without it, that of `matrix` is found first, which takes
+        about as long as the factor itself.
 
     Attributes
     ----------
@@ -49,21 +51,26 @@ class SparseLDL:
         The diagonal of D, in the order of elimination.
     fill : int
         Entries of L below its diagonal.
+    lower : sparse array of shape (n, n)
+        Those entries, by columns in the order of elimination.
+    elimination : Elimination
+        What other matrices of this pattern can share.
 
     Raises
     ------
     InvalidInputError
-        If `matrix` is not square, not finite, singular, or not positive definite where that is
-        asked; from `solve`, if `rhs` has another number of rows or `dtype` is another.
+        If `matrix` is not square, finite and symmetric, singular, not positive definite where that
+        is asked, or of another pattern than that of `elimination`; from `solve`, if `rhs` has
+        another number of rows or `dtype` is another.
     OutOfMemoryError
         If the factor does not fit into memory.
 
     Notes
     -----
-    Ordered by approximate minimum degree and factorised by QDLDL (Stellato et al., *OSQP*, 2020);
-    solved by compiled loops, with up to 64 right-hand sides in a row of memory and one such
-    block for each thread. The bits of a solution depend neither on the number of threads nor on
-    the other right-hand sides. For blocks; `SparseCholesky` is faster with one column at a time.
+    A multifrontal factorisation in the order of `minimum_degree`, solved in blocks of columns,
+    one for each thread; all in compiled loops that release the interpreter lock. The bits of a
+    solution depend neither on the number of threads nor on the other right-hand sides. On operators
+    of surfaces CHOLMOD from a wheel took five to seven times as long for a factor.
 
     Examples
     --------
@@ -77,34 +84,49 @@ class SparseLDL:
     Inertia(negative=1, zero=0, positive=1)
     """
 
-    def __init__(self, matrix: sparse.csr_array, *, definite: bool = True) -> None:
-        import qdldl
+    def __init__(
+        self,
+        matrix: sparse.csr_array,
+        *,
+        definite: bool = True,
+        elimination: Elimination | None = None,
+    ) -> None:
+        from spectra_kit.linalg._frontal_kernels import factorise
 
-        upper = sparse.csc_matrix(sparse.triu(check_matrix(matrix), format="csc"))
-        diagonal = upper.diagonal()
-        if not diagonal.all():  # qdldl wants every diagonal entry stored
-            raise _singular(f"its diagonal has {quantity((diagonal == 0).sum(), 'zero')}")
+        A = symmetric(matrix)
+        self.n: int = A.shape[0]
+        if elimination is not None and not elimination.serves(A):
+            raise InvalidInputError("elimination", "have the pattern of `matrix`", "another")
         try:
-            lower, pivots, order = qdldl.Solver(upper, upper=True).factors()
-        except (RuntimeError, MemoryError) as error:
-            if "factorization" in str(error):  # of the numbers; all else it reports is memory
-                raise _singular("a pivot is zero") from error
+            self.elimination = known = Elimination.of(A) if elimination is None else elimination
+            self._lower, self.pivots = np.empty(known.fill), np.empty(self.n)
+            bad = factorise(
+                known.starts,
+                known.columns,
+                np.require(A.data, None, "W"),  # loops are compiled for what can be written to
+                known.order,
+                known.begins,
+                known.first,
+                known.rows,
+                known.above,
+                known.panels,
+                known.sizes,
+                self._lower,
+                self.pivots,
+            )
+        except MemoryError as error:
             raise OutOfMemoryError(
-                f"the factor of {matrix.shape[0]} unknowns does not fit into memory; use a method"
-                " without one, such as Cascade() or Chebyshev()"
+                f"the factor of {self.n} unknowns does not fit into memory; use a method without"
+                " one, such as Cascade() or geodesics.Iterative()"
             ) from error
-        self.n: int = matrix.shape[0]
-        self.pivots: Floats = np.asarray(pivots)
-        self._order = np.asarray(order, dtype=np.int64)
-        self._starts = lower.indptr.astype(np.int64)
-        self._rows = lower.indices.astype(np.uint32)  # unsigned: no test for negative indices
-        self._groups = _groups(self._starts, self._rows)
-        self._lower: Floats = lower.data
-        with np.errstate(divide="ignore"):
-            self._inverse = 1 / self.pivots
-        self._diagonal = diagonal[self._order]
-        if not (np.isfinite(self._inverse).all() and np.isfinite(self.pivots).all()):
-            raise _singular("a pivot is infinite")
+        if bad >= 0:
+            raise InvalidInputError(
+                "`matrix` has no factor without pivoting (the pivot of row"
+                f" {known.order[bad]} is zero or not finite); it is singular, or needs another"
+                " shift"
+            )
+        self._inverse = 1 / self.pivots
+        self._diagonal = A.diagonal()[known.order]
         if definite and not (self.pivots > _EPS * self._diagonal).all():
             raise InvalidInputError(
                 "matrix",
@@ -117,6 +139,15 @@ class SparseLDL:
     def fill(self) -> int:
         """Entries of L below its diagonal."""
         return len(self._lower)
+
+    @property
+    def lower(self) -> sparse.csc_array:
+        """L without its diagonal of ones, in the order of elimination."""
+        from spectra_kit.linalg._frontal_kernels import factor_columns
+
+        known = self.elimination
+        starts, rows = factor_columns(known.begins, known.first, known.rows, known.fill)
+        return sparse.csc_array((self._lower, rows, starts), (self.n, self.n))
 
     @property
     def inertia(self) -> Inertia:
@@ -150,9 +181,9 @@ class SparseLDL:
         Numerical Algorithms*, 2002, ch. 11): large where a pivot was small. The norm of that
         non-negative matrix N is at most ``max (N x) / x`` for any x > 0 (Collatz and Wielandt).
         """
-        lower = sparse.csc_array((np.abs(self._lower), self._rows, self._starts), (self.n, self.n))
-        longest = int(np.bincount(self._rows, minlength=1).max())
-        scale = 1 / np.sqrt(weight[self._order])
+        lower = abs(self.lower)
+        longest = int(np.bincount(lower.indices, minlength=1).max())
+        scale = 1 / np.sqrt(weight[self.elimination.order])
         x = 1 / scale
         bound = np.inf
         with np.errstate(over="ignore", invalid="ignore"):
@@ -185,42 +216,23 @@ class SparseLDL:
         InvalidInputError
             If `rhs` has another number of rows, or `dtype` is neither of the two.
         """
-        from spectra_kit.linalg._kernels import solve_columns
+        from spectra_kit.linalg._frontal_kernels import solve_columns
 
         real = real_dtype("dtype", dtype)
-        rhs = np.ascontiguousarray(rhs, dtype=real)
+        rhs = np.require(rhs, real, ["C", "W"])
         if rhs.ndim not in (1, 2) or len(rhs) != self.n:
             raise InvalidInputError("rhs", f"have shape ({self.n},) or ({self.n}, s)", rhs.shape)
         lower, inverse = self._single if real == np.float32 else (self._lower, self._inverse)
-        out = np.empty(rhs.shape, real)
-        factor = (self._starts, self._rows, lower, inverse, self._groups, self._order)
+        out, known = np.empty(rhs.shape, real), self.elimination
+        pattern = (known.order, known.begins, known.first, known.rows, known.panels)
         columns = rhs.size // self.n
         block = (rhs.reshape(self.n, columns), out.reshape(self.n, columns))
-        blocks = max(-(-columns // _WIDE), min(thread_count(), -(-columns // _NARROW)))
+        blocks = max(-(-columns // _WIDE), min(thread_count(), columns // _NARROW))
         cuts = shares(columns, blocks) if columns else []
-        in_threads(solve_columns, ((*factor, *block, *cut) for cut in cuts))
+        in_threads(solve_columns, ((*pattern, lower, inverse, *block, *cut) for cut in cuts))
         return out
 
     @cached_property
     def _single(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """L and 1 / D in float32, kept after the first use."""
         return self._lower.astype(np.float32), self._inverse.astype(np.float32)
-
-
-def _groups(starts: NDArray[np.int64], rows: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """Return where to cut the columns of L into runs, at most four long, of equal rows below."""
-    n = len(starts) - 1
-    counts = np.diff(starts)
-    below = np.full(n, -1)
-    below[counts > 0] = rows[starts[:-1][counts > 0]]
-    # In an elimination tree, a parent with one row less has just these rows.
-    joined = (below[:-1] == np.arange(1, n)) & (counts[:-1] == counts[1:] + 1)
-    runs = np.flatnonzero(np.r_[True, ~joined])
-    place = np.arange(n) - np.repeat(runs, np.diff(np.r_[runs, n]))
-    return np.append(np.flatnonzero(place % 4 == 0), n)
-
-
-def _singular(why: str) -> InvalidInputError:
-    return InvalidInputError(
-        f"`matrix` has no factor without pivoting ({why}); it is singular, or needs another shift"
-    )

@@ -55,6 +55,15 @@ class Sliced(NamedTuple):
     seconds: dict[str, float]
 
 
+def vectors_held(k: int) -> int:
+    """Return how many vectors of n numbers `sliced_eigenpairs` holds for k modes, at most.
+
+    A space, and three copies of what one finds beside what all found; or three copies of these.
+    """
+    space = min(MOST, 4 * k + 16 * _BLOCK) + _BLOCK
+    return max(space + k + 3 * min(k, MOST // 4), 3 * k)
+
+
 @single_threaded_blas()
 def sliced_eigenpairs(
     stiffness: sparse.csr_array,
@@ -120,6 +129,7 @@ def sliced_eigenpairs(
             closer = 0 if gained else closer + 1
             ahead = math.ceil((k - found) / (2 * max(1, math.ceil((k - found) / (2 * reach)))))
             some = min(_DENSITY, found - 1)
+            del run  # its space, before there is another
             sigma = values[found - 1] + ahead * np.ptp(values[found - 1 - some : found]) / some
     U = np.ascontiguousarray((X[:found] / root).T)
     return Sliced(values[:found], U, shifts, clock.seconds)

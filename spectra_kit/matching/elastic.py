@@ -13,7 +13,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from spectra_kit._types import Floats, Ints
-from spectra_kit.linalg.cholesky import SparseCholesky
+from spectra_kit.linalg.ldl import SparseLDL
 from spectra_kit.linalg.threads import in_threads, ranges
 from spectra_kit.matching.curvature import outward_normals
 from spectra_kit.matching.options import DEFAULT, MatchOptions
@@ -63,7 +63,7 @@ def _bending(
     graph = sparse.coo_array((w, (i, j)), shape=(n, n)).tocsr()
     graph = graph + graph.T
     stiffness = sparse.diags_array(np.asarray(graph.sum(axis=1)).ravel()) - graph
-    factor = SparseCholesky(sparse.csr_array(stiffness + sparse.diags_array(pull * mass)))
+    factor = SparseLDL(sparse.csr_array(stiffness + sparse.diags_array(pull * mass)))
     sides = points[i] - points[j]
     tails = sparse.csr_array((np.ones(len(i)), (i, np.arange(len(i)))), shape=(n, len(i)))
     heads = sparse.csr_array((np.ones(len(j)), (j, np.arange(len(j)))), shape=(n, len(j)))
