@@ -18,6 +18,7 @@ from spectra_kit.levels.cascade import climb, nested
 from spectra_kit.levels.ordering import gathered
 from spectra_kit.levels.smoothing import on_device
 from spectra_kit.linalg.ritz import ritz_pairs
+from spectra_kit.linalg.threads import team
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import Subspace, restricted
 from spectra_kit.subspaces.given import OnPoints
@@ -47,9 +48,9 @@ class Cascade(OnPoints):
         Points of the coarsest level, about; more where k is large. 6 for each column without it
         (2,048 at least, with a subspace). With fewer than twice as many points in all, this is
         `Arpack`; with a subspace, the subspace on all points.
-    guard : float, default 0.67
-        Columns beyond k, relative to k, below the finest level; a few there. The worse the coarse
-        levels, the more of them are needed.
+    guard : float, default 0.4
+        Columns beyond k, relative to k, below the finest level; half as many there. The worse the
+        coarse levels, the more of them are needed.
     max_steps : int, default 20
         Steps on all points at most: a smoother and Rayleigh-Ritz. 0 carries the modes up alone.
     device : str or torch.device, default "cpu"
@@ -84,7 +85,7 @@ class Cascade(OnPoints):
     subspace: Subspace | None = None
     target: float = 1e-3
     coarsest: int | None = None
-    guard: float = 0.67
+    guard: float = 0.4
     max_steps: int = 20
     device: str = "cpu"
     rank_tol: float = 1e-10
@@ -114,7 +115,7 @@ class Cascade(OnPoints):
             return Arpack(seed=self.seed).eigenpairs(laplacian, k)._replace(errors=np.zeros(k))
         clock.stage("coarsen")
         bottom = levels[-1] if levels else gathers
-        with device_memory():
+        with device_memory(), team():
             if self.subspace is None:
                 assert isinstance(bottom, Coarse)
                 begun: tuple[Floats, Any] = coarse_pairs(bottom, block, k, seed=self.seed)
@@ -133,7 +134,7 @@ class Cascade(OnPoints):
                 levels,
                 *begun,
                 k,
-                keep=block_size(k, self.guard / 4),
+                keep=block_size(k, self.guard / 2),
                 target=self.target,
                 max_steps=self.max_steps,
                 device=self.device,
