@@ -129,8 +129,8 @@ class Automatic:
         Examples
         --------
         >>> from spectra_kit import Automatic
-        >>> Automatic().choose(3_000_000, 96)[1]
-        'an exact solution would take 24.5 GiB, more than 8'
+        >>> Automatic(accuracy=1e-3).choose(100_000, 96)[1]
+        'errors of 0.001 on 100000 points need no factor'
         """
         needed = Arpack.memory(n, k)
         fits = needed <= self.memory
