@@ -3,6 +3,7 @@
     python apps/benchmark_geodesics.py OUT                        # needs SPECTRA_KIT_DATA
     python apps/benchmark_geodesics.py OUT --meshes igea amo      # of SPECTRA_KIT_DATA/ood_public
     python apps/benchmark_geodesics.py OUT --meshes my.obj --sources 50
+    python apps/benchmark_geodesics.py OUT --race                 # all meshes of the set, one table
 
 OUT gets report.md and report.json; every measurement is a line of OUT/measurements.jsonl as soon as
 it ends, so the same command after an interruption computes only what is missing. What was measured
@@ -19,11 +20,12 @@ from functools import partial
 from pathlib import Path
 
 from measure.command import add_threads, exit_code, parser_of
-from measure.geodesics.contenders import MANY
-from measure.geodesics.report import write_report
+from measure.geodesics.contenders import DIRECT, MANY, PLAIN, RACE, ROBUST
+from measure.geodesics.report import write_race, write_report
 from measure.geodesics.studies import Accuracy, Ball, Balls, Exact, Modes, Times
 from measure.machine import describe_machine, most_memory
-from measure.shapes import shapes_named
+from measure.recipes import REAL, real_meshes
+from measure.shapes import Shape, shapes_named
 from measure.store import Store
 from measure.study import run
 from measure.worker import Limits
@@ -37,8 +39,14 @@ def _parser() -> argparse.ArgumentParser:
     parser = parser_of("benchmark_geodesics.py", __doc__)
     add = parser.add_argument
     add("out", type=Path, help="folder for everything")
-    add("--meshes", nargs="+", default=list(MESHES), metavar="FILE|NAME",
-        help=f"default: {' '.join(MESHES)}")  # fmt: skip
+    add("--meshes", nargs="+", metavar="FILE|NAME",
+        help=f"or members of the set, by name (default: {' '.join(MESHES)}; all of the set with"
+        " --race)")  # fmt: skip
+    add(
+        "--race",
+        action="store_true",
+        help="our default against potpourri3d: first field, many single calls, errors",
+    )
     add("--sources", type=int, default=20, help="for the time of many (%(default)s)")
     add("--exact-sources", type=int, default=4,
         help="where errors are measured; two above 60,000 vertices (%(default)s)")  # fmt: skip
@@ -60,20 +68,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     return exit_code(lambda: print(_measure(args)))
 
 
+def _shapes(args: argparse.Namespace) -> tuple[Shape, ...]:
+    """Members of the set, files, or names of public meshes."""
+    of_the_set = [name for name, member in REAL.items() if member.kind == "mesh"]
+    names = args.meshes or (of_the_set if args.race else MESHES)
+    members = real_meshes(name for name in names if args.race and name in of_the_set)
+    return members + shapes_named(n for n in names if not (args.race and n in of_the_set))
+
+
 def _measure(args: argparse.Namespace) -> str:
     for name in ("sources", "exact_sources", "repeats", "threads"):
         check_count(name, getattr(args, name), low=1)
     limits = Limits(threads=args.threads, memory=most_memory())
-    store, shapes = Store(args.out), shapes_named(args.meshes)
+    store, shapes = Store(args.out), _shapes(args)
     jobs = 0 if args.quick else 1
     measured = partial(run, store=store, limits=limits, jobs=jobs, retry=True, progress=True)
     places = {"folder": args.out, "problems": shapes}
     modes = Modes(**places)
     exact = Exact(**places, count=args.exact_sources, seed=args.seed)
-    results = {"modes": measured(modes)}
+    results = {} if args.race else {"modes": measured(modes)}
     measured(exact)
     given = {**places, "modes": modes, "exact": exact, "warm": args.warm}
-    results["accuracy"] = measured(Accuracy(**given))
     machine = describe_machine(name=args.machine, threads=args.threads)
     clocked = {
         **given,
@@ -82,6 +97,12 @@ def _measure(args: argparse.Namespace) -> str:
         "threads": args.threads,
         "machine": machine["name"] + " in one process" * args.quick,
     }
+    if args.race:
+        results["accuracy"] = measured(Accuracy(**given, contenders=(DIRECT, PLAIN, ROBUST)))
+        for name, count in (("first", 0), ("many", args.sources)):
+            results[name] = measured(Times(**clocked, contenders=RACE, many=count))
+        return write_race(args.out, results, machine, repeats=args.repeats, sources=args.sources)
+    results["accuracy"] = measured(Accuracy(**given))
     results["first"] = measured(Times(**clocked))
     results["many"] = measured(Times(**clocked, contenders=MANY, many=args.sources))
     balls = [Ball(kind, count) for kind in ("mesh", "cloud") for count in args.sphere]

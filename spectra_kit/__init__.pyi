@@ -24,7 +24,6 @@ from . import viz as viz
 from .eigensolvers import Arpack as Arpack
 from .eigensolvers import Automatic as Automatic
 from .eigensolvers import Cascade as Cascade
-from .eigensolvers import Chebyshev as Chebyshev
 from .eigensolvers import Dense as Dense
 from .eigensolvers import Neo as Neo
 from .eigensolvers import RayleighRitz as RayleighRitz

@@ -67,11 +67,6 @@ SOLVERS = _table(
         "block iterations from any start, on a sparse factor",
         "to tolerance",
     ),
-    chebyshev=(
-        "chebyshev:Chebyshev",
-        "block iterations from any start, without a factor",
-        "to tolerance",
-    ),
     dense=("dense:Dense", "LAPACK on the full matrix, for few points", "exact"),
     cascade=("cascade:Cascade", "few points solved, carried to all, smoothed", "approximate"),
     fourier=("rayleigh_ritz:RayleighRitz", "plane waves and Rayleigh-Ritz", "approximate"),

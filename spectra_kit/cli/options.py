@@ -162,7 +162,7 @@ class Solver(Reading):
     dtype: Literal["float32", "bfloat16", "float16"] = "float32"
     """of neo"""
     device: str = "cpu"
-    """of neo, cascade, chebyshev and automatic: cpu, cuda"""
+    """of neo, cascade and automatic: cpu, cuda"""
 
     def __post_init__(self) -> None:
         if self.accuracy is not None and self.solver is None:

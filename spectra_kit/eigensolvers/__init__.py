@@ -4,7 +4,6 @@ from spectra_kit.eigensolvers.arpack import Arpack
 from spectra_kit.eigensolvers.automatic import Automatic
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigensolvers.cascade import Cascade
-from spectra_kit.eigensolvers.chebyshev import Chebyshev
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
@@ -17,7 +16,6 @@ __all__ = [
     "Arpack",
     "Automatic",
     "Cascade",
-    "Chebyshev",
     "Dense",
     "Eigenpairs",
     "Eigensolver",

@@ -53,10 +53,9 @@ class Eigensolver(Protocol):
     were fixed, one connected part of the free points), and 1 <= k <= n. It then checks, sorts and
     certifies what comes back, so a backend does none of that.
 
-    A backend may have three more attributes. ``promise`` says what its answers are (`Promise`):
+    A backend may have two more attributes. ``promise`` says what its answers are (`Promise`):
     where they are to be exact or to a tolerance, `eigensolve` counts the eigenvalues and completes
-    what was missed, unless ``factor_free`` is true, for backends that are taken to avoid a factor.
-    ``name`` is what `Provenance` calls it, if not its class in lower case.
+    what was missed. ``name`` is what `Provenance` calls it, if not its class in lower case.
     """
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs | tuple[Floats, Floats]:
@@ -86,3 +85,12 @@ class NotConvergedError(Exception):
     ) -> None:
         super().__init__(message)
         self.pairs, self.converged, self.advised = pairs, converged, advised
+
+
+def set_device(solver: Any) -> None:
+    """Let the device of a frozen solver be a name, of one that torch can use here."""
+    object.__setattr__(solver, "device", str(solver.device))
+    if solver.device != "cpu":  # which needs no torch
+        from spectra_kit.linalg.torch_device import check_device
+
+        check_device(solver.device)

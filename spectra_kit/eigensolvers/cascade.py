@@ -11,13 +11,14 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.eigensolvers.arpack import Arpack
-from spectra_kit.eigensolvers.base import Eigenpairs, Promise
+from spectra_kit.eigensolvers.base import Eigenpairs, Promise, set_device
 from spectra_kit.eigensolvers.starts import basis_with_kernel, block_size
 from spectra_kit.levels import Coarse, coarse_pairs
 from spectra_kit.levels.cascade import climb, nested
 from spectra_kit.levels.ordering import gathered
 from spectra_kit.levels.smoothing import on_device
 from spectra_kit.linalg.ritz import ritz_pairs
+from spectra_kit.linalg.threads import team
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import Subspace, restricted
 from spectra_kit.subspaces.given import OnPoints
@@ -47,9 +48,9 @@ class Cascade(OnPoints):
         Points of the coarsest level, about; more where k is large. 6 for each column without it
         (2,048 at least, with a subspace). With fewer than twice as many points in all, this is
         `Arpack`; with a subspace, the subspace on all points.
-    guard : float, default 0.67
-        Columns beyond k, relative to k, below the finest level; a few there. The worse the coarse
-        levels, the more of them are needed.
+    guard : float, default 0.4
+        Columns beyond k, relative to k, below the finest level; half as many there. The worse the
+        coarse levels, the more of them are needed.
     max_steps : int, default 20
         Steps on all points at most: a smoother and Rayleigh-Ritz. 0 carries the modes up alone.
     device : str or torch.device, default "cpu"
@@ -84,24 +85,20 @@ class Cascade(OnPoints):
     subspace: Subspace | None = None
     target: float = 1e-3
     coarsest: int | None = None
-    guard: float = 0.67
+    guard: float = 0.4
     max_steps: int = 20
     device: str = "cpu"
     rank_tol: float = 1e-10
     seed: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "device", str(self.device))
+        set_device(self)
         check_positive("target", self.target)
         if self.coarsest is not None:
             check_count("coarsest", self.coarsest, low=100)
         check_positive("guard", self.guard)
         check_count("max_steps", self.max_steps, low=0)
         check_count("seed", self.seed, low=0)
-        if self.device != "cpu":
-            from spectra_kit.linalg.torch_device import check_device
-
-            check_device(self.device)
         check_positive("rank_tol", self.rank_tol)
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
@@ -118,7 +115,7 @@ class Cascade(OnPoints):
             return Arpack(seed=self.seed).eigenpairs(laplacian, k)._replace(errors=np.zeros(k))
         clock.stage("coarsen")
         bottom = levels[-1] if levels else gathers
-        with device_memory():
+        with device_memory(), team():
             if self.subspace is None:
                 assert isinstance(bottom, Coarse)
                 begun: tuple[Floats, Any] = coarse_pairs(bottom, block, k, seed=self.seed)
@@ -137,7 +134,7 @@ class Cascade(OnPoints):
                 levels,
                 *begun,
                 k,
-                keep=block_size(k, self.guard / 4),
+                keep=block_size(k, self.guard / 2),
                 target=self.target,
                 max_steps=self.max_steps,
                 device=self.device,

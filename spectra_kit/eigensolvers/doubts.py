@@ -16,7 +16,7 @@ from spectra_kit.spectra import Spectrum
 
 #: Eigenvalues that are too high by more than this, relative to the true ones, are told.
 DOUBTFUL = 0.1
-_ESTIMATED = 0.01  # errors estimated to be below need no proof: estimates are better than this
+_ESTIMATED = 0.03  # errors estimated to be below need no proof: estimates are better than this
 _DEGREE = 12  # sparse products; twice as many prove hardly more
 _COLUMNS = 32  # smoothed at a time, for the sake of memory
 

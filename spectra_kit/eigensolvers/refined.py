@@ -20,7 +20,7 @@ from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.subspaces import Subspace
 from spectra_kit.subspaces.given import OnPoints
 
-DENSE_RATIO = 5  # below this multiple of the block the trial space is most of the whole space
+_DENSE_RATIO = 5  # below this multiple of the block the trial space is most of the whole space
 _SMALLEST_RTOL = 1e-14  # residuals below this are rounding, whatever the operator
 _LARGEST_RTOL = 0.1  # beyond it a residual says nothing
 
@@ -62,9 +62,9 @@ class Refined(OnPoints):
     columns join every start, and modes are found of which it holds nothing; what they may still
     miss is found by a count of the eigenvalues, which `eigensolve` makes.
 
-    See `linalg.shift_invert.shift_invert_iteration` for the method, and `Chebyshev` for one that
-    needs no sparse factor. ``provenance.iterations`` holds the sweeps it took, the certificate the
-    residual of each mode.
+    See `linalg.shift_invert.shift_invert_iteration` for the method. Without a sparse factor,
+    `Cascade` goes on from a subspace. ``provenance.iterations`` holds the sweeps it took, the
+    certificate the residual of each mode.
 
     Examples
     --------
@@ -85,12 +85,21 @@ class Refined(OnPoints):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        check_sweeping(self.rtol, self.guard, self.max_sweeps, self.seed)
+        if not _SMALLEST_RTOL <= check_positive("rtol", self.rtol) <= _LARGEST_RTOL:
+            raise InvalidInputError(
+                "rtol",
+                f"be at least {_SMALLEST_RTOL:g}, the rounding of float64, and at most"
+                f" {_LARGEST_RTOL:g}",
+                f"{self.rtol:g}",
+            )
+        check_positive("guard", self.guard)
         check_count("degree", self.degree, low=1)
+        check_count("max_sweeps", self.max_sweeps, low=1)
+        check_count("seed", self.seed, low=0)
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
-        if DENSE_RATIO * block_size(k, self.guard) >= laplacian.n:
+        if _DENSE_RATIO * block_size(k, self.guard) >= laplacian.n:
             return Dense().eigenpairs(laplacian, k)
         clock, spacing = Clock(), laplacian.eigenvalue_spacing
         start = plane_waves(k) if self.start is None else self.start
@@ -110,24 +119,10 @@ class Refined(OnPoints):
         )
         seconds = clock.seconds | found.seconds
         pairs = Eigenpairs(found.eigenvalues, found.eigenvectors, seconds, found.sweeps)
-        return within(self.rtol, laplacian, pairs, found.residuals, stalled=found.stalled)
+        return _within(self.rtol, laplacian, pairs, found.residuals, stalled=found.stalled)
 
 
-def check_sweeping(rtol: float, guard: float, max_sweeps: int, seed: int) -> None:
-    """Refuse options of a block iteration that are out of range."""
-    if not _SMALLEST_RTOL <= check_positive("rtol", rtol) <= _LARGEST_RTOL:
-        raise InvalidInputError(
-            "rtol",
-            f"be at least {_SMALLEST_RTOL:g}, the rounding of float64, and at most"
-            f" {_LARGEST_RTOL:g}",
-            f"{rtol:g}",
-        )
-    check_positive("guard", guard)
-    check_count("max_sweeps", max_sweeps, low=1)
-    check_count("seed", seed, low=0)
-
-
-def within(
+def _within(
     rtol: float, laplacian: Laplacian, pairs: Eigenpairs, residuals: Floats, *, stalled: bool
 ) -> Eigenpairs:
     """Return `pairs` if all are within the tolerance; else raise with what they are."""

@@ -68,8 +68,8 @@ def eigensolve(
         Number of modes, zero modes included; at most the number of free points.
     solver : Eigensolver, default Automatic()
         ``Automatic(accuracy=1e-3)`` takes what costs least for that accuracy; without it, all is
-        exact. For those who know: `Arpack`, `Refined`, `Chebyshev`, `Dense`; approximate:
-        `Neo`, `Cascade`, `RayleighRitz`; or your own.
+        exact. For those who know: `Arpack`, `Refined`, `Dense`; approximate: `Neo`, `Cascade`,
+        `RayleighRitz`; or your own.
 
     Returns
     -------
@@ -180,13 +180,11 @@ class _Run:
                 f"{self.name}: {self.k} modes on {self.laplacian.n} points do not fit into memory"
                 f" ({error})",
                 advice="ask for fewer, sample fewer points, or take a backend that needs less, such"
-                " as Cascade() or Chebyshev()",
+                " as Cascade()",
                 partial=partial,
             ) from error
         spectrum = self.packed(pairs)
-        promised = spectrum.provenance.accuracy in ("exact", "to tolerance")
-        solvers = [one.solver for one in self.chosen.values()] or [self.solver]
-        if promised and not any(getattr(one, "factor_free", False) for one in solvers):
+        if spectrum.provenance.accuracy in ("exact", "to tolerance"):
             return self.completed(spectrum)
         if pairs.errors is None:
             spectrum = with_bounds(spectrum, self.laplacian)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, reduce
+from functools import partial, reduce
 from operator import call
 from typing import Literal, NamedTuple
 
@@ -44,8 +44,9 @@ _LONGEST = 1e30  # coefficient of a time with which one can calculate
 
 
 class _Ready(NamedTuple):
-    """What one choice of solvers needs before any source is known, and the time it took."""
+    """What takes part before any source is known, and the time it took."""
 
+    system: System
     steps: Mapping[int, Mapping[Boundary, HeatStep]]  # by `System.sizes`
     poisson: GroundedCholesky | IterativePoisson
     seconds: float
@@ -153,6 +154,7 @@ class HeatGeodesics:
             if isinstance(solver, Automatic)
             else (solver, "as asked")
         )
+        self._prepared: dict[int | None, _Ready] = {}  # by component; None for all
 
     def __repr__(self) -> str:
         return (
@@ -207,11 +209,11 @@ class HeatGeodesics:
         return [self._distance(one) for one in checked]
 
     def _distance(self, sources: Sources) -> DistanceField:
-        ready, why = self._ready, self._chosen[1]
-        system = self._system
+        ready, why = self._ready(sources), self._chosen[1]
+        system = ready.system
         used = ready.poisson.options if isinstance(ready.poisson, IterativePoisson) else Direct()
         heated = sources.right_hand_side()[system.order]
-        heats = {size: self._heat(steps, heated) for size, steps in ready.steps.items()}
+        heats = {size: self._heat(system, steps, heated) for size, steps in ready.steps.items()}
         heat, labels = heats[0], self.triangulation.laplacian.component_labels
         clock = Clock()
         at_zero = np.zeros(self.triangulation.n, dtype=bool)
@@ -255,55 +257,59 @@ class HeatGeodesics:
             )
         return found
 
-    @cached_property
-    def _system(self) -> System:
-        return System.of(self.triangulation)
+    def _ready(self, sources: Sources) -> _Ready:
+        """Return what these sources need: no heat comes to other components than theirs."""
+        labels = self.triangulation.laplacian.component_labels[sources.vertices]
+        alone = isinstance(self._chosen[0], Direct) and len(np.unique(labels)) == 1
+        several = len(self.time_steps) > 1
+        component = int(labels[0]) if alone and several else None
+        if component not in self._prepared:
+            self._prepared[component] = self._prepare(component)
+        return self._prepared[component]
 
-    @cached_property
-    def _ready(self) -> _Ready:
+    def _prepare(self, component: int | None) -> _Ready:
         """Factorise what both steps need, side by side."""
-        clock, options = Clock(), self._chosen[0]
-        if isinstance(options, Direct):
-            _ = self._system.elimination  # once, before both threads ask for it
-        parts = [(self._heat_steps, options), (self._poisson, options)]
-        steps, poisson = in_threads(call, parts)
-        return _Ready(steps, poisson, clock.total)
+        clock, system = Clock(), System.of(self.triangulation, component)
+        if isinstance(self._chosen[0], Direct):
+            _ = system.elimination  # once, before all threads ask for it
+        conditions = self._conditions(system)
+        kinds = [(size, one) for size in np.union1d(0, system.sizes).tolist() for one in conditions]
+        tasks = [partial(self._poisson, system), *(partial(self._step, system, *k) for k in kinds)]
+        poisson, *made = in_threads(call, [(task,) for task in tasks])
+        steps: dict[int, dict[Boundary, HeatStep]] = {}
+        for (size, condition), step in zip(kinds, made, strict=True):
+            steps.setdefault(size, {})[condition] = step
+        return _Ready(system, steps, poisson, clock.total)
 
-    def _heat_steps(self, options: Direct | Iterative) -> dict[int, Mapping[Boundary, HeatStep]]:
-        """Return for each size of triangles the step of each boundary condition that takes part."""
+    def _conditions(self, system: System) -> tuple[Boundary, ...]:
+        """Return the boundary conditions that take part."""
+        if system.inside.all():
+            return ("neumann",)
         both: tuple[Boundary, ...] = ("neumann", "dirichlet")
         wanted = both if self._boundary == "average" else (self._boundary,)
-        system, inside = self._system, self._system.inside
-        if inside.all():
-            wanted = ("neumann",)
-        elif not inside.any():
-            wanted = tuple(condition for condition in wanted if condition == "neumann")
-        shared = system.elimination if isinstance(options, Direct) else None
-        return {
-            size: {
-                condition: HeatStep(
-                    system.stiffness,
-                    system.mass,
-                    system.points,
-                    duration=self._time_coefficient * float(COARSER) ** (2 * size),
-                    inside=inside if condition == "dirichlet" else None,
-                    direct=isinstance(options, Direct),
-                    elimination=shared,
-                )
-                for condition in wanted
-            }
-            for size in np.union1d(0, system.sizes).tolist()
-        }
+        return wanted if system.inside.any() else tuple(c for c in wanted if c == "neumann")
 
-    def _poisson(self, options: Direct | Iterative) -> GroundedCholesky | IterativePoisson:
-        stiffness, kernel = self._system.stiffness, ConstantKernel(self._system.labels)
+    def _step(self, system: System, size: int, condition: Boundary) -> HeatStep:
+        direct = isinstance(self._chosen[0], Direct)
+        return HeatStep(
+            system.stiffness,
+            system.mass,
+            system.points,
+            duration=self._time_coefficient * float(COARSER) ** (2 * size),
+            inside=system.inside if condition == "dirichlet" else None,
+            direct=direct,
+            elimination=system.elimination if direct else None,
+        )
+
+    def _poisson(self, system: System) -> GroundedCholesky | IterativePoisson:
+        options, stiffness = self._chosen[0], system.stiffness
+        kernel = ConstantKernel(system.labels - system.labels.min())
         if isinstance(options, Direct):
-            return GroundedCholesky(stiffness, kernel, elimination=self._system.elimination)
-        return IterativePoisson(stiffness, kernel, options, self._spectrum, self._system.order)
+            return GroundedCholesky(stiffness, kernel, elimination=system.elimination)
+        return IterativePoisson(stiffness, kernel, options, self._spectrum, system.order)
 
-    def _heat(self, steps: Mapping[Boundary, HeatStep], heated: Floats) -> Heat:
+    def _heat(self, system: System, steps: Mapping[Boundary, HeatStep], heated: Floats) -> Heat:
         """Return the heat of all steps together; a cold boundary takes what is put on it."""
-        system = self._system
         sourced = np.unique(system.labels[heated > 0])
         heated = heated / (heated / system.mass).max()  # heat of about 1, whatever the unit
         found = []
@@ -317,8 +323,8 @@ class HeatGeodesics:
         if not found:
             raise _cold()
         heat = reduce(Heat.plus, found)
-        sourced_points = np.isin(system.labels, sourced) & system.inside
-        if (cut := int((heat.values[sourced_points] == 0).sum())) > 0:
+        cold_points = (heat.values == 0) & system.inside
+        if (cut := int(np.isin(system.labels[cold_points], sourced).sum())) > 0:
             raise InvalidInputError(
                 "boundary",
                 "be 'neumann' or 'average' here",

@@ -194,12 +194,15 @@ class HeatStep:
 
         if self._complete is None:
             return None
-        reached = np.isin(self._labels, self._labels[rhs > 0])
         lifted, A = np.ldexp(rhs, _LIFT), self._matrix
         u = self._complete.solve(lifted)
-        if not ((u[reached] > _FLOOR).all() and np.isfinite(u).all()):
+        if not (u > _FLOOR).all():
+            reached = np.isin(self._labels, self._labels[rhs > 0])
+            if not (u[reached] > _FLOOR).all():
+                return None
+            u = np.where(reached, u, 0.0)
+        if not np.isfinite(u).all():
             return None
-        u = np.where(reached, u, 0.0)
         share = residual(A.indptr, A.indices, A.data, lifted, u, np.empty_like(u))
         values, exponents = np.frexp(u)
         return Heat(values, exponents - _LIFT, "Cholesky", 0, share, clock.total)
@@ -224,7 +227,7 @@ class HeatStep:
 
 def _raised(matrix: sparse.csr_array, diagonal: Floats) -> sparse.csr_array:
     """Return ``matrix + diag(diagonal)``, in the pattern of `matrix` if that holds its diagonal."""
-    rows = np.repeat(np.arange(len(diagonal)), np.diff(matrix.indptr))
+    rows = np.repeat(np.arange(len(diagonal), dtype=np.int32), np.diff(matrix.indptr))
     own = np.flatnonzero(rows == matrix.indices)
     if len(own) < len(diagonal):
         summed = sparse.csr_array(matrix + sparse.diags_array(diagonal))

@@ -19,11 +19,12 @@ from spectra_kit.geodesics.heat_step import Heat
 from spectra_kit.linalg.cholesky import Elimination
 from spectra_kit.linalg.incomplete_cholesky import untidy
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
-from spectra_kit.operators.triangle_calculus import apexes
+from spectra_kit.operators.triangle_calculus import apexes, areas
 
 Ints = NDArray[np.int32]
 
 _FLAT = 1e-9  # relative differences of heat in a triangle that are no direction, but rounding
+_RARE = 0.01  # share of the surface
 COARSER = 8  # times the length of a step: larger triangles take the next one
 _LEVEL = 0.05  # share of such triangles that deserves a warning; a few lie at any source's antipode
 
@@ -32,12 +33,14 @@ _LEVEL = 0.05  # share of such triangles that deserves a warning; a few lie at a
 class System:
     """What both steps of the heat method work on; place i in memory holds point ``order[i]``.
 
-    `order` is that of the input, unless neighbours are scattered over memory (as in a shuffled
-    mesh or most clouds), where incomplete factors are bad and everything waits for memory: then
-    reverse Cuthill-McKee. `corners`, `lengths` and `share` are those of `IntrinsicTriangulation`;
-    `unit` (n,) is the length that counts as 1: the spacing of the component of each point.
+    All points of a triangulation of `n`, or those of one component; in the order of the input,
+    unless neighbours are scattered over memory (as in a shuffled mesh or most clouds), where
+    incomplete factors are bad and everything waits for memory: then reverse Cuthill-McKee.
+    `corners`, `lengths` and `share` are those of `IntrinsicTriangulation`; `unit` (m,) is the
+    length that counts as 1: the spacing of the component of each point.
     """
 
+    n: int
     order: NDArray[np.int64]
     stiffness: sparse.csr_array
     mass: Floats
@@ -50,30 +53,37 @@ class System:
     unit: Floats
 
     @staticmethod
-    def of(triangulation: IntrinsicTriangulation) -> System:
-        """Lay out a triangulation."""
+    def of(triangulation: IntrinsicTriangulation, component: int | None = None) -> System:
+        """Lay out a triangulation, or one component of it."""
         laplacian = triangulation.laplacian
         n, stiffness, corners = laplacian.n, laplacian.stiffness, triangulation.corners
+        lengths, labels = triangulation.lengths, laplacian.component_labels
         order = np.arange(n)
-        if untidy(stiffness):
-            order = reverse_cuthill_mckee(stiffness, symmetric_mode=True).astype(np.int64)
+        if component is not None:
+            order = np.flatnonzero(labels == component)
+            here = labels[corners[:, 0]] == component
             stiffness = sparse.csr_array(stiffness[order][:, order])
+            corners, lengths = corners[here], lengths[here]
+        if untidy(stiffness):
+            better = reverse_cuthill_mckee(stiffness, symmetric_mode=True).astype(np.int64)
+            stiffness = sparse.csr_array(stiffness[better][:, better])
             stiffness.sort_indices()
-            place = np.empty(n, dtype=np.int32)
-            place[order] = np.arange(n)
-            corners = place[corners]
+            order = order[better]
+        place = np.empty(n, dtype=np.int32)
+        place[order] = np.arange(len(order))
         inside = np.ones(n, dtype=bool)
         inside[triangulation.boundary] = False
-        labels = laplacian.component_labels[order]
-        unit = triangulation.spacings[labels]
+        unit = triangulation.spacings[labels[order]]
+        corners = place[corners]
         return System(
+            n,
             order,
             stiffness,
             laplacian.mass[order] / unit**2,
             laplacian.points[order] / unit[:, None],
-            labels,
+            labels[order],
             corners,
-            triangulation.lengths / unit[corners[:, :1]],
+            lengths / unit[corners[:, :1]],
             triangulation.share,
             inside[order],
             unit,
@@ -86,9 +96,18 @@ class System:
 
     @cached_property
     def sizes(self) -> NDArray[np.int64]:
-        """Of each triangle, k for which its longest side is at most ``8**(k + 1)``, shape (f,)."""
+        """Of each triangle, k for which its longest side is at most ``8**(k + 1)``, shape (f,).
+
+        Those of one k > 0 that cover next to nothing of the surface count among the next larger
+        ones that do, or the largest: each k costs a factor.
+        """
         steps = np.log(self.lengths.max(axis=1, initial=1.0)) / np.log(COARSER)
-        return np.asarray(np.ceil(steps - 1).clip(0), dtype=np.int64)
+        sizes = np.asarray(np.ceil(steps - 1).clip(0), dtype=np.int64)
+        if not sizes.any():
+            return sizes
+        covered = np.bincount(sizes, areas(self.lengths))
+        worth = np.union1d(0, np.flatnonzero(covered > _RARE * covered.sum()))
+        return np.asarray(worth[np.searchsorted(worth, sizes).clip(max=len(worth) - 1)])
 
     @cached_property
     def _triangles(self) -> dict[int, tuple[Ints, Floats, Floats]]:
@@ -102,8 +121,8 @@ class System:
         return {k: (corners[here], lengths[here], tops[here]) for k, here in masks.items()}
 
     def outwards(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return `values` (n,) in the order of memory in that of the input."""
-        found = np.empty_like(values)
+        """Return `values` (m,) in the order of the input, 0 at points of other components."""
+        found = np.zeros(self.n, values.dtype)
         found[self.order] = values
         return found
 

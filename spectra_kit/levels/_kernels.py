@@ -81,23 +81,32 @@ def cover(starts: Ints, neighbours: Ints, points: Floats, radius: float) -> Ints
 
 @compiled()
 def balls(
-    starts: Ints, neighbours: Ints, points: Floats, centres: Longs, radius: float
-) -> tuple[Longs, Ints]:
-    """Return, as rows of a sparse matrix, the points in the connected ball of each centre."""
+    starts: Ints,
+    neighbours: Ints,
+    points: Floats,
+    centres: Longs,
+    radius: float,
+    first: int,
+    last: int,
+) -> tuple[Ints, Ints]:
+    """Return how many points are in the connected ball of each centre, and which they are.
+
+    Of the centres `first` to `last`.
+    """
     n = len(points)
     seen = np.full(n, -1, np.int32)
-    members = np.empty(16 * n, np.int32)
-    ends = np.zeros(len(centres) + 1, np.int64)
+    members = np.empty(n + 16 * n * (last - first) // len(centres), np.int32)
+    counts = np.empty(last - first, np.int32)
     ball = np.empty(n, np.int32)
     total = 0
-    for k in range(len(centres)):
+    for k in range(first, last):
         x, y, z = points[centres[k]]
         seen[centres[k]] = k
         ball[0] = centres[k]
-        first, last = 0, 1
-        while first < last:
-            i = ball[first]
-            first += 1
+        head, tail = 0, 1
+        while head < tail:
+            i = ball[head]
+            head += 1
             for p in range(starts[i], starts[i + 1]):
                 j = neighbours[p]
                 if seen[j] == k:
@@ -105,15 +114,15 @@ def balls(
                 dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
                 if dx * dx + dy * dy + dz * dz < radius * radius:
                     seen[j] = k
-                    ball[last] = j
-                    last += 1
-        if total + last > len(members):
-            members = _longer(members, 2 * len(members) + last)
-        for t in range(last):
+                    ball[tail] = j
+                    tail += 1
+        if total + tail > len(members):
+            members = _longer(members, 2 * len(members) + tail)
+        for t in range(tail):
             members[total + t] = ball[t]
-        total += last
-        ends[k + 1] = total
-    return ends, members[:total].copy()
+        total += tail
+        counts[k - first] = tail
+    return counts, members[:total].copy()
 
 
 @compiled()

@@ -18,9 +18,10 @@ from spectra_kit.linalg.blocks import operations
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation
 from spectra_kit.operators.laplacian import Laplacian
 
-_RATIO = 10  # points of a level relative to those of the next one, at most
+_RATIO = 16  # points of a level relative to those of the next one, at most
 _CARRIED = 8  # products of the first step on a level: interpolation errs at its own spacing
-_MIDDLE = 4  # steps on a level between: what more would gain, the next finer one does as well
+_MIDDLE = 4  # steps on a level between, at most
+_LEFT = 0.02  # of what a level between gained: its modes are off by more than that on the next one
 _SURE = 3  # times smaller than the target are estimates to be: so far off are some of them
 _MORE = 2  # times smaller than that are errors to become by the next step
 _ROUNDING = 1e-10  # of the last Ritz value: a rise beyond it is none of rounding
@@ -102,6 +103,7 @@ def climb(
     clock = clock or Clock()
     X = vectors if device == "cpu" else on_device(vectors, device)
     ops, errors, step = operations(X), np.full(k, np.inf), 0
+    goal = target / (_SURE * _MORE)
     finer: list[Laplacian | Coarse] = [laplacian]
     finer += levels[:-1]
     for i in range(len(finer) - 1, -1, -1):
@@ -113,13 +115,13 @@ def climb(
         smoothing = Smoothing.of(finer[i], device)
         clock.stage("carry")
         residual = smoothing.residual(values, X)
-        gain, step = 1.0, 0
+        step, found, gained = 0, None, 0.0
         for step in range(1, 1 + (max_steps if finest else min(max_steps, _MIDDLE))):
             before = values
             degree = _CARRIED if finest and levels and step == 1 else None
             guards = max(1, len(values) - k)
             smooth = smoothing.smoothed(
-                values, X, residual, degree=degree, guards=guards, gain=gain
+                values, X, residual, degree=degree, guards=guards, errors=found, goal=goal
             )
             clock.stage("smooth")
             values, X = _rotated(smoothing, smooth, values, X, k)
@@ -127,12 +129,11 @@ def climb(
             residual = smoothing.residual(values, X)
             least = np.maximum(values, laplacian.eigenvalue_spacing)[:k]
             falls = np.maximum(before[:k] - values[:k], 0.0)
-            errors = excess(smoothing, values, X, residual, falls) / least
+            found = errors = excess(smoothing, values, X, residual, falls) / least
             clock.stage("smooth")
-            above = _SURE * errors.mean() / target
-            if above <= 1:
+            gained += float((falls / least).mean())
+            if errors.mean() <= max(target / _SURE, 0.0 if finest else _LEFT * gained):
                 break
-            gain = _MORE * above
     return Climbed(values, X, errors, step)
 
 

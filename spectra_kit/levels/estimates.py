@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._types import Floats
-from spectra_kit.levels.smoothing import Smoothing
+from spectra_kit.levels.smoothing import Smoothing, chebyshev_steps
 from spectra_kit.linalg.blocks import operations
 
 _COLUMNS = 12  # whose residuals are solved for; those of the others are like theirs
@@ -59,29 +59,16 @@ def excess(
     columns = np.linspace(first, k - 1, min(_COLUMNS, k)).round().astype(int)
     ops, some, last = operations(residual), residual[:, columns], slice(3 * len(values) // 4, None)
     thetas = values[last] / ops.energies(smoothing.diagonal, vectors[:, last])
-    share = np.clip(
-        _LOWEST * np.median(thetas) / smoothing.highest, 1 / (_REACH * _MOST**2), _WHOLE
-    )
-    steps = _steps(min(max(share, 1 / (_REACH * _MOST**2)), _WHOLE), smoothing.highest)
+    share = _LOWEST * np.median(thetas) / smoothing.highest
+    share = np.clip(share, 1 / (_REACH * _MOST**2), _WHOLE)
+    lowest = np.full(len(columns), share * smoothing.highest)
+    degree = math.ceil(math.sqrt(1 / (_REACH * share)) - 1e-9)
+    steps = chebyshev_steps(lowest, smoothing.highest, degree)
     c = ops.correction(smoothing.singles, some, np.zeros(len(columns)), steps)
     gain = np.maximum(-ops.dots(some, c), _TINY)
     nearness = values[columns] * np.diag(ops.gram(smoothing.mass, c)) / gain
     known = gain / (1 - np.clip(nearness, 0.0, _NEAREST))
     return _fitted(columns, known, smoothing.sizes(residual)[:k], falls)
-
-
-def _steps(share: float, highest: float) -> list[tuple[float, float]]:
-    """Return Chebyshev steps that solve down to this share of the highest frequency.
-
-    What each keeps of the last one, and how far it goes.
-    """
-    degree = math.ceil(math.sqrt(1 / (_REACH * share)) - 1e-9)
-    centre, radius = highest * (1 + share) / 2, highest * (1 - share) / 2
-    ratio, steps = radius / centre, [(0.0, 1 / centre)]
-    for _ in range(degree - 1):
-        before, ratio = ratio, 1 / (2 * centre / radius - ratio)
-        steps.append((ratio * before, 2 * ratio / radius))
-    return steps
 
 
 def _fitted(columns: NDArray[np.intp], known: Floats, sizes: Floats, falls: Floats) -> Floats:

@@ -68,9 +68,12 @@ def prolongation(operator: Laplacian | Coarse, subset: Subset) -> sparse.csr_arr
         frozen(np.asarray(a, dtype=np.int32)) for a in (graph.indptr, graph.indices)
     )
     reach = _REACH * subset.radius
-    ends, members = balls(starts, neighbours, points, subset.indices, reach)
-    shape = (len(subset.indices), n)
-    within = sparse.csr_array((np.ones(len(members), bool), members, ends), shape).tocsc()
+    m = len(subset.indices)
+    around = (starts, neighbours, points, subset.indices, reach)
+    parts = in_threads(balls, ((*around, *rows) for rows in shares(m)))
+    counts, members = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    ends = np.concatenate([[0], np.cumsum(counts)])
+    within = sparse.csr_array((np.ones(len(members), bool), members, ends), (m, n)).tocsc()
     indptr, columns = within.indptr.astype(np.int64), within.indices.astype(np.int32)
     if (empty := np.flatnonzero(np.diff(indptr) == 0)).size:
         raise InvalidInputError(
@@ -85,4 +88,4 @@ def prolongation(operator: Laplacian | Coarse, subset: Subset) -> sparse.csr_arr
     in_threads(interpolate, ((*fixed, *rows, weights) for rows in shares(n)))
     if len(columns) < np.iinfo(np.int32).max:  # half the memory, and what torch wants
         indptr = indptr.astype(np.int32)
-    return sparse.csr_array((weights, columns, indptr), shape=(n, len(centres)))
+    return sparse.csr_array((weights, columns, indptr), shape=(n, m))

@@ -20,6 +20,7 @@ _FLOOR = 1e-3  # of the median diagonal entry: smaller ones would take steps of 
 _MASS = 0.3
 _MOST = 60  # products: where the columns are few, what lies just above them is left to more steps
 _LONGER = 3  # times more products than damping takes: columns lean to the lowest mode by cosh(8)
+_NEAREST = 0.95  # of the way up to what is damped: guards may lie inside it
 _REACH = 0.6  # degree d damps well from 1 / (1 + 0.6 d^2) of the top
 
 
@@ -74,21 +75,31 @@ class Smoothing:
         *,
         degree: int | None = None,
         guards: int = 1,
-        gain: float = 1.0,
+        errors: Floats | None = None,
+        goal: float = 1.0,
     ) -> Any:
         """Return columns whose errors above the last `guards` of them are damped.
 
         By as many products as that takes, `degree` or 60 at most; by up to three times as many if
-        that of the eigenvalue before the guards is to be divided by `gain`. See `levels.smoothed`.
+        the relative `errors` of the first eigenvalues are to fall to `goal` in the mean. See
+        `levels.smoothed`.
         """
         ops = operations(vectors)
         last = slice(max(len(values) - guards - 1, 0), None)
-        thetas = values[last] / ops.energies(self.diagonal, vectors[:, last])
+        energies = ops.energies(self.diagonal, vectors[:, last])
+        top = int(np.argmax(values[last] / energies))
         most = _MOST if degree is None else degree
-        lowest = max(float(thetas.max()), self.highest / (1 + _REACH * most**2))
+        reach = self.highest / (1 + _REACH * most**2)
+        lowest = max(float(values[last][top] / energies[top]), reach)
         if lowest >= 0.9 * self.highest:
             return vectors  # the columns fill the space of the points
-        steps = _steps(lowest, self.highest, float(thetas[0]), gain)
+        bottoms = np.full(len(values), lowest)
+        enough = math.ceil(math.sqrt((self.highest / lowest - 1) / _REACH) - 1e-9)
+        if errors is not None:
+            # What is left after a first step lies just above the modes: as near as seen from each.
+            bottoms -= np.clip(values / energies[top], 0.0, _NEAREST * lowest)
+            enough = _degree(bottoms[: len(errors)], self.highest, errors, goal, enough)
+        steps = chebyshev_steps(bottoms, self.highest, enough)
         return vectors + ops.correction(self.singles, residual, values, steps)
 
 
@@ -148,20 +159,27 @@ def smoothed(laplacian: Laplacian, values: Floats, vectors: Floats, *, degree: i
     return np.asarray(level.smoothed(values, vectors, residual, degree=degree))
 
 
-def _steps(lowest: float, highest: float, wanted: float, gain: float) -> list[tuple[float, float]]:
-    """Return what Chebyshev steps keep of the last one, and how far they go, by interval.
+def _degree(lowest: Floats, highest: float, errors: Floats, goal: float, least: int) -> int:
+    """Return how many steps bring errors of eigenvalues to `goal` in the mean: `least` or more.
 
-    The polynomial of degree d is ``cosh(d acosh(x))`` times larger at the frequency `wanted`, x
-    below the interval, than inside it, and an error of an eigenvalue is the square of one of modes.
+    The polynomial of degree d is ``cosh(d acosh(x))`` times smaller inside an interval than at a
+    mode, x below it, and an error of an eigenvalue is the square of one of modes.
+    """
+    degrees = np.arange(least, _LONGER * least + 1)
+    apart = np.arccosh((highest + lowest) / (highest - lowest))
+    left = (errors / np.cosh(degrees[:, None] * apart) ** 2).mean(axis=1)
+    return min(least + int(np.count_nonzero(left > goal)), int(degrees[-1]))
+
+
+def chebyshev_steps(lowest: Floats, highest: float, degree: int) -> list[tuple[Floats, Floats]]:
+    """Return what Chebyshev steps keep of the last one, and how far they go, column by column.
+
+    They damp what lies between `lowest`, of each column, and `highest` (Saad, *Iterative Methods
+    for Sparse Linear Systems*, 2003, Algorithm 12.1).
     """
     centre, radius = (highest + lowest) / 2, (highest - lowest) / 2
-    degree = math.sqrt((highest / lowest - 1) / _REACH)
-    if gain > 1:
-        below = max((centre - wanted) / radius, 1 + 1e-9)
-        enough = math.acosh(math.sqrt(gain)) / math.acosh(below)
-        degree = min(max(degree, enough), _LONGER * degree)
-    ratio, steps = radius / centre, [(0.0, 1 / centre)]
-    for _ in range(max(1, math.ceil(degree - 1e-9)) - 1):
+    ratio, steps = radius / centre, [(np.zeros(len(lowest)), 1 / centre)]
+    for _ in range(degree - 1):
         before, ratio = ratio, 1 / (2 * centre / radius - ratio)
         steps.append((ratio * before, 2 * ratio / radius))
     return steps

@@ -7,7 +7,10 @@ the same bits however the work was cut.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from spectra_kit.linalg.compiled import compiled
@@ -16,6 +19,20 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Reals = Floats | Singles
 Ints = NDArray[np.int64] | NDArray[np.int32]
+
+
+@register_jitable
+def _four(columns: Ints, values: Reals, p: int, end: int) -> tuple[Any, ...]:
+    """Return four entries of a sparse row from `p` on, and their columns; zeros from `end` on.
+
+    Four rows of a dense block then go into one pass over its sums, the last ones, too.
+    """
+    last, zero = end - 1, values.dtype.type(0)
+    q1, q2, q3 = min(p + 1, last), min(p + 2, last), min(p + 3, last)
+    v1 = values[q1] if p < last else zero
+    v2 = values[q2] if p + 1 < last else zero
+    v3 = values[q3] if p + 2 < last else zero
+    return values[p], v1, v2, v3, columns[p], columns[q1], columns[q2], columns[q3]
 
 
 @compiled()
@@ -28,19 +45,13 @@ def multiply_rows(
         for c in range(width):
             out[i, c] = 0
         p, end = indptr[i], indptr[i + 1]
-        while p + 4 <= end:  # four rows of `dense` to one pass over the sums
-            v0, v1, v2, v3 = values[p], values[p + 1], values[p + 2], values[p + 3]
-            j0, j1, j2, j3 = columns[p], columns[p + 1], columns[p + 2], columns[p + 3]
+        while p < end:
+            v0, v1, v2, v3, j0, j1, j2, j3 = _four(columns, values, p, end)
             for c in range(width):
                 out[i, c] += (v0 * dense[j0, c] + v1 * dense[j1, c]) + (
                     v2 * dense[j2, c] + v3 * dense[j3, c]
                 )
             p += 4
-        while p < end:
-            value, j = values[p], columns[p]
-            for c in range(width):
-                out[i, c] += value * dense[j, c]
-            p += 1
 
 
 @compiled()
@@ -100,11 +111,12 @@ def residual_rows(
     for i in range(start, stop):
         for c in range(width):
             row[c] = -mass[i] * values[c] * X[i, c]
-        for p in range(indptr[i], indptr[i + 1]):
-            j = columns[p]
-            entry = entries[p]
+        p, end = indptr[i], indptr[i + 1]
+        while p < end:
+            v0, v1, v2, v3, j0, j1, j2, j3 = _four(columns, entries, p, end)
             for c in range(width):
-                row[c] += entry * X[j, c]
+                row[c] += (v0 * X[j0, c] + v1 * X[j1, c]) + (v2 * X[j2, c] + v3 * X[j3, c])
+            p += 4
         for c in range(width):
             squares[c] += row[c] * row[c] / mass[i]
             out[i, c] = row[c]
@@ -122,43 +134,43 @@ def smoothing_step(
     values: Singles,
     residual: Singles,
     old: Singles,
-    direction: Singles,
     new: Singles,
-    keep: float,
-    step: float,
+    keep: Singles,
+    step: Singles,
     first: int,
     last: int,
 ) -> None:
     """Write one Chebyshev step of ``(L - lambda M) c = -residual`` to rows of `new`.
 
-    From the correction `old`; `direction` is overwritten by
-    ``keep direction - step (residual + (L - lambda M) old) / diag(L)``. L and M are given by rows,
-    `values` are the lambda of each column, and `inverse` is one over the diagonal of L.
+    From the correction `old` and, in `new`, the one before it: ``old + keep (old - new)
+    - step (residual + (L - lambda M) old) / diag(L)``. L and M are given by rows; `values`, `keep`
+    and `step` are those of each column, and `inverse` is one over the diagonal of L.
     """
     s = old.shape[1]
     row = np.empty(s, np.float32)
     for i in range(first, last):
-        for c in range(s):
-            row[c] = 0.0
-        for p in range(mass_starts[i], mass_starts[i + 1]):
-            j, weight = mass_neighbours[p], mass[p]
+        p, end = mass_starts[i], mass_starts[i + 1]
+        if end == p + 1:  # a diagonal mass
+            weight, j = mass[p], mass_neighbours[p]
             for c in range(s):
-                row[c] += weight * old[j, c]
-        for c in range(s):
-            row[c] = residual[i, c] - values[c] * row[c]
+                row[c] = residual[i, c] - values[c] * weight * old[j, c]
+        else:
+            for c in range(s):
+                row[c] = residual[i, c]
+            while p < end:
+                v0, v1, v2, v3, j0, j1, j2, j3 = _four(mass_neighbours, mass, p, end)
+                for c in range(s):
+                    row[c] -= values[c] * (
+                        (v0 * old[j0, c] + v1 * old[j1, c]) + (v2 * old[j2, c] + v3 * old[j3, c])
+                    )
+                p += 4
         p, end = starts[i], starts[i + 1]
-        while p + 4 <= end:  # four rows of `old` to one pass over the sums
-            v0, v1, v2, v3 = stiffness[p], stiffness[p + 1], stiffness[p + 2], stiffness[p + 3]
-            j0, j1, j2, j3 = neighbours[p], neighbours[p + 1], neighbours[p + 2], neighbours[p + 3]
+        while p < end:
+            v0, v1, v2, v3, j0, j1, j2, j3 = _four(neighbours, stiffness, p, end)
             for c in range(s):
                 row[c] += (v0 * old[j0, c] + v1 * old[j1, c]) + (v2 * old[j2, c] + v3 * old[j3, c])
             p += 4
-        while p < end:
-            weight, j = stiffness[p], neighbours[p]
-            for c in range(s):
-                row[c] += weight * old[j, c]
-            p += 1
-        a, b = np.float32(keep), np.float32(step) * inverse[i]
+        scale = inverse[i]
         for c in range(s):
-            direction[i, c] = a * direction[i, c] - b * row[c]
-            new[i, c] = old[i, c] + direction[i, c]
+            ahead = keep[c] * (old[i, c] - new[i, c])
+            new[i, c] = old[i, c] + ahead - step[c] * scale * row[c]

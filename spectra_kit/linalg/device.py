@@ -102,13 +102,19 @@ def smoother(stiffness: Tensor, mass: Tensor, diagonal: Tensor) -> Smoother:
 
 
 def correction(
-    level: Smoother, residual: Tensor, values: Floats, steps: Sequence[tuple[float, float]]
+    level: Smoother, residual: Tensor, values: Floats, steps: Sequence[tuple[Floats, Floats]]
 ) -> Tensor:
     """Return c after Chebyshev steps of ``(L - lambda M) c = -residual``, from c = 0, in float32.
 
-    A step is (keep, step): ``d = keep d - step (residual + (L - lambda M) c) / diag(L); c += d``.
+    Of each column, a step is (keep, step):
+    ``d = keep d - step (residual + (L - lambda M) c) / diag(L); c += d``.
     """
-    residual, there = residual.float(), torch.from_numpy(values).to(residual.device).float()
+    residual = residual.float()
+
+    def there(row: Floats) -> Tensor:
+        return torch.from_numpy(row).to(residual.device).float()
+
+    shifts = there(values)
     direction = torch.zeros_like(residual)
     found = torch.zeros_like(residual)
     for i, (keep, step) in enumerate(steps):
@@ -119,8 +125,8 @@ def correction(
                 weighted = csr_product(level.mass, found, torch.float32)
             else:
                 weighted = level.mass.unsqueeze(1) * found
-            image.addcmul_(weighted, there, value=-1)
-        direction.mul_(keep).addcmul_(level.inverse, image, value=-step)
+            image.addcmul_(weighted, shifts, value=-1)
+        direction.mul_(there(keep)).addcmul_(level.inverse * there(step), image, value=-1)
         found += direction
     return torch.where(found.isfinite().all(dim=0), found, 0.0)
 

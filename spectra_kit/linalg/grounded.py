@@ -147,7 +147,7 @@ def _held_at_zero(matrix: sparse.csr_array, held: NDArray[np.bool_]) -> sparse.c
     """
     if not held.any():
         return matrix
-    rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    rows = np.repeat(np.arange(matrix.shape[0], dtype=np.int32), np.diff(matrix.indptr))
     entries = np.where(held[rows] | held[matrix.indices], 0.0, matrix.data)
     own = np.flatnonzero(rows == matrix.indices)
     entries[own[held[rows[own]]]] = 1.0

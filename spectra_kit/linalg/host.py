@@ -113,11 +113,11 @@ def smoother(stiffness: sparse.csr_array, mass: Weights, diagonal: Floats) -> Sm
 
 
 def correction(
-    level: Smoother, residual: Block, values: Floats, steps: Sequence[tuple[float, float]]
+    level: Smoother, residual: Block, values: Floats, steps: Sequence[tuple[Floats, Floats]]
 ) -> Singles:
     """Return c after Chebyshev steps of ``(L - lambda M) c = -residual``, from c = 0, in float32.
 
-    A step is (keep, step): see the kernel.
+    Of each column, a step is (keep, step): see the kernel.
     """
     from spectra_kit.linalg._kernels import smoothing_step
 
@@ -133,9 +133,9 @@ def correction(
     ]
     residual = residual.astype(np.float32)
     fixed = (*graph, level.inverse, values.astype(np.float32), residual)
-    old, direction, new = (np.zeros(residual.shape, np.float32) for _ in range(3))
+    old, new = (np.zeros(residual.shape, np.float32) for _ in range(2))
     for keep, step in steps:
-        state = (old, direction, new, keep, step)
+        state = (old, new, keep.astype(np.float32), step.astype(np.float32))
         in_threads(smoothing_step, ((*fixed, *state, *rows) for rows in shares(len(residual))))
         old, new = new, old
     # Of a mode far above the frequencies that are damped, steps may grow until they overflow.

@@ -16,25 +16,6 @@ from torch import Tensor
 from spectra_kit._clock import Clock
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.products import spmm
-from spectra_kit.linalg.threads import WORTH_SHARING
-
-
-@contextmanager
-def torch_threads_for(entries: int) -> Iterator[None]:
-    """Keep torch to one thread inside where the largest block has few `entries`.
-
-    See `linalg.threads.blas_threads_for`: beside other work a small product takes as long as the
-    slowest thread is kept waiting. The number is the process's, not that of a thread.
-    """
-    threads = torch.get_num_threads()
-    if entries > WORTH_SHARING or threads == 1:
-        yield
-        return
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def sparse_tensor(csr: sparse.csr_array, device: str = "cpu") -> Tensor:
@@ -52,20 +33,6 @@ def csr_like(pattern: Tensor, values: Tensor) -> Tensor:
     """Return a sparse CSR tensor with the pattern of another, and other values."""
     rows, columns = pattern.crow_indices(), pattern.col_indices()
     return _csr_tensor(rows, columns, values, pattern.shape, pattern.device)
-
-
-def csr_rows(operator: Tensor) -> Tensor:
-    """Return the row of each stored entry."""
-    counts = operator.crow_indices().diff()
-    rows = torch.arange(operator.shape[0], device=operator.device)
-    return torch.repeat_interleave(rows, counts, output_size=operator.values().numel())
-
-
-def csr_diagonal(operator: Tensor) -> Tensor:
-    """Return the diagonal of a CSR matrix, zero where none is stored."""
-    rows = csr_rows(operator)
-    values = operator.values() * (rows == operator.col_indices())
-    return values.new_zeros(operator.shape[0]).index_add_(0, rows, values)
 
 
 def csr_product(matrix: Tensor, columns: Tensor, dtype: torch.dtype) -> Tensor:

@@ -15,6 +15,7 @@ from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 from spectra_kit.linalg.threads import in_threads, ranges
 from spectra_kit.operators._half_edges import (
+    cotangent_laplacian,
     flip_to_delaunay,
     glue,
     pair_sides,
@@ -124,26 +125,18 @@ def _laplacian(
     corners: Ints, lengths: Floats, twins: Ints, n: int, copies: int
 ) -> tuple[sparse.csr_array, Floats]:
     """Return stiffness and lumped mass of one copy of the surface."""
-    a, b, c = lengths.T  # differences of sides as they are: ratios would be rounded once more
-    area = np.sqrt(np.maximum((a + b + c) * (b + c - a) * (c + a - b) * (a + b - c), 0.0)) / 4
-    squares = lengths**2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cotangents = (squares[:, [1, 2, 0]] + squares[:, [2, 0, 1]] - squares) / (4 * area[:, None])
-    cotangents = cotangents.ravel()
-    tails, heads = corners.ravel(), corners[:, [1, 2, 0]].ravel()
-    edges = np.flatnonzero((np.arange(len(twins)) < twins) & (tails != heads))
-    weights = (cotangents[edges] + cotangents[twins[edges]]) / 2
-    mass = np.bincount(tails, np.repeat(area / 3, 3), n)
-    if not np.isfinite(weights).all():
+    ends, columns, entries, mass = cotangent_laplacian(
+        corners.reshape(-1), lengths.reshape(-1), twins, n
+    )
+    if (broken := ~np.isfinite(entries)).any():
         raise InvalidInputError(
             "mollify_factor",
             "lengthen the sides of degenerate triangles",
-            f"{quantity((~np.isfinite(weights)).sum(), 'edge')} of triangles of no area",
+            f"{quantity(broken.sum(), 'weight')} of triangles of no area",
             advice="raise it",
         )
-    upper = sparse.csr_array((weights / copies, (tails[edges], heads[edges])), shape=(n, n))
-    adjacency = upper + upper.T
-    return sparse.diags_array(adjacency.sum(axis=1)) - adjacency, mass / copies
+    stiffness = sparse.csr_array((entries / copies, columns, ends), shape=(n, n))
+    return stiffness, mass / copies
 
 
 def _is_boundary(triangles: Ints, lengths: Floats, closed: Bools, reach: Floats) -> Bools:

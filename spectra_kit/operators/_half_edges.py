@@ -35,16 +35,34 @@ def side_lengths(points: Floats, triangles: Ints, mollify: float) -> Floats:
     of Sharp and Crane with an offset for each corner instead of one for all, which would smear
     the dense parts of a cloud.
     """
-    corners = points.take(triangles, axis=0)
-    steps = np.roll(corners, -1, axis=1) - corners
-    sides = np.linalg.norm(steps, axis=2)
-    wanted = mollify * np.maximum(sides.sum(axis=1, keepdims=True) / 3, _COINCIDENT)
-    lacking = wanted - (sides + sides[:, [2, 0, 1]] - sides[:, [1, 2, 0]])
-    thin = (lacking > 0).any(axis=1)
+    sides = np.empty((len(triangles), 3))
     offsets = np.zeros(len(points))
-    np.maximum.at(offsets, triangles[thin], lacking[thin] / 2)
-    longer = offsets[triangles]
-    return np.asarray(sides + longer + longer[:, [1, 2, 0]])
+    if _measure_sides(points, triangles, mollify, sides, offsets):
+        longer = offsets[triangles]
+        sides += longer + longer[:, [1, 2, 0]]
+    return sides
+
+
+@compiled()
+def _measure_sides(
+    points: Floats, triangles: Ints, mollify: float, sides: Floats, offsets: Floats
+) -> bool:
+    """Write sides in space and the offsets of their ends; return whether there are any."""
+    any_thin = False
+    for t in range(len(triangles)):
+        for c in range(3):
+            tail, head, square = triangles[t, c], triangles[t, c - 2], 0.0
+            for r in range(3):
+                square += (points[head, r] - points[tail, r]) ** 2
+            sides[t, c] = math.sqrt(square)
+        a, b, c = sides[t]
+        wanted = mollify * max((a + b + c) / 3, _COINCIDENT)
+        lacking = wanted - min(a + c - b, b + a - c, c + b - a)
+        if lacking > 0:
+            any_thin = True
+            for i in triangles[t]:
+                offsets[i] = max(offsets[i], lacking / 2)
+    return any_thin
 
 
 def sides_by_corner(triangles: Ints, n: int) -> tuple[Ints, Ints, Ints]:
@@ -277,3 +295,59 @@ def _next(h: int) -> int:
 @register_jitable
 def _previous(h: int) -> int:
     return h + 2 if h % 3 == 0 else h - 1
+
+
+@compiled(error_model="numpy")
+def cotangent_laplacian(
+    tails: Ints, lengths: Floats, twins: Ints, n: int
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """Return the stiffness, by rows with ascending columns, and the lumped mass.
+
+    Sorted by columns first, then by rows: each pass keeps the order of the one before, so entries
+    that meet are added in the order of their edges, the same on both sides of the diagonal.
+    """
+    starts, mass = np.zeros(n + 1, np.int64), np.zeros(n)
+    cotangents = np.empty(len(twins))
+    for h in range(0, len(twins), 3):
+        a, b, c = lengths[h], lengths[h + 1], lengths[h + 2]
+        area = _area(lengths, h)
+        cotangents[h] = (b * b + c * c - a * a) / (4 * area)
+        cotangents[h + 1] = (c * c + a * a - b * b) / (4 * area)
+        cotangents[h + 2] = (a * a + b * b - c * c) / (4 * area)
+        for g in range(h, h + 3):
+            mass[tails[g]] += area / 3
+            starts[tails[g] + 1] += tails[g] != tails[twins[g]]
+    starts = np.cumsum(starts)
+    at = starts[:-1].copy()
+    rows, weights = np.empty(starts[n], np.int32), np.empty(starts[n])
+    for h in range(len(twins)):
+        i, j = tails[h], tails[twins[h]]
+        if h < twins[h] and i != j:
+            weight = (cotangents[h] + cotangents[twins[h]]) / 2
+            rows[at[i]], rows[at[j]] = j, i
+            weights[at[i]] = weights[at[j]] = weight
+            at[i] += 1
+            at[j] += 1
+    columns, entries = np.empty(starts[n] + n, np.int32), np.zeros(starts[n] + n)
+    own = np.empty(n, np.int64)
+    for i in range(n):
+        at[i] = starts[i] + i  # with a place for the diagonal
+    for j in range(n):
+        columns[at[j]], own[j] = j, at[j]
+        at[j] += 1
+        for p in range(starts[j], starts[j + 1]):
+            i = rows[p]
+            if at[i] == starts[i] + i or columns[at[i] - 1] != j:
+                columns[at[i]] = j
+                at[i] += 1
+            entries[at[i] - 1] -= weights[p]
+    ends, tail = np.zeros(n + 1, np.int32), 0
+    for i in range(n):
+        diagonal, shift = 0.0, starts[i] + i - tail
+        for p in range(starts[i] + i, at[i]):
+            diagonal -= entries[p]
+        entries[own[i]] = diagonal
+        for p in range(tail, at[i] - shift):
+            columns[p], entries[p] = columns[p + shift], entries[p + shift]
+        tail = ends[i + 1] = at[i] - shift
+    return ends, columns[:tail].copy(), entries[:tail].copy(), mass

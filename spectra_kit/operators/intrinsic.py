@@ -140,9 +140,11 @@ class IntrinsicTriangulation(Rebuilt):
         Their mean; or, where a few long ones make that larger, what nine of ten do not exceed.
         Components are those of `laplacian`.
         """
-        labels = self.laplacian.component_labels[self.corners[:, 0]]
-        order = np.argsort(labels, kind="stable")
-        parts = np.split(self.lengths[order], np.cumsum(np.bincount(labels))[:-1])
+        parts = [self.lengths]
+        if self.laplacian.n_components > 1:
+            labels = self.laplacian.component_labels[self.corners[:, 0]]
+            order = np.argsort(labels, kind="stable")
+            parts = np.split(self.lengths[order], np.cumsum(np.bincount(labels))[:-1])
         # Without a boundary, each edge is two sides.
         return frozen(np.array([min(part.mean(), np.quantile(part, _MOST)) for part in parts]))
 

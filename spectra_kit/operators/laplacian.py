@@ -15,6 +15,7 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt, check_indices, check_mass, check_points, frozen
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg._checks import asymmetry
 
 _ROUNDING = 32 * float(np.finfo(np.float64).eps)  # of the sums of rows, relative to magnitudes
 
@@ -236,11 +237,11 @@ def _check_stiffness(matrix: Any, n: int) -> sparse.csr_array:
             remedies=("mesh.without_degenerate_faces()",),
         )
     largest = np.abs(stiffness.data).max(initial=0.0)
-    if (asymmetry := abs(stiffness - stiffness.T).max() if stiffness.nnz else 0.0) > 1e-8 * largest:
+    if (found := asymmetry(stiffness)) > 0:
         raise InvalidInputError(
             "stiffness",
             "be symmetric",
-            f"|L - L.T| up to {asymmetry:.2e}",
+            f"|L - L.T| up to {found:.2e}",
             advice="pass (L + L.T) / 2 if that is meant",
         )
     if stiffness.diagonal().min() < -1e-12 * largest:

@@ -130,7 +130,31 @@ class Spectrum(Rebuilt):
         return int((self.eigenvalues * self.area <= _ZERO_MODE).sum())
 
     def truncate(self, k: int) -> Spectrum:
-        """Return the first `k` modes, 1 <= k <= self.k."""
+        """Return the first modes.
+
+        Parameters
+        ----------
+        k : int
+            How many, from 1 to those there are.
+
+        Returns
+        -------
+        Spectrum
+            Of k modes, certificate included.
+
+        Raises
+        ------
+        InvalidInputError
+            If there are not as many.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> s.truncate(1).k
+        1
+        """
         return self._modes(slice(0, check_count("k", k, low=1, high=self.k)))
 
     def nonzero(self) -> Spectrum:
@@ -140,7 +164,29 @@ class Spectrum(Rebuilt):
     def rescale(self, factor: float) -> Spectrum:
         """Return the spectrum of the same surface with lengths multiplied by `factor`.
 
-        Its provenance has no input hash: no solver has seen the scaled surface.
+        Parameters
+        ----------
+        factor : float
+            From 1e-150 to 1e150; 1000 from metres to millimetres.
+
+        Returns
+        -------
+        Spectrum
+            Eigenvalues over ``factor**2``, masses times that, eigenvectors over `factor`. Its
+            provenance has no input hash: no solver has seen the scaled surface.
+
+        Raises
+        ------
+        InvalidInputError
+            If the factor is out of range.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> s.rescale(10).eigenvalues
+        array([0.  , 0.01])
         """
         if not 1 / _LARGEST_FACTOR <= check_positive("factor", factor) <= _LARGEST_FACTOR:
             raise InvalidInputError(
@@ -166,19 +212,84 @@ class Spectrum(Rebuilt):
         )
 
     def project(self, values: Annotated[ArrayLike, NDArray[np.bool_]]) -> Floats:
-        """Return the coefficients U^T M f of functions `values`: (n,) to (k,), (n, c) to (k, c)."""
+        """Return the coefficients ``U^T M f`` of functions.
+
+        Parameters
+        ----------
+        values : array_like of shape (n,) or (n, c)
+            One function, or c of them.
+
+        Returns
+        -------
+        ndarray of shape (k,) or (k, c)
+            In the unit of the functions times length.
+
+        Raises
+        ------
+        InvalidInputError
+            If there is not a finite number for each point.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> s.project([3.0, 4.0])
+        array([3., 4.])
+        """
         f = _as_columns("values", values, self.n)
         with blas_threads_for(self.eigenvectors.size):
             return np.asarray(self.eigenvectors.T @ (self.mass * f.T).T)
 
     def reconstruct(self, coefficients: ArrayLike) -> Floats:
-        """Return the functions U c with these `coefficients`: (k,) to (n,), (k, c) to (n, c)."""
+        """Return the functions ``U c`` with these coefficients.
+
+        Parameters
+        ----------
+        coefficients : array_like of shape (k,) or (k, c)
+            As `project` returns them.
+
+        Returns
+        -------
+        ndarray of shape (n,) or (n, c)
+            One function, or c of them.
+
+        Raises
+        ------
+        InvalidInputError
+            If there is not a finite number for each mode.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> s.reconstruct(s.project([3.0, 4.0]))
+        array([3., 4.])
+        """
         c = _as_columns("coefficients", coefficients, self.k)
         with blas_threads_for(self.eigenvectors.size):
             return np.asarray(self.eigenvectors @ c)
 
     def filter(self, response: Callable[[Floats], Floats], values: ArrayLike) -> Floats:
-        """Return U g(lambda) U^T M f: `values` with each mode multiplied by ``response(lambda)``.
+        """Return ``U g(lambda) U^T M f``: functions with each mode multiplied by a number.
+
+        Parameters
+        ----------
+        response : callable
+            g: takes the eigenvalues, (k,), and returns as many numbers.
+        values : array_like of shape (n,) or (n, c)
+            f: one function, or c of them.
+
+        Returns
+        -------
+        ndarray of shape (n,) or (n, c)
+            In the unit of f.
+
+        Raises
+        ------
+        InvalidInputError
+            If the response is of another shape, or there is not a finite number for each point.
 
         Examples
         --------
@@ -205,11 +316,29 @@ class Spectrum(Rebuilt):
         In the M^-1 and M norms. Rows of fixed (Dirichlet) points are left out: there u is
         prescribed, not solved for.
 
+        Parameters
+        ----------
+        laplacian : Laplacian
+            On the points of the spectrum, with its mass.
+
+        Returns
+        -------
+        ndarray of shape (k,)
+            Within so much of each eigenvalue lies a true one.
+
         Raises
         ------
         InvalidInputError
             If `laplacian` lives on other points or has another mass, or a mode does not vanish
             at its fixed points.
+
+        Examples
+        --------
+        >>> from spectra_kit import eigensolve, robust_laplacian
+        >>> from spectra_kit.geometry import sphere
+        >>> laplacian = robust_laplacian(sphere(subdivisions=2).geometry)
+        >>> bool(eigensolve(laplacian, 4).residuals(laplacian).max() < 1e-9)
+        True
         """
         self._check_belongs_to(laplacian)
         norms = residual_norms(
@@ -253,7 +382,33 @@ class Spectrum(Rebuilt):
         return float(np.abs(error).max(initial=0.0))
 
     def certify(self, laplacian: Laplacian) -> Spectrum:
-        """Return this spectrum with a `Certificate` against `laplacian`, whoever computed it."""
+        """Return this spectrum with a `Certificate`, whoever computed it.
+
+        Parameters
+        ----------
+        laplacian : Laplacian
+            What to hold it against, as in `residuals`.
+
+        Returns
+        -------
+        Spectrum
+            The same modes; a count of eigenvalues is not made: see `verify`.
+
+        Raises
+        ------
+        InvalidInputError
+            As of `residuals`.
+
+        Examples
+        --------
+        >>> from spectra_kit import Spectrum, eigensolve, robust_laplacian
+        >>> from spectra_kit.geometry import sphere
+        >>> laplacian = robust_laplacian(sphere(subdivisions=2).geometry)
+        >>> found = eigensolve(laplacian, 4)
+        >>> bare = Spectrum(found.eigenvalues, found.eigenvectors, found.mass)
+        >>> bare.certify(laplacian).certificate.n_zero_modes
+        1
+        """
         residuals = self.residuals(laplacian)
         spacing = self._spacings(laplacian)
         certificate = Certificate(
@@ -307,6 +462,16 @@ class Spectrum(Rebuilt):
         """Write everything to one versioned ``.npz`` file, whole or not at all.
 
         float64, uncompressed and aligned, so `load` can map it; plain ``numpy.load`` reads it too.
+
+        Parameters
+        ----------
+        path : str or Path
+            Where; what is there is replaced.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
         """
         write_spectrum_file(
             Path(path),
@@ -347,7 +512,33 @@ class Spectrum(Rebuilt):
     def to_torch(
         self, *, device: str | torch.device = "cpu", dtype: torch.dtype | None = None
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return (eigenvalues, eigenvectors, mass) as new tensors; `dtype` float64 by default."""
+        """Return eigenvalues, eigenvectors and mass as new tensors.
+
+        Parameters
+        ----------
+        device : str or torch.device, default "cpu"
+            Where they shall be.
+        dtype : torch.dtype, optional
+            A real one; float64 without it.
+
+        Returns
+        -------
+        tuple of Tensor
+            Of shapes (k,), (n, k) and (n,).
+
+        Raises
+        ------
+        InvalidInputError
+            If torch cannot use the device here, or the type is not real.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> s.to_torch()[1].shape
+        torch.Size([2, 2])
+        """
         import torch
 
         from spectra_kit.linalg.torch_device import check_device, check_float_dtype

@@ -109,7 +109,7 @@ AT_A_FACE = ("geodesic", BALL, "--face")
         ("must be in [10, 2400], got 0", ("modes", BALL, "-k", "4", "--dpi", "0")),
         # What has no effect as things are.
         (
-            "`--device` must go with automatic, chebyshev, cascade and neo",
+            "`--device` must go with automatic, cascade and neo",
             ("spectrum", BALL, "--solver", "arpack", "--device", "cuda"),
         ),
         (

@@ -93,8 +93,6 @@ WAVES = sk.AmbientFourier(m=90, bandwidth=4.0)
 OTHERWISE = [
     (sk.Arpack(), {"tol": 1e-3, "shift": 1.0, "seed": 1}),
     (sk.Refined(), {"rtol": 1e-3, "guard": 1.0, "seed": 1, "start": WAVES, "degree": 3}),
-    (sk.Chebyshev(), {"rtol": 1e-3, "guard": 1.0, "start": WAVES}),
-    (sk.Chebyshev(start=sk.RandomBasis(m=5)), {"seed": 1}),  # for what a start lacks
     (
         sk.Cascade(coarsest=200, target=0.1),
         {"coarsest": 150, "target": 1e-6, "subspace": WAVES, "guard": 1.0, "max_steps": 0},

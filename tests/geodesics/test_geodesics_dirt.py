@@ -169,6 +169,25 @@ def test_each_part_has_distances_as_if_it_were_alone(size) -> None:
     assert (field.heat.method, field.heat.iterations) == ("Cholesky", 0)
 
 
+@pytest.mark.parametrize("boundary", ["neumann", "dirichlet", "average"])
+def test_a_part_is_solved_as_with_the_others_wherever_its_points_are(boundary) -> None:
+    both = plus(SHEET, 3 * SHEET.points + 9, SHEET.faces + SHEET.n)
+    place = np.random.default_rng(0).permutation(both.n)
+    points = np.empty_like(both.points)
+    points[place] = both.points
+    mixed = HeatGeodesics(TriangleMesh(points, place[both.faces]), boundary=boundary)
+    inner = np.linalg.norm(SHEET.points - SHEET.points.mean(axis=0), axis=1).argmin()
+    one, other = place[inner], place[SHEET.n + inner]
+    together = mixed.distance([one, other])
+    for source, own in ((one, place[: SHEET.n]), (other, place[SHEET.n :])):
+        alone = mixed.distance(source)
+        assert np.isfinite(alone.distance[own]).all()
+        assert np.isinf(np.delete(alone.distance, own)).all()
+        assert (np.delete(alone.heat.values, own) == 0).all()
+        reach = together.distance[own].max()
+        assert np.abs(alone.distance - together.distance)[own].max() < 1e-9 * reach
+
+
 @pytest.mark.parametrize("unit", [1e100, 1e-100])
 def test_weights_of_any_size_in_any_unit(unit) -> None:
     body = BALL.with_points(unit * BALL.points)

@@ -21,9 +21,11 @@ from spectra_kit.geodesics import (
     geodesic_distance,
 )
 from spectra_kit.geodesics.heat_step import HeatStep
+from spectra_kit.geodesics.system import System
 from spectra_kit.geometry import TriangleMesh, rectangle, sphere
 from spectra_kit.linalg import LinearSolution
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
+from spectra_kit.operators.triangle_calculus import areas
 
 BOTH = [Direct(), Iterative()]
 PAPER = {"drop": None, "relaxation": 0.0, "modes": 59}
@@ -311,6 +313,13 @@ def test_triangles_of_very_different_size() -> None:
     assert np.abs(fields[1].distance - fields[0].distance).max() < 1e-7
     assert fields[1].heat.iterations < 60
     assert relative_error(fields[0], straight(mesh.points, 0)) < 0.1
+    system = System.of(intrinsic_delaunay(mesh))
+    own = np.log(system.lengths.max(axis=1)) / np.log(8) - 1
+    asked = np.unique(system.sizes)
+    assert 1 < len(asked) <= len(np.unique(np.ceil(own).clip(0)))
+    assert ((system.sizes >= own) | (system.sizes == asked[-1])).all()
+    covered = np.bincount(system.sizes, areas(system.lengths))
+    assert (covered[asked[1:]] > 0.009 * covered.sum()).all()
 
 
 def test_a_time_so_long_that_heat_is_level_is_warned_of(animal) -> None:

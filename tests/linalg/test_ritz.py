@@ -143,7 +143,8 @@ def test_the_same_on_the_host_and_on_a_device(where, full):
     M = sparse.csr_array(sparse.diags_array(mass) + 1e-3 * L) if full else mass
     rng = np.random.default_rng(0)
     Y, values = rng.standard_normal((laplacian.n, 9)), np.linspace(0, 20, 9)
-    steps = [(0.0, 0.7), (0.2, 0.9), (0.3, 1.1)]
+    columns = np.linspace(0.5, 1, 9)
+    steps = [(keep * columns, step * columns) for keep, step in ((0, 0.7), (0.2, 0.9), (0.3, 1.1))]
 
     def results(ops, place):
         energy, weight, d, block = (on_device(part, place) for part in (L, M, diagonal, Y))

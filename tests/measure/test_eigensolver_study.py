@@ -161,8 +161,8 @@ def test_a_file_has_one_mesh_and_clouds_of_any_size(tmp_path):
 
 def test_without_exact_modes_there_are_no_errors_but_seconds(tmp_path):
     solves = study(tmp_path)
-    other = Contender("eigsh"), Contender("eigsh-1e-6"), Contender("chebyshev", "cuda")
-    assert len({solves.key(who, CLOUD) for who in (Contender("chebyshev"), *other)}) == 4
+    other = Contender("eigsh"), Contender("eigsh-1e-6"), Contender("cascade", "cuda")
+    assert len({solves.key(who, CLOUD) for who in (Contender("cascade"), *other)}) == 4
     exact = solves.prepared.file(EXACT, CLOUD, ".npz")
     exact.rename(tmp_path / "elsewhere")
     (result,) = run(solves, Store(tmp_path), jobs=0)

@@ -77,6 +77,29 @@ def test_everything_is_measured_of_every_contender(measured):
         assert stages <= record["seconds"] * 1.05 + 1e-3, record["contender"]
 
 
+def test_a_race_is_told_in_one_table(tmp_path):
+    path = tmp_path / "animal.npz"
+    write(creature(N, seed=0), path)
+    assert app.main([str(tmp_path / "out"), "--race", "--meshes", str(path), *QUICK]) == 0
+    text = (tmp_path / "out" / "race.md").read_text()
+    [row, mean, worst] = [
+        [cell.strip() for cell in line.split("|")[1:-1]]
+        for line in text.split("## Seconds (wall)")[1].split("##")[0].splitlines()[4:7]
+    ]
+    assert row[0] == "animal (500)"
+    assert row[7:] == mean[7:] == worst[7:]  # of one mesh
+    records = Store(tmp_path / "out")._records.values()
+    ours, plain = (
+        next(
+            r["seconds"]
+            for r in records
+            if r["study"] == "times" and r["contender"] == name and len(r["iterations"]) == 1
+        )
+        for name in (who.UNAIDED, who.PLAIN)
+    )
+    assert row[7] == f"{plain / ours:.2f}"
+
+
 def test_numbers_are_those_of_the_library(measured, accuracy):
     out, _, shape = measured
     sources, distances = studies(out, [shape])[1].distances(shape)

@@ -268,7 +268,6 @@ ALSO = {
     "accuracy_curve.thresholds": {"number"},
     "k": {"array"},
     "Refined.start": {"function"},
-    "Chebyshev.start": {"function"},
     "subspace": {"function"},
     "parts": {"function"},
     "fit_functional_map.k": {"array", "none"},

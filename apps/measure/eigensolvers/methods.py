@@ -89,8 +89,6 @@ METHODS: dict[str, Method] = {
     "cascade-1e-5": _ours("cascade", device=True, target=1e-5),
     "refined": _ours("refined"),
     "refined-neo": _ours("refined", neo="start"),
-    "chebyshev": _ours("chebyshev", device=True),
-    "chebyshev-neo": _ours("chebyshev", neo="start", device=True),
     "arpack": _ours("arpack"),
     "eigsh": _theirs(peers.ScipyEigsh(), _EXACT),
     "eigsh-1e-6": _theirs(peers.ScipyEigsh(tol=_RTOL), _AT_RTOL),

@@ -32,9 +32,8 @@ class Found:
 
 
 Measure = Callable[[Sequence[int]], list[Found]]
-#: Make ready for sources, from points (n, 3), faces (f, 3) or None for a cloud, the modes, and
-#: whether all sources come at once.
-Build = Callable[[Floats, Ints | None, Spectrum | None, bool], Measure]
+#: Make ready for sources, from points (n, 3), faces (f, 3) or None for a cloud, and the modes.
+Build = Callable[[Floats, Ints | None, Spectrum | None], Measure]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,14 +46,13 @@ class Contender:
 
 
 def _heat(
-    points: Floats, faces: Ints | None, spectrum: Spectrum | None, many: bool, *, solver: Solver
+    points: Floats, faces: Ints | None, spectrum: Spectrum | None, *, solver: Solver
 ) -> Measure:
     geometry = PointCloud(points) if faces is None else TriangleMesh(points, faces)
     geodesics = HeatGeodesics(geometry, spectrum, solver=solver)
 
     def measure(sources: Sequence[int]) -> list[Found]:
-        # `distances` lets their number decide; one by one they are first fields each.
-        fields = geodesics.distances(sources) if many else [geodesics.distance(s) for s in sources]
+        fields = [geodesics.distance(source) for source in sources]
         return [
             Found(
                 f.distance,
@@ -69,7 +67,7 @@ def _heat(
 
 
 def _potpourri3d(
-    points: Floats, faces: Ints | None, spectrum: Spectrum | None, many: bool, *, robust: bool
+    points: Floats, faces: Ints | None, spectrum: Spectrum | None, *, robust: bool
 ) -> Measure:
     import potpourri3d
 
@@ -81,7 +79,7 @@ def _potpourri3d(
     return lambda sources: [Found(np.asarray(solver.compute_distance(s))) for s in sources]
 
 
-def _libigl(points: Floats, faces: Ints | None, spectrum: Spectrum | None, many: bool) -> Measure:
+def _libigl(points: Floats, faces: Ints | None, spectrum: Spectrum | None) -> Measure:
     import igl
 
     data = igl.HeatGeodesicsData()
@@ -130,3 +128,5 @@ CONTENDERS: Mapping[str, Contender] = {
 OTHERS = (ROBUST, PLAIN, LIBIGL)
 #: Contenders for many sources: none is given modes, so that none has time on the house.
 MANY = (UNAIDED, DIRECT, *OTHERS)
+#: Contenders of the race: what comes without options, and potpourri3d both ways.
+RACE = (UNAIDED, PLAIN, ROBUST)

@@ -19,6 +19,7 @@ from measure.geodesics.contenders import (
     MANY,
     MODES,
     PLAIN,
+    RACE,
     ROBUST,
     UNAIDED,
 )
@@ -28,6 +29,7 @@ from measure.shapes import Shape
 from measure.store import Record
 from measure.study import Repeats, Result, repeats_of
 from measure.tables import NONE, number, ratio, table, write_json, write_markdown
+from spectra_kit._types import Floats
 
 Row = Repeats[str, Shape]
 
@@ -68,6 +70,10 @@ class Mesh:
     def seconds(self, name: str, *, many: bool = False) -> float | None:
         """Return the seconds, modes at hand; None where it failed."""
         return self.rows["many" if many else "first", name].median("seconds")
+
+    def least(self, study: str, name: str, unit: str) -> float | None:
+        """Return the seconds of the fastest run; None where there is none."""
+        return min(self.rows[study, name].values(unit), default=None)
 
     def modes_seconds(self, name: str) -> float:
         """Return what the modes took that a contender used for its first field."""
@@ -152,6 +158,68 @@ def write_report(
         _balls(balls),
     ]
     return write_markdown(folder / "report.md", parts)
+
+
+def write_race(
+    folder: Path,
+    results: Mapping[str, Sequence[Result[str, Shape]]],
+    machine: Record,
+    *,
+    repeats: int,
+    sources: int,
+) -> str:
+    """Write ``race.json`` and ``race.md``, and return the latter.
+
+    From results of the studies "accuracy", "first" and "many" for the contenders of `RACE`.
+    """
+    told = {name: [result.record for result in some] for name, some in results.items()}
+    write_json(folder / "race.json", {"machine": machine, **told})
+    found, studies = meshes(results), ("first", "many")
+    tables = []
+    for unit, title in (("seconds", "wall"), ("processor_seconds", "processor")):
+        header = ["mesh", *(f"{study}: {name}" for study in studies for name in RACE)]
+        header += [
+            f"{study}: {name}" for study in studies for name in ("over plain", "over robust")
+        ]
+        rows, ratios = [], []
+        for mesh in found:
+            best = [mesh.least(study, name, unit) for study in studies for name in RACE]
+            faster = [ratio(best[i + k], best[i]) for i in (0, 3) for k in (1, 2)]
+            ratios.append([float("nan") if r is None else r for r in faster])
+            cells = [*(number(b, ".2f") for b in best), *(number(r, ".2f") for r in faster)]
+            rows.append([mesh.title, *cells])
+        rows += [
+            [name, *[""] * 6, *(number(float(x), ".2f") for x in pick(np.array(ratios)))]
+            for name, pick in (("geometric mean", _geometric), ("worst", _least))
+        ]
+        tables += [f"## Seconds ({title})", table(header, rows)]
+    errors = [
+        [mesh.title, *(_per_cent(mesh.error(name)) for name in (DIRECT, PLAIN, ROBUST))]
+        for mesh in found
+    ]
+    parts = [
+        "# Distances against potpourri3d",
+        machine_line(machine),
+        f"From the arrays of a mesh to the field of one source, and to {sources} fields, one call"
+        f" each; the least of {repeats} runs, all contenders by turns, each in a warm process of"
+        " its own. Then how many times as long potpourri3d takes.",
+        *tables,
+        "## Mean relative errors against exact distances, per cent",
+        table(["mesh", "ours", "plain", "robust"], errors),
+    ]
+    return write_markdown(folder / "race.md", parts)
+
+
+def _geometric(ratios: Floats) -> Floats:
+    return np.asarray(np.exp(np.nanmean(np.log(ratios), axis=0)))
+
+
+def _least(ratios: Floats) -> Floats:
+    return np.asarray(np.nanmin(ratios, axis=0))
+
+
+def _per_cent(error: float | None) -> str:
+    return number(None if error is None else 100 * error, ".3g")
 
 
 def _summary(found: Sequence[Mesh]) -> str:
