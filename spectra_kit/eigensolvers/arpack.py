@@ -22,7 +22,9 @@ from spectra_kit.operators.laplacian import Laplacian
 
 # Lanczos needs a subspace well above k; below this multiple of it the dense solver is as fast.
 _DENSE_RATIO = 3
-_MANY = 40  # modes from which on blocks are faster than one vector at a time
+# Modes from which on blocks are faster than one vector at a time. For 20 both cost the same, and
+# one vector finds room on any number of points.
+_MANY = 40
 
 
 @checked
@@ -41,9 +43,9 @@ class Arpack:
         From 40 modes on 1e-6 at most, whatever is asked for: with looser residuals, what is found
         around one shift would not be orthogonal to what is found around the next.
     shift : float, default 0.1
-        Of a few modes, sigma is -shift * `Laplacian.eigenvalue_spacing`: below the spectrum, and the
-        same for a shape in millimetres or metres, at any resolution. The shifts of many modes are
-        amid these, and all above that one.
+        Of a few modes: sigma is -shift * `Laplacian.eigenvalue_spacing`, below the spectrum, and
+        the same for a shape in millimetres or metres, at any resolution. The shifts of many modes
+        are amid these, and all above that one.
     seed : int, default 0
         Of the start vectors: same input and number of threads, same output.
     max_restarts : int, default 1000

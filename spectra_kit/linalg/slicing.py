@@ -62,7 +62,7 @@ def vectors_held(k: int) -> int:
 
     A space, and three copies of what one finds beside what all found; or three copies of these.
     """
-    space = min(MOST, 3 * k + 12 * _BLOCK) + _BLOCK
+    space = min(MOST, 4 * k + 16 * _BLOCK) + _BLOCK
     return max(space + k + 3 * min(k, MOST // 4), 3 * k)
 
 
