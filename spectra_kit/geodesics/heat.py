@@ -264,16 +264,24 @@ class HeatGeodesics:
         several = len(self.time_steps) > 1
         component = int(labels[0]) if alone and several else None
         if component not in self._prepared:
-            self._prepared[component] = self._prepare(component)
+            ready = self._prepare(component)
+            if not isinstance(self._chosen[0], Direct):
+                component = None  # of all points, however it was asked
+            self._prepared[component] = ready
         return self._prepared[component]
 
     def _prepare(self, component: int | None) -> _Ready:
         """Factorise what both steps need, side by side."""
         clock, system = Clock(), System.of(self.triangulation, component)
-        if isinstance(self._chosen[0], Direct):
-            _ = system.elimination  # once, before all threads ask for it
         conditions = self._conditions(system)
-        kinds = [(size, one) for size in np.union1d(0, system.sizes).tolist() for one in conditions]
+        sizes = np.union1d(0, system.sizes).tolist()
+        kinds = [(size, condition) for size in sizes for condition in conditions]
+        if isinstance(self._chosen[0], Direct):
+            needed = (1 + len(kinds)) * system.elimination.gigabytes  # before threads ask for it
+            if isinstance(self._solver, Automatic):
+                self._chosen = self._solver.choose(len(system.order), needed)
+                if not isinstance(self._chosen[0], Direct):  # whose modes are those of all points
+                    system = System.of(self.triangulation)
         tasks = [partial(self._poisson, system), *(partial(self._step, system, *k) for k in kinds)]
         poisson, *made = in_threads(call, [(task,) for task in tasks])
         steps: dict[int, dict[Boundary, HeatStep]] = {}

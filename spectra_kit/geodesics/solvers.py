@@ -118,8 +118,8 @@ class Automatic:
     Parameters
     ----------
     memory : float, default 4.0
-        GiB that two complete factors may take; other boundaries and triangles of very different
-        sizes need more of them.
+        GiB that complete factors may take: two, or more for other boundaries and triangles of
+        very different sizes. Estimated first, then counted.
     modes : int, default 24
         How many modes the iterative solver uses at most.
     rtol : float, default 1e-8
@@ -141,9 +141,12 @@ class Automatic:
         check_count("modes", self.modes, low=1)
         _check_rtol(self.rtol)
 
-    def choose(self, n: int) -> tuple[Direct | Iterative, str]:
-        """Return the solver on n points, and why it is this one."""
-        needed = 2 * factor_gigabytes(n)  # of both systems
+    def choose(self, n: int, gigabytes: float | None = None) -> tuple[Direct | Iterative, str]:
+        """Return the solver on n points, and why it is this one.
+
+        Factors take so many GiB; without these, about as much as two do on even triangles.
+        """
+        needed = 2 * factor_gigabytes(n) if gigabytes is None else gigabytes
         if needed <= self.memory:
             return Direct(), f"factors of {n} points fit into {self.memory:g} GiB"
         reason = f"factors would take {needed:.1f} GiB, more than {self.memory:g}"

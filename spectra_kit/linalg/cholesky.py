@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from spectra_kit.errors import InvalidInputError
+from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.linalg._checks import check_matrix
 from spectra_kit.linalg.minimum_degree import minimum_degree
 
@@ -55,21 +55,20 @@ class Elimination:
         matrix : sparse array of shape (n, n)
             Both triangles stored.
         """
-        from spectra_kit.linalg import _frontal_kernels as kernels
-
         A = symmetric(matrix)
         if A.nnz > _MAX_ENTRIES:
             raise InvalidInputError("matrix", f"have at most {_MAX_ENTRIES} entries", A.nnz)
-        starts, columns = (np.require(part, None, "W") for part in (A.indptr, A.indices))
-        order, parent, below = kernels.elimination_tree(starts, columns, minimum_degree(A))
-        begins = kernels.supernodes(parent, below)
-        first, rows, above, sizes = kernels.front_rows(
-            starts, columns, order, parent, below, begins
-        )
-        width = np.diff(begins).astype(np.int64)
-        entries = width * (width - 1) // 2 + width * np.diff(first)
-        panels = np.append(0, np.cumsum(entries))
-        return Elimination(starts, columns, order, begins, first, rows, above, panels, sizes)
+        try:
+            return _analysed(A)
+        except MemoryError as error:
+            raise no_memory(A.shape[0]) from error
+
+    @property
+    def gigabytes(self) -> float:
+        """What a factor takes in GiB, and all that is held while it is made."""
+        shared = sum(int(part.nbytes) for part in vars(self).values())
+        numbers = self.fill + 2 * len(self.order) + int(self.sizes.sum())
+        return (8 * numbers + shared) / 2**30
 
     @property
     def fill(self) -> int:
@@ -92,3 +91,24 @@ def symmetric(matrix: sparse.csr_array) -> sparse.csr_array:
     if abs(A - other).max() > _ASYMMETRY * abs(A).max():
         raise InvalidInputError("matrix", "be symmetric, both triangles stored", "another")
     return check_matrix((A + other) / 2)
+
+
+def _analysed(A: sparse.csr_array) -> Elimination:
+    from spectra_kit.linalg import _frontal_kernels as kernels
+
+    starts, columns = (np.require(part, None, "W") for part in (A.indptr, A.indices))
+    order, parent, below = kernels.elimination_tree(starts, columns, minimum_degree(A))
+    begins = kernels.supernodes(parent, below)
+    first, rows, above, sizes = kernels.front_rows(starts, columns, order, parent, below, begins)
+    width = np.diff(begins).astype(np.int64)
+    entries = width * (width - 1) // 2 + width * np.diff(first)
+    panels = np.append(0, np.cumsum(entries))
+    return Elimination(starts, columns, order, begins, first, rows, above, panels, sizes)
+
+
+def no_memory(n: int) -> OutOfMemoryError:
+    """Return the error of a factor that is too large."""
+    return OutOfMemoryError(
+        f"the factor of {n} unknowns does not fit into memory; use a method without one, such as"
+        " Cascade() or geodesics.Iterative()"
+    )

@@ -10,8 +10,8 @@ from numpy.typing import DTypeLike, NDArray
 from scipy import sparse
 
 from spectra_kit._types import Floats
-from spectra_kit.errors import InvalidInputError, OutOfMemoryError
-from spectra_kit.linalg.cholesky import Elimination, symmetric
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg.cholesky import Elimination, no_memory, symmetric
 from spectra_kit.linalg.products import real_dtype
 from spectra_kit.linalg.threads import in_threads, shares, thread_count
 
@@ -115,10 +115,7 @@ class SparseLDL:
                 self.pivots,
             )
         except MemoryError as error:
-            raise OutOfMemoryError(
-                f"the factor of {self.n} unknowns does not fit into memory; use a method without"
-                " one, such as Cascade() or geodesics.Iterative()"
-            ) from error
+            raise no_memory(self.n) from error
         if bad >= 0:
             raise InvalidInputError(
                 "`matrix` has no factor without pivoting (the pivot of row"

@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.spatial import Delaunay
 
 import spectra_kit as sk
-from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning
+from spectra_kit.errors import ConvergenceError, DoubtfulDistanceWarning, OutOfMemoryError
 from spectra_kit.geodesics import (
     Automatic,
     Direct,
@@ -24,6 +24,7 @@ from spectra_kit.geodesics.heat_step import HeatStep
 from spectra_kit.geodesics.system import System
 from spectra_kit.geometry import TriangleMesh, rectangle, sphere
 from spectra_kit.linalg import LinearSolution
+from spectra_kit.linalg.cholesky import Elimination
 from spectra_kit.operators.intrinsic import intrinsic_delaunay
 from spectra_kit.operators.triangle_calculus import areas
 
@@ -302,6 +303,29 @@ def test_the_choice_is_explained(animal, modes) -> None:
     low = HeatGeodesics(animal, solver=Automatic(memory=1e-5)).distance(0)  # no room for factors
     assert low.solver == Iterative(coarse="none")
     assert np.abs(low.distance - small.distance).max() < 1e-6
+
+
+def test_what_factors_take_is_counted_where_it_was_estimated_too_low(animal) -> None:
+    taken = 2 * Elimination.of(intrinsic_delaunay(animal).laplacian.stiffness).gigabytes
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("spectra_kit.geodesics.solvers.factor_gigabytes", lambda n: 0.0)
+        fields = [
+            HeatGeodesics(animal, solver=Automatic(memory=times * taken)).distance(0)
+            for times in (1.001, 0.999)
+        ]
+    assert [field.solver for field in fields] == [Direct(), Iterative(coarse="none")]
+    assert "more than" in fields[1].reason
+    np.testing.assert_allclose(*(field.distance for field in fields), atol=1e-6)
+
+
+def test_no_memory_for_the_order_of_elimination_is_told_with_a_way_out(animal) -> None:
+    def none(matrix):
+        raise MemoryError
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("spectra_kit.linalg.cholesky.minimum_degree", none)
+        with pytest.raises(OutOfMemoryError, match=r"geodesics.Iterative\(\)"):
+            geodesic_distance(animal, 0, solver=Direct())
 
 
 def test_triangles_of_very_different_size() -> None:
