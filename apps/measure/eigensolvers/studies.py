@@ -30,7 +30,7 @@ FACTOR = 3.0
 #: Relative errors above are the method's: what it is compared to is off by 1e-13 or so.
 SEEN = 1e-11
 
-_LARGE = 10_000  # points; a sphere of five subdivisions has 10,242
+_LARGE = 10_000, 20_000  # points; spheres of five and six subdivisions have 10,242 and 40,962
 
 
 def sizes_of(source: str, sizes: Iterable[int], kinds: Iterable[str] = KINDS) -> list[Recipe]:
@@ -123,7 +123,7 @@ class Solves(Study[Contender, Recipe]):
     """Every method on every problem, each time in a process of its own that is warm."""
 
     name = "solve"
-    version = 2
+    version = 3
     prepared: Preparation  #: Of the same problems.
     threads: int = 1  #: The same for every method.
     machine: str = ""  #: Whose seconds they are.
@@ -162,8 +162,9 @@ class Solves(Study[Contender, Recipe]):
         solver = contender.method.make(device)
         laplacian = read_operator(self.prepared.file(OPERATOR, problem, ".npz"))
         # So that no compiling, loading of weights or starting of a device is measured. Large
-        # enough that no solver takes a shortcut that it will not take afterwards.
-        ball = sphere(subdivisions=4 if laplacian.n < _LARGE else 5).geometry
+        # enough that no solver takes a shortcut that it will not take afterwards, and that who
+        # chooses chooses the same.
+        ball = sphere(subdivisions=4 + sum(laplacian.n >= size for size in _LARGE)).geometry
         eigensolve(OPERATORS["robust"](ball), min(k, 16), solver)
         # Kept with the operator by its first user, and any of them may be the first.
         _ = laplacian.kernel_dimension, laplacian.component_spacings
