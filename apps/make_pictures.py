@@ -327,7 +327,7 @@ def explorer(studio: Studio) -> None:
             page.wait_for_selector("body.ready")
             for _ in range(20):
                 page.keyboard.press("ArrowRight")
-            page.wait_for_timeout(500)
+            page.wait_for_timeout(4000)  # what has moved is drawn coarsely for a while
             page.screenshot(path=studio.path(name))
             page.close()
         browser.close()

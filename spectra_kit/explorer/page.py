@@ -80,7 +80,7 @@ def write_explorer(
     predicted: Spectrum | None = None,
     *,
     comparison: Comparison | None = None,
-    names: tuple[str, str] = ("exact", "predicted"),
+    names: tuple[str, str] | None = None,
     title: str = "",
     max_points: int = 50_000,
     view: View = View(),
@@ -102,8 +102,9 @@ def write_explorer(
         Another spectrum on the same points; the page then shows both and their difference.
     comparison : Comparison, optional
         Of these two; by default ``compare_spectra(exact, predicted)``. Its k modes are shown.
-    names : tuple of str, default ("exact", "predicted")
-        What to call the two.
+    names : tuple of str, optional
+        What to call the two; by default "exact", or "approximate" where the errors of `exact` are
+        estimates, and "predicted".
     title : str, optional
         At the head of the page.
     max_points : int, default 50000
@@ -174,7 +175,7 @@ def write_explorer(
     palette = diverging_colours(np.linspace(-1.0, 1.0, 256))
     facts = {
         "title": title,
-        "names": list(names),
+        "names": list(names or (_called(exact), "predicted")),
         "points": geometry.n,
         "area": exact.area,
         "boundary": free_boundary(geometry, exact),
@@ -230,6 +231,14 @@ def _check(
             f"be of these spectra of {exact.k} and {predicted.k} modes",
             f"one of {comparison.k} modes, matched to as many as {comparison.match.max() + 1}",
         )
+
+
+def _called(spectrum: Spectrum) -> str:
+    """Return what the first spectrum is called where nobody has named it."""
+    certificate = spectrum.certificate
+    if certificate is None or certificate.errors is None or certificate.bounded.all():
+        return "exact"
+    return "approximate"
 
 
 def _first_view(geometry: Geometry, view: View) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from spectra_kit.operators.laplacian import Laplacian
 _RATIO = 16  # points of a level relative to those of the next one, at most
 _CARRIED = 8  # products of the first step on a level: interpolation errs at its own spacing
 _MIDDLE = 4  # steps on a level between, at most
-_LEFT = 0.02  # of what a level between gained: its modes are off by more than that on the next one
+_LEFT = 0.01  # of what a level between gained: its modes are off by more than that on the next one
 _SURE = 3  # times smaller than the target are estimates to be: so far off are some of them
 _MORE = 2  # times smaller than that are errors to become by the next step
 _ROUNDING = 1e-10  # of the last Ritz value: a rise beyond it is none of rounding
@@ -132,7 +132,7 @@ def climb(
             found = errors = excess(smoothing, values, X, residual, falls) / least
             clock.stage("smooth")
             gained += float((falls / least).mean())
-            if errors.mean() <= max(target / _SURE, 0.0 if finest else _LEFT * gained):
+            if errors.mean() <= (target / _SURE if finest else max(goal, _LEFT * gained)):
                 break
     return Climbed(values, X, errors, step)
 

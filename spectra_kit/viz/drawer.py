@@ -91,14 +91,16 @@ class _Drawer:
 
     def end(self) -> str:
         """Let it end, and say why it did."""
-        with suppress(BrokenPipeError):
+        busy = RuntimeError  # a signal has come while this process writes or reads
+        with suppress(BrokenPipeError, busy):
             self._process.stdin.close()  # type: ignore[union-attr]  # a pipe
         try:
             code = self._process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
             self._process.kill()
             code = self._process.wait()
-        self._process.stdout.close()  # type: ignore[union-attr]
+        with suppress(busy):
+            self._process.stdout.close()  # type: ignore[union-attr]
         with self._complaints:
             self._complaints.seek(0)
             # What is not there cannot be imported; VTK without a window dies by a signal.

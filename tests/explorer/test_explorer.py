@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import bumpy
 
-from spectra_kit import Arpack, Spectrum, eigensolve, robust_laplacian
+from spectra_kit import Arpack, Cascade, Spectrum, eigensolve, robust_laplacian
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.explorer import write_explorer
 from spectra_kit.explorer.display import for_display
@@ -186,6 +186,14 @@ def test_a_mode_costs_less_than_two_bytes_a_point(tmp_path):
     written = write_explorer(tmp_path / "page.html", ball, spectrum)
     empty = len((PACKAGE / "assets" / "explorer.js").read_bytes())
     assert written.bytes - empty < 20 * ball.n * 2 * (4 / 3) + 60_000
+
+
+def test_an_estimate_is_not_called_exact(tmp_path):
+    laplacian = robust_laplacian(bumpy())
+    for solver, name in ((Arpack(), "exact"), (Cascade(coarsest=150), "approximate")):
+        spectrum = eigensolve(laplacian, 4, solver)
+        page = Page(write_explorer(tmp_path / "page.html", bumpy(), spectrum).path)
+        assert page.facts["names"] == [name, "predicted"]
 
 
 @pytest.mark.parametrize("name", ["<script>alert(1)</script> & b", "Häschen “兎” %%FACTS%%"])

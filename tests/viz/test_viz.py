@@ -1,7 +1,10 @@
 """What draws, from where, and what is refused."""
 
+import os
 import signal
 import subprocess
+import sys
+import time
 from dataclasses import replace
 from functools import partial
 
@@ -367,3 +370,28 @@ def test_one_process_draws_all_pictures_until_it_dies(monkeypatch):
     assert len(processes) == n  # it goes on
     drawer.end_drawing()
     assert [process.poll() is None for process in processes] == [False] * len(processes)
+
+
+def test_a_signal_while_another_process_draws_ends_this_one_by_it(tmp_path):
+    """Not by an error of the pipe that it is reading."""
+    begun = tmp_path / "begun"
+    slow = f"import pathlib, time; pathlib.Path({str(begun)!r}).touch(); time.sleep(60)"
+    (tmp_path / "pyvista.py").write_text(slow)
+    paths = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    code = (
+        "from spectra_kit import viz; from spectra_kit.geometry import sphere\n"
+        "ball = sphere(subdivisions=1).geometry\n"
+        f"viz.plot_fields({str(tmp_path / 'x.png')!r}, ball, {{'x': ball.points[:, 0]}})"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONPATH": paths},
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        while not begun.exists():
+            assert process.poll() is None
+            time.sleep(0.05)
+        process.send_signal(signal.SIGTERM)
+        assert process.communicate(timeout=30)[1] == ""
+    assert process.returncode == -signal.SIGTERM

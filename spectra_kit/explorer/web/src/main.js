@@ -94,7 +94,7 @@ function captions(facts, mode, words) {
   const { exact, predicted, comparison, colours, names } = facts;
   const partner = comparison?.partner[mode];
   $("moved").textContent = partner !== undefined && partner !== mode ? `its mode ${partner}` : "";
-  const residual = (spectrum) => (spectrum.relative ? `relative residual ${short(spectrum.relative[mode], 2)}${spectrum.errors ? `, error ${off(spectrum, mode)}` : ""}` : "not certified");
+  const residual = (spectrum) => (spectrum.relative ? `relative residual ${short(spectrum.relative[mode], 2)}${spectrum.errors ? `, ${`error ${off(spectrum, mode)}`.replaceAll(" ", "\u00a0")}` : ""}` : "not certified");
   const write = (view, title, first, second, limit) => {
     const part = (name) => $(view).querySelector(name);
     part("h2").firstChild.textContent = title;
