@@ -22,7 +22,9 @@ from spectra_kit.operators.laplacian import Laplacian
 
 # Lanczos needs a subspace well above k; below this multiple of it the dense solver is as fast.
 _DENSE_RATIO = 3
-_MANY = 40  # modes from which on blocks are faster than one vector at a time
+# Modes from which on blocks are faster than one vector at a time. For 20 both cost the same, and
+# one vector finds room on any number of points.
+_MANY = 40
 
 
 @checked
@@ -38,9 +40,12 @@ class Arpack:
     ----------
     tol : float, default 0.0
         Relative accuracy of the eigenvalues of the shift-inverted operator; 0 is machine precision.
+        From 40 modes on 1e-6 at most, whatever is asked for: with looser residuals, what is found
+        around one shift would not be orthogonal to what is found around the next.
     shift : float, default 0.1
-        The first sigma is -shift * `Laplacian.eigenvalue_spacing`: below the spectrum, and the
-        same for a shape in millimetres or metres, at any resolution.
+        Of a few modes: sigma is -shift * `Laplacian.eigenvalue_spacing`, below the spectrum, and
+        the same for a shape in millimetres or metres, at any resolution. The shifts of many modes
+        are amid these, and all above that one.
     seed : int, default 0
         Of the start vectors: same input and number of threads, same output.
     max_restarts : int, default 1000
@@ -159,7 +164,8 @@ class Arpack:
             laplacian.stiffness,
             laplacian.mass,
             k,
-            sigma=sigma,
+            below=sigma,
+            spacing=laplacian.eigenvalue_spacing,
             tol=self.tol,
             most_shifts=self.max_restarts,
             seed=self.seed,

@@ -1,4 +1,4 @@
-"""Block Lanczos with full reorthogonalisation, grown step by step."""
+"""Block Lanczos, reorthogonalised when that is needed, grown step by step."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from spectra_kit._types import Floats
 from spectra_kit.linalg.threads import in_threads, ranges
 
 _POINTS = 8_192  # of one task: fixed, so that no sum depends on the threads
+_ROUNDED = 1e-15  # what is left of other vectors in one that was orthogonalised against them
+_NOTHING = 1e-10  # of the norm of the operator: a new block is no larger
+_SEMI = 1e-12  # the same, at most: residuals of Ritz pairs are no smaller than that
 
 
 class KrylovPairs(NamedTuple):
@@ -50,9 +53,13 @@ class BlockLanczos:
 
     Notes
     -----
-    Every new block is orthogonalised against all before it (Golub and Underwood, *The block Lanczos
-    method for computing eigenvalues*, 1977). Vectors are rows here, whose products with a block are
-    twice as fast; no bit of a sum depends on the number of threads.
+    Golub and Underwood, *The block Lanczos method for computing eigenvalues*, 1977. In exact
+    arithmetic a block is orthogonal to all but the two before it. What rounding leaves of the
+    others grows in each step by the norm of the operator over that of the new block at most: before
+    it is felt, the last two blocks are orthogonalised against all others together, which takes one
+    look at these instead of two (Grimes, Lewis and Simon, *A shifted block Lanczos algorithm*,
+    1994). Vectors are rows here, whose products with a block are twice as fast; no bit of a sum
+    depends on the number of threads.
 
     Examples
     --------
@@ -75,23 +82,37 @@ class BlockLanczos:
         self._projected = np.zeros((most + block, most + block))
         start = np.random.default_rng(seed).standard_normal((n, block))
         self._basis[:block] = _orthonormal(start.T)[0]
+        self._norm, self._new = 0.0, 0.0  # of the operator in the space, and of the last block
+        self._loss = _ROUNDED  # of orthogonality of the last block, at most
 
     def step(self) -> None:
         """Apply the operator to the last block, and append what is new in the image."""
         block, end = self._block, self.size + self._block
         last, following = slice(self.size, end), slice(end, end + block)
-        W = np.ascontiguousarray(self._operator(np.ascontiguousarray(self._basis[last].T)).T)
-        inside = self._take_out(W, max(self.size - block, 0), end)[:, -block:]
+        before = max(self.size - block, 0)
+        W = self._basis[following]
+        W[:] = self._operator(np.ascontiguousarray(self._basis[last].T)).T
+        inside = self._take_out(following, before, end)[:, -block:]
         self._projected[last, last] = (inside + inside.T) / 2
-        self._take_out(W, 0, end)
+        self._norm = max(self._norm, float(np.linalg.norm(inside, 2)))
+        if self._loss * self._norm > _SEMI * self._new:
+            self._take_out(slice(self.size, end + block), 0, self.size)
+            self._loss = _ROUNDED
+        else:
+            self._loss *= self._norm / self._new
+        self._take_out(following, before, end)
         try:
-            W, R = _orthonormal(W)
-        except np.linalg.LinAlgError:  # the space is all but invariant: what is left is rounding
+            Q, R = _orthonormal(W)
+        except np.linalg.LinAlgError:
+            Q, R = W, np.zeros((block, block))
+        sizes = np.linalg.svd(R, compute_uv=False)
+        self._norm, self._new = max(self._norm, float(sizes[0])), float(sizes[-1])
+        if self._new <= _NOTHING * self._norm:  # the space is all but invariant: this is rounding
             Q, R = np.linalg.qr(W.T)
-            W = np.ascontiguousarray(Q.T)
-            self._take_out(W, 0, end)
-            W = np.linalg.qr(W.T)[0].T
-        self._basis[following] = W
+            W[:] = Q.T
+            self._take_out(following, 0, end)
+            Q = np.linalg.qr(W.T)[0].T
+        W[:] = Q
         self._projected[following, last], self._projected[last, following] = R, R.T
         self.size = end
 
@@ -107,11 +128,11 @@ class BlockLanczos:
         """Return vectors as rows, (s, n), whose coefficients are the columns of `rotation`."""
         return combined(rotation.T, self._basis[: self.size])
 
-    def _take_out(self, W: Floats, first: int, last: int) -> Floats:
-        """Subtract from W what lies in these vectors of the basis; return the coefficients."""
-        basis = self._basis[first:last]
-        inside = inner(W, basis)
-        W -= combined(inside, basis)
+    def _take_out(self, rows: slice, first: int, last: int) -> Floats:
+        """Subtract from rows of the basis what lies in others; return the coefficients."""
+        W, others = self._basis[rows], self._basis[first:last]
+        inside = inner(W, others)
+        W -= combined(inside, others)
         return inside
 
 

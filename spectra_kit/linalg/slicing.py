@@ -13,14 +13,16 @@ from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.block_lanczos import BlockLanczos, combined, inner
+from spectra_kit.linalg.cholesky import Elimination
 from spectra_kit.linalg.ldl import SparseLDL
-from spectra_kit.linalg.shift_invert import shifted_factor
 from spectra_kit.linalg.threads import single_threaded_blas, team
 
 _BLOCK = 8  # vectors of a step: solved together they cost a third; more need a larger space
 _ENOUGH = 64 * _BLOCK  # vectors of a space: beyond, another factor costs less than their products
 #: Vectors of a space at most, where the modes below its shift are not yet all found.
 MOST = 88 * _BLOCK
+_GUESS = 0.8  # of its distance to the first shift have as many modes as Weyl's law says
+_FIRST = 80  # modes below the first shift, at most
 _LOOK = 4  # steps between two looks at what has converged
 _ONE_SIDED = 0.7  # of what the first run reached above its shift, others reach to either side
 _SAFE = 0.8  # of what the last run reached, the next is asked for
@@ -70,18 +72,20 @@ def sliced_eigenpairs(
     mass: Floats,
     k: int,
     *,
-    sigma: float,
+    below: float,
+    spacing: float,
     tol: float = 0.0,
     most_shifts: int = 1000,
     seed: int = 0,
 ) -> Sliced:
     """Return the k lowest eigenpairs of ``L u = lambda M u``; fewer if `most_shifts` are too few.
 
-    Around one shift after the other, the first of which, `sigma`, is below the spectrum: block
-    Lanczos with ``(A - sigma)^-1``, ``A = M^-1/2 L M^-1/2``, until residuals are `tol` of its
-    eigenvalues, or rounding. The inertia of a factor is the number of eigenvalues below its shift:
-    two runs go on until what they found between them is all there is, or the later shift moves
-    closer. They are put together at the widest gap of what both found, which keeps clusters whole.
+    Around one shift after the other: block Lanczos with ``(A - sigma)^-1``,
+    ``A = M^-1/2 L M^-1/2``, until residuals are `tol` of its eigenvalues, or rounding. The inertia
+    of a factor is the number of eigenvalues below its shift: two runs go on until what they found
+    between them is all there is, or the later shift moves closer. They are put together at the
+    widest gap of what both found, which keeps clusters whole. The first shift is amid the wanted
+    eigenvalues, as far as the mean `spacing` of eigenvalues tells; all of them are above `below`.
 
     After Grimes, Lewis and Simon, *A shifted block Lanczos algorithm for solving sparse symmetric
     generalized eigenproblems*, 1994.
@@ -92,22 +96,24 @@ def sliced_eigenpairs(
     A = sparse.csr_array(scaling @ stiffness @ scaling)
     values, X = np.empty(k), np.empty((k, len(mass)))  # rows are eigenvectors of A
     first, counted, found = 0, 0, 0  # modes below the last run, below its shift, and all
-    last, ahead, reach, shifts, closer = sigma, k, 1.0, 0, 0
+    last, ahead, reach, shifts, closer = below, min(-(-k // 2), _FIRST), 1.0, 0, 0
+    sigma, shared = below + _GUESS * ahead * spacing, None
     with team():
         while found < k and shifts < most_shifts and closer < _CLOSER:
             top = values[found - 1] if found else last
-            factor = _factor(A, sigma, definite=shifts == 0)
+            factor = _factor(A, sigma, shared)
             shifts += 1
             clock.stage("factor")
             if factor is None:
                 sigma, closer = sigma + _NUDGE * (sigma - last), closer + 1
                 continue
-            number = factor.inertia.negative
+            number, shared = factor.inertia.negative, factor.elimination
             if number - found > _DENSER * ahead:
                 sigma, closer = top + (sigma - top) * ahead / (number - found), closer + 1
                 continue
             run = _Run(factor, sigma, tol, seed + shifts)
-            cut = run.until(values[counted:found], number - counted, last, min(ahead, k - number))
+            above = min(ahead if found else k, k - number)
+            cut = run.until(values[counted:found], number - counted, last, above)
             clock.stage("lanczos")
             if cut is None:
                 sigma, closer = top + (sigma - top) / 2, closer + 1
@@ -123,7 +129,7 @@ def sliced_eigenpairs(
             gained, found = end > found, end
             if end < 2:
                 break  # nothing to go by
-            reached = min(len(run.below), len(upper)) if last < sigma else _ONE_SIDED * len(upper)
+            reached = min(len(run.below), len(upper)) if number else _ONE_SIDED * len(upper)
             reach = max(reach, _SAFE * reached)
             first, last, counted = begin, sigma, min(number, k)
             closer = 0 if gained else closer + 1
@@ -135,13 +141,11 @@ def sliced_eigenpairs(
     return Sliced(values[:found], U, shifts, clock.seconds)
 
 
-def _factor(A: sparse.csr_array, sigma: float, *, definite: bool) -> SparseLDL | None:
+def _factor(A: sparse.csr_array, sigma: float, shared: Elimination | None) -> SparseLDL | None:
     """Factorise ``A - sigma``; nothing where no factor without pivoting is accurate."""
-    if definite:
-        return shifted_factor(A, np.ones(A.shape[0]), sigma, SparseLDL)
     shifted = sparse.csr_array(A - sigma * sparse.eye_array(A.shape[0]))
     try:
-        factor = SparseLDL(shifted, definite=False)
+        factor = SparseLDL(shifted, definite=False, elimination=shared)
     except InvalidInputError:
         return None
     ones = np.ones(factor.n)
