@@ -84,7 +84,8 @@ def _figures(row: Row, rows: Sequence[Row]) -> dict[str, float | None]:
             for other in others
             if not other.contender.method.accuracy
             and other.contender.device in ("cpu", row.contender.device)
-            and (other.largest("eigenvalue_error") or np.nan) <= asked
+            and other.values("eigenvalue_error")
+            and other.largest("eigenvalue_error") <= asked
         ]
         found["over_asked"] = tables.ratio(row.largest("eigenvalue_error"), asked)
         found["behind"] = tables.ratio(seconds, min(filter(None, best), default=None))
