@@ -1,5 +1,7 @@
 """The heat method: analytic truths, invariances, an independent library, and bad input."""
 
+import dataclasses
+
 import numpy as np
 import potpourri3d as pp3d
 import pytest
@@ -303,6 +305,22 @@ def test_the_choice_is_explained(animal, modes) -> None:
     low = HeatGeodesics(animal, solver=Automatic(memory=1e-5)).distance(0)  # no room for factors
     assert low.solver == Iterative(coarse="none")
     assert np.abs(low.distance - small.distance).max() < 1e-6
+
+
+def test_a_few_large_triangles_have_a_step_only_if_they_cover_something() -> None:
+    ball = System.of(intrinsic_delaunay(sphere(subdivisions=5).geometry))  # 20,480 alike
+
+    def sizes(*times: float) -> list[int]:
+        lengths = ball.lengths.copy()
+        lengths[: len(times)] *= np.array(times)[:, None]
+        found = dataclasses.replace(ball, lengths=lengths).sizes
+        assert not found[len(times) :].any()
+        return found[: len(times)].tolist()
+
+    assert sizes(10) == [0]  # half a per cent
+    assert sizes(10, 10, 10, 10, 10) == [1] * 5
+    assert sizes(10, 100) == [2, 2]
+    assert sizes(10, 10, 10, 10, 10, 100) == [1] * 5 + [2]
 
 
 def test_what_factors_take_is_counted_where_it_was_estimated_too_low(animal) -> None:
