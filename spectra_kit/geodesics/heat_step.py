@@ -16,7 +16,7 @@ from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-from spectra_kit.linalg.cholesky import Elimination
+from spectra_kit.linalg.elimination import Elimination
 from spectra_kit.linalg.incomplete_cholesky import incomplete_factor
 from spectra_kit.linalg.ldl import SparseLDL
 

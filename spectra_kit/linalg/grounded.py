@@ -10,8 +10,8 @@ from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg._checks import check_kernel, check_matrix, check_rhs, check_symmetric
-from spectra_kit.linalg.cholesky import Elimination
 from spectra_kit.linalg.constant_kernel import ConstantKernel
+from spectra_kit.linalg.elimination import Elimination
 from spectra_kit.linalg.ldl import SparseLDL
 from spectra_kit.linalg.solution import LinearSolution
 

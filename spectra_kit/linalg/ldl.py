@@ -11,7 +11,7 @@ from scipy import sparse
 
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg.cholesky import Elimination, no_memory, symmetric
+from spectra_kit.linalg.elimination import Elimination, no_memory, symmetric
 from spectra_kit.linalg.products import real_dtype
 from spectra_kit.linalg.threads import in_threads, shares, thread_count
 

@@ -13,7 +13,7 @@ from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.block_lanczos import BlockLanczos, combined, inner
-from spectra_kit.linalg.cholesky import Elimination
+from spectra_kit.linalg.elimination import Elimination
 from spectra_kit.linalg.ldl import SparseLDL
 from spectra_kit.linalg.threads import single_threaded_blas, team
 

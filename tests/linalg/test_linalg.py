@@ -62,7 +62,7 @@ def test_dependent_and_zero_columns_are_dropped_and_bad_ones_refused() -> None:
         refused("basis", "have finite columns", orthonormalize, np.full((9, 2), bad), np.ones(9))
 
 
-def test_cholesky_solves_like_lu() -> None:
+def test_elimination_solves_like_lu() -> None:
     rng = np.random.default_rng(2)
     A = sparse.random_array((400, 400), density=0.02, rng=rng)
     A = sparse.csr_array(A @ A.T + sparse.eye_array(400))

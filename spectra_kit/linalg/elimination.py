@@ -29,7 +29,7 @@ class Elimination:
     --------
     >>> from scipy import sparse
     >>> from spectra_kit.linalg import SparseLDL
-    >>> from spectra_kit.linalg.cholesky import Elimination
+    >>> from spectra_kit.linalg.elimination import Elimination
     >>> A = sparse.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(9, 9), format="csr")
     >>> shared = Elimination.of(A)
     >>> [SparseLDL(matrix, elimination=shared).n for matrix in (A, 2 * A)]

@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 from spectra_kit import InvalidInputError
 from spectra_kit.geometry import sphere
 from spectra_kit.linalg import SparseLDL
-from spectra_kit.linalg.cholesky import Elimination
+from spectra_kit.linalg.elimination import Elimination
 from spectra_kit.linalg.minimum_degree import minimum_degree
 from spectra_kit.operators import intrinsic_delaunay
 
