@@ -137,9 +137,20 @@ class HeatStep:
         self._mass, self._points = mass / self._unit, points
         self._matrix = _raised(duration / self._unit * stiffness, self._mass)
         self._root = float(np.sqrt(duration))
-        self._complete = SparseLDL(self._matrix, elimination=elimination) if direct else None
+        self._complete = self._factor(elimination) if direct else None
         if not direct:
             _ = self._incomplete
+
+    def _factor(self, elimination: Elimination | None) -> SparseLDL:
+        try:
+            return SparseLDL(self._matrix, elimination=elimination)
+        except InvalidInputError as error:
+            raise InvalidInputError(
+                "time_coefficient",
+                "leave heat that is not the same all over, to rounding",
+                f"a heat step without a factor ({error})",
+                advice="lower it, or look at the geometry with `diagnose`",
+            ) from error
 
     @cached_property
     def _incomplete(self) -> tuple[sparse.csr_array, Floats]:

@@ -280,6 +280,7 @@ ALSO = {
     # Empty sequences, which are arrays of floats to NumPy.
     "Match.candidates": {"array"},
     "pareto_front.points": {"array"},
+    "write_explorer.names": {"array of U"},
     "Panel.lines": {"array"},
     "Problem.remedies": {"array"},
 }
