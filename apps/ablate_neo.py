@@ -340,7 +340,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--only", nargs="+", choices=VARIANTS, metavar="VARIANT", help=", ".join(VARIANTS))
     add("--samples", type=int, default=3000, help="to train on, in all (%(default)s)")
     add("--batch", type=int, default=8, help="clouds per step (%(default)s)")
-    add("--points", type=int, default=640, help="drawn from each (%(default)s)")
     add("--lr", type=float, default=5e-3)
     add("--seed", type=int, default=0)
     add("--held-out", type=int, default=128, help="samples to measure on (%(default)s)")
@@ -371,7 +370,7 @@ def _run(args: argparse.Namespace, base: NeoConfig) -> None:
         k=base.k,
     )
     steps = args.samples // args.batch
-    same = {"steps": steps, "batch": args.batch, "points": args.points, "lr": args.lr}
+    same = {"steps": steps, "batch": args.batch, "lr": args.lr}
     same |= {"seed": args.seed, "ema": 0.0, "every": max(1, steps // 5), "validation": 32}
 
     def trial(name: str) -> Trial:

@@ -19,8 +19,7 @@ from measure.command import exit_code, parser_of
 from numpy.typing import NDArray
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
-from spectra_kit.operators import delaunay_laplacian
+from spectra_kit.geometry.shapes import TriangleMesh
 from spectra_kit.training.corpus import CorpusReport, claim, count, read_fingerprint
 from spectra_kit.training.families import FAMILIES
 from spectra_kit.training.samples import CorpusConfig, sample_mesh
@@ -66,8 +65,10 @@ def read_config(folder: Path, pool: Path | None = None, pool_split: str = "train
     if not path.is_file():
         raise InvalidInputError("folder", "hold a corpus with its corpus.json", folder)
     stored = read_fingerprint(path)
-    names = ("seed", "n_points", "k", "shard_size", "nonuniform", "pool_share")
+    names = ("seed", "n_points", "k", "shard_size", "nonuniform", "pool_share", "mesh_share")
     values = {name: stored[name] for name in names if name in stored}
+    weights = stored.get("families", {})
+    values["weights"] = {k: w for k, w in weights.items() if k in FAMILIES and w != FAMILIES[k][1]}
     config = CorpusConfig(pool=pool, pool_split=pool_split, **values)
     claim(folder, config)
     return config
@@ -145,24 +146,16 @@ class Survey:
 def survey(corpus: Corpus, config: CorpusConfig, places: Sequence[int]) -> Survey:
     """Look at all labels of a corpus, and at surfaces and spectra of the samples at `places`.
 
-    Eigenvalues are the Rayleigh quotients of the stored modes. A tenth of a second each.
+    A tenth of a second each.
     """
     batch = corpus.batch(places)
-    clouds = zip(batch.points, batch.eigenvectors, strict=True)
+    assert batch.operators is not None  # as all corpora of this format
     return Survey(
         counts=count(corpus.labels),
         nonuniform=float(corpus.labels["nonuniform"].mean()),
         topologies=tuple(topology(sample_mesh(config, one)) for one in labels_of(corpus, places)),
-        eigenvalues=np.array([_eigenvalues(points, modes) for points, modes in clouds]),
+        eigenvalues=batch.operators.eigenvalues.astype(np.float64),
     )
-
-
-def _eigenvalues(points: NDArray, modes: NDArray) -> NDArray[np.float64]:
-    """Eigenvalues (k,) times area of a cloud whose modes (n, k) are known."""
-    laplacian, U = delaunay_laplacian(PointCloud(points)), modes.astype(np.float64)
-    energy = np.sum(U * (laplacian.stiffness @ U), axis=0)
-    norm = np.sum(U * (laplacian.mass[:, None] * U), axis=0)
-    return energy / norm * laplacian.area
 
 
 def _spread(values: NDArray[np.float64]) -> dict[str, float]:

@@ -30,8 +30,7 @@ DEFAULTS: dict[str, Any] = {
     "weights": None,
     "fresh": False,
     "batch": None,
-    "points": 512,
-    "n_points": 2048,
+    "n_points": 1024,
     "lr": 2e-3,
     "validation": 128,
 }
@@ -56,9 +55,8 @@ def _parser() -> argparse.ArgumentParser:
     compiled = "torch.compile the network (default: on an accelerator)"
     add("--compile", action=argparse.BooleanOptionalAction, help=compiled)
     add("--device", help="(default: cuda where there is one)")
-    add("--batch", type=int, help="clouds per step (800 on an accelerator, 16 on a CPU)")
-    add("--points", type=int, help="drawn from each cloud (512)")
-    add("--n-points", type=int, help="of each cloud (2048)")
+    add("--batch", type=int, help="clouds per step (400 on an accelerator, 16 on a CPU)")
+    add("--n-points", type=int, help="of each cloud (1024)")
     add("--lr", type=float, help="peak learning rate (0.002)")
     add("--validation", type=int, help="number of validation samples (128)")
     add("--workers", type=int, help="processes that make samples (all cores but one)")

@@ -35,7 +35,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--steps", type=int, default=100_000, help="length of the schedule")
     add("--minutes", type=float, help="end the schedule by the clock instead")
     add("--batch", type=int, default=16, help="clouds per step, over all devices")
-    add("--points", type=int, default=512, help="points drawn from each cloud")
     add("--lr", type=float, default=5e-3)
     add("--warmup", type=float, default=0.1, help="share of the schedule in which the rate rises")
     add("--decay", type=float, default=0.2, help="share of the schedule in which the rate falls")
@@ -66,7 +65,7 @@ def _run(args: argparse.Namespace, device: str) -> TrainResult:
     config = TrainConfig(network=network, validation=args.validate, **rest)
     if initial is not None and not args.resume and Ranks.here().first:
         before = validate(initial.to(device).eval(), validation, config)
-        print(f"span error on held-out samples, before: {before:.5f}", flush=True)
+        print(f"span error on held-out samples, before: {_errors(before)}", flush=True)
     quiet = True if Ranks.here().rank else None
     with tqdm(total=args.steps, unit="step", disable=quiet) as bar:
         return train(
@@ -88,7 +87,7 @@ def _shown(bar: tqdm) -> Callable[[Row], None]:
             if "validation" in row:
                 print(
                     f"step {row['step']}, {row['seconds'] / 60:.1f} min: loss {row['loss']:.5f},"
-                    f" span error {row['validation']:.5f}",
+                    f" span error {_errors(row)}",
                     flush=True,
                 )
             return
@@ -98,6 +97,11 @@ def _shown(bar: tqdm) -> Callable[[Row], None]:
         )
 
     return show
+
+
+def _errors(row: Row) -> str:
+    after = f", {row['smoothed']:.6f} after smoothing" if "smoothed" in row else ""
+    return f"{row['validation']:.5f}{after}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:

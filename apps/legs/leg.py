@@ -81,7 +81,7 @@ def new_leg(
     config = TrainConfig(
         network=NeoConfig.named(name) if start is None else start.config,
         steps=10**9,
-        batch=batch or (800 if fast else 16),
+        batch=batch or (400 if fast else 16),
         warmup=0.05,
         decay=0.3,
         precision="bfloat16" if fast else "float32",

@@ -162,7 +162,7 @@ def _samples_of(leg: Leg, place: Place, scratch: Path) -> SampleStream:
 
 def _error(network: NeoNetwork, validation: Corpus, config: TrainConfig) -> float:
     """Return the span error in float32, in which the weights will be used."""
-    return validate(network, validation, replace(config, precision="float32"))
+    return validate(network, validation, replace(config, precision="float32"))["validation"]
 
 
 def _settle(leg: Leg, source: Path, scratch: Path) -> bool:

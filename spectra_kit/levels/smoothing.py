@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from spectra_kit._types import Floats
 from spectra_kit.levels.coarse import Coarse
@@ -50,11 +51,8 @@ class Smoothing:
     def of(cls, operator: Laplacian | Coarse, device: str = "cpu") -> Smoothing:
         """Prepare an operator for columns on a device; "cpu" means arrays."""
         L, M = operator.stiffness, operator.mass
-        diagonal = L.diagonal()
-        diagonal = np.maximum(diagonal, _FLOOR * np.median(diagonal))
-        mass = operator.mass if isinstance(operator, Laplacian) else operator.lumped
-        diagonal += _MASS * np.median(diagonal / mass) * mass
-        highest = float((np.asarray(abs(L).sum(axis=1)) / diagonal).max())
+        lumped = operator.mass if isinstance(operator, Laplacian) else operator.lumped
+        diagonal, highest = preconditioner(L, lumped)
         L, M, diagonal = (on_device(part, device) for part in (L, M, diagonal))
         singles = operations(diagonal).smoother(L, M, diagonal)
         return cls(L, M, diagonal, highest, singles)
@@ -89,18 +87,38 @@ class Smoothing:
         energies = ops.energies(self.diagonal, vectors[:, last])
         top = int(np.argmax(values[last] / energies))
         most = _MOST if degree is None else degree
-        reach = self.highest / (1 + _REACH * most**2)
-        lowest = max(float(values[last][top] / energies[top]), reach)
+        lowest = lowest_damped(float(values[last][top] / energies[top]), self.highest, most)
         if lowest >= 0.9 * self.highest:
             return vectors  # the columns fill the space of the points
         bottoms = np.full(len(values), lowest)
-        enough = math.ceil(math.sqrt((self.highest / lowest - 1) / _REACH) - 1e-9)
+        enough = enough_steps(lowest, self.highest)
         if errors is not None:
             # What is left after a first step lies just above the modes: as near as seen from each.
             bottoms -= np.clip(values / energies[top], 0.0, _NEAREST * lowest)
             enough = _degree(bottoms[: len(errors)], self.highest, errors, goal, enough)
         steps = chebyshev_steps(bottoms, self.highest, enough)
         return vectors + ops.correction(self.singles, residual, values, steps)
+
+
+def preconditioner(stiffness: sparse.csr_array, mass: Floats) -> tuple[Floats, float]:
+    """Return a diagonal, and a bound on the eigenvalues of ``diagonal^-1 L``, by Gershgorin.
+
+    That of L, shape (n,), with a floor and a share of the masses.
+    """
+    diagonal = stiffness.diagonal()
+    diagonal = np.maximum(diagonal, _FLOOR * np.median(diagonal))
+    diagonal += _MASS * np.median(diagonal / mass) * mass
+    return diagonal, float((np.asarray(abs(stiffness).sum(axis=1)) / diagonal).max())
+
+
+def lowest_damped(wanted: float, highest: float, degree: int) -> float:
+    """Return from where on a polynomial of this degree damps: `wanted`, or what it can reach."""
+    return max(wanted, highest / (1 + _REACH * degree**2))
+
+
+def enough_steps(lowest: float, highest: float) -> int:
+    """Return how many steps damp what lies between: many more, and what lies below grows."""
+    return math.ceil(math.sqrt((highest / lowest - 1) / _REACH) - 1e-9)
 
 
 def on_device(array: Any, device: str) -> Any:

@@ -20,13 +20,14 @@ from spectra_kit.linalg.products import spmm
 
 def sparse_tensor(csr: sparse.csr_array, device: str = "cpu") -> Tensor:
     """Return a SciPy array as a float64 sparse CSR tensor on a device."""
-    return _csr_tensor(
-        torch.tensor(csr.indptr),
-        torch.tensor(csr.indices),
-        torch.tensor(csr.data, dtype=torch.float64),
-        csr.shape,
-        device,
-    )
+    return csr_tensor(csr, torch.float64, device)
+
+
+def csr_tensor(csr: sparse.csr_array, dtype: torch.dtype, device: str = "cpu") -> Tensor:
+    """Return a SciPy array as a sparse CSR tensor of a dtype on a device."""
+    rows, columns = torch.tensor(csr.indptr), torch.tensor(csr.indices)
+    values = torch.tensor(csr.data, dtype=dtype)
+    return _csr_tensor(rows, columns, values, csr.shape, device)
 
 
 def csr_like(pattern: Tensor, values: Tensor) -> Tensor:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn import functional
+
+from spectra_kit.neo.smoothing import Smoother
 
 
 def mode_residuals(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -> Tensor:
@@ -19,7 +20,7 @@ def mode_residuals(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -
     F : Tensor of shape (B, N, m)
         Predicted functions. Their scale does not matter.
     mass : Tensor of shape (B, N)
-        Positive weights. Their scale does not matter.
+        Weights, zero for padding. Their scale does not matter.
     U : Tensor of shape (B, N, k)
         True modes.
     ridge : float, default 1e-6
@@ -33,20 +34,66 @@ def mode_residuals(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -
         Each in [0, 1] up to rounding, float32; NaN for a cloud whose functions are not finite.
     """
     root = mass.float().sqrt().unsqueeze(-1)
+    _, half = _inside(_unit(F, root), _unit(U, root), root, ridge)
+    residuals: Tensor = (1 - half.square().sum(-2)).float()
+    return residuals
+
+
+def smoothed_residuals(
+    F: Tensor, mass: Tensor, U: Tensor, smoother: Smoother, *, ridge: float = 1e-6
+) -> tuple[Tensor, Tensor]:
+    """Return the energy shares of `mode_residuals`, and those that smoothing leaves of them.
+
+    Of each mode the best approximation in the span of `F` is taken, its error smoothed as `Neo`
+    smooths its modes, and what is left outside the span of the k smooth functions measured.
+
+    Parameters
+    ----------
+    F : Tensor of shape (B, N, m)
+        Predicted functions.
+    mass : Tensor of shape (B, N)
+        Weights; zero for padding.
+    U : Tensor of shape (B, N, k)
+        True modes.
+    smoother : Smoother
+        Of these modes.
+    ridge : float, default 1e-6
+        See `mode_residuals`.
+
+    Returns
+    -------
+    tuple of two Tensor of shape (B, k)
+        Before and after, float32.
+    """
+    root = mass.float().sqrt().unsqueeze(-1)
+    functions, modes = _unit(F, root), _unit(U, root)
+    factor, half = _inside(functions, modes, root, ridge)
+    nearest = functions.double() @ torch.linalg.solve_triangular(factor.mT, half, upper=True)
+    errors = smoother((nearest - modes).to(smoother.mass.dtype))
+    left = mode_residuals(modes + errors, mass, modes, ridge=ridge)
+    return (1 - half.square().sum(-2)).float(), left
+
+
+def _unit(F: Tensor, root: Tensor) -> Tensor:
+    """Return functions of M-norm one, for roots of the masses (B, N, 1)."""
+    F = F.float()
+    unit: Tensor = F / (root * F).norm(dim=-2, keepdim=True).clamp(min=1e-12)
+    return unit
+
+
+def _inside(F: Tensor, U: Tensor, root: Tensor, ridge: float) -> tuple[Tensor, Tensor]:
+    """Return L_c, and L_c^-1 F^T M U for functions of M-norm one."""
     # Unit columns make the Cholesky factor see directions, not magnitudes.
     # Double precision from here on: trained functions share large parts, and the rounding of a
     # float32 product can then exceed the ridge. On a CPU it adds some 5 % to a whole step.
-    Z = functional.normalize(root * F.float(), dim=-2).double()
-    V = functional.normalize(root * U.float(), dim=-2).double()
+    Z, V = (root * F).double(), (root * U).double()
     G = Z.mT @ Z
     G = G + ridge * torch.eye(G.shape[-1], dtype=G.dtype, device=G.device)
     # Without a look at `info`, for which a device would be waited for: functions that are not
     # finite, as an overflow in float16 leaves them, give residuals that are not finite either.
     factor, info = torch.linalg.cholesky_ex(G)
     factor = torch.where((info == 0)[..., None, None], factor, torch.nan)
-    inside = torch.linalg.solve_triangular(factor, Z.mT @ V, upper=False).square().sum(-2)
-    residuals: Tensor = (1 - inside).float()
-    return residuals
+    return factor, torch.linalg.solve_triangular(factor, Z.mT @ V, upper=False)
 
 
 def span_loss(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -> Tensor:

@@ -22,6 +22,7 @@ from spectra_kit._validate import check_positive
 from spectra_kit.errors import InvalidInputError
 
 _EXPONENTS = torch.linspace(-2, 6, 24)  # frequencies 2^-2 ... 2^6 half-turns per unit of length
+_NO_MASS = torch.finfo(torch.float32).tiny
 ENCODED = 3 + 2 * 3 * len(_EXPONENTS)  # channels of `encode`
 
 
@@ -325,7 +326,8 @@ class NeoNetwork(nn.Module):
     """The neural operator F(X, w) of the paper, Eq. "attn_mass" and Fig. "backbone".
 
     Equivariant to permutations of the points, invariant to the scale of the masses, and a true
-    quadrature: splitting a point into copies that share its mass leaves all outputs unchanged.
+    quadrature: splitting a point into copies that share its mass leaves all outputs unchanged, and
+    so do more points without mass.
 
     Parameters
     ----------
@@ -365,7 +367,7 @@ class NeoNetwork(nn.Module):
         points : Tensor of shape (B, N, 3)
             Posed coordinates in [-1, 1]^3.
         mass : Tensor of shape (B, N)
-            Positive weights; only their ratios matter.
+            Weights, only their ratios matter; points of none change nothing at the others.
 
         Returns
         -------
@@ -434,6 +436,7 @@ class NeoNetwork(nn.Module):
     def _log_mass(self, mass: Tensor) -> Tensor:
         if not self.config.mass_aware:
             return torch.zeros_like(mass, dtype=torch.float32)
-        # Relative to the mean: a constant shift that softmax ignores and float16 needs.
+        # Relative to the mean: a constant shift that softmax ignores and float16 needs. Padding, of
+        # no mass, gets weights of 1e-38, which leave sums as they are and gradients finite.
         mass = mass.float()
-        return (mass / mass.mean(dim=-1, keepdim=True)).log()
+        return (mass / mass.mean(dim=-1, keepdim=True)).clamp(min=_NO_MASS).log()

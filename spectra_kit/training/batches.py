@@ -1,17 +1,49 @@
-"""Batches: samples of a corpus in the pose, size and number of points that a step asks for."""
+"""Batches: samples of a corpus in the pose and size that a step asks for."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from spectra_kit.neo.smoothing import Smoother
 from spectra_kit.subspaces.frame import POSES, canonical_frame
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.shards import Batch
 
-Tensors = tuple[Tensor, Tensor, Tensor]
+
+class Samples(NamedTuple):
+    """Samples as the network sees them; modes float16 where they are only kept."""
+
+    points: Tensor  #: (b, n, 3)
+    mass: Tensor  #: (b, n)
+    modes: Tensor  #: (b, n, k)
+    smoothers: tuple[Smoother, ...] = ()  #: one for each of the `parts`, where there are any
+
+    def parts(self, count: int) -> Iterator[Samples]:
+        """Return equal shares, one after the other."""
+        for i, part in enumerate(_shares(len(self.points), count)):
+            arrays = self.points[part], self.mass[part], self.modes[part]
+            yield Samples(*arrays, self.smoothers[i : i + 1])
+
+    def to(self, device: torch.device) -> Samples:
+        """Return the same on a device."""
+        return Samples(
+            self.points.to(device, non_blocking=True),
+            self.mass.to(device, non_blocking=True),
+            self.modes.to(device, non_blocking=True),
+            tuple(smoother.to(device) for smoother in self.smoothers),
+        )
+
+
+def _shares(n: int, count: int) -> list[slice]:
+    """Return the places of at most `count` equal shares of n samples."""
+    size = -(-n // count)
+    return [slice(first, first + size) for first in range(0, n, size)]
 
 
 def chosen_samples(n: int, config: TrainConfig, step: int) -> NDArray[np.int64]:
@@ -28,30 +60,53 @@ def chosen_samples(n: int, config: TrainConfig, step: int) -> NDArray[np.int64]:
     return np.array([orders[int(place // n)][place % n] for place in places])
 
 
-def posed(batch: Batch, config: TrainConfig) -> Tensors:
-    """Return points (b, n, 3), mass (b, n) and modes (b, n, k) as tensors, the points posed.
+def posed(batch: Batch, config: TrainConfig, parts: int = 1) -> Samples:
+    """Return samples as tensors, the points posed, with the smoothers of so many `parts`.
 
-    In the principal frame where the network expects it, else centred; modes stay float16.
+    In the principal frame where the network expects it, else centred; modes stay float16. There
+    are smoothers where the samples have operators.
     """
     points = np.empty_like(batch.points, dtype=np.float32)
     for out, x, w in zip(points, batch.points, batch.mass, strict=True):
         if config.network.frame == "principal":
-            out[:] = canonical_frame(x, w).pose(x)
+            real = w > 0  # the rest is padding
+            out[:] = canonical_frame(x[real], w[real]).pose(x)
         else:
             out[:] = x - (w.astype(np.float64) / w.sum(dtype=np.float64)) @ x
     mass, modes = np.ascontiguousarray(batch.mass), np.ascontiguousarray(batch.eigenvectors)
-    return torch.from_numpy(points), torch.from_numpy(mass), torch.from_numpy(modes)
+    return Samples(
+        torch.from_numpy(points),
+        torch.from_numpy(mass),
+        torch.from_numpy(modes),
+        _smoothers(batch, config, parts),
+    )
 
 
-def vary(samples: Tensors, config: TrainConfig, step: int, share: slice = slice(None)) -> Tensors:
-    """Return posed samples as a step shows them: turned, resized, and some of their points.
+def _smoothers(batch: Batch, config: TrainConfig, parts: int) -> tuple[Smoother, ...]:
+    if batch.operators is None:
+        return ()
+    shares = [batch[part] for part in _shares(len(batch.mass), parts)]
+    return tuple(
+        Smoother.of(
+            [share.operators.stiffness(i) for i in range(len(share.mass))],
+            share.mass,
+            share.operators.eigenvalues,
+            share.eigenvectors,
+            degree=config.smoothing,
+        )
+        for share in shares
+        if share.operators is not None
+    )
+
+
+def vary(samples: Samples, config: TrainConfig, step: int, share: slice = slice(None)) -> Samples:
+    """Return posed samples as a step shows them: turned and resized.
 
     All random numbers follow from (seed, step), the kind of device and the place in the batch, on
-    one device or on several: `share` tells which places of the batch the samples are. Comes as
-    points (b, N, 3) in [-1, 1]^3, mass (b, N) and modes (b, N, k), float32.
+    one device or on several: `share` tells which places of the batch the samples are. Comes with
+    points in [-1, 1]^3, and in float32.
     """
-    points, mass, modes = samples
-    n, device = points.shape[1], points.device
+    points, device = samples.points, samples.points.device
     seed = np.random.SeedSequence((config.seed, 1, step)).generate_state(1, np.uint64)[0]
     generator = torch.Generator(device).manual_seed(int(seed >> np.uint64(1)))
 
@@ -69,23 +124,22 @@ def vary(samples: Tensors, config: TrainConfig, step: int, share: slice = slice(
     else:
         points, size = points @ random_rotations(normal(4)), torch.ones(len(points), device=device)
     points = points * (size / points.abs().amax((1, 2)))[:, None, None]
-    if config.points < n:
-        keep = uniform(n).topk(config.points, dim=1, sorted=False).indices[..., None]
-        points = points.gather(1, keep.expand(-1, -1, 3))
-        mass = mass.gather(1, keep[..., 0])
-        modes = modes.gather(1, keep.expand(-1, -1, modes.shape[-1]))
-    return points, mass.float(), modes.float()
+    return _shown(samples, points)
 
 
-def for_validation(samples: Tensors, config: TrainConfig, first: int) -> Tensors:
-    """Return whole posed samples; without a canonical frame, turned the same way every time."""
-    points, mass, modes = samples
+def for_validation(samples: Samples, config: TrainConfig, first: int) -> Samples:
+    """Return posed samples; without a canonical frame, turned the same way every time."""
+    points = samples.points
     if config.network.frame == "none":
         rng = np.random.default_rng((config.seed, 2, first))
         quaternions = torch.from_numpy(rng.standard_normal((len(points), 4))).float()
         points = points @ random_rotations(quaternions).to(points.device)
         points = points / points.abs().amax((1, 2), keepdim=True)
-    return points, mass.float(), modes.float()
+    return _shown(samples, points)
+
+
+def _shown(samples: Samples, points: Tensor) -> Samples:
+    return Samples(points, samples.mass.float(), samples.modes.float(), samples.smoothers)
 
 
 def rotations(vectors: Tensor) -> Tensor:

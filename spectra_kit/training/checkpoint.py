@@ -17,7 +17,7 @@ from spectra_kit.errors import InvalidInputError
 NAME = "checkpoint.pt"
 # Optimiser states stand in the order of the network's parameters; where that, or what a checkpoint
 # holds, changes, this does, and older ones are refused.
-_FORMAT = b"spectra_kit checkpoint 2"
+_FORMAT = b"spectra_kit checkpoint 3"
 _DIGEST = hashlib.sha256().digest_size
 
 

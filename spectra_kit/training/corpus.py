@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.training.families import FAMILIES
 from spectra_kit.training.samples import REASONS, CorpusConfig, Sample, make_sample
-from spectra_kit.training.shards import open_shards, write_shard
+from spectra_kit.training.shards import Batch, Operators, open_shards, write_shard
 
 __all__ = ["CorpusConfig", "CorpusReport", "Sample", "WorkerError", "generate", "make_sample"]
 
@@ -130,7 +130,7 @@ def generate(
                 done += 1
                 if progress is not None:
                     progress(done, len(indices))
-            write_samples(root, i, shard)
+            write_samples(root, i, shard, config.n_points)
     return report(root)
 
 
@@ -188,14 +188,32 @@ def _is_there(root: Path, index: int, size: int) -> bool:
     return True
 
 
-def write_samples(root: Path, index: int, samples: Sequence[Sample]) -> None:
+def write_samples(root: Path, index: int, samples: Sequence[Sample], n_points: int) -> None:
     """Write one shard of samples."""
     labels = {name: [sample.labels[name] for sample in samples] for name in samples[0].labels}
-    points, mass, modes = (
-        np.stack([getattr(sample, name) for sample in samples])
-        for name in ("points", "mass", "eigenvectors")
+    batch = as_batch(samples, n_points)
+    arrays = batch.points, batch.mass, batch.eigenvectors
+    write_shard(root, index, *arrays, labels, batch.operators)
+
+
+def as_batch(samples: Sequence[Sample], n_points: int) -> Batch:
+    """Return samples in the precisions of the shards, padded to `n_points` each."""
+
+    def padded(name: str, dtype: type[np.floating], **how: Any) -> Any:
+        arrays = [np.asarray(getattr(sample, name), dtype) for sample in samples]
+        rest = [((0, n_points - len(array)), *[(0, 0)] * (array.ndim - 1)) for array in arrays]
+        return np.stack([np.pad(a, width, **how) for a, width in zip(arrays, rest, strict=True)])
+
+    return Batch(
+        padded("points", np.float32, mode="edge"),
+        padded("mass", np.float32),
+        padded("eigenvectors", np.float16),
+        Operators.of(
+            [sample.stiffness for sample in samples],
+            [sample.eigenvalues for sample in samples],
+            n_points,
+        ),
     )
-    write_shard(root, index, points, mass, modes, labels)
 
 
 @contextmanager
@@ -241,11 +259,12 @@ def _in_order(
 def packed_sample(config: CorpusConfig, index: int) -> Sample:
     """Make a sample in the precisions of the shards: a quarter of the bytes to send."""
     full = make_sample(config, index)
-    return Sample(
-        full.points.astype(np.float32),
-        full.mass.astype(np.float32),
-        full.eigenvectors.astype(np.float16),
-        full.labels,
+    return replace(
+        full,
+        points=full.points.astype(np.float32),
+        mass=full.mass.astype(np.float32),
+        eigenvectors=full.eigenvectors.astype(np.float16),
+        stiffness=full.stiffness.astype(np.float32),
     )
 
 

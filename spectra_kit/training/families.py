@@ -6,7 +6,8 @@ state, same mesh. Sizes are of order one; poses and units are left to the networ
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -233,7 +234,16 @@ def make_mesh(family: str, seed: int | tuple[int, ...]) -> TriangleMesh:
     return _deform(mesh, rng, 0.3 if family in _RIGID else 1.0)
 
 
-def draw_family(rng: Rng) -> int:
-    """Draw the index of a family by the weights of `FAMILIES`."""
-    weights = np.array([weight for _, weight in FAMILIES.values()], dtype=np.float64)
+def draw_family(rng: Rng, changed: Mapping[str, float] = MappingProxyType({})) -> int:
+    """Draw the index of a family by the weights of `FAMILIES`, some of them changed."""
+    weights = np.array([changed.get(name, weight) for name, (_, weight) in FAMILIES.items()])
     return int(rng.choice(len(weights), p=weights / weights.sum()))
+
+
+def check_weights(weights: Mapping[str, float]) -> None:
+    """Raise `InvalidInputError` unless these are weights of families."""
+    if strange := sorted(weights.keys() - FAMILIES.keys()):
+        raise InvalidInputError("weights", f"be of families {sorted(FAMILIES)}", strange)
+    every = {name: weight for name, (_, weight) in FAMILIES.items()} | dict(weights)
+    if min(every.values()) < 0 or not 0 < sum(every.values()) < np.inf:
+        raise InvalidInputError("weights", "not be negative, and not all be zero", weights)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -11,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.training.batches import Tensors, chosen_samples, posed, vary
+from spectra_kit.training.batches import Samples, chosen_samples, posed, vary
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.shards import Corpus
 from spectra_kit.training.stream import SampleStream
@@ -26,7 +27,7 @@ class _Ahead(NamedTuple):
     step: int
     keys: list[int]  # of the samples that the step shows
     new: list[int]  # of those that are read
-    reading: Future[Tensors | None]
+    reading: Future[Samples | None]
 
 
 class Feed:
@@ -35,8 +36,9 @@ class Feed:
     A thread reads and poses the samples of the next step while the device works on the last. On an
     accelerator with room for all that there may be, they stay in its memory, posed, in the
     precisions of the shards, and a batch of them is drawn there without a transfer; `resident`
-    says whether, where that is not to be found out. A stream is looked at once a second. `share`
-    are the places of the batch that this process works on.
+    says whether, where that is not to be found out. Operators, for smoothing, are always read. A
+    stream is looked at once a second. `share` are the places of the batch that this process works
+    on.
     """
 
     def __init__(
@@ -56,7 +58,8 @@ class Feed:
         n, k = self._corpus.n_points, self._corpus.k
         if resident is None:
             need = room * n * (3 * 4 + 4 + 2 * k)
-            resident = device.type == "cuda" and need < _ROOM * torch.cuda.mem_get_info(device)[0]
+            room_for_all = device.type == "cuda" and not config.beta
+            resident = room_for_all and need < _ROOM * torch.cuda.mem_get_info(device)[0]
         self._store = _Store(room, n, k, device) if resident else None
         self._thread = ThreadPoolExecutor(1)
         self._ahead: _Ahead | None = None
@@ -67,13 +70,12 @@ class Feed:
     def __exit__(self, *_: object) -> None:
         self._thread.shutdown(cancel_futures=True)
 
-    def __call__(self, step: int) -> Tensors:
-        """Return points (b, N, 3), mass (b, N) and modes (b, N, k) of this process's share."""
+    def __call__(self, step: int) -> Samples:
+        """Return this process's share of the batch of a step."""
         there = self._ahead if self._ahead and self._ahead.step == step else self._begin(step)
         samples = there.reading.result()
         if samples is not None:
-            points, mass, modes = (part.to(self._device, non_blocking=True) for part in samples)
-            samples = points, mass, modes
+            samples = samples.to(self._device)
         if self._store is not None:
             if samples is not None:
                 self._store.add(there.new, samples)
@@ -108,13 +110,21 @@ class Feed:
         reading = self._thread.submit(self._read, self._corpus, chosen)
         return _Ahead(step, keys, new, reading)
 
-    def _read(self, corpus: Corpus, chosen: NDArray[np.int64]) -> Tensors | None:
+    def _read(self, corpus: Corpus, chosen: NDArray[np.int64]) -> Samples | None:
         if not len(chosen):
             return None
-        points, mass, modes = posed(corpus.batch(chosen), self._config)
+        batch = corpus.batch(chosen)
+        if not self._config.beta:
+            batch = replace(batch, operators=None)
+        samples = posed(batch, self._config, self._config.workers)
         if self._device.type == "cuda":
-            return points.pin_memory(), mass.pin_memory(), modes.pin_memory()
-        return points, mass, modes
+            return samples._replace(
+                **{
+                    name: getattr(samples, name).pin_memory()
+                    for name in ("points", "mass", "modes")
+                }
+            )
+        return samples
 
 
 class _Store:
@@ -134,15 +144,15 @@ class _Store:
         for key in self.slots.keys() - set(keys.tolist()):
             self.free.append(self.slots.pop(key))
 
-    def add(self, keys: list[int], samples: Tensors) -> None:
+    def add(self, keys: list[int], samples: Samples) -> None:
         """Take in samples under new keys."""
         slots = [self.free.pop() for _ in keys]
         self.slots |= zip(keys, slots, strict=True)
-        for part, values in zip(self.parts, samples, strict=True):
+        for part, values in zip(self.parts, samples[:3], strict=True):
             part[torch.tensor(slots)] = values
 
-    def batch(self, keys: list[int]) -> Tensors:
+    def batch(self, keys: list[int]) -> Samples:
         """Return the samples of these keys."""
         slots = torch.tensor([self.slots[key] for key in keys], device=self.parts[0].device)
         points, mass, modes = (part[slots] for part in self.parts)
-        return points, mass, modes
+        return Samples(points, mass, modes)

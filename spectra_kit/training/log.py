@@ -10,7 +10,7 @@ from typing import Any, Self
 from spectra_kit._files import atomic_path
 from spectra_kit._optional import optional
 
-FIELDS = ("step", "samples", "seconds", "points", "lr", "rate", "loss", "validation")
+FIELDS = ("step", "samples", "seconds", "lr", "rate", "loss", "validation", "smoothed")
 Row = dict[str, float]
 
 

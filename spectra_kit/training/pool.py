@@ -132,10 +132,16 @@ def _open(root: Path, split: str, stamps: tuple[tuple[str, int, int], ...]) -> M
     return _joined(chunks, wanted, split, root)
 
 
-def varied(mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
-    """Return `mesh` in the unit box, and mostly stretched, bent, twisted or tapered at random."""
+def varied(
+    mesh: TriangleMesh, rng: np.random.Generator, *, own_vertices: bool = False
+) -> TriangleMesh:
+    """Return `mesh` in the unit box, and mostly stretched, bent, twisted or tapered at random.
+
+    Long edges are halved before, that they may bend too, unless it is to keep its `own_vertices`.
+    """
     points = mesh.points - (mesh.points.min(axis=0) + mesh.points.max(axis=0)) / 2
-    fine = s.bisected(mesh.with_points(points / max(float(np.abs(points).max()), 1e-12)), _EDGE)
+    unit = mesh.with_points(points / max(float(np.abs(points).max()), 1e-12))
+    fine = unit if own_vertices else s.bisected(unit, _EDGE)
     return fine.with_points(s.warped(fine.points, rng, _WARP))
 
 

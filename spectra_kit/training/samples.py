@@ -1,32 +1,37 @@
-"""One sample of a corpus: a random surface, points on it, and the exact modes of these points.
+"""One sample of a corpus: points of a random surface, their operator, and its exact modes.
 
-Every sample follows from (seed, index) alone, so any number of processes makes the same corpus.
+Points are drawn on the surface, as a cloud, or the vertices of a mesh. Every sample follows from
+(seed, index) alone, so any number of processes makes the same corpus.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers import Arpack, eigensolve
 from spectra_kit.errors import ConvergenceError, InvalidInputError, InvalidSpectrumError
 from spectra_kit.geometry.sampling import GaussianDensity, sample
-from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators import delaunay_laplacian
-from spectra_kit.training.families import FAMILIES, draw_family, make_mesh
+from spectra_kit.training.families import FAMILIES, check_weights, draw_family, make_mesh
+from spectra_kit.training.meshes import at_resolution
 from spectra_kit.training.pool import open_pool, varied
 
 FROM_POOL = -1  # the label `family` of samples that are real meshes
 REASONS = ("mesh", "components", "solve")  # of rejection
-LABELS = ("family", "pool", "index", "nonuniform", *(f"rejected_{reason}" for reason in REASONS))
+_REJECTED = tuple(f"rejected_{reason}" for reason in REASONS)
+LABELS = ("family", "pool", "mesh", "index", "nonuniform", "n", *_REJECTED)
 # Of eigenvalues. Spans then agree to 1e-7 with those to rounding; float16 holds 3 digits.
 _TOLERANCE = 1e-4
 _PATIENCE = 4  # rejections after which a sample tries another family or mesh of the pool
+_FEWEST = 5  # vertices of a mesh for each mode: on fewer, the modes are nearly all functions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +43,7 @@ class CorpusConfig:
     seed : int
         Use different ones for training and validation.
     n_points : int
-        Points per sample.
+        Points per sample: of a cloud all, of a mesh at most.
     k : int
         Modes per sample, the constant one included.
     shard_size : int
@@ -51,12 +56,18 @@ class CorpusConfig:
         The split of the pool to draw from.
     pool_share : float
         Fraction of samples that are real meshes, each varied at random.
+    mesh_share : float
+        Fraction of samples, real or not, that are the vertices of a mesh with its operator.
+        The others are clouds.
+    weights : dict of str to float
+        Weights of `FAMILIES` that are to be others.
 
     Raises
     ------
     InvalidInputError
         If a count is too small, a fraction is not in [0, 1], there are not clearly more points
-        than modes, or a share of a pool is asked for without the pool.
+        than modes, a share of a pool is asked for without the pool, or a weight is negative or of
+        no family.
     """
 
     seed: int
@@ -67,13 +78,16 @@ class CorpusConfig:
     pool: str | os.PathLike[str] | None = None
     pool_split: str = "train"
     pool_share: float = 0.0
+    mesh_share: float = 0.0
+    weights: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_count("seed", self.seed, low=0)
         check_count("k", self.k, low=1)
         check_count("n_points", self.n_points, low=max(64, 2 * self.k))
         check_count("shard_size", self.shard_size, low=1)
-        for name in ("nonuniform", "pool_share"):
+        check_weights(self.weights)
+        for name in ("nonuniform", "pool_share", "mesh_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidInputError(name, "be in [0, 1]", getattr(self, name))
         if self.pool_share and self.pool is None:
@@ -89,13 +103,14 @@ class CorpusConfig:
         values = asdict(self)
         path, split = values.pop("pool"), values.pop("pool_split")
         values["pool"] = open_pool(path, split).digest if self.pool_share else None
-        weights = {name: weight for name, (_, weight) in FAMILIES.items()}
-        return {"format": 5, **values, "families": weights if self.pool_share < 1 else {}}
+        changed = values.pop("weights")
+        weights = {name: weight for name, (_, weight) in FAMILIES.items()} | changed
+        return {"format": 6, **values, "families": weights if self.pool_share < 1 else {}}
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One cloud with its exact modes.
+    """One cloud or mesh with its operator and exact modes.
 
     Parameters
     ----------
@@ -105,6 +120,10 @@ class Sample:
         Sums to one.
     eigenvectors : ndarray of shape (n, k)
         M-orthonormal for `mass`, by ascending eigenvalue.
+    eigenvalues : ndarray of shape (k,)
+        Of a surface of area one.
+    stiffness : sparse array of shape (n, n)
+        L, of which ``L U = M U diag(eigenvalues)``.
     labels : dict of str to int
         What the sample is; see `make_sample`.
     """
@@ -112,6 +131,8 @@ class Sample:
     points: NDArray[np.floating]
     mass: NDArray[np.floating]
     eigenvectors: NDArray[np.floating]
+    eigenvalues: NDArray[np.floating]
+    stiffness: sparse.csr_array
     labels: dict[str, int]
 
 
@@ -129,8 +150,9 @@ def make_sample(config: CorpusConfig, index: int) -> Sample:
     -------
     Sample
         Points centred in the unit box. Labels: ``family`` (place in `FAMILIES`, or `FROM_POOL`),
-        ``pool`` (number of the mesh in the pool, or -1), ``index``, ``nonuniform`` (0 or 1) and
-        how often each reason of rejection came up before.
+        ``pool`` (number of the mesh in the pool, or -1), ``mesh`` (0 for a cloud, 1 for a mesh),
+        ``index``, ``nonuniform`` (0 or 1), ``n`` points, and how often each reason of rejection
+        came up before.
 
     Examples
     --------
@@ -152,6 +174,8 @@ def make_sample(config: CorpusConfig, index: int) -> Sample:
 def sample_mesh(config: CorpusConfig, labels: Mapping[str, int]) -> TriangleMesh:
     """Make the surface again that a sample with these labels lies on, in its own pose and unit.
 
+    Of a mesh it is the mesh itself.
+
     Examples
     --------
     >>> from spectra_kit.training.samples import CorpusConfig, make_sample, sample_mesh
@@ -165,14 +189,16 @@ def sample_mesh(config: CorpusConfig, labels: Mapping[str, int]) -> TriangleMesh
 
 
 def draw_source(config: CorpusConfig, index: int, attempt: int) -> dict[str, int]:
-    """Draw what an attempt at a sample is to be: the labels ``family`` and ``pool``."""
+    """Draw what an attempt at a sample is to be: labels ``family``, ``pool`` and ``mesh``."""
     # What to draw hardly depends on the attempt: rejections would thin out the hard ones. Nor is
     # it the stream of the mesh, whose first numbers would then follow from its family.
     rng = np.random.default_rng((config.seed, index, attempt // _PATIENCE, 2))
     if config.pool is not None and config.pool_share and rng.random() < config.pool_share:
         n = len(open_pool(config.pool, config.pool_split))
-        return {"family": FROM_POOL, "pool": int(rng.integers(n))}
-    return {"family": draw_family(rng), "pool": -1}
+        source = {"family": FROM_POOL, "pool": int(rng.integers(n))}
+    else:
+        source = {"family": draw_family(rng, config.weights), "pool": -1}
+    return {**source, "mesh": int(rng.random() < config.mesh_share)}
 
 
 def make_surface(
@@ -184,36 +210,50 @@ def make_surface(
     """
     seed = (config.seed, index, attempt)
     if config.pool is None or source["family"] != FROM_POOL:
-        return make_mesh(list(FAMILIES)[source["family"]], seed)
-    mesh = open_pool(config.pool, config.pool_split).mesh(source["pool"])
-    return varied(mesh, np.random.default_rng(seed))
+        mesh = make_mesh(list(FAMILIES)[source["family"]], seed)
+    else:
+        real = open_pool(config.pool, config.pool_split).mesh(source["pool"])
+        mesh = varied(real, np.random.default_rng(seed), own_vertices=bool(source["mesh"]))
+    if not source["mesh"]:
+        return mesh
+    rng = np.random.default_rng((*seed, 3))
+    fewest = min(_FEWEST * config.k, config.n_points)
+    return at_resolution(mesh, rng, fewest=fewest, most=config.n_points)
 
 
 def _attempted(config: CorpusConfig, index: int, attempt: int) -> Sample | str:
     """Make a sample, or tell the reason why it is rejected."""
     source = draw_source(config, index, attempt)
     rng = np.random.default_rng((config.seed, index, attempt, 1))
-    nonuniform = rng.random() < config.nonuniform
+    nonuniform = not source["mesh"] and rng.random() < config.nonuniform
     sigma = rng.uniform(0.15, 0.5) if nonuniform else 0.0
     try:
-        mesh = make_surface(config, source, index, attempt)
-        cloud = sample(
-            mesh,
-            config.n_points,
-            seed=int(rng.integers(2**32)),
-            density=GaussianDensity(sigma=sigma) if nonuniform else "uniform",
-        )
+        surface = make_surface(config, source, index, attempt)
+        geometry: Geometry = surface
+        if not source["mesh"]:
+            geometry = sample(
+                surface,
+                config.n_points,
+                seed=int(rng.integers(2**32)),
+                density=GaussianDensity(sigma=sigma) if nonuniform else "uniform",
+            )
     except InvalidInputError:
         return "mesh"
-    points = cloud.points - cloud.points.mean(axis=0)
+    points = geometry.points - geometry.points.mean(axis=0)
     points = points / np.abs(points).max()
     try:
-        laplacian = delaunay_laplacian(PointCloud(points))
+        laplacian = delaunay_laplacian(geometry.with_points(points))
         if laplacian.n_components > 1:
             return "components"
         spectrum = eigensolve(laplacian, config.k, Arpack(tol=_TOLERANCE))
     except (InvalidInputError, InvalidSpectrumError, ConvergenceError):
         return "solve"
     area = spectrum.mass.sum()
-    labels = {**source, "index": index, "nonuniform": int(nonuniform)}
-    return Sample(points, spectrum.mass / area, spectrum.eigenvectors * np.sqrt(area), labels)
+    return Sample(
+        points,
+        spectrum.mass / area,
+        spectrum.eigenvectors * np.sqrt(area),
+        spectrum.eigenvalues * area,
+        laplacian.stiffness,
+        {**source, "index": index, "nonuniform": int(nonuniform), "n": len(points)},
+    )

@@ -20,9 +20,16 @@ from numpy.typing import NDArray
 
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.training.corpus import CorpusReport, claim, count, produced, write_samples
+from spectra_kit.training.corpus import (
+    CorpusReport,
+    as_batch,
+    claim,
+    count,
+    produced,
+    write_samples,
+)
 from spectra_kit.training.samples import LABELS, CorpusConfig, Sample
-from spectra_kit.training.shards import Batch, Corpus, open_shards
+from spectra_kit.training.shards import Batch, Corpus, Operators, open_shards
 
 _LOOK = 0.1  # seconds between looks of a reader that waits
 
@@ -97,11 +104,17 @@ class SampleStream:
         self._config, self._bounded = config, bounded
         self._folder = None if folder is None else Path(folder)
         # The first one is none, and tells of what size the others are.
-        shape = (0, config.n_points)
+        n, k = config.n_points, config.k
         self._none = Batch(
-            np.empty((*shape, 3), np.float32),
-            np.empty(shape, np.float32),
-            np.empty((*shape, config.k), np.float16),
+            np.empty((0, n, 3), np.float32),
+            np.empty((0, n), np.float32),
+            np.empty((0, n, k), np.float16),
+            Operators(
+                np.empty((0, k), np.float32),
+                np.empty((0, n + 1), np.int32),
+                np.empty(0, np.int32),
+                np.empty(0, np.float32),
+            ),
         )
         self._samples: deque[Batch] = deque(maxlen=capacity)
         self._labels: list[tuple[int, ...]] = []  # of all so far
@@ -189,7 +202,7 @@ class SampleStream:
             )
         for shard in there.shards:
             for i in range(size):
-                self._samples.append(Batch(*(part[i : i + 1] for part in vars(shard).values())))
+                self._samples.append(shard[i : i + 1])
         self._labels = list(zip(*(there.labels[name].tolist() for name in LABELS), strict=True))
         self._next += len(there)
 
@@ -202,9 +215,7 @@ class SampleStream:
 
     def _take(self, sample: Sample) -> None:
         with self._lock:
-            self._samples.append(
-                Batch(sample.points[None], sample.mass[None], sample.eigenvectors[None])
-            )
+            self._samples.append(as_batch([sample], self._config.n_points))
             self._labels.append(tuple(sample.labels[name] for name in LABELS))
             self._next += 1
         size = self._config.shard_size
@@ -212,7 +223,7 @@ class SampleStream:
             self._unsaved.append(sample)
             if len(self._unsaved) == size:
                 index = sample.labels["index"] // size
-                write_samples(self._folder, index, self._unsaved)
+                write_samples(self._folder, index, self._unsaved, self._config.n_points)
                 self._unsaved = []
                 if self._bounded:
                     self._thin(self._folder, index - max(1, self._capacity // size))

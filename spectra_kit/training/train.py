@@ -21,9 +21,9 @@ from torch import Tensor, nn
 
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.neo import NeoNetwork, build_network
-from spectra_kit.neo.loss import ortho_loss, span_loss
+from spectra_kit.neo.loss import mode_residuals, ortho_loss, smoothed_residuals, span_loss
 from spectra_kit.training import checkpoint
-from spectra_kit.training.batches import Tensors, for_validation, posed
+from spectra_kit.training.batches import Samples, for_validation, posed
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.feed import Feed
 from spectra_kit.training.log import Log, Row
@@ -33,7 +33,7 @@ from spectra_kit.training.shards import Corpus
 from spectra_kit.training.stream import SampleStream
 
 # What may change on resuming.
-_FREE = {"minutes", "warmup", "decay", "batch", "points", "every", "log", "save", "validation"}
+_FREE = {"steps", "minutes", "warmup", "decay", "batch", "every", "log", "save", "validation"}
 _FREE |= {"workers", "compile"}
 Gradients = tuple[Tensor, ...]
 _DTYPES = {"float32": None, "bfloat16": torch.bfloat16, "float16": torch.float16}
@@ -105,9 +105,9 @@ def train(
     out : path, optional
         Folder for ``checkpoint.pt`` and ``log.csv``; nothing is written without it.
     resume : bool, default False
-        Continue from the checkpoint in `out`. The corpus may have grown since, and ``minutes``,
-        ``warmup``, ``decay``, ``batch``, ``points``, ``every``, ``log``, ``save``, ``validation``,
-        ``workers`` and ``compile`` may differ: cheap steps of few points first, precise ones later.
+        Continue from the checkpoint in `out`. The corpus may have grown since, and ``steps``,
+        ``minutes``, ``warmup``, ``decay``, ``batch``, ``every``, ``log``, ``save``,
+        ``validation``, ``workers`` and ``compile`` may differ.
     initial : NeoNetwork, optional
         Weights to begin with, instead of random ones.
     device : str, default "cpu"
@@ -164,7 +164,7 @@ def train(
             log = enter(Log(folder, state.history, tensorboard=tensorboard))
         enter(run.threads)
         if config.compile:
-            run.compile()
+            run.compile(there.n_points)
         if wait is not None:
             wait()
         feed = enter(Feed(corpus, config, run.device, share=ranks.share(config.batch)))
@@ -198,8 +198,7 @@ def train(
                 now = time.perf_counter()
                 row = _row(config, state, lr, (state.samples - noted[1]) / (now - noted[0]))
                 if validating:
-                    error = validate(run.average, validation, config, threads=run.threads)
-                    row["validation"] = error
+                    row |= validate(run.average, validation, config, threads=run.threads)
                 noted = time.perf_counter(), state.samples
                 state.history.append(row)
                 if log is not None:
@@ -244,7 +243,7 @@ class _Run:
         self.scaler = torch.amp.GradScaler(device.type, enabled=config.precision == "float16")
         self.state = TrainState()
 
-    def step(self, batch: Tensors, lr: float) -> Tensor:
+    def step(self, batch: Samples, lr: float) -> Tensor:
         """Make one step of the optimisers; return its span loss, on the device."""
         config, parameters = self.config, self.parameters
         losses, gradients = self.gradients(batch)
@@ -265,15 +264,15 @@ class _Run:
             average_weights(self.average, self.network, self.state.step, config.ema)
         return loss
 
-    def compile(self) -> None:
+    def compile(self, n: int) -> None:
         """Compile the network on a batch of noise, which should not count as training."""
         config, network = self.config, self.config.network
         size = len(range(config.batch)[self.ranks.share(config.batch)])
 
         def noise(*shape: int) -> Tensor:
-            return torch.rand(size, config.points, *shape, device=self.device)
+            return torch.rand(size, n, *shape, device=self.device)
 
-        self.gradients((2 * noise(3) - 1, noise() / config.points, noise(network.k)))
+        self.gradients(Samples(2 * noise(3) - 1, noise() / n, noise(network.k)))
 
     def read(self, losses: list[Tensor]) -> None:
         """Note losses as numbers, and empty the list."""
@@ -289,18 +288,23 @@ class _Run:
                 f" {self.config.lr:g}, or in another `precision` than {self.config.precision}",
             )
 
-    def gradients(self, batch: Tensors) -> tuple[tuple[Tensor, ...], tuple[Gradients, ...]]:
+    def gradients(self, batch: Samples) -> tuple[tuple[Tensor, ...], tuple[Gradients, ...]]:
         """Return the losses of the shares of a batch, and their gradients."""
-        shares = (part.chunk(self.config.workers) for part in batch)
-        losses, gradients = zip(*self.threads.map(self._work, *shares), strict=True)
+        shares = batch.parts(self.config.workers)
+        losses, gradients = zip(*self.threads.map(self._work, shares), strict=True)
         return losses, gradients
 
-    def _work(self, points: Tensor, mass: Tensor, U: Tensor) -> tuple[Tensor, Gradients]:
+    def _work(self, samples: Samples) -> tuple[Tensor, Gradients]:
         """Return the loss of a share of the batch, and its gradients."""
+        points, mass, U, smoothers = samples
         with _autocast(self.device.type, self.config.precision):
             F = self.forward(points, mass)
-        share = len(points) / self.config.batch
-        loss = share * span_loss(F, mass, U)
+        share, beta = len(points) / self.config.batch, self.config.beta
+        if smoothers:
+            before, after = smoothed_residuals(F, mass, U, *smoothers)
+            loss = share * ((1 - beta) * before.mean() + beta * after.mean())
+        else:
+            loss = share * span_loss(F, mass, U)
         total = loss + share * self.config.alpha * ortho_loss(F, mass)
         return loss.detach(), torch.autograd.grad(self.scaler.scale(total), self.parameters)
 
@@ -333,22 +337,30 @@ def validate(
     config: TrainConfig,
     *,
     threads: ThreadPoolExecutor | None = None,
-) -> float:
-    """Return the mean span error over the first samples of a corpus, with all their points."""
+) -> Row:
+    """Return mean span errors over the first samples of a corpus.
+
+    That of the prediction is ``validation``; that after smoothing, of samples with operators,
+    ``smoothed``.
+    """
     device = next(network.parameters()).device
     n = min(config.validation, len(corpus))
 
     @torch.no_grad()
-    def error(first: int) -> float:
+    def errors(first: int) -> list[Tensor]:
         indices = range(first, min(first + 8, n))
         whole = for_validation(posed(corpus.batch(indices), config), config, first)
-        points, mass, U = (part.to(device) for part in whole)
+        points, mass, U, smoothers = whole.to(device)
         with _autocast(device.type, config.precision):
             F = network(points, mass)
-        return float(span_loss(F, mass, U)) * len(indices)
+        if smoothers:
+            return [left.mean(-1) for left in smoothed_residuals(F, mass, U, *smoothers)]
+        return [mode_residuals(F, mass, U).mean(-1)]
 
     apply = map if threads is None else threads.map
-    return float(sum(apply(error, range(0, n, 8)))) / n
+    found = zip(*apply(errors, range(0, n, 8)), strict=True)
+    names = ("validation", "smoothed")
+    return {name: float(torch.cat(part).mean()) for name, part in zip(names, found, strict=False)}
 
 
 def _progress(config: TrainConfig, state: TrainState) -> float:
@@ -383,7 +395,6 @@ def _row(config: TrainConfig, state: TrainState, lr: float, rate: float) -> Row:
         "step": state.step,
         "samples": state.samples,
         "seconds": round(state.seconds, 1),
-        "points": config.points,
         "lr": round(lr, 8),
         "rate": round(rate, 2),
         "loss": loss,
@@ -423,16 +434,21 @@ def _resumed(folder: Path | None, config: TrainConfig) -> dict[str, Any]:
 
 
 def _check_corpora(corpus: Corpus, validation: Corpus, config: TrainConfig) -> None:
-    for name, samples, n in (
-        ("corpus", corpus, config.points),
-        ("validation", validation, config.network.m + 1),
-    ):
-        if samples.k != config.network.k or samples.n_points < n:
+    least = config.network.m + 1  # the functions span everything on fewer
+    for name, samples in (("corpus", corpus), ("validation", validation)):
+        if samples.k != config.network.k or samples.n_points < least:
             raise InvalidInputError(
                 name,
-                f"have samples of at least {n} points and {config.network.k} modes",
+                f"have samples of at least {least} points and {config.network.k} modes",
                 f"{samples.n_points} and {samples.k}",
             )
+    if config.beta and not corpus.has_operators:
+        raise InvalidInputError(
+            "corpus",
+            f"have operators to smooth with, for beta = {config.beta:g}",
+            "one without",
+            advice="make it anew, or take beta=0",
+        )
 
 
 def _autocast(device: str, precision: str) -> torch.autocast:

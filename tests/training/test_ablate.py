@@ -29,7 +29,7 @@ def run(tmp_path_factory):
     def app(*options, samples=24):
         command = [str(root / "train"), str(root / "validation"), "--out", str(root / "out")]
         command += ["--data", str(root / "meshes"), "--samples", str(samples), "--batch", "4"]
-        command += ["--points", "48", "--sampled", "300", "--held-out", "6", *options]
+        command += ["--sampled", "300", "--held-out", "6", *options]
         return ablate.main(command, base=BASE)
 
     app.out = root / "out"

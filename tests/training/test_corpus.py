@@ -10,6 +10,7 @@ import inspect_corpus
 import make_corpus
 import numpy as np
 import pytest
+from conftest import bumpy
 from inspect_corpus import Topology, read_config, survey, topology
 from PIL import Image
 
@@ -20,6 +21,7 @@ from spectra_kit.operators import robust_laplacian
 from spectra_kit.training import corpus, families, samples, surfaces
 from spectra_kit.training.corpus import CorpusConfig, generate, make_sample, report
 from spectra_kit.training.families import FAMILIES
+from spectra_kit.training.meshes import at_resolution
 from spectra_kit.training.pool import open_pool, pack_pool, varied
 from spectra_kit.training.samples import FROM_POOL, sample_mesh
 from spectra_kit.training.shards import open_shards, write_shard
@@ -29,7 +31,9 @@ TINY = CorpusConfig(seed=3, n_points=160, k=6, shard_size=4)
 
 def everything(folder):
     opened = open_shards(folder)
-    return vars(opened.batch(np.arange(len(opened))))
+    batch = opened.batch(np.arange(len(opened)))
+    arrays = {name: getattr(batch, name) for name in ("points", "mass", "eigenvectors")}
+    return arrays | vars(batch.operators)
 
 
 def assert_same(folder, other):
@@ -80,7 +84,7 @@ def speck(rng):
 
 def test_what_cannot_be_used_is_drawn_again_and_counted(monkeypatch):
     tries = iter([apart, empty, speck, apart, families.blob])
-    monkeypatch.setattr(samples, "draw_family", lambda rng: 0)
+    monkeypatch.setattr(samples, "draw_family", lambda *_: 0)
     monkeypatch.setattr(families, "_deform", lambda mesh, rng, likely: mesh)
     monkeypatch.setitem(FAMILIES, "quadruped", (lambda rng: next(tries)(rng), 1.0))
     labels = make_sample(replace(TINY, nonuniform=0.0), 0).labels
@@ -99,11 +103,74 @@ def test_crowded_samples_are_labelled_and_crowd():
     assert typical[1.0] < 0.92 * typical[0.0]  # most points are where they are many
 
 
+def test_the_operator_comes_with_the_modes_and_meshes_with_their_own(pool):
+    made = replace(of_pool(pool, pool_share=0.5), mesh_share=0.6, nonuniform=0.0)
+    whole = [make_sample(made, index) for index in range(12)]
+    batch = corpus.as_batch(whole, made.n_points)
+    assert {sample.labels["mesh"] for sample in whole} == {0, 1}
+    assert len({sample.labels["family"] == FROM_POOL for sample in whole if sample.labels["mesh"]})
+    for i, sample in enumerate(whole):
+        n, U = sample.labels["n"], sample.eigenvectors
+        assert len(sample.points) == len(sample.mass) == n
+        assert n == 160 if not sample.labels["mesh"] else 30 <= n <= 160
+        # Independent truths: the dense problem of the operator, and the operator of what is there.
+        root = np.sqrt(sample.mass)
+        dense = np.linalg.eigvalsh(sample.stiffness.toarray() / root[:, None] / root)[:6]
+        np.testing.assert_allclose(sample.eigenvalues, dense, rtol=1e-5, atol=1e-6)
+        mesh = sample_mesh(made, sample.labels)
+        if sample.labels["mesh"]:
+            assert mesh.n == n
+            theirs = robust_laplacian(mesh)
+            np.testing.assert_allclose(sample.mass, theirs.mass / theirs.area, rtol=1e-3, atol=1e-6)
+            values = eigensolve(theirs, 6, Arpack()).eigenvalues * theirs.area
+            np.testing.assert_allclose(sample.eigenvalues, values, rtol=1e-2, atol=1e-6)
+        # In the shards: to float32, padded with what has no mass and no neighbours.
+        L = batch.operators.stiffness(i)
+        assert abs(L[:n][:, :n] - sample.stiffness).max() < 1e-6 * abs(sample.stiffness).max()
+        assert L[n:].nnz == L[:, n:].nnz == 0
+        assert not batch.mass[i, n:].any()
+        assert not batch.eigenvectors[i, n:].any()
+        assert (batch.points[i, n:] == batch.points[i, n - 1]).all()
+        energy = np.sum(U * (L[:n][:, :n] @ U), axis=0)
+        np.testing.assert_allclose(energy, sample.eigenvalues, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("n", [12, 42, 162, 642])
+def test_meshes_come_at_a_resolution_in_one_part(n):
+    rng, seen = np.random.default_rng(0), set()
+    for _ in range(6):
+        mesh = bumpy(642) if n > 162 else sphere(subdivisions=(12, 42, 162).index(n)).geometry
+        away = mesh.with_points(0.1 * mesh.points + 9)
+        found = at_resolution(surfaces.join([away, mesh]), rng, fewest=100, most=300)
+        assert 100 <= found.n <= 300
+        assert len(np.unique(found.component_labels)) == 1
+        assert found.area == pytest.approx(mesh.area, rel=0.15)
+        assert topology(found) == topology(mesh)
+        seen.add(found.n)
+    assert (seen == {n}) == (n == 162)  # what fits stays as it is
+
+
+def test_families_come_by_the_weights_of_the_configuration():
+    names = list(FAMILIES)
+    alone = replace(TINY, weights=dict.fromkeys(names, 0.0) | {"tube": 2.0, "sheet": 1.0})
+    drawn = [names[samples.draw_source(alone, i, 0)["family"]] for i in range(90)]
+    assert set(drawn) == {"tube", "sheet"}
+    assert 45 < drawn.count("tube") < 75
+    assert alone.fingerprint() != TINY.fingerprint()
+    for weights, told in (
+        ({"desk": 1.0}, r"`weights` must be of families .* got \['desk'\]"),
+        ({"tube": -1.0}, "`weights` must not be negative"),
+        (dict.fromkeys(names, 0.0), "`weights` must .* not all be zero"),
+    ):
+        with pytest.raises(InvalidInputError, match=told):
+            replace(TINY, weights=weights)
+
+
 # Generation
 
 
 def test_written_corpus_is_orthonormal_and_counted(folder):
-    points, mass, eigenvectors = everything(folder).values()
+    points, mass, eigenvectors, *_ = everything(folder).values()
     assert points.shape == (10, 160, 3)
     np.testing.assert_allclose(mass.sum(axis=1), 1, rtol=1e-5)
     vectors = eigenvectors.astype(np.float64)
@@ -218,7 +285,10 @@ def test_shards_keep_samples_labels_and_order_and_are_never_overwritten(tmp_path
         (lambda p, m, u: (p[:, :-1], m, u, {}), r"must have shapes \(s, n, 3\)"),
         (lambda p, m, u: (p, m, u[:1], {}), r"must have shapes \(s, n, 3\)"),
         (lambda p, m, u: (p, m, u, {"seed": [1]}), "`seed` must have one integer for each of 2"),
-        (lambda p, m, u: (p, 2 * m, u, {}), "`mass` must be positive with rows that sum to 1"),
+        (
+            lambda p, m, u: (p, 2 * m, u, {}),
+            "`mass` must not be negative, and have rows",
+        ),
         (lambda p, m, u: (p, m, u * np.nan, {}), "`eigenvectors` must be there and finite"),
         (lambda p, m, u: (p[:0], m[:0], u[:0], {}), r"with s >= 1, got \(0, 64, 3\)"),
         (lambda p, m, u: (p, m, u[..., :5], {}), r"must have the same \(points, modes\)"),
@@ -232,6 +302,25 @@ def test_bad_samples_are_refused(tmp_path, change, told):
     write_shard(tmp_path, 0, *random_samples(2), {})
     with pytest.raises(InvalidInputError, match=told):
         write_and_open(*change(*random_samples(2)))
+
+
+def test_shards_without_operators_are_read_beside_those_with_them(folder, tmp_path):
+    there = open_shards(folder)
+    first = there.batch(range(4))
+    arrays = first.points, first.mass, first.eigenvectors
+    write_shard(tmp_path, 0, *arrays, {"seed": np.arange(4)})
+    write_shard(tmp_path, 1, *arrays, {"seed": np.arange(4)}, first.operators)
+    both = open_shards(tmp_path)
+    assert (there.has_operators, both.has_operators) == (True, False)
+    assert both.batch([3, 4]).operators is None
+    kept = both.batch([6, 5]).operators
+    np.testing.assert_array_equal(kept.eigenvalues, first.operators.eigenvalues[[2, 1]])
+    for place, i in ((0, 2), (1, 1)):
+        assert abs(kept.stiffness(place) - first.operators.stiffness(i)).max() == 0
+    with pytest.raises(InvalidInputError, match="`operators` must have `starts` and"):
+        write_shard(tmp_path, 2, *arrays, {}, first.operators[:3])
+    with pytest.raises(InvalidInputError, match=r"with e = starts\[-1, -1\] = "):
+        replace(first.operators, entries=first.operators.entries[:-1])
 
 
 def cut(path):
@@ -257,6 +346,7 @@ def cut(path):
             r"not a whole shard .*with s >= 1, got \(0, 64, 3\)",
         ),
         (lambda shard: np.savez(shard / "labels.npz", a=[0.5, 1]), "a must be int64, got"),
+        (lambda shard: np.save(shard / "starts.npy", [0]), "not a whole shard .*eigenvalues.npy"),
         (lambda shard: np.savez(shard / "labels.npz", a=[1]), "one integer for each of 2 samples"),
     ],
 )

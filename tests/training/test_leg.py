@@ -27,7 +27,7 @@ from spectra_kit.training import stream as streaming
 
 ROOT = Path(__file__).parents[2]
 TINY = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
-NEW = {"weights": None, "n_points": 2048, "batch": None, "minutes": 1.0}
+NEW = {"weights": None, "n_points": 1024, "batch": None, "minutes": 1.0}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -48,7 +48,7 @@ def weights(tmp_path_factory):
 
 def arguments(tmp_path, weights, **options):
     values = {"out": tmp_path / "out", "scratch": tmp_path / "scratch", "packed": tmp_path / "none"}
-    values |= {"minutes": 0.02, "weights": weights, "batch": 4, "points": 48, "n-points": 64}
+    values |= {"minutes": 0.02, "weights": weights, "batch": 4, "n-points": 64}
     values |= {"validation": 4, "workers": 1, "device": "cpu", "lr": 5e-3, "capacity": 8}
     return [f"--{name}={value}" for name, value in (values | options).items()]
 
@@ -134,7 +134,7 @@ def test_what_does_not_belong_to_a_leg_is_refused(tmp_path, weights, capsys):
 
     assert "give --phase-minutes too" in refused("--last")
     assert "`--from` must hold the leg.json of an earlier" in refused(f"--from={tmp_path / 'no'}")
-    options = {"n_points": 64, "batch": 4, "minutes": 1.0, "points": 48}
+    options = {"n_points": 64, "batch": 4, "minutes": 1.0}
     leg = new_leg(name="x", weights=str(weights), fresh=False, fast=False, **options)
     replace(leg, validation="others").write(tmp_path / "scratch")
     assert "--packed must hold the pool that leg" in refused()
@@ -146,7 +146,7 @@ def test_what_does_not_belong_to_a_leg_is_refused(tmp_path, weights, capsys):
 def test_a_leg_is_read_back_and_a_damaged_record_refused(tmp_path):
     leg = new_leg(name="paper-deep", fresh=True, fast=True, **NEW)
     assert leg.config.network == NeoConfig.named("paper-deep")
-    assert (leg.config.batch, leg.config.precision, leg.config.compile) == (800, "bfloat16", True)
+    assert (leg.config.batch, leg.config.precision, leg.config.compile) == (400, "bfloat16", True)
     assert leg.rival == ""
     leg.write(tmp_path)
     assert Leg.read(tmp_path) == leg

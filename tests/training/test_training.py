@@ -36,7 +36,7 @@ from spectra_kit.training.shards import open_shards, write_shard
 from spectra_kit.training.train import _shortened, train, validate
 
 TINY = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
-CONFIG = TrainConfig(network=TINY, steps=10, batch=4, points=48, validation=4, every=5)
+CONFIG = TrainConfig(network=TINY, steps=10, batch=4, validation=4, every=5)
 
 
 @pytest.fixture(scope="module")
@@ -152,13 +152,13 @@ def test_training_learns(corpora, tmp_path, device, options):
     network = replace(TINY, waves=4, bandwidth=3.0)
     config = replace(CONFIG, network=network, steps=50, batch=8, validation=8, every=50, **options)
     torch.manual_seed(config.seed)
-    before = validate(NeoNetwork(network).to(device), corpora[1], config)
+    before = validate(NeoNetwork(network).to(device), corpora[1], config)["validation"]
     result = train(*corpora, config, device=device, out=tmp_path)
     assert set(checkpoint.read(tmp_path)["network"]) == set(result.network.state_dict())
     assert result.finished
     assert result.record["samples"] == 400
     assert result.record["span_error"] < 0.4 * before
-    again = validate(result.network, corpora[1], config)
+    again = validate(result.network, corpora[1], config)["validation"]
     assert again == pytest.approx(result.record["span_error"], rel=1e-3)
 
 
@@ -278,11 +278,13 @@ def test_a_loss_that_is_not_finite_is_an_error(corpora, tmp_path):
     [
         ({"steps": 0}, {}, "`steps` must "),
         ({"flips": 2}, {}, "`flips` must "),
-        ({"points": 16}, {}, "`points` must "),  # as many as functions, which span everything
+        ({"smoothing": 0}, {}, "`smoothing` must "),
         ({"precision": "int8"}, {}, "`precision` must "),
         ({"lr": 0.0}, {}, "`lr` must "),
         ({"minutes": -1.0}, {}, "`minutes` must "),
-        ({"points": 100}, {}, "`corpus` must have samples of at least 100 points"),
+        # As many functions as points, which span everything.
+        ({"network": replace(TINY, m=64)}, {}, "`corpus` must have samples of at least 65 points"),
+        ({"beta": 0.5}, {}, "`corpus` must have operators to smooth with, for beta = 0.5, got one"),
         ({}, {"last": True, "pause_after": 1.0}, "`last` must come with `minutes` and"),
         ({}, {"resume": True}, "`out` must hold a checkpoint to resume, got none in "),
     ],
@@ -296,7 +298,7 @@ def test_a_run_resumes_under_the_same_configuration_alone(corpora, tmp_path):
     train(*corpora, CONFIG, out=tmp_path, stop_after=1)
     with pytest.raises(InvalidInputError, match=r"other values of \['lr'\]"):
         train(*corpora, replace(CONFIG, lr=1e-4), out=tmp_path, resume=True)
-    free = replace(CONFIG, batch=2, points=40, workers=2)
+    free = replace(CONFIG, batch=2, workers=2)
     assert train(*corpora, free, out=tmp_path, resume=True, stop_after=2).record["samples"] == 6
 
 
@@ -314,7 +316,7 @@ torch.set_num_threads(1)
 network = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
 folder, out, steps, resume, pause = sys.argv[1:]
 config = TrainConfig(
-    network=network, steps=int(steps), batch=5, points=48, validation=4, every=15, log=1, save=0.1
+    network=network, steps=int(steps), batch=5, validation=4, every=15, log=1, save=0.1
 )
 corpus = open_shards(folder + "/train")
 with process_group("cpu") as device:
@@ -486,7 +488,7 @@ def test_command_line_end_to_end(tmp_path, capsys, monkeypatch):
         write_shard(tmp_path / name, 0, points, np.full((2, 300), 1 / 300), modes, {})
     out, folder = tmp_path / "run", str(tmp_path / "train")
     argv = [folder, folder, "--validation", str(tmp_path / "validation")]
-    argv += ["--steps", "1", "--batch", "2", "--points", "270"]
+    argv += ["--steps", "1", "--batch", "2"]
     assert train_neo.main(["nowhere", *argv[1:], "--out", str(out)]) == 2
     assert "error: `folder` must hold shards, got none in nowhere" in capsys.readouterr().err
     assert train_neo.main([*argv, "--out", str(out), "--frame", "none"]) == 0
