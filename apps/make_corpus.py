@@ -9,7 +9,7 @@ from __future__ import annotations
 import resource
 import sys
 import time
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,29 +26,50 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("folder", type=Path, help="where the shards go")
     add("-n", "--samples", type=int, default=8192, help="samples in all (%(default)s)")
     add("--seed", type=int, default=0, help="another one for validation (%(default)s)")
-    add("--points", type=int, default=2048, help="points per sample (%(default)s)")
-    add("-k", "--modes", type=int, default=96, help="modes per sample (%(default)s)")
-    add("--shard-size", type=int, default=128, help="samples a shard (%(default)s)")
     add("--workers", type=int, default=2, help="processes (%(default)s)")
-    add("--pool", type=Path, help="real meshes: a folder of chunks, or one packed file")
-    share = "fraction of samples from the pool (0.3 where there is one)"
-    add("--pool-share", type=float, help=share)
-    add("--pool-split", default="train", help="split of the pool (%(default)s)")
+    add_corpus_options(parser)
     options = parser.parse_args(argv)
     return exit_code(lambda: _make(options))
 
 
-def _make(options: Namespace) -> None:
+def add_corpus_options(parser: ArgumentParser) -> None:
+    """Add what samples are made of, but for the seed."""
+    add = parser.add_argument
+    add("--points", type=int, default=1024, help="points per sample (%(default)s)")
+    add("-k", "--modes", type=int, default=96, help="modes per sample (%(default)s)")
+    add("--shard-size", type=int, default=128, help="samples a shard (%(default)s)")
+    add("--mesh-share", type=float, default=0.0, help="fraction of meshes (%(default)s)")
+    add("--pool", type=Path, help="real meshes: a folder of chunks, or one packed file")
+    share = "fraction of samples from the pool (0.3 where there is one)"
+    add("--pool-share", type=float, help=share)
+    add("--pool-split", default="train", help="split of the pool (%(default)s)")
+    family = "weight of a family, such as tube=12; may come several times"
+    add("--family", action="append", default=[], type=_weight, help=family)
+
+
+def _weight(text: str) -> tuple[str, float]:
+    name, _, weight = text.partition("=")
+    return name, float(weight)
+
+
+def corpus_config(options: Namespace) -> CorpusConfig:
+    """Return what these options and the seed say."""
     share = 0.0 if options.pool is None else 0.3
-    config = CorpusConfig(
+    return CorpusConfig(
         seed=options.seed,
         n_points=options.points,
         k=options.modes,
         shard_size=options.shard_size,
+        mesh_share=options.mesh_share,
         pool=options.pool,
         pool_share=share if options.pool_share is None else options.pool_share,
         pool_split=options.pool_split,
+        weights=dict(options.family),
     )
+
+
+def _make(options: Namespace) -> None:
+    config = corpus_config(options)
     wall, cpu = time.perf_counter(), _cpu_seconds()
     with tqdm(unit="sample", disable=None) as bar:
 

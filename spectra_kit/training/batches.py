@@ -15,6 +15,8 @@ from spectra_kit.subspaces.frame import POSES, canonical_frame
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.shards import Batch
 
+_BEGIN = 4  # batches of samples that a stream begins with
+
 
 class Samples(NamedTuple):
     """Samples as the network sees them; modes float16 where they are only kept."""
@@ -58,6 +60,22 @@ def chosen_samples(n: int, config: TrainConfig, step: int) -> NDArray[np.int64]:
         for epoch in np.unique(places // n)
     }
     return np.array([orders[int(place // n)][place % n] for place in places])
+
+
+def window(config: TrainConfig, step: int, capacity: int) -> tuple[int, int]:
+    """Return of which samples of a stream a step shows some: from one number up to another.
+
+    At most `capacity`; with every step, as many leave as each is shown ``config.shown`` times.
+    """
+    stop = min(capacity, _BEGIN * config.batch) + step * config.batch // config.shown
+    return max(0, stop - capacity), stop
+
+
+def drawn_samples(config: TrainConfig, step: int, capacity: int) -> NDArray[np.int64]:
+    """Return the numbers of the samples of a stream that a step shows, shape (batch,)."""
+    first, stop = window(config, step, capacity)
+    rng = np.random.default_rng((config.seed, 0, step))
+    return first + rng.choice(stop - first, config.batch, replace=stop - first < config.batch)
 
 
 def posed(batch: Batch, config: TrainConfig, parts: int = 1) -> Samples:

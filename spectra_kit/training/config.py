@@ -48,6 +48,9 @@ class TrainConfig:
         After 2,000 samples, 1 and 0.25 gave the same span error (0.074) in the unflipped pose.
     jitter : float, default 0.03
         In the principal frame: size of random rotations, in radians, and of random shrinking.
+    shown : int, default 0
+        In a stream with ``ahead``: how often a sample is shown in the mean. The batch of a step
+        then follows from (seed, step), as it does in a corpus. 0 draws from what there is.
     precision : {"float32", "bfloat16", "float16"}, default "float32"
         Of the matrix products (autocast). Losses are always float32.
     validation : int, default 64
@@ -87,6 +90,7 @@ class TrainConfig:
     smoothing: int = 8
     flips: float = 1.0
     jitter: float = 0.03
+    shown: int = 0
     precision: Literal["float32", "bfloat16", "float16"] = "float32"
     validation: int = 64
     every: int = 200
@@ -101,6 +105,7 @@ class TrainConfig:
             check_count(name, getattr(self, name), low=1)
         for name in ("lr", "clip", "warmup", "decay", "save"):
             check_positive(name, getattr(self, name))
+        check_count("shown", self.shown, low=0)
         if self.minutes is not None:
             check_positive("minutes", self.minutes)
         for name in ("weight_decay", "warmup", "decay", "ema", "alpha", "beta", "flips", "jitter"):

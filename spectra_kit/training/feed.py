@@ -12,7 +12,14 @@ import torch
 from numpy.typing import NDArray
 
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.training.batches import Samples, chosen_samples, posed, vary
+from spectra_kit.training.batches import (
+    Samples,
+    chosen_samples,
+    drawn_samples,
+    posed,
+    vary,
+    window,
+)
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.shards import Corpus
 from spectra_kit.training.stream import SampleStream
@@ -37,8 +44,9 @@ class Feed:
     accelerator with room for all that there may be, they stay in its memory, posed, in the
     precisions of the shards, and a batch of them is drawn there without a transfer; `resident`
     says whether, where that is not to be found out. Operators, for smoothing, are always read. A
-    stream is looked at once a second. `share` are the places of the batch that this process works
-    on.
+    stream is looked at once a second; where the configuration says how often samples are shown, the
+    thread waits for all that a step may show. `share` are the places of the batch that this process
+    works on.
     """
 
     def __init__(
@@ -51,6 +59,12 @@ class Feed:
         resident: bool | None = None,
     ) -> None:
         self._source, self._config, self._device, self._share = source, config, device, share
+        self._paced = source if config.shown and isinstance(source, SampleStream) else None
+        self._thread = ThreadPoolExecutor(1)
+        self._ahead: _Ahead | None = None
+        self._store: _Store | None = None
+        if self._paced is not None:
+            return
         self._look()
         room = len(self._corpus)
         if not isinstance(source, Corpus):
@@ -60,9 +74,8 @@ class Feed:
             need = room * n * (3 * 4 + 4 + 2 * k)
             room_for_all = device.type == "cuda" and not config.beta
             resident = room_for_all and need < _ROOM * torch.cuda.mem_get_info(device)[0]
-        self._store = _Store(room, n, k, device) if resident else None
-        self._thread = ThreadPoolExecutor(1)
-        self._ahead: _Ahead | None = None
+        if resident:
+            self._store = _Store(room, n, k, device)
 
     def __enter__(self) -> Self:
         return self
@@ -98,6 +111,8 @@ class Feed:
 
     def _begin(self, step: int) -> _Ahead:
         """Have the thread read what a step shows and the device does not hold."""
+        if self._paced is not None:
+            return _Ahead(step, [], [], self._thread.submit(self._awaited, self._paced, step))
         if not isinstance(self._source, Corpus) and time.monotonic() > self._looked + _REFRESH:
             self._look()
             if self._store is not None:
@@ -109,6 +124,12 @@ class Feed:
             new, chosen = [*places], np.array([*places.values()], dtype=np.int64)
         reading = self._thread.submit(self._read, self._corpus, chosen)
         return _Ahead(step, keys, new, reading)
+
+    def _awaited(self, stream: SampleStream, step: int) -> Samples | None:
+        """Read what a step shows of a stream, when all that it may show is there."""
+        first, stop = window(self._config, step, stream.capacity)
+        numbers = drawn_samples(self._config, step, stream.capacity)[self._share]
+        return self._read(stream.window(first, stop), numbers - first)
 
     def _read(self, corpus: Corpus, chosen: NDArray[np.int64]) -> Samples | None:
         if not len(chosen):

@@ -12,6 +12,7 @@ import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import count as count_from
+from itertools import islice
 from pathlib import Path
 from typing import Self
 
@@ -32,13 +33,15 @@ from spectra_kit.training.samples import LABELS, CorpusConfig, Sample
 from spectra_kit.training.shards import Batch, Corpus, Operators, open_shards
 
 _LOOK = 0.1  # seconds between looks of a reader that waits
+_SPARE = 4  # shards before the last window that are kept: a run may go on from some steps before
 
 
 class SampleStream:
     """An endless corpus: sample `start`, `start` + 1, ... of a configuration, the newest at hand.
 
     Sample number i is the one that `make_sample` makes, in the precisions of the shards. The
-    buffer grows to `capacity`; then the oldest samples make room. Reading waits for nothing.
+    buffer grows to `capacity`; then the oldest samples make room. Reading waits for nothing. With
+    `ahead`, samples are made as they are asked for, by `window`, which waits for them.
 
     Parameters
     ----------
@@ -47,14 +50,17 @@ class SampleStream:
     workers : int
         Processes that make them, each of one thread.
     capacity : int
-        Samples to hold; one of 2,048 points and 96 modes takes 0.43 MB.
+        Samples to hold; one of 2,048 points and 96 modes takes 0.5 MB.
     start : int, default 0
         Number of the first sample. With a `folder`, a multiple of the shard size.
     folder : path, optional
         Save whole shards there, as `generate` does. Those from `start` on that are there already
         fill the buffer at once, and the stream goes on behind the last.
     bounded : bool, default False
-        Remove shards from the folder that are older than the last `capacity` samples.
+        Remove shards from the folder that are older than the last `capacity` samples, and all
+        that are of no use for those from `start` on.
+    ahead : int, optional
+        Make at most about so many samples beyond the last `window`.
 
     Raises
     ------
@@ -91,6 +97,7 @@ class SampleStream:
         start: int = 0,
         folder: str | os.PathLike[str] | None = None,
         bounded: bool = False,
+        ahead: int | None = None,
     ) -> None:
         self._workers = check_count("workers", workers, low=1)
         self._capacity = check_count("capacity", capacity, low=1)
@@ -101,6 +108,8 @@ class SampleStream:
                 f"be a multiple of the shard size {config.shard_size} where shards are saved",
                 start,
             )
+        self._ahead = None if ahead is None else check_count("ahead", ahead, low=1)
+        self._first = self._asked = start  # of the last window, and where it ends
         self._config, self._bounded = config, bounded
         self._folder = None if folder is None else Path(folder)
         # The first one is none, and tells of what size the others are.
@@ -116,7 +125,7 @@ class SampleStream:
                 np.empty(0, np.float32),
             ),
         )
-        self._samples: deque[Batch] = deque(maxlen=capacity)
+        self._samples: deque[Batch] = deque(maxlen=None if ahead is not None else capacity)
         self._labels: list[tuple[int, ...]] = []  # of all so far
         self._unsaved: list[Sample] = []
         self._lock, self._stop = threading.Lock(), threading.Event()
@@ -154,6 +163,31 @@ class SampleStream:
             labels = self._labels[len(self._labels) - len(samples) :]
         return Corpus((self._none, *samples), _columns(labels))
 
+    def window(self, first: int, stop: int) -> Corpus:
+        """Wait for the samples from number `first` to `stop`, and return them, in this order.
+
+        Those before are forgotten: windows move on. For streams with `ahead`.
+        """
+        if self._ahead is None or first < self._first or stop <= first:
+            raise InvalidInputError(
+                f"windows must move on, in a stream with `ahead`, got {first} to {stop} after one"
+                f" from {self._first}, and ahead = {self._ahead}"
+            )
+        with self._lock:
+            self._first, self._asked = first, max(self._asked, stop)
+            while self._samples and self._next - len(self._samples) < first:
+                self._samples.popleft()
+        while self._next < stop:
+            self._check()
+            if self._stop.is_set():
+                raise InvalidInputError("stop", "be a sample that the closed stream holds", stop)
+            self._stop.wait(_LOOK)
+        with self._lock:
+            count = stop - first
+            samples = tuple(islice(self._samples, count))
+            labels = self._labels[len(self._labels) - len(self._samples) :][:count]
+        return Corpus((self._none, *samples), _columns(labels))
+
     def ready(self, n: int, timeout: float) -> bool:
         """Wait until `n` samples have come in, at most `timeout` seconds; say whether they have."""
         check_count("n", n, low=1, high=self._capacity)
@@ -183,9 +217,15 @@ class SampleStream:
 
     def _load(self, folder: Path) -> None:
         """Take over the shards that are there."""
+        size = self._config.shard_size
+        if self._bounded:
+            numbers = {int(path.name.removeprefix("shard_")) for path in folder.glob("shard_*")}
+            self._thin(folder, self._next // size - 1)
+            if self._next // size not in numbers:  # what comes behind a gap is made again
+                self._thin(folder, max(numbers, default=-1))
         if not any(folder.glob("shard_*")):
             return
-        there, size = open_shards(folder), self._config.shard_size
+        there = open_shards(folder)
         if not np.array_equal(there.labels["index"], self._next + np.arange(len(there))):
             raise InvalidInputError(
                 "folder",
@@ -212,6 +252,9 @@ class SampleStream:
                 if self._stop.is_set():
                     return
                 self._take(sample)
+                while self._ahead is not None and self._next >= self._asked + self._ahead:
+                    if self._stop.wait(_LOOK):
+                        return
 
     def _take(self, sample: Sample) -> None:
         with self._lock:
@@ -225,8 +268,10 @@ class SampleStream:
                 index = sample.labels["index"] // size
                 write_samples(self._folder, index, self._unsaved, self._config.n_points)
                 self._unsaved = []
-                if self._bounded:
+                if self._bounded and self._ahead is None:
                     self._thin(self._folder, index - max(1, self._capacity // size))
+                elif self._bounded:
+                    self._thin(self._folder, self._first // size - _SPARE)
 
     def _thin(self, folder: Path, last: int) -> None:
         """Remove the shards of a folder up to number `last`; open maps of them stay readable."""

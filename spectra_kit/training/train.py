@@ -35,6 +35,7 @@ from spectra_kit.training.stream import SampleStream
 # What may change on resuming.
 _FREE = {"steps", "minutes", "warmup", "decay", "batch", "every", "log", "save", "validation"}
 _FREE |= {"workers", "compile"}
+_HOUR = 3600.0
 Gradients = tuple[Tensor, ...]
 _DTYPES = {"float32": None, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
@@ -46,6 +47,7 @@ class TrainState:
     step: int = 0
     samples: int = 0
     seconds: float = 0.0
+    cpu: float = 0.0  # seconds of this process, its threads together
     losses: list[float] = field(default_factory=list)  # of the steps since the last row
     history: list[Row] = field(default_factory=list)
 
@@ -84,12 +86,14 @@ def train(
     wait: Callable[[], object] | None = None,
     tensorboard: bool = False,
     report: Callable[[Row], None] | None = None,
+    hourly: Callable[[NeoNetwork, Row], None] | None = None,
 ) -> TrainResult:
     """Train a network on a corpus.
 
     The batch of a step follows from (seed, step) and the samples there are. On shards a run that
     is stopped, or killed, and resumed from its checkpoint therefore gives the same weights and
-    the same loss curve as one in a single go, bit by bit on a CPU. A stream shows other samples.
+    the same loss curve as one in a single go, bit by bit on a CPU. On a stream it does where
+    ``config.shown`` says how often samples are shown; else it shows what is there.
 
     Where ``torchrun`` started several processes (see `process_group`), each works on its share of
     every batch and all end with the same weights; the first one validates, logs and saves.
@@ -124,6 +128,9 @@ def train(
         Write event files too, into ``out/events``.
     report : callable, optional
         Called with every row of the log as it is made.
+    hourly : callable, optional
+        Called with the averaged network and a row, validated, for each hour of CPU time that the
+        run has taken so far.
 
     Returns
     -------
@@ -174,6 +181,7 @@ def train(
             config = run.config = _shortened(config, state.seconds, ranks.agree(left, False)[0])
         begun = state.step
         start, saved = time.perf_counter() - state.seconds, time.monotonic()
+        cpu = time.process_time() - state.cpu
         losses: list[Tensor] = []
         noted = time.perf_counter(), state.samples
         while True:
@@ -189,8 +197,11 @@ def train(
             state.step += 1
             state.samples += config.batch
             state.seconds = time.perf_counter() - start
+            hour = state.cpu // _HOUR
+            state.cpu = time.process_time() - cpu
+            due = hourly is not None and state.cpu // _HOUR > hour
             ended = state.step == config.steps or _progress(config, state) >= 1
-            validating = state.step % config.every == 0 or ended
+            validating = state.step % config.every == 0 or ended or due
             if not ranks.first:
                 losses.clear()
             elif validating or state.step % config.log == 0:
@@ -205,8 +216,10 @@ def train(
                     log.add(row)
                 if report is not None:
                     report(row)
-            due = validating or time.monotonic() - saved > config.save
-            if writer is not None and due and not writer.busy:
+                if due and hourly is not None:
+                    hourly(run.average, row | {"cpu": state.cpu})
+            save = validating or time.monotonic() - saved > config.save
+            if writer is not None and save and not writer.busy:
                 run.read(losses)
                 writer.write(run.content())
                 saved = time.monotonic()

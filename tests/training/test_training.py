@@ -4,6 +4,7 @@ import csv
 import os
 import random
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -12,6 +13,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,6 +26,7 @@ from spectra_kit.neo.model import NeoConfig, NeoNetwork
 from spectra_kit.neo.pretrained import load_pretrained
 from spectra_kit.training import checkpoint
 from spectra_kit.training.config import TrainConfig
+from spectra_kit.training.corpus import CorpusConfig, generate
 from spectra_kit.training.log import Log
 from spectra_kit.training.optim import (
     Muon,
@@ -347,7 +350,8 @@ def run_here(monkeypatch):
 
 def curve(out):
     return [
-        [row[k] for k in ("step", "samples", "lr", "loss", "validation")] for row in rows_of(out)
+        [row[k] for k in ("step", "samples", "lr", "loss", "validation", "smoothed")]
+        for row in rows_of(out)
     ]
 
 
@@ -368,6 +372,60 @@ def test_a_killed_run_resumes_to_the_same_loss_curve(folder, tmp_path, run_here)
     assert same(one["network"], other["network"])
     assert same(one["average"], other["average"])
     assert one["state"]["losses"] == other["state"]["losses"] == []
+
+
+STREAM = """
+import sys
+from pathlib import Path
+from spectra_kit.neo.model import NeoConfig
+
+NeoConfig.named = lambda name: NeoConfig(
+    width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=4
+)
+if __name__ == "__main__":
+    import train_neo
+
+    sys.exit(train_neo.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_run_on_a_stream_ends_as_one_in_a_single_go(tmp_path):
+    made_of = CorpusConfig(seed=1, n_points=100, k=4, shard_size=4, mesh_share=0.5)
+    generate(tmp_path / "validation", 4, config=made_of)
+    (tmp_path / "streamed.py").write_text(STREAM)
+    apps = str(Path(train_neo.__file__).parent)
+    environment = {**ENVIRONMENT, "PYTHONPATH": os.pathsep.join([apps, *sys.path])}
+
+    def call(name, **options):
+        values = {"validation": tmp_path / "validation", "out": tmp_path / name, "steps": 40}
+        values |= {"stream": tmp_path / f"{name}_samples", "shown": 2, "capacity": 24, "batch": 6}
+        values |= {"points": 100, "modes": 4, "shard-size": 4, "mesh-share": 0.5, "beta": 0.5}
+        values |= {"every": 1000, "log": 1, "save": 0.1, **options}
+        words = [str(word) for name, value in values.items() for word in (f"--{name}", value)]
+        return [sys.executable, str(tmp_path / "streamed.py"), "--resume", *words]
+
+    subprocess.run(call("whole"), env=environment, check=True, timeout=300)
+    for kill in range(2):
+        before = checkpoint.read(tmp_path / "killed")
+        before = 0 if before is None else before["state"]["step"]
+        with subprocess.Popen(call("killed"), env=environment) as process:
+            while process.poll() is None:
+                there = checkpoint.read(tmp_path / "killed")
+                if there is not None and there["state"]["step"] > before + 5:
+                    break
+                time.sleep(0.05)
+            process.kill()
+        if kill:  # samples may be lost, too
+            shutil.rmtree(tmp_path / "killed_samples" / "shard_0000", ignore_errors=True)
+    subprocess.run(call("killed"), env=environment, check=True, timeout=300)
+    one, other = (checkpoint.read(tmp_path / name) for name in ("killed", "whole"))
+    assert one["state"]["step"] == other["state"]["step"] == 40
+    assert same(one["network"], other["network"])
+    assert same(one["average"], other["average"])
+    assert curve(tmp_path / "killed") == curve(tmp_path / "whole")
+    kept = sorted((tmp_path / "killed_samples").glob("shard_*"))
+    assert len(kept) < (24 + 4) / 4 + 6  # of 144 samples in all, the last ones
 
 
 @pytest.mark.slow
@@ -506,3 +564,29 @@ def test_command_line_end_to_end(tmp_path, capsys, monkeypatch):
     before = float(re.search(r", before: ([\d.]+)$", capsys.readouterr().out, re.MULTILINE)[1])
     assert before == pytest.approx(loaded.record["span_error"], abs=2e-5)
     assert load_pretrained(tmp_path / "tuned" / "weights.safetensors").config == loaded.config
+
+
+def test_hours_of_the_run_are_told_by_what_users_get(tmp_path, monkeypatch):
+    made_of = CorpusConfig(seed=1, n_points=128, k=4, shard_size=4, mesh_share=0.5)
+    generate(tmp_path / "train", 4, config=made_of)
+    generate(tmp_path / "full", 2, config=replace(made_of, n_points=256, shard_size=2))
+    few = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=4)
+    monkeypatch.setattr(NeoConfig, "named", {"small": few}.get)
+    monkeypatch.setattr("spectra_kit.training.train._HOUR", 1e-3)
+    folders = [str(tmp_path / name) for name in ("train", "train", "full", "run")]
+    options = ("", "--validation", "--hourly", "--out")
+    argv = [word for pair in zip(options, folders, strict=True) for word in pair if word]
+    argv += ["--steps", "3", "--batch", "2", "--beta", "0.5", "--every", "100", "--resume"]
+    assert train_neo.main(argv) == 0
+    lines = (tmp_path / "run" / "hours.txt").read_text().splitlines()
+    assert len(lines) == 3
+    number = r"[\d.e+-]+"
+    for line in lines:
+        assert re.search(
+            rf"h, \d samples: loss {number}, span error {number}, {number} after smoothing;", line
+        )
+        assert re.search(rf"meshes {number}, {number} and eigenvalues {number} after a step", line)
+    assert int((tmp_path / "run" / "group").read_text()) == os.getpgrp()
+    assert train_neo.main([*argv, "--steps", "4"]) == 0  # begins where it was, and ends later
+    assert len((tmp_path / "run" / "hours.txt").read_text().splitlines()) == 4
+    assert train_neo.main([*argv[1:], "--resume"]) == 2  # neither folders nor a stream

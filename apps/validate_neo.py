@@ -1,0 +1,59 @@
+r"""Tell how far off `Neo` is on the samples of a corpus, kind by kind, and where most.
+
+The corpus should be as shapes are that users bring, and not of the training samples:
+
+    python apps/make_corpus.py corpus/full -n 48 --seed 2000003 --points 8192 --mesh-share 0.5 \
+        --shard-size 8 --pool DATA/train_pool --pool-share 0.5 --pool-split val
+"""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from measure.command import exit_code, parser_of
+
+from spectra_kit.eigensolvers import Neo
+from spectra_kit.training.evaluation import errors_of, kinds
+from spectra_kit.training.shards import open_shards
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit status."""
+    parser = parser_of("validate_neo.py", __doc__)
+    add = parser.add_argument
+    add("corpus", type=Path, help="folder of shards with operators")
+    add("--weights", default="small", help="a name or a file (%(default)s)")
+    add("--smoothing", type=int, default=Neo().smoothing, help="steps of Neo (%(default)s)")
+    add("--most", type=int, help="only so many samples, the first ones")
+    add("--worst", type=int, default=10, help="samples to name (%(default)s)")
+    options = parser.parse_args(argv)
+    return exit_code(lambda: _validate(options))
+
+
+def _validate(options: Namespace) -> None:
+    corpus = open_shards(options.corpus)
+    solver = Neo(weights=options.weights, smoothing=options.smoothing)
+    errors = errors_of(solver, corpus, most=options.most)
+    count = len(errors["span"])
+    labels = {name: label[:count] for name, label in corpus.labels.items()}
+    kind = kinds(labels)
+    width = max(map(len, kind))
+    print(f"{'':{width}s} samples  " + " ".join(f"{name:>10s}" for name in errors))
+    forms = np.array([name.partition(" ")[0] for name in kind])
+    groups = [(f"every {form}", forms == form) for form in sorted(set(forms))]
+    groups += [(name, kind == name) for name in sorted(set(kind))]
+    for name, chosen in groups:
+        means = (part[chosen].mean() for part in errors.values())
+        print(f"{name:{width}s} {chosen.sum():7d}  " + " ".join(f"{mean:10.2e}" for mean in means))
+    print("\nthe worst after smoothing, by index")
+    for i in np.argsort(-errors["span"])[: options.worst]:
+        row = " ".join(f"{part[i]:10.2e}" for part in errors.values())
+        print(f"{kind[i]:{width}s} {labels['index'][i]:7d}  {row}  {labels['n'][i]} points")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
