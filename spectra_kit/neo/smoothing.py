@@ -29,8 +29,7 @@ class Smoother:
 
     An error e of mode j has the residual ``(L - lambda_j M) e``, to which the mode adds nothing, so
     after the steps of `levels.smoothing` it is ``p(D^-1 (L - lambda_j M)) e`` with their polynomial
-    p and preconditioner D. Nothing of a surface's own error is lost where there is none: exact
-    modes stay exact. Made by `of`.
+    p and preconditioner D. Exact modes stay exact. Made by `of`.
 
     Attributes
     ----------

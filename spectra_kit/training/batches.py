@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from spectra_kit.linalg.threads import ranges
 from spectra_kit.neo.smoothing import Smoother
 from spectra_kit.subspaces.frame import POSES, canonical_frame
 from spectra_kit.training.config import TrainConfig
@@ -44,8 +45,7 @@ class Samples(NamedTuple):
 
 def _shares(n: int, count: int) -> list[slice]:
     """Return the places of at most `count` equal shares of n samples."""
-    size = -(-n // count)
-    return [slice(first, first + size) for first in range(0, n, size)]
+    return [slice(*places) for places in ranges(n, -(-n // count))]
 
 
 def chosen_samples(n: int, config: TrainConfig, step: int) -> NDArray[np.int64]:

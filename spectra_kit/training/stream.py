@@ -10,6 +10,7 @@ import shutil
 import threading
 import time
 from collections import deque
+from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import count as count_from
 from itertools import islice
@@ -57,8 +58,8 @@ class SampleStream:
         Save whole shards there, as `generate` does. Those from `start` on that are there already
         fill the buffer at once, and the stream goes on behind the last.
     bounded : bool, default False
-        Remove shards from the folder that are older than the last `capacity` samples, and all
-        that are of no use for those from `start` on.
+        Remove shards from the folder that are older than the last `capacity` samples, and at first
+        those that are not needed from `start` on, or come behind a gap.
     ahead : int, optional
         Make at most about so many samples beyond the last `window`.
 
@@ -175,8 +176,6 @@ class SampleStream:
             )
         with self._lock:
             self._first, self._asked = first, max(self._asked, stop)
-            while self._samples and self._next - len(self._samples) < first:
-                self._samples.popleft()
         while self._next < stop:
             self._check()
             if self._stop.is_set():
@@ -184,6 +183,8 @@ class SampleStream:
             self._stop.wait(_LOOK)
         with self._lock:
             count = stop - first
+            while self._next - len(self._samples) < first:
+                self._samples.popleft()
             samples = tuple(islice(self._samples, count))
             labels = self._labels[len(self._labels) - len(self._samples) :][:count]
         return Corpus((self._none, *samples), _columns(labels))
@@ -219,10 +220,11 @@ class SampleStream:
         """Take over the shards that are there."""
         size = self._config.shard_size
         if self._bounded:
-            numbers = {int(path.name.removeprefix("shard_")) for path in folder.glob("shard_*")}
-            self._thin(folder, self._next // size - 1)
-            if self._next // size not in numbers:  # what comes behind a gap is made again
-                self._thin(folder, max(numbers, default=-1))
+            numbers = set(_numbers(folder))
+            first = end = self._next // size
+            while end in numbers:
+                end += 1
+            _remove(folder, numbers - set(range(first, end)))  # what is behind a gap, too
         if not any(folder.glob("shard_*")):
             return
         there = open_shards(folder)
@@ -269,16 +271,25 @@ class SampleStream:
                 write_samples(self._folder, index, self._unsaved, self._config.n_points)
                 self._unsaved = []
                 if self._bounded and self._ahead is None:
-                    self._thin(self._folder, index - max(1, self._capacity // size))
+                    _thin(self._folder, index - max(1, self._capacity // size))
                 elif self._bounded:
-                    self._thin(self._folder, self._first // size - _SPARE)
+                    _thin(self._folder, self._first // size - _SPARE)
 
-    def _thin(self, folder: Path, last: int) -> None:
-        """Remove the shards of a folder up to number `last`; open maps of them stay readable."""
-        for path in folder.glob("shard_*"):
-            if int(path.name.removeprefix("shard_")) <= last:
-                gone = path.rename(folder / f".gone_{path.name}")  # never half a shard by its name
-                shutil.rmtree(gone)
+
+def _thin(folder: Path, last: int) -> None:
+    """Remove the shards of a folder up to number `last`; open maps of them stay readable."""
+    _remove(folder, (number for number in _numbers(folder) if number <= last))
+
+
+def _numbers(folder: Path) -> list[int]:
+    return [int(path.name.removeprefix("shard_")) for path in folder.glob("shard_*")]
+
+
+def _remove(folder: Path, numbers: Iterable[int]) -> None:
+    for number in numbers:
+        path = folder / f"shard_{number:04d}"
+        gone = path.rename(folder / f".gone_{path.name}")  # never half a shard by its name
+        shutil.rmtree(gone)
 
 
 def _columns(labels: list[tuple[int, ...]]) -> dict[str, NDArray[np.int64]]:

@@ -1,6 +1,7 @@
 """Batches: they follow from the step, show every sample, and come the same way on every path."""
 
 import threading
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,14 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.model import NeoConfig
 from spectra_kit.subspaces.frame import POSES, canonical_frame
 from spectra_kit.training import feed as feeding
-from spectra_kit.training.batches import for_validation, posed, random_rotations, rotations
+from spectra_kit.training.batches import (
+    drawn_samples,
+    for_validation,
+    posed,
+    random_rotations,
+    rotations,
+    window,
+)
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.feed import Feed
 from spectra_kit.training.shards import Batch, Corpus, join
@@ -171,6 +179,22 @@ def test_a_stream_shows_what_is_there(monkeypatch, resident):
     stream.now = Corpus(tuple(s[:0] for s in a.shards), {})
     with pytest.raises(InvalidInputError, match=r"got none; wait with `stream.ready`"):
         batches(12)
+
+
+def test_windows_of_a_stream_move_on_and_show_each_sample_so_often():
+    settings, shown = config(shown=3, batch=6), np.zeros(3000)
+    for step in range(1200):
+        first, stop = window(settings, step, 60)
+        numbers = drawn_samples(settings, step, 60)
+        assert 0 <= first <= numbers.min() <= numbers.max() < stop <= first + 60
+        assert len(set(numbers)) == 6
+        np.testing.assert_array_equal(numbers, drawn_samples(settings, step, 60))
+        shown[numbers] += 1
+    assert stop == 24 + 2 * step
+    assert shown[100:2300].mean() == pytest.approx(3, rel=0.02)
+    assert 0.8 < shown[100:2300].var() / 3 < 1.2  # as chance has it
+    other = replace(settings, seed=1)
+    assert not np.array_equal(drawn_samples(other, step, 60), drawn_samples(settings, step, 60))
 
 
 @pytest.mark.parametrize("frame", ["principal", "none"])

@@ -3,6 +3,7 @@
 import csv
 import json
 import multiprocessing
+import re
 import shutil
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ import inspect_corpus
 import make_corpus
 import numpy as np
 import pytest
+import validate_neo
 from conftest import bumpy
 from inspect_corpus import Topology, read_config, survey, topology
 from PIL import Image
@@ -150,6 +152,19 @@ def test_meshes_come_at_a_resolution_in_one_part(n):
     assert (seen == {n}) == (n == 162)  # what fits stays as it is
 
 
+def test_meshes_with_edges_of_three_faces_are_subdivided_but_not_decimated():
+    rng = np.random.default_rng(0)
+    wing = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0]]
+    fins = TriangleMesh(wing, [[0, 1, 2], [0, 1, 3], [0, 1, 4]])
+    for _ in range(4):
+        found = at_resolution(fins, rng, fewest=100, most=1000)
+        assert found.n >= 100
+        assert found.area == pytest.approx(fins.area)
+        assert topology(found) == topology(fins)
+    with pytest.raises(InvalidInputError, match="`mesh` must be manifold, to be decimated"):
+        at_resolution(found, rng, fewest=20, most=50)
+
+
 def test_families_come_by_the_weights_of_the_configuration():
     names = list(FAMILIES)
     alone = replace(TINY, weights=dict.fromkeys(names, 0.0) | {"tube": 2.0, "sheet": 1.0})
@@ -243,6 +258,18 @@ def test_app_writes_a_corpus_and_reports(tmp_path, capsys):
     output = capsys.readouterr().out
     for told in ("3 samples", "drawn again because of", "3 made in"):
         assert told in output
+    meshes = ["--family", "tube=3", "--mesh-share", "1"]
+    options = [str(tmp_path / "meshes"), *command[1:], *meshes]
+    assert make_corpus.main(options) == 0
+    labels = open_shards(tmp_path / "meshes").labels
+    assert labels["mesh"].tolist() == [1, 1, 1]
+    stored = read_config(tmp_path / "meshes")
+    assert (stored.weights, stored.mesh_share) == ({"tube": 3.0}, 1.0)
+    capsys.readouterr()
+    assert validate_neo.main([options[0], "--worst", "1"]) == 0
+    output = capsys.readouterr().out
+    assert re.search(r"^every mesh +3 ( +[\d.e+-]+){4}$", output, re.MULTILINE)
+    assert len(output.partition("the worst")[2].splitlines()) == 2
     assert make_corpus.main([*command, "--seed", "5"]) == 2
     assert "another configuration" in capsys.readouterr().err
 

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -88,6 +89,37 @@ def test_the_oldest_samples_make_room_and_views_stay(tmp_path):
     assert kept[0] > 4
     with SampleStream(TINY, start=int(kept[0]), **options) as again:
         assert again.ready(8, timeout=0)
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_windows_wait_for_what_they_show_and_no_more_is_made(tmp_path):
+    options = {"workers": 1, "capacity": 8, "folder": tmp_path, "bounded": True, "ahead": 4}
+    with SampleStream(TINY, **options) as stream:
+        for first, stop in ((0, 6), (2, 10), (30, 34)):
+            window = stream.window(first, stop)
+            np.testing.assert_array_equal(window.labels["index"], np.arange(first, stop))
+            points = make_sample(TINY, first).points.astype(np.float32)
+            np.testing.assert_array_equal(window.batch([0]).points[0], points)
+            time.sleep(0.3)
+            assert stop <= first + len(stream) <= stop + 4 + 1
+        for first, stop in ((4, 8), (34, 34)):
+            with pytest.raises(InvalidInputError, match="windows must move on, in a stream with"):
+                stream.window(first, stop)
+    with pytest.raises(InvalidInputError, match="`stop` must be a sample that the closed stream"):
+        stream.window(30, 99)
+    there = open_shards(tmp_path).labels["index"]
+    assert there[0] > 4  # those long forgotten are gone
+    # It goes on from any sample: with what is saved, and by itself where that has a gap.
+    shutil.rmtree(tmp_path / "shard_0007")
+    for start in (24, 0):
+        with SampleStream(TINY, start=start, **options) as again:
+            indices = again.window(start + 2, start + 9).labels["index"]
+            np.testing.assert_array_equal(indices, start + np.arange(2, 9))
+    with (
+        pytest.raises(InvalidInputError, match=r"and ahead = None"),
+        SampleStream(TINY, workers=1, capacity=8) as stream,
+    ):
+        stream.window(0, 4)
 
 
 def test_reading_waits_for_nothing():

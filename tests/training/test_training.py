@@ -183,6 +183,28 @@ def test_half_precision_follows_float32_and_shares_change_no_gradient(corpora, w
     np.testing.assert_allclose(losses[1], losses[3], rtol=1e-4)
 
 
+def test_training_for_what_smoothing_leaves_learns_and_shares_change_nothing(tmp_path):
+    made_of = CorpusConfig(seed=1, n_points=128, k=8, shard_size=8, mesh_share=0.5)
+    generate(tmp_path, 8, config=made_of)
+    corpus = open_shards(tmp_path)
+    config = replace(CONFIG, steps=60, batch=8, validation=8, every=60, beta=0.9, smoothing=4)
+    torch.manual_seed(config.seed)
+    before = validate(NeoNetwork(TINY), corpus, config)
+    after = train(corpus, corpus, config).record["history"][-1]
+    assert after["smoothed"] < after["validation"] < before["validation"]
+    assert after["smoothed"] < 0.5 * before["smoothed"]
+    losses = []
+    for workers in (1, 3):
+        first = replace(config, workers=workers, log=1, precision="float32")
+        train(corpus, corpus, first, stop_after=2, report=lambda row: losses.append(row["loss"]))
+    np.testing.assert_allclose(losses[:2], losses[2:], rtol=1e-4)
+    # The loss is the two span errors, weighed as asked for.
+    for beta in (0.0, 1.0):
+        only = replace(config, beta=beta, log=1, alpha=0.0)
+        train(corpus, corpus, only, stop_after=1, report=lambda row: losses.append(row["loss"]))
+    assert losses[0] == pytest.approx(0.1 * losses[-2] + 0.9 * losses[-1], rel=1e-4)
+
+
 def test_the_result_is_the_average_and_the_checkpoint_holds_both(corpora, tmp_path, whole):
     result = train(*corpora, CONFIG, out=tmp_path)
     content = checkpoint.read(tmp_path)
