@@ -131,7 +131,7 @@ def correction(
             (matrix.data, np.float32),
         )
     ]
-    residual = residual.astype(np.float32)
+    residual = np.ascontiguousarray(residual, dtype=np.float32)
     fixed = (*graph, level.inverse, values.astype(np.float32), residual)
     old, new = (np.zeros(residual.shape, np.float32) for _ in range(2))
     for keep, step in steps:

@@ -351,7 +351,7 @@ def _point(
 ) -> ParetoPoint:
     """Return a point of a Pareto plot, in a league for each device."""
     assert seconds is not None
-    group = f"to {who.method.stops}" if who.method.stops else "predictions"
+    group = f"to {who.method.stops}" if who.method.stops else "approximate"
     return ParetoPoint(
         name=str(who),
         group="other packages" if who.method.peer else group,
