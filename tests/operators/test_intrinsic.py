@@ -337,7 +337,11 @@ FLAT = TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]])
     [
         (lambda: intrinsic_delaunay(ball(), mollify_factor=-1), "mollify_factor", "be positive"),
         (lambda: intrinsic_delaunay(ball(), mollify_factor=9), "mollify_factor", "be at most 1"),
-        (lambda: intrinsic_delaunay(FLAT, mollify_factor=1e-20), "mollify_factor", "lengthen the"),
+        (
+            lambda: intrinsic_delaunay(FLAT, mollify_factor=1e-20),
+            "mollify_factor",
+            "lengthen the sides of degenerate triangles, got 3 weights",  # one for each edge
+        ),
         (lambda: triangulated().gradient(np.zeros(5)), "values", "have shape (162,), got (5,)"),
         (lambda: triangulated().gradient(np.full(162, np.nan)), "values", "be finite"),
         (lambda: triangulated().divergence(np.zeros((5, 3))), "vectors", "have shape (320, 2)"),
