@@ -99,6 +99,18 @@ class Arpack:
         Factor, vectors and modes together, the operator not. For components one after the other it
         is the largest of theirs, and 8 bytes for each number of the modes of the others.
 
+        Parameters
+        ----------
+        n : int
+            Points.
+        k : int
+            Modes.
+
+        Returns
+        -------
+        float
+            GiB.
+
         Examples
         --------
         >>> from spectra_kit import Arpack

@@ -243,7 +243,8 @@ def _promises(found: Iterable[Summary]) -> list[str]:
             cells += [", ".join(one.above["behind"]) or "none"]
         else:
             cells += [tables.NONE] * 3
-        if {"apart", "over_asked"} & over.keys():
+        # Of other packages, which estimate nothing, residuals and gaps alone have told.
+        if {"apart", "over_asked"} & over.keys() and not one.contender.method.peer:
             lines.append(cells)
     told = (
         f"Estimates of errors: the share within a factor {FACTOR:g} of the true error, and of those"
