@@ -214,17 +214,20 @@ class _Run:
             basis = Union(
                 GivenBasis(spectrum.eigenvectors), RandomBasis(m=count.missing, seed=seed)
             )
+            refined = Refined(start=basis, rtol=min(max(rtol, _BEST), 0.1), seed=seed)
             # More than wanted: what is missing may first come up just above the last one found.
-            guard = 0.5 + 3 * count.missing / k
-            rtol = min(max(rtol, _BEST), 0.1)
-            refined = Refined(start=basis, rtol=rtol, guard=guard, seed=seed)
+            wider = min(k + 2 * count.missing, len(laplacian.free))
             try:
-                pairs = self.components(k, refined)
+                pairs = self.components(wider, refined)
             except (NotConvergedError, MemoryError, InvalidInputError, InvalidSpectrumError) as e:
                 why = str(e) or "out of memory"
-                break
+                # The last of them may cut a cluster: enough if those wanted have converged.
+                good = getattr(e, "converged", None)
+                if good is None or len(self.parts) > 1 or not good[:k].all():
+                    break
+                pairs = self.merged(k)
             added = max(added, count.missing)
-            spectrum = self.packed(Eigenpairs(pairs.eigenvalues, pairs.eigenvectors))
+            spectrum = self.packed(Eigenpairs(pairs.eigenvalues[:k], pairs.eigenvectors[:, :k]))
         raise ConvergenceError(
             f"{self.name}: at least {quantity(min(count.missing, k), 'mode')} of the lowest {k}"
             f" were passed over ({count.reason}), and could not be found: {why}",
