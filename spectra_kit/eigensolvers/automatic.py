@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import dataclass
 
@@ -35,7 +34,6 @@ _MANY = 100  # the same where nothing else goes on
 _ROUNDING = 1e-12  # relative errors that pass for none
 _MARGIN = 2.5  # times too low have estimates of the mean error been, at worst
 _RTOL = 1e-8  # residuals whose errors are rounding
-_GUARD = 0.5  # columns beyond k, relative to k, of what solves to a tolerance
 
 
 @checked
@@ -74,9 +72,7 @@ class Automatic:
     `Certificate.errors` estimates how far its eigenvalues are off. Otherwise they are counted, and
     none was missed.
 
-    An eigenvalue's error is of second order in its residual: with b columns on n points those at
-    more than ``b / k`` times its value take no part, so that by Weyl's law residuals of
-    ``rtol`` leave about ``rtol**2 k / (b - k)``.
+    What goes on does so until relative residuals, which bound errors, are at most the accuracy.
 
     Examples
     --------
@@ -172,9 +168,9 @@ class Automatic:
 
     def _further(self, laplacian: Laplacian, k: int, found: Eigenpairs, reason: str) -> Eigenpairs:
         """Go on with a factor; what smoothing left is kept where that does not converge."""
-        rtol = min(max(math.sqrt(_GUARD * (self.accuracy or 0.0)), _RTOL), 0.1)
+        rtol = min(max(self.accuracy or 0.0, _RTOL), 0.1)
         start = GivenBasis(found.eigenvectors)
-        solver = Refined(start=start, rtol=rtol, guard=_GUARD, seed=self.seed)
+        solver = Refined(start=start, rtol=rtol, seed=self.seed)
 
         def told(more: Eigenpairs) -> Eigenpairs:
             seconds = dict(Counter(found.seconds) + Counter(more.seconds))

@@ -214,19 +214,20 @@ class _Run:
             basis = Union(
                 GivenBasis(spectrum.eigenvectors), RandomBasis(m=count.missing, seed=seed)
             )
-            refined = Refined(start=basis, rtol=min(max(rtol, _BEST), 0.1), seed=seed)
             # More than wanted: what is missing may first come up just above the last one found.
-            wider = min(k + 2 * count.missing, len(laplacian.free))
+            guard = 0.5 + 3 * count.missing / k
+            rtol = min(max(rtol, _BEST), 0.1)
+            refined = Refined(start=basis, rtol=rtol, guard=guard, seed=seed)
             try:
-                pairs = self.components(wider, refined)
+                pairs = self.components(k, refined)
             except (NotConvergedError, MemoryError, InvalidInputError, InvalidSpectrumError) as e:
                 why = str(e) or "out of memory"
                 break
             added = max(added, count.missing)
-            spectrum = self.packed(Eigenpairs(pairs.eigenvalues[:k], pairs.eigenvectors[:, :k]))
+            spectrum = self.packed(Eigenpairs(pairs.eigenvalues, pairs.eigenvectors))
         raise ConvergenceError(
-            f"{self.name}: at least {quantity(count.missing, 'mode')} of the lowest {k} were passed"
-            f" over ({count.reason}), and could not be found: {why}",
+            f"{self.name}: at least {quantity(min(count.missing, k), 'mode')} of the lowest {k}"
+            f" were passed over ({count.reason}), and could not be found: {why}",
             partial=verify(counted, laplacian),
             n_converged=k,
         )

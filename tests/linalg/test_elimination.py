@@ -112,5 +112,5 @@ def test_patterns_that_are_not_symmetric():
     found = SparseLDL(sparse.csr_array(A + loose)).solve(b)
     np.testing.assert_allclose(A @ found, b, atol=1e-12)
     for half in (sparse.triu(A), sparse.tril(A)):
-        with pytest.raises(InvalidInputError, match="be symmetric, both triangles stored"):
+        with pytest.raises(InvalidInputError, match="be symmetric"):
             SparseLDL(sparse.csr_array(half))
