@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import bumpy, creature, joined, refused
+from scipy import sparse
 
 import spectra_kit as sk
 from spectra_kit.eigensolvers import automatic
@@ -33,6 +34,28 @@ def animal() -> sk.Laplacian:
 @pytest.fixture(scope="module")
 def exact(animal) -> sk.Spectrum:
     return sk.eigensolve(animal, 30, sk.Arpack())
+
+
+@pytest.fixture(scope="module")
+def flat() -> sk.Laplacian:
+    """The animal a thousand times thinner than it is long and wide: far from what is easy."""
+    mesh = creature(6000, seed=0)
+    return sk.robust_laplacian(mesh.with_points(mesh.points * [1, 1, 1e-3]))
+
+
+@pytest.fixture(scope="module")
+def flat_exact(flat) -> sk.Spectrum:
+    return sk.eigensolve(flat, 30, sk.Arpack())
+
+
+def rough(n: int) -> sk.Laplacian:
+    """The animal of a stuff whose conductivity jumps by up to ten orders of magnitude."""
+    plain = sk.robust_laplacian(creature(n, seed=0))
+    scale = sparse.diags_array(10.0 ** np.random.default_rng(0).uniform(-2.5, 2.5, n))
+    weights = scale @ (sparse.diags_array(plain.stiffness.diagonal()) - plain.stiffness) @ scale
+    weights = (weights + weights.T) / 2
+    stiffness = sparse.csr_array(sparse.diags_array(weights.sum(axis=1)) - weights)
+    return sk.Laplacian(stiffness, plain.mass, plain.points)
 
 
 @pytest.mark.parametrize(
@@ -123,6 +146,13 @@ def test_smoothing_that_stalls_goes_on_with_a_factor(
     assert found.certificate.bounded.all(), "what the smoothing left is no more"
 
 
+def test_a_flat_animal_is_smoothed_as_long_as_that_is_cheap(flat, flat_exact) -> None:
+    found = sk.eigensolve(flat, 30, sk.Automatic(accuracy=1e-4))
+    assert errors(found, flat_exact).mean() <= 1e-4
+    assert found.provenance.name == "refined"
+    assert found.provenance.reason.startswith(f"{automatic._STEPS} steps of smoothing left errors")
+
+
 def test_what_goes_on_and_does_not_converge_keeps_the_modes(monkeypatch, animal, exact) -> None:
     """The partial spectrum is certified, tells who made it, and all the time that it took."""
     monkeypatch.setattr(automatic, "_STEPS", 1)
@@ -156,21 +186,26 @@ def test_what_goes_on_and_does_not_fit_into_memory_keeps_the_modes(
 
 
 @pytest.mark.parametrize("device", ["cpu", "cpu:0"])
-def test_without_a_factor(monkeypatch, animal, exact, device) -> None:
+def test_without_a_factor(animal, exact, flat, flat_exact, device) -> None:
     """Where none fits into memory, and on a device, which has none."""
     solver = sk.Automatic(memory=1e-3, device=device)
-    for accuracy in (None, 1e-7):
-        found = sk.eigensolve(animal, 30, replace(solver, accuracy=accuracy))
-        assert errors(found, exact).mean() <= (accuracy or 1e-12)
-        assert found.provenance.name == "cascade"
-        assert found.provenance.reason.endswith("GiB, more than 0.001")
-        assert found.certificate.count is None, "that would take a factor"
-    monkeypatch.setattr(automatic, "_MANY", 1)
-    with pytest.raises(sk.errors.ConvergenceError, match="1 step of smoothing left") as caught:
-        sk.eigensolve(animal, 30, solver)
+    for laplacian, truth in ((animal, exact), (flat, flat_exact)):
+        for accuracy in (None, 1e-7):
+            found = sk.eigensolve(laplacian, 30, replace(solver, accuracy=accuracy))
+            assert errors(found, truth).mean() <= (accuracy or 1e-12)
+            assert found.provenance.name == "cascade"
+            assert found.provenance.reason.endswith("GiB, more than 0.001")
+            assert found.certificate.count is None, "that would take a factor"
+
+
+def test_smoothing_that_nothing_goes_on_from_keeps_the_modes() -> None:
+    laplacian = rough(3000)
+    missed = f"{automatic._MANY} steps of smoothing left errors of .*, more than 1e-07"
+    with pytest.raises(sk.errors.ConvergenceError, match=missed) as caught:
+        sk.eigensolve(laplacian, 10, sk.Automatic(accuracy=1e-7, memory=1e-3))
     kept = caught.value.partial
-    assert (kept.k, kept.provenance.name, caught.value.n_converged) == (30, "cascade", 0)
-    assert errors(kept, exact).mean() < 1e-2
+    assert (kept.k, kept.provenance.name, caught.value.n_converged) == (10, "cascade", 0)
+    assert errors(kept, sk.eigensolve(laplacian, 10, sk.Arpack())).mean() < 1e-2
 
 
 def test_memory_counts_the_factor_and_what_is_made_with_it() -> None:
