@@ -392,7 +392,8 @@ class _Run:
         names = Counter(_name_of(one.solver) for one in self.chosen.values())
         others = [f"{m} by {name}" for name, m in names.items() if name != _name_of(solver)]
         if others:
-            reason += f"; of {len(self.chosen)} components, {' and '.join(others)}"
+            told = f"of {len(self.chosen)} components, {' and '.join(others)}"
+            reason = f"{reason}; {told}" if reason else told
         return solver, reason
 
     def book(self, stage: str, seconds: float) -> None:

@@ -199,7 +199,7 @@ def test_without_a_factor(animal, exact, flat, flat_exact, device) -> None:
 
 
 def test_smoothing_that_nothing_goes_on_from_keeps_the_modes() -> None:
-    laplacian = rough(3000)
+    laplacian = rough(5500)
     missed = f"{automatic._MANY} steps of smoothing left errors of .*, more than 1e-07"
     with pytest.raises(sk.errors.ConvergenceError, match=missed) as caught:
         sk.eigensolve(laplacian, 10, sk.Automatic(accuracy=1e-7, memory=1e-3))
@@ -239,6 +239,21 @@ def test_each_component_has_its_own(tmp_path) -> None:
     assert few.provenance.accuracy == "exact"
     assert few.certificate.bounded.all()
     assert few.certificate.level == "verified"
+
+
+def test_small_parts_are_solved_exactly() -> None:
+    """What solved is told, and counted where nothing is approximate."""
+    small = [TriangleMesh(bumpy().points + [4.0 * i, 0, 0], bumpy().faces) for i in (1, 2)]
+    found = sk.eigensolve(sk.robust_laplacian(joined(*small)), 20, sk.Cascade())
+    assert found.provenance.choice == "arpack: 642 points are few for 18 modes"
+    assert (found.provenance.accuracy, found.certificate.level) == ("exact", "verified")
+    whole = sk.robust_laplacian(joined(creature(6000, seed=0), *small))
+    found = sk.eigensolve(whole, 40, sk.Cascade())
+    assert found.provenance.choice == "cascade: of 3 components, 2 by arpack"
+    assert found.provenance.accuracy == "approximate"
+    assert errors(found, sk.eigensolve(whole, 40, sk.Arpack())).mean() <= 1e-3
+    little = sk.eigensolve(sk.robust_laplacian(bumpy()), 60, sk.Automatic(memory=1e-6))
+    assert (little.provenance.name, little.provenance.accuracy) == ("arpack", "exact")
 
 
 def test_options_reach_what_is_chosen() -> None:
