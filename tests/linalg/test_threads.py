@@ -41,7 +41,7 @@ jobs = {
     "default": lambda: sk.eigensolve(laplacian, 30),
     "Dense, tiny": lambda: sk.eigensolve(small, 30, sk.Dense()),
     "Refined": lambda: sk.eigensolve(laplacian, 30, sk.Refined()),
-    "Cascade": lambda: sk.eigensolve(laplacian, 30, sk.Cascade()),
+    "Cascade": lambda: sk.eigensolve(laplacian, 30, sk.Cascade(coarsest=250)),
     "verify": lambda: sk.verify(s, laplacian),
     "HeatGeodesics": lambda: sk.HeatGeodesics(mesh, s).distance(0),
     "heat kernel": lambda: heat_kernel_signature(s),
