@@ -206,6 +206,19 @@ class HeatGeodesics:
         Returns
         -------
         list of DistanceField
+
+        Raises
+        ------
+        InvalidInputError, ConvergenceError
+            As from `distance`; sources are all checked before the first field is measured.
+
+        Examples
+        --------
+        >>> from spectra_kit import HeatGeodesics
+        >>> from spectra_kit.geometry import sphere
+        >>> heat = HeatGeodesics(sphere(subdivisions=3).geometry)
+        >>> [field.distance.shape for field in heat.distances([0, [1, 2]])]
+        [(642,), (642,)]
         """
         checked = [check_sources(one, self._geometry) for one in sources]
         return [self._distance(one) for one in checked]
