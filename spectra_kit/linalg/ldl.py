@@ -220,7 +220,7 @@ class SparseLDL:
         Raises
         ------
         InvalidInputError
-            If `rhs` has another number of rows, or `dtype` is neither of the two.
+            If `rhs` has another number of rows or is complex, or `dtype` is neither of the two.
 
         Examples
         --------
@@ -235,13 +235,15 @@ class SparseLDL:
         from spectra_kit.linalg._frontal_kernels import solve_columns
 
         real = real_dtype("dtype", dtype)
+        if np.iscomplexobj(rhs):
+            raise InvalidInputError("rhs", "be real", np.asarray(rhs).dtype)
         rhs = np.require(rhs, real, ["C", "W"])
         if rhs.ndim not in (1, 2) or len(rhs) != self.n:
             raise InvalidInputError("rhs", f"have shape ({self.n},) or ({self.n}, s)", rhs.shape)
         lower, inverse = self._single if real == np.float32 else (self._lower, self._inverse)
         out, known = np.empty(rhs.shape, real), self.elimination
         pattern = (known.order, known.begins, known.first, known.rows, known.panels)
-        columns = rhs.size // self.n
+        columns = rhs.size // max(self.n, 1)
         block = (rhs.reshape(self.n, columns), out.reshape(self.n, columns))
         blocks = max(-(-columns // _WIDE), min(thread_count(), columns // _NARROW))
         cuts = shares(columns, blocks) if columns else []
