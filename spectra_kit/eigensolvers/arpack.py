@@ -15,7 +15,6 @@ from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError, Promise
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg import SparseLDL
 from spectra_kit.linalg.memory import factor_gigabytes
 from spectra_kit.linalg.shift_invert import shifted_factor
 from spectra_kit.linalg.slicing import MOST, WIDE, sliced_eigenpairs, vectors_held
@@ -129,7 +128,7 @@ class Arpack:
         if k >= _MANY and laplacian.n >= 2 * MOST:
             return self._sliced(laplacian, k, sigma)
         clock = Clock()
-        factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma, SparseLDL)
+        factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma)
         clock.stage("factor")
         # ARPACK takes a Ritz value below eps^(2/3) = 4e-11 for converged when it is so absolutely,
         # not relatively: in units of the spacing they are all far above that, whatever the input's.
