@@ -95,7 +95,7 @@ def eigensolve(
     DoubtfulSpectrumWarning
         If eigenvalues of an approximate backend are proved to be more than 10 % too high, by
         smoothing its modes (`Certificate.excess`), or estimated to be (`Certificate.errors`). No
-        warning is no proof that they are not.
+        warning is no proof that they are not. And if the estimates miss the solver's ``target``.
 
     Examples
     --------
@@ -188,7 +188,9 @@ class _Run:
             return self.completed(spectrum)
         if pairs.errors is None:
             spectrum = with_bounds(spectrum, self.laplacian)
-        warn_of_doubts(spectrum)
+        # Without steps, as where nothing is to be smoothed, no target was aimed at.
+        aimed = pairs.errors is not None and self.iterations
+        warn_of_doubts(spectrum, getattr(self.solver, "target", None) if aimed else None)
         return spectrum
 
     def completed(self, spectrum: Spectrum) -> Spectrum:
