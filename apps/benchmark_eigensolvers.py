@@ -15,8 +15,8 @@ as it ends, so the same command after an interruption, or with more sizes, compu
 missing. What was measured with another code or other options is measured again. Nothing else should
 run on the machine meanwhile; the report says if something did.
 
-Other packages are optional: pip install lapy. For a machine without network, fetch the wheels
-as evaluate_neo.py explains, these two among them. Results from machines with an accelerator are
+Other packages are optional: pip install lapy. For a machine without network, fetch the wheels,
+that of lapy among them, as evaluate_neo.py explains. Results from machines with an accelerator are
 kept as apps/results/MACHINE.json and .md (copies of benchmark.json and benchmark.md).
 """
 

@@ -8,8 +8,9 @@
 Everything is computed here, from procedural surfaces; only those of `real_...` are of shapes that
 people made, and are left out unless --data (or SPECTRA_KIT_DATA) names the folder that has them:
 ood_public/koala.npz, spot.npz and hammer.npz, whose licences allow it. The two of the explorer are
-screenshots and need Chromium and Playwright (extra `dev`); `convergence` and `pareto` show the
-seconds of this machine. Needs the extra `dev`, and a few minutes.
+screenshots and need Chromium and Playwright (extra `dev`); `convergence` shows the seconds of this
+machine, `pareto` those that benchmark_eigensolvers.py measured and apps/results keeps. Needs the
+extra `dev`, and a few minutes.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import argparse
 import contextlib
 import importlib.util
 import io
+import json
 import os
 import shutil
 import sys
@@ -28,7 +30,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
 from hero import draw_hero
 
 import spectra_kit as sk
@@ -41,7 +42,7 @@ from spectra_kit.geometry import creature, creature_pair, sample
 from spectra_kit.metrics import Comparison, compare_spectra
 
 ROOT = Path(__file__).parents[1]
-REPEATS = 3  # of what is timed
+MEASURED = ROOT / "apps/results/cpu.json"  # benchmark.json of benchmark_eigensolvers.py
 
 
 @dataclass(frozen=True)
@@ -263,38 +264,32 @@ def convergence(studio: Studio) -> None:
 
 
 def pareto(studio: Studio) -> None:
-    """Seconds and errors of the solvers."""
-    laplacian = sk.robust_laplacian(creature(32000, seed=0))
-    solvers = {
-        "Arpack": (sk.Arpack(), "exact"),
-        "Refined": (sk.Refined(rtol=1e-6), "exact"),
-        "Cascade": (sk.Cascade(), "approximate"),
-        "Plane waves": (sk.RayleighRitz(subspace=sk.AmbientFourier()), "approximate"),
-        "Neo": (sk.Neo(), "neural"),
-        "Neo, two poses": (sk.Neo(poses=2), "neural"),
-        "Neo, capped": (sk.Neo(cap=2048), "neural"),
-    }
-    truth = sk.eigensolve(laplacian, 96).eigenvalues[1:]
-    seconds = dict.fromkeys(solvers, np.inf)
-    errors = {}
-    for _ in range(REPEATS):  # by turns: the first one compiles
-        for name, (solver, _group) in solvers.items():
-            start = time.perf_counter()
-            found = sk.eigensolve(laplacian, 96, solver).eigenvalues[1:]
-            seconds[name] = min(seconds[name], time.perf_counter() - start)
-            errors[name] = float(np.mean(np.abs(found / truth - 1)))
-    runs = [
-        viz.ParetoPoint(name=name, group=group, seconds=seconds[name], error=errors[name])
-        for name, (_solver, group) in solvers.items()
-    ]
+    """Time and error of the solvers over the set of real shapes, as they were measured."""
+    record = json.loads(MEASURED.read_text())
+    machine, found = record["machine"], record["summaries"]["all"]
+    points = []
+    for one in found:
+        method = record["methods"][one["method"]]
+        exact = f"to {method['stops_at']}" if method["stops_at"] else "approximate"
+        time, error = one["slowdown"], one["eigenvalue_error"]
+        points.append(
+            viz.ParetoPoint(
+                name=one["method"],
+                group="other packages" if method["peer"] else exact,
+                seconds=time["mean"],
+                error=error["mean"],
+                worst=(time["worst"], error["worst"]),
+            )
+        )
     viz.plot_pareto(
         studio.path("pareto.png"),
-        runs,
-        xlabel="seconds, 96 modes of 32,000 points",
+        points,
+        xlabel="time, eigsh = 1: geometric mean; bars lead to the worst",
         ylabel="mean relative error of the eigenvalues",
         page=viz.Page(
             "Which solver when",
-            f"{os.cpu_count()} processor cores, no GPU; fastest of {REPEATS} runs, by turns",
+            f"{record['settings']['k']} modes of {found[0]['members']} real meshes and clouds;"
+            f" {machine['cores']} cores, {machine['accelerator'] or 'no GPU'}",
             studio.dpi,
         ),
     )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigsh
@@ -13,10 +15,9 @@ from spectra_kit._validate import check_count, check_positive, quantity
 from spectra_kit.eigensolvers.base import Eigenpairs, NotConvergedError, Promise
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.linalg import SparseLDL
 from spectra_kit.linalg.memory import factor_gigabytes
 from spectra_kit.linalg.shift_invert import shifted_factor
-from spectra_kit.linalg.slicing import MOST, sliced_eigenpairs, vectors_held
+from spectra_kit.linalg.slicing import MOST, WIDE, sliced_eigenpairs, vectors_held
 from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
 
@@ -97,6 +98,18 @@ class Arpack:
         Factor, vectors and modes together, the operator not. For components one after the other it
         is the largest of theirs, and 8 bytes for each number of the modes of the others.
 
+        Parameters
+        ----------
+        n : int
+            Points.
+        k : int
+            Modes.
+
+        Returns
+        -------
+        float
+            GiB.
+
         Examples
         --------
         >>> from spectra_kit import Arpack
@@ -115,7 +128,7 @@ class Arpack:
         if k >= _MANY and laplacian.n >= 2 * MOST:
             return self._sliced(laplacian, k, sigma)
         clock = Clock()
-        factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma, SparseLDL)
+        factor = shifted_factor(laplacian.stiffness, laplacian.mass, sigma)
         clock.stage("factor")
         # ARPACK takes a Ritz value below eps^(2/3) = 4e-11 for converged when it is so absolutely,
         # not relatively: in units of the spacing they are all far above that, whatever the input's.
@@ -160,7 +173,8 @@ class Arpack:
 
     def _sliced(self, laplacian: Laplacian, k: int, sigma: float) -> Eigenpairs:
         """Return many modes, from block Lanczos around several shifts."""
-        values, vectors, shifts, seconds = sliced_eigenpairs(
+        solved = partial(
+            sliced_eigenpairs,
             laplacian.stiffness,
             laplacian.mass,
             k,
@@ -170,13 +184,21 @@ class Arpack:
             most_shifts=self.max_restarts,
             seed=self.seed,
         )
-        pairs = Eigenpairs(values, vectors, seconds)
-        if len(values) == k:
+        found = solved()
+        seconds = found.seconds
+        if len(found.eigenvalues) < k and found.shifts < self.max_restarts:  # a cluster stops it
+            found = solved(block=WIDE)
+            seconds = dict(Counter(seconds) + Counter(found.seconds))
+        pairs = Eigenpairs(found.eigenvalues, found.eigenvectors, seconds)
+        if len(pairs.eigenvalues) == k:
             return pairs
+        told = (
+            f"Lanczos found {len(pairs.eigenvalues)} of {quantity(k, 'mode')} around"
+            f" {quantity(found.shifts, 'shift')}"
+        )
+        if found.shifts < self.max_restarts:
+            told += "; more equal eigenvalues than it has room for do this"
+            raise NotConvergedError(told, pairs, advice="use {}", remedies=("Dense",))
         raise NotConvergedError(
-            f"Lanczos found {len(values)} of {quantity(k, 'mode')} around"
-            f" {quantity(shifts, 'shift')}",
-            pairs,
-            advice=("raise {}", "loosen {}", "use {}"),
-            remedies=("max_restarts", "tol", "Refined"),
+            told, pairs, advice=("raise {}", "use {}"), remedies=("max_restarts", "Refined")
         )

@@ -73,12 +73,23 @@ def verdict(spectrum: Spectrum) -> str:
     return ""
 
 
-def warn_of_doubts(spectrum: Spectrum) -> None:
-    """Warn the caller of `eigensolve` where `verdict` has something to say."""
+def warn_of_doubts(spectrum: Spectrum, target: float | None) -> None:
+    """Warn the caller of `eigensolve` of what `verdict` says, and where a target was missed."""
     if told := verdict(spectrum):
         warn(
             told,
             DoubtfulSpectrumWarning,
             advice="smooth it by {}, go on from it by {}, or take an exact solver such as {}",
             remedies=("Cascade", "Refined", "Arpack"),
+        )
+    certificate = spectrum.certificate
+    errors = None if certificate is None else certificate.errors
+    if target is not None and errors is not None and (left := float(errors.mean())) > target:
+        steps = quantity(spectrum.provenance.iterations or 0, "step")
+        warn(
+            f"target = {target:g} was not reached: {steps} of smoothing left errors that are"
+            f" estimated at {left:.1e} in the mean",
+            DoubtfulSpectrumWarning,
+            advice="allow more steps (max_steps of Cascade, smoothing of Neo), or use {}",
+            remedies=("Arpack",),
         )

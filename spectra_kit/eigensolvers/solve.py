@@ -95,7 +95,7 @@ def eigensolve(
     DoubtfulSpectrumWarning
         If eigenvalues of an approximate backend are proved to be more than 10 % too high, by
         smoothing its modes (`Certificate.excess`), or estimated to be (`Certificate.errors`). No
-        warning is no proof that they are not.
+        warning is no proof that they are not. And if the estimates miss the solver's ``target``.
 
     Examples
     --------
@@ -188,7 +188,9 @@ class _Run:
             return self.completed(spectrum)
         if pairs.errors is None:
             spectrum = with_bounds(spectrum, self.laplacian)
-        warn_of_doubts(spectrum)
+        # Without steps, as where nothing is to be smoothed, no target was aimed at.
+        aimed = pairs.errors is not None and self.iterations
+        warn_of_doubts(spectrum, getattr(self.solver, "target", None) if aimed else None)
         return spectrum
 
     def completed(self, spectrum: Spectrum) -> Spectrum:
@@ -221,12 +223,16 @@ class _Run:
                 pairs = self.components(wider, refined)
             except (NotConvergedError, MemoryError, InvalidInputError, InvalidSpectrumError) as e:
                 why = str(e) or "out of memory"
-                break
+                # The last of them may cut a cluster: enough if those wanted have converged.
+                good = getattr(e, "converged", None)
+                if good is None or len(self.parts) > 1 or not good[:k].all():
+                    break
+                pairs = self.merged(k)
             added = max(added, count.missing)
             spectrum = self.packed(Eigenpairs(pairs.eigenvalues[:k], pairs.eigenvectors[:, :k]))
         raise ConvergenceError(
-            f"{self.name}: at least {quantity(count.missing, 'mode')} of the lowest {k} were passed"
-            f" over ({count.reason}), and could not be found: {why}",
+            f"{self.name}: at least {quantity(min(count.missing, k), 'mode')} of the lowest {k}"
+            f" were passed over ({count.reason}), and could not be found: {why}",
             partial=verify(counted, laplacian),
             n_converged=k,
         )
@@ -388,7 +394,8 @@ class _Run:
         names = Counter(_name_of(one.solver) for one in self.chosen.values())
         others = [f"{m} by {name}" for name, m in names.items() if name != _name_of(solver)]
         if others:
-            reason += f"; of {len(self.chosen)} components, {' and '.join(others)}"
+            told = f"of {len(self.chosen)} components, {' and '.join(others)}"
+            reason = f"{reason}; {told}" if reason else told
         return solver, reason
 
     def book(self, stage: str, seconds: float) -> None:

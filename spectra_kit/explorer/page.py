@@ -103,8 +103,8 @@ def write_explorer(
     comparison : Comparison, optional
         Of these two; by default ``compare_spectra(exact, predicted)``. Its k modes are shown.
     names : tuple of str, optional
-        What to call the two; by default "exact", or "approximate" where the errors of `exact` are
-        estimates, and "predicted".
+        What to call the two; by default "exact", or "approximate" where the solver of `exact` goes
+        on for no more, and "predicted".
     title : str, optional
         At the head of the page.
     max_points : int, default 50000
@@ -235,10 +235,7 @@ def _check(
 
 def _called(spectrum: Spectrum) -> str:
     """Return what the first spectrum is called where nobody has named it."""
-    certificate = spectrum.certificate
-    if certificate is None or certificate.errors is None or certificate.bounded.all():
-        return "exact"
-    return "approximate"
+    return "approximate" if spectrum.provenance.accuracy == "approximate" else "exact"
 
 
 def _first_view(geometry: Geometry, view: View) -> dict[str, Any]:

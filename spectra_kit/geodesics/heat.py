@@ -49,6 +49,8 @@ class _Ready(NamedTuple):
     system: System
     steps: Mapping[int, Mapping[Boundary, HeatStep]]  # by `System.sizes`
     poisson: GroundedCholesky | IterativePoisson
+    reason: str
+    gigabytes: float  # of complete factors
     seconds: float
 
 
@@ -204,12 +206,25 @@ class HeatGeodesics:
         Returns
         -------
         list of DistanceField
+
+        Raises
+        ------
+        InvalidInputError, ConvergenceError
+            As from `distance`; sources are all checked before the first field is measured.
+
+        Examples
+        --------
+        >>> from spectra_kit import HeatGeodesics
+        >>> from spectra_kit.geometry import sphere
+        >>> heat = HeatGeodesics(sphere(subdivisions=3).geometry)
+        >>> [field.distance.shape for field in heat.distances([0, [1, 2]])]
+        [(642,), (642,)]
         """
         checked = [check_sources(one, self._geometry) for one in sources]
         return [self._distance(one) for one in checked]
 
     def _distance(self, sources: Sources) -> DistanceField:
-        ready, why = self._ready(sources), self._chosen[1]
+        ready = self._ready(sources)
         system = ready.system
         used = ready.poisson.options if isinstance(ready.poisson, IterativePoisson) else Direct()
         heated = sources.right_hand_side()[system.order]
@@ -228,7 +243,7 @@ class HeatGeodesics:
                 sources=sources,
                 time_step=float(self.time_steps[labels[sources.vertices[0]]]),
                 solver=used,
-                reason=why,
+                reason=ready.reason,
                 heat=heat.moved(system.outwards),
                 poisson=replace(solution, x=potential),
                 seconds={
@@ -264,30 +279,58 @@ class HeatGeodesics:
         several = len(self.time_steps) > 1
         component = int(labels[0]) if alone and several else None
         if component not in self._prepared:
-            ready = self._prepare(component)
-            if not isinstance(self._chosen[0], Direct):
-                component = None  # of all points, however it was asked
-            self._prepared[component] = ready
+            self._prepared[component] = self._prepare(component)
         return self._prepared[component]
 
     def _prepare(self, component: int | None) -> _Ready:
-        """Factorise what both steps need, side by side."""
-        clock, system = Clock(), System.of(self.triangulation, component)
-        conditions = self._conditions(system)
-        sizes = np.union1d(0, system.sizes).tolist()
-        kinds = [(size, condition) for size in sizes for condition in conditions]
-        if isinstance(self._chosen[0], Direct):
-            needed = (1 + len(kinds)) * system.elimination.gigabytes  # before threads ask for it
-            if isinstance(self._solver, Automatic):
-                self._chosen = self._solver.choose(len(system.order), needed)
-                if not isinstance(self._chosen[0], Direct):  # whose modes are those of all points
+        """Choose how to solve, and prepare it."""
+        clock, (options, reason) = Clock(), self._chosen
+        system = System.of(self.triangulation, component)
+        if not isinstance(options, Direct):
+            return self._factorised(system, options, reason, 0.0, clock)
+        gigabytes = (1 + len(self._kinds(system))) * system.elimination.gigabytes
+        if isinstance(self._solver, Automatic):
+            options, reason = self._solver.choose(len(system.order), gigabytes)
+            if not isinstance(options, Direct):  # whose modes are those of all points
+                if component is not None:
                     system = System.of(self.triangulation)
-        tasks = [partial(self._poisson, system), *(partial(self._step, system, *k) for k in kinds)]
+                there = self._prepared.get(None)
+                return there or self._factorised(system, options, reason, 0.0, clock)
+            held = sum(ready.gigabytes for ready in self._prepared.values())
+            for other, ready in list(self._prepared.items()):  # those asked first go first
+                if held + gigabytes <= self._solver.memory:
+                    break
+                held -= ready.gigabytes
+                if ready.gigabytes:
+                    del self._prepared[other]
+        return self._factorised(system, options, reason, gigabytes, clock)
+
+    def _factorised(
+        self,
+        system: System,
+        options: Direct | Iterative,
+        reason: str,
+        gigabytes: float,
+        clock: Clock,
+    ) -> _Ready:
+        """Factorise what both steps need, side by side."""
+        kinds = self._kinds(system)
+        tasks = [
+            partial(self._poisson, system, options),
+            *(partial(self._step, system, options, *kind) for kind in kinds),
+        ]
         poisson, *made = in_threads(call, [(task,) for task in tasks])
         steps: dict[int, dict[Boundary, HeatStep]] = {}
         for (size, condition), step in zip(kinds, made, strict=True):
             steps.setdefault(size, {})[condition] = step
-        return _Ready(system, steps, poisson, clock.total)
+        return _Ready(system, steps, poisson, reason, gigabytes, clock.total)
+
+    def _kinds(self, system: System) -> list[tuple[int, Boundary]]:
+        """Return the sizes of heat steps, each with the boundary conditions that take part."""
+        conditions = self._conditions(system)
+        if not conditions:
+            raise _cold()
+        return [(int(k), one) for k in np.union1d(0, system.sizes) for one in conditions]
 
     def _conditions(self, system: System) -> tuple[Boundary, ...]:
         """Return the boundary conditions that take part."""
@@ -297,8 +340,10 @@ class HeatGeodesics:
         wanted = both if self._boundary == "average" else (self._boundary,)
         return wanted if system.inside.any() else tuple(c for c in wanted if c == "neumann")
 
-    def _step(self, system: System, size: int, condition: Boundary) -> HeatStep:
-        direct = isinstance(self._chosen[0], Direct)
+    def _step(
+        self, system: System, options: Direct | Iterative, size: int, condition: Boundary
+    ) -> HeatStep:
+        direct = isinstance(options, Direct)
         return HeatStep(
             system.stiffness,
             system.mass,
@@ -309,8 +354,10 @@ class HeatGeodesics:
             elimination=system.elimination if direct else None,
         )
 
-    def _poisson(self, system: System) -> GroundedCholesky | IterativePoisson:
-        options, stiffness = self._chosen[0], system.stiffness
+    def _poisson(
+        self, system: System, options: Direct | Iterative
+    ) -> GroundedCholesky | IterativePoisson:
+        stiffness = system.stiffness
         kernel = ConstantKernel(system.labels - system.labels.min())
         if isinstance(options, Direct):
             return GroundedCholesky(stiffness, kernel, elimination=system.elimination)

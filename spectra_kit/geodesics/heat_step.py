@@ -65,11 +65,55 @@ class Heat:
             return np.asarray(np.log(self.values) + np.log(2.0) * self.exponents)
 
     def moved(self, move: Callable[[NDArray[Any]], NDArray[Any]]) -> Heat:
-        """Return the same on points in another order or number."""
+        """Return the same on points in another order or number.
+
+        Parameters
+        ----------
+        move : callable
+            From an array of shape (n,) on these points to one of shape (m,) on the others, such as
+            by an index; called with values and with exponents.
+
+        Returns
+        -------
+        Heat
+            On m points.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit.geodesics import Heat
+        >>> heat = Heat(np.array([1.0, 0.5]), np.array([0, -2000]), "Cholesky", 0, 0.0, 0.0)
+        >>> heat.moved(lambda values: values[::-1]).values
+        array([0.5, 1. ])
+        """
         return replace(self, values=move(self.values), exponents=move(self.exponents))
 
     def spread(self, inside: NDArray[np.bool_]) -> Heat:
-        """Return the same on all points, of which these are those `inside`; the others are cold."""
+        """Return the same on all points, of which these are those `inside`; the others are cold.
+
+        Parameters
+        ----------
+        inside : ndarray of bool, shape (m,)
+            Of all points, with n of them in it.
+
+        Returns
+        -------
+        Heat
+            On m points.
+
+        Raises
+        ------
+        InvalidInputError
+            If there are not n points in `inside`.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit.geodesics import Heat
+        >>> heat = Heat(np.array([1.0, 0.5]), np.array([0, -2000]), "Cholesky", 0, 0.0, 0.0)
+        >>> heat.spread(np.array([True, False, True])).values
+        array([1. , 0. , 0.5])
+        """
         inside = np.asarray(inside, dtype=bool)
         if inside.ndim != 1 or inside.sum() != len(self.values):
             raise InvalidInputError(
@@ -82,7 +126,26 @@ class Heat:
         return self.moved(lambda values: np.where(inside, values[place], 0).astype(values.dtype))
 
     def plus(self, other: Heat) -> Heat:
-        """Return the sum of two heats."""
+        """Return the sum of two heats.
+
+        Parameters
+        ----------
+        other : Heat
+            On the same n points.
+
+        Returns
+        -------
+        Heat
+            With iterations and seconds of both, and the larger of their errors.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit.geodesics import Heat
+        >>> heat = Heat(np.array([1.0, 0.5]), np.array([0, -2000]), "Cholesky", 0, 0.0, 0.0)
+        >>> bool(np.allclose(heat.plus(heat).log, heat.log + np.log(2)))
+        True
+        """
         low = np.iinfo(np.int32).min // 4
         exponents = np.maximum(*(np.where(h.values > 0, h.exponents, low) for h in (self, other)))
         exponents = np.where(exponents > low, exponents, 0)

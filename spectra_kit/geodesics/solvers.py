@@ -144,7 +144,25 @@ class Automatic:
     def choose(self, n: int, gigabytes: float | None = None) -> tuple[Direct | Iterative, str]:
         """Return the solver on n points, and why it is this one.
 
-        Factors take so many GiB; without these, about as much as two do on even triangles.
+        Parameters
+        ----------
+        n : int
+            Points.
+        gigabytes : float, optional
+            GiB that the factors take; without it, about as much as two do on even triangles.
+
+        Returns
+        -------
+        solver : Direct or Iterative
+            The former where the factors fit into `memory`.
+        reason : str
+            In a few words.
+
+        Examples
+        --------
+        >>> from spectra_kit.geodesics import Automatic
+        >>> Automatic(modes=12).choose(100_000, gigabytes=7.5)[1]
+        'factors would take 7.5 GiB, more than 4'
         """
         needed = 2 * factor_gigabytes(n) if gigabytes is None else gigabytes
         if needed <= self.memory:

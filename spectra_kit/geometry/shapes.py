@@ -82,7 +82,29 @@ class PointCloud(_Shape):
         return len(self.points)
 
     def with_points(self, points: Floats) -> PointCloud:
-        """Return the same cloud at other coordinates of shape (n, 3)."""
+        """Return the same cloud at other coordinates.
+
+        Parameters
+        ----------
+        points : ndarray of shape (n, 3)
+            In length.
+
+        Returns
+        -------
+        PointCloud
+
+        Raises
+        ------
+        InvalidInputError
+            As from `PointCloud` itself.
+
+        Examples
+        --------
+        >>> from spectra_kit.geometry import PointCloud
+        >>> cloud = PointCloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+        >>> cloud.with_points(2 * cloud.points).points[1]
+        array([2., 0., 0.])
+        """
         return PointCloud(points)
 
     def without_duplicates(self) -> PointCloud:
@@ -189,7 +211,29 @@ class TriangleMesh(_Shape):
         return frozen(connected_components(graph, directed=False)[1].astype(np.int64))
 
     def with_points(self, points: Floats) -> TriangleMesh:
-        """Return the same connectivity at other coordinates of shape (n, 3)."""
+        """Return the same connectivity at other coordinates.
+
+        Parameters
+        ----------
+        points : ndarray of shape (n, 3)
+            In length.
+
+        Returns
+        -------
+        TriangleMesh
+
+        Raises
+        ------
+        InvalidInputError
+            As from `TriangleMesh` itself.
+
+        Examples
+        --------
+        >>> from spectra_kit.geometry import TriangleMesh
+        >>> mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+        >>> mesh.with_points(2 * mesh.points).area
+        2.0
+        """
         return TriangleMesh(points, self.faces)
 
     def as_cloud(self) -> PointCloud:

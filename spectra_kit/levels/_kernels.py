@@ -30,6 +30,43 @@ def _longer(array: NDArray[Any], room: int) -> NDArray[Any]:
     return longer
 
 
+@register_jitable
+def _ball(
+    starts: Ints,
+    neighbours: Ints,
+    points: Floats,
+    centre: int,
+    radius: float,
+    mark: int,
+    seen: Ints,
+    ball: Ints,
+    rim: Ints,
+) -> tuple[int, int]:
+    """Write the connected ball of a point to `ball`, and the points just outside to `rim`.
+
+    Return how many there are of each. In `seen`, all of them get the `mark`, which none has yet.
+    """
+    x, y, z = points[centre]
+    seen[centre], ball[0] = mark, centre
+    first, last, beyond = 0, 1, 0
+    while first < last:
+        i = ball[first]
+        first += 1
+        for p in range(starts[i], starts[i + 1]):
+            j = neighbours[p]
+            if seen[j] == mark:
+                continue
+            seen[j] = mark
+            dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+            if dx * dx + dy * dy + dz * dz < radius * radius:
+                ball[last] = j
+                last += 1
+            else:
+                rim[beyond] = j
+                beyond += 1
+    return last, beyond
+
+
 @compiled()
 def cover(starts: Ints, neighbours: Ints, points: Floats, radius: float) -> Ints:
     """Return centres whose connected balls of `radius` cover all points.
@@ -41,7 +78,7 @@ def cover(starts: Ints, neighbours: Ints, points: Floats, radius: float) -> Ints
     covered = np.zeros(n, np.bool_)
     queued = np.zeros(n, np.bool_)
     seen = np.full(n, -1, np.int32)  # last centre whose ball was asked about this point
-    front, ball = np.empty(n, np.int32), np.empty(n, np.int32)
+    front, ball, rim = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
     centres = np.empty(n, np.int32)
     head = tail = count = 0
     for seed in range(n):  # the first point starts the front; others only if it cannot reach them
@@ -54,27 +91,16 @@ def cover(starts: Ints, neighbours: Ints, points: Floats, radius: float) -> Ints
             head += 1
             if covered[centre]:
                 continue
-            x, y, z = points[centre]
-            centres[count], seen[centre], covered[centre] = centre, count, True
-            ball[0] = centre
-            first, last = 0, 1
-            while first < last:
-                i = ball[first]
-                first += 1
-                for p in range(starts[i], starts[i + 1]):
-                    j = neighbours[p]
-                    if seen[j] == count:
-                        continue
-                    seen[j] = count
-                    dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
-                    if dx * dx + dy * dy + dz * dz < radius * radius:
-                        covered[j] = True
-                        ball[last] = j
-                        last += 1
-                    elif not queued[j] and not covered[j]:
-                        queued[j] = True
-                        front[tail] = j
-                        tail += 1
+            many, beyond = _ball(starts, neighbours, points, centre, radius, count, seen, ball, rim)
+            for p in range(many):
+                covered[ball[p]] = True
+            for p in range(beyond):
+                j = rim[p]
+                if not queued[j] and not covered[j]:
+                    queued[j] = True
+                    front[tail] = j
+                    tail += 1
+            centres[count] = centre
             count += 1
     return centres[:count].copy()
 
@@ -97,31 +123,16 @@ def balls(
     seen = np.full(n, -1, np.int32)
     members = np.empty(n + 16 * n * (last - first) // len(centres), np.int32)
     counts = np.empty(last - first, np.int32)
-    ball = np.empty(n, np.int32)
+    ball, rim = np.empty(n, np.int32), np.empty(n, np.int32)
     total = 0
     for k in range(first, last):
-        x, y, z = points[centres[k]]
-        seen[centres[k]] = k
-        ball[0] = centres[k]
-        head, tail = 0, 1
-        while head < tail:
-            i = ball[head]
-            head += 1
-            for p in range(starts[i], starts[i + 1]):
-                j = neighbours[p]
-                if seen[j] == k:
-                    continue
-                dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
-                if dx * dx + dy * dy + dz * dz < radius * radius:
-                    seen[j] = k
-                    ball[tail] = j
-                    tail += 1
-        if total + tail > len(members):
-            members = _longer(members, 2 * len(members) + tail)
-        for t in range(tail):
+        many, _ = _ball(starts, neighbours, points, centres[k], radius, k, seen, ball, rim)
+        if total + many > len(members):
+            members = _longer(members, 2 * len(members) + many)
+        for t in range(many):
             members[total + t] = ball[t]
-        total += tail
-        counts[k - first] = tail
+        total += many
+        counts[k - first] = many
     return counts, members[:total].copy()
 
 

@@ -124,7 +124,9 @@ def climb(
                 values, X, residual, degree=degree, guards=guards, errors=found, goal=goal
             )
             clock.stage("smooth")
+            del residual  # blocks as large as X: what is no longer needed makes room
             values, X = _rotated(smoothing, smooth, values, X, k)
+            del smooth
             clock.stage("rayleigh_ritz")
             residual = smoothing.residual(values, X)
             least = np.maximum(values, laplacian.eigenvalue_spacing)[:k]

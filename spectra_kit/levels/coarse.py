@@ -8,9 +8,10 @@ import numpy as np
 from scipy import sparse
 
 from spectra_kit._types import Floats
-from spectra_kit._validate import Brief, frozen
+from spectra_kit._validate import Brief
 from spectra_kit.levels.interpolation import prolongation
 from spectra_kit.levels.subset import Subset, well_spread
+from spectra_kit.linalg.products import rows_of
 from spectra_kit.linalg.threads import in_threads, shares
 from spectra_kit.operators.laplacian import Laplacian
 
@@ -131,15 +132,7 @@ def _galerkin(
     """
     from spectra_kit.levels._kernels import galerkin_rows
 
-    fixed = [
-        frozen(np.asarray(array, dtype=kind))
-        for matrix in (restrict, stiffness, mass, lift)
-        for array, kind in (
-            (matrix.indptr, np.int32),
-            (matrix.indices, np.int32),
-            (matrix.data, np.float64),
-        )
-    ]
+    fixed = [part for matrix in (restrict, stiffness, mass, lift) for part in rows_of(matrix)]
     m = lift.shape[1]
     parts = in_threads(galerkin_rows, ((*fixed, *rows) for rows in shares(m)))
     counts, columns, *both = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))

@@ -18,7 +18,7 @@ _REACH = 0.6  # degree d solves well down to 1 / (0.6 d^2) of the highest freque
 _MOST = 60  # steps: lower frequencies are left out
 _WHOLE = 0.9  # of the highest frequency: where the columns reach up to it, little is left
 _NEAREST = 0.9  # of the frequency of an error: that of its mode, at most
-_UNSURE = 0.5  # spreads of what was fitted to add: too low is worse than too high
+_UNSURE = 0.75  # spreads of what was fitted to add: too low is worse than too high
 _TINY = float(np.finfo(np.float32).tiny)
 
 

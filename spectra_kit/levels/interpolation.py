@@ -10,6 +10,7 @@ from scipy import sparse
 from spectra_kit._validate import frozen
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.levels.subset import Subset
+from spectra_kit.linalg.products import rows_of
 from spectra_kit.linalg.threads import in_threads, shares
 
 if TYPE_CHECKING:
@@ -63,10 +64,8 @@ def prolongation(operator: Laplacian | Coarse, subset: Subset) -> sparse.csr_arr
     """
     from spectra_kit.levels._kernels import balls, interpolate
 
-    graph, points, n = operator.stiffness, frozen(operator.points), operator.n
-    starts, neighbours = (
-        frozen(np.asarray(a, dtype=np.int32)) for a in (graph.indptr, graph.indices)
-    )
+    points, n = frozen(operator.points), operator.n
+    starts, neighbours, _ = rows_of(operator.stiffness)
     reach = _REACH * subset.radius
     m = len(subset.indices)
     around = (starts, neighbours, points, subset.indices, reach)

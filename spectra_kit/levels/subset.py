@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from spectra_kit._types import Ints
 from spectra_kit._validate import check_count, frozen
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg.products import rows_of
 
 if TYPE_CHECKING:
     from spectra_kit.levels.coarse import Coarse
@@ -75,11 +76,8 @@ def well_spread(operator: Laplacian | Coarse, n_points: int) -> Subset:
     from spectra_kit.levels._kernels import cover
 
     check_count("n_points", n_points, low=1, high=operator.n)
-    # All read-only: numba compiles anew for arrays that are not.
     graph, points = operator.stiffness, frozen(operator.points)
-    starts, neighbours = (
-        frozen(np.asarray(a, dtype=np.int32)) for a in (graph.indptr, graph.indices)
-    )
+    starts, neighbours, _ = rows_of(graph)
     grain = _GRAINY * np.sqrt(n_points / operator.n)
     radius = (_PACKED - grain) * np.sqrt(operator.area / n_points)
     low, high = 0.0, np.inf  # radii known to give too many and too few

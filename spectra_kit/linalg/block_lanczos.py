@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from spectra_kit._types import Floats
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.threads import in_threads, ranges
 
 _POINTS = 8_192  # of one task: fixed, so that no sum depends on the threads
@@ -47,9 +48,15 @@ class BlockLanczos:
     block : int
         Vectors of a step. Eigenvalues of so many copies are found with all of them.
     most : int
-        Vectors of the space at most, which are allocated at once.
+        Vectors of the space at most, which are allocated at once: whole steps, and one block less
+        than n.
     seed : int
         Of the first block.
+
+    Raises
+    ------
+    InvalidInputError
+        If `most` is no such number.
 
     Notes
     -----
@@ -76,6 +83,10 @@ class BlockLanczos:
     def __init__(
         self, operator: Callable[[Floats], Floats], n: int, *, block: int, most: int, seed: int
     ) -> None:
+        if most % block or most + block > n:
+            raise InvalidInputError(
+                "most", f"be a multiple of {block}, and at most {n - block}", most
+            )
         self._operator, self._block = operator, block
         self.size = 0  # vectors whose images are known; one more block is there
         self._basis = np.empty((most + block, n))

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
-from spectra_kit.linalg._checks import check_matrix
+from spectra_kit.linalg._checks import check_matrix, check_symmetric
 from spectra_kit.linalg.minimum_degree import minimum_degree
 
 _MAX_ENTRIES = 2**31 - 1  # of a matrix: 32-bit indices
-_ASYMMETRY = 1e-8  # of the largest entry: more is none of rounding
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,6 +53,26 @@ class Elimination:
         ----------
         matrix : sparse array of shape (n, n)
             Both triangles stored.
+
+        Returns
+        -------
+        Elimination
+            For all matrices of that pattern.
+
+        Raises
+        ------
+        InvalidInputError
+            If `matrix` is not square, finite and symmetric, or has too many entries.
+        OutOfMemoryError
+            If there is no room for it.
+
+        Examples
+        --------
+        >>> from scipy import sparse
+        >>> from spectra_kit.linalg.elimination import Elimination
+        >>> A = sparse.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(9, 9))
+        >>> Elimination.of(sparse.csr_array(A)).fill >= 8
+        True
         """
         A = symmetric(matrix)
         if A.nnz > _MAX_ENTRIES:
@@ -84,12 +103,11 @@ class Elimination:
 def symmetric(matrix: sparse.csr_array) -> sparse.csr_array:
     """Return a matrix with the pattern of its transpose, on which the loops rely."""
     A = check_matrix(matrix)
+    check_symmetric(A)
     other = sparse.csr_array(A.T)
     other.sort_indices()
     if all(map(np.array_equal, (A.indptr, A.indices), (other.indptr, other.indices))):
         return A
-    if abs(A - other).max() > _ASYMMETRY * abs(A).max():
-        raise InvalidInputError("matrix", "be symmetric, both triangles stored", "another")
     return check_matrix((A + other) / 2)
 
 

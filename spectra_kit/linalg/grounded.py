@@ -96,6 +96,19 @@ class GroundedCholesky:
         ------
         InvalidInputError
             If `rhs` is of another shape, not finite or not in the range, or x is no solution.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import robust_laplacian
+        >>> from spectra_kit.geometry import sphere
+        >>> from spectra_kit.linalg import ConstantKernel, GroundedCholesky
+        >>> laplacian = robust_laplacian(sphere(subdivisions=3).geometry)
+        >>> kernel = ConstantKernel(laplacian.component_labels)
+        >>> height = laplacian.points[:, 2]  # an eigenfunction of the sphere, of eigenvalue 2
+        >>> x = GroundedCholesky(laplacian.stiffness, kernel).solve(2 * laplacian.mass * height)
+        >>> bool(np.abs(x - height).max() < 0.02)
+        True
         """
         return self.solution(rhs).x
 
@@ -111,6 +124,15 @@ class GroundedCholesky:
         -------
         LinearSolution
             Of no iterations and one residual.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from scipy import sparse
+        >>> from spectra_kit.linalg import GroundedCholesky
+        >>> factor = GroundedCholesky(sparse.csr_array([[2.0, -1.0], [-1.0, 2.0]]))
+        >>> factor.solution(np.array([1.0, 1.0])).method
+        'Cholesky'
         """
         clock = Clock()
         b = check_rhs(rhs, self.n, self._kernel)

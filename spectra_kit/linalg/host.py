@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from spectra_kit._types import Floats, Singles
-from spectra_kit._validate import frozen
-from spectra_kit.linalg.products import spmm
+from spectra_kit.linalg.products import rows_of, spmm
 from spectra_kit.linalg.residuals import residuals
 from spectra_kit.linalg.threads import in_threads, ranges, shares, single_threaded_blas
 
@@ -121,17 +120,8 @@ def correction(
     """
     from spectra_kit.linalg._kernels import smoothing_step
 
-    # Read-only, and one kind of indices: numba compiles anew for others.
-    graph = [
-        frozen(np.asarray(array, dtype=kind))
-        for matrix in (level.stiffness, level.mass)
-        for array, kind in (
-            (matrix.indptr, np.int32),
-            (matrix.indices, np.int32),
-            (matrix.data, np.float32),
-        )
-    ]
-    residual = residual.astype(np.float32)
+    graph = (*rows_of(level.stiffness, np.float32), *rows_of(level.mass, np.float32))
+    residual = np.ascontiguousarray(residual, dtype=np.float32)
     fixed = (*graph, level.inverse, values.astype(np.float32), residual)
     old, new = (np.zeros(residual.shape, np.float32) for _ in range(2))
     for keep, step in steps:

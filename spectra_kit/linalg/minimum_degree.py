@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-_HUB = 10.0  # times the square root of n: neighbours of a point that is left for the end
+# Neighbours of a point that is left for the end: times the square root of n, and at least. As in
+# AMD (Amestoy, Davis and Duff, Algorithm 837, ACM TOMS 30, 2004).
+_HUB, _FEWEST = 10.0, 16
 
 
 def minimum_degree(matrix: sparse.csr_array) -> NDArray[np.int32]:
@@ -40,7 +42,7 @@ def minimum_degree(matrix: sparse.csr_array) -> NDArray[np.int32]:
     from spectra_kit.linalg._degree_kernels import eliminate
 
     degrees = np.diff(matrix.indptr)
-    hubs = np.flatnonzero(degrees > 16 + _HUB * np.sqrt(len(degrees)))
+    hubs = np.flatnonzero(degrees > max(_FEWEST, _HUB * np.sqrt(len(degrees))))
     if len(hubs):
         others = np.setdiff1d(np.arange(len(degrees)), hubs)
         rest = others[minimum_degree(sparse.csr_array(matrix[others][:, others]))]

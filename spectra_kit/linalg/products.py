@@ -77,6 +77,19 @@ def spmm(
     return out
 
 
+def rows_of(
+    matrix: sparse.csr_array, dtype: DTypeLike = np.float64
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[Any]]:
+    """Return where the rows of a matrix begin, their columns and their values.
+
+    Read-only, and of one kind: numba compiles anew for others.
+    """
+    starts, columns = (
+        frozen(np.asarray(a, dtype=np.int32)) for a in (matrix.indptr, matrix.indices)
+    )
+    return starts, columns, frozen(np.asarray(matrix.data, dtype=dtype))
+
+
 def real_dtype(name: str, dtype: DTypeLike) -> np.dtype[np.floating]:
     """Return `dtype` if it is float32 or float64."""
     resolved: np.dtype[Any] = np.dtype(dtype)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,6 @@ from spectra_kit.linalg.orthonormal import RankError
 from spectra_kit.linalg.residuals import residuals
 from spectra_kit.linalg.ritz import ritz_pairs, ritz_rotation
 from spectra_kit.linalg.threads import in_threads, shares, single_threaded_blas
-
-Factor = TypeVar("Factor")
 
 _COLUMNS = 80  # filtered together, at most: bounds the temporaries
 _SHIFT = 1 / 8  # of the guard eigenvalue: strong on the last modes, kind to float32 on the first
@@ -49,15 +47,10 @@ class ShiftedFactor(NamedTuple):
     sigma: float
 
 
-def shifted_factor(
-    stiffness: sparse.csr_array,
-    mass: Floats,
-    sigma: float,
-    factorise: Callable[[sparse.csr_array], Factor],
-) -> Factor:
+def shifted_factor(stiffness: sparse.csr_array, mass: Floats, sigma: float) -> SparseLDL:
     """Factorise ``L - sigma M``, positive definite for sigma < 0."""
     try:
-        return factorise(sparse.csr_array(stiffness - sigma * sparse.diags_array(mass)))
+        return SparseLDL(sparse.csr_array(stiffness - sigma * sparse.diags_array(mass)))
     except InvalidInputError as error:
         raise InvalidInputError(
             "stiffness",
@@ -136,7 +129,7 @@ def shift_invert_iteration(
         guard = max(float(values[-1]), _ZERO * unit * spacing) * (1 + 2 / block)
         wanted = _SHIFT * guard
         if shifted is None or not _OUTGROWN < wanted / -shifted.sigma < 1 / _OUTGROWN:
-            shifted = ShiftedFactor(shifted_factor(stiffness, mass, -wanted, SparseLDL), -wanted)
+            shifted = ShiftedFactor(shifted_factor(stiffness, mass, -wanted), -wanted)
             clock.stage("factor")
         probes = _filtered_noise(shifted, mass, X, guard, degree, rng) if sweeps == 0 else None
         # Guard columns move with the wanted ones; wanted ones that have converged stay.

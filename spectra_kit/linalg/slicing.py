@@ -18,10 +18,15 @@ from spectra_kit.linalg.ldl import SparseLDL
 from spectra_kit.linalg.threads import single_threaded_blas, team
 
 _BLOCK = 8  # vectors of a step: solved together they cost a third; more need a larger space
-_ENOUGH = 64 * _BLOCK  # vectors of a space: beyond, another factor costs less than their products
-#: Vectors of a space at most, where the modes below its shift are not yet all found.
-MOST = 88 * _BLOCK
-_GUESS = 0.8  # of its distance to the first shift have as many modes as Weyl's law says
+#: The same where clusters are larger than a space of those finds: four times as much memory.
+WIDE = 4 * _BLOCK
+_ENOUGH = 64  # steps of a run: beyond, another factor costs less than their products
+_STEPS = 88  # the same at most, where the modes below its shift are not yet all found
+#: Vectors of a space at most.
+MOST = _STEPS * _BLOCK
+# Of its distance to the first shift have as many modes as Weyl's law says. On real models 0.6 to 2
+# take one shift more at most, for 300 modes.
+_GUESS = 0.8
 _FIRST = 80  # modes below the first shift, at most
 _LOOK = 4  # steps between two looks at what has converged
 _ONE_SIDED = 0.7  # of what the first run reached above its shift, others reach to either side
@@ -31,9 +36,14 @@ _ROUNDING = 1e-12  # residuals of the inverse, relative to its eigenvalues
 _LOOSEST = 1e-6  # the same: its square, of what runs share, must be rounding
 _BORDER = 1e-7  # of the distance of two shifts: a narrower gap may be one within a cluster
 _ACCURATE = 1e-10  # backward error of a solution, entry by entry
-_DENSER = 1.5  # times as many modes below a shift as expected are too many for one run
-_NUDGE = 1e-3  # of the distance of two shifts, where the later one has no factor
-_CLOSER = 10  # shifts tried in a row that lead to nothing
+# Times as many modes below a shift as expected are too many for one run. With a guess of 2, which
+# is too far, 1.1 to 2.5 take as many shifts on these.
+_DENSER = 1.5
+# Of the distance of two shifts, where the later one has no factor: off an eigenvalue, by less than
+# a run notices, as it finds tens of them.
+_NUDGE = 1e-3
+# Shifts tried in a row that lead to nothing: a distance halved so often is a thousandth.
+_CLOSER = 10
 
 
 class Sliced(NamedTuple):
@@ -77,6 +87,7 @@ def sliced_eigenpairs(
     tol: float = 0.0,
     most_shifts: int = 1000,
     seed: int = 0,
+    block: int = _BLOCK,
 ) -> Sliced:
     """Return the k lowest eigenpairs of ``L u = lambda M u``; fewer if `most_shifts` are too few.
 
@@ -86,11 +97,13 @@ def sliced_eigenpairs(
     between them is all there is, or the later shift moves closer. They are put together at the
     widest gap of what both found, which keeps clusters whole. The first shift is amid the wanted
     eigenvalues, as far as the mean `spacing` of eigenvalues tells; all of them are above `below`.
+    With larger blocks than usual, a run takes all modes that its space has room for.
 
     After Grimes, Lewis and Simon, *A shifted block Lanczos algorithm for solving sparse symmetric
     generalized eigenproblems*, 1994.
     """
     clock, root = Clock(), np.sqrt(mass)
+    room = min(_STEPS * block, len(mass) // 2) // 4  # modes that a space of so many vectors finds
     tol = min(max(tol, _ROUNDING), _LOOSEST)
     scaling = sparse.diags_array(1 / root)
     A = sparse.csr_array(scaling @ stiffness @ scaling)
@@ -108,10 +121,10 @@ def sliced_eigenpairs(
                 sigma, closer = sigma + _NUDGE * (sigma - last), closer + 1
                 continue
             number, shared = factor.inertia.negative, factor.elimination
-            if number - found > _DENSER * ahead:
+            if number - found > (_DENSER * ahead if block == _BLOCK else room):
                 sigma, closer = top + (sigma - top) * ahead / (number - found), closer + 1
                 continue
-            run = _Run(factor, sigma, tol, seed + shifts)
+            run = _Run(factor, sigma, tol, seed + shifts, block)
             above = min(ahead if found else k, k - number)
             cut = run.until(values[counted:found], number - counted, last, above)
             clock.stage("lanczos")
@@ -157,9 +170,10 @@ def _factor(A: sparse.csr_array, sigma: float, shared: Elimination | None) -> Sp
 class _Run:
     """Lanczos around one shift."""
 
-    def __init__(self, factor: SparseLDL, sigma: float, tol: float, seed: int) -> None:
-        self._factor, self._sigma, self._tol = factor, sigma, tol
-        self._krylov = BlockLanczos(factor.solve, factor.n, block=_BLOCK, most=MOST, seed=seed)
+    def __init__(self, factor: SparseLDL, sigma: float, tol: float, seed: int, block: int) -> None:
+        self._factor, self._sigma, self._tol, self._block = factor, sigma, tol, block
+        self._most = min(_STEPS, factor.n // (2 * block)) // _LOOK * _LOOK * block
+        self._krylov = BlockLanczos(factor.solve, factor.n, block=block, most=self._most, seed=seed)
 
     def until(self, known: Floats, number: int, last: float, above: int) -> int | None:
         """Go on until `above` modes have converged above the shift, and all below it.
@@ -168,15 +182,15 @@ class _Run:
         found above the `last` shift, `number` of modes lie between the two. Returns how many of
         those known to take, None if that cannot be said.
         """
-        krylov, cut = self._krylov, None
-        while krylov.size < MOST:
+        krylov, cut, enough = self._krylov, None, _ENOUGH * self._block
+        while krylov.size < self._most:
             krylov.step()
-            if krylov.size % (_LOOK * _BLOCK):
+            if krylov.size % (_LOOK * self._block):
                 continue
             self._look()
             values = self._sigma + 1 / self._ritz.values[self.below]
             cut = _cut(known, values, number, _BORDER * (self._sigma - last))
-            if cut is not None and (len(self.above) >= above or krylov.size >= _ENOUGH):
+            if cut is not None and (len(self.above) >= above or krylov.size >= enough):
                 break
         return cut
 

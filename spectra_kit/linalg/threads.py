@@ -96,6 +96,7 @@ def single_threaded_blas() -> Iterator[None]:
     global _depth, _limit
     with _lock:
         if _depth == 0:
+            _take_control()
             _limit = _controller().limit(limits=1, user_api="blas")
         _depth += 1
     try:
@@ -104,8 +105,16 @@ def single_threaded_blas() -> Iterator[None]:
         with _lock:
             _depth -= 1
             if _depth == 0:
+                _take_control()
                 _limit.restore_original_limits()
                 _limit = None
+
+
+def _take_control() -> None:
+    """Let this thread set limits: threadpoolctl heeds the first one that did, and no other."""
+    for library in _controller().lib_controllers:
+        if library.internal_api == "openblas":
+            library.clear_controlling_thread(force=True)
 
 
 def blas_threads_for(entries: int) -> AbstractContextManager[None]:

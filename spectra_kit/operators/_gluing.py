@@ -129,6 +129,7 @@ def _laplacian(
         corners.reshape(-1), lengths.reshape(-1), twins, n
     )
     if (broken := ~np.isfinite(entries)).any():
+        broken &= columns < np.repeat(np.arange(n), np.diff(ends))  # each edge once
         raise InvalidInputError(
             "mollify_factor",
             "lengthen the sides of degenerate triangles",

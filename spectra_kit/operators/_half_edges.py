@@ -55,13 +55,12 @@ def _measure_sides(
             for r in range(3):
                 square += (points[head, r] - points[tail, r]) ** 2
             sides[t, c] = math.sqrt(square)
-        a, b, c = sides[t]
-        wanted = mollify * max((a + b + c) / 3, _COINCIDENT)
-        lacking = wanted - min(a + c - b, b + a - c, c + b - a)
-        if lacking > 0:
-            any_thin = True
-            for i in triangles[t]:
-                offsets[i] = max(offsets[i], lacking / 2)
+        wanted = mollify * max((sides[t, 0] + sides[t, 1] + sides[t, 2]) / 3, _COINCIDENT)
+        for c in range(3):  # the far corners of a needle lack nothing
+            lacking = wanted - (sides[t, c] + sides[t, c - 1] - sides[t, c - 2])
+            if lacking > 0:
+                any_thin = True
+                offsets[triangles[t, c]] = max(offsets[triangles[t, c]], lacking / 2)
     return any_thin
 
 

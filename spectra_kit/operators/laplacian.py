@@ -155,7 +155,17 @@ class Laplacian(Rebuilt):
         return int(self.constant_components.sum())
 
     def dirichlet(self, vertices: Annotated[ArrayLike, NDArray[np.bool_]]) -> Laplacian:
-        """Return the same operator with u = 0 at `vertices`: indices, or a mask of shape (n,).
+        """Return the same operator with u = 0 at some vertices, and where it was already.
+
+        Parameters
+        ----------
+        vertices : array_like
+            Indices, or a mask of shape (n,).
+
+        Returns
+        -------
+        Laplacian
+            On all n points; those are `fixed`.
 
         Examples
         --------
@@ -170,7 +180,32 @@ class Laplacian(Rebuilt):
         return replace(self, fixed=np.union1d(self.fixed, indices))
 
     def restricted(self, indices: Ints) -> Laplacian:
-        """Return the operator on the points `indices` alone, the others held at zero."""
+        """Return the operator on some points alone, the others held at zero.
+
+        Parameters
+        ----------
+        indices : ndarray of shape (m,)
+            Of these points; their order becomes that of the new operator.
+
+        Returns
+        -------
+        Laplacian
+            On m points, of which none is fixed.
+
+        Raises
+        ------
+        InvalidInputError
+            If `indices` is no vector, is empty or out of range.
+
+        Examples
+        --------
+        >>> from spectra_kit.geometry import rectangle
+        >>> from spectra_kit.operators import cotan_laplacian
+        >>> drum = cotan_laplacian(rectangle(n=100).geometry).dirichlet([0, 1, 2])
+        >>> inner = drum.restricted(drum.free)
+        >>> drum.n - inner.n, inner.kernel_dimension
+        (3, 0)
+        """
         indices = check_indices("indices", indices, self.n)
         if indices.ndim != 1 or not len(indices):
             raise InvalidInputError(

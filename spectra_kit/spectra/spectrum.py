@@ -158,7 +158,20 @@ class Spectrum(Rebuilt):
         return self._modes(slice(0, check_count("k", k, low=1, high=self.k)))
 
     def nonzero(self) -> Spectrum:
-        """Return the modes outside the kernel: what deflation, GPS and descriptors need."""
+        """Return the modes outside the kernel: what deflation, GPS and descriptors need.
+
+        Returns
+        -------
+        Spectrum
+            Without the first `n_zero_modes`.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2)).nonzero().eigenvalues
+        array([1.])
+        """
         return self._modes(slice(self.n_zero_modes, self.k))
 
     def rescale(self, factor: float) -> Spectrum:
@@ -377,7 +390,20 @@ class Spectrum(Rebuilt):
             )
 
     def orthonormality_error(self) -> float:
-        """Return the largest entry of ``|U^T M U - I|``."""
+        """Return the largest entry of ``|U^T M U - I|``.
+
+        Returns
+        -------
+        float
+            0 without any modes.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2)).orthonormality_error()
+        0.0
+        """
         error = gram(self.mass, self.eigenvectors) - np.eye(self.k)
         return float(np.abs(error).max(initial=0.0))
 
@@ -423,6 +449,23 @@ class Spectrum(Rebuilt):
 
     def described(self, certificate: Certificate | None, provenance: Provenance) -> Spectrum:
         """Return the same modes with these facts; the arrays, checked once, are not read again.
+
+        Parameters
+        ----------
+        certificate : Certificate or None
+            Of these modes.
+        provenance : Provenance
+            Where they come from.
+
+        Returns
+        -------
+        Spectrum
+            Of the same arrays.
+
+        Raises
+        ------
+        InvalidInputError
+            If the certificate is of another number of modes.
 
         Examples
         --------
@@ -472,6 +515,18 @@ class Spectrum(Rebuilt):
         ------
         OSError
             If it cannot be written.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> with TemporaryDirectory() as folder:
+        ...     s.save(Path(folder) / "modes.npz")
+        ...     sorted(np.load(Path(folder) / "modes.npz"))[:2]
+        ['eigenvalues', 'eigenvectors']
         """
         write_spectrum_file(
             Path(path),
@@ -492,10 +547,27 @@ class Spectrum(Rebuilt):
             Map the arrays instead of reading them: instant, paged in as they are used, and
             without the checks (checksums, finite values) that reading makes.
 
+        Returns
+        -------
+        Spectrum
+            With certificate and provenance.
+
         Raises
         ------
         InvalidFileError
             If the file is not there or no spectrum, is truncated, or has a newer format version.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
+        >>> import numpy as np
+        >>> from spectra_kit import Spectrum
+        >>> s = Spectrum(np.array([0.0, 1.0]), np.eye(2), np.ones(2))
+        >>> with TemporaryDirectory() as folder:
+        ...     s.save(Path(folder) / "modes.npz")
+        ...     Spectrum.load(Path(folder) / "modes.npz").eigenvalues
+        array([0., 1.])
         """
         arrays, certificate, provenance = read_spectrum_file(Path(path), mmap=mmap)
         try:
@@ -552,7 +624,29 @@ class Spectrum(Rebuilt):
         return tensor(self.eigenvalues), tensor(self.eigenvectors), tensor(self.mass)
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """Draw its eigenvalues; return the `viz.Picture`, written to `path` if there is one."""
+        """Draw its eigenvalues, as `viz.plot_spectrum` does.
+
+        Parameters
+        ----------
+        path : path-like, optional
+            The file to write: PNG, PDF or SVG by its suffix.
+
+        Returns
+        -------
+        viz.Picture
+            Which notebooks show.
+
+        Raises
+        ------
+        InvalidInputError
+            If `path` has another suffix or is in no existing folder.
+
+        Examples
+        --------
+        >>> import spectra_kit as sk
+        >>> sk.spectrum(sk.geometry.sphere(subdivisions=1).geometry, 9).plot().content[1:4]
+        b'PNG'
+        """
         return draw("plot_spectrum", path, self)
 
     def __repr__(self) -> str:

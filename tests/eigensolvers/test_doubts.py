@@ -1,6 +1,7 @@
 """Predictions that are bad say so, and those that are good say nothing."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,3 +84,16 @@ def test_the_doubts_stay_with_the_modes(laplacian, tmp_path):
     np.testing.assert_array_equal(spectrum.truncate(5).certificate.excess, excess[:5])
     np.testing.assert_array_equal(spectrum.nonzero().certificate.excess, excess[1:])
     assert sk.verify(spectrum, laplacian).certificate.excess.max() > DOUBTFUL
+
+
+@pytest.mark.parametrize(
+    "solver", [sk.Cascade(target=1e-10, max_steps=1), sk.Neo(target=1e-10, smoothing=1)]
+)
+def test_a_target_that_is_missed_is_told(solver) -> None:
+    """Unless nothing was to be smoothed."""
+    laplacian = sk.robust_laplacian(creature(6000, seed=0))
+    missed = r"target = 1e-10 was not reached: 1 step of smoothing left errors .*max_steps"
+    with pytest.warns(DoubtfulSpectrumWarning, match=missed):
+        sk.eigensolve(laplacian, 40, solver)
+    none = {"max_steps": 0} if isinstance(solver, sk.Cascade) else {"smoothing": 0}
+    sk.eigensolve(laplacian, 40, replace(solver, **none))

@@ -11,7 +11,15 @@ import numpy as np
 import pytest
 from conftest import bumpy
 
-from spectra_kit import Arpack, Cascade, Spectrum, eigensolve, robust_laplacian
+from spectra_kit import (
+    Arpack,
+    Cascade,
+    GivenBasis,
+    RayleighRitz,
+    Spectrum,
+    eigensolve,
+    robust_laplacian,
+)
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.explorer import write_explorer
 from spectra_kit.explorer.display import for_display
@@ -188,9 +196,12 @@ def test_a_mode_costs_less_than_two_bytes_a_point(tmp_path):
     assert written.bytes - empty < 20 * ball.n * 2 * (4 / 3) + 60_000
 
 
-def test_an_estimate_is_not_called_exact(tmp_path):
+def test_what_is_approximate_is_not_called_exact(tmp_path):
+    """With estimates of its errors, or so far off that there are none."""
     laplacian = robust_laplacian(bumpy())
-    for solver, name in ((Arpack(), "exact"), (Cascade(coarsest=150), "approximate")):
+    subspace = GivenBasis(np.column_stack([np.ones(laplacian.n), bumpy().points]))
+    approximate = (Cascade(coarsest=150), RayleighRitz(subspace=subspace))
+    for solver, name in ((Arpack(), "exact"), *((solver, "approximate") for solver in approximate)):
         spectrum = eigensolve(laplacian, 4, solver)
         page = Page(write_explorer(tmp_path / "page.html", bumpy(), spectrum).path)
         assert page.facts["names"] == [name, "predicted"]

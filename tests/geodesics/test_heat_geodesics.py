@@ -336,6 +336,56 @@ def test_what_factors_take_is_counted_where_it_was_estimated_too_low(animal) -> 
     np.testing.assert_allclose(*(field.distance for field in fields), atol=1e-6)
 
 
+def apart(*meshes: TriangleMesh) -> tuple[TriangleMesh, list[int]]:
+    """Return several meshes side by side, and the first point of each."""
+    firsts = np.cumsum([0, *(mesh.n for mesh in meshes)])[:-1]
+    points = [mesh.points + [9.0 * i, 0, 0] for i, mesh in enumerate(meshes)]
+    faces = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=True)]
+    return TriangleMesh(np.vstack(points), np.vstack(faces)), firsts.tolist()
+
+
+@pytest.mark.parametrize("boundary", ["dirichlet", "average"])
+def test_what_suits_one_part_says_nothing_of_the_next(boundary) -> None:
+    sheet = rectangle(n=1500).geometry
+    mesh, (ball, other) = apart(sphere(subdivisions=4).geometry, sheet)
+    other += middle_of(sheet)
+    triangulation = intrinsic_delaunay(mesh)
+    taken = 2 * System.of(triangulation, 0).elimination.gigabytes
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("spectra_kit.geodesics.solvers.factor_gigabytes", lambda n: 0.0)
+        solver = Automatic(memory=0.99 * taken)  # the ball does not fit, the sheet does
+        one, two = (HeatGeodesics(triangulation, solver=solver, boundary=boundary) for _ in "ab")
+        first = one.distance(ball), one.distance(other)
+        second = two.distance(other), two.distance(ball)
+    assert [field.solver.name for field in first] == ["iterative", "direct"]
+    for field, same in zip(first, reversed(second), strict=True):
+        np.testing.assert_array_equal(field.distance, same.distance)
+    alone = HeatGeodesics(triangulation, solver=Direct(), boundary=boundary).distance(other)
+    np.testing.assert_array_equal(first[1].distance, alone.distance)
+
+
+def test_factors_of_all_parts_together_stay_within_the_memory() -> None:
+    mesh, firsts = apart(*(sphere(subdivisions=4).geometry for _ in range(4)))
+    triangulation = intrinsic_delaunay(mesh)
+    taken = 2 * System.of(triangulation, 0).elimination.gigabytes
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("spectra_kit.geodesics.solvers.factor_gigabytes", lambda n: 0.0)
+        geodesics = HeatGeodesics(triangulation, solver=Automatic(memory=2.5 * taken))
+        fields = [geodesics.distance(first) for first in (*firsts, firsts[0])]
+    assert all(field.solver == Direct() for field in fields)
+    assert sum(ready.gigabytes for ready in geodesics._prepared.values()) <= 2.5 * taken
+    np.testing.assert_array_equal(fields[0].distance, fields[-1].distance)
+
+
+def test_a_part_that_is_all_boundary_has_nothing_to_keep_warm() -> None:
+    square = TriangleMesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    mesh, (ball, corner) = apart(sphere(subdivisions=3).geometry, square)
+    for geometry, source in ((square, 0), (mesh, corner)):
+        cold = HeatGeodesics(geometry, boundary="dirichlet")
+        refused("sources", "not all lie on the boundary", cold.distance, source)
+    assert HeatGeodesics(mesh, boundary="dirichlet").distance(ball).reached.sum() == corner
+
+
 def test_no_memory_for_the_order_of_elimination_is_told_with_a_way_out(animal) -> None:
     def none(matrix):
         raise MemoryError

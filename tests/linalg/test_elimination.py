@@ -85,7 +85,10 @@ def test_factors_of_one_pattern_share_what_it_decides() -> None:
 
 @pytest.mark.parametrize("A", [grid(64), GRAPHS["ball"], GRAPHS["sparse, scattered"], star(400)])
 def test_fill_is_that_of_minimum_degree(A: sparse.csr_array) -> None:
-    """That of SuperLU's multiple minimum degree, whose degrees are exact, and a tenth more."""
+    """That of SuperLU's multiple minimum degree, whose degrees are exact, and a tenth more.
+
+    Runs of columns that nearly share their rows hold zeros besides, up to 44 % here.
+    """
     options = {"SymmetricMode": True}
     theirs = splu(
         sparse.csc_array(A), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options
@@ -98,7 +101,7 @@ def test_fill_is_that_of_minimum_degree(A: sparse.csr_array) -> None:
         options=options,
     )
     assert ours.L.nnz <= 1.1 * theirs.L.nnz
-    assert Elimination.of(A).fill + A.shape[0] >= ours.L.nnz
+    assert ours.L.nnz <= Elimination.of(A).fill + A.shape[0] <= 1.5 * ours.L.nnz
 
 
 def test_patterns_that_are_not_symmetric():
@@ -109,5 +112,5 @@ def test_patterns_that_are_not_symmetric():
     found = SparseLDL(sparse.csr_array(A + loose)).solve(b)
     np.testing.assert_allclose(A @ found, b, atol=1e-12)
     for half in (sparse.triu(A), sparse.tril(A)):
-        with pytest.raises(InvalidInputError, match="be symmetric, both triangles stored"):
+        with pytest.raises(InvalidInputError, match="be symmetric"):
             SparseLDL(sparse.csr_array(half))

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
+from conftest import refused
 from scipy import linalg, sparse
 
 import spectra_kit as sk
-from spectra_kit.geometry import creature
+from spectra_kit.eigensolvers import arpack
+from spectra_kit.geometry import creature, sphere
 from spectra_kit.linalg.block_lanczos import BlockLanczos
 from spectra_kit.linalg.slicing import _cut, sliced_eigenpairs
 
@@ -52,6 +56,26 @@ def test_more_copies_of_an_eigenvalue_than_a_block_has_vectors() -> None:
     spectrum = sk.eigensolve(laplacian, 60)
     assert spectrum.eigenvalues == pytest.approx(copies[:60], abs=1e-8)
     assert spectrum.certificate.n_verified == 60
+
+
+@pytest.mark.parametrize("weight", [1e-7, 0.1])
+def test_clusters_wider_than_the_space_of_a_run(monkeypatch, weight: float) -> None:
+    """Sixty spheres on weak links: sixty values about zero, 180 about two; k cuts these."""
+    one = sk.robust_laplacian(sphere(subdivisions=1).geometry)
+    ends = one.n * np.arange(59)
+    pick = sparse.eye_array(60 * one.n, format="csr")
+    links = pick[ends] - pick[ends + one.n + 5]
+    L = sparse.csr_array(sparse.block_diag([one.stiffness] * 60) + weight * (links.T @ links))
+    points = np.vstack([one.points + [5.0 * i, 0, 0] for i in range(60)])
+    laplacian = sk.Laplacian(L, np.tile(one.mass, 60), points)
+    spectrum = sk.eigensolve(laplacian, 100)
+    exact = sk.eigensolve(laplacian, 100, sk.Dense())
+    assert spectrum.eigenvalues == pytest.approx(exact.eigenvalues, rel=1e-9, abs=1e-9)
+    assert spectrum.certificate.n_verified == 100
+    if weight == 1e-7:
+        monkeypatch.setattr(arpack, "WIDE", 8)
+        with pytest.raises(sk.ConvergenceError, match=r"more equal eigenvalues .* use Dense"):
+            sk.eigensolve(laplacian, 100)
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +135,12 @@ def test_where_two_runs_are_put_together() -> None:
     assert _cut(known[:3], np.array([3.0, 4.0]), 5, 1e-6) is None  # neither has
     assert _cut(known[:0], known, 4, 1.0) == 0
     assert _cut(known[:0], known[1:], 4, 0.0) is None
+
+
+@pytest.mark.parametrize("most", [10, 20, 24])
+def test_a_space_has_whole_steps_and_no_more_vectors_than_there_are(most: int) -> None:
+    of = partial(BlockLanczos, np.copy, 20, block=4, seed=0)
+    refused("most", "be a multiple of 4, and at most 16", of, most=most)
 
 
 def test_a_space_that_becomes_invariant_still_grows() -> None:

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -40,7 +41,7 @@ jobs = {
     "default": lambda: sk.eigensolve(laplacian, 30),
     "Dense, tiny": lambda: sk.eigensolve(small, 30, sk.Dense()),
     "Refined": lambda: sk.eigensolve(laplacian, 30, sk.Refined()),
-    "Cascade": lambda: sk.eigensolve(laplacian, 30, sk.Cascade()),
+    "Cascade": lambda: sk.eigensolve(laplacian, 30, sk.Cascade(coarsest=250)),
     "verify": lambda: sk.verify(s, laplacian),
     "HeatGeodesics": lambda: sk.HeatGeodesics(mesh, s).distance(0),
     "heat kernel": lambda: heat_kernel_signature(s),
@@ -82,3 +83,21 @@ def test_large_blocks_keep_their_threads() -> None:
     with blas_threads_for(np.ones((100, 30)).size):
         assert set(blas_threads()) == {1}
     assert blas_threads() == before
+
+
+def test_any_thread_may_limit_blas_and_the_last_to_leave_restores_it() -> None:
+    def limited() -> list[int]:
+        with single_threaded_blas():
+            return blas_threads()
+
+    before = blas_threads()
+    assert set(limited()) == {1}  # here first, then elsewhere
+    with ThreadPoolExecutor(1) as pool:
+        assert set(pool.submit(limited).result()) == {1}
+        first = single_threaded_blas()
+        pool.submit(first.__enter__).result()
+        with single_threaded_blas():
+            pool.submit(first.__exit__, None, None, None).result()
+            assert set(blas_threads()) == {1}
+        assert blas_threads() == before
+        assert pool.submit(blas_threads).result() == before

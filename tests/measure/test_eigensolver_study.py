@@ -309,7 +309,8 @@ def test_a_set_has_a_geometric_mean_and_its_worst_and_nobody_is_excused(tmp_path
 
 def test_what_was_promised_is_told_beside_what_came(tmp_path):
     results = [
-        *(on(recipe, "eigsh", 8.0, 1e-15) for recipe in (EASY, HARD, SPOTS)),
+        # It is of another package: what was measured of its errors is no promise.
+        *(on(recipe, "eigsh", 8.0, 1e-15, apart=1.0, low=1.0) for recipe in (EASY, HARD, SPOTS)),
         # Of those that meet 1e-3, the best takes 4, 8 and 2 seconds; on EASY one is quicker and
         # misses it, on SPOTS one was asked for an accuracy itself.
         *(on(EASY, "cascade", 4.0, 9e-4, apart=0.0, low=0.0), on(EASY, "neo", 0.1, 2e-3)),

@@ -9,7 +9,7 @@ import pytest
 from conftest import creature
 from measure import store
 from measure.geodesics import contenders as who
-from measure.geodesics.report import meshes
+from measure.geodesics.report import meshes, write_race
 from measure.geodesics.studies import (
     EIGENSOLVERS,
     Accuracy,
@@ -18,6 +18,7 @@ from measure.geodesics.studies import (
     Times,
     relative_errors,
 )
+from measure.machine import describe_machine
 from measure.shapes import Shape, shape_at
 from measure.store import Store
 from measure.study import Result, run
@@ -82,12 +83,8 @@ def test_a_race_is_told_in_one_table(tmp_path):
     write(creature(N, seed=0), path)
     assert app.main([str(tmp_path / "out"), "--race", "--meshes", str(path), *QUICK]) == 0
     text = (tmp_path / "out" / "race.md").read_text()
-    [row, mean, worst] = [
-        [cell.strip() for cell in line.split("|")[1:-1]]
-        for line in text.split("## Seconds (wall)")[1].split("##")[0].splitlines()[4:7]
-    ]
+    [row, *_] = race_table(text)
     assert row[0] == "animal (500)"
-    assert row[7:] == mean[7:] == worst[7:]  # of one mesh
     records = Store(tmp_path / "out")._records.values()
     ours, plain = (
         next(
@@ -98,6 +95,38 @@ def test_a_race_is_told_in_one_table(tmp_path):
         for name in (who.UNAIDED, who.PLAIN)
     )
     assert row[7] == f"{plain / ours:.2f}"
+
+
+def race_table(text):
+    """The cells of the first table, a list for each line."""
+    lines = text.split("## Seconds (wall)")[1].split("##")[0].strip().splitlines()[2:]
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
+
+
+def test_a_race_has_a_mean_and_a_worst_only_of_what_solved_every_mesh(tmp_path):
+    shapes = [Shape(name, sphere(subdivisions=1).geometry) for name in ("easy", "hard")]
+
+    def told(*seconds):
+        """A study; without seconds it has failed."""
+        return [
+            Result(
+                name, shape, 0, {"status": "ok" if s else "failed"} | ({"seconds": s} if s else {})
+            )
+            for shape, mesh in zip(shapes, seconds, strict=True)
+            for name, s in zip((who.DIRECT, *who.RACE), (None, *mesh), strict=True)
+        ]
+
+    studies = {
+        "accuracy": told([None] * 3, [None] * 3),
+        "first": told((2.0, 4.0, 6.0), (1.0, 8.0, 12.0)),
+        "many": told((1.0, 3.0, 5.0), (1.0, None, 4.0)),
+    }
+    text = write_race(tmp_path, studies, describe_machine(), repeats=1, sources=2)
+    easy, hard, mean, worst = (line[7:] for line in race_table(text))
+    assert easy == ["2.00", "3.00", "3.00", "5.00"]
+    assert hard == ["8.00", "12.00", "-", "4.00"]
+    assert mean == ["4.00", "6.00", "-", "4.47"]
+    assert worst == ["2.00", "3.00", "-", "4.00"]
 
 
 def test_numbers_are_those_of_the_library(measured, accuracy):

@@ -23,6 +23,7 @@ from spectra_kit import (
 )
 from spectra_kit.geometry import permuted, sphere
 from spectra_kit.operators import IntrinsicTriangulation, intrinsic_delaunay
+from spectra_kit.operators._half_edges import side_lengths
 
 RNG = np.random.default_rng
 
@@ -162,6 +163,19 @@ def test_linear_functions_on_a_plate_of_slivers_have_their_gradient() -> None:
     inside = (inside < [5, 0.3, 1]).all(axis=1)
     assert inside.sum() > 1000
     assert lengths[inside] == pytest.approx(np.linalg.norm(direction), rel=1e-9)
+
+
+@pytest.mark.parametrize("mollify", [1e-5, 1e-3])
+def test_a_needle_is_thickened_at_its_base_and_not_at_its_tip(mollify: float) -> None:
+    small = 1e-4  # a triangle of this size shares the tip of a needle of length 1
+    points = np.array([[0, 0], [1, 1e-9], [1, -1e-9], [-small, 0], [-small / 2, small]])
+    triangles = np.array([[0, 2, 1], [0, 3, 4]], dtype=np.int32)
+    sides = side_lengths(np.c_[points, np.zeros(5)], triangles, mollify)
+    corners = points[triangles]
+    inputs = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    np.testing.assert_array_equal(sides[1], inputs[1])
+    slack = sides.sum(axis=1) - 2 * sides.max(axis=1)
+    assert slack[0] >= 0.999 * mollify * inputs[0].mean()
 
 
 # ----------------------------------------------------------------------------- measures
@@ -337,7 +351,11 @@ FLAT = TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]])
     [
         (lambda: intrinsic_delaunay(ball(), mollify_factor=-1), "mollify_factor", "be positive"),
         (lambda: intrinsic_delaunay(ball(), mollify_factor=9), "mollify_factor", "be at most 1"),
-        (lambda: intrinsic_delaunay(FLAT, mollify_factor=1e-20), "mollify_factor", "lengthen the"),
+        (
+            lambda: intrinsic_delaunay(FLAT, mollify_factor=1e-20),
+            "mollify_factor",
+            "lengthen the sides of degenerate triangles, got 3 weights",  # one for each edge
+        ),
         (lambda: triangulated().gradient(np.zeros(5)), "values", "have shape (162,), got (5,)"),
         (lambda: triangulated().gradient(np.full(162, np.nan)), "values", "be finite"),
         (lambda: triangulated().divergence(np.zeros((5, 3))), "vectors", "have shape (320, 2)"),

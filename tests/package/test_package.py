@@ -38,7 +38,7 @@ def test_nothing_is_imported_before_it_is_asked_for() -> None:
         "there('numpy', 'scipy', 'torch', 'numba', 'rich')\n"
         "sk.as_geometry([[0, 0, 0]])\n"
         "print(sk.viz.plot_modes.__name__, sk.interop.__name__, sk.metrics.__name__)\n"
-        "there('torch', 'pyvista', 'vtk', 'vtkmodules', 'matplotlib', 'trimesh', 'pyamg')\n"
+        "there('torch', 'pyvista', 'vtk', 'vtkmodules', 'matplotlib', 'trimesh')\n"
         "print(all(callable(command.load()) for command in COMMANDS))"
     )
     names = "plot_modes spectra_kit.interop spectra_kit.metrics"

@@ -243,7 +243,8 @@ def _promises(found: Iterable[Summary]) -> list[str]:
             cells += [", ".join(one.above["behind"]) or "none"]
         else:
             cells += [tables.NONE] * 3
-        if {"apart", "over_asked"} & over.keys():
+        # Of other packages, which estimate nothing, residuals and gaps alone have told.
+        if {"apart", "over_asked"} & over.keys() and not one.contender.method.peer:
             lines.append(cells)
     told = (
         f"Estimates of errors: the share within a factor {FACTOR:g} of the true error, and of those"
@@ -351,7 +352,7 @@ def _point(
 ) -> ParetoPoint:
     """Return a point of a Pareto plot, in a league for each device."""
     assert seconds is not None
-    group = f"to {who.method.stops}" if who.method.stops else "predictions"
+    group = f"to {who.method.stops}" if who.method.stops else "approximate"
     return ParetoPoint(
         name=str(who),
         group="other packages" if who.method.peer else group,

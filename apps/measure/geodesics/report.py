@@ -29,7 +29,6 @@ from measure.shapes import Shape
 from measure.store import Record
 from measure.study import Repeats, Result, repeats_of
 from measure.tables import NONE, number, ratio, table, write_json, write_markdown
-from spectra_kit._types import Floats
 
 Row = Repeats[str, Shape]
 
@@ -185,12 +184,13 @@ def write_race(
         for mesh in found:
             best = [mesh.least(study, name, unit) for study in studies for name in RACE]
             faster = [ratio(best[i + k], best[i]) for i in (0, 3) for k in (1, 2)]
-            ratios.append([float("nan") if r is None else r for r in faster])
+            ratios.append(faster)
             cells = [*(number(b, ".2f") for b in best), *(number(r, ".2f") for r in faster)]
             rows.append([mesh.title, *cells])
+        columns = list(zip(*ratios, strict=True))
         rows += [
-            [name, *[""] * 6, *(number(float(x), ".2f") for x in pick(np.array(ratios)))]
-            for name, pick in (("geometric mean", _geometric), ("worst", _least))
+            [name, *[""] * 6, *(number(_over(column, pick), ".2f") for column in columns)]
+            for name, pick in (("geometric mean", statistics.geometric_mean), ("worst", min))
         ]
         tables += [f"## Seconds ({title})", table(header, rows)]
     errors = [
@@ -202,7 +202,8 @@ def write_race(
         machine_line(machine),
         f"From the arrays of a mesh to the field of one source, and to {sources} fields, one call"
         f" each; the least of {repeats} runs, all contenders by turns, each in a warm process of"
-        " its own. Then how many times as long potpourri3d takes.",
+        " its own. Then how many times as long potpourri3d takes, of which"
+        " there is neither mean nor worst where a mesh was not solved.",
         *tables,
         "## Mean relative errors against exact distances, per cent",
         table(["mesh", "ours", "plain", "robust"], errors),
@@ -210,12 +211,10 @@ def write_race(
     return write_markdown(folder / "race.md", parts)
 
 
-def _geometric(ratios: Floats) -> Floats:
-    return np.asarray(np.exp(np.nanmean(np.log(ratios), axis=0)))
-
-
-def _least(ratios: Floats) -> Floats:
-    return np.asarray(np.nanmin(ratios, axis=0))
+def _over(ratios: Sequence[float | None], pick: Callable[[list[float]], float]) -> float | None:
+    """Return one number for all meshes; None where one is missing, as those left may be easier."""
+    known = [ratio for ratio in ratios if ratio is not None]
+    return pick(known) if len(known) == len(ratios) else None
 
 
 def _per_cent(error: float | None) -> str:
