@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import igl
 import numpy as np
 
 from spectra_kit.errors import InvalidInputError
@@ -16,15 +15,9 @@ def at_resolution(
 ) -> TriangleMesh:
     """Return the largest part of a mesh, with `fewest` to `most` vertices, or somewhat fewer.
 
-    Vertices and triangles stay as uneven as they are where their number fits. Finer meshes are
-    decimated to a number drawn at random, of all scales alike: by shortest edges, which evens them,
-    or by quadrics, which keeps sharp edges and leaves long triangles beside them. Coarser ones are
-    subdivided: each triangle into four alike, or the longest edges first.
-
-    Raises
-    ------
-    InvalidInputError
-        If an edge of a mesh that is to be decimated has more than two faces.
+    Vertices and triangles stay as uneven as they are where their number fits. Of finer meshes, the
+    vertices in the cells of a grid are joined, down to a number drawn at random, of all scales
+    alike. Coarser ones are subdivided: each triangle into four alike, or the longest edges first.
 
     Examples
     --------
@@ -41,7 +34,7 @@ def at_resolution(
     part = connected(mesh)
     if part.n < fewest:
         part = _subdivided(part, fewest, evenly)
-    return part if part.n <= most else _decimated(part, wanted, most, evenly)
+    return part if part.n <= most else _clustered(part, wanted)
 
 
 def connected(mesh: TriangleMesh) -> TriangleMesh:
@@ -65,15 +58,18 @@ def _subdivided(mesh: TriangleMesh, fewest: int, evenly: bool) -> TriangleMesh:
     return mesh
 
 
-def _decimated(mesh: TriangleMesh, wanted: int, most: int, evenly: bool) -> TriangleMesh:
-    """Return about `wanted` vertices, and `most` at most."""
-    if mesh.unique_edges[1].max() > 2:  # which libigl cannot decimate, and may crash on
-        raise InvalidInputError("mesh", "be manifold, to be decimated", "edges of several faces")
-    decimate = igl.decimate if evenly else igl.qslim
-    for share in (1.0, 0.8, 0.6):
-        # As many faces for each vertex as there are now: two where the mesh is closed.
-        goal = max(4, round(share * wanted * len(mesh.faces) / mesh.n))
-        points, faces = decimate(mesh.points, mesh.faces.astype(np.int64), goal)[:2]
-        if len(faces) > 0 and len(points) <= most:
-            return connected(TriangleMesh(points, faces))
-    raise InvalidInputError("mesh", f"have {most} vertices when it is decimated", "more")
+def _clustered(mesh: TriangleMesh, wanted: int) -> TriangleMesh:
+    """Join the vertices in each cell of a grid that leaves `wanted` at most.
+
+    Any mesh can be so decimated; libigl's edge collapses never end on some.
+    """
+    size = 0.5 * float(np.sqrt(mesh.area / wanted))
+    while True:
+        cells = np.floor(mesh.points / size).astype(np.int64)
+        which = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+        counts = np.bincount(which)
+        if len(counts) <= wanted:
+            break
+        size *= 1.05
+    sums = np.column_stack([np.bincount(which, axis) for axis in mesh.points.T])
+    return connected(TriangleMesh(sums / counts[:, None], which[mesh.faces]))
