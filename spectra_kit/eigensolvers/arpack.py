@@ -123,6 +123,13 @@ class Arpack:
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
         if _DENSE_RATIO * k >= laplacian.n:
+            if laplacian.n > Dense.max_points:
+                raise InvalidInputError(
+                    "k",
+                    f"be less than a third of the {laplacian.n} points, where Lanczos has room",
+                    k,
+                    advice="ask for fewer modes",
+                )
             return Dense().eigenpairs(laplacian, k)
         sigma = -self.shift * laplacian.eigenvalue_spacing
         if k >= _MANY and laplacian.n >= 2 * MOST:

@@ -123,13 +123,15 @@ class SparseLDL:
                 " shift"
             )
         self._inverse = 1 / self.pivots
-        self._diagonal = A.diagonal()[known.order]
-        if definite and not (self.pivots > _EPS * self._diagonal).all():
+        # What elimination takes from a diagonal entry is a sum of up to n terms, no larger in all
+        # than the entry where the matrix is definite (Higham, Accuracy and Stability, ch. 3).
+        self._rounding = self.n * _EPS * np.abs(A.diagonal()[known.order])
+        if definite and (bad := int((self.pivots <= self._rounding).sum())):
             raise InvalidInputError(
                 "matrix",
                 "be symmetric positive definite",
-                f"{int((self.pivots <= _EPS * self._diagonal).sum())} of {self.n} pivots that are"
-                f" negative or zero to rounding (smallest {self.pivots.min():.3g})",
+                f"{bad} of {self.n} pivots that are negative or zero to rounding (smallest"
+                f" {self.pivots.min():.3g})",
             )
 
     @property
@@ -150,9 +152,9 @@ class SparseLDL:
     def inertia(self) -> Inertia:
         """Signs of the eigenvalues of the factorised matrix, by Sylvester's law.
 
-        A pivot within rounding of its own diagonal entry counts as zero.
+        A pivot within rounding of its own diagonal entry, n times 2e-16 of it, counts as zero.
         """
-        zero = np.abs(self.pivots) <= _EPS * np.abs(self._diagonal)
+        zero = np.abs(self.pivots) <= self._rounding
         negative = int((~zero & (self.pivots < 0)).sum())
         return Inertia(negative, int(zero.sum()), self.n - negative - int(zero.sum()))
 

@@ -8,7 +8,7 @@ from scipy import sparse
 
 import spectra_kit as sk
 from spectra_kit.errors import InvalidInputError, WeightsError
-from spectra_kit.geometry import sphere
+from spectra_kit.geometry import creature, sphere
 from spectra_kit.linalg.ritz import ritz_rotation
 
 BALL = sk.robust_laplacian(sphere(subdivisions=3).geometry)
@@ -50,6 +50,11 @@ TABLE = [
     (lambda: solve(sk.Arpack), "solver", "be an Eigensolver"),
     (lambda: solve("arpack"), "solver", "be an Eigensolver"),
     (lambda: solve(sk.Dense(max_points=600)), "laplacian", "have at most 600 points for Dense"),
+    (
+        lambda: solve(sk.Arpack(), 7000, sk.robust_laplacian(creature(20_500, seed=0))),
+        "k",
+        "be less than a third of the 20498 points",
+    ),
     (lambda: solve(sk.Arpack(), 4, sunk()), "stiffness", "be positive semi-definite"),
     (lambda: sk.verify(solve(sk.Arpack(), 4), SMALL), "laplacian", "live on the 642 points"),
     # Hyper-parameters.

@@ -10,7 +10,8 @@ from conftest import refused
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from spectra_kit import InvalidInputError
+from spectra_kit import InvalidInputError, robust_laplacian
+from spectra_kit.geometry import sphere
 from spectra_kit.linalg import Inertia, SparseLDL, products, spmm
 
 
@@ -96,6 +97,14 @@ def test_factors_refuse_what_they_cannot_factorise() -> None:
     nothing = SparseLDL(sparse.csr_array(np.ones((0, 0))))
     assert nothing.solve(np.ones(0)).shape == (0,)
     refused("dtype", "be float32 or", solve, np.ones(9), dtype=np.int64)
+
+
+@pytest.mark.parametrize("subdivisions", [2, 3, 4, 5])
+def test_a_laplacian_is_singular_to_rounding(subdivisions) -> None:
+    L = robust_laplacian(sphere(subdivisions=subdivisions).geometry).stiffness
+    with pytest.raises(InvalidInputError, match="positive definite, got 1 of"):
+        SparseLDL(L)
+    assert SparseLDL(L, definite=False).inertia == (0, 1, L.shape[0] - 1)
 
 
 STARVED = """
