@@ -237,7 +237,7 @@ def test_the_command_line_says_what_is_verified(tmp_path, capsys) -> None:
     sk.write(bumpy(), path)
     for solver, told in (
         ("arpack", "all 12, none missed below"),
-        ("cascade", "not counted: modes may be missing between these"),
+        ("fourier", "not counted: modes may be missing between these"),
     ):
         assert main(["spectrum", path, "-k", "12", "--solver", solver]) == 0
         assert told in capsys.readouterr().out
