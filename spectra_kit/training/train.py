@@ -455,6 +455,15 @@ def _check_corpora(corpus: Corpus, validation: Corpus, config: TrainConfig) -> N
                 f"have samples of at least {least} points and {config.network.k} modes",
                 f"{samples.n_points} and {samples.k}",
             )
+        padded = np.any(samples.labels.get("n", samples.n_points) < samples.n_points)
+        if padded and config.network.backbone != "neo":
+            raise InvalidInputError(
+                name,
+                f"have as many points in each sample, for {config.network.backbone}, which takes"
+                " padding for points",
+                "meshes of fewer",
+                advice="make it without meshes, or take backbone='neo'",
+            )
     if config.beta and not corpus.has_operators:
         raise InvalidInputError(
             "corpus",

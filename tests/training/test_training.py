@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 import torch
 import train_neo
-from conftest import ellipsoids
+from conftest import ellipsoids, refused
 
 from spectra_kit.errors import ConvergenceError, InvalidInputError, MissingDependencyError
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
@@ -203,6 +203,15 @@ def test_training_for_what_smoothing_leaves_learns_and_shares_change_nothing(tmp
         only = replace(config, beta=beta, log=1, alpha=0.0)
         train(corpus, corpus, only, stop_after=1, report=lambda row: losses.append(row["loss"]))
     assert losses[0] == pytest.approx(0.1 * losses[-2] + 0.9 * losses[-1], rel=1e-4)
+
+
+def test_networks_that_take_padding_for_points_get_none(corpora):
+    corpus, validation = corpora
+    padded = replace(
+        corpus, labels={**corpus.labels, "n": np.full(len(corpus), corpus.n_points - 1)}
+    )
+    other = replace(CONFIG, network=replace(TINY, backbone="pointnet++"))
+    refused("corpus", "have as many points in each sample", train, padded, validation, other)
 
 
 def test_the_result_is_the_average_and_the_checkpoint_holds_both(corpora, tmp_path, whole):
