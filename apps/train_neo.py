@@ -40,6 +40,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--validation", type=Path, required=True, help="folder of shards, other samples")
     add("--out", type=Path, required=True, help="folder for checkpoint, log and weights")
     add("--config", default="small", help="a name that NeoConfig.named knows")
+    sizes = "what it has otherwise, such as m=192; may come several times"
+    add("--network", action="append", default=[], type=_size, help=sizes)
     add("--frame", choices=["principal", "none"], help="(default: that of the weights; principal)")
     add("--weights", help="begin with these weights, a name or a file, and their configuration")
     add("--steps", type=int, default=100_000, help="length of the schedule")
@@ -75,10 +77,22 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _size(text: str) -> tuple[str, int | float]:
+    name, _, value = text.partition("=")
+    kinds = {field.name: field.type for field in dataclasses.fields(NeoConfig)}
+    kind = {"int": int, "float": float}.get(str(kinds.get(name)))
+    if kind is None:
+        raise argparse.ArgumentTypeError(f"{name!r} is no size of a network")
+    return name, kind(value)
+
+
 def _run(args: argparse.Namespace, device: str) -> TrainResult:
     validation = open_shards(args.validation)
     initial = load_pretrained(args.weights).network if args.weights else None
     network = initial.config if initial else NeoConfig.named(args.config)
+    if initial and args.network:
+        raise InvalidInputError("--weights come with their sizes", advice="leave out --network")
+    network = dataclasses.replace(network, **dict(args.network))
     network = dataclasses.replace(network, frame=args.frame or network.frame, k=validation.k)
     names = {field.name for field in dataclasses.fields(TrainConfig)} & vars(args).keys()
     rest = {name: getattr(args, name) for name in names - {"validation", "shown"}}

@@ -17,6 +17,7 @@ from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.shards import Batch
 
 _BEGIN = 4  # batches of samples that a stream begins with
+_FEW = 4  # samples at a time whose features fit a CPU's caches: a tenth quicker than sixteen
 
 
 class Samples(NamedTuple):
@@ -41,6 +42,11 @@ class Samples(NamedTuple):
             self.modes.to(device, non_blocking=True),
             tuple(smoother.to(device) for smoother in self.smoothers),
         )
+
+
+def share_count(n: int, workers: int, device: torch.device) -> int:
+    """Return in how many shares workers take on n samples: one each, or more of few on a CPU."""
+    return workers * (-(-n // (_FEW * workers)) if device.type == "cpu" else 1)
 
 
 def _shares(n: int, count: int) -> list[slice]:

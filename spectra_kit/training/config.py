@@ -60,10 +60,10 @@ class TrainConfig:
     save : float, default 60
         Seconds between checkpoints.
     workers : int, default 1
-        Equal shares of each batch. On a CPU each has a thread, and they meet once per step, so
-        on a busy machine two of them with one thread each are several times faster than one
-        whose every matrix product waits for two threads. On an accelerator they follow one
-        another: half the share, half the memory.
+        Equal shares of each batch. On a CPU each has a thread, which takes four samples at a time,
+        and they meet once per step, so on a busy machine two of them with one thread each are
+        several times faster than one whose every matrix product waits for two threads. On an
+        accelerator they follow one another: half the share, half the memory.
     compile : bool, default False
         Compile the network with `torch.compile`: for accelerators.
     seed : int, default 0

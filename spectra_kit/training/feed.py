@@ -17,6 +17,7 @@ from spectra_kit.training.batches import (
     chosen_samples,
     drawn_samples,
     posed,
+    share_count,
     vary,
     window,
 )
@@ -137,7 +138,8 @@ class Feed:
         batch = corpus.batch(chosen)
         if not self._config.beta:
             batch = replace(batch, operators=None)
-        samples = posed(batch, self._config, self._config.workers)
+        count = share_count(len(chosen), self._config.workers, self._device)
+        samples = posed(batch, self._config, count)
         if self._device.type == "cuda":
             return samples._replace(
                 **{

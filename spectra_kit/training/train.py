@@ -23,7 +23,7 @@ from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.neo import NeoNetwork, build_network
 from spectra_kit.neo.loss import mode_residuals, ortho_loss, smoothed_residuals, span_loss
 from spectra_kit.training import checkpoint
-from spectra_kit.training.batches import Samples, for_validation, posed
+from spectra_kit.training.batches import Samples, for_validation, posed, share_count
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.feed import Feed
 from spectra_kit.training.log import Log, Row
@@ -303,7 +303,8 @@ class _Run:
 
     def gradients(self, batch: Samples) -> tuple[tuple[Tensor, ...], tuple[Gradients, ...]]:
         """Return the losses of the shares of a batch, and their gradients."""
-        shares = batch.parts(self.config.workers)
+        count = share_count(len(batch.points), self.config.workers, self.device)
+        shares = batch.parts(count)
         losses, gradients = zip(*self.threads.map(self._work, shares), strict=True)
         return losses, gradients
 
