@@ -95,7 +95,7 @@ def _run(args: argparse.Namespace, device: str) -> TrainResult:
     network = dataclasses.replace(network, **dict(args.network))
     network = dataclasses.replace(network, frame=args.frame or network.frame, k=validation.k)
     names = {field.name for field in dataclasses.fields(TrainConfig)} & vars(args).keys()
-    rest = {name: getattr(args, name) for name in names - {"validation", "shown"}}
+    rest = {name: getattr(args, name) for name in names - {"network", "validation", "shown"}}
     shown = args.shown if args.stream else 0
     config = TrainConfig(network=network, validation=args.validate, shown=shown, **rest)
     before = checkpoint.read(args.out) if args.resume else None
