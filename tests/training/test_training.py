@@ -580,12 +580,13 @@ def test_command_line_end_to_end(tmp_path, capsys, monkeypatch):
     argv += ["--steps", "1", "--batch", "2"]
     assert train_neo.main(["nowhere", *argv[1:], "--out", str(out)]) == 2
     assert "error: `folder` must hold shards, got none in nowhere" in capsys.readouterr().err
-    assert train_neo.main([*argv, "--out", str(out), "--frame", "none"]) == 0
+    sized = ["--network", "m=200", "--network", "bandwidth=5.5"]
+    assert train_neo.main([*argv, "--out", str(out), "--frame", "none", *sized]) == 0
     printed = capsys.readouterr().out
     weights = out / "weights.safetensors"
     loaded = load_pretrained(weights)
     assert (loaded.record["steps"], loaded.record["corpus"]["samples"]) == (1, 4)
-    assert (loaded.config.k, loaded.config.frame) == (64, "none")
+    assert loaded.config == replace(narrow, k=64, frame="none", m=200, bandwidth=5.5)
     # No terminal: a line for each validation instead of a bar.
     assert re.search(r"^step 1, 0\.\d min: loss [\d.]+, span error [\d.]+$", printed, re.MULTILINE)
     assert loaded.sha256 in printed
@@ -595,6 +596,12 @@ def test_command_line_end_to_end(tmp_path, capsys, monkeypatch):
     before = float(re.search(r", before: ([\d.]+)$", capsys.readouterr().out, re.MULTILINE)[1])
     assert before == pytest.approx(loaded.record["span_error"], abs=2e-5)
     assert load_pretrained(tmp_path / "tuned" / "weights.safetensors").config == loaded.config
+    capsys.readouterr()
+    assert train_neo.main([*tuned, *sized]) == 2
+    assert "leave out --network" in capsys.readouterr().err
+    for wrong in ("frame=none", "m=2.5"):
+        with pytest.raises(SystemExit):
+            train_neo.main([*argv, "--out", str(out), "--network", wrong])
 
 
 def test_hours_of_the_run_are_told_by_what_users_get(tmp_path, monkeypatch):
