@@ -39,6 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("folder", type=Path, help="a corpus, as make_corpus.py writes it")
     add("sheet", type=Path, help="picture to write, .png")
     add("-n", type=int, default=100, help="surfaces on the sheet (%(default)s)")
+    add("--only", type=int, nargs="+", help="draw these samples, by index, such as the worst")
     add("--surveyed", type=int, default=300, help="samples to measure (%(default)s)")
     add("--pool", type=Path, help="the pool of real meshes, if the corpus has some")
     add("--pool-split", default="train", help="its split (%(default)s)")
@@ -52,11 +53,21 @@ def _inspect(options: Namespace) -> None:
     corpus = open_shards(options.folder)
     order = np.random.default_rng(options.seed).permutation(len(corpus))
     some = sorted(order[: options.n], key=lambda i: corpus.labels["family"][i] % len(NAMES))
+    if options.only is not None:
+        some = _places(corpus, options.only)
     cells = labels_of(corpus, some)
     draw_sheet(options.sheet, [sample_mesh(config, cell) for cell in cells], cells)
     found = survey(corpus, config, order[: options.surveyed])
     options.sheet.with_suffix(".json").write_text(json.dumps(found.as_json(), indent=1) + "\n")
     print(table(found))
+
+
+def _places(corpus: Corpus, indices: Sequence[int]) -> list[int]:
+    """Return where in a corpus the samples of these indices are."""
+    there = {int(index): place for place, index in enumerate(corpus.labels["index"])}
+    if missing := sorted(set(indices) - there.keys()):
+        raise InvalidInputError("--only", f"be indices of the {len(there)} samples", missing)
+    return [there[index] for index in indices]
 
 
 def read_config(folder: Path, pool: Path | None = None, pool_split: str = "train") -> CorpusConfig:
@@ -111,8 +122,8 @@ class Survey:
     ----------
     counts : CorpusReport
         Of all samples.
-    nonuniform : float
-        Fraction of all samples whose points crowd.
+    nonuniform, meshes : float
+        Fractions of all samples whose points crowd, and that are the vertices of a mesh.
     topologies : tuple of Topology
         Of the surfaces of some samples.
     eigenvalues : ndarray of shape (s, k)
@@ -121,6 +132,7 @@ class Survey:
 
     counts: CorpusReport
     nonuniform: float
+    meshes: float
     topologies: tuple[Topology, ...]
     eigenvalues: NDArray[np.float64]
 
@@ -133,6 +145,7 @@ class Survey:
             "families": self.counts.families,
             "rejected": self.counts.rejected,
             "nonuniform": self.nonuniform,
+            "meshes": self.meshes,
             "surveyed": len(self.topologies),
             "closed": float(np.mean([t.closed for t in self.topologies])),
             "boundary": float(np.mean([t.boundary for t in self.topologies])),
@@ -153,6 +166,7 @@ def survey(corpus: Corpus, config: CorpusConfig, places: Sequence[int]) -> Surve
     return Survey(
         counts=count(corpus.labels),
         nonuniform=float(corpus.labels["nonuniform"].mean()),
+        meshes=float(corpus.labels["mesh"].mean()),
         topologies=tuple(topology(sample_mesh(config, one)) for one in labels_of(corpus, places)),
         eigenvalues=batch.operators.eigenvalues.astype(np.float64),
     )
@@ -170,7 +184,10 @@ def _some(k: int) -> list[int]:
 
 
 def draw_sheet(path: Path, meshes: Sequence[TriangleMesh], cells: Sequence[dict[str, int]]) -> None:
-    """Draw all surfaces in rows, coloured and labelled by family, a star where points crowd."""
+    """Draw all surfaces in rows, coloured and labelled by family, a star where points crowd.
+
+    With the edges of those whose vertices are the sample, and their number.
+    """
     columns = int(np.ceil(np.sqrt(1.2 * len(meshes))))
     places = [(i % columns * PITCH, -(i // columns) * PITCH) for i in range(len(meshes))]
     placed = [_placed(mesh, place) for mesh, place in zip(meshes, places, strict=True)]
@@ -178,12 +195,19 @@ def draw_sheet(path: Path, meshes: Sequence[TriangleMesh], cells: Sequence[dict[
     family = np.array([cell["family"] % len(NAMES) for cell in cells])
     values = np.repeat((2 * family + 1) / len(NAMES) - 1, [mesh.n for mesh in placed])
     everything = join(placed)
+    edges = [
+        mesh.points[mesh.unique_edges[0]]
+        for mesh, cell in zip(placed, cells, strict=True)
+        if cell["mesh"]
+    ]
     scene = Scene(
         geometry=everything,
         functions=[values],
         rotation=np.eye(3),
         width=170 * columns,
         colours=np.round(255 * (0.35 + 0.65 * colours)).astype(np.uint8),
+        lines=[np.concatenate(edges)] if edges else None,
+        line_width=0.7,
     )
     ((picture,),) = render([scene])
     _label(path, picture, everything, places, [_title(cell) for cell in cells])
@@ -198,7 +222,8 @@ def _placed(mesh: TriangleMesh, place: tuple[float, float]) -> TriangleMesh:
 
 
 def _title(cell: dict[str, int]) -> str:
-    return NAMES[cell["family"] % len(NAMES)] + ("*" if cell["nonuniform"] else "")
+    name = NAMES[cell["family"] % len(NAMES)] + ("*" if cell["nonuniform"] else "")
+    return f"{name}, {cell['n']} vertices" if cell["mesh"] else name
 
 
 def _label(
@@ -224,7 +249,11 @@ def _label(
 def table(found: Survey) -> str:
     """Return the statistics as lines of text."""
     facts = found.as_json()
-    lines = [f"{facts['samples']} samples, {facts['nonuniform']:.1%} of them not uniform", ""]
+    lines = [
+        f"{facts['samples']} samples, {facts['meshes']:.1%} of them meshes,"
+        f" {facts['nonuniform']:.1%} not uniform",
+        "",
+    ]
     lines += [f"{name:12s} {n:6d}" for name, n in found.counts.families.items()]
     lines += ["", "drawn again because of"]
     lines += [f"{name:12s} {n:6d}" for name, n in found.counts.rejected.items()]

@@ -542,8 +542,25 @@ def test_the_app_draws_a_sheet_and_a_table(folder, tmp_path, capsys):
     assert "lambda_1 area" in out
     facts = json.loads(sheet.with_suffix(".json").read_text())
     assert (facts["samples"], facts["surveyed"]) == (10, 3)
+    assert facts["meshes"] == open_shards(folder).labels["mesh"].mean()
     with Image.open(sheet) as picture:
         pixels = np.asarray(picture.convert("RGB"))
     assert 0.05 < (pixels < 250).any(axis=2).mean() < 0.9
     assert inspect_corpus.main([str(tmp_path / "nothing"), str(sheet)]) == 2
     assert "must hold a corpus" in capsys.readouterr().err
+    assert inspect_corpus.main([str(folder), str(sheet), "--only", "3", "10"]) == 2
+    assert "indices of the 10 samples, got [10]" in capsys.readouterr().err
+
+
+def test_the_edges_of_meshes_are_drawn(tmp_path, capsys):
+    generate(tmp_path, 4, config=CorpusConfig(seed=3, n_points=200, k=8, mesh_share=0.5))
+    meshes = open_shards(tmp_path).labels["mesh"] == 1
+    black = []
+    for only in (np.flatnonzero(meshes), np.flatnonzero(~meshes)):
+        sheet = tmp_path / "sheet.png"
+        argv = [str(tmp_path), str(sheet), "--surveyed", "1", "--only", *map(str, only)]
+        if inspect_corpus.main(argv) and "OpenGL" in capsys.readouterr().err:
+            pytest.skip("no OpenGL library on this machine")
+        with Image.open(sheet) as picture:
+            black.append((np.asarray(picture.convert("L")) < 90).mean())
+    assert black[0] > 3 * black[1], black
