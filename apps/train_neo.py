@@ -203,6 +203,7 @@ def _train(args: argparse.Namespace) -> None:
     path = args.out / "weights.safetensors"
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "group").write_text(f"{os.getpgrp()}\n")  # which a signal can pause
+    _be_nice_to_other_sessions()
     with process_group(args.device) as device:
         result = _run(args, device)
         if not Ranks.here().first:
@@ -215,6 +216,16 @@ def _train(args: argparse.Namespace) -> None:
     )
     print(f"span error on held-out samples: {record['span_error']}")
     print(f"weights: {path} (sha256 {digest})")
+
+
+def _be_nice_to_other_sessions() -> None:
+    """Extend `nice` to the session that this process leads, by `setsid`.
+
+    Linux shares processors evenly among sessions, whatever the niceness of their processes.
+    """
+    path = Path("/proc/self/autogroup")
+    if os.nice(0) > 0 and os.getsid(0) == os.getpid() and path.exists():
+        path.write_text(f"{os.nice(0)}\n")
 
 
 if __name__ == "__main__":
