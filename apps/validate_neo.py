@@ -16,9 +16,12 @@ from pathlib import Path
 import numpy as np
 from measure.command import exit_code, parser_of
 
-from spectra_kit.eigensolvers import Neo
+from spectra_kit.eigensolvers import Cascade, Neo
+from spectra_kit.subspaces import AmbientFourier
 from spectra_kit.training.evaluation import errors_of, kinds
 from spectra_kit.training.shards import open_shards
+
+_BANDWIDTH = 7.0  # of the best of a few hundred plane waves, and of a network's
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -27,6 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add = parser.add_argument
     add("corpus", type=Path, help="folder of shards with operators")
     add("--weights", default="small", help="a name or a file (%(default)s)")
+    add("--fourier", type=int, help="so many plane waves in place of a network, smoothed alike")
     add("--smoothing", type=int, default=Neo().smoothing, help="steps of Neo (%(default)s)")
     add("--most", type=int, help="only so many samples, the first ones")
     add("--worst", type=int, default=10, help="samples to name (%(default)s)")
@@ -36,7 +40,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _validate(options: Namespace) -> None:
     corpus = open_shards(options.corpus)
-    solver = Neo(weights=options.weights, smoothing=options.smoothing)
+    solver: Neo | Cascade = Neo(weights=options.weights, smoothing=options.smoothing)
+    if options.fourier is not None:
+        waves = AmbientFourier(m=options.fourier, bandwidth=_BANDWIDTH)
+        solver = Cascade(subspace=waves, coarsest=sys.maxsize, max_steps=options.smoothing)
     errors = errors_of(solver, corpus, most=options.most)
     count = len(errors["span"])
     labels = {name: label[:count] for name, label in corpus.labels.items()}

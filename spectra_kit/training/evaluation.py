@@ -9,21 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._types import Floats
-from spectra_kit.eigensolvers import Neo, eigensolve
-from spectra_kit.errors import DoubtfulSpectrumWarning
+from spectra_kit.eigensolvers import Cascade, Neo, eigensolve
+from spectra_kit.errors import DoubtfulSpectrumWarning, InvalidInputError
 from spectra_kit.linalg import orthonormalize
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.training.families import FAMILIES
 from spectra_kit.training.shards import Corpus
 
 
-def errors_of(solver: Neo, corpus: Corpus, *, most: int | None = None) -> dict[str, Floats]:
+def errors_of(
+    solver: Neo | Cascade, corpus: Corpus, *, most: int | None = None
+) -> dict[str, Floats]:
     """Return the errors of a solver on the samples of a corpus with operators.
 
     Parameters
     ----------
-    solver : Neo
-        With its weights and its smoothing.
+    solver : Neo or Cascade
+        With its weights, or another subspace, and its smoothing.
     corpus : Corpus
         Of few samples of many points, as users bring them.
     most : int, optional
@@ -56,7 +58,7 @@ def errors_of(solver: Neo, corpus: Corpus, *, most: int | None = None) -> dict[s
     return dict(zip(("predicted", "span", "value", "steps"), np.array(rows).T, strict=True))
 
 
-def _errors(solver: Neo, corpus: Corpus, i: int) -> tuple[float, float, float, float]:
+def _errors(solver: Neo | Cascade, corpus: Corpus, i: int) -> tuple[float, float, float, float]:
     batch = corpus.batch([i])
     assert batch.operators is not None
     real = np.flatnonzero(batch.mass[0])  # the rest is padding
@@ -68,6 +70,8 @@ def _errors(solver: Neo, corpus: Corpus, i: int) -> tuple[float, float, float, f
         warnings.simplefilter("ignore", DoubtfulSpectrumWarning)
         found = eigensolve(laplacian, len(values), solver)
     apart = np.abs(found.eigenvalues[1:] / values[1:] - 1)
+    if solver.subspace is None:
+        raise InvalidInputError("solver", "have a subspace", solver)
     predicted = solver.subspace(laplacian.points, mass)
     # `metrics.span_error` wants orthonormal modes, which these are but for rounding.
     before, after = (
