@@ -53,6 +53,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--ema", type=float, default=0.999, help="decay of the averaged weights; 0 for none")
     add("--alpha", type=float, default=1e-3, help="weight of the orthogonality regulariser")
     add("--beta", type=float, default=0.0, help="share of the loss that comes after smoothing")
+    logs = "count logarithms of the samples' errors, so that hard samples do not outweigh the rest"
+    add("--relative", action="store_true", help=logs)
     add("--smoothing", type=int, default=8, help="products with L that smooth, at most")
     add("--flips", type=float, default=1.0, help="share of samples in a random proper flip")
     add("--precision", default="float32", choices=["float32", "bfloat16", "float16"])

@@ -40,6 +40,9 @@ class TrainConfig:
     beta : float, default 0
         Share of the loss that is the span error after smoothing, see `smoothed_residuals`; for
         corpora with operators.
+    relative : bool, default False
+        Count the logarithms of the samples' errors: those of easy samples as much as those of hard
+        ones, which are a hundred times larger, and what smoothing leaves as much as what it takes.
     smoothing : int, default 8
         Products with L that a mode is smoothed by at most, as many as damp what lies above all.
     flips : float, default 1
@@ -87,6 +90,7 @@ class TrainConfig:
     ema: float = 0.999
     alpha: float = 1e-3
     beta: float = 0.0
+    relative: bool = False
     smoothing: int = 8
     flips: float = 1.0
     jitter: float = 0.03

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.neo import NeoNetwork, build_network
-from spectra_kit.neo.loss import mode_residuals, ortho_loss, smoothed_residuals, span_loss
+from spectra_kit.neo.loss import mode_residuals, ortho_loss, smoothed_residuals
 from spectra_kit.training import checkpoint
 from spectra_kit.training.batches import Samples, for_validation, posed, share_count
 from spectra_kit.training.config import TrainConfig
@@ -36,6 +36,7 @@ from spectra_kit.training.stream import SampleStream
 _FREE = {"steps", "minutes", "warmup", "decay", "batch", "every", "log", "save", "validation"}
 _FREE |= {"workers", "compile"}
 _HOUR = 3600.0
+_LEAST = 1e-6  # added to an error before its logarithm is taken: rounding, in float32
 Gradients = tuple[Tensor, ...]
 _DTYPES = {"float32": None, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
@@ -313,14 +314,17 @@ class _Run:
         points, mass, U, smoothers = samples
         with _autocast(self.device.type, self.config.precision):
             F = self.forward(points, mass)
-        share, beta = len(points) / self.config.batch, self.config.beta
+        config, share = self.config, len(points) / self.config.batch
         if smoothers:
-            before, after = smoothed_residuals(F, mass, U, *smoothers)
-            loss = share * ((1 - beta) * before.mean() + beta * after.mean())
+            errors = torch.stack(smoothed_residuals(F, mass, U, *smoothers)).mean(-1)
+            weights = errors.new_tensor([1 - config.beta, config.beta])
         else:
-            loss = share * span_loss(F, mass, U)
-        total = loss + share * self.config.alpha * ortho_loss(F, mass)
-        return loss.detach(), torch.autograd.grad(self.scaler.scale(total), self.parameters)
+            errors = mode_residuals(F, mass, U).mean(-1)[None]
+            weights = errors.new_ones(1)
+        counted = (errors + _LEAST).log() if config.relative else errors  # of each sample
+        total = weights @ counted.mean(-1) + config.alpha * ortho_loss(F, mass)
+        loss = share * (weights @ errors.detach().mean(-1))
+        return loss, torch.autograd.grad(self.scaler.scale(share * total), self.parameters)
 
     def content(self) -> dict[str, Any]:
         """Return what a checkpoint holds."""
