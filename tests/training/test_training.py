@@ -26,6 +26,7 @@ from spectra_kit.errors import ConvergenceError, InvalidInputError, MissingDepen
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
 from spectra_kit.neo.pretrained import load_pretrained
 from spectra_kit.training import checkpoint
+from spectra_kit.training.batches import posed, vary
 from spectra_kit.training.config import TrainConfig
 from spectra_kit.training.corpus import CorpusConfig, generate
 from spectra_kit.training.log import Log
@@ -36,8 +37,9 @@ from spectra_kit.training.optim import (
     orthogonalise,
     warmup_stable_decay,
 )
+from spectra_kit.training.ranks import Ranks
 from spectra_kit.training.shards import open_shards, write_shard
-from spectra_kit.training.train import _shortened, train, validate
+from spectra_kit.training.train import _Run, _shortened, train, validate
 
 TINY = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
 CONFIG = TrainConfig(network=TINY, steps=10, batch=4, validation=4, every=5)
@@ -204,6 +206,26 @@ def test_training_for_what_smoothing_leaves_learns_and_shares_change_nothing(tmp
         only = replace(config, beta=beta, log=1, alpha=0.0)
         train(corpus, corpus, only, stop_after=1, report=lambda row: losses.append(row["loss"]))
     assert losses[0] == pytest.approx(0.1 * losses[-2] + 0.9 * losses[-1], rel=1e-4)
+
+
+def test_relative_errors_of_easy_and_hard_samples_count_alike(corpora):
+    """The gradient is the mean of those of the samples, each divided by its error."""
+    corpus, _ = corpora
+    config = replace(CONFIG, batch=2, alpha=0.0, precision="float32", relative=True)
+    torch.manual_seed(0)
+    network = NeoNetwork(TINY)
+
+    def gradients(config, samples):
+        run = _Run(config, torch.device("cpu"), Ranks.here(), network)
+        losses, found = run.gradients(samples)
+        return float(sum(losses)), torch.cat([part.flatten() for part in found[0]])
+
+    both = vary(posed(corpus.batch([0, 1]), config), config, 0)
+    plain = replace(config, batch=1, relative=False)
+    (one, first), (other, second) = (gradients(plain, half) for half in both.parts(2))
+    loss, together = gradients(config, both)
+    assert loss == pytest.approx((one + other) / 2, rel=1e-5)  # which is told
+    torch.testing.assert_close(together, (first / one + second / other) / 2, rtol=1e-2, atol=1e-6)
 
 
 def test_networks_that_take_padding_for_points_get_none(corpora):
