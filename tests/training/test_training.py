@@ -249,6 +249,18 @@ def test_the_result_is_the_average_and_the_checkpoint_holds_both(corpora, tmp_pa
     assert still.record["span_error"] == pytest.approx(result.record["span_error"], rel=1e-4)
 
 
+def test_every_hour_is_shown_the_average(corpora, monkeypatch):
+    monkeypatch.setattr("spectra_kit.training.train._HOUR", 1e-6)
+    shown = []
+
+    def noted(network, row):
+        shown.append((row["step"], {k: v.clone() for k, v in network.state_dict().items()}))
+
+    result = train(*corpora, replace(CONFIG, every=10**6), hourly=noted)
+    assert [step for step, _ in shown] == list(range(1, CONFIG.steps + 1))
+    assert same(shown[-1][1], result.network.state_dict())
+
+
 def test_a_stopped_run_resumes_bit_by_bit(corpora, tmp_path):
     config, rows = replace(CONFIG, workers=2, precision="float16", log=3), []
     result = train(*corpora, config, report=rows.append)
