@@ -205,6 +205,7 @@ def test_training_for_what_smoothing_leaves_learns_and_shares_change_nothing(tmp
     for beta in (0.0, 1.0):
         only = replace(config, beta=beta, log=1, alpha=0.0)
         train(corpus, corpus, only, stop_after=1, report=lambda row: losses.append(row["loss"]))
+    assert losses[-1] < 0.8 * losses[-2]
     assert losses[0] == pytest.approx(0.1 * losses[-2] + 0.9 * losses[-1], rel=1e-4)
 
 
