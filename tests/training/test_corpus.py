@@ -16,12 +16,13 @@ from conftest import bumpy
 from inspect_corpus import Topology, read_config, survey, topology
 from PIL import Image
 
-from spectra_kit import Arpack, eigensolve
+from spectra_kit import Arpack, Cascade, eigensolve
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, torus
 from spectra_kit.operators import delaunay_laplacian, robust_laplacian
 from spectra_kit.training import corpus, families, samples, surfaces
 from spectra_kit.training.corpus import CorpusConfig, generate, make_sample, report
+from spectra_kit.training.evaluation import errors_of
 from spectra_kit.training.families import FAMILIES
 from spectra_kit.training.meshes import at_resolution
 from spectra_kit.training.pool import open_pool, pack_pool, varied
@@ -269,6 +270,16 @@ def test_app_writes_a_corpus_and_reports(tmp_path, capsys):
     output = capsys.readouterr().out
     assert re.search(r"^every mesh +3 ( +[\d.e+-]+){4}$", output, re.MULTILINE)
     assert len(output.partition("the worst")[2].splitlines()) == 2
+    left = []
+    for m in ("12", "24"):
+        waves = [options[0], "--fourier", m, "--smoothing", "1", "--worst", "1"]
+        assert validate_neo.main(waves) == 0
+        row = re.search(r"^every mesh.*$", capsys.readouterr().out, re.MULTILINE)[0].split()
+        left.append([float(number) for number in row[3:5]])
+    assert left[1][0] < left[0][0]  # more waves leave less outside their span,
+    assert left[0][1] < left[0][0]  # and smoothing less than the waves
+    with pytest.raises(InvalidInputError, match="`solver` must have a subspace"):
+        errors_of(Cascade(), open_shards(tmp_path / "meshes"))
     assert make_corpus.main([*command, "--seed", "5"]) == 2
     assert "another configuration" in capsys.readouterr().err
 
