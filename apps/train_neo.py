@@ -22,7 +22,7 @@ from spectra_kit.neo.pretrained import load_pretrained, save_weights
 from spectra_kit.training import checkpoint
 from spectra_kit.training.batches import window
 from spectra_kit.training.config import TrainConfig
-from spectra_kit.training.evaluation import errors_of
+from spectra_kit.training.evaluation import errors_of, typical
 from spectra_kit.training.log import Row
 from spectra_kit.training.ranks import Ranks, process_group
 from spectra_kit.training.shards import Corpus, join, open_shards
@@ -160,7 +160,9 @@ def _hourly(out: Path, full: Corpus) -> Callable[[NeoNetwork, Row], None]:
         for form, which in (("clouds", 0), ("meshes", 1)):
             chosen = full.labels["mesh"] == which
             if chosen.any():
-                before, span, value, _ = (part[chosen].mean() for part in once.values())
+                before, span, value = (
+                    typical(once[name][chosen]) for name in ("predicted", "span", "value")
+                )
                 line += (
                     f"; {form} {before:.5f}, {span:.6f} and eigenvalues {value:.2e} after a step of"
                     f" Neo, {whole['steps'][chosen].mean():.1f} steps to its target"

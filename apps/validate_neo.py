@@ -18,9 +18,10 @@ from measure.command import exit_code, parser_of
 
 from spectra_kit.eigensolvers import Cascade, Neo
 from spectra_kit.subspaces import AmbientFourier
-from spectra_kit.training.evaluation import errors_of, kinds
+from spectra_kit.training.evaluation import errors_of, kinds, typical
 from spectra_kit.training.shards import open_shards
 
+_MEANS = {"predicted": typical, "span": typical, "value": typical, "steps": np.mean}
 _BANDWIDTH = 7.0  # of the best of a few hundred plane waves, and of a network's
 
 
@@ -49,13 +50,14 @@ def _validate(options: Namespace) -> None:
     labels = {name: label[:count] for name, label in corpus.labels.items()}
     kind = kinds(labels)
     width = max(map(len, kind))
-    print(f"{'':{width}s} samples  " + " ".join(f"{name:>10s}" for name in errors))
+    print(f"{'':{width}s} samples  " + " ".join(f"{name:>10s}" for name in _MEANS))
     forms = np.array([name.partition(" ")[0] for name in kind])
     groups = [(f"every {form}", forms == form) for form in sorted(set(forms))]
     groups += [(name, kind == name) for name in sorted(set(kind))]
     for name, chosen in groups:
-        means = (part[chosen].mean() for part in errors.values())
+        means = (mean(errors[name][chosen]) for name, mean in _MEANS.items())
         print(f"{name:{width}s} {chosen.sum():7d}  " + " ".join(f"{mean:10.2e}" for mean in means))
+    print("errors: geometric means")
     print("\nthe worst after smoothing, by index")
     for i in np.argsort(-errors["span"])[: options.worst]:
         row = " ".join(f"{part[i]:10.2e}" for part in errors.values())

@@ -43,6 +43,7 @@ class TrainConfig:
     relative : bool, default False
         Count the logarithms of the samples' errors: those of easy samples as much as those of hard
         ones, which are a hundred times larger, and what smoothing leaves as much as what it takes.
+        Errors on the validation samples are geometric means, then.
     smoothing : int, default 8
         Products with L that a mode is smoothed by at most, as many as damp what lies above all.
     flips : float, default 1

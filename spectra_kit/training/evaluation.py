@@ -82,6 +82,11 @@ def _errors(solver: Neo | Cascade, corpus: Corpus, i: int) -> tuple[float, float
     return float(before), float(after), float(apart.mean()), float(steps)
 
 
+def typical(errors: Floats) -> float:
+    """Return the geometric mean: errors of samples differ a hundredfold, rounding is no error."""
+    return float(np.exp(np.log(np.maximum(errors, np.finfo(float).eps)).mean()))
+
+
 def kinds(labels: Mapping[str, NDArray[np.int64]]) -> NDArray[np.str_]:
     """Return what each sample is, by its labels: ``mesh of a tube``, ``cloud of a real shape``."""
     names = (*FAMILIES, "real shape")  # FROM_POOL = -1 counts from the end

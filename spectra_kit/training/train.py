@@ -356,7 +356,7 @@ def validate(
     *,
     threads: ThreadPoolExecutor | None = None,
 ) -> Row:
-    """Return mean span errors over the first samples of a corpus.
+    """Return mean span errors over the first samples of a corpus; geometric means if relative.
 
     That of the prediction is ``validation``; that after smoothing, of samples with operators,
     ``smoothed``.
@@ -378,7 +378,12 @@ def validate(
     apply = map if threads is None else threads.map
     found = zip(*apply(errors, range(0, n, 8)), strict=True)
     names = ("validation", "smoothed")
-    return {name: float(torch.cat(part).mean()) for name, part in zip(names, found, strict=False)}
+    mean = _geometric_mean if config.relative else torch.mean
+    return {name: float(mean(torch.cat(part))) for name, part in zip(names, found, strict=False)}
+
+
+def _geometric_mean(errors: Tensor) -> Tensor:
+    return (errors + _LEAST).log().mean().exp()
 
 
 def _progress(config: TrainConfig, state: TrainState) -> float:

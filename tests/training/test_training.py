@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from statistics import fmean, geometric_mean
 
 import numpy as np
 import pytest
@@ -227,6 +228,13 @@ def test_relative_errors_of_easy_and_hard_samples_count_alike(corpora):
     loss, together = gradients(config, both)
     assert loss == pytest.approx((one + other) / 2, rel=1e-5)  # which is told
     torch.testing.assert_close(together, (first / one + second / other) / 2, rtol=1e-2, atol=1e-6)
+    # What is trained for is what is validated: the geometric mean, over samples one by one.
+    first_n = [replace(plain, validation=n) for n in range(1, 6)]
+    sums = [n * validate(network, corpus, c)["validation"] for n, c in enumerate(first_n, 1)]
+    each = np.diff(sums, prepend=0.0)
+    whole = validate(network, corpus, replace(config, validation=5))["validation"]
+    assert whole == pytest.approx(geometric_mean(each), rel=1e-3)
+    assert whole < 0.999 * fmean(each)
 
 
 def test_networks_that_take_padding_for_points_get_none(corpora):
