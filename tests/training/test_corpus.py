@@ -5,6 +5,7 @@ import json
 import multiprocessing
 import re
 import shutil
+import sys
 from dataclasses import replace
 
 import inspect_corpus
@@ -20,9 +21,10 @@ from spectra_kit import Arpack, Cascade, eigensolve
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, torus
 from spectra_kit.operators import delaunay_laplacian, robust_laplacian
+from spectra_kit.subspaces import AmbientFourier
 from spectra_kit.training import corpus, families, samples, surfaces
 from spectra_kit.training.corpus import CorpusConfig, generate, make_sample, report
-from spectra_kit.training.evaluation import errors_of
+from spectra_kit.training.evaluation import errors_of, typical
 from spectra_kit.training.families import FAMILIES
 from spectra_kit.training.meshes import at_resolution
 from spectra_kit.training.pool import open_pool, pack_pool, varied
@@ -104,6 +106,8 @@ def test_crowded_samples_are_labelled_and_crowd():
         assert {sample.labels["nonuniform"] for sample in made} == {share}
         typical[share] = sum(np.median(sample.mass) for sample in made)
     assert typical[1.0] < 0.92 * typical[0.0]  # most points are where they are many
+    mesh = make_sample(replace(TINY, nonuniform=1.0, mesh_share=1.0), 1)
+    assert mesh.labels["nonuniform"] == 0  # its vertices are where they are
 
 
 def test_the_operator_comes_with_the_modes_and_meshes_with_their_own(pool):
@@ -111,7 +115,8 @@ def test_the_operator_comes_with_the_modes_and_meshes_with_their_own(pool):
     whole = [make_sample(made, index) for index in range(12)]
     batch = corpus.as_batch(whole, made.n_points)
     assert {sample.labels["mesh"] for sample in whole} == {0, 1}
-    assert len({sample.labels["family"] == FROM_POOL for sample in whole if sample.labels["mesh"]})
+    real = {sample.labels["family"] == FROM_POOL for sample in whole if sample.labels["mesh"]}
+    assert real == {True, False}
     for i, sample in enumerate(whole):
         n, U = sample.labels["n"], sample.eigenvectors
         assert len(sample.points) == len(sample.mass) == n
@@ -162,6 +167,9 @@ def test_meshes_with_edges_of_three_faces_are_subdivided_and_decimated():
         assert found.n >= 100
         assert found.area == pytest.approx(fins.area)
         assert topology(found) == topology(fins)
+        corners = found.points[found.faces].reshape(-1, 3)  # each face with three of its own
+        soup = TriangleMesh(corners, np.arange(len(corners)).reshape(-1, 3))
+        assert topology(at_resolution(soup, rng, fewest=100, most=1000)) == topology(fins)
     assert 10 <= at_resolution(found, rng, fewest=20, most=50).n <= 50
 
 
@@ -278,6 +286,17 @@ def test_app_writes_a_corpus_and_reports(tmp_path, capsys):
         left.append([float(number) for number in row[3:5]])
     assert left[1][0] < left[0][0]  # more waves leave less outside their span,
     assert left[0][1] < left[0][0]  # and smoothing less than the waves
+    assert validate_neo.main([*waves[:-1], "3"]) == 0
+    named = capsys.readouterr().out.partition("the worst")[2]
+    left = re.findall(r"\d +[\d.e+-]+ +([\d.e+-]+) .* points", named)
+    assert [float(span) for span in left] == sorted(map(float, left), reverse=True)
+    assert len(set(left)) == 3
+    waves = Cascade(subspace=AmbientFourier(m=12), coarsest=sys.maxsize, max_steps=1)
+    some, every = (errors_of(waves, open_shards(tmp_path / "meshes"), most=n) for n in (2, None))
+    assert {name: part.tolist() for name, part in some.items()} == {
+        name: part[:2].tolist() for name, part in every.items()
+    }
+    assert typical(np.array([1e-4, 1e-2, 1e-3])) == pytest.approx(1e-3)
     with pytest.raises(InvalidInputError, match="`solver` must have a subspace"):
         errors_of(Cascade(), open_shards(tmp_path / "meshes"))
     assert make_corpus.main([*command, "--seed", "5"]) == 2
@@ -473,6 +492,9 @@ def test_corpus_draws_only_meshes_of_its_split_and_as_many_as_its_share(pool, tm
 def test_meshes_are_varied_and_fit_the_unit_box_before(pool):
     mesh = open_pool(pool, "train").mesh(1)
     areas = [varied(mesh, np.random.default_rng(seed)).area for seed in range(20)]
+    for seed in range(4):  # long edges are halved, but not of samples that are meshes
+        split, kept = (varied(mesh, np.random.default_rng(seed), own_vertices=b) for b in (0, 1))
+        assert kept.n == mesh.n < split.n
     unit = varied(mesh.with_points(100 * mesh.points), np.random.default_rng(0))
     np.testing.assert_allclose(unit.area, areas[0], rtol=1e-6)
     plain = np.isclose(areas, mesh.area, rtol=1e-2)
