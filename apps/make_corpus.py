@@ -9,7 +9,7 @@ from __future__ import annotations
 import resource
 import sys
 import time
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace, _ActionsContainer
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return exit_code(lambda: _make(options))
 
 
-def add_corpus_options(parser: ArgumentParser) -> None:
+def add_corpus_options(parser: _ActionsContainer) -> None:
     """Add what samples are made of, but for the seed."""
     add = parser.add_argument
     add("--points", type=int, default=1024, help="points per sample (%(default)s)")

@@ -15,6 +15,7 @@ from make_corpus import add_corpus_options, corpus_config
 from measure.command import exit_code
 from tqdm import tqdm
 
+from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers import Neo
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
@@ -22,6 +23,7 @@ from spectra_kit.neo.pretrained import load_pretrained, save_weights
 from spectra_kit.training import checkpoint
 from spectra_kit.training.batches import window
 from spectra_kit.training.config import TrainConfig
+from spectra_kit.training.corpus import read_fingerprint
 from spectra_kit.training.evaluation import errors_of, typical
 from spectra_kit.training.log import Row
 from spectra_kit.training.ranks import Ranks, process_group
@@ -39,13 +41,13 @@ def _parser() -> argparse.ArgumentParser:
     add("corpus", type=Path, nargs="*", help="folders of shards; one named twice counts twice")
     add("--validation", type=Path, required=True, help="folder of shards, other samples")
     add("--out", type=Path, required=True, help="folder for checkpoint, log and weights")
-    add("--config", default="small", help="a name that NeoConfig.named knows")
+    add("--config", help="a name that NeoConfig.named knows (default: small)")
     sizes = "what it has otherwise, such as m=192; may come several times"
     add("--network", action="append", default=[], type=_size, help=sizes)
     add("--frame", choices=["principal", "none"], help="(default: that of the weights; principal)")
     add("--weights", help="begin with these weights, a name or a file, and their configuration")
     add("--steps", type=int, default=100_000, help="length of the schedule")
-    add("--minutes", type=float, help="end the schedule by the clock instead")
+    add("--minutes", type=float, help="end the schedule by the clock, if not by the steps before")
     add("--batch", type=int, default=16, help="clouds per step, over all devices")
     add("--lr", type=float, default=5e-3)
     add("--warmup", type=float, default=0.1, help="share of the schedule in which the rate rises")
@@ -60,9 +62,11 @@ def _parser() -> argparse.ArgumentParser:
     add("--precision", default="float32", choices=["float32", "bfloat16", "float16"])
     add("--validate", type=int, default=64, help="number of validation samples")
     add("--every", type=int, default=200, help="steps between validations")
-    add("--log", type=int, default=20, help="steps between rows of the log")
+    rows = "steps between rows of the log"  # torchrun takes --log for one of its own
+    add("--rows", dest="log", type=int, default=20, help=rows)
     add("--save", type=float, default=60, help="seconds between checkpoints")
-    add("--seed", type=int, default=0)
+    seed = "of weights, order and poses; of a stream's samples, too: not that of the validation's"
+    add("--seed", type=int, default=0, help=seed)
     add("--workers", type=int, default=1, help="CPU threads that share each batch")
     add("--device", default="cpu")
     add("--compile", action="store_true", help="torch.compile the network")
@@ -71,17 +75,25 @@ def _parser() -> argparse.ArgumentParser:
     add("--resume", action="store_true", help=resume)
     full = "folder of shards, few of many points: test Neo on them for each hour of CPU time"
     add("--hourly", type=Path, help=full)
-    add("--stream", type=Path, help="make samples, too: the latest are kept in this folder")
+    add_stream_options(parser.add_argument_group("samples made while training"))
+    return parser
+
+
+def add_stream_options(group: argparse._ActionsContainer) -> None:
+    """Add what a stream is, and what its samples are made of."""
+    add = group.add_argument
+    kept = "make samples, too, and keep the latest in this folder, which is for nothing else"
+    add("--stream", type=Path, help=kept)
     add("--makers", type=int, default=1, help="processes that make them (%(default)s)")
     add("--shown", type=int, default=2, help="how often each is shown (%(default)s)")
     add("--capacity", type=int, default=2048, help="samples to draw from (%(default)s)")
-    add_corpus_options(parser)
-    return parser
+    add_corpus_options(group)
 
 
 def _size(text: str) -> tuple[str, int | float]:
     name, _, value = text.partition("=")
     kinds = {field.name: field.type for field in dataclasses.fields(NeoConfig)}
+    del kinds["k"]  # of the samples
     kind = {"int": int, "float": float}.get(str(kinds.get(name)))
     if kind is None:
         raise argparse.ArgumentTypeError(f"{name!r} is no size of a network")
@@ -91,14 +103,16 @@ def _size(text: str) -> tuple[str, int | float]:
 def _run(args: argparse.Namespace, device: str) -> TrainResult:
     validation = open_shards(args.validation)
     initial = load_pretrained(args.weights).network if args.weights else None
-    network = initial.config if initial else NeoConfig.named(args.config)
-    if initial and args.network:
-        raise InvalidInputError("--weights come with their sizes", advice="leave out --network")
-    network = dataclasses.replace(network, **dict(args.network))
-    network = dataclasses.replace(network, frame=args.frame or network.frame, k=validation.k)
+    network = initial.config if initial else NeoConfig.named(args.config or "small")
+    if initial and (args.network or args.config):
+        raise InvalidInputError(
+            "--weights come with their sizes", advice="leave out --network and --config"
+        )
+    sizes = dict(args.network) | {"frame": args.frame or network.frame, "k": validation.k}
+    network = dataclasses.replace(network, **sizes)
     names = {field.name for field in dataclasses.fields(TrainConfig)} & vars(args).keys()
     rest = {name: getattr(args, name) for name in names - {"network", "validation", "shown"}}
-    shown = args.shown if args.stream else 0
+    shown = check_count("--shown", args.shown, low=1) if args.stream else 0
     config = TrainConfig(network=network, validation=args.validate, shown=shown, **rest)
     before = checkpoint.read(args.out) if args.resume else None
     if initial is not None and before is None and Ranks.here().first:
@@ -129,8 +143,16 @@ def _corpus(
     """Return the folders, or the stream from what a step shows of it on."""
     if bool(args.corpus) == (args.stream is not None):
         raise InvalidInputError("give folders of shards, or --stream FOLDER to make samples")
+    held_out = {_seed(folder) for folder in (args.validation, args.hourly) if folder is not None}
     if args.stream is None:
+        _refuse(held_out & {_seed(folder) for folder in args.corpus} - {None})
         return nullcontext(join([open_shards(folder) for folder in args.corpus]))
+    if Ranks.here().world > 1:
+        raise InvalidInputError(
+            "--stream is for one process",
+            advice="make the samples with make_corpus.py, and train on their folder",
+        )
+    _refuse(held_out & {args.seed})
     made_of = corpus_config(args)
     first, _ = window(config, step, args.capacity)
     return SampleStream(
@@ -144,15 +166,34 @@ def _corpus(
     )
 
 
+def _seed(folder: Path) -> int | None:
+    """Return the seed that a corpus was made with, None where that is not known."""
+    path = folder / "corpus.json"
+    return read_fingerprint(path).get("seed") if path.exists() else None
+
+
+def _refuse(seeds: set[int | None]) -> None:
+    """Refuse surfaces that a network would be trained and validated on."""
+    if seeds:
+        raise InvalidInputError(
+            f"samples to train and to validate on are the same: both of seed {seeds.pop()}",
+            advice="make those of validation, or the others, with another --seed",
+        )
+
+
 def _hourly(out: Path, full: Corpus) -> Callable[[NeoNetwork, Row], None]:
     """Return what writes the weights so far, and a line on what users would get of them."""
+    if not full.has_operators:
+        raise InvalidInputError(
+            "--hourly", "have operators", "samples without", advice="make it anew"
+        )
 
     def write(network: NeoNetwork, row: Row) -> None:
         path = out / "weights.safetensors"
         save_weights(path, network, {"steps": row["step"], "samples": row["samples"]})
         line = (
             f"{time.strftime('%Y-%m-%d %H:%M')}  {row['cpu'] / 3600:.1f} h, {row['samples']:,}"
-            f" samples: loss {row['loss']:.5f}, span error {_errors(row)}"
+            f" samples: span error {_errors(row)}; geometric means of"
         )
         once, whole = (
             errors_of(Neo(weights=path, smoothing=n), full) for n in (1, Neo().smoothing)
@@ -164,11 +205,11 @@ def _hourly(out: Path, full: Corpus) -> Callable[[NeoNetwork, Row], None]:
                     typical(once[name][chosen]) for name in ("predicted", "span", "value")
                 )
                 line += (
-                    f"; {form} {before:.5f}, {span:.6f} and eigenvalues {value:.2e} after a step of"
-                    f" Neo, {whole['steps'][chosen].mean():.1f} steps to its target"
+                    f" {form} {before:.5f}, {span:.6f} and eigenvalues {value:.2e} after a step of"
+                    f" Neo, {whole['steps'][chosen].mean():.1f} steps to its target;"
                 )
         with (out / "hours.txt").open("a") as file:
-            file.write(line + "\n")
+            file.write(line.rstrip(";") + "\n")
 
     return write
 
@@ -204,6 +245,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _train(args: argparse.Namespace) -> None:
+    _check_stream(args)
     path = args.out / "weights.safetensors"
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "group").write_text(f"{os.getpgrp()}\n")  # which a signal can pause
@@ -218,8 +260,26 @@ def _train(args: argparse.Namespace) -> None:
     print(
         f"{record['steps']} steps, {record['samples']} samples, {record['minutes']} min, {ending}"
     )
-    print(f"span error on held-out samples: {record['span_error']}")
+    told = "not known: validated at the last step alone"
+    error = told if record["span_error"] is None else f"{record['span_error']:.5f}"
+    print(f"span error on held-out samples ({record['mean']} mean): {error}")
     print(f"weights: {path} (sha256 {digest})")
+
+
+def _check_stream(args: argparse.Namespace) -> None:
+    """Refuse options of samples that are not made."""
+    if args.stream is not None:
+        return
+    parser = argparse.ArgumentParser()
+    add_stream_options(parser)
+    given = [
+        name for name, value in vars(parser.parse_args([])).items() if value != vars(args)[name]
+    ]
+    if given:
+        raise InvalidInputError(
+            f"{', '.join(f'--{name}' for name in given)} is for samples that are made",
+            advice="give --stream FOLDER, too, or make a corpus of that kind",
+        )
 
 
 def _be_nice_to_other_sessions() -> None:

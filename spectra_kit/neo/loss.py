@@ -32,6 +32,14 @@ def mode_residuals(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -
     -------
     Tensor of shape (B, k)
         Each in [0, 1] up to rounding, float32; NaN for a cloud whose functions are not finite.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from spectra_kit.neo.loss import mode_residuals
+    >>> F, U = torch.eye(4)[None, :, :2], torch.eye(4)[None, :, 1:3]
+    >>> mode_residuals(F, torch.ones(1, 4), U).round(decimals=3)
+    tensor([[0., 1.]])
     """
     root = mass.float().sqrt().unsqueeze(-1)
     _, half = _inside(_unit(F, root), _unit(U, root), root, ridge)
@@ -44,8 +52,9 @@ def smoothed_residuals(
 ) -> tuple[Tensor, Tensor]:
     """Return the energy shares of `mode_residuals`, and those that smoothing leaves of them.
 
-    Of each mode the best approximation in the span of `F` is taken, its error smoothed as `Neo`
-    smooths its modes, and what is left outside the span of the k smooth functions measured.
+    Of each mode the best approximation in the span of `F` is taken, its error smoothed by the steps
+    that `Neo` makes, and what is left outside the span of the k smooth functions measured. `Neo`,
+    which knows neither modes nor eigenvalues, smooths Ritz vectors, again and again.
 
     Parameters
     ----------
@@ -63,7 +72,25 @@ def smoothed_residuals(
     Returns
     -------
     tuple of two Tensor of shape (B, k)
-        Before and after, float32.
+        Before and after, float32; NaN where the functions of a cloud are not finite.
+
+    Examples
+    --------
+    Of a path, whose second mode lies outside the span of the first:
+
+    >>> import numpy as np, torch
+    >>> from scipy import sparse
+    >>> from spectra_kit.neo.loss import smoothed_residuals
+    >>> from spectra_kit.neo.smoothing import Smoother
+    >>> step = sparse.diags_array([-np.ones(5), np.ones(6), -np.ones(5)], offsets=[-1, 0, 1])
+    >>> L = sparse.csr_array(step - sparse.diags_array(step.sum(axis=1)))
+    >>> values, U = np.linalg.eigh(L.toarray())
+    >>> smoother = Smoother.of([L], np.ones((1, 6)), values[None, :2], U[None, :, :2], degree=4)
+    >>> U = torch.from_numpy(U[None]).float()
+    >>> F = U[..., :2] + 0.3 * U[..., -2:]
+    >>> before, after = smoothed_residuals(F, torch.ones(1, 6), U[..., :2], smoother)
+    >>> bool((after < 0.1 * before).all())
+    True
     """
     root = mass.float().sqrt().unsqueeze(-1)
     functions, modes = _unit(F, root), _unit(U, root)
@@ -112,7 +139,7 @@ def span_loss(F: Tensor, mass: Tensor, U: Tensor, *, ridge: float = 1e-6) -> Ten
 
 
 def ortho_loss(F: Tensor, mass: Tensor) -> Tensor:
-    """Return |F^T M F - I|_F^2 / m^2 for masses that sum to one, averaged over clouds.
+    """Return |F^T M F - I|_F^2 / m^2, with masses over their sum, averaged over clouds.
 
     The paper's regulariser (Eq. "ortho_loss") per entry of the matrix. The span loss is a mean of
     numbers in [0, 1]; as a plain sum, m^2 entries of size one would outweigh all of it 37 times
@@ -124,7 +151,11 @@ def ortho_loss(F: Tensor, mass: Tensor) -> Tensor:
     F : Tensor of shape (B, N, m)
         Predicted functions.
     mass : Tensor of shape (B, N)
-        Positive weights.
+        Weights, zero for padding.
+
+    Returns
+    -------
+    Tensor of shape ()
 
     Examples
     --------

@@ -67,15 +67,20 @@ class Smoother:
         stiffness : sequence of B sparse arrays of shape (N, N)
             Rows of padding are empty.
         mass : array_like of shape (B, N)
-            Zero for padding.
+            Zero for padding, in length^2.
         eigenvalues : array_like of shape (B, k)
-            Ascending.
+            Ascending, of ``L u = lambda M u``, in 1/length^2.
         eigenvectors : array_like of shape (B, N, k)
             The last of which tells from where on to damp.
         degree : int
             Products with L, at most; how near to the modes they damp grows with the square.
         dtype : torch.dtype, default float32
             To smooth in.
+
+        Returns
+        -------
+        Smoother
+            On the CPU; see `smoothed_residuals` for an example.
         """
         masses, values = (np.asarray(a, dtype=np.float64) for a in (mass, eigenvalues))
         last = np.asarray(eigenvectors)[..., -1].astype(np.float64)

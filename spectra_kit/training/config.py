@@ -23,8 +23,8 @@ class TrainConfig:
     steps : int
         Length of the schedule in steps. With `minutes`, an upper bound.
     minutes : float, optional
-        Length of the schedule in wall-clock time; such a run ends when it must, but does not
-        repeat bit by bit.
+        Length of the schedule in wall-clock time, if `steps` are not done before; such a run ends
+        when it must, but does not repeat bit by bit.
     batch : int, default 16
         Samples per step, over all devices.
     lr, weight_decay, clip : float, default 5e-3, 0.04 and 1
@@ -77,6 +77,13 @@ class TrainConfig:
     ------
     InvalidInputError
         If a value is out of its range.
+
+    Examples
+    --------
+    >>> from spectra_kit.neo import NeoConfig
+    >>> from spectra_kit.training.config import TrainConfig
+    >>> TrainConfig(network=NeoConfig.named("small"), steps=1000, relative=True).batch
+    16
     """
 
     network: NeoConfig

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._types import Floats
+from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers import Cascade, Neo, eigensolve
 from spectra_kit.errors import DoubtfulSpectrumWarning, InvalidInputError
 from spectra_kit.linalg import orthonormalize
@@ -40,6 +41,11 @@ def errors_of(
         until it is as good as asked for, so these tell more of a network than the errors, or its
         errors after ``smoothing=1``.
 
+    Raises
+    ------
+    InvalidInputError
+        If the samples have no operators, `most` is less than 1, or the solver has no subspace.
+
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
@@ -53,7 +59,16 @@ def errors_of(
     >>> bool(errors["span"][0] < errors["predicted"][0] < 0.01)
     True
     """
-    count = len(corpus) if most is None else min(most, len(corpus))
+    if not corpus.has_operators:
+        raise InvalidInputError(
+            "corpus",
+            "have operators",
+            "one without",
+            advice="make it anew: those of before had none",
+        )
+    if solver.subspace is None:
+        raise InvalidInputError("solver", "have a subspace", solver)
+    count = len(corpus) if most is None else min(check_count("most", most, low=1), len(corpus))
     rows = [_errors(solver, corpus, i) for i in range(count)]
     return dict(zip(("predicted", "span", "value", "steps"), np.array(rows).T, strict=True))
 
@@ -70,8 +85,7 @@ def _errors(solver: Neo | Cascade, corpus: Corpus, i: int) -> tuple[float, float
         warnings.simplefilter("ignore", DoubtfulSpectrumWarning)
         found = eigensolve(laplacian, len(values), solver)
     apart = np.abs(found.eigenvalues[1:] / values[1:] - 1)
-    if solver.subspace is None:
-        raise InvalidInputError("solver", "have a subspace", solver)
+    assert solver.subspace is not None
     predicted = solver.subspace(laplacian.points, mass)
     # `metrics.span_error` wants orthonormal modes, which these are but for rounding.
     before, after = (

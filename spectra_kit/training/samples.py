@@ -69,6 +69,12 @@ class CorpusConfig:
         If a count is too small, a fraction is not in [0, 1], there are not clearly more points
         than modes, a share of a pool is asked for without the pool, or a weight is negative or of
         no family.
+
+    Examples
+    --------
+    >>> from spectra_kit.training.samples import CorpusConfig
+    >>> CorpusConfig(seed=0, n_points=1024, mesh_share=0.5, weights={"tube": 12.0}).fewest
+    480
     """
 
     seed: int
@@ -98,6 +104,11 @@ class CorpusConfig:
                 None,
                 advice="give the path, or take pool_share=0",
             )
+
+    @property
+    def fewest(self) -> int:
+        """Points of a sample, at least; decimated meshes may have somewhat fewer."""
+        return min(_FEWEST * self.k, self.n_points) if self.mesh_share else self.n_points
 
     def fingerprint(self) -> dict[str, object]:
         """Everything that decides the content of the shards, as JSON; a pool by its content."""
@@ -218,8 +229,7 @@ def make_surface(
     if not source["mesh"]:
         return mesh
     rng = np.random.default_rng((*seed, 3))
-    fewest = min(_FEWEST * config.k, config.n_points)
-    return at_resolution(mesh, rng, fewest=fewest, most=config.n_points)
+    return at_resolution(mesh, rng, fewest=config.fewest, most=config.n_points)
 
 
 def _attempted(config: CorpusConfig, index: int, attempt: int) -> Sample | str:

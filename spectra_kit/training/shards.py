@@ -218,6 +218,14 @@ class Corpus:
         """Points per sample."""
         return int(self.shards[0].mass.shape[1])
 
+    @cached_property
+    def fewest(self) -> int:
+        """Points of the smallest sample, without padding."""
+        counts = self.labels.get("n")
+        if counts is None:  # as in shards of before, joined with others
+            counts = np.concatenate([np.count_nonzero(s.mass, axis=1) for s in self.shards])
+        return int(np.min(counts, initial=self.n_points))
+
     @property
     def k(self) -> int:
         """Modes per sample."""

@@ -67,7 +67,8 @@ class SampleStream:
     ------
     InvalidInputError
         If a count is too small; (on entering) if the folder holds another corpus, or other
-        samples than those from `start` on, or half a shard.
+        samples than those from `start` on, or half a shard, or, of a bounded stream, shards that
+        none has made.
     WorkerError
         (from every method but ``close``) If a process that makes samples has died.
 
@@ -137,6 +138,8 @@ class SampleStream:
         if self._folder is not None:
             self._folder.mkdir(parents=True, exist_ok=True)
             claim(self._folder, self._config)
+            if self._bounded:
+                _mark(self._folder)
             self._load(self._folder)
         self._thread = ThreadPoolExecutor(1)
         self._collecting = self._thread.submit(self._collect)
@@ -150,6 +153,11 @@ class SampleStream:
         self._stop.set()
         if self._thread is not None:
             self._thread.shutdown()
+
+    @property
+    def config(self) -> CorpusConfig:
+        """What its samples are made of."""
+        return self._config
 
     @property
     def capacity(self) -> int:
@@ -274,6 +282,19 @@ class SampleStream:
                     _thin(self._folder, index - max(1, self._capacity // size))
                 elif self._bounded:
                     _thin(self._folder, self._first // size - _SPARE)
+
+
+def _mark(folder: Path) -> None:
+    """Tell a folder as that of a bounded stream, whose old shards may go; refuse any other."""
+    mark = folder / "stream"
+    if not mark.exists() and any(folder.glob("shard_*")):
+        raise InvalidInputError(
+            "folder",
+            "have been begun by a bounded stream, which removes shards",
+            f"a corpus in {folder}",
+            advice="take another folder, or train on this one without a stream",
+        )
+    mark.touch()
 
 
 def _thin(folder: Path, last: int) -> None:

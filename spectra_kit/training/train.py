@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from spectra_kit.neo.loss import mode_residuals, ortho_loss, smoothed_residuals
 from spectra_kit.training import checkpoint
 from spectra_kit.training.batches import Samples, for_validation, posed, share_count
 from spectra_kit.training.config import TrainConfig
+from spectra_kit.training.evaluation import typical
 from spectra_kit.training.feed import Feed
 from spectra_kit.training.log import Log, Row
 from spectra_kit.training.optim import average_weights, make_optimizers, warmup_stable_decay
@@ -110,7 +111,8 @@ def train(
     out : path, optional
         Folder for ``checkpoint.pt`` and ``log.csv``; nothing is written without it.
     resume : bool, default False
-        Continue from the checkpoint in `out`. The corpus may have grown since, and ``steps``,
+        Continue from the checkpoint in `out`, which is not overwritten otherwise. The corpus may
+        have grown since, and ``steps``,
         ``minutes``, ``warmup``, ``decay``, ``batch``, ``every``, ``log``, ``save``,
         ``validation``, ``workers`` and ``compile`` may differ.
     initial : NeoNetwork, optional
@@ -140,28 +142,56 @@ def train(
     Raises
     ------
     InvalidInputError
-        If the corpus does not fit the configuration or is empty, there is no checkpoint of this
-        configuration to resume, or `last` comes without `pause_after` and ``minutes``.
+        If the corpus does not fit the configuration or is empty, has meshes of no more vertices
+        than the network has functions, there is no checkpoint of this configuration, or of this
+        stream, to resume, or one that would be overwritten, or `last` comes without `pause_after`
+        and ``minutes``.
     ConvergenceError
         If the loss is not finite. In float16 single such steps are skipped.
     MissingDependencyError
         If event files are asked for and the package tensorboard is not installed.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from spectra_kit.neo import NeoConfig
+    >>> from spectra_kit.training.config import TrainConfig
+    >>> from spectra_kit.training.corpus import CorpusConfig, generate
+    >>> from spectra_kit.training.shards import open_shards
+    >>> from spectra_kit.training.train import train
+    >>> tiny = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=4)
+    >>> with TemporaryDirectory() as folder:
+    ...     for name, seed in (("train", 0), ("validation", 1)):
+    ...         made_of = CorpusConfig(seed=seed, n_points=100, k=4)
+    ...         made = generate(f"{folder}/{name}", 4, config=made_of)
+    ...     corpora = [open_shards(f"{folder}/{name}") for name in ("train", "validation")]
+    ...     result = train(*corpora, TrainConfig(network=tiny, steps=3, batch=2))
+    >>> result.finished, result.record["samples"]
+    (True, 6)
     """
     called = time.perf_counter()
     ranks = Ranks.here()
-    there = corpus if isinstance(corpus, Corpus) else corpus.corpus()
-    _check_corpora(there, validation, config)
+    _check_corpora(corpus, validation, config)
     if last and (pause_after is None or config.minutes is None):
         raise InvalidInputError(
             "last", "come with `minutes` and `pause_after`", f"{config.minutes} and {pause_after}"
         )
+    if config.batch < ranks.world:
+        raise InvalidInputError("batch", f"be {ranks.world} or more, one a process", config.batch)
     torch.manual_seed(config.seed)
-    run = _Run(config, torch.device(device), ranks, initial)
+    run = _Run(config, torch.device(device), ranks, initial, _source(corpus, config))
     folder = None if out is None else Path(out)
     if resume:
-        run.load(_resumed(folder, config))
+        run.load(_resumed(folder, config, run.source))
     elif folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
+        if (folder / checkpoint.NAME).exists():
+            raise InvalidInputError(
+                "out",
+                "hold no checkpoint of another run, which would be overwritten",
+                folder,
+                advice="resume that run, or train into another folder",
+            )
     state = run.state
     limit = config.steps if stop_after is None else min(stop_after, config.steps)
     with ExitStack() as stack:
@@ -172,7 +202,7 @@ def train(
             log = enter(Log(folder, state.history, tensorboard=tensorboard))
         enter(run.threads)
         if config.compile:
-            run.compile(there.n_points)
+            run.compile(validation.n_points)
         if wait is not None:
             wait()
         feed = enter(Feed(corpus, config, run.device, share=ranks.share(config.batch)))
@@ -202,7 +232,7 @@ def train(
             state.cpu = time.process_time() - cpu
             due = hourly is not None and state.cpu // _HOUR > hour
             ended = state.step == config.steps or _progress(config, state) >= 1
-            validating = state.step % config.every == 0 or ended or due
+            validating = state.step % config.every == 0 or ended
             if not ranks.first:
                 losses.clear()
             elif validating or state.step % config.log == 0:
@@ -217,18 +247,20 @@ def train(
                     log.add(row)
                 if report is not None:
                     report(row)
-                if due and hourly is not None:
-                    hourly(run.average, row | {"cpu": state.cpu})
-            save = validating or time.monotonic() - saved > config.save
+            save = validating or due or time.monotonic() - saved > config.save
             if writer is not None and save and not writer.busy:
                 run.read(losses)
                 writer.write(run.content())
                 saved = time.monotonic()
+            # After the checkpoint, and beside the log: the clock must not decide what that holds.
+            if due and hourly is not None and ranks.first:
+                row = {"step": state.step, "samples": state.samples, "cpu": state.cpu}
+                errors = validate(run.average, validation, config, threads=run.threads)
+                hourly(run.average, row | errors)
         run.read(losses)
         if writer is not None:
             writer.write(run.content())
-    there = corpus if isinstance(corpus, Corpus) else corpus.corpus()
-    record = _record(there, config, state)
+    record = _record(corpus, config, state)
     return TrainResult(run.average.eval(), record, _progress(config, state) >= 1)
 
 
@@ -236,9 +268,14 @@ class _Run:
     """What a run changes: the network, its average, the optimisers and the state."""
 
     def __init__(
-        self, config: TrainConfig, device: torch.device, ranks: Ranks, initial: NeoNetwork | None
+        self,
+        config: TrainConfig,
+        device: torch.device,
+        ranks: Ranks,
+        initial: NeoNetwork | None,
+        source: dict[str, Any] | None = None,
     ) -> None:
-        self.config, self.device, self.ranks = config, device, ranks
+        self.config, self.device, self.ranks, self.source = config, device, ranks, source
         self.network = build_network(config.network)
         if initial is not None:
             self.network.load_state_dict(initial.state_dict())
@@ -258,7 +295,7 @@ class _Run:
         self.state = TrainState()
 
     def step(self, batch: Samples, lr: float) -> Tensor:
-        """Make one step of the optimisers; return its span loss, on the device."""
+        """Make one step of the optimisers; return its loss, on the device, as it was counted."""
         config, parameters = self.config, self.parameters
         losses, gradients = self.gradients(batch)
         loss = torch.stack(losses).sum()
@@ -323,13 +360,14 @@ class _Run:
             weights = errors.new_ones(1)
         counted = (errors + _LEAST).log() if config.relative else errors  # of each sample
         total = weights @ counted.mean(-1) + config.alpha * ortho_loss(F, mass)
-        loss = share * (weights @ errors.detach().mean(-1))
+        loss = share * (weights @ counted.detach().mean(-1))
         return loss, torch.autograd.grad(self.scaler.scale(share * total), self.parameters)
 
     def content(self) -> dict[str, Any]:
         """Return what a checkpoint holds."""
         return {
             "config": asdict(self.config),
+            "source": self.source,
             "state": asdict(self.state),
             "network": self.network.state_dict(),
             "average": self.average.state_dict() if self.config.ema else {},
@@ -356,10 +394,28 @@ def validate(
     *,
     threads: ThreadPoolExecutor | None = None,
 ) -> Row:
-    """Return mean span errors over the first samples of a corpus; geometric means if relative.
+    """Return the span errors of a network on the first samples of a corpus.
 
-    That of the prediction is ``validation``; that after smoothing, of samples with operators,
-    ``smoothed``.
+    Parameters
+    ----------
+    network : NeoNetwork
+        In evaluation mode.
+    corpus : Corpus
+        Of samples that it was not trained on.
+    config : TrainConfig
+        How many, in which pose, and how they are smoothed.
+    threads : ThreadPoolExecutor, optional
+        To work in.
+
+    Returns
+    -------
+    dict of str to float
+        ``validation``, of the prediction, and, of samples with operators, ``smoothed``: means over
+        modes and samples, or if ``config.relative`` geometric means over the samples.
+
+    Examples
+    --------
+    As of `train`, whose log has them.
     """
     device = next(network.parameters()).device
     n = min(config.validation, len(corpus))
@@ -378,12 +434,9 @@ def validate(
     apply = map if threads is None else threads.map
     found = zip(*apply(errors, range(0, n, 8)), strict=True)
     names = ("validation", "smoothed")
-    mean = _geometric_mean if config.relative else torch.mean
-    return {name: float(mean(torch.cat(part))) for name, part in zip(names, found, strict=False)}
-
-
-def _geometric_mean(errors: Tensor) -> Tensor:
-    return (errors + _LEAST).log().mean().exp()
+    mean = typical if config.relative else np.mean
+    parts = (torch.cat(part).double().cpu().numpy() for part in found)
+    return {name: float(mean(part)) for name, part in zip(names, parts, strict=False)}
 
 
 def _progress(config: TrainConfig, state: TrainState) -> float:
@@ -413,6 +466,7 @@ def _row(config: TrainConfig, state: TrainState, lr: float, rate: float) -> Row:
     """Return a row of the log, over the steps since the last one."""
     finite = [loss for loss in state.losses if math.isfinite(loss)]  # others were skipped
     loss = float(np.mean(finite)) if finite else math.nan
+    loss = math.exp(loss) if config.relative else loss
     state.losses.clear()
     return {
         "step": state.step,
@@ -424,20 +478,35 @@ def _row(config: TrainConfig, state: TrainState, lr: float, rate: float) -> Row:
     }
 
 
-def _record(corpus: Corpus, config: TrainConfig, state: TrainState) -> dict[str, Any]:
+def _record(
+    corpus: Corpus | SampleStream, config: TrainConfig, state: TrainState
+) -> dict[str, Any]:
     validations = [row for row in state.history if "validation" in row]
+    latest = validations[-1] if validations and validations[-1]["step"] == state.step else {}
+    there = corpus if isinstance(corpus, Corpus) else corpus.corpus()
+    made = len(there) if isinstance(corpus, Corpus) else corpus.report().samples
     return {
         "config": asdict(config),
         "steps": state.step,
         "samples": state.samples,
         "minutes": round(state.seconds / 60, 2),
-        "corpus": {"samples": len(corpus), "points": corpus.n_points, "k": corpus.k},
-        "span_error": validations[-1]["validation"] if validations else None,
+        "corpus": {"samples": made, "points": there.n_points, "k": there.k},
+        "span_error": latest.get("validation"),
+        "mean": "geometric" if config.relative else "arithmetic",
         "history": validations,
     }
 
 
-def _resumed(folder: Path | None, config: TrainConfig) -> dict[str, Any]:
+def _source(corpus: Corpus | SampleStream, config: TrainConfig) -> dict[str, Any] | None:
+    """Return what else a batch follows from: of a stream whose samples are shown so often."""
+    if isinstance(corpus, Corpus) or not config.shown:
+        return None
+    return {"capacity": corpus.capacity, "corpus": corpus.config.fingerprint()}
+
+
+def _resumed(
+    folder: Path | None, config: TrainConfig, source: dict[str, Any] | None
+) -> dict[str, Any]:
     content = None if folder is None else checkpoint.read(folder)
     if content is None:
         raise InvalidInputError(
@@ -447,7 +516,11 @@ def _resumed(folder: Path | None, config: TrainConfig) -> dict[str, Any]:
             advice="call without `resume` to begin a run",
         )
     ours, theirs = asdict(config), content["config"]
-    differing = sorted(name for name in ours.keys() - _FREE if ours[name] != theirs.get(name))
+    free = _FREE - {"batch"} if config.shown else _FREE  # which says where in a stream a step is
+    theirs = {f.name: f.default for f in fields(TrainConfig)} | theirs  # new ones came later
+    differing = sorted(name for name in ours.keys() - free if ours[name] != theirs[name])
+    if content.get("source", source) != source:
+        differing.append("stream")
     if differing:
         raise InvalidInputError(
             f"the checkpoint in {folder} was written with other values of {differing}",
@@ -456,17 +529,19 @@ def _resumed(folder: Path | None, config: TrainConfig) -> dict[str, Any]:
     return content
 
 
-def _check_corpora(corpus: Corpus, validation: Corpus, config: TrainConfig) -> None:
+def _check_corpora(corpus: Corpus | SampleStream, validation: Corpus, config: TrainConfig) -> None:
     least = config.network.m + 1  # the functions span everything on fewer
-    for name, samples in (("corpus", corpus), ("validation", validation)):
-        if samples.k != config.network.k or samples.n_points < least:
+    for name, source in (("corpus", corpus), ("validation", validation)):
+        there = source if isinstance(source, Corpus) else source.corpus()
+        fewest = there.fewest if isinstance(source, Corpus) else source.config.fewest
+        if there.k != config.network.k or fewest < least:
             raise InvalidInputError(
                 name,
                 f"have samples of at least {least} points and {config.network.k} modes",
-                f"{samples.n_points} and {samples.k}",
+                f"{fewest} and {there.k}",
+                advice="make it of more points or modes, or train a network with a smaller m",
             )
-        padded = np.any(samples.labels.get("n", samples.n_points) < samples.n_points)
-        if padded and config.network.backbone != "neo":
+        if fewest < there.n_points and config.network.backbone != "neo":
             raise InvalidInputError(
                 name,
                 f"have as many points in each sample, for {config.network.backbone}, which takes"
@@ -474,13 +549,13 @@ def _check_corpora(corpus: Corpus, validation: Corpus, config: TrainConfig) -> N
                 "meshes of fewer",
                 advice="make it without meshes, or take backbone='neo'",
             )
-    if config.beta and not corpus.has_operators:
-        raise InvalidInputError(
-            "corpus",
-            f"have operators to smooth with, for beta = {config.beta:g}",
-            "one without",
-            advice="make it anew, or take beta=0",
-        )
+        if config.beta and not there.has_operators:
+            raise InvalidInputError(
+                name,
+                f"have operators to smooth with, for beta = {config.beta:g}",
+                "one without",
+                advice="make it anew, or take beta=0",
+            )
 
 
 def _autocast(device: str, precision: str) -> torch.autocast:

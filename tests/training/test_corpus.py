@@ -297,6 +297,13 @@ def test_app_writes_a_corpus_and_reports(tmp_path, capsys):
         name: part[:2].tolist() for name, part in every.items()
     }
     assert typical(np.array([1e-4, 1e-2, 1e-3])) == pytest.approx(1e-3)
+    for file in ("eigenvalues", "starts", "columns", "entries"):
+        (tmp_path / "shard_0000" / f"{file}.npy").unlink()
+    for wrong in ([str(tmp_path)], [options[0], "--most", "0"]):
+        assert validate_neo.main(wrong) == 2
+    output = capsys.readouterr().err
+    assert "`corpus` must have operators" in output
+    assert "`most` must be at least 1" in output
     with pytest.raises(InvalidInputError, match="`solver` must have a subspace"):
         errors_of(Cascade(), open_shards(tmp_path / "meshes"))
     assert make_corpus.main([*command, "--seed", "5"]) == 2

@@ -64,6 +64,14 @@ def test_stream_equals_the_corpus_and_goes_on_behind_what_is_saved(shards, tmp_p
     assert_same(saved, open_shards(shards), np.arange(12))
 
 
+def test_a_bounded_stream_removes_no_shards_but_its_own(tmp_path):
+    generate(tmp_path, 8, config=TINY)
+    stream = SampleStream(TINY, workers=1, capacity=4, folder=tmp_path, bounded=True, start=400)
+    with pytest.raises(InvalidInputError, match="`folder` must have been begun by a bounded"):
+        stream.__enter__()
+    assert len(open_shards(tmp_path)) == 8
+
+
 @pytest.mark.usefixtures("in_this_process")
 def test_the_oldest_samples_make_room_and_views_stay(tmp_path):
     options = {"workers": 1, "capacity": 8, "folder": tmp_path}

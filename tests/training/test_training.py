@@ -40,6 +40,7 @@ from spectra_kit.training.optim import (
 )
 from spectra_kit.training.ranks import Ranks
 from spectra_kit.training.shards import open_shards, write_shard
+from spectra_kit.training.stream import SampleStream
 from spectra_kit.training.train import _Run, _shortened, train, validate
 
 TINY = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=8)
@@ -187,10 +188,18 @@ def test_half_precision_follows_float32_and_shares_change_no_gradient(corpora, w
     np.testing.assert_allclose(losses[1], losses[3], rtol=1e-4)
 
 
-def test_training_for_what_smoothing_leaves_learns_and_shares_change_nothing(tmp_path):
-    made_of = CorpusConfig(seed=1, n_points=128, k=8, shard_size=8, mesh_share=0.5)
-    generate(tmp_path, 8, config=made_of)
-    corpus = open_shards(tmp_path)
+@pytest.fixture(scope="module")
+def of_both_kinds(tmp_path_factory):
+    """Clouds and meshes, padded, with their operators."""
+    folder = tmp_path_factory.mktemp("both")
+    generate(
+        folder, 8, config=CorpusConfig(seed=1, n_points=128, k=8, shard_size=8, mesh_share=0.5)
+    )
+    return open_shards(folder)
+
+
+def test_training_for_what_smoothing_leaves_learns_and_shares_change_nothing(of_both_kinds):
+    corpus = of_both_kinds
     config = replace(CONFIG, steps=60, batch=8, validation=8, every=60, beta=0.9, smoothing=4)
     torch.manual_seed(config.seed)
     before = validate(NeoNetwork(TINY), corpus, config)
@@ -210,31 +219,58 @@ def test_training_for_what_smoothing_leaves_learns_and_shares_change_nothing(tmp
     assert losses[0] == pytest.approx(0.1 * losses[-2] + 0.9 * losses[-1], rel=1e-4)
 
 
-def test_relative_errors_of_easy_and_hard_samples_count_alike(corpora):
+@pytest.mark.parametrize("workers", [1, 2])
+def test_relative_errors_of_easy_and_hard_samples_count_alike(of_both_kinds, workers):
     """The gradient is the mean of those of the samples, each divided by its error."""
-    corpus, _ = corpora
-    config = replace(CONFIG, batch=2, alpha=0.0, precision="float32", relative=True)
+    corpus, beta = of_both_kinds, 0.3
+    config = replace(CONFIG, batch=2, alpha=0.0, beta=beta, smoothing=4, precision="float32")
+    config = replace(config, relative=True, workers=workers)
     torch.manual_seed(0)
     network = NeoNetwork(TINY)
 
     def gradients(config, samples):
         run = _Run(config, torch.device("cpu"), Ranks.here(), network)
         losses, found = run.gradients(samples)
-        return float(sum(losses)), torch.cat([part.flatten() for part in found[0]])
+        shares = [torch.cat([part.flatten() for part in share]) for share in found]
+        return float(sum(losses)), torch.stack(shares).sum(0)
 
-    both = vary(posed(corpus.batch([0, 1]), config), config, 0)
-    plain = replace(config, batch=1, relative=False)
-    (one, first), (other, second) = (gradients(plain, half) for half in both.parts(2))
-    loss, together = gradients(config, both)
-    assert loss == pytest.approx((one + other) / 2, rel=1e-5)  # which is told
-    torch.testing.assert_close(together, (first / one + second / other) / 2, rtol=1e-2, atol=1e-6)
-    # What is trained for is what is validated: the geometric mean, over samples one by one.
-    first_n = [replace(plain, validation=n) for n in range(1, 6)]
-    sums = [n * validate(network, corpus, c)["validation"] for n, c in enumerate(first_n, 1)]
-    each = np.diff(sums, prepend=0.0)
-    whole = validate(network, corpus, replace(config, validation=5))["validation"]
-    assert whole == pytest.approx(geometric_mean(each), rel=1e-3)
-    assert whole < 0.999 * fmean(each)
+    both = vary(posed(corpus.batch([0, 1]), config, 2), config, 0)
+    parts = {}
+    for share in (0.0, 1.0):
+        plain = replace(config, batch=1, relative=False, beta=share, workers=1)
+        parts[share] = [gradients(plain, half) for half in both.parts(2)]
+    whole = both if workers == 2 else vary(posed(corpus.batch([0, 1]), config), config, 0)
+    loss, together = gradients(config, whole)
+    logs, truth = 0.0, torch.zeros_like(together)
+    for share, weight in ((0.0, 1 - beta), (1.0, beta)):
+        for error, gradient in parts[share]:
+            logs += weight * np.log(error) / 2
+            truth += weight * gradient / error / 2
+    assert loss == pytest.approx(logs, rel=1e-3)
+    torch.testing.assert_close(together, truth, rtol=1e-2, atol=1e-5)
+
+
+def test_what_is_trained_for_is_what_is_told(of_both_kinds):
+    corpus = of_both_kinds
+    config = replace(CONFIG, batch=8, flips=0.0, jitter=0.0, alpha=0.0, log=1, precision="float32")
+    config = replace(config, relative=True, steps=1, validation=8, beta=0.5, smoothing=4, ema=0.0)
+    torch.manual_seed(0)
+    network = NeoNetwork(TINY)
+    told = validate(network, corpus, config)
+    sums = {name: [0.0] for name in told}
+    for n in range(1, 9):
+        means = validate(network, corpus, replace(config, relative=False, validation=n))
+        for name, mean in means.items():
+            sums[name].append(n * mean)
+    for name, total in sums.items():  # over samples one by one
+        each = np.diff(total)
+        assert told[name] == pytest.approx(geometric_mean(each), rel=1e-3)
+        assert told[name] < 0.999 * fmean(each)
+    rows = []
+    train(corpus, corpus, replace(config, lr=1e-9), initial=network, report=rows.append)
+    expected = np.sqrt(told["validation"] * told["smoothed"])  # of beta = 0.5
+    assert rows[0]["loss"] == pytest.approx(expected, rel=1e-3)
+    assert rows[0]["validation"] == pytest.approx(told["validation"], rel=1e-3)
 
 
 def test_networks_that_take_padding_for_points_get_none(corpora):
@@ -378,6 +414,83 @@ def test_a_run_resumes_under_the_same_configuration_alone(corpora, tmp_path):
         train(*corpora, replace(CONFIG, lr=1e-4), out=tmp_path, resume=True)
     free = replace(CONFIG, batch=2, workers=2)
     assert train(*corpora, free, out=tmp_path, resume=True, stop_after=2).record["samples"] == 6
+    # One of before a field came was written with its default.
+    content = checkpoint.read(tmp_path)
+    del content["config"]["relative"], content["source"]
+    checkpoint.write(tmp_path, content)
+    with pytest.raises(InvalidInputError, match=r"other values of \['relative'\]"):
+        train(*corpora, replace(free, relative=True), out=tmp_path, resume=True)
+    assert train(*corpora, free, out=tmp_path, resume=True, stop_after=3).record["steps"] == 3
+
+
+def test_a_run_is_not_overwritten(corpora, tmp_path):
+    train(*corpora, CONFIG, out=tmp_path, stop_after=2)
+    before = (tmp_path / "log.csv").read_bytes()
+    with pytest.raises(InvalidInputError, match="`out` must hold no checkpoint of another run"):
+        train(*corpora, CONFIG, out=tmp_path, stop_after=1)
+    assert checkpoint.read(tmp_path)["state"]["step"] == 2
+    assert (tmp_path / "log.csv").read_bytes() == before
+
+
+def test_samples_on_which_functions_span_everything_are_refused(tmp_path):
+    made_of = CorpusConfig(seed=1, n_points=128, k=4, shard_size=4, mesh_share=1.0)
+    generate(tmp_path, 4, config=made_of)
+    meshes = open_shards(tmp_path)
+    fewest = meshes.labels["n"].min()
+    assert meshes.fewest == fewest < 64
+    assert replace(meshes, labels={}).fewest == fewest  # counted, where no label tells
+    wide = replace(CONFIG, network=replace(TINY, k=4, m=int(fewest)))
+    told = f"`corpus` must have samples of at least {fewest + 1} points and 4 modes, got {fewest}"
+    with pytest.raises(InvalidInputError, match=told):
+        train(meshes, meshes, wide)
+    fits = replace(wide, network=replace(TINY, k=4), steps=1)
+    train(meshes, meshes, fits)
+    # Of a stream it follows from what its samples are made of.
+    with SampleStream(made_of, workers=1, capacity=8) as stream:
+        assert stream.ready(1, timeout=60)
+        for network in (replace(wide.network, m=40), replace(TINY, k=4, backbone="pointnet++")):
+            with pytest.raises(InvalidInputError, match="`corpus` must have "):
+                train(stream, meshes, replace(wide, network=network))
+
+
+def test_a_stream_is_resumed_as_it_was_or_not_at_all(tmp_path):
+    made_of = CorpusConfig(seed=1, n_points=100, k=4, shard_size=4)
+    generate(tmp_path / "validation", 4, config=replace(made_of, seed=2))
+    validation = open_shards(tmp_path / "validation")
+    config = replace(CONFIG, network=replace(TINY, k=4), batch=2, shown=2)
+
+    def run(config, made_of=made_of, capacity=12, **options):
+        with SampleStream(made_of, workers=1, capacity=capacity, ahead=4) as stream:
+            return train(stream, validation, config, out=tmp_path / "run", **options)
+
+    assert run(config, stop_after=2).record["corpus"]["samples"] >= 8  # of all so far
+    for change in ({"capacity": 11}, {"made_of": replace(made_of, mesh_share=0.5)}):
+        with pytest.raises(InvalidInputError, match=r"other values of \['stream'\]"):
+            run(config, resume=True, **change)
+    with pytest.raises(InvalidInputError, match=r"other values of \['batch'\]"):
+        run(replace(config, batch=3), resume=True)
+    assert run(config, resume=True, stop_after=3).record["steps"] == 3
+
+
+def test_an_hour_changes_neither_log_nor_checkpoint_and_its_errors_lose_nothing(
+    corpora, tmp_path, monkeypatch
+):
+    config = replace(CONFIG, steps=6, log=3, every=6, save=1e9)
+    train(*corpora, config, out=tmp_path / "without")
+    monkeypatch.setattr("spectra_kit.training.train._HOUR", 1e-3)
+    hours = []
+    told = lambda _, row: hours.append(row)  # noqa: E731
+    train(*corpora, config, out=tmp_path / "with", hourly=told)
+    assert curve(tmp_path / "with") == curve(tmp_path / "without")
+    assert [row["step"] for row in hours] == [1, 2, 3, 4, 5, 6]
+    assert all(row["validation"] > 0 for row in hours)
+
+    def fails(network, row):
+        raise OSError("the disk is full")
+
+    with pytest.raises(OSError, match="the disk is full"):
+        train(*corpora, config, out=tmp_path / "fails", hourly=fails)
+    assert checkpoint.read(tmp_path / "fails")["state"]["step"] == 1
 
 
 # Processes that are killed, and several at once
@@ -487,7 +600,7 @@ def test_a_killed_run_on_a_stream_ends_as_one_in_a_single_go(tmp_path):
         values = {"validation": tmp_path / "validation", "out": tmp_path / name, "steps": 40}
         values |= {"stream": tmp_path / f"{name}_samples", "shown": 2, "capacity": 24, "batch": 6}
         values |= {"points": 100, "modes": 4, "shard-size": 4, "mesh-share": 0.5, "beta": 0.5}
-        values |= {"every": 1000, "log": 1, "save": 0.1, **options}
+        values |= {"every": 1000, "rows": 1, "save": 0.1, **options}
         words = [str(word) for name, value in values.items() for word in (f"--{name}", value)]
         return [sys.executable, str(tmp_path / "streamed.py"), "--resume", *words]
 
@@ -670,11 +783,13 @@ def test_command_line_end_to_end(tmp_path, capsys, monkeypatch):
 def test_hours_of_the_run_are_told_by_what_users_get(tmp_path, monkeypatch):
     made_of = CorpusConfig(seed=1, n_points=128, k=4, shard_size=4, mesh_share=0.5)
     generate(tmp_path / "train", 4, config=made_of)
-    generate(tmp_path / "full", 2, config=replace(made_of, n_points=256, shard_size=2))
+    other = replace(made_of, seed=7)
+    generate(tmp_path / "validation", 4, config=other)
+    generate(tmp_path / "full", 2, config=replace(other, n_points=256, shard_size=2))
     few = NeoConfig(width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=4)
     monkeypatch.setattr(NeoConfig, "named", {"small": few}.get)
     monkeypatch.setattr("spectra_kit.training.train._HOUR", 1e-3)
-    folders = [str(tmp_path / name) for name in ("train", "train", "full", "run")]
+    folders = [str(tmp_path / name) for name in ("train", "validation", "full", "run")]
     options = ("", "--validation", "--hourly", "--out")
     argv = [word for pair in zip(options, folders, strict=True) for word in pair if word]
     argv += ["--steps", "3", "--batch", "2", "--beta", "0.5", "--every", "100", "--resume"]
@@ -683,11 +798,34 @@ def test_hours_of_the_run_are_told_by_what_users_get(tmp_path, monkeypatch):
     assert len(lines) == 3
     number = r"[\d.e+-]+"
     for line in lines:
-        assert re.search(
-            rf"h, \d samples: loss {number}, span error {number}, {number} after smoothing;", line
-        )
+        assert re.search(rf"h, \d samples: span error {number}, {number} after smoothing;", line)
         assert re.search(rf"meshes {number}, {number} and eigenvalues {number} after a step", line)
     assert int((tmp_path / "run" / "group").read_text()) == os.getpgrp()
     assert train_neo.main([*argv, "--steps", "4"]) == 0  # begins where it was, and ends later
     assert len((tmp_path / "run" / "hours.txt").read_text().splitlines()) == 4
     assert train_neo.main([*argv[1:], "--resume"]) == 2  # neither folders nor a stream
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--mesh-share", "0.5", "--makers", "2"], "--makers, --mesh_share is for samples that"),
+        (["--weights", "small", "--config", "small"], "--weights come with their sizes"),
+        (["--stream", "S", "--shown", "0"], "`--shown` must be at least 1, got 0"),
+        (["--stream", "S", "--seed", "4"], "samples to train and to validate on are the same"),
+        (["OTHER"], "samples to train and to validate on are the same: both of seed 4"),
+        (["TRAIN", "--hourly", "OLD"], "`--hourly` must have operators"),
+    ],
+)
+def test_options_of_the_app_that_do_not_fit_are_refused(tmp_path, capsys, options, told):
+    made_of = CorpusConfig(seed=4, n_points=128, k=4, shard_size=4)
+    for name, seed in (("OTHER", 4), ("TRAIN", 1), ("OLD", 2)):
+        generate(tmp_path / name, 4, config=replace(made_of, seed=seed))
+    for file in ("eigenvalues", "starts", "columns", "entries"):
+        (tmp_path / "OLD" / "shard_0000" / f"{file}.npy").unlink()
+    options = [str(tmp_path / word) if word.isupper() else word for word in options]
+    told_of = ["--validation", str(tmp_path / "OTHER"), "--out", str(tmp_path / "run")]
+    sizes = [f"--network={size}" for size in ("m=16", "waves=0", "width=36", "depth=1")]
+    sizes = [] if "--weights" in options else sizes
+    assert train_neo.main([*options, *told_of, *sizes, "--steps", "1", "--batch", "2"]) == 2
+    assert told in capsys.readouterr().err
