@@ -32,6 +32,7 @@ PURPOSE = {
     "metrics": ("study", "spectra compared"),
     "interop": ("use", "to and from\nother toolkits"),
     "descriptors": ("use", "signatures,\nspectral distances"),
+    "embeddings": ("use", "numbers to learn\nand search by"),
     "functional_maps": ("use", "fit, ZoomOut,\nconversions"),
     "geodesics": ("use", "heat method,\nexact distances"),
     "correspondence": ("study", "errors and quality\nof maps"),

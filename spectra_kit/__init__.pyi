@@ -5,6 +5,7 @@ from . import cli as cli
 from . import correspondence as correspondence
 from . import descriptors as descriptors
 from . import eigensolvers as eigensolvers
+from . import embeddings as embeddings
 from . import errors as errors
 from . import explorer as explorer
 from . import functional_maps as functional_maps

@@ -15,7 +15,7 @@ LAYERS = [
     "_spectrum_file subspaces levels",
     "spectra neo",
     "eigensolvers metrics interop descriptors functional_maps geodesics",
-    "correspondence",
+    "correspondence embeddings",
     "matching",
     "training viz",
     "explorer",

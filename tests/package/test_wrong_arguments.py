@@ -28,6 +28,7 @@ import spectra_kit as sk
 from spectra_kit import (
     correspondence,
     descriptors,
+    embeddings,
     functional_maps,
     geodesics,
     geometry,
@@ -47,8 +48,10 @@ INNER = re.compile("_|catalogue|cli|errors|levels|linalg|training")
 PACKAGES = [name for _, name, _ in pkgutil.iter_modules(sk.__path__) if not INNER.match(name)]
 # Tensors are torch's to check, where a compiler has to see through every line.
 LEFT_TO_TORCH = {"NeoNetwork.forward", "NeoNetwork.features", "NeoNetwork.evaluate_chunked"}
-# Called by `eigensolve` alone, which has checked what it hands on.
-HOOKS = re.compile(r"\.eigenpairs$|^(?!GivenBasis|Laplacian).*restricted$")
+# Called by `eigensolve` and `embed` alone, which have checked what they hand on.
+HOOKS = re.compile(
+    r"\.eigenpairs$|\.of_points$|\.of_all$|\.values$|^(?!GivenBasis|Laplacian).*restricted$"
+)
 
 
 class Call(NamedTuple):
@@ -178,6 +181,12 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("operators", interop.to_diffusion_net(spectrum, laplacian)),
         ("mismatches.source mismatches.target", prepared),
         ("Union.parts start subspace", given),
+        ("embedding", embeddings.HeatSignature(count=4)),
+        ("Surface.shape embed.shape embed_shape.shape", mesh),
+        ("Surface.solver", sk.Arpack()),
+        ("embed_batch.embedding", embeddings.PlaneWaves(count=4)),
+        ("embed_batch.points", torch.rand(2, 9, 3)),
+        ("embed_batch.mass", torch.ones(2, 9)),
         # Distances and maps.
         ("distance", field.distance),
         ("DistanceField.sources", field.sources),
@@ -277,6 +286,11 @@ ALSO = {
     "eigensolve.solver": {"Arpack"},
     "to_pyvista.point_arrays": {"Spectrum", "array of b"},
     "spectrum.solver": {"Arpack"},
+    "Surface.shape": {"Laplacian", "Spectrum"},
+    "embed.shape": {"Laplacian", "Spectrum"},
+    "embed.solver": {"Arpack"},
+    "embed_shape.shape": {"Laplacian", "Spectrum"},
+    "embed_shape.solver": {"Arpack"},
     # Empty sequences, which are arrays of floats to NumPy.
     "Match.candidates": {"array"},
     "pareto_front.points": {"array"},

@@ -1,0 +1,202 @@
+"""What an embedding is, and the one call that makes it of any shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+from spectra_kit._checked import checked
+from spectra_kit._types import Floats
+from spectra_kit._validate import check_count
+from spectra_kit.eigensolvers import Automatic, Eigensolver, eigensolve
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
+from spectra_kit.operators import Laplacian, laplacian
+from spectra_kit.spectra import Spectrum
+
+#: What may be done to a surface without changing an embedding, but for discretisation.
+Change = Literal["rotation", "scale", "isometry", "sampling"]
+Shape = TriangleMesh | PointCloud | Laplacian | Spectrum
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A shape, with what embeddings ask of it: made at the first time, and kept.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud, Laplacian or Spectrum
+        With n points.
+    k : int
+        Modes of its spectrum.
+    solver : Eigensolver
+        Who computes them, where `shape` is not a spectrum.
+    """
+
+    shape: Shape
+    k: int
+    solver: Eigensolver
+
+    @cached_property
+    def laplacian(self) -> Laplacian:
+        """The operator, which a bare spectrum does not have."""
+        if isinstance(self.shape, Laplacian):
+            return self.shape
+        if isinstance(self.shape, Spectrum):
+            raise InvalidInputError(
+                "shape",
+                "have points, of which this embedding is a function",
+                "a Spectrum",
+                advice="give the mesh, the cloud or its Laplacian",
+            )
+        return laplacian(self.shape)
+
+    @cached_property
+    def spectrum(self) -> Spectrum:
+        """Its k lowest modes, in the unit of length in which the area is one."""
+        found = self.shape
+        if not isinstance(found, Spectrum):
+            found = eigensolve(self.laplacian, self.k, self.solver)
+        if found.k < self.k:
+            raise InvalidInputError("shape", f"have k = {self.k} modes or more", found.k)
+        return found.truncate(self.k).rescale(found.area**-0.5)
+
+    @property
+    def mass(self) -> Floats:
+        """Share of each point in the area, (n,)."""
+        source = self.shape if isinstance(self.shape, Spectrum) else self.laplacian
+        return np.asarray(source.mass / source.mass.sum())
+
+
+@runtime_checkable
+class Embedding(Protocol):
+    """Numbers for each point of a surface, or for all of it: a frozen dataclass of its options."""
+
+    @property
+    def invariant_to(self) -> frozenset[Change]:
+        """What leaves it as it is, but for errors of discretisation and of the solver."""
+        ...
+
+    def of_points(self, surface: Surface) -> Floats:
+        """Return (n, c)."""
+        ...
+
+    def of_all(self, surface: Surface) -> Floats:
+        """Return (c,), which does not depend on the order of the points."""
+        ...
+
+
+class Pooled:
+    """Mean and standard deviation over the area: what embeddings of points say of all of it."""
+
+    def of_points(self, surface: Surface) -> Floats:
+        """Return (n, c)."""
+        raise NotImplementedError
+
+    def of_all(self, surface: Surface) -> Floats:
+        """Return the means of the c columns, then their standard deviations: (2 c,)."""
+        values, mass = self.of_points(surface), surface.mass
+        mean = mass @ values
+        return np.concatenate([mean, np.sqrt(mass @ (values - mean) ** 2)])
+
+
+@checked
+def embed(
+    shape: Shape,
+    embedding: Embedding,
+    *,
+    k: int = 64,
+    solver: Eigensolver = Automatic(),  # noqa: B008
+) -> Floats:
+    """Return numbers for each point of a surface that tell where on it the point is.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud, Laplacian or Spectrum
+        With n points. Embeddings that are functions of the points refuse a bare spectrum.
+    embedding : Embedding
+        `HeatSignature`, `WaveSignature`, `GlobalPoints`, `NeoFunctions`, `Coordinates`,
+        `PositionalEncoding`, or `PlaneWaves`.
+    k : int, default 64
+        Modes that spectral ones are made of, zero modes included.
+    solver : Eigensolver, default Automatic()
+        Who computes them: ``Neo()`` predicts them. Not asked where `shape` is a spectrum.
+
+    Returns
+    -------
+    ndarray of shape (n, c)
+        Dimensionless: shapes are brought to unit area, or to the unit box.
+
+    Raises
+    ------
+    InvalidInputError
+        If a spectrum has fewer modes than `k`, points are asked of it, or the embedding has
+        nothing to say of single points.
+    ConvergenceError, InvalidSpectrumError, OutOfMemoryError
+        As of `eigensolve`.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> cloud = sk.geometry.creature(800)
+    >>> sk.embeddings.embed(cloud, sk.embeddings.HeatSignature(count=8), k=32).shape
+    (800, 8)
+    """
+    return _finite(embedding.of_points(Surface(shape, check_count("k", k, low=1), solver)))
+
+
+@checked
+def embed_shape(
+    shape: Shape,
+    embedding: Embedding,
+    *,
+    k: int = 64,
+    solver: Eigensolver = Automatic(),  # noqa: B008
+) -> Floats:
+    """Return numbers for the whole of a surface, to compare it with others.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud, Laplacian or Spectrum
+        As of `embed`.
+    embedding : Embedding
+        `ShapeDNA`, or one of points, whose means and standard deviations over the area are
+        returned.
+    k : int, default 64
+        As of `embed`.
+    solver : Eigensolver, default Automatic()
+        As of `embed`.
+
+    Returns
+    -------
+    ndarray of shape (c,)
+        Dimensionless; the same for any order of the points.
+
+    Raises
+    ------
+    InvalidInputError, ConvergenceError, InvalidSpectrumError, OutOfMemoryError
+        As of `embed`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spectra_kit as sk
+    >>> dna = sk.embeddings.ShapeDNA(count=20)
+    >>> still, moved = (sk.geometry.creature(1500, pose=pose) for pose in (0, 1))
+    >>> near = sk.embeddings.embed_shape(still, dna) - sk.embeddings.embed_shape(moved, dna)
+    >>> far = sk.embeddings.embed_shape(sk.geometry.torus(n=1500).geometry, dna)
+    >>> far = far - sk.embeddings.embed_shape(still, dna)
+    >>> bool(np.linalg.norm(near) < np.linalg.norm(far))
+    True
+    """
+    return _finite(embedding.of_all(Surface(shape, check_count("k", k, low=1), solver)))
+
+
+def _finite(values: Floats) -> Floats:
+    if not np.isfinite(values).all():
+        raise InvalidInputError("embedding", "give finite numbers", "some that are not")
+    return values

@@ -1,0 +1,227 @@
+"""Embeddings by a spectrum, exact or predicted: they do not see how a surface lies in space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spectra_kit._checked import checked
+from spectra_kit._types import Floats
+from spectra_kit._validate import check_count
+from spectra_kit.descriptors import (
+    global_point_signature,
+    heat_kernel_signature,
+    shape_dna,
+    wave_kernel_signature,
+)
+from spectra_kit.embeddings.base import Change, Pooled, Surface
+from spectra_kit.errors import InvalidInputError
+
+_ISOMETRIC: frozenset[Change] = frozenset({"rotation", "scale", "isometry", "sampling"})
+_LONGEST = 1.0  # time in units of the area, by when heat has spread over all of most surfaces
+_LOWEST = 1.0  # eigenvalue of a surface of area one, below the first of all but the most slender
+
+
+def _highest(k: int) -> float:
+    """Return what Weyl's law expects of eigenvalue number k of a surface of area one."""
+    return 4 * np.pi * k
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class HeatSignature(Pooled):
+    """Logarithms of the heat kernel signature, at times that all shapes share.
+
+    Parameters
+    ----------
+    count : int, default 16
+        Times, evenly spaced in their logarithms, from that in which the last mode of Weyl's law has
+        died down to 1e-4 to the area of the surface.
+
+    Raises
+    ------
+    InvalidInputError
+        If `count` is less than 2.
+
+    References
+    ----------
+    J. Sun, M. Ovsjanikov, L. Guibas, "A concise and provably informative multi-scale signature
+    based on heat diffusion", Computer Graphics Forum 28(5), 2009.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> ball = sk.geometry.sphere(subdivisions=3).geometry
+    >>> even = sk.embeddings.embed(ball, sk.embeddings.HeatSignature(count=4), k=36)
+    >>> bool((even.std(axis=0) < 0.1).all())
+    True
+    """
+
+    count: int = 16
+
+    def __post_init__(self) -> None:
+        check_count("count", self.count, low=2)
+
+    @property
+    def invariant_to(self) -> frozenset[Change]:
+        """Rotation, scale, isometry and sampling."""
+        return _ISOMETRIC
+
+    def of_points(self, surface: Surface) -> Floats:
+        """Return (n, count), zero where heat is as dense as on the mean."""
+        shortest = 4 * np.log(10) / _highest(surface.k)
+        times = np.geomspace(shortest, _LONGEST, self.count)
+        return np.log(heat_kernel_signature(surface.spectrum, times))
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class WaveSignature(Pooled):
+    """The wave kernel signature, at energies that all shapes share.
+
+    Parameters
+    ----------
+    count : int, default 64
+        Energies, evenly spaced.
+    width : float, default 7
+        Standard deviation of the band around each, in distances between energies.
+
+    Raises
+    ------
+    InvalidInputError
+        If `count` is less than 2, or `width` not positive.
+
+    References
+    ----------
+    M. Aubry, U. Schlickewei, D. Cremers, "The wave kernel signature: a quantum mechanical approach
+    to shape analysis", ICCV Workshops, 2011.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> ball = sk.geometry.sphere(subdivisions=3).geometry
+    >>> even = sk.embeddings.embed(ball, sk.embeddings.WaveSignature(count=8), k=36)
+    >>> bool((even.std(axis=0) < 0.1).all())
+    True
+    """
+
+    count: int = 64
+    width: float = 7.0
+
+    def __post_init__(self) -> None:
+        check_count("count", self.count, low=2)
+        if not self.width > 0:
+            raise InvalidInputError("width", "be positive", self.width)
+
+    @property
+    def invariant_to(self) -> frozenset[Change]:
+        """Rotation, scale, isometry and sampling."""
+        return _ISOMETRIC
+
+    def of_points(self, surface: Surface) -> Floats:
+        """Return (n, count), one in the mean over the area."""
+        energies = np.linspace(np.log(_LOWEST), np.log(_highest(surface.k)), self.count)
+        width = self.width * (energies[1] - energies[0])
+        return wave_kernel_signature(surface.spectrum, energies, width=width)
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class GlobalPoints(Pooled):
+    """Magnitudes of the global point signature: each point by the modes, over their frequencies.
+
+    Parameters
+    ----------
+    count : int, default 32
+        Modes outside the kernel.
+
+    Raises
+    ------
+    InvalidInputError
+        If `count` is less than 1.
+
+    Notes
+    -----
+    Signs do not count, but modes whose eigenvalues are near each other mix under small
+    deformations, and these columns with them; those of `HeatSignature` and `WaveSignature` do not.
+
+    References
+    ----------
+    R. M. Rustamov, "Laplace-Beltrami eigenfunctions for deformation invariant shape
+    representation", Symposium on Geometry Processing, 2007.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> cloud = sk.geometry.creature(800)
+    >>> sk.embeddings.embed(cloud, sk.embeddings.GlobalPoints(count=8), k=32).shape
+    (800, 8)
+    """
+
+    count: int = 32
+
+    def __post_init__(self) -> None:
+        check_count("count", self.count, low=1)
+
+    @property
+    def invariant_to(self) -> frozenset[Change]:
+        """Rotation, scale, isometry and sampling."""
+        return _ISOMETRIC
+
+    def of_points(self, surface: Surface) -> Floats:
+        """Return (n, count)."""
+        return np.abs(global_point_signature(surface.spectrum, self.count))
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class ShapeDNA:
+    """The eigenvalues outside the kernel over those of Weyl's law, in logarithms.
+
+    Parameters
+    ----------
+    count : int, default 30
+        Eigenvalues.
+
+    Raises
+    ------
+    InvalidInputError
+        If `count` is less than 1.
+
+    References
+    ----------
+    M. Reuter, F.-E. Wolter, N. Peinecke, "Laplace-Beltrami spectra as 'Shape-DNA' of surfaces and
+    solids", Computer-Aided Design 38(4), 2006.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> ball = sk.geometry.sphere(subdivisions=4).geometry
+    >>> sk.embeddings.embed_shape(ball, sk.embeddings.ShapeDNA(count=3), k=4)
+    array([ 0.69...,  0.00..., -0.4...])
+    """
+
+    count: int = 30
+
+    def __post_init__(self) -> None:
+        check_count("count", self.count, low=1)
+
+    @property
+    def invariant_to(self) -> frozenset[Change]:
+        """Rotation, scale, isometry and sampling."""
+        return _ISOMETRIC
+
+    def of_points(self, surface: Surface) -> Floats:
+        """Refuse: eigenvalues are of the whole surface."""
+        raise InvalidInputError(
+            "embedding",
+            "be one of points",
+            "ShapeDNA, which is one of whole surfaces",
+            advice="call `embed_shape`",
+        )
+
+    def of_all(self, surface: Surface) -> Floats:
+        """Return (count,): ``log(lambda_i area / (4 pi i))``."""
+        dna = shape_dna(surface.spectrum, self.count)
+        return np.log(dna / _highest(1) / np.arange(1, self.count + 1))
