@@ -32,7 +32,9 @@ LABELS = ("family", "pool", "mesh", "index", "nonuniform", "n", *_REJECTED)
 # Of eigenvalues. Spans then agree to 1e-7 with those to rounding; float16 holds 3 digits.
 _SOLVER = Arpack(tol=1e-4)
 _PATIENCE = 4  # rejections after which a sample tries another family or mesh of the pool
-_FEWEST = 5  # vertices of a mesh for each mode: on fewer, the modes are nearly all functions
+# Vertices of a mesh for each mode, at least: those that are aimed at, and those that must be left of
+# them. On fewer, the modes are nearly all functions, and those of a network all.
+_AIMED_AT, _LEFT = 5, 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +76,7 @@ class CorpusConfig:
     --------
     >>> from spectra_kit.training.samples import CorpusConfig
     >>> CorpusConfig(seed=0, n_points=1024, mesh_share=0.5, weights={"tube": 12.0}).fewest
-    480
+    288
     """
 
     seed: int
@@ -107,8 +109,8 @@ class CorpusConfig:
 
     @property
     def fewest(self) -> int:
-        """Points of a sample, at least; decimated meshes may have somewhat fewer."""
-        return min(_FEWEST * self.k, self.n_points) if self.mesh_share else self.n_points
+        """Points of a sample, at least."""
+        return min(_LEFT * self.k, self.n_points) if self.mesh_share else self.n_points
 
     def fingerprint(self) -> dict[str, object]:
         """Everything that decides the content of the shards, as JSON; a pool by its content."""
@@ -117,7 +119,7 @@ class CorpusConfig:
         values["pool"] = open_pool(path, split).digest if self.pool_share else None
         changed = values.pop("weights")
         weights = {name: weight for name, (_, weight) in FAMILIES.items()} | changed
-        return {"format": 6, **values, "families": weights if self.pool_share < 1 else {}}
+        return {"format": 7, **values, "families": weights if self.pool_share < 1 else {}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +231,8 @@ def make_surface(
     if not source["mesh"]:
         return mesh
     rng = np.random.default_rng((*seed, 3))
-    return at_resolution(mesh, rng, fewest=config.fewest, most=config.n_points)
+    fewest = min(_AIMED_AT * config.k, config.n_points)
+    return at_resolution(mesh, rng, fewest=fewest, most=config.n_points)
 
 
 def _attempted(config: CorpusConfig, index: int, attempt: int) -> Sample | str:
@@ -250,7 +253,7 @@ def _attempted(config: CorpusConfig, index: int, attempt: int) -> Sample | str:
             )
     except InvalidInputError:
         return "mesh"
-    if geometry.n < 2 * config.k:  # what decimation left
+    if geometry.n < config.fewest:  # what decimation left
         return "mesh"
     points = geometry.points - geometry.points.mean(axis=0)
     points = points / np.abs(points).max()
