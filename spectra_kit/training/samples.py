@@ -32,8 +32,8 @@ LABELS = ("family", "pool", "mesh", "index", "nonuniform", "n", *_REJECTED)
 # Of eigenvalues. Spans then agree to 1e-7 with those to rounding; float16 holds 3 digits.
 _SOLVER = Arpack(tol=1e-4)
 _PATIENCE = 4  # rejections after which a sample tries another family or mesh of the pool
-# Vertices of a mesh for each mode, at least: those aimed at, and those that must be left of them. On
-# fewer, the modes are nearly all functions there are, and those of a network all.
+# Vertices of a mesh for each mode: those aimed at, and those that must be left of them. On fewer,
+# the modes are nearly all functions that there are, and those of a network all.
 _AIMED_AT, _LEFT = 5, 3
 
 
