@@ -117,7 +117,8 @@ def test_few_points_are_solved_as_they_are(bumpy_laplacian):
         (sk.Cascade(coarsest=400), sk.Arpack()),
     ):
         a, b = (sk.eigensolve(bumpy_laplacian, 10, solver) for solver in (cascade, whole))
-        np.testing.assert_allclose(a.eigenvalues, b.eigenvalues, rtol=1e-12, atol=1e-12)
+        # To rounding, of which one processor makes more than another.
+        np.testing.assert_allclose(a.eigenvalues, b.eigenvalues, rtol=1e-10, atol=1e-10)
 
 
 def test_levels_are_evenly_apart_and_have_room():

@@ -251,7 +251,9 @@ def test_landmarks_settle_a_symmetry() -> None:
     one = ball.with_points(ball.points * (1, 1.3, 1.7))
     shuffled, truth = permuted(one, seed=7)
     a, b = prepared(one, 50), prepared(shuffled, 50)
-    assert match(a, b, elastic=False).margin < 1.2  # one is as good as another
+    found = match(a, b, elastic=False)
+    kept = [candidate.score for candidate in found.candidates if not candidate.mirrored]
+    assert max(kept[:4]) < 0.01  # one is as good as another
     here = np.array([0, 5, 17])
     for turned in (np.array([-1.0, -1, 1]), np.array([1.0, -1, -1])):
         images = np.argmin(((one.points[:, None] - turned * one.points) ** 2).sum(axis=2), axis=0)

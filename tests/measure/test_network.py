@@ -112,8 +112,9 @@ def test_what_is_timed_is_what_the_solver_does(animal, tmp_path):
     solved = eigensolve(case.laplacian(), 10, Neo(smoothing=0))
     study = Accuracy(folder=Store(tmp_path).folder, contenders=[], problems=[], k=10)
     exact, timed, _ = study.compare(SMALL, case)
-    np.testing.assert_array_equal(timed.eigenvalues, solved.eigenvalues)
-    np.testing.assert_array_equal(timed.eigenvectors, solved.eigenvectors)
+    # But for rounding, which follows from where arrays lie in memory.
+    np.testing.assert_allclose(timed.eigenvalues, solved.eigenvalues, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(timed.eigenvectors, solved.eigenvectors, rtol=1e-7, atol=1e-9)
     stages = [dict(s.provenance.seconds) for s in (timed, solved)]
     assert {"subspace", "certify"} <= stages[0].keys() & stages[1].keys()
     assert study.measure(SMALL, case)["exact_seconds"] == exact.provenance.solving_seconds
