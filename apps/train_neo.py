@@ -19,7 +19,7 @@ from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers import Neo
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.model import NeoConfig, NeoNetwork
-from spectra_kit.neo.pretrained import load_pretrained, save_weights
+from spectra_kit.neo.pretrained import find_weights, load_pretrained, save_weights
 from spectra_kit.training import checkpoint
 from spectra_kit.training.batches import window
 from spectra_kit.training.config import TrainConfig
@@ -254,9 +254,12 @@ def _train(args: argparse.Namespace) -> None:
         result = _run(args, device)
         if not Ranks.here().first:
             return
-        digest = save_weights(path, result.network, result.record)
+        record = dict(result.record)
+        if args.weights:
+            digest = find_weights(args.weights).sha256
+            record["begun_with"] = {"weights": args.weights, "sha256": digest}
+        digest = save_weights(path, result.network, record)
     ending = "finished" if result.finished else "interrupted: continue with --resume"
-    record = result.record
     print(
         f"{record['steps']} steps, {record['samples']} samples, {record['minutes']} min, {ending}"
     )

@@ -28,7 +28,7 @@ _BLANK = b"0" * 64  # where the digest of the file goes, while it is computed
 WEIGHTS: dict[str, tuple[str, str]] = {
     "small": (
         "neo-small.safetensors",
-        "8ed4dab6ac44d7a9f926506d22a7c75f2e680d289c35240bcf39d0a09147de4f",
+        "1e0567cfbb49601e7c8debf4bdddfd87eff8dbba23c43825563dd9c738e5ae6c",
     ),
 }
 

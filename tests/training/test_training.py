@@ -771,7 +771,9 @@ def test_command_line_end_to_end(tmp_path, capsys, monkeypatch):
     assert train_neo.main(tuned) == 0
     before = float(re.search(r", before: ([\d.]+)$", capsys.readouterr().out, re.MULTILINE)[1])
     assert before == pytest.approx(loaded.record["span_error"], abs=2e-5)
-    assert load_pretrained(tmp_path / "tuned" / "weights.safetensors").config == loaded.config
+    finetuned = load_pretrained(tmp_path / "tuned" / "weights.safetensors")
+    assert finetuned.config == loaded.config
+    assert finetuned.record["begun_with"]["sha256"] == loaded.sha256
     capsys.readouterr()
     assert train_neo.main([*tuned, *sized]) == 2
     assert "leave out --network" in capsys.readouterr().err
