@@ -8,8 +8,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from typing import Any
+from typing import Any, TextIO
 
 from spectra_kit._version import VERSION
 from spectra_kit.cli.help import help_text
@@ -71,7 +70,7 @@ def main(argv: Sequence[str] | None = None, *, ready: Callable[[], object] = lam
         return _INTERRUPTED
     except Exception as error:  # noqa: BLE001  # a person reads this: a line, not a traceback
         if isinstance(error, BrokenPipeError) and error.filename is None:
-            _drop_stdout()  # its reader, such as `head`, has seen enough
+            _drop(sys.stdout)  # its reader, such as `head`, has seen enough
             return 0
         if asked is not None and asked.debug:
             traceback.print_exc()
@@ -84,7 +83,7 @@ def _tell(error: Exception) -> int:
     try:
         sys.stdout.flush()
     except OSError:
-        _drop_stdout()
+        _drop(sys.stdout)
     code, message = _BAD_INPUT, told(error)
     if isinstance(error, UsageError):
         command = error.command
@@ -107,8 +106,11 @@ def _tell(error: Exception) -> int:
 
 def _complain(text: str) -> None:
     """Write a line to stderr; where that is full, the exit code has to do."""
-    with suppress(OSError):
+    try:
         sys.stderr.write(f"{text}\n")
+        sys.stderr.flush()
+    except OSError:
+        _drop(sys.stderr)
 
 
 def _prepare_streams() -> None:
@@ -128,6 +130,6 @@ def _prepare_streams() -> None:
         sys.stdout.reconfigure(errors="surrogateescape" if unicode else "backslashreplace")
 
 
-def _drop_stdout() -> None:
+def _drop(stream: TextIO) -> None:
     """Keep the interpreter from flushing into nowhere when it ends."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

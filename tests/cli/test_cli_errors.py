@@ -306,9 +306,11 @@ def test_a_reader_that_leaves_early_is_no_error():
         ("info none.off <&- >&-", 2, "error: none.off: there is no such file; looked from"),
     ],
 )
-def test_closed_and_full_streams(folder, command, code, err):
+@pytest.mark.parametrize("unbuffered", [True, False])
+def test_closed_and_full_streams(folder, command, code, err, unbuffered):
     program = f"{sys.executable} -m spectra_kit {command}"
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    environment |= {"PYTHONUNBUFFERED": "1" if unbuffered else ""}
     done = subprocess.run(
         ["sh", "-c", program], cwd=folder, env=environment, capture_output=True, text=True
     )

@@ -464,7 +464,7 @@ def test_a_stream_is_resumed_as_it_was_or_not_at_all(tmp_path):
             return train(stream, validation, config, out=tmp_path / "run", **options)
 
     assert run(config, stop_after=2).record["corpus"]["samples"] >= 8  # of all so far
-    for change in ({"capacity": 11}, {"made_of": replace(made_of, mesh_share=0.5)}):
+    for change in ({"capacity": 11}, {"made_of": replace(made_of, nonuniform=0.5)}):
         with pytest.raises(InvalidInputError, match=r"other values of \['stream'\]"):
             run(config, resume=True, **change)
     with pytest.raises(InvalidInputError, match=r"other values of \['batch'\]"):
@@ -568,7 +568,7 @@ from pathlib import Path
 from spectra_kit.neo.model import NeoConfig
 
 NeoConfig.named = lambda name: NeoConfig(
-    width=36, depth=1, heads=2, head_width=18, latents=6, m=16, k=4
+    width=36, depth=1, heads=2, head_width=18, latents=6, m=10, k=4
 )
 if __name__ == "__main__":
     import train_neo
