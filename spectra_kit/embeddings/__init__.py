@@ -1,17 +1,17 @@
 """Numbers that say where on a surface a point is, or which surface it is: for learning and search.
 
-===================  ====================================  ==================================
-embedding            of each point, and of all             does not change with
-===================  ====================================  ==================================
-`HeatSignature`      logarithms of the heat that stays     rotation, scale, isometry, sampling
-`WaveSignature`      share of each band of frequencies     rotation, scale, isometry, sampling
-`GlobalPoints`       modes, over their frequencies         rotation, scale, isometry, sampling
-`ShapeDNA`           eigenvalues; of whole surfaces only   rotation, scale, isometry, sampling
-`NeoFunctions`       functions that a network predicts     rotation, scale, sampling
-`PlaneWaves`         random waves of space                 rotation, scale, sampling
-`Coordinates`        the points themselves                 scale, sampling
-`PositionalEncoding` waves along the axes                  scale, sampling
-===================  ====================================  ==================================
+====================  ====================================  ==================================
+embedding             of each point, and of all             does not change with
+====================  ====================================  ==================================
+`HeatSignature`       logarithms of the heat that stays     rotation, scale, isometry, sampling
+`WaveSignature`       share of each band of frequencies     rotation, scale, isometry, sampling
+`GlobalPoints`        modes, over their frequencies         rotation, scale, isometry, sampling
+`ShapeDNA`            eigenvalues; of whole surfaces only   rotation, scale, isometry, sampling
+`NeoFunctions`        functions that a network predicts     rotation, scale, sampling
+`PlaneWaves`          random waves of space                 rotation, scale, sampling
+`Coordinates`         the points themselves                 scale, sampling
+`PositionalEncoding`  waves along the axes                  scale, sampling
+====================  ====================================  ==================================
 
 The spectral ones are made of any `Spectrum`, exact or predicted. Whatever an embedding does not
 change with, its ``invariant_to`` tells, and tests hold it to it.
