@@ -8,7 +8,7 @@ import numpy as np
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
-from spectra_kit._validate import check_count
+from spectra_kit._validate import check_count, check_positive
 from spectra_kit.descriptors import (
     global_point_signature,
     heat_kernel_signature,
@@ -18,9 +18,15 @@ from spectra_kit.descriptors import (
 from spectra_kit.embeddings.base import Change, Pooled, Surface
 from spectra_kit.errors import InvalidInputError
 
-_ISOMETRIC: frozenset[Change] = frozenset({"rotation", "scale", "isometry", "sampling"})
 _LONGEST = 1.0  # time in units of the area, by when heat has spread over all of most surfaces
 _LOWEST = 1.0  # eigenvalue of a surface of area one, below the first of all but the most slender
+
+
+class _Isometric:
+    @property
+    def invariant_to(self) -> frozenset[Change]:
+        """Rotation, scale, isometry and sampling."""
+        return frozenset({"rotation", "scale", "isometry", "sampling"})
 
 
 def _highest(k: int) -> float:
@@ -30,7 +36,7 @@ def _highest(k: int) -> float:
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class HeatSignature(Pooled):
+class HeatSignature(_Isometric, Pooled):
     """Logarithms of the heat kernel signature, at times that all shapes share.
 
     Parameters
@@ -63,13 +69,8 @@ class HeatSignature(Pooled):
     def __post_init__(self) -> None:
         check_count("count", self.count, low=2)
 
-    @property
-    def invariant_to(self) -> frozenset[Change]:
-        """Rotation, scale, isometry and sampling."""
-        return _ISOMETRIC
-
     def of_points(self, surface: Surface) -> Floats:
-        """Return (n, count), zero where heat is as dense as on the mean."""
+        """Return (n, count), zero where all heat has spread evenly."""
         shortest = 4 * np.log(10) / _highest(surface.k)
         times = np.geomspace(shortest, _LONGEST, self.count)
         return np.log(heat_kernel_signature(surface.spectrum, times))
@@ -77,7 +78,7 @@ class HeatSignature(Pooled):
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class WaveSignature(Pooled):
+class WaveSignature(_Isometric, Pooled):
     """The wave kernel signature, at energies that all shapes share.
 
     Parameters
@@ -111,13 +112,7 @@ class WaveSignature(Pooled):
 
     def __post_init__(self) -> None:
         check_count("count", self.count, low=2)
-        if not self.width > 0:
-            raise InvalidInputError("width", "be positive", self.width)
-
-    @property
-    def invariant_to(self) -> frozenset[Change]:
-        """Rotation, scale, isometry and sampling."""
-        return _ISOMETRIC
+        check_positive("width", self.width)
 
     def of_points(self, surface: Surface) -> Floats:
         """Return (n, count), one in the mean over the area."""
@@ -128,7 +123,7 @@ class WaveSignature(Pooled):
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class GlobalPoints(Pooled):
+class GlobalPoints(_Isometric, Pooled):
     """Magnitudes of the global point signature: each point by the modes, over their frequencies.
 
     Parameters
@@ -164,11 +159,6 @@ class GlobalPoints(Pooled):
     def __post_init__(self) -> None:
         check_count("count", self.count, low=1)
 
-    @property
-    def invariant_to(self) -> frozenset[Change]:
-        """Rotation, scale, isometry and sampling."""
-        return _ISOMETRIC
-
     def of_points(self, surface: Surface) -> Floats:
         """Return (n, count)."""
         return np.abs(global_point_signature(surface.spectrum, self.count))
@@ -176,7 +166,7 @@ class GlobalPoints(Pooled):
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class ShapeDNA:
+class ShapeDNA(_Isometric):
     """The eigenvalues outside the kernel over those of Weyl's law, in logarithms.
 
     Parameters
@@ -206,11 +196,6 @@ class ShapeDNA:
 
     def __post_init__(self) -> None:
         check_count("count", self.count, low=1)
-
-    @property
-    def invariant_to(self) -> frozenset[Change]:
-        """Rotation, scale, isometry and sampling."""
-        return _ISOMETRIC
 
     def of_points(self, surface: Surface) -> Floats:
         """Refuse: eigenvalues are of the whole surface."""
