@@ -11,6 +11,7 @@ from scipy import sparse
 from spectra_kit._types import Floats
 from spectra_kit.eigensolvers.doubts import DOUBTFUL
 from spectra_kit.linalg.products import spmm
+from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.operators.laplacian import Laplacian
 from spectra_kit.spectra import Spectrum
 
@@ -52,7 +53,8 @@ def with_bounds(spectrum: Spectrum, laplacian: Laplacian) -> Spectrum:
     least = np.where(
         relative > 0, certificate.residuals / some, np.maximum(spectrum.eigenvalues, spacing)
     )
-    errors = _absolute(spectrum, laplacian) / least
+    with blas_threads_for(spectrum.eigenvectors.size):
+        errors = _absolute(spectrum, laplacian) / least
     bounded = np.arange(spectrum.k) < certificate.n_verified
     if certificate.errors is not None:
         better = bounded & (errors < certificate.errors)

@@ -12,6 +12,7 @@ from spectra_kit._validate import Rebuilt, check_count
 from spectra_kit.descriptors import farthest_points, wave_kernel_signature
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry
+from spectra_kit.linalg.threads import blas_threads_for
 from spectra_kit.matching.curvature import smoothed_mean_curvature
 from spectra_kit.operators.oriented import OrientedTriangles, area_form, oriented_triangles
 from spectra_kit.spectra import Spectrum
@@ -141,8 +142,9 @@ def prepare(
         )
     scale = spectrum.area**-0.5
     unit = spectrum.rescale(scale)
-    placed = None if geometry is None else _placed(unit, geometry, scale)
-    return _gathered(unit, placed, min(n_samples, unit.n))
+    with blas_threads_for(unit.eigenvectors.size):
+        placed = None if geometry is None else _placed(unit, geometry, scale)
+        return _gathered(unit, placed, min(n_samples, unit.n))
 
 
 def _gathered(
