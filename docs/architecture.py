@@ -33,6 +33,7 @@ PURPOSE = {
     "interop": ("use", "to and from\nother toolkits"),
     "descriptors": ("use", "signatures,\nspectral distances"),
     "embeddings": ("use", "numbers to learn\nand search by"),
+    "learning": ("use", "labels of shapes\nand of their points"),
     "functional_maps": ("use", "fit, ZoomOut,\nconversions"),
     "geodesics": ("use", "heat method,\nexact distances"),
     "correspondence": ("study", "errors and quality\nof maps"),

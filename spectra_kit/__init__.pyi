@@ -12,6 +12,7 @@ from . import functional_maps as functional_maps
 from . import geodesics as geodesics
 from . import geometry as geometry
 from . import interop as interop
+from . import learning as learning
 from . import levels as levels
 from . import linalg as linalg
 from . import matching as matching

@@ -9,6 +9,7 @@ from spectra_kit.errors import MissingDependencyError
 
 _PACKAGES = {  # extra -> what pip calls the package
     "backbones": "torch_geometric",
+    "learn": "scikit-learn",
     "tensorboard": "tensorboard",
     "video": "imageio-ffmpeg",
 }

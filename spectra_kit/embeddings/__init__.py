@@ -4,7 +4,7 @@
 embedding             of each point, and of all             does not change with
 ====================  ====================================  ==================================
 `HeatSignature`       logarithms of the heat that stays     rotation, scale, isometry, sampling
-`WaveSignature`       share of each band of frequencies     rotation, scale, isometry, sampling
+`WaveSignature`       logarithms of bands of frequencies    rotation, scale, isometry, sampling
 `GlobalPoints`        modes, over their frequencies         rotation, scale, isometry, sampling
 `ShapeDNA`            eigenvalues; of whole surfaces only   rotation, scale, isometry, sampling
 `NeoFunctions`        functions that a network predicts     rotation, scale, sampling
@@ -20,7 +20,7 @@ change with, its ``invariant_to`` tells, and tests hold it to it.
 >>> cloud = sk.geometry.creature(800)
 >>> spectrum = sk.eigensolve(sk.robust_laplacian(cloud), 64, sk.Neo())
 >>> sk.embeddings.embed(spectrum, sk.embeddings.WaveSignature()).shape
-(800, 64)
+(800, 32)
 >>> sk.embeddings.embed_shape(spectrum, sk.embeddings.ShapeDNA()).shape
 (30,)
 """

@@ -19,7 +19,7 @@ from spectra_kit.embeddings.base import Change, Pooled, Surface
 from spectra_kit.errors import InvalidInputError
 
 _LONGEST = 1.0  # time in units of the area, by when heat has spread over all of most surfaces
-_LOWEST = 1.0  # eigenvalue of a surface of area one, below the first of all but the most slender
+_REST = 1e-3  # of the mean: added to wave signatures, whose logarithms say nothing below it
 
 
 class _Isometric:
@@ -29,7 +29,7 @@ class _Isometric:
         return frozenset({"rotation", "scale", "isometry", "sampling"})
 
 
-def _highest(k: int) -> float:
+def _weyl(k: float) -> float:
     """Return what Weyl's law expects of eigenvalue number k of a surface of area one."""
     return 4 * np.pi * k
 
@@ -71,7 +71,7 @@ class HeatSignature(_Isometric, Pooled):
 
     def of_points(self, surface: Surface) -> Floats:
         """Return (n, count), zero where all heat has spread evenly."""
-        shortest = 4 * np.log(10) / _highest(surface.k)
+        shortest = 4 * np.log(10) / _weyl(surface.k)
         times = np.geomspace(shortest, _LONGEST, self.count)
         return np.log(heat_kernel_signature(surface.spectrum, times))
 
@@ -79,19 +79,24 @@ class HeatSignature(_Isometric, Pooled):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class WaveSignature(_Isometric, Pooled):
-    """The wave kernel signature, at energies that all shapes share.
+    """Logarithms of the wave kernel signature, at energies that all shapes share.
 
     Parameters
     ----------
-    count : int, default 64
-        Energies, evenly spaced.
-    width : float, default 7
+    count : int, default 32
+        Energies, evenly spaced in their logarithms.
+    width : float, default 1.5
         Standard deviation of the band around each, in distances between energies.
+    first : float, default 3
+        The lowest energy is that which Weyl's law expects of the mode of this number, the highest
+        that of the last mode. The lowest modes of a cloud are those that change the most where
+        parts of it touch.
 
     Raises
     ------
     InvalidInputError
-        If `count` is less than 2, or `width` not positive.
+        If `count` is less than 2, `width` or `first` not positive; of points, if the spectrum has
+        no more than `first` modes.
 
     References
     ----------
@@ -107,18 +112,22 @@ class WaveSignature(_Isometric, Pooled):
     True
     """
 
-    count: int = 64
-    width: float = 7.0
+    count: int = 32
+    width: float = 1.5
+    first: float = 3.0
 
     def __post_init__(self) -> None:
         check_count("count", self.count, low=2)
         check_positive("width", self.width)
+        check_positive("first", self.first)
 
     def of_points(self, surface: Surface) -> Floats:
-        """Return (n, count), one in the mean over the area."""
-        energies = np.linspace(np.log(_LOWEST), np.log(_highest(surface.k)), self.count)
+        """Return (n, count), zero where a band has its mean over the area."""
+        if surface.k <= self.first:
+            raise InvalidInputError("k", f"be more than first = {self.first:g}", surface.k)
+        energies = np.linspace(np.log(_weyl(self.first)), np.log(_weyl(surface.k)), self.count)
         width = self.width * (energies[1] - energies[0])
-        return wave_kernel_signature(surface.spectrum, energies, width=width)
+        return np.log(wave_kernel_signature(surface.spectrum, energies, width=width) + _REST)
 
 
 @checked
@@ -209,4 +218,4 @@ class ShapeDNA(_Isometric):
     def of_all(self, surface: Surface) -> Floats:
         """Return (count,): ``log(lambda_i area / (4 pi i))``."""
         dna = shape_dna(surface.spectrum, self.count)
-        return np.log(dna / _highest(1) / np.arange(1, self.count + 1))
+        return np.log(dna / _weyl(1) / np.arange(1, self.count + 1))

@@ -23,11 +23,13 @@ from spectra_kit.operators.oriented import (
     oriented_triangles,
     skew,
 )
+from spectra_kit.operators.tangent import TangentGradient, tangent_gradient
 
 __all__ = [
     "IntrinsicTriangulation",
     "Laplacian",
     "OrientedTriangles",
+    "TangentGradient",
     "area_form",
     "cotan_laplacian",
     "delaunay_laplacian",
@@ -38,4 +40,5 @@ __all__ = [
     "oriented_triangles",
     "robust_laplacian",
     "skew",
+    "tangent_gradient",
 ]

@@ -18,6 +18,7 @@ LAYERS = [
     "correspondence embeddings",
     "matching",
     "training viz",
+    "learning",
     "explorer",
     "cli",
     "__main__",

@@ -1,0 +1,61 @@
+"""Labels for shapes and for their points, learned from examples.
+
+A `Recipe` says how shapes become numbers: by which embeddings, of which spectrum. A head of
+scikit-learn (`NearestNeighbour`, `LinearDiscriminant`, `SupportVectors`) learns to tell whole
+shapes apart, a network (`PointMLP`, `PointNet`, `DiffusionNet`, `Hierarchical`) these or their
+points. What comes out, a `Classifier` or a `Segmenter`, labels any mesh or cloud and can be saved.
+
+>>> import spectra_kit as sk
+>>> from spectra_kit import learning
+>>> shapes = [sk.geometry.sphere(subdivisions=3).geometry, sk.geometry.torus(n=400).geometry]
+>>> recipe = learning.Recipe(embeddings=(sk.embeddings.ShapeDNA(count=8),), k=16)
+>>> known = learning.train_classifier(
+...     shapes, [0, 1], recipe=recipe, method=learning.NearestNeighbour(), names=["ball", "ring"]
+... )
+>>> known.classify(sk.geometry.torus(n=600).geometry).name
+'ring'
+"""
+
+from spectra_kit.learning.examples import Recipe
+from spectra_kit.learning.fitting import Training
+from spectra_kit.learning.heads import Head, LinearDiscriminant, NearestNeighbour, SupportVectors
+from spectra_kit.learning.labellers import (
+    Classification,
+    Classifier,
+    Segmentation,
+    Segmenter,
+    train_classifier,
+    train_segmenter,
+)
+from spectra_kit.learning.networks import (
+    Batch,
+    DiffusionNet,
+    Hierarchical,
+    Network,
+    PointMLP,
+    PointNet,
+)
+from spectra_kit.learning.saved import load_labeller, save_labeller
+
+__all__ = [
+    "Batch",
+    "Classification",
+    "Classifier",
+    "DiffusionNet",
+    "Head",
+    "Hierarchical",
+    "LinearDiscriminant",
+    "NearestNeighbour",
+    "Network",
+    "PointMLP",
+    "PointNet",
+    "Recipe",
+    "Segmentation",
+    "Segmenter",
+    "SupportVectors",
+    "Training",
+    "load_labeller",
+    "save_labeller",
+    "train_classifier",
+    "train_segmenter",
+]

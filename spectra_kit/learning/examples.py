@@ -1,0 +1,196 @@
+"""How shapes become what networks see: a `Recipe` for all, an `Example` of each, batches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
+
+from spectra_kit._checked import checked
+from spectra_kit._types import Floats
+from spectra_kit._validate import check_count
+from spectra_kit.eigensolvers import Automatic, Eigensolver
+from spectra_kit.embeddings import Embedding, Surface, embed_batch
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import Geometry, TriangleMesh, sample
+from spectra_kit.learning.networks import Batch, Need
+from spectra_kit.operators import tangent_gradient
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """How the points of shapes become numbers.
+
+    Parameters
+    ----------
+    embeddings : tuple of Embedding
+        Whose columns stand side by side.
+    k : int, default 96
+        Modes of a shape's spectrum.
+    solver : Eigensolver, default Automatic()
+        Who computes them: ``Neo()`` predicts them.
+    points : int, optional
+        See meshes as clouds of so many random points; by default by their own vertices.
+    seed : int, default 0
+        Of these points.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no embedding, or a number is out of range.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> recipe = sk.learning.Recipe(
+    ...     embeddings=(sk.embeddings.WaveSignature(), sk.embeddings.ShapeDNA(count=45)),
+    ...     solver=sk.Neo(),
+    ... )
+    >>> recipe.vector(sk.geometry.creature(1000)).shape
+    (365,)
+    """
+
+    embeddings: tuple[Embedding, ...]
+    k: int = 96
+    solver: Eigensolver = Automatic()  # noqa: RUF009
+    points: int | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_count("k", self.k, low=1)
+        check_count("seed", self.seed, low=0)
+        if self.points is not None:
+            check_count("points", self.points, low=4)
+        if not self.embeddings:
+            raise InvalidInputError("embeddings", "hold at least one", "none")
+
+    @property
+    def turns(self) -> bool:
+        """Whether rotations change the numbers."""
+        return any("rotation" not in one.invariant_to for one in self.embeddings)
+
+    def vector(self, shape: Geometry) -> Floats:
+        """Return the embeddings of a whole shape, one after the other: (c,).
+
+        Raises
+        ------
+        InvalidInputError
+            If the shape has several components, or fewer points than modes are asked for.
+        """
+        surface = self._surface(self._seen(shape))
+        return np.concatenate([e.of_all(surface) for e in self.embeddings])
+
+    def _seen(self, shape: Geometry) -> Geometry:
+        if self.points is None or not isinstance(shape, TriangleMesh):
+            return shape
+        return sample(shape, self.points, seed=self.seed)
+
+    def _surface(self, shape: Geometry) -> Surface:
+        surface = Surface(shape, self.k, self.solver)
+        spectral = any("isometry" in e.invariant_to for e in self.embeddings)
+        if spectral and surface.laplacian.kernel_dimension > 1:
+            raise InvalidInputError(
+                "shape",
+                "be connected, for embeddings by its spectrum",
+                f"{surface.laplacian.kernel_dimension} components",
+                advice="label them one by one (geometry.components)",
+            )
+        return surface
+
+    def prepare(
+        self, shape: Geometry, sees: frozenset[Need] = frozenset()
+    ) -> tuple[Example, Geometry]:
+        """Return what networks that need `sees` are told of a shape, and the points they see."""
+        shape = self._seen(shape)
+        surface = self._surface(shape)
+        laplacian = surface.laplacian
+        scale = float(laplacian.mass.sum()) ** -0.5
+        still = [e.of_points(surface) for e in self.embeddings if "rotation" in e.invariant_to]
+        spectrum = surface.spectrum if "spectrum" in sees else None
+        return Example(
+            points=_tensor((laplacian.points - laplacian.points.mean(axis=0)) * scale),
+            mass=_tensor(surface.mass),
+            features=_tensor(np.column_stack([np.empty((laplacian.n, 0)), *still])),
+            eigenvalues=None if spectrum is None else _tensor(spectrum.eigenvalues),
+            eigenvectors=None if spectrum is None else _tensor(spectrum.eigenvectors),
+            slopes=_slopes(shape, scale) if "slopes" in sees else None,
+        ), shape
+
+    def batch(self, examples: Sequence[Example], *, rotations: Tensor | None = None) -> Batch:
+        """Return examples side by side, turned by (b, 3, 3) where these are given."""
+        points, mass, features = (
+            pad_sequence([getattr(e, name) for e in examples], batch_first=True)
+            for name in ("points", "mass", "features")
+        )
+        if rotations is not None:
+            points = points @ rotations.transpose(1, 2)
+        turned = [
+            embed_batch(points, mass, e)
+            for e in self.embeddings
+            if "rotation" not in e.invariant_to
+        ]
+        values = [e.eigenvalues for e in examples if e.eigenvalues is not None]
+        vectors = [e.eigenvectors for e in examples if e.eigenvectors is not None]
+        slopes = [e.slopes for e in examples if e.slopes is not None]
+        return Batch(
+            torch.cat([features, *turned], dim=-1),
+            points,
+            mass,
+            torch.stack(values) if values else None,
+            pad_sequence(vectors, batch_first=True) if vectors else None,
+            _blocks(slopes, points.shape[1]) if slopes else None,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """A shape of area one as networks see it; all float32."""
+
+    points: Tensor  #: (n, 3)
+    mass: Tensor  #: (n,), which sum to one
+    features: Tensor  #: (n, c): of the embeddings that do not change with rotation
+    eigenvalues: Tensor | None  #: (k,)
+    eigenvectors: Tensor | None  #: (n, k)
+    slopes: tuple[Tensor, Tensor, Tensor] | None  #: rows and columns (2, e), values (e,) twice
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+        return len(self.points)
+
+    def some(self, rows: Tensor) -> Example:
+        """Return the example of some points; of these, no operator is known."""
+        mass = self.mass[rows]
+        return Example(self.points[rows], mass / mass.sum(), self.features[rows], None, None, None)
+
+
+def _tensor(values: Floats) -> Tensor:
+    return torch.tensor(values, dtype=torch.float32)
+
+
+def _slopes(shape: Geometry, scale: float) -> tuple[Tensor, Tensor, Tensor]:
+    _, x, y = tangent_gradient(shape)
+    x, y = x.tocoo(), y.tocoo()  # of one pattern
+    return (
+        torch.tensor(np.vstack([x.row, x.col]), dtype=torch.int64),
+        _tensor(x.data / scale),
+        _tensor(y.data / scale),
+    )
+
+
+def _blocks(slopes: Sequence[tuple[Tensor, Tensor, Tensor]], n: int) -> tuple[Tensor, Tensor]:
+    """Return matrices (b n, b n) whose blocks are those of the shapes."""
+    where = torch.cat([index + i * n for i, (index, _, _) in enumerate(slopes)], dim=1)
+    size = (len(slopes) * n,) * 2
+    one, other = (
+        torch.sparse_coo_tensor(
+            where, torch.cat([s[axis] for s in slopes]), size, is_coalesced=True
+        )
+        for axis in (1, 2)
+    )
+    return one, other

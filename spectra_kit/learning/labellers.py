@@ -1,0 +1,402 @@
+"""What has learned to label: a `Classifier` whole shapes, a `Segmenter` their points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
+from spectra_kit._validate import as_array
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.learning.examples import Example, Recipe
+from spectra_kit.learning.fitting import UNKNOWN, Model, Training, fit, predicted
+from spectra_kit.learning.heads import Head
+from spectra_kit.learning.networks import Network
+
+_CARRIED_BY = 3  # nearest sampled points tell a vertex its label
+
+
+@dataclass(frozen=True, eq=False)
+class Classification:
+    """What a `Classifier` takes a shape for.
+
+    Attributes
+    ----------
+    label : int
+        Number of the class.
+    name : str
+        Its name.
+    scores : ndarray of shape (classes,)
+        Of all: they sum to one.
+    """
+
+    label: int
+    name: str
+    scores: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """What a `Segmenter` takes the points of a shape for.
+
+    Attributes
+    ----------
+    labels : ndarray of shape (n,)
+        Number of the class of each point.
+    face_labels : ndarray of shape (f,) or None
+        Of each face of a mesh: the class that its three corners together favour.
+    scores : ndarray of shape (n, classes)
+        Of each point: they sum to one.
+    names : tuple of str
+        Of the classes.
+    """
+
+    labels: Ints
+    face_labels: Ints | None
+    scores: Floats
+    names: tuple[str, ...]
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class Classifier:
+    """Tells what a shape is; `train_classifier` makes one.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Of the classes.
+    recipe : Recipe
+        How shapes become numbers.
+    method : Head or Network
+        What learned to tell them apart.
+    learned : object
+        A classifier of scikit-learn, or a `Model`.
+    examples : tuple of ndarray, optional
+        Of a head: the vectors (s, c) and classes (s,) that it is fitted to, again when it is read
+        from a file.
+    """
+
+    names: tuple[str, ...]
+    recipe: Recipe
+    method: Head | Network
+    learned: Any
+    examples: tuple[Floats, Ints] | None = None
+
+    def __repr__(self) -> str:
+        return f"Classifier({len(self.names)} classes, {self.recipe}, {self.method})"
+
+    def classify(self, shape: Geometry) -> Classification:
+        """Tell what a shape is.
+
+        Parameters
+        ----------
+        shape : TriangleMesh or PointCloud
+            In any unit.
+
+        Returns
+        -------
+        Classification
+            Label, name and scores.
+
+        Raises
+        ------
+        InvalidInputError
+            If the shape has several components, or fewer points than modes are asked for.
+        """
+        if isinstance(self.learned, Model):
+            example, _ = self.recipe.prepare(shape, self.learned.sees)
+            scores = predicted(self.learned, self.recipe, example)
+        else:
+            scores = _scores(self.learned, self.recipe.vector(shape), len(self.names))
+        label = int(scores.argmax())
+        return Classification(label, self.names[label], scores)
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class Segmenter:
+    """Tells what part of a shape each point is; `train_segmenter` makes one.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Of the classes.
+    recipe : Recipe
+        How points become numbers.
+    method : Network
+        The sizes of its model.
+    learned : Model
+        The network, trained.
+    """
+
+    names: tuple[str, ...]
+    recipe: Recipe
+    method: Network
+    learned: Model
+
+    def __repr__(self) -> str:
+        return f"Segmenter({len(self.names)} classes, {self.recipe}, {self.method})"
+
+    def segment(self, shape: Geometry) -> Segmentation:
+        """Tell what part each point is, and each face of a mesh.
+
+        Parameters
+        ----------
+        shape : TriangleMesh or PointCloud
+            With n points, in any unit.
+
+        Returns
+        -------
+        Segmentation
+            Labels of points and faces, and scores.
+
+        Raises
+        ------
+        InvalidInputError
+            If the shape has several components, or fewer points than modes are asked for.
+        """
+        example, seen = self.recipe.prepare(shape, self.learned.sees)
+        scores = carried(seen, predicted(self.learned, self.recipe, example), shape)
+        return segmentation(scores, shape, self.names)
+
+
+def segmentation(scores: Floats, shape: Geometry, names: tuple[str, ...]) -> Segmentation:
+    """Return the labels that scores (n, classes) of the points of a shape favour."""
+    faces = None
+    if isinstance(shape, TriangleMesh):
+        logarithms = np.log(np.maximum(scores, np.finfo(float).tiny))
+        faces = logarithms[shape.faces].sum(axis=1).argmax(axis=1)
+    return Segmentation(scores.argmax(axis=1), faces, scores, names)
+
+
+def carried(seen: Geometry, scores: Floats, shape: Geometry) -> Floats:
+    """Return the scores of a shape's points from those of its samples: the nearest three's mean."""
+    if seen is shape:
+        return scores
+    near = min(_CARRIED_BY, seen.n)
+    gaps, rows = cKDTree(seen.points).query(shape.points, k=np.arange(1, near + 1))
+    weights = 1 / np.maximum(gaps, 1e-9 * float(np.ptp(seen.points, axis=0).max()))
+    weights /= weights.sum(axis=1, keepdims=True)
+    return np.asarray(np.einsum("nj,njc->nc", weights, scores[rows]))
+
+
+def _scores(learned: Any, vector: Floats, classes: int) -> Floats:
+    """Return the scores of all classes; where a head has none, one for its choice."""
+    if len(vector) != learned.n_features_in_:
+        raise InvalidInputError(
+            "recipe",
+            f"give as many numbers as the head was fitted to, {learned.n_features_in_}",
+            len(vector),
+        )
+    scores = np.zeros(classes)
+    if hasattr(learned, "predict_proba"):
+        scores[learned.classes_] = learned.predict_proba(vector[None])[0]
+    else:
+        scores[learned.predict(vector[None])[0]] = 1.0
+    return scores
+
+
+@checked
+def train_classifier(
+    shapes: Sequence[Geometry],
+    labels: ArrayLike,
+    *,
+    recipe: Recipe,
+    method: Head | Network,
+    names: Sequence[str] | None = None,
+    training: Training = Training(),  # noqa: B008
+    folder: Path | None = None,
+    progress: bool = False,
+) -> Classifier:
+    """Learn to tell what shapes are from labelled ones.
+
+    Parameters
+    ----------
+    shapes : sequence of TriangleMesh or PointCloud
+        Examples, s of them, each in its own unit.
+    labels : array_like of shape (s,)
+        Their classes, counted from 0.
+    recipe : Recipe
+        How shapes become numbers.
+    method : Head or Network
+        `NearestNeighbour`, `LinearDiscriminant` or `SupportVectors` of the embeddings of whole
+        shapes; or a network of those of their points, whose answers are averaged.
+    names : sequence of str, optional
+        Of the classes; their numbers by default.
+    training : Training
+        Of a network; heads have nothing to be trained for.
+    folder : path, optional
+        Where a network's checkpoints go; the same call goes on from there.
+    progress : bool, default False
+        Show it.
+
+    Returns
+    -------
+    Classifier
+        Ready, and to be saved by `save_labeller`.
+
+    Raises
+    ------
+    InvalidInputError
+        If labels do not fit the shapes, a class has no example, or there is only one class.
+    MissingDependencyError
+        Without the packages that the method needs.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> from spectra_kit import learning
+    >>> meshes = [sk.geometry.sphere(subdivisions=3), sk.geometry.torus(n=600)]
+    >>> clouds = [sk.geometry.sample(m.geometry, 400, seed=i) for m in meshes for i in range(3)]
+    >>> recipe = learning.Recipe(embeddings=(sk.embeddings.ShapeDNA(count=8),), k=16)
+    >>> known = learning.train_classifier(
+    ...     clouds, [0, 0, 0, 1, 1, 1], recipe=recipe, names=["ball", "ring"],
+    ...     method=learning.LinearDiscriminant(),
+    ... )
+    >>> [known.classify(m.geometry).name for m in meshes]
+    ['ball', 'ring']
+    """
+    truth = _classes("labels", labels, len(shapes), "shapes")
+    called = _names(truth, names)
+    if isinstance(method, Head):
+        vectors = np.array([recipe.vector(shape) for shape in shapes])
+        return Classifier(called, recipe, method, method.fit(vectors, truth), (vectors, truth))
+    sees = method.sees
+    model, _ = fit(
+        recipe,
+        method,
+        [recipe.prepare(shape, sees)[0] for shape in shapes],
+        [torch.tensor(label) for label in truth.tolist()],
+        classes=len(called),
+        training=training,
+        folder=folder,
+        progress=progress,
+    )
+    return Classifier(called, recipe, method, model)
+
+
+@checked
+def train_segmenter(
+    shapes: Sequence[Geometry],
+    labels: Sequence[Annotated[ArrayLike, object]],
+    *,
+    recipe: Recipe,
+    method: Network,
+    names: Sequence[str] | None = None,
+    training: Training = Training(),  # noqa: B008
+    folder: Path | None = None,
+    progress: bool = False,
+) -> Segmenter:
+    """Learn to tell what parts the points of shapes are from labelled ones.
+
+    Parameters
+    ----------
+    shapes : sequence of TriangleMesh or PointCloud
+        Examples, each in its own unit.
+    labels : sequence of array_like of shape (n,)
+        Of the points of each: classes counted from 0, -1 where nothing is known.
+    recipe, method, names, training, folder, progress
+        As of `train_classifier`; the method is a network.
+
+    Returns
+    -------
+    Segmenter
+        Ready, and to be saved by `save_labeller`.
+
+    Raises
+    ------
+    InvalidInputError
+        If labels do not fit the points, a class has no example, or there is only one class.
+    MissingDependencyError
+        Without the packages that the method needs.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> from spectra_kit import learning
+    >>> ball = sk.geometry.sphere(subdivisions=3).geometry
+    >>> high = (ball.points[:, 2] > 0).astype(int)
+    >>> recipe = learning.Recipe(embeddings=(sk.embeddings.Coordinates(frame="given"),), k=16)
+    >>> known = learning.train_segmenter(
+    ...     [ball], [high], recipe=recipe, method=learning.PointMLP(width=8),
+    ...     training=learning.Training(epochs=2), names=["low", "high"],
+    ... )
+    >>> known.segment(ball).face_labels.shape
+    (1280,)
+    """
+    if len(labels) != len(shapes):
+        raise InvalidInputError(
+            "labels", f"hold an array for each of {len(shapes)} shapes", len(labels)
+        )
+    truths = [
+        _classes(f"labels[{i}]", some, shape.n, "points", unknown=True)
+        for i, (some, shape) in enumerate(zip(labels, shapes, strict=True))
+    ]
+    called = _names(np.concatenate([np.empty(0, np.int64), *truths]), names)
+    examples, targets = list[Example](), []
+    for shape, truth in zip(shapes, truths, strict=True):
+        example, seen = recipe.prepare(shape, method.sees)
+        examples.append(example)
+        nearest = slice(None) if seen is shape else cKDTree(shape.points).query(seen.points)[1]
+        targets.append(torch.from_numpy(truth[nearest]))
+    model, _ = fit(
+        recipe,
+        method,
+        examples,
+        targets,
+        classes=len(called),
+        training=training,
+        folder=folder,
+        progress=progress,
+    )
+    return Segmenter(called, recipe, method, model)
+
+
+def _classes(name: str, values: ArrayLike, n: int, of: str, *, unknown: bool = False) -> Ints:
+    """Return n integers from 0 on, or from -1."""
+    array = as_array(name, values)
+    if array.shape != (n,):
+        raise InvalidInputError(name, f"have shape ({n},), one for each of the {of}", array.shape)
+    if array.dtype.kind not in "iu":
+        raise InvalidInputError(
+            name, "hold integers, the numbers of the classes", f"dtype {array.dtype}"
+        )
+    lowest = UNKNOWN if unknown else 0
+    if array.size and array.min() < lowest:
+        raise InvalidInputError(name, f"be {lowest} or more", int(array.min()))
+    return array.astype(np.int64)
+
+
+def _names(labels: Ints, names: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the names of all classes, of each of which there is an example."""
+    counts = np.bincount(labels[labels >= 0])
+    called = tuple(map(str, range(len(counts)))) if names is None else tuple(names)
+    if len(counts) > len(called):
+        raise InvalidInputError(
+            "labels",
+            f"be less than {len(called)}, the number of names",
+            len(counts) - 1,
+            advice="labels count from 0",
+        )
+    if len(called) < 2:
+        raise InvalidInputError("labels", "be of two classes or more", len(called))
+    counts = np.bincount(labels[labels >= 0], minlength=len(called))
+    if not counts.all():
+        missing = int(np.argmin(counts > 0))
+        raise InvalidInputError(
+            "labels",
+            "have an example of each class",
+            f"none of class {missing} ({called[missing]!r})",
+            advice="number the classes that there are from 0, without gaps",
+        )
+    return called

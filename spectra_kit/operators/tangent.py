@@ -1,0 +1,130 @@
+"""Tangent planes at the points of a surface, and the gradients of functions in them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csr_array
+
+from spectra_kit._checked import checked
+from spectra_kit._types import Floats, Ints
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import Geometry, TriangleMesh
+from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, unit_of
+from spectra_kit.operators.local_delaunay import local_triangles
+
+
+class TangentGradient(NamedTuple):
+    """Gradients at points, in coordinates of their tangent planes.
+
+    Attributes
+    ----------
+    frames : ndarray of shape (n, 3, 3)
+        Rows are the first axis, the second, and the normal, of unit length: right-handed. Which
+        side the normal is on, and how the axes are turned, says nothing.
+    x, y : csr_array of shape (n, n)
+        ``x @ f`` is the slope of a function f along the first axis of each point, in 1/length.
+    """
+
+    frames: Floats
+    x: csr_array
+    y: csr_array
+
+
+@checked
+def tangent_gradient(geometry: Geometry, *, n_neighbors: int = 30) -> TangentGradient:
+    """Return tangent planes at the points of a surface, and gradients in them.
+
+    Parameters
+    ----------
+    geometry : TriangleMesh or PointCloud
+        With n points. Windings of faces do not matter.
+    n_neighbors : int, default 30
+        Of a cloud: candidates for the triangles of a point, as in `delaunay_laplacian`.
+
+    Returns
+    -------
+    TangentGradient
+        Frames (n, 3, 3), and a matrix for each of the two slopes.
+
+    Raises
+    ------
+    InvalidInputError
+        If a vertex has no face or a face names one twice; if a cloud has fewer than four points or
+        duplicates; or where all triangles of a point are degenerate.
+
+    Notes
+    -----
+    The gradient at a point is the mean of those of the linear functions on its triangles, by their
+    areas, projected to the plane whose normal is the main axis of their normals' second moments:
+    signs of normals cancel. Linear functions on a plane get their exact gradients.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from spectra_kit.geometry import rectangle
+    >>> from spectra_kit.operators import tangent_gradient
+    >>> sheet = rectangle(n=200).geometry
+    >>> frames, x, y = tangent_gradient(sheet)
+    >>> slopes = np.stack([x @ sheet.points[:, 0], y @ sheet.points[:, 0]])
+    >>> bool(np.allclose(np.einsum("in,nir->nr", slopes, frames[:, :2]), [1, 0, 0]))
+    True
+    """
+    unit = unit_of(geometry)
+    points = geometry.points / unit
+    n = geometry.n
+    if isinstance(geometry, TriangleMesh):
+        check_faces_usable(geometry)
+        faces = geometry.faces
+        owners = faces.T.ravel()
+        faces = np.concatenate([faces] * 3)  # each triangle counts at all its corners
+    else:
+        n_neighbors = check_cloud_usable(geometry, n_neighbors)
+        faces = local_triangles(points, n_neighbors)[0].astype(np.int64)
+        owners = faces[:, 0]
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    doubled: Floats = np.cross(b - a, c - a)
+    areas = np.linalg.norm(doubled, axis=1) / 2
+    total = np.bincount(owners, areas, minlength=n)
+    if not (total > 0).all():
+        raise InvalidInputError(
+            "geometry",
+            "have a triangle of some area at every point",
+            f"none at point {int(np.argmin(total > 0))}",
+            advice="repair it (geometry.repair), or drop that point",
+        )
+    solid = areas > 0
+    faces, owners, doubled, areas = faces[solid], owners[solid], doubled[solid], areas[solid]
+    frames = _frames(owners, doubled / areas[:, None] ** 0.5, n)
+    # The slope of the hat function of a corner, times the area, is half the side facing it, turned.
+    normals = doubled / (2 * areas[:, None])
+    rows, columns, slopes = [], [], []
+    for i in range(3):
+        side = points[faces[:, (i + 2) % 3]] - points[faces[:, (i + 1) % 3]]
+        share: Floats = np.cross(normals, side) / (2 * total[owners, None])
+        rows.append(owners)
+        columns.append(faces[:, i])
+        slopes.append(np.einsum("tar,tr->at", frames[owners, :2], share) / unit)
+    where = np.concatenate(rows), np.concatenate(columns)
+    x, y = (
+        sparse.csr_array((np.concatenate(values), where), shape=(n, n))
+        for values in zip(*slopes, strict=True)
+    )
+    return TangentGradient(frames, x, y)
+
+
+def _frames(owners: Ints, normals: Floats, n: int) -> Floats:
+    """Return frames by the second moments of normals, given times the roots of their weights."""
+    moments = np.stack(
+        [
+            np.bincount(owners, normals[:, i] * normals[:, j], minlength=n)
+            for i in range(3)
+            for j in range(3)
+        ],
+        axis=1,
+    ).reshape(n, 3, 3)
+    axes = np.linalg.eigh(moments)[1]
+    first, normal = axes[:, :, 1], axes[:, :, 2]
+    return np.stack([first, np.cross(normal, first), normal], axis=1)
