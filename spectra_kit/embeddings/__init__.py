@@ -20,7 +20,7 @@ change with, its ``invariant_to`` tells, and tests hold it to it.
 >>> cloud = sk.geometry.creature(800)
 >>> spectrum = sk.eigensolve(sk.robust_laplacian(cloud), 64, sk.Neo())
 >>> sk.embeddings.embed(spectrum, sk.embeddings.WaveSignature()).shape
-(800, 32)
+(800, 64)
 >>> sk.embeddings.embed_shape(spectrum, sk.embeddings.ShapeDNA()).shape
 (30,)
 """

@@ -83,20 +83,25 @@ class WaveSignature(_Isometric, Pooled):
 
     Parameters
     ----------
-    count : int, default 32
+    count : int, default 64
         Energies, evenly spaced in their logarithms.
-    width : float, default 1.5
+    width : float, default 7
         Standard deviation of the band around each, in distances between energies.
-    first : float, default 3
+    first : float, default 0.1
         The lowest energy is that which Weyl's law expects of the mode of this number, the highest
-        that of the last mode. The lowest modes of a cloud are those that change the most where
-        parts of it touch.
+        that of the last mode.
 
     Raises
     ------
     InvalidInputError
         If `count` is less than 2, `width` or `first` not positive; of points, if the spectrum has
         no more than `first` modes.
+
+    Notes
+    -----
+    The lowest modes tell the parts of a surface apart; they are also those that change the most
+    where parts of a cloud touch. To tell whole shapes apart, and clouds above all, narrow bands
+    without them do better: ``WaveSignature(count=32, width=1.5, first=3)``.
 
     References
     ----------
@@ -112,9 +117,9 @@ class WaveSignature(_Isometric, Pooled):
     True
     """
 
-    count: int = 32
-    width: float = 1.5
-    first: float = 3.0
+    count: int = 64
+    width: float = 7.0
+    first: float = 0.1
 
     def __post_init__(self) -> None:
         check_count("count", self.count, low=2)

@@ -47,9 +47,9 @@ class Recipe:
     Examples
     --------
     >>> import spectra_kit as sk
+    >>> waves = sk.embeddings.WaveSignature(count=32, width=1.5, first=3)
     >>> recipe = sk.learning.Recipe(
-    ...     embeddings=(sk.embeddings.WaveSignature(), sk.embeddings.ShapeDNA(count=45)),
-    ...     solver=sk.Neo(),
+    ...     embeddings=(waves, sk.embeddings.ShapeDNA(count=45)), solver=sk.Neo()
     ... )
     >>> recipe.vector(sk.geometry.creature(1000)).shape
     (365,)

@@ -1,0 +1,335 @@
+"""The two studies of classification: `Vectors` of shapes, and `Draws` of examples to learn from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from measure.learning.labelled import LabelledSet
+from measure.store import Record, Store
+from measure.study import Result, Study, run
+from spectra_kit import embeddings as e
+from spectra_kit import learning
+from spectra_kit._files import atomic_path
+from spectra_kit._types import Floats, Ints
+from spectra_kit.eigensolvers import Arpack, Eigensolver, Neo
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, sample
+from spectra_kit.learning.examples import Example
+from spectra_kit.learning.fitting import fit
+from spectra_kit.learning.networks import Batch
+
+POINTS = 2048  #: Of a cloud.
+K = 96  #: Modes.
+_PART = 50  # shapes of one measurement of vectors
+_SHOWN = 9_000  # shapes that a network is shown, whatever the number of examples
+_SEEN = 512  # points of each at a time; all of them in tests
+
+SOLVERS: dict[str, Eigensolver] = {"exact": Arpack(), "predicted": Neo()}
+#: Of whole shapes, for heads; side by side, as rows name them: ``waves+dna``.
+WHOLE: dict[str, e.Embedding] = {
+    "dna": e.ShapeDNA(count=45),
+    "heat": e.HeatSignature(),
+    "waves": e.WaveSignature(count=32, width=1.5, first=3),
+    "all-waves": e.WaveSignature(),
+    "global": e.GlobalPoints(),
+}
+#: Of points, for networks.
+OF_POINTS: dict[str, e.Embedding] = {
+    "neo-mass-free": e.NeoFunctions(masses=False, poses=1),
+    "neo": e.NeoFunctions(poses=1),
+    "plane-waves": e.PlaneWaves(),
+    "encoding": e.PositionalEncoding(),
+    "coordinates": e.Coordinates(),
+    "heat": e.HeatSignature(),
+    "waves": e.WaveSignature(),
+}
+HEADS: dict[str, learning.Head] = {
+    "nearest": learning.NearestNeighbour(),
+    "discriminant": learning.LinearDiscriminant(),
+    "support": learning.SupportVectors(),
+}
+#: About 60,000 weights each, but for what the inputs take.
+NETWORKS: dict[str, learning.Network] = {
+    "pointnet": learning.PointNet(width=48),
+    "pointnet++": learning.Hierarchical(backbone="pointnet++", width=40, depth=1),
+    "point-transformer": learning.Hierarchical(backbone="point-transformer", width=40, depth=1),
+}
+
+
+class View(NamedTuple):
+    """What is seen of shapes: ``mesh`` or ``cloud``, whose modes are exact or predicted."""
+
+    kind: Literal["mesh", "cloud"]
+    solver: str
+    turned: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.kind}, {self.solver}" + (", turned" if self.turned else "")
+
+
+class Part(NamedTuple):
+    """Some shapes, sampled with a seed."""
+
+    seed: int
+    start: int
+    stop: int
+
+    def __str__(self) -> str:
+        return f"seed {self.seed}, {self.start} to {self.stop}"
+
+
+class Row(NamedTuple):
+    """A row of the table with a number of examples a class."""
+
+    view: View
+    embedding: str
+    method: str
+    shots: int
+
+    def __str__(self) -> str:
+        return f"{self.embedding}, {self.method}; {self.view}; {self.shots}"
+
+    @property
+    def trained(self) -> bool:
+        """Whether its method is a network."""
+        return self.method in NETWORKS
+
+
+def shape_of(shapes: LabelledSet, i: int, kind: str, *, seed: int, turned: bool) -> Geometry:
+    """Return a shape as a mesh, or as a cloud of random points; turned at random."""
+    mesh = shapes.meshes[i]
+    shape: Geometry = mesh if kind == "mesh" else sample(mesh, POINTS, seed=1000 * seed + i)
+    if not turned:
+        return shape
+    rotation = Rotation.random(rng=np.random.default_rng([seed, i])).as_matrix()
+    points = shape.points @ rotation.T
+    return TriangleMesh(points, mesh.faces) if kind == "mesh" else PointCloud(points)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Vectors(Study[View, Part]):
+    """The embeddings `WHOLE` of all shapes of a set."""
+
+    name: ClassVar[str] = "vectors"
+    fresh: ClassVar[bool] = False
+
+    shapes: LabelledSet
+
+    def facts(self, contender: View, problem: Part) -> dict[str, object]:
+        """See `Study`; of meshes all seeds are one, but for how they are turned."""
+        solver = SOLVERS[contender.solver]
+        return {
+            "set": self.shapes.digest,
+            "view": [contender.kind, repr(solver), contender.turned],
+            "part": list(problem),
+            "embeddings": {name: repr(embedding) for name, embedding in WHOLE.items()},
+            "size": [POINTS, K],
+        }
+
+    def measure(self, contender: View, problem: Part) -> Record:
+        """Embed into the file."""
+        vectors: dict[str, list[Floats]] = {name: [] for name in WHOLE}
+        for i in range(problem.start, problem.stop):
+            shape = shape_of(
+                self.shapes, i, contender.kind, seed=problem.seed, turned=contender.turned
+            )
+            surface = e.Surface(shape, min(K, shape.n // 2), SOLVERS[contender.solver])
+            for name, embedding in WHOLE.items():
+                vectors[name].append(embedding.of_all(surface))
+        path = self.file(contender, problem, ".npz")
+        with atomic_path(path) as part:
+            np.savez(part, **{name: np.array(rows) for name, rows in vectors.items()})
+        return {"files": [str(path.relative_to(self.folder))]}
+
+    def all(self, view: View, seed: int, embedding: str) -> Floats:
+        """Return the vectors (s, c) of all shapes."""
+        return np.concatenate(
+            [
+                np.column_stack([file[name] for name in embedding.split("+")])
+                for part in parts(len(self.shapes.meshes), [seed])
+                for file in (_loaded(self.file(view, part, ".npz")),)
+            ]
+        )
+
+
+@lru_cache(maxsize=64)
+def _loaded(path: Path) -> dict[str, Floats]:
+    with np.load(path) as file:
+        return dict(file)
+
+
+def parts(count: int, seeds: Iterable[int]) -> list[Part]:
+    """Cut all shapes into parts, for each seed."""
+    return [
+        Part(seed, start, min(start + _PART, count))
+        for seed in seeds
+        for start in range(0, count, _PART)
+    ]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Draws(Study[Row, int]):
+    """Shares of test shapes that are told right, after learning from a few; problems are seeds."""
+
+    name: ClassVar[str] = "draws"
+    fresh: ClassVar[bool] = False
+
+    shapes: LabelledSet
+    vectors: Vectors  #: Of all views of all seeds.
+    draws: int = 10  #: For each seed; of networks one.
+    validated: bool = False  #: Tested on what the training split has left, instead.
+    missing: Mapping[tuple[View, int], str] = field(default_factory=dict)  #: Why no vectors.
+
+    def facts(self, contender: Row, problem: int) -> dict[str, object]:
+        """See `Study`."""
+        network = NETWORKS.get(contender.method)
+        embedding = [repr(x) for x in _embeddings(contender)]
+        view, (first, *_) = contender.view, parts(len(self.shapes.meshes), [problem])
+        return {
+            "vectors": self.vectors.key(view, first),
+            "embedding": embedding,
+            "method": repr(network or HEADS[contender.method]),
+            "training": [_SHOWN, _SEEN] if network else None,
+            "shots": contender.shots,
+            "draws": 1 if network else self.draws,
+            "validated": self.validated,
+        }
+
+    def excuse(self, contender: Row, problem: int, before: Sequence[Result[Row, int]]) -> str:
+        """See `Study`; heads need vectors."""
+        return "" if contender.trained else self.missing.get((contender.view, problem), "")
+
+    def measure(self, contender: Row, problem: int) -> Record:
+        """Draw, learn and test."""
+        classes, right, turned = len(self.shapes.classes), [], []
+        confused = np.zeros((classes, classes), dtype=np.int64)
+        learn = _by_network if contender.trained else _by_head
+        for draw in range(1 if contender.trained else self.draws):
+            known, tested = drawn(
+                self.shapes, contender.shots, [problem, draw], validated=self.validated
+            )
+            truth = _labels(self.shapes)[tested]
+            there, moved = learn(self, contender, problem, known, tested)
+            right.append(float((there == truth).mean()))
+            turned.append(float((moved == truth).mean()))
+            np.add.at(confused, (truth, there), 1)
+        return {"right": right, "turned": turned, "confused": confused.tolist()}
+
+
+def drawn(
+    shapes: LabelledSet, shots: int, seed: list[int], *, validated: bool
+) -> tuple[Ints, Ints]:
+    """Return shapes to learn from, so many of each class, and shapes to test on."""
+    rng, labels = np.random.default_rng(seed), _labels(shapes)
+    known, left = [], []
+    for label in range(len(shapes.classes)):
+        own = rng.permutation(np.flatnonzero(shapes.is_train & (labels == label)))
+        if len(own) < shots + validated:
+            raise InvalidInputError(
+                "shots", f"be at most {len(own) - validated}, as class {label} has", shots
+            )
+        known.append(own[:shots])
+        left.append(own[shots:])
+    return np.concatenate(known), np.concatenate(left) if validated else shapes.test
+
+
+def _labels(shapes: LabelledSet) -> Ints:
+    assert shapes.labels is not None
+    return shapes.labels
+
+
+def _embeddings(row: Row) -> tuple[e.Embedding, ...]:
+    table = OF_POINTS if row.trained else WHOLE
+    return tuple(table[name] for name in row.embedding.split("+"))
+
+
+def _by_head(
+    study: Draws, row: Row, seed: int, known: Ints, tested: Ints
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return what the tested shapes are taken for, as they are and turned."""
+    still, moved = (
+        study.vectors.all(row.view._replace(turned=t), seed, row.embedding) for t in (False, True)
+    )
+    head = HEADS[row.method].fit(still[known], _labels(study.shapes)[known])
+    return head.predict(still[tested]), head.predict(moved[tested])
+
+
+def _by_network(
+    study: Draws, row: Row, seed: int, known: Ints, tested: Ints
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Train a network on clouds, and return what it takes the tested ones for."""
+    network, recipe = NETWORKS[row.method], _recipe(row)
+    labels = [torch.tensor(label) for label in _labels(study.shapes)[known].tolist()]
+    examples = [_example(study.shapes, row, i, seed, False) for i in known.tolist()]
+    training = learning.Training(
+        epochs=max(1, _SHOWN // len(known)), batch=16, points=_SEEN, seed=seed, smoothing=0.0
+    )
+    model, _ = fit(
+        recipe, network, examples, labels, classes=len(study.shapes.classes), training=training
+    )
+    found = []
+    for turned in (False, True):
+        answers = []
+        for i in tested.tolist():
+            with torch.no_grad():
+                batch: Batch = recipe.batch([_example(study.shapes, row, i, seed, turned)])
+                answers.append(int(model(batch).argmax()))
+        found.append(np.array(answers))
+    return found[0], found[1]
+
+
+def _recipe(row: Row) -> learning.Recipe:
+    """Return the recipe of a row: of what a network learns from, once it is prepared."""
+    return learning.Recipe(
+        embeddings=_embeddings(row), k=K, solver=SOLVERS[row.view.solver], seed=0
+    )
+
+
+_prepared: dict[tuple[object, ...], Example] = {}
+
+
+def _example(shapes: LabelledSet, row: Row, i: int, seed: int, turned: bool) -> Example:
+    """Return a shape as a network of a row sees it; those of one embedding and seed are kept."""
+    held = (shapes.digest, row.embedding, row.view.kind, row.view.solver, seed)
+    if _prepared and next(iter(_prepared))[:-2] != held:
+        _prepared.clear()
+    key = (*held, i, turned)
+    if key not in _prepared:
+        shape = shape_of(shapes, i, row.view.kind, seed=seed, turned=turned)
+        _prepared[key] = _recipe(row).prepare(shape)[0]
+    return _prepared[key]
+
+
+def classify_all(draws: Draws, *, jobs: int = 1, progress: bool = False) -> list[Result[Row, int]]:
+    """Measure what is not remembered, after the vectors for it."""
+    store = Store(draws.folder)
+    heads = [row for row in draws.contenders if not row.trained]
+    seeds = list(draws.problems)
+    views = {row.view._replace(turned=turned): None for row in heads for turned in (False, True)}
+    vectors = replace(
+        draws.vectors,
+        contenders=list(views),
+        problems=parts(len(draws.shapes.meshes), seeds),
+    )
+    made = run(vectors, store, jobs=jobs, retry=True, progress=progress)
+    missing = {
+        (r.contender._replace(turned=False), r.problem.seed): f"{r.problem}: {r.reason}"
+        for r in made
+        if not r.ok
+    }
+    return run(
+        replace(draws, vectors=vectors, missing=missing),
+        store,
+        jobs=jobs,
+        retry=True,
+        progress=progress,
+    )

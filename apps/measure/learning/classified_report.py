@@ -1,0 +1,160 @@
+"""Classification as Markdown and JSON; who is taken for whom, and a map of all shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from measure import figures, tables
+from measure.learning.classification import HEADS, NETWORKS, POINTS, WHOLE, Draws, K, Row
+from measure.study import Result
+from spectra_kit._optional import optional
+from spectra_kit._types import Floats
+from spectra_kit._version import VERSION
+
+Results = Sequence[Result[Row, int]]
+
+
+def summarize(results: Results) -> dict[tuple[str, str, str], dict[int, dict[str, Any]]]:
+    """Return, by table row and number of examples, what all draws of all seeds gave."""
+    found: dict[tuple[str, str, str], dict[int, dict[str, Any]]] = {}
+    for result in results:
+        if not result.ok:
+            continue
+        row = result.contender
+        cell = found.setdefault((row.embedding, row.method, str(row.view)), {}).setdefault(
+            row.shots, {"right": [], "turned": [], "seeds": 0}
+        )
+        cell["right"] += result.record["right"]
+        cell["turned"] += result.record["turned"]
+        cell["seeds"] += 1
+    for cells in found.values():
+        for cell in cells.values():
+            right, turned = (100 * np.array(cell.pop(name)) for name in ("right", "turned"))
+            cell |= {
+                "draws": len(right),
+                "mean": float(right.mean()),
+                "deviation": float(right.std()),
+                "worst": float(right.min()),
+                "turned": float(turned.mean()),
+            }
+    return found
+
+
+def write_report(results: Results, draws: Draws) -> Path:
+    """Write ``classification.md`` and its JSON; return the first."""
+    folder, found = draws.folder, summarize(results)
+    shots = sorted({row.shots for row in draws.contenders})
+    failures = [
+        {"row": str(r.contender), "seed": r.problem, "reason": r.reason}
+        for r in results
+        if not r.ok
+    ]
+    tables.write_json(
+        folder / "classification.json",
+        {
+            "version": VERSION,
+            "set": draws.shapes.name,
+            "validated": draws.validated,
+            "rows": [
+                {"embedding": e, "method": m, "view": v, "shots": cells}
+                for (e, m, v), cells in found.items()
+            ],
+            "failures": failures,
+        },
+    )
+    header = ["row", *(f"{q} a class" for q in shots), "turned", "draws"]
+    body = [
+        [
+            f"{embedding}, {method}; {view}",
+            *(_cell(cells.get(q)) for q in shots),
+            tables.number(
+                float(np.mean([c["turned"] - c["mean"] for c in cells.values()])), "+.1f"
+            ),
+            str(max(cell["draws"] for cell in cells.values())),
+        ]
+        for (embedding, method, view), cells in found.items()
+    ]
+    tested = "what each draw leaves of the training split" if draws.validated else "the test split"
+    tables.write_markdown(
+        folder / "classification.md",
+        [
+            f"# {draws.shapes.name}: {len(draws.shapes.meshes)} shapes,"
+            f" {len(draws.shapes.classes)} classes",
+            f"Per cent of {tested} told right, mean ± deviation (worst) over draws of so many"
+            f" examples a class; clouds are {POINTS:,} random points, spectra have {K} modes."
+            " *turned*: what random rotations of the tested shapes change, in points, on average"
+            " over the columns.",
+            tables.table(header, body),
+            tables.listed(
+                f"`{name}`: `{what!r}`" for name, what in {**WHOLE, **HEADS, **NETWORKS}.items()
+            ),
+            tables.listed(f"failed: {f['row']}, seed {f['seed']}: {f['reason']}" for f in failures),
+        ],
+    )
+    return folder / "classification.md"
+
+
+def _cell(cell: dict[str, Any] | None) -> str:
+    if cell is None:
+        return tables.NONE
+    return f"{cell['mean']:.1f} ± {cell['deviation']:.1f} ({cell['worst']:.1f})"
+
+
+def draw_pictures(results: Results, draws: Draws) -> list[Path]:
+    """Draw who is taken for whom and where all shapes lie, for the last row of heads."""
+    heads = [r for r in results if r.ok and not r.contender.trained]
+    if not heads:
+        return []
+    rows = [r.contender for r in heads if r.contender.embedding == "waves+dna"]
+    row = (rows or [r.contender for r in heads])[-1]._replace(method="nearest")
+    row = row._replace(shots=min(r.contender.shots for r in heads))
+    mine = [r for r in heads if r.contender == row]
+    made = []
+    if mine:
+        made.append(_draw_confusion(mine, draws))
+    vectors = draws.vectors.all(row.view, next(iter(draws.problems)), row.embedding)
+    return [*made, _draw_map(vectors, row, draws)]
+
+
+def _draw_confusion(results: Results, draws: Draws) -> Path:
+    counts = np.sum([r.record["confused"] for r in results], axis=0)
+    shares = 100 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    row, names = results[0].contender, draws.shapes.classes
+    figure, (axes,) = figures.panels(f"What is taken for what: {row}", width=9)
+    figure.set_size_inches(9, 8)
+    axes.grid(visible=False)
+    image = axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
+    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
+    axes.set_yticks(range(len(names)), names, fontsize=7)
+    axes.set_xlabel("taken for")
+    axes.set_ylabel("is")
+    for i, j in zip(*np.nonzero((shares >= 1) & ~np.eye(len(names), dtype=bool)), strict=True):
+        axes.text(j, i, f"{shares[i, j]:.0f}", ha="center", va="center", fontsize=6)
+    figure.colorbar(image, ax=axes, label="% of the class", shrink=0.7)
+    return figures.save(figure, draws.folder / "confusion.png")
+
+
+def _draw_map(vectors: Floats, row: Row, draws: Draws) -> Path:
+    """Draw all shapes in the plane: near are those that t-SNE keeps near."""
+    manifold = optional("sklearn.manifold", extra="learn", needed_by="the map")
+    scaled = vectors / np.maximum(vectors.std(axis=0), 1e-12)
+    perplexity = min(15, (len(scaled) - 1) / 3)
+    places = manifold.TSNE(
+        metric="manhattan", init="random", perplexity=perplexity, random_state=0
+    ).fit_transform(scaled)
+    labels, names = draws.shapes.labels, draws.shapes.classes
+    assert labels is not None
+    figure, (axes,) = figures.panels(f"All shapes by {row.embedding}; {row.view}", width=9)
+    figure.set_size_inches(9, 8)
+    axes.grid(visible=False)
+    axes.set_axis_off()
+    for label, name in enumerate(names):
+        own = places[labels == label]
+        colour = f"C{label % 10}"
+        axes.scatter(*own.T, s=14, color=colour, marker="os^"[label // 10 % 3], linewidths=0)
+        axes.annotate(name, np.median(own, axis=0), fontsize=8, ha="center", weight="bold")
+    return figures.save(figure, draws.folder / "map.png")

@@ -1,0 +1,61 @@
+"""The rows of the table of classifiers: an embedding, what learns from it, what is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from measure.learning.classification import View
+from spectra_kit.errors import InvalidInputError
+
+
+class TableRow(NamedTuple):
+    """A row for all numbers of examples."""
+
+    view: View
+    embedding: str
+    method: str
+
+    def __str__(self) -> str:
+        return f"{self.embedding}, {self.method}; {self.view}"
+
+
+_MESH, _CLOUD = View("mesh", "exact"), View("cloud", "exact")
+_PREDICTED = View("cloud", "predicted")
+
+#: Without any training, in minutes.
+FREE = [
+    TableRow(view, embedding, method)
+    for view in (_MESH, _CLOUD, _PREDICTED)
+    for embedding, method in (
+        ("dna", "nearest"),
+        ("heat", "nearest"),
+        ("waves", "nearest"),
+        ("waves+dna", "nearest"),
+        ("waves+dna", "discriminant"),
+        ("waves+dna", "support"),
+    )
+]
+#: Networks, on clouds: the paper's way, and its rivals.
+TRAINED = [
+    TableRow(_PREDICTED, embedding, method)
+    for embedding, method in (
+        ("neo-mass-free", "pointnet"),
+        ("neo", "pointnet"),
+        ("heat+waves", "pointnet"),
+        ("plane-waves", "pointnet"),
+        ("encoding", "pointnet"),
+        ("coordinates", "pointnet"),
+        ("coordinates", "pointnet++"),
+        ("coordinates", "point-transformer"),
+    )
+]
+
+
+def rows_named(names: Iterable[str]) -> list[TableRow]:
+    """Return rows by their names in the table."""
+    known = {str(row): row for row in FREE + TRAINED}
+    for name in names:
+        if name not in known:
+            raise InvalidInputError("rows", f"be of these: {' | '.join(known)}", repr(name))
+    return [known[name] for name in names]
