@@ -15,9 +15,10 @@ from torch import Tensor, nn
 
 from spectra_kit._checked import checked
 from spectra_kit._validate import check_count
-from spectra_kit.neo.backbones import BACKBONES
+from spectra_kit.neo.backbones import PointNetPlusPlus, PointTransformer
 from spectra_kit.neo.model import NeoConfig
 
+_BACKBONES = {"pointnet++": PointNetPlusPlus, "point-transformer": PointTransformer}
 #: What of a `Batch` a network may ask for beside features, points and masses.
 Need = Literal["spectrum", "slopes"]
 
@@ -145,10 +146,10 @@ class _PointNet(nn.Module):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Hierarchical(_NoOperator):
-    """PointNet++ or Point Transformer of PyTorch Geometric, on coordinates alone.
+    """PointNet++ or Point Transformer of PyTorch Geometric: coordinates, and what is known of them.
 
     They are those of `NeoConfig.backbone`, with as many weights as a NEO network of this width and
-    depth has: what the features of a `Batch` hold, they do not see.
+    depth has.
 
     Parameters
     ----------
@@ -156,11 +157,14 @@ class Hierarchical(_NoOperator):
         Which.
     width, depth : int
         Of the NEO network that has as many weights.
+    features : bool, default True
+        See the features of a `Batch`, too, and not coordinates alone.
     """
 
     backbone: Literal["pointnet++", "point-transformer"]
     width: int = 64
     depth: int = 1
+    features: bool = True
 
     def build(self, inputs: int, outputs: int) -> nn.Module:
         """Return the module.
@@ -170,11 +174,11 @@ class Hierarchical(_NoOperator):
         MissingDependencyError
             Without PyTorch Geometric.
         """
-        return _Hierarchical(self, outputs)
+        return _Hierarchical(self, inputs if self.features else 0, outputs)
 
 
 class _Hierarchical(nn.Module):
-    def __init__(self, sizes: Hierarchical, outputs: int) -> None:
+    def __init__(self, sizes: Hierarchical, known: int, outputs: int) -> None:
         super().__init__()
         config = NeoConfig(
             width=sizes.width,
@@ -187,11 +191,15 @@ class _Hierarchical(nn.Module):
             head_width=1,
             latents=1,
         )
-        self.backbone = BACKBONES[sizes.backbone](config)
+        self.backbone: PointNetPlusPlus | PointTransformer = _BACKBONES[sizes.backbone](
+            config, known
+        )
+        self.known = known
         self.out = nn.Linear(sizes.width, outputs)
 
     def forward(self, batch: Batch) -> Tensor:
-        out: Tensor = self.out(self.backbone.features(batch.points, batch.mass))
+        known = batch.features if self.known else None
+        out: Tensor = self.out(self.backbone.features(batch.points, batch.mass, known))
         return out
 
 

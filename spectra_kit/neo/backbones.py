@@ -36,14 +36,14 @@ class _Hierarchical(NeoNetwork):
 
     _TERMS: int  # weights of the backbone in units of c^2
 
-    def __init__(self, config: NeoConfig) -> None:
+    def __init__(self, config: NeoConfig, known: int = 0) -> None:
         nn.Module.__init__(self)  # not NeoNetwork's, which would make its blocks
         self.config = config
         # A NEO block has about 35 D^2 weights: as many in all, whatever width and depth. The last
         # two layers take 2 D^2; a linear one from c to D > c channels would have rank c alone.
         c = config.width * math.sqrt((35 * config.depth - 2) / self._TERMS)
         self.channels = 2 * max(1, round(c / 2))
-        self.enter = _mlp(ENCODED + 1, self.channels, self.channels)
+        self.enter = _mlp(ENCODED + 1 + known, self.channels, self.channels)
         self.widen = _mlp(self.channels, config.width)
         self.out = nn.Linear(config.width, config.width)
         self.head = WaveHead(config) if config.waves else FreeHead(config)
@@ -52,10 +52,13 @@ class _Hierarchical(NeoNetwork):
         """Return the features of one cloud at once: they depend on neighbours in other parts."""
         return self.features(points[None], mass[None])[0]
 
-    def _lifted(self, points: Tensor, mass: Tensor) -> Tensor:
-        """First features (B N, c) of the points."""
-        known = torch.cat([encode(points), self._log_mass(mass).unsqueeze(-1)], dim=-1)
-        lifted: Tensor = self.enter(known.flatten(0, 1).to(self.out.weight.dtype))
+    def _lifted(self, points: Tensor, mass: Tensor, known: Tensor | None) -> Tensor:
+        """First features (B N, c) of the points, and of what else is known of them."""
+        parts = [encode(points), self._log_mass(mass).unsqueeze(-1)]
+        parts += [] if known is None else [known]
+        lifted: Tensor = self.enter(
+            torch.cat(parts, dim=-1).flatten(0, 1).to(self.out.weight.dtype)
+        )
         return lifted
 
 
@@ -74,8 +77,8 @@ class PointNetPlusPlus(_Hierarchical):
 
     _TERMS = 153
 
-    def __init__(self, config: NeoConfig) -> None:
-        super().__init__(config)
+    def __init__(self, config: NeoConfig, known: int = 0) -> None:
+        super().__init__(config, known)
         c, conv = self.channels, _geometric().PointNetConv
         self.down1 = conv(_mlp(c + 3, c, c, 2 * c), add_self_loops=False)
         self.down2 = conv(_mlp(2 * c + 3, 2 * c, 2 * c, 4 * c), add_self_loops=False)
@@ -84,9 +87,9 @@ class PointNetPlusPlus(_Hierarchical):
         self.up2 = _mlp(6 * c, 2 * c, 2 * c)
         self.up1 = _mlp(3 * c, c, c)
 
-    def features(self, points: Tensor, mass: Tensor) -> Tensor:
-        """Return features (B, N, D); see `NeoNetwork.features`."""
-        x0 = self._lifted(points, mass)
+    def features(self, points: Tensor, mass: Tensor, known: Tensor | None = None) -> Tensor:
+        """Return features (B, N, D); see `NeoNetwork.features`. Of points, more may be known."""
+        x0 = self._lifted(points, mass, known)
         p0 = points.float()
         p1 = farthest_points(p0, _CENTRES[0])
         p2 = farthest_points(p1, _CENTRES[1])
@@ -115,8 +118,8 @@ class PointTransformer(_Hierarchical):
 
     _TERMS = 234
 
-    def __init__(self, config: NeoConfig) -> None:
-        super().__init__(config)
+    def __init__(self, config: NeoConfig, known: int = 0) -> None:
+        super().__init__(config, known)
         c = self.channels
         self.encoders = nn.ModuleList(_Attention(size) for size in (c, 2 * c, 4 * c))
         self.downs = nn.ModuleList(_mlp(size, 2 * size) for size in (c, 2 * c))
@@ -124,13 +127,13 @@ class PointTransformer(_Hierarchical):
         self.skips = nn.ModuleList(_mlp(size, size) for size in (c, 2 * c))
         self.decoders = nn.ModuleList(_Attention(size) for size in (c, 2 * c))
 
-    def features(self, points: Tensor, mass: Tensor) -> Tensor:
-        """Return features (B, N, D); see `NeoNetwork.features`."""
+    def features(self, points: Tensor, mass: Tensor, known: Tensor | None = None) -> Tensor:
+        """Return features (B, N, D); see `NeoNetwork.features`. Of points, more may be known."""
         levels = [points.float()]
         for count in _CENTRES:
             levels.append(farthest_points(levels[-1], count))
         graphs = [(p.flatten(0, 1), _graph(p)) for p in levels]
-        x = self.encoders[0](self._lifted(points, mass), *graphs[0])
+        x = self.encoders[0](self._lifted(points, mass, known), *graphs[0])
         skipped = []
         for i, down in enumerate(self.downs):
             skipped.append(x)

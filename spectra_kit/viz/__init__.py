@@ -16,6 +16,7 @@ from spectra_kit.viz.page import Page
 from spectra_kit.viz.panels import Panel
 from spectra_kit.viz.pareto import ParetoPoint, pareto_front, plot_pareto
 from spectra_kit.viz.picture import Picture
+from spectra_kit.viz.portraits import Portrait, plot_portraits
 from spectra_kit.viz.signatures import plot_signatures
 from spectra_kit.viz.spectra import plot_spectrum
 
@@ -25,6 +26,7 @@ __all__ = [
     "Panel",
     "ParetoPoint",
     "Picture",
+    "Portrait",
     "SolverRun",
     "View",
     "animate_modes",
@@ -40,6 +42,7 @@ __all__ = [
     "plot_modes",
     "plot_panels",
     "plot_pareto",
+    "plot_portraits",
     "plot_signatures",
     "plot_spectrum",
 ]

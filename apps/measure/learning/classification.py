@@ -60,8 +60,10 @@ HEADS: dict[str, learning.Head] = {
 #: About 60,000 weights each, but for what the inputs take.
 NETWORKS: dict[str, learning.Network] = {
     "pointnet": learning.PointNet(width=48),
-    "pointnet++": learning.Hierarchical(backbone="pointnet++", width=40, depth=1),
-    "point-transformer": learning.Hierarchical(backbone="point-transformer", width=40, depth=1),
+    "pointnet++": learning.Hierarchical(backbone="pointnet++", width=40, features=False),
+    "point-transformer": learning.Hierarchical(
+        backbone="point-transformer", width=40, features=False
+    ),
 }
 
 
@@ -147,7 +149,7 @@ class Vectors(Study[View, Part]):
                 vectors[name].append(embedding.of_all(surface))
         path = self.file(contender, problem, ".npz")
         with atomic_path(path) as part:
-            np.savez(part, **{name: np.array(rows) for name, rows in vectors.items()})
+            np.savez(part, **{name: np.array(rows) for name, rows in vectors.items()})  # type: ignore[arg-type]
         return {"files": [str(path.relative_to(self.folder))]}
 
     def all(self, view: View, seed: int, embedding: str) -> Floats:

@@ -155,6 +155,8 @@ def _draw_map(vectors: Floats, row: Row, draws: Draws) -> Path:
     for label, name in enumerate(names):
         own = places[labels == label]
         colour = f"C{label % 10}"
-        axes.scatter(*own.T, s=14, color=colour, marker="os^"[label // 10 % 3], linewidths=0)
+        axes.scatter(
+            own[:, 0], own[:, 1], s=14, color=colour, marker="os^"[label // 10 % 3], linewidths=0
+        )
         axes.annotate(name, np.median(own, axis=0), fontsize=8, ha="center", weight="bold")
     return figures.save(figure, draws.folder / "map.png")

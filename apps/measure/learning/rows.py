@@ -1,4 +1,4 @@
-"""The rows of the table of classifiers: an embedding, what learns from it, what is seen."""
+"""The rows of both tables: an embedding, what learns from it, what is seen."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from measure.learning.classification import View
+from measure.learning.segmentation import PartsRow
 from spectra_kit.errors import InvalidInputError
 
 
@@ -59,3 +60,30 @@ def rows_named(names: Iterable[str]) -> list[TableRow]:
         if name not in known:
             raise InvalidInputError("rows", f"be of these: {' | '.join(known)}", repr(name))
     return [known[name] for name in names]
+
+
+_EXACT, _PREDICTED_MESH = View("mesh", "exact"), View("mesh", "predicted")
+_SIGNATURES = "heat+waves+global"
+
+
+def parts_rows(name: str) -> list[PartsRow]:
+    """Return the rows of the table of segmenters for a set."""
+    rows = [
+        PartsRow(name, _EXACT, _SIGNATURES, "diffusion"),
+        PartsRow(name, _EXACT, f"{_SIGNATURES}+coordinates", "diffusion"),
+        PartsRow(name, _EXACT, "coordinates", "diffusion"),
+        PartsRow(name, _PREDICTED_MESH, _SIGNATURES, "diffusion"),
+    ]
+    if name == "human":
+        rows += [
+            PartsRow(name, _PREDICTED, _SIGNATURES, "diffusion"),
+            PartsRow(name, _EXACT, f"{_SIGNATURES}+coordinates", "diffusion", 10),
+            PartsRow(name, _EXACT, _SIGNATURES, "diffusion", 10),
+            PartsRow(name, _EXACT, "coordinates", "diffusion", 10),
+            PartsRow(name, _EXACT, _SIGNATURES, "mlp"),
+            PartsRow(name, _EXACT, "neo", "mlp"),
+            PartsRow(name, _EXACT, "encoding", "mlp"),
+            PartsRow(name, _EXACT, "neo-mass-free", "pointnet++"),
+            PartsRow(name, _EXACT, "coordinates", "pointnet++"),
+        ]
+    return rows

@@ -1,0 +1,226 @@
+"""The study of segmentation: networks that learn the parts of shapes, from many examples or few."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from measure.learning.classification import OF_POINTS, SOLVERS, View
+from measure.learning.labelled import LabelledSet
+from measure.store import Record, Store
+from measure.study import Result, Study, run
+from spectra_kit import embeddings as e
+from spectra_kit import learning
+from spectra_kit._files import atomic_path
+from spectra_kit._types import Floats, Ints
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.learning.examples import Example
+from spectra_kit.learning.fitting import Model, fit, predicted
+from spectra_kit.learning.labellers import Segmenter, carried
+
+POINTS = 2048  #: Of a cloud.
+K = 96  #: Modes.
+_HELD = 0.1  # of the training split, to validate on
+
+EMBEDDINGS: dict[str, e.Embedding] = {**OF_POINTS, "global": e.GlobalPoints(count=16)}
+NETWORKS: dict[str, learning.Network] = {
+    "diffusion": learning.DiffusionNet(dropout=0.2),
+    "mlp": learning.PointMLP(),
+    "pointnet": learning.PointNet(width=64),
+    "pointnet++": learning.Hierarchical(backbone="pointnet++", width=53),
+    "point-transformer": learning.Hierarchical(backbone="point-transformer", width=53),
+}
+
+
+class PartsRow(NamedTuple):
+    """A row of the table: a set, what is seen of its shapes, and what learns from how many."""
+
+    set: str
+    view: View
+    embedding: str
+    method: str
+    shots: int = 0  #: Labelled shapes, 0 for all of the training split.
+
+    def __str__(self) -> str:
+        of = f"{self.shots} shapes" if self.shots else "all"
+        return f"{self.set}: {self.embedding}, {self.method}; {self.view}; {of}"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Parts(Study[PartsRow, int]):
+    """How well the parts of test shapes are told; problems are seeds."""
+
+    name: ClassVar[str] = "parts"
+    fresh: ClassVar[bool] = False
+
+    sets: dict[str, LabelledSet]
+    epochs: int = 40
+    validated: bool = False  #: Tested on a part of the training split that is held out, instead.
+
+    def training(self, row: PartsRow, seed: int) -> learning.Training:
+        """Return how a network is trained: of a few shapes, with more epochs and fewer steps."""
+        epochs = self.epochs * (5 if row.shots else 1)
+        return learning.Training(epochs=epochs, seed=seed)
+
+    def facts(self, contender: PartsRow, problem: int) -> dict[str, object]:
+        """See `Study`."""
+        return {
+            "set": self.sets[contender.set].digest,
+            "recipe": repr(recipe_of(contender, problem)),
+            "network": repr(NETWORKS[contender.method]),
+            "shots": contender.shots,
+            "training": repr(self.training(contender, problem)),
+            "validated": self.validated,
+        }
+
+    def measure(self, contender: PartsRow, problem: int) -> Record:
+        """Train, test after each epoch and at the end, also turned; keep labels and the network."""
+        shapes, recipe = self.sets[contender.set], recipe_of(contender, problem)
+        known, tested = self._split(shapes, contender.shots, problem)
+        network = NETWORKS[contender.method]
+        seen = [_Seen(shapes, i, recipe, network) for i in known.tolist()]
+        shown = [_Seen(shapes, i, recipe, network) for i in tested.tolist()]
+
+        def watch(model: Model) -> dict[str, float]:
+            model.eval()
+            return marks(shapes, [(one.number, one.scores(model, recipe)) for one in shown])
+
+        folder = self.file(contender, problem, "")
+        model, curve = fit(
+            recipe,
+            network,
+            [one.example for one in seen],
+            [one.labels for one in seen],
+            classes=len(shapes.classes),
+            training=self.training(contender, problem),
+            folder=folder,
+            watch=watch,
+        )
+        names = tuple(shapes.classes)
+        segmenter = Segmenter(names, recipe, network, model)
+        turned = []
+        rng = np.random.default_rng([problem, 1])
+        for i in tested.tolist():
+            mesh = shapes.meshes[i]
+            points = mesh.points @ Rotation.random(rng=rng).as_matrix().T
+            turned.append((i, segmenter.segment(TriangleMesh(points, mesh.faces)).scores))
+        labels = {f"{one.number}": one.scores(model, recipe).argmax(axis=1) for one in shown}
+        arrays = self.file(contender, problem, ".npz")
+        saved = self.file(contender, problem, ".safetensors")
+        with atomic_path(arrays) as part:
+            np.savez(part, **labels)
+        learning.save_labeller(saved, segmenter)
+        return {
+            **{name: value for name, value in curve[-1].items() if name != "epoch"},
+            "turned": marks(shapes, turned),
+            "curve": [one["iou"] for one in curve],
+            "weights": sum(p.numel() for p in model.parameters()),
+            "examples": len(known),
+            "files": [str(path.relative_to(self.folder)) for path in (arrays, saved)],
+        }
+
+    def _split(self, shapes: LabelledSet, shots: int, seed: int) -> tuple[Ints, Ints]:
+        order = np.random.default_rng(seed).permutation(shapes.train)
+        held = round(_HELD * len(order))
+        if shots > len(order) - held:
+            raise InvalidInputError("shots", f"be at most {len(order) - held}", shots)
+        known = order[held:] if self.validated else order
+        return known[:shots] if shots else known, order[:held] if self.validated else shapes.test
+
+
+def recipe_of(row: PartsRow, seed: int) -> learning.Recipe:
+    """Return how a row's shapes become numbers."""
+    return learning.Recipe(
+        embeddings=tuple(EMBEDDINGS[name] for name in row.embedding.split("+")),
+        k=K,
+        solver=SOLVERS[row.view.solver],
+        points=POINTS if row.view.kind == "cloud" else None,
+        seed=seed if row.view.kind == "cloud" else 0,
+    )
+
+
+_prepared: dict[tuple[str, int, str, bool], tuple[Example, Geometry]] = {}
+
+
+class _Seen:
+    """A shape as a network sees it, with the labels of what it sees."""
+
+    def __init__(
+        self, shapes: LabelledSet, i: int, recipe: learning.Recipe, network: learning.Network
+    ) -> None:
+        self.number, self.mesh = i, shapes.meshes[i]
+        key = (shapes.digest, i, repr(recipe), bool(network.sees))
+        if _prepared and next(iter(_prepared))[::2] != key[::2]:
+            _prepared.clear()  # one recipe at a time
+        if key not in _prepared:
+            _prepared[key] = recipe.prepare(self.mesh, network.sees)
+        self.example, self.seen = _prepared[key]
+        scores = np.eye(len(shapes.classes))[shapes.vertex_labels[i]]
+        near = (
+            carried(self.mesh.as_cloud(), scores, self.seen)
+            if self.seen is not self.mesh
+            else scores
+        )
+        self.labels = torch.from_numpy(near.argmax(axis=1))
+
+    def scores(self, model: Model, recipe: learning.Recipe) -> Floats:
+        """Return scores of the mesh's vertices."""
+        return carried(self.seen, predicted(model, recipe, self.example), self.mesh)
+
+
+def marks(shapes: LabelledSet, answers: Sequence[tuple[int, Floats]]) -> dict[str, float]:
+    """Mark scores of the vertices of some shapes, of all together.
+
+    ``iou``: mean over the classes of intersection over union, by area of faces. ``area``, ``faces``
+    and ``vertices``: shares of these that are told right. ``edges``: share by area of edges whose
+    class is that of a face beside it, as MeshCNN counts.
+    """
+    classes = len(shapes.classes)
+    confused = np.zeros((classes, classes))
+    right: dict[str, list[Floats]] = {"faces": [], "vertices": [], "edges": [], "weights": []}
+    for i, scores in answers:
+        mesh, truth = shapes.meshes[i], shapes.face_labels[i]
+        logarithms = np.log(np.maximum(scores, np.finfo(float).tiny))
+        faces = logarithms[mesh.faces].sum(axis=1).argmax(axis=1)
+        np.add.at(confused, (truth, faces), mesh.face_areas)
+        right["faces"].append(faces == truth)
+        right["vertices"].append(scores.argmax(axis=1) == shapes.vertex_labels[i])
+        edges, weights = _edges_right(mesh, truth, logarithms)
+        right["edges"].append(edges)
+        right["weights"].append(weights / weights.sum())  # each shape counts alike
+    hit = np.diag(confused)
+    with np.errstate(invalid="ignore"):
+        iou = hit / (confused.sum(axis=0) + confused.sum(axis=1) - hit)
+    found = {name: np.concatenate(values) for name, values in right.items()}
+    return {
+        "iou": float(np.nanmean(iou)),
+        "area": float(hit.sum() / confused.sum()),
+        "faces": float(found["faces"].mean()),
+        "vertices": float(found["vertices"].mean()),
+        "edges": float(found["edges"] @ found["weights"] / found["weights"].sum()),
+    }
+
+
+def _edges_right(mesh: TriangleMesh, truth: Ints, logarithms: Floats) -> tuple[Floats, Floats]:
+    """Return which edges are told right, by their ends, and a third of the area beside each."""
+    ends = np.sort(np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=-1), axis=-1)
+    edges, edge = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)
+    said = logarithms[edges].sum(axis=1).argmax(axis=1)
+    edge = edge.ravel()
+    beside = said[edge] == np.repeat(truth, 3)
+    right = np.bincount(edge, beside, minlength=len(edges)) > 0
+    weights = np.bincount(edge, np.repeat(mesh.face_areas, 3), minlength=len(edges)) / 3
+    return right.astype(np.float64), weights
+
+
+def segment_all(
+    parts: Parts, *, jobs: int = 1, progress: bool = False
+) -> list[Result[PartsRow, int]]:
+    """Measure what is not remembered."""
+    return run(parts, Store(parts.folder), jobs=jobs, retry=True, progress=progress)
