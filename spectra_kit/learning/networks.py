@@ -18,7 +18,10 @@ from spectra_kit._validate import check_count
 from spectra_kit.neo.backbones import PointNetPlusPlus, PointTransformer
 from spectra_kit.neo.model import NeoConfig
 
-_BACKBONES = {"pointnet++": PointNetPlusPlus, "point-transformer": PointTransformer}
+_BACKBONES: dict[str, type[PointNetPlusPlus] | type[PointTransformer]] = {
+    "pointnet++": PointNetPlusPlus,
+    "point-transformer": PointTransformer,
+}
 #: What of a `Batch` a network may ask for beside features, points and masses.
 Need = Literal["spectrum", "slopes"]
 
@@ -191,9 +194,7 @@ class _Hierarchical(nn.Module):
             head_width=1,
             latents=1,
         )
-        self.backbone: PointNetPlusPlus | PointTransformer = _BACKBONES[sizes.backbone](
-            config, known
-        )
+        self.backbone = _BACKBONES[sizes.backbone](config, known)
         self.known = known
         self.out = nn.Linear(sizes.width, outputs)
 
