@@ -107,7 +107,7 @@ class Reading(Command):
     @property
     def inputs(self) -> list[Path]:
         """The files that are read."""
-        named = ("file", "source", "target", "spectrum", "landmarks", "truth")
+        named = ("file", "source", "target", "spectrum", "landmarks", "truth", "labeller")
         given = (getattr(self, name, None) for name in named)
         return [Path(file) for file in given if isinstance(file, str | Path) and file != DEMO]
 

@@ -268,6 +268,66 @@ class Geodesic(options.OneFile, options.Spared, _Sources, _Heat, options.FolderD
 
 
 @dataclass(frozen=True)
+class _Searched(options.OneFile):
+    group = "input"
+
+    folder: Annotated[Path, Parameter(name="FOLDER", help="meshes and point clouds to search")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Similar(_Searched, options.Solver, options.Turned, options.Resolution):
+    """Find the shapes of a folder that are most like one, whatever their pose, size and place."""
+
+    outcome = "shapes like it"
+    examples = (
+        "similar cat.off animals",
+        "similar cat.off animals --index animals.safetensors --picture like_cat.png",
+        "similar scan.ply animals --cloud 4000 --solver neo",
+    )
+    keys = "input, folder, indexed, left_out, neighbours, picture"
+    run = "learn.similar"
+    operands = "FILE FOLDER [options]"
+
+    k: Count = 96
+    solver: SolverName = "automatic"
+    count: int = 8
+    """shapes to name"""
+    index: Path | None = None
+    """keep what was computed in this .safetensors file: only files that are new or have changed are
+    embedded the next time (default: none)"""
+    picture: Output | None = None
+    """draw them (.png, .pdf, .svg) (default: none)"""
+
+
+@dataclass(frozen=True)
+class _Labelled(options.OneFile):
+    group = "input"
+
+    labeller: Annotated[
+        Path, Parameter(name="LABELLER", help="what has learned to, of learning.save_labeller")
+    ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Label(_Labelled, options.Turned, options.Resolution):
+    """Tell what a shape is, or what its parts are, by what a labeller has learned."""
+
+    outcome = "names for shapes and parts"
+    examples = (
+        "label scan.ply animals.safetensors",
+        "label body.obj bodies.safetensors -o parts.npz --picture parts.png",
+    )
+    keys = "input, labeller, label, name, scores; or parts, output, picture"
+    run = "learn.label"
+    operands = "FILE LABELLER [options]"
+
+    output: Output | None = None
+    """write the labels of points and faces, and all scores, to this .npz file (default: none)"""
+    picture: Path | None = None
+    """draw the parts (.png, .pdf, .svg) (default: none)"""
+
+
+@dataclass(frozen=True)
 class Completion(options.Command):
     """Print what a shell needs to complete commands, options and file names."""
 
@@ -287,7 +347,19 @@ class Completion(options.Command):
     ]
 
 
-COMMANDS = (Info, Spectrum, Modes, Animate, Compare, Explore, Match, Geodesic, Completion)
+COMMANDS = (
+    Info,
+    Spectrum,
+    Modes,
+    Animate,
+    Compare,
+    Explore,
+    Match,
+    Geodesic,
+    Similar,
+    Label,
+    Completion,
+)
 NAMED: dict[str, type[options.Command]] = {command.name: command for command in COMMANDS}
 
 

@@ -19,6 +19,7 @@ points. What comes out, a `Classifier` or a `Segmenter`, labels any mesh or clou
 from spectra_kit.learning.examples import Recipe
 from spectra_kit.learning.fitting import Training
 from spectra_kit.learning.heads import Head, LinearDiscriminant, NearestNeighbour, SupportVectors
+from spectra_kit.learning.index import Neighbour, ShapeIndex, index_folder
 from spectra_kit.learning.labellers import (
     Classification,
     Classifier,
@@ -46,14 +47,17 @@ __all__ = [
     "Hierarchical",
     "LinearDiscriminant",
     "NearestNeighbour",
+    "Neighbour",
     "Network",
     "PointMLP",
     "PointNet",
     "Recipe",
     "Segmentation",
     "Segmenter",
+    "ShapeIndex",
     "SupportVectors",
     "Training",
+    "index_folder",
     "load_labeller",
     "save_labeller",
     "train_classifier",

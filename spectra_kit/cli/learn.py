@@ -1,0 +1,175 @@
+"""The commands that say what a shape is like, and what its parts are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from spectra_kit._validate import check_count
+from spectra_kit.cli import program, tables
+from spectra_kit.cli.inputs import load
+from spectra_kit.cli.options import PICTURES
+from spectra_kit.cli.output import check_output, tell_with_picture
+from spectra_kit.cli.progress import counted, say, step
+from spectra_kit.cli.solving import check_solvers, make_solver
+from spectra_kit.cli.words import stem
+from spectra_kit.embeddings import ShapeDNA, WaveSignature
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import Geometry, PointCloud
+from spectra_kit.learning import (
+    Recipe,
+    Segmentation,
+    Segmenter,
+    ShapeIndex,
+    index_folder,
+    load_labeller,
+)
+
+
+def similar(asked: program.Similar) -> None:
+    """Search a folder for the shapes that are most like one, and draw them."""
+    check_count("--count", asked.count, low=1)
+    if asked.picture:
+        check_output(asked.picture, PICTURES, asked.inputs)
+    if asked.index:
+        check_output(asked.index, [".safetensors"], asked.inputs)
+    check_solvers(asked, asked.solver)
+    recipe = Recipe(
+        embeddings=(
+            WaveSignature(count=32, width=1.5, first=3.0),
+            ShapeDNA(count=min(45, asked.k - 1)),
+        ),
+        k=asked.k,
+        solver=make_solver(asked.solver, asked, asked.k),
+    )
+    shape, _ = load(asked.file, asked)
+    known = ShapeIndex.load(asked.index) if asked.index and asked.index.is_file() else None
+    with counted(f"embedding {asked.folder}", "file") as progress:
+        index = index_folder(
+            asked.folder,
+            recipe,
+            known=known,
+            load=lambda file: load(file, asked)[0],
+            variant=f"repair {asked.repair}, cloud {asked.cloud}, seed {asked.seed}",
+            progress=progress,
+        )
+    if asked.index:
+        index.save(asked.index)
+    for name, reason in index.failures.items():
+        say(f"warning: left out: {name}: {reason}")
+    if not index.names:
+        raise InvalidInputError(
+            f"no file of {str(asked.folder)!r} could be embedded", advice="see the warnings above"
+        )
+    with step("searching"):
+        found = index.nearest(shape, count=asked.count)
+    record = {
+        "input": asked.file,
+        "folder": asked.folder,
+        "indexed": len(index.names),
+        "left_out": dict(index.failures),
+        "neighbours": [near._asdict() for near in found],
+    }
+    lines = "\n".join(f"{near.distance:8.3f}  {near.name}" for near in found)
+
+    def draw(path: Path) -> None:
+        from spectra_kit.viz import Page, Portrait, View, plot_portraits
+
+        portraits = [Portrait(geometry=shape, lines=(stem(asked.file), "asked for"))]
+        for near in found:
+            other, _ = load(str(asked.folder / near.name), asked)
+            portraits.append(
+                Portrait(geometry=other, lines=(stem(near.name), f"{near.distance:.3f}"))
+            )
+        page = Page(f"Most like {stem(asked.file)}", dpi=asked.dpi)
+        plot_portraits(path, portraits, view=View(up=asked.up, turn=asked.turn), page=page)
+
+    tell_with_picture(
+        asked,
+        record,
+        f"{asked.file}: nearest of {len(index.names)} shapes in {asked.folder}\n"
+        "distance in standard deviations",
+        lines,
+        picture=asked.picture,
+        draw=draw,
+    )
+
+
+def label(asked: program.Label) -> None:
+    """Tell what a shape is, or what its parts are; write and draw these."""
+    labeller = load_labeller(asked.labeller)
+    parts = isinstance(labeller, Segmenter)
+    for given, option in ((asked.output, "--output"), (asked.picture, "--picture")):
+        if given and not parts:
+            raise InvalidInputError(
+                option, "go with a labeller of points", "one of whole shapes", advice="leave it out"
+            )
+    if asked.output:
+        check_output(asked.output, [".npz"], asked.inputs)
+    if asked.picture:
+        check_output(asked.picture, PICTURES, asked.inputs)
+    shape, _ = load(asked.file, asked)
+    record: tables.Record = {"input": asked.file, "labeller": asked.labeller}
+    if not isinstance(labeller, Segmenter):
+        with step("looking at it"):
+            told = labeller.classify(shape)
+        record |= {"label": told.label, "name": told.name}
+        record["scores"] = dict(zip(labeller.names, told.scores.tolist(), strict=True))
+        best = sorted(zip(told.scores, labeller.names, strict=True), reverse=True)[:5]
+        lines = "\n".join(f"{100 * score:6.1f} %  {name}" for score, name in best if score > 0)
+        tell_with_picture(
+            asked, record, f"{asked.file}: {told.name}", lines, picture=None, draw=_nothing
+        )
+        return
+    with step("looking at its points"):
+        found = labeller.segment(shape)
+    if asked.output:
+        with step(f"writing {asked.output}"):
+            _write(asked.output, found)
+    shares = _shares(shape, found)
+    record["parts"] = [
+        {"label": i, "name": name, "share": share}
+        for i, (name, share) in enumerate(zip(found.names, shares, strict=True))
+    ]
+    record["output"] = asked.output
+
+    def draw(path: Path) -> None:
+        from spectra_kit.viz import Page, Portrait, View, plot_portraits
+
+        portrait = Portrait(geometry=shape, labels=found.labels, lines=(stem(asked.file),))
+        page = Page(dpi=asked.dpi)
+        view = View(up=asked.up, turn=asked.turn)
+        plot_portraits(path, [portrait], view=view, page=page)
+
+    lines = "\n".join(
+        f"{100 * share:6.1f} %  {name}" for name, share in zip(found.names, shares, strict=True)
+    )
+    unit = "points" if isinstance(shape, PointCloud) else "area"
+    tell_with_picture(
+        asked, record, f"{asked.file}: share of the {unit}", lines, picture=asked.picture, draw=draw
+    )
+
+
+def _nothing(path: Path) -> None:
+    """Draw nothing."""
+
+
+def _write(path: Path, found: Segmentation) -> None:
+    from spectra_kit._files import atomic_path
+
+    arrays = {"labels": found.labels, "scores": found.scores, "names": np.array(found.names)}
+    if found.face_labels is not None:
+        arrays["face_labels"] = found.face_labels
+    with atomic_path(path) as part:
+        np.savez(part, **arrays)  # type: ignore[arg-type]
+
+
+def _shares(shape: Geometry, found: Segmentation) -> list[float]:
+    """Return the share of each class: of the area of a mesh, of the points of a cloud."""
+    if isinstance(shape, PointCloud) or found.face_labels is None:
+        weights, labels = np.ones(shape.n), found.labels
+    else:
+        weights, labels = shape.face_areas, found.face_labels
+    total = np.bincount(labels, weights, minlength=len(found.names))
+    return [float(share) for share in total / total.sum()]
