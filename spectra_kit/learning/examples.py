@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
@@ -19,6 +20,8 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, sample
 from spectra_kit.learning.networks import Batch, Need
 from spectra_kit.operators import tangent_gradient
+
+_STRETCH = float(np.log(4 / 3))
 
 
 @checked
@@ -82,69 +85,8 @@ class Recipe:
         InvalidInputError
             If the shape has several components, or fewer points than modes are asked for.
         """
-        surface = self._surface(self._seen(shape))
+        surface = _surface(self, _seen(self, shape))
         return np.concatenate([e.of_all(surface) for e in self.embeddings])
-
-    def _seen(self, shape: Geometry) -> Geometry:
-        if self.points is None or not isinstance(shape, TriangleMesh):
-            return shape
-        return sample(shape, self.points, seed=self.seed)
-
-    def _surface(self, shape: Geometry) -> Surface:
-        surface = Surface(shape, self.k, self.solver)
-        spectral = any("isometry" in e.invariant_to for e in self.embeddings)
-        if spectral and surface.laplacian.kernel_dimension > 1:
-            raise InvalidInputError(
-                "shape",
-                "be connected, for embeddings by its spectrum",
-                f"{surface.laplacian.kernel_dimension} components",
-                advice="label them one by one (geometry.components)",
-            )
-        return surface
-
-    def prepare(
-        self, shape: Geometry, sees: frozenset[Need] = frozenset()
-    ) -> tuple[Example, Geometry]:
-        """Return what networks that need `sees` are told of a shape, and the points they see."""
-        shape = self._seen(shape)
-        surface = self._surface(shape)
-        laplacian = surface.laplacian
-        scale = float(laplacian.mass.sum()) ** -0.5
-        still = [e.of_points(surface) for e in self.embeddings if "rotation" in e.invariant_to]
-        spectrum = surface.spectrum if "spectrum" in sees else None
-        return Example(
-            points=_tensor((laplacian.points - laplacian.points.mean(axis=0)) * scale),
-            mass=_tensor(surface.mass),
-            features=_tensor(np.column_stack([np.empty((laplacian.n, 0)), *still])),
-            eigenvalues=None if spectrum is None else _tensor(spectrum.eigenvalues),
-            eigenvectors=None if spectrum is None else _tensor(spectrum.eigenvectors),
-            slopes=_slopes(shape, scale) if "slopes" in sees else None,
-        ), shape
-
-    def batch(self, examples: Sequence[Example], *, rotations: Tensor | None = None) -> Batch:
-        """Return examples side by side, turned by (b, 3, 3) where these are given."""
-        points, mass, features = (
-            pad_sequence([getattr(e, name) for e in examples], batch_first=True)
-            for name in ("points", "mass", "features")
-        )
-        if rotations is not None:
-            points = points @ rotations.transpose(1, 2)
-        turned = [
-            embed_batch(points, mass, e)
-            for e in self.embeddings
-            if "rotation" not in e.invariant_to
-        ]
-        values = [e.eigenvalues for e in examples if e.eigenvalues is not None]
-        vectors = [e.eigenvectors for e in examples if e.eigenvectors is not None]
-        slopes = [e.slopes for e in examples if e.slopes is not None]
-        return Batch(
-            torch.cat([features, *turned], dim=-1),
-            points,
-            mass,
-            torch.stack(values) if values else None,
-            pad_sequence(vectors, batch_first=True) if vectors else None,
-            _blocks(slopes, points.shape[1]) if slopes else None,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +111,79 @@ class Example:
         return Example(self.points[rows], mass / mass.sum(), self.features[rows], None, None, None)
 
 
+def prepared(
+    recipe: Recipe, shape: Geometry, sees: frozenset[Need] = frozenset()
+) -> tuple[Example, Geometry]:
+    """Return what networks that need `sees` are told of a shape, and the points they see."""
+    shape = _seen(recipe, shape)
+    surface = _surface(recipe, shape)
+    laplacian = surface.laplacian
+    scale = float(laplacian.mass.sum()) ** -0.5
+    still = [e.of_points(surface) for e in recipe.embeddings if "rotation" in e.invariant_to]
+    spectrum = surface.spectrum if "spectrum" in sees else None
+    example = Example(
+        points=_tensor((laplacian.points - laplacian.points.mean(axis=0)) * scale),
+        mass=_tensor(surface.mass),
+        features=_tensor(np.column_stack([np.empty((laplacian.n, 0)), *still])),
+        eigenvalues=None if spectrum is None else _tensor(spectrum.eigenvalues),
+        eigenvectors=None if spectrum is None else _tensor(spectrum.eigenvectors),
+        slopes=_slopes(shape, scale) if "slopes" in sees else None,
+    )
+    return example, shape
+
+
+def batched(
+    recipe: Recipe, examples: Sequence[Example], *, rotations: Tensor | None = None
+) -> Batch:
+    """Return examples side by side, turned by (b, 3, 3) where these are given."""
+    points, mass, features = (
+        pad_sequence([getattr(e, name) for e in examples], batch_first=True)
+        for name in ("points", "mass", "features")
+    )
+    if rotations is not None:
+        points = points @ rotations.transpose(1, 2)
+    turned = [
+        embed_batch(points, mass, e) for e in recipe.embeddings if "rotation" not in e.invariant_to
+    ]
+    values = [e.eigenvalues for e in examples if e.eigenvalues is not None]
+    vectors = [e.eigenvectors for e in examples if e.eigenvectors is not None]
+    slopes = [e.slopes for e in examples if e.slopes is not None]
+    return Batch(
+        torch.cat([features, *turned], dim=-1),
+        points,
+        mass,
+        torch.stack(values) if values else None,
+        pad_sequence(vectors, batch_first=True) if vectors else None,
+        _blocks(slopes, points.shape[1]) if slopes else None,
+    )
+
+
+def stretched(shape: Geometry, rng: np.random.Generator) -> Geometry:
+    """Return a shape stretched and squeezed by up to a third along three random axes."""
+    axes = Rotation.random(rng=rng).as_matrix()
+    stretch = axes.T @ np.diag(np.exp(rng.uniform(-_STRETCH, _STRETCH, 3))) @ axes
+    return shape.with_points(shape.points @ stretch)
+
+
+def _seen(recipe: Recipe, shape: Geometry) -> Geometry:
+    if recipe.points is None or not isinstance(shape, TriangleMesh):
+        return shape
+    return sample(shape, recipe.points, seed=recipe.seed)
+
+
+def _surface(recipe: Recipe, shape: Geometry) -> Surface:
+    surface = Surface(shape, recipe.k, recipe.solver)
+    spectral = any("isometry" in e.invariant_to for e in recipe.embeddings)
+    if spectral and surface.laplacian.kernel_dimension > 1:
+        raise InvalidInputError(
+            "shape",
+            "be connected, for embeddings by its spectrum",
+            f"{surface.laplacian.kernel_dimension} components",
+            advice="label them one by one (geometry.components)",
+        )
+    return surface
+
+
 def _tensor(values: Floats) -> Tensor:
     return torch.tensor(values, dtype=torch.float32)
 
@@ -187,9 +202,14 @@ def _blocks(slopes: Sequence[tuple[Tensor, Tensor, Tensor]], n: int) -> tuple[Te
     """Return matrices (b n, b n) whose blocks are those of the shapes."""
     where = torch.cat([index + i * n for i, (index, _, _) in enumerate(slopes)], dim=1)
     size = (len(slopes) * n,) * 2
+    trusted = {"is_coalesced": True, "check_invariants": False}
     one, other = (
         torch.sparse_coo_tensor(
-            where, torch.cat([s[axis] for s in slopes]), size, is_coalesced=True
+            where,
+            torch.cat([s[axis] for s in slopes]),
+            size,
+            is_coalesced=True,
+            check_invariants=False,
         )
         for axis in (1, 2)
     )

@@ -19,11 +19,16 @@ from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, check_positive
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.learning.examples import Example, Recipe
+from spectra_kit.geometry import Geometry
+from spectra_kit.learning.examples import Example, Recipe, batched, stretched
 from spectra_kit.learning.networks import Batch, Network, pooled
 from spectra_kit.training import checkpoint
 
 _WARMUP = 0.1  # of all steps
+_TURNED = [
+    Tensor(rotation[None])
+    for rotation in Rotation.random(4, rng=np.random.default_rng(0)).as_matrix()
+]
 UNKNOWN = -1  #: label of points that nothing is known of
 
 
@@ -44,6 +49,9 @@ class Training:
         Of the weights.
     smoothing : float, default 0.1
         Share of each label that is spread over all classes.
+    copies : int, default 0
+        Of each example, stretched at random along random axes, shown beside it: where there are
+        few examples, or shapes of one class differ in their proportions.
     points : int, optional
         Show so many points of each example, others each time; all by default. Networks that see
         operators need them all.
@@ -61,12 +69,14 @@ class Training:
     rate: float = 2e-3
     decay: float = 1e-2
     smoothing: float = 0.1
+    copies: int = 0
     points: int | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
         check_count("epochs", self.epochs, low=1)
         check_count("batch", self.batch, low=1)
+        check_count("copies", self.copies, low=0)
         check_positive("rate", self.rate)
         for name in ("decay", "smoothing"):
             if not 0 <= getattr(self, name) < 1:
@@ -74,6 +84,15 @@ class Training:
         if self.points is not None:
             check_count("points", self.points, low=1)
         check_count("seed", self.seed, low=0)
+
+
+def with_copies(shapes: Sequence[Geometry], training: Training) -> list[tuple[int, Geometry]]:
+    """Return all shapes with their numbers, then the stretched copies that training asks for."""
+    rng = np.random.default_rng([training.seed, len(shapes)])
+    copies = [
+        (i, stretched(shape, rng)) for _ in range(training.copies) for i, shape in enumerate(shapes)
+    ]
+    return [*enumerate(shapes), *copies]
 
 
 class Model(nn.Module):
@@ -102,13 +121,14 @@ def fit(
     training: Training,
     folder: Path | None = None,
     progress: bool = False,
-    watch: Callable[[Model], dict[str, float]] | None = None,
+    watch: Callable[[Model, int], dict[str, float]] | None = None,
 ) -> tuple[Model, list[dict[str, float]]]:
     """Train a network; return it, and what was seen after each epoch.
 
     Labels are () of whole shapes, (n,) of points, `UNKNOWN` where nothing is known. With a folder,
     its checkpoint is written after each epoch, and gone on from: the result is that of a run
-    without an interruption. `watch` may measure the model after each epoch.
+    without an interruption. `watch` may measure the model after each epoch,
+    whose number it is told.
     """
     whole = labels[0].ndim == 0
     if training.points is not None and network.sees:
@@ -120,7 +140,7 @@ def fit(
         )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(training.seed)
-        first = recipe.batch(examples[:1])
+        first = batched(recipe, examples[:1])
         model = Model(network, first.features.shape[-1], classes, whole=whole)
         _scale(model, recipe, examples)
         run = _Run(model, training, -(-len(examples) // _size(training, len(examples))))
@@ -132,7 +152,7 @@ def fit(
         for epoch in shown:
             torch.manual_seed(hash_of(training.seed, epoch))  # of dropout
             loss = _epoch(run, recipe, examples, labels, epoch)
-            seen = {"epoch": epoch + 1, "loss": loss, **(watch(model) if watch else {})}
+            seen = {"epoch": epoch + 1, "loss": loss, **(watch(model, epoch + 1) if watch else {})}
             run.curve.append(seen)
             shown.set_postfix({name: f"{value:.3g}" for name, value in seen.items()})
             if folder is not None:
@@ -218,7 +238,7 @@ def _epoch(
         chosen = order[start : start + size]
         some, truth = _drawn([examples[i] for i in chosen], [labels[i] for i in chosen], run, rng)
         turned = Tensor(Rotation.random(len(chosen), rng=rng).as_matrix())
-        logits = model(recipe.batch(some, rotations=turned if recipe.turns else None))
+        logits = model(batched(recipe, some, rotations=turned if recipe.turns else None))
         loss = F.cross_entropy(
             logits.flatten(0, -2),
             truth.flatten(),
@@ -252,7 +272,7 @@ def _scale(model: Model, recipe: Recipe, examples: Sequence[Example]) -> None:
     """Let features have mean zero and spread one over all points of the examples."""
     total = square = torch.zeros(len(model.mean), dtype=torch.float64)
     for example in examples:
-        batch = recipe.batch([example])
+        batch = batched(recipe, [example])
         values = batch.features[0].double()
         total = total + example.mass.double() @ values
         square = square + example.mass.double() @ values.square()
@@ -263,7 +283,13 @@ def _scale(model: Model, recipe: Recipe, examples: Sequence[Example]) -> None:
 
 
 def predicted(model: Model, recipe: Recipe, example: Example) -> Floats:
-    """Return the probabilities of all classes: (n, classes), or (classes,) of a whole shape."""
+    """Return the probabilities of all classes: (n, classes), or (classes,) of a whole shape.
+
+    Where rotations change what is seen, the mean over some, always the same: a turned shape is
+    seen much as before.
+    """
+    rotations = _TURNED if recipe.turns else [None]
     with torch.no_grad():
-        logits = model(recipe.batch([example]))[0]
-    return np.asarray(logits.double().softmax(-1))
+        turned = [batched(recipe, [example], rotations=rotation) for rotation in rotations]
+        logits = [model(batch)[0].double().softmax(-1) for batch in turned]
+    return np.asarray(torch.stack(logits).mean(dim=0))

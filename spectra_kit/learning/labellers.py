@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -17,16 +18,15 @@ from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import as_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
-from spectra_kit.learning.examples import Example, Recipe
-from spectra_kit.learning.fitting import UNKNOWN, Model, Training, fit, predicted
+from spectra_kit.learning.examples import Example, Recipe, prepared
+from spectra_kit.learning.fitting import UNKNOWN, Model, Training, fit, predicted, with_copies
 from spectra_kit.learning.heads import Head
 from spectra_kit.learning.networks import Network
 
 _CARRIED_BY = 3  # nearest sampled points tell a vertex its label
 
 
-@dataclass(frozen=True, eq=False)
-class Classification:
+class Classification(NamedTuple):
     """What a `Classifier` takes a shape for.
 
     Attributes
@@ -44,8 +44,7 @@ class Classification:
     scores: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class Segmentation:
+class Segmentation(NamedTuple):
     """What a `Segmenter` takes the points of a shape for.
 
     Attributes
@@ -92,6 +91,13 @@ class Classifier:
     learned: Any
     examples: tuple[Floats, Ints] | None = None
 
+    def __post_init__(self) -> None:
+        _check_names(self.names)
+        if not isinstance(self.learned, Model) and not hasattr(self.learned, "predict"):
+            raise InvalidInputError(
+                "learned", "be what `train_classifier` has learned", type(self.learned).__name__
+            )
+
     def __repr__(self) -> str:
         return f"Classifier({len(self.names)} classes, {self.recipe}, {self.method})"
 
@@ -114,7 +120,7 @@ class Classifier:
             If the shape has several components, or fewer points than modes are asked for.
         """
         if isinstance(self.learned, Model):
-            example, _ = self.recipe.prepare(shape, self.learned.sees)
+            example, _ = prepared(self.recipe, shape, self.learned.sees)
             scores = predicted(self.learned, self.recipe, example)
         else:
             scores = _scores(self.learned, self.recipe.vector(shape), len(self.names))
@@ -144,6 +150,9 @@ class Segmenter:
     method: Network
     learned: Model
 
+    def __post_init__(self) -> None:
+        _check_names(self.names)
+
     def __repr__(self) -> str:
         return f"Segmenter({len(self.names)} classes, {self.recipe}, {self.method})"
 
@@ -165,7 +174,7 @@ class Segmenter:
         InvalidInputError
             If the shape has several components, or fewer points than modes are asked for.
         """
-        example, seen = self.recipe.prepare(shape, self.learned.sees)
+        example, seen = prepared(self.recipe, shape, self.learned.sees)
         scores = carried(seen, predicted(self.learned, self.recipe, example), shape)
         return segmentation(scores, shape, self.names)
 
@@ -215,7 +224,7 @@ def train_classifier(
     method: Head | Network,
     names: Sequence[str] | None = None,
     training: Training = Training(),  # noqa: B008
-    folder: Path | None = None,
+    folder: str | os.PathLike[str] | None = None,
     progress: bool = False,
 ) -> Classifier:
     """Learn to tell what shapes are from labelled ones.
@@ -271,15 +280,15 @@ def train_classifier(
     if isinstance(method, Head):
         vectors = np.array([recipe.vector(shape) for shape in shapes])
         return Classifier(called, recipe, method, method.fit(vectors, truth), (vectors, truth))
-    sees = method.sees
+    shown = with_copies(shapes, training)
     model, _ = fit(
         recipe,
         method,
-        [recipe.prepare(shape, sees)[0] for shape in shapes],
-        [torch.tensor(label) for label in truth.tolist()],
+        [prepared(recipe, shape, method.sees)[0] for _, shape in shown],
+        [torch.tensor(int(truth[i])) for i, _ in shown],
         classes=len(called),
         training=training,
-        folder=folder,
+        folder=None if folder is None else Path(folder),
         progress=progress,
     )
     return Classifier(called, recipe, method, model)
@@ -294,7 +303,7 @@ def train_segmenter(
     method: Network,
     names: Sequence[str] | None = None,
     training: Training = Training(),  # noqa: B008
-    folder: Path | None = None,
+    folder: str | os.PathLike[str] | None = None,
     progress: bool = False,
 ) -> Segmenter:
     """Learn to tell what parts the points of shapes are from labelled ones.
@@ -344,11 +353,11 @@ def train_segmenter(
     ]
     called = _names(np.concatenate([np.empty(0, np.int64), *truths]), names)
     examples, targets = list[Example](), []
-    for shape, truth in zip(shapes, truths, strict=True):
-        example, seen = recipe.prepare(shape, method.sees)
+    for i, shape in with_copies(shapes, training):
+        example, seen = prepared(recipe, shape, method.sees)
         examples.append(example)
         nearest = slice(None) if seen is shape else cKDTree(shape.points).query(seen.points)[1]
-        targets.append(torch.from_numpy(truth[nearest]))
+        targets.append(torch.from_numpy(truths[i][nearest]))
     model, _ = fit(
         recipe,
         method,
@@ -356,7 +365,7 @@ def train_segmenter(
         targets,
         classes=len(called),
         training=training,
-        folder=folder,
+        folder=None if folder is None else Path(folder),
         progress=progress,
     )
     return Segmenter(called, recipe, method, model)
@@ -377,6 +386,11 @@ def _classes(name: str, values: ArrayLike, n: int, of: str, *, unknown: bool = F
     return array.astype(np.int64)
 
 
+def _check_names(names: tuple[str, ...]) -> None:
+    if len(names) < 2:
+        raise InvalidInputError("names", "be of two classes or more", len(names))
+
+
 def _names(labels: Ints, names: Sequence[str] | None) -> tuple[str, ...]:
     """Return the names of all classes, of each of which there is an example."""
     counts = np.bincount(labels[labels >= 0])
@@ -389,7 +403,8 @@ def _names(labels: Ints, names: Sequence[str] | None) -> tuple[str, ...]:
             advice="labels count from 0",
         )
     if len(called) < 2:
-        raise InvalidInputError("labels", "be of two classes or more", len(called))
+        name = "labels" if names is None else "names"
+        raise InvalidInputError(name, "be of two classes or more", len(called))
     counts = np.bincount(labels[labels >= 0], minlength=len(called))
     if not counts.all():
         missing = int(np.argmin(counts > 0))

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WIDEST, _TALLEST = 2.2, 2.4  # inches of a picture
+_CLASSES = 1 << 16
 _PLAIN = (205, 205, 200)
 _LIGHTER = 0.35  # towards white: shading must stay visible
 _PIXELS = 1  # to a vertex: borders of classes run through triangles
@@ -44,11 +45,25 @@ class Portrait(Brief):
         The class of each point; without, it is drawn in grey.
     lines : tuple of str
         Above the picture.
+
+    Raises
+    ------
+    InvalidInputError
+        If labels are no classes, counted from 0, of all points.
     """
 
     geometry: Geometry
     labels: Annotated[ArrayLike | None, tuple] = None
     lines: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.labels is None:
+            return
+        if np.shape(self.labels) != (self.geometry.n,):
+            raise InvalidInputError(
+                "labels", f"have shape ({self.geometry.n},)", np.shape(self.labels)
+            )
+        check_indices("labels", self.labels, _CLASSES)
 
 
 @plotted
@@ -104,11 +119,7 @@ def _scene(portrait: Portrait, view: View, dpi: int) -> Scene:
     labels = np.zeros(geometry.n, dtype=np.int64)
     palette = np.array([_PLAIN], dtype=np.uint8)
     if portrait.labels is not None:
-        if np.shape(portrait.labels) != (geometry.n,):
-            raise InvalidInputError(
-                "labels", f"have shape ({geometry.n},)", np.shape(portrait.labels)
-            )
-        labels = check_indices("labels", portrait.labels, 1 << 16)
+        labels = check_indices("labels", portrait.labels, _CLASSES)
         palette = _palette(int(labels.max()) + 1)
     rotation = view.rotation(geometry)
     width, height = (

@@ -33,6 +33,7 @@ from spectra_kit import (
     geodesics,
     geometry,
     interop,
+    learning,
     matching,
     metrics,
     neo,
@@ -48,9 +49,10 @@ INNER = re.compile("_|catalogue|cli|errors|levels|linalg|training")
 PACKAGES = [name for _, name, _ in pkgutil.iter_modules(sk.__path__) if not INNER.match(name)]
 # Tensors are torch's to check, where a compiler has to see through every line.
 LEFT_TO_TORCH = {"NeoNetwork.forward", "NeoNetwork.features", "NeoNetwork.evaluate_chunked"}
-# Called by `eigensolve` and `embed` alone, which have checked what they hand on.
+# Called by `eigensolve`, `embed` and `train_classifier` alone, which have checked what they pass.
 HOOKS = re.compile(
-    r"\.eigenpairs$|\.of_points$|\.of_all$|\.values$|^(?!GivenBasis|Laplacian).*restricted$"
+    r"\.eigenpairs$|\.of_points$|\.of_all$|\.values$|\.fit$|\.build$"
+    r"|^(?!GivenBasis|Laplacian).*restricted$"
 )
 
 
@@ -128,6 +130,18 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     pair = viz.MatchedPair(source=mesh, target=mesh, point_map=same)
     point = viz.ParetoPoint(name="a", group="b", seconds=1.0, error=0.1)
     run = viz.SolverRun(name="a", stages={"factor": 1.0}, times=[0.1], residuals=[1e-9])
+    recipe = learning.Recipe(embeddings=(embeddings.ShapeDNA(count=4),), k=8)
+    points = learning.Recipe(embeddings=(embeddings.HeatSignature(count=3),), k=8)
+    halves = (mesh.points[:, 2] > 0).astype(int)
+    classifier = learning.train_classifier(
+        [mesh, ball], [0, 1], recipe=recipe, method=learning.NearestNeighbour()
+    )
+    segmenter = learning.train_segmenter(
+        *([mesh], [halves]), recipe=points, method=learning.PointMLP(width=4),
+        training=learning.Training(epochs=1),
+    )  # fmt: skip
+    index = learning.ShapeIndex(recipe, ("mesh.obj",), ("0",), recipe.vector(mesh)[None])
+    portrait = viz.Portrait(geometry=mesh, labels=halves, lines=("x",))
     quick = matching.MatchOptions(
         **{"first_samples": 12, "growing": 8, "growing_samples": 40, "grown_modes": 10},
         **{"finalists": 1, "refined_modes": 20, "rough_samples": 40, "last_steps": 1, "rounds": 1},
@@ -146,6 +160,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             point,
             run,
         ),
+        *(recipe, classifier, segmenter, index, portrait, learning.Training(epochs=1)),
         *(viz.View(), sk.RayleighRitz(), geodesics.Automatic(), given, map_errors),
         *(metrics.compare_spectra(spectrum, spectrum), geometry.repair(mesh)),
         *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), correspondence.Truth(same, same)),
@@ -187,6 +202,23 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("embed_batch.embedding", embeddings.PlaneWaves(count=4)),
         ("embed_batch.points", torch.rand(2, 9, 3)),
         ("embed_batch.mass", torch.ones(2, 9)),
+        ("train_classifier.shapes train_segmenter.shapes", [mesh, ball]),
+        ("train_classifier.labels", [0, 1]),
+        ("train_segmenter.labels", [halves, halves]),
+        ("train_classifier.recipe recipe", recipe),
+        ("train_segmenter.recipe", points),
+        ("train_classifier.method", learning.NearestNeighbour()),
+        ("train_segmenter.method", learning.PointMLP(width=4)),
+        ("train_classifier.names train_segmenter.names", ["a", "b"]),
+        ("training", learning.Training(epochs=1)),
+        ("labeller", classifier),
+        ("Hierarchical.backbone", "pointnet++"),
+        ("Recipe.points Training.points", 60),
+        ("folder", "checkpoints"),
+        ("index_folder.folder", "."),
+        ("known", index),
+        ("load", geometry.read),
+        ("portraits", [portrait]),
         # Distances and maps.
         ("distance", field.distance),
         ("DistanceField.sources", field.sources),
@@ -251,7 +283,9 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("write.path", "out.obj"),
         ("Spectrum.save.path", "out.npz"),
         ("Spectrum.load.path", "spectrum.npz"),
-        ("save_weights.path", "out.safetensors"),
+        ("save_weights.path save_labeller.path ShapeIndex.save.path", "out.safetensors"),
+        ("load_labeller.path", "labeller.safetensors"),
+        ("ShapeIndex.load.path", "index.safetensors"),
         ("write_explorer.path", "out.html"),
         ("animate_modes.path", "out.gif"),
         ("Picture.path Explorer.path", Path("out.png")),
@@ -291,11 +325,15 @@ ALSO = {
     "embed.solver": {"Arpack"},
     "embed_shape.shape": {"Laplacian", "Spectrum"},
     "embed_shape.solver": {"Arpack"},
+    "Recipe.solver": {"Arpack"},
     # Empty sequences, which are arrays of floats to NumPy.
     "Match.candidates": {"array"},
     "pareto_front.points": {"array"},
     "write_explorer.names": {"array of U"},
     "Panel.lines": {"array"},
+    "Portrait.lines": {"array"},
+    "ShapeIndex.names": {"array"},
+    "ShapeIndex.digests": {"array"},
     "Problem.remedies": {"array"},
 }
 
@@ -500,6 +538,8 @@ def here(tmp_path, monkeypatch):
     monkeypatch.setattr("matplotlib.figure.Figure", drawn)
     geometry.write(instances()["TriangleMesh"], "mesh.obj")
     instances()["Spectrum"].save("spectrum.npz")
+    learning.save_labeller("labeller.safetensors", instances()["Classifier"])
+    instances()["ShapeIndex"].save("index.safetensors")
 
 
 @pytest.mark.parametrize("name", surface())

@@ -23,9 +23,8 @@ from spectra_kit._types import Floats, Ints
 from spectra_kit.eigensolvers import Arpack, Eigensolver, Neo
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, sample
-from spectra_kit.learning.examples import Example
-from spectra_kit.learning.fitting import fit
-from spectra_kit.learning.networks import Batch
+from spectra_kit.learning.examples import Example, prepared
+from spectra_kit.learning.fitting import fit, predicted
 
 POINTS = 2048  #: Of a cloud.
 K = 96  #: Modes.
@@ -280,12 +279,8 @@ def _by_network(
     )
     found = []
     for turned in (False, True):
-        answers = []
-        for i in tested.tolist():
-            with torch.no_grad():
-                batch: Batch = recipe.batch([_example(study.shapes, row, i, seed, turned)])
-                answers.append(int(model(batch).argmax()))
-        found.append(np.array(answers))
+        shown = (_example(study.shapes, row, i, seed, turned) for i in tested.tolist())
+        found.append(np.array([predicted(model, recipe, one).argmax() for one in shown]))
     return found[0], found[1]
 
 
@@ -307,7 +302,7 @@ def _example(shapes: LabelledSet, row: Row, i: int, seed: int, turned: bool) -> 
     key = (*held, i, turned)
     if key not in _prepared:
         shape = shape_of(shapes, i, row.view.kind, seed=seed, turned=turned)
-        _prepared[key] = _recipe(row).prepare(shape)[0]
+        _prepared[key] = prepared(_recipe(row), shape)[0]
     return _prepared[key]
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from measure.learning.classification import OF_POINTS, SOLVERS, View
 from measure.learning.labelled import LabelledSet
-from measure.store import Record, Store
+from measure.store import Record, Store, arrays_digest
 from measure.study import Result, Study, run
 from spectra_kit import embeddings as e
 from spectra_kit import learning
@@ -20,12 +20,13 @@ from spectra_kit._files import atomic_path
 from spectra_kit._types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
-from spectra_kit.learning.examples import Example
-from spectra_kit.learning.fitting import Model, fit, predicted
+from spectra_kit.learning.examples import Example, prepared
+from spectra_kit.learning.fitting import Model, fit, predicted, with_copies
 from spectra_kit.learning.labellers import Segmenter, carried
 
 POINTS = 2048  #: Of a cloud.
 K = 96  #: Modes.
+_LOOKS = 40  # at the test shapes, for the curve
 _HELD = 0.1  # of the training split, to validate on
 
 EMBEDDINGS: dict[str, e.Embedding] = {**OF_POINTS, "global": e.GlobalPoints(count=16)}
@@ -61,12 +62,13 @@ class Parts(Study[PartsRow, int]):
 
     sets: dict[str, LabelledSet]
     epochs: int = 40
+    copies: int = 0  #: Stretched ones of each example.
     validated: bool = False  #: Tested on a part of the training split that is held out, instead.
 
     def training(self, row: PartsRow, seed: int) -> learning.Training:
         """Return how a network is trained: of a few shapes, with more epochs and fewer steps."""
         epochs = self.epochs * (5 if row.shots else 1)
-        return learning.Training(epochs=epochs, seed=seed)
+        return learning.Training(epochs=epochs, copies=self.copies, seed=seed)
 
     def facts(self, contender: PartsRow, problem: int) -> dict[str, object]:
         """See `Study`."""
@@ -84,10 +86,15 @@ class Parts(Study[PartsRow, int]):
         shapes, recipe = self.sets[contender.set], recipe_of(contender, problem)
         known, tested = self._split(shapes, contender.shots, problem)
         network = NETWORKS[contender.method]
-        seen = [_Seen(shapes, i, recipe, network) for i in known.tolist()]
-        shown = [_Seen(shapes, i, recipe, network) for i in tested.tolist()]
+        training = self.training(contender, problem)
+        own = with_copies([shapes.meshes[i] for i in known], training)
+        seen = [_Seen(shapes, int(known[i]), mesh, recipe, network) for i, mesh in own]
+        shown = [_Seen(shapes, i, shapes.meshes[i], recipe, network) for i in tested.tolist()]
+        step = max(1, training.epochs // _LOOKS)
 
-        def watch(model: Model) -> dict[str, float]:
+        def watch(model: Model, epoch: int) -> dict[str, float]:
+            if epoch % step and epoch != training.epochs:
+                return {}
             model.eval()
             return marks(shapes, [(one.number, one.scores(model, recipe)) for one in shown])
 
@@ -98,7 +105,7 @@ class Parts(Study[PartsRow, int]):
             [one.example for one in seen],
             [one.labels for one in seen],
             classes=len(shapes.classes),
-            training=self.training(contender, problem),
+            training=training,
             folder=folder,
             watch=watch,
         )
@@ -119,7 +126,7 @@ class Parts(Study[PartsRow, int]):
         return {
             **{name: value for name, value in curve[-1].items() if name != "epoch"},
             "turned": marks(shapes, turned),
-            "curve": [one["iou"] for one in curve],
+            "curve": [[one["epoch"], one["iou"]] for one in curve if "iou" in one],
             "weights": sum(p.numel() for p in model.parameters()),
             "examples": len(known),
             "files": [str(path.relative_to(self.folder)) for path in (arrays, saved)],
@@ -145,29 +152,29 @@ def recipe_of(row: PartsRow, seed: int) -> learning.Recipe:
     )
 
 
-_prepared: dict[tuple[str, int, str, bool], tuple[Example, Geometry]] = {}
+_prepared: dict[tuple[str, str, str, bool], tuple[Example, Geometry]] = {}
 
 
 class _Seen:
     """A shape as a network sees it, with the labels of what it sees."""
 
     def __init__(
-        self, shapes: LabelledSet, i: int, recipe: learning.Recipe, network: learning.Network
+        self,
+        shapes: LabelledSet,
+        i: int,
+        mesh: Geometry,
+        recipe: learning.Recipe,
+        network: learning.Network,
     ) -> None:
-        self.number, self.mesh = i, shapes.meshes[i]
-        key = (shapes.digest, i, repr(recipe), bool(network.sees))
+        self.number, self.mesh = i, mesh
+        key = (shapes.digest, arrays_digest(mesh.points), repr(recipe), bool(network.sees))
         if _prepared and next(iter(_prepared))[::2] != key[::2]:
             _prepared.clear()  # one recipe at a time
         if key not in _prepared:
-            _prepared[key] = recipe.prepare(self.mesh, network.sees)
+            _prepared[key] = prepared(recipe, self.mesh, network.sees)
         self.example, self.seen = _prepared[key]
         scores = np.eye(len(shapes.classes))[shapes.vertex_labels[i]]
-        near = (
-            carried(self.mesh.as_cloud(), scores, self.seen)
-            if self.seen is not self.mesh
-            else scores
-        )
-        self.labels = torch.from_numpy(near.argmax(axis=1))
+        self.labels = torch.from_numpy(carried(mesh, scores, self.seen).argmax(axis=1))
 
     def scores(self, model: Model, recipe: learning.Recipe) -> Floats:
         """Return scores of the mesh's vertices."""

@@ -12,6 +12,7 @@ from measure import figures, tables
 from measure.learning.labelled import LabelledSet
 from measure.learning.segmentation import EMBEDDINGS, NETWORKS, POINTS, K, Parts, PartsRow
 from measure.study import Result
+from spectra_kit._types import Floats
 from spectra_kit._version import VERSION
 from spectra_kit.viz import Page, Portrait, plot_portraits
 
@@ -33,8 +34,8 @@ def summarize(results: Results) -> dict[PartsRow, dict[str, Any]]:
             "worst": min(r["iou"] for r in records),
             "deviation": float(np.std([r["iou"] for r in records])),
             "turned": float(np.mean([r["turned"]["iou"] for r in records])),
-            "epochs": len(records[0]["curve"]),
-            "reached": _reached(np.median([r["curve"] for r in records], axis=0).tolist()),
+            "epochs": int(records[0]["curve"][-1][0]),
+            "reached": _reached(np.median([r["curve"] for r in records], axis=0)),
             "curves": [r["curve"] for r in records],
             "weights": records[0]["weights"],
             "examples": records[0]["examples"],
@@ -44,8 +45,8 @@ def summarize(results: Results) -> dict[PartsRow, dict[str, Any]]:
     }
 
 
-def _reached(curve: list[float]) -> int | None:
-    return next((i + 1 for i, value in enumerate(curve) if value >= GOAL), None)
+def _reached(curve: Floats) -> int | None:
+    return next((int(epoch) for epoch, value in curve if value >= GOAL), None)
 
 
 def write_report(results: Results, parts: Parts) -> Path:
@@ -113,7 +114,7 @@ def _draw_curves(found: dict[PartsRow, dict[str, Any]], path: Path) -> Path:
     for panel, group in zip(axes, groups, strict=True):
         for i, (row, cells) in enumerate(group.items()):
             curves = np.array(cells["curves"])
-            figures.band(panel, 1 + np.arange(curves.shape[1]), curves, str(row), **figures.line(i))
+            figures.band(panel, curves[0, :, 0], curves[:, :, 1], str(row), **figures.line(i))
         panel.axhline(GOAL, color="0.6", lw=0.8)
         panel.set_xscale("log")
         panel.set_ylim(0.4, 1)
