@@ -202,7 +202,6 @@ def _blocks(slopes: Sequence[tuple[Tensor, Tensor, Tensor]], n: int) -> tuple[Te
     """Return matrices (b n, b n) whose blocks are those of the shapes."""
     where = torch.cat([index + i * n for i, (index, _, _) in enumerate(slopes)], dim=1)
     size = (len(slopes) * n,) * 2
-    trusted = {"is_coalesced": True, "check_invariants": False}
     one, other = (
         torch.sparse_coo_tensor(
             where,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -173,8 +175,8 @@ class _Run:
         self.optimizer = torch.optim.AdamW(
             model.parameters(), lr=training.rate, weight_decay=training.decay
         )
-        self.schedule = torch.optim.lr_scheduler.OneCycleLR(
-            self.optimizer, training.rate, total_steps=steps * training.epochs, pct_start=_WARMUP
+        self.schedule = torch.optim.lr_scheduler.LambdaLR(
+            self.optimizer, partial(_rate, steps * training.epochs)
         )
         self.curve: list[dict[str, float]] = []
 
@@ -186,6 +188,14 @@ class _Run:
             "schedule": self.schedule.state_dict(),
             "curve": self.curve,
         }
+
+
+def _rate(steps: int, step: int) -> float:
+    """Return the share of the largest rate: a line up, then half a wave down to nothing."""
+    warm = _WARMUP * steps
+    if step < warm:
+        return (step + 1) / (warm + 1)
+    return 0.5 + 0.5 * math.cos(math.pi * (step - warm) / (steps - warm))
 
 
 def _resumed(

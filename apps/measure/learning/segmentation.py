@@ -184,7 +184,8 @@ class _Seen:
 def marks(shapes: LabelledSet, answers: Sequence[tuple[int, Floats]]) -> dict[str, float]:
     """Mark scores of the vertices of some shapes, of all together.
 
-    ``iou``: mean over the classes of intersection over union, by area of faces. ``area``, ``faces``
+    ``iou``: mean over the classes of intersection over union, by area of faces, each shape of area
+    one: sets mix units. ``area``, ``faces``
     and ``vertices``: shares of these that are told right. ``edges``: share by area of edges whose
     class is that of a face beside it, as MeshCNN counts.
     """
@@ -195,12 +196,12 @@ def marks(shapes: LabelledSet, answers: Sequence[tuple[int, Floats]]) -> dict[st
         mesh, truth = shapes.meshes[i], shapes.face_labels[i]
         logarithms = np.log(np.maximum(scores, np.finfo(float).tiny))
         faces = logarithms[mesh.faces].sum(axis=1).argmax(axis=1)
-        np.add.at(confused, (truth, faces), mesh.face_areas)
+        np.add.at(confused, (truth, faces), mesh.face_areas / mesh.area)  # each shape counts alike
         right["faces"].append(faces == truth)
         right["vertices"].append(scores.argmax(axis=1) == shapes.vertex_labels[i])
         edges, weights = _edges_right(mesh, truth, logarithms)
         right["edges"].append(edges)
-        right["weights"].append(weights / weights.sum())  # each shape counts alike
+        right["weights"].append(weights / weights.sum())
     hit = np.diag(confused)
     with np.errstate(invalid="ignore"):
         iou = hit / (confused.sum(axis=0) + confused.sum(axis=1) - hit)

@@ -1,0 +1,379 @@
+"""Classifiers and segmenters: what they learn, carry, save, resume and refuse."""
+
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from spectra_kit.eigensolvers import Neo
+from spectra_kit.embeddings import (
+    Coordinates,
+    HeatSignature,
+    NeoFunctions,
+    ShapeDNA,
+    WaveSignature,
+)
+from spectra_kit.errors import InvalidFileError, InvalidInputError, MissingDependencyError
+from spectra_kit.geometry import PointCloud, TriangleMesh, creature, sample, sphere, torus
+from spectra_kit.learning import (
+    DiffusionNet,
+    Hierarchical,
+    LinearDiscriminant,
+    NearestNeighbour,
+    PointMLP,
+    PointNet,
+    Recipe,
+    SupportVectors,
+    Training,
+    load_labeller,
+    save_labeller,
+    train_classifier,
+    train_segmenter,
+)
+from spectra_kit.learning.examples import prepared
+from spectra_kit.learning.fitting import fit, predicted
+
+DNA = Recipe(embeddings=(ShapeDNA(count=10), WaveSignature(count=6)), k=20)
+POINTS = Recipe(embeddings=(HeatSignature(count=6),), k=20)
+HEADS = [NearestNeighbour(), LinearDiscriminant(), SupportVectors()]
+
+
+@pytest.fixture(scope="module")
+def shapes():
+    """Animals and rings, sampled twice each: the second of each kind to test on."""
+    kinds = [creature(1500, seed=s).as_cloud() for s in range(3)]
+    kinds += [torus(n=1500, minor=m).geometry for m in (0.3, 0.35, 0.4)]
+    clouds = [
+        PointCloud(shape.points[np.random.default_rng(i).permutation(shape.n)[:500]])
+        for i, shape in enumerate(kinds)
+    ]
+    return clouds, np.repeat([0, 1], 3)
+
+
+def north(mesh):
+    return (mesh.points[:, 2] > 0).astype(int)
+
+
+@pytest.mark.parametrize("method", [*HEADS, PointNet(width=8)], ids=str)
+def test_what_was_not_seen_is_told_right_in_any_unit_and_place(shapes, method):
+    clouds, labels = shapes
+    known = [0, 1, 3, 4]
+    recipe = POINTS if isinstance(method, PointNet) else DNA
+    found = train_classifier(
+        [clouds[i] for i in known],
+        labels[known],
+        recipe=recipe,
+        method=method,
+        names=["animal", "ring"],
+        training=Training(epochs=15, points=200),
+    )
+    for i, name in ((2, "animal"), (5, "ring")):
+        told = found.classify(clouds[i])
+        assert told.name == name
+        assert told.scores.sum() == pytest.approx(1)
+        moved = found.classify(PointCloud(1e3 * clouds[i].points[:, [1, 2, 0]] + 7))
+        assert moved.name == name
+        np.testing.assert_allclose(moved.scores, told.scores, atol=1e-3)
+
+
+def test_one_example_a_class_is_enough_for_each_head(shapes):
+    clouds, _ = shapes
+    for head in HEADS:
+        found = train_classifier([clouds[0], clouds[3]], [0, 1], recipe=DNA, method=head)
+        assert found.classify(clouds[4]).label == 1
+
+
+def test_the_nearest_is_so_by_the_sum_of_scaled_differences():
+    rng = np.random.default_rng(0)
+    vectors, labels = rng.normal(size=(30, 5)) * [1, 10, 100, 1e-3, 1], np.arange(30)
+    asked = rng.normal(size=(8, 5)) * [1, 10, 100, 1e-3, 1]
+    gaps = np.abs(asked[:, None] - vectors) / vectors.std(axis=0)
+    found = NearestNeighbour().fit(vectors, labels).predict(asked)
+    assert found.tolist() == gaps.sum(axis=2).argmin(axis=1).tolist()
+    plain = NearestNeighbour(scaled=False).fit(vectors, labels).predict(asked)
+    assert plain.tolist() == np.abs(asked[:, None] - vectors).sum(2).argmin(1).tolist()
+
+
+def test_discriminants_find_the_direction_that_tells():
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(600, 1)) * 3
+    labels = np.arange(600) % 2
+    vectors = np.hstack([noise + labels[:, None], noise]) + 0.2 * rng.normal(size=(600, 2))
+    right = [
+        (head.fit(vectors[:300], labels[:300]).predict(vectors[300:]) == labels[300:]).mean()
+        for head in (LinearDiscriminant(), NearestNeighbour())
+    ]
+    # The difference of the columns has a spread of 0.28 around classes that are 1 apart.
+    assert right[0] > 0.93
+    assert right[1] < right[0]
+
+
+@pytest.mark.parametrize(
+    ("method", "recipe"),
+    [
+        (PointMLP(width=16), Recipe(embeddings=(Coordinates(frame="principal"),), k=20)),
+        (DiffusionNet(width=16, depth=2, dropout=0.0), POINTS),
+        (
+            PointNet(width=8),
+            Recipe(embeddings=(NeoFunctions(poses=1, masses=False),), k=20, solver=Neo()),
+        ),
+    ],
+    ids=str,
+)
+def test_parts_are_learned_and_carried_to_other_samplings(method, recipe):
+    mesh = creature(900)
+    legs = (mesh.points[:, 2] < np.quantile(mesh.points[:, 2], 0.4)).astype(int)
+    found = train_segmenter(
+        [mesh], [legs], recipe=recipe, method=method, training=Training(epochs=60, rate=5e-3)
+    )
+    told = found.segment(mesh)
+    assert (told.labels == legs).mean() > 0.95
+    assert told.face_labels.shape == (len(mesh.faces),)
+    faces = legs[mesh.faces]
+    whole = np.ptp(faces, axis=1) == 0
+    assert (told.face_labels[whole] == faces[whole, 0]).mean() > 0.95
+    np.testing.assert_allclose(told.scores.sum(axis=1), 1, atol=1e-6)
+    other = creature(1400)
+    truth = (other.points[:, 2] < np.quantile(mesh.points[:, 2], 0.4)).astype(int)
+    assert (found.segment(other).labels == truth).mean() > 0.9
+    cloud = found.segment(other.as_cloud())
+    assert cloud.face_labels is None
+
+
+def test_labels_of_samples_are_carried_to_the_vertices():
+    mesh = creature(2500)
+    recipe = Recipe(embeddings=(Coordinates(frame="principal"),), k=20, points=900)
+    found = train_segmenter(
+        [mesh], [north(mesh)], recipe=recipe, method=PointMLP(width=32),
+        training=Training(epochs=120, rate=5e-3),
+    )  # fmt: skip
+    told = found.segment(mesh)
+    assert told.labels.shape == (mesh.n,)
+    away = np.abs(mesh.points[:, 2]) > 0.05 * np.ptp(mesh.points[:, 2])
+    assert (told.labels == north(mesh))[away].mean() > 0.97
+
+
+def test_unknown_labels_teach_nothing():
+    mesh = sphere(subdivisions=3).geometry
+    recipe = Recipe(embeddings=(Coordinates(),), k=20)
+    some = np.where(np.arange(mesh.n) % 2, north(mesh), -1)
+    wrong = np.where(np.arange(mesh.n) % 2, north(mesh), 1 - north(mesh))
+    scores = []
+    for labels in (some, wrong):
+        known = train_segmenter(
+            [mesh], [labels], recipe=recipe, method=PointMLP(width=8),
+            training=Training(epochs=3),
+        )  # fmt: skip
+        scores.append(known.segment(mesh).scores)
+    alone = train_segmenter(
+        [mesh], [np.where(some < 0, -1, some)], recipe=recipe, method=PointMLP(width=8),
+        training=Training(epochs=3),
+    )  # fmt: skip
+    np.testing.assert_array_equal(alone.segment(mesh).scores, scores[0])
+    assert np.abs(scores[0] - scores[1]).max() > 1e-3
+
+
+def test_same_seed_same_network_another_another():
+    mesh = creature(600)
+    recipe = Recipe(embeddings=(HeatSignature(count=4), Coordinates()), k=20)
+    network = DiffusionNet(width=8, depth=1)  # with dropout
+    scores = [
+        train_segmenter(
+            [mesh], [north(mesh)], recipe=recipe, method=network,
+            training=Training(epochs=3, copies=1, seed=seed),
+        ).segment(mesh).scores
+        for seed in (0, 0, 1)
+    ]  # fmt: skip
+    np.testing.assert_array_equal(scores[0], scores[1])
+    assert np.abs(scores[0] - scores[2]).max() > 1e-3
+
+
+class StoppedError(Exception):
+    pass
+
+
+def test_an_interrupted_run_goes_on_to_the_same_end(tmp_path):
+    mesh = creature(600)
+    recipe = Recipe(embeddings=(HeatSignature(count=4), Coordinates()), k=20)
+    network, training = DiffusionNet(width=8, depth=1), Training(epochs=5, points=None)
+    example, _ = prepared(recipe, mesh, network.sees)
+    labels = torch.from_numpy(north(mesh))
+
+    def run(folder, watch=None):
+        return fit(
+            recipe, network, [example, example], [labels, labels], classes=2,
+            training=training, folder=folder, watch=watch,
+        )  # fmt: skip
+
+    def stop(model, epoch):
+        if epoch == 4:
+            raise StoppedError
+        return {}
+
+    whole, curve = run(None)
+    with pytest.raises(StoppedError):
+        run(tmp_path, stop)
+    resumed, again = run(tmp_path)
+    assert [one["epoch"] for one in again] == [1, 2, 3, 4, 5]
+    assert again == curve
+    np.testing.assert_array_equal(
+        predicted(resumed, recipe, example), predicted(whole, recipe, example)
+    )
+    other = Training(epochs=5, rate=1e-3)
+    with pytest.raises(InvalidInputError, match="hold a checkpoint of the same run"):
+        fit(recipe, network, [example, example], [labels, labels], classes=2, training=other,
+            folder=tmp_path)  # fmt: skip
+
+
+@pytest.mark.parametrize("method", [*HEADS, PointNet(width=8)], ids=str)
+def test_a_saved_classifier_tells_the_same(shapes, method, tmp_path):
+    clouds, labels = shapes
+    recipe = POINTS if isinstance(method, PointNet) else DNA
+    found = train_classifier(
+        clouds, labels, recipe=recipe, method=method, training=Training(epochs=2)
+    )
+    save_labeller(tmp_path / "a.safetensors", found)
+    again = load_labeller(tmp_path / "a.safetensors")
+    assert repr(again) == repr(found)
+    for cloud in clouds[:2]:
+        np.testing.assert_array_equal(again.classify(cloud).scores, found.classify(cloud).scores)
+
+
+def test_a_saved_segmenter_tells_the_same(tmp_path):
+    mesh = creature(600)
+    recipe = Recipe(embeddings=(HeatSignature(count=4), Coordinates()), k=20, solver=Neo(poses=1))
+    found = train_segmenter(
+        [mesh], [north(mesh)], recipe=recipe, method=DiffusionNet(width=8, depth=2),
+        training=Training(epochs=2), names=["south", "north"],
+    )  # fmt: skip
+    save_labeller(tmp_path / "a.safetensors", found)
+    again = load_labeller(tmp_path / "a.safetensors")
+    assert (again.names, again.recipe, again.method) == (found.names, found.recipe, found.method)
+    np.testing.assert_array_equal(again.segment(mesh).scores, found.segment(mesh).scores)
+
+
+def test_a_network_of_ones_own_is_not_saved(tmp_path):
+    network = NeoFunctions().of_points and NeoFunctions()._model
+    recipe = Recipe(embeddings=(NeoFunctions(network=network, poses=1),), k=20)
+    mesh = creature(600)
+    found = train_segmenter(
+        [mesh], [north(mesh)], recipe=recipe, method=PointMLP(width=4),
+        training=Training(epochs=1),
+    )  # fmt: skip
+    with pytest.raises(InvalidInputError, match=r"got NeoNetwork; save the network's weights"):
+        save_labeller(tmp_path / "a.safetensors", found)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("cut", [0, 100, -7])
+def test_a_damaged_file_is_refused(shapes, tmp_path, cut):
+    clouds, labels = shapes
+    found = train_classifier(clouds, labels, recipe=DNA, method=NearestNeighbour())
+    path = tmp_path / "a.safetensors"
+    save_labeller(path, found)
+    path.write_bytes(path.read_bytes()[:cut])
+    with pytest.raises(InvalidFileError):
+        load_labeller(path)
+
+
+def test_weights_are_no_labeller(tmp_path):
+    from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
+
+    tiny = NeoConfig(width=16, depth=1, heads=2, head_width=8, latents=4, m=16, k=8)
+    save_weights(tmp_path / "a.safetensors", NeoNetwork(tiny), {})
+    with pytest.raises(InvalidFileError, match="not a whole labeller"):
+        load_labeller(tmp_path / "a.safetensors")
+
+
+BALL = sphere(subdivisions=2).geometry
+
+
+@pytest.mark.parametrize(
+    ("labels", "names", "message"),
+    [
+        ([0], None, r"`labels` must have shape \(2,\), one for each of the shapes, got \(1,\)"),
+        ([0, 2], None, r"an example of each class, got none of class 1 \('1'\)"),
+        ([0, 1], ["a", "b", "c"], r"got none of class 2 \('c'\)"),
+        ([0, 3], ["a", "b"], "`labels` must be less than 2, the number of names, got 3"),
+        ([0, 0], None, "`labels` must be of two classes or more, got 1"),
+        ([0, -1], None, "`labels` must be 0 or more, got -1"),
+        ([0.0, 1.0], None, "hold integers, the numbers of the classes, got dtype float64"),
+    ],
+)
+def test_labels_that_do_not_fit(labels, names, message):
+    with pytest.raises(InvalidInputError, match=message):
+        train_classifier([BALL, BALL], labels, recipe=DNA, method=NearestNeighbour(), names=names)
+
+
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [
+        ([north(BALL)], "`labels` must hold an array for each of 2 shapes, got 1"),
+        ([north(BALL), north(BALL)[:-1]], r"`labels\[1\]` must have shape \(162,\)"),
+        ([north(BALL), north(BALL) - 2], r"`labels\[1\]` must be -1 or more, got -2"),
+        ([0 * north(BALL)] * 2, "of two classes or more"),
+        ([2 * north(BALL)] * 2, "got none of class 1"),
+    ],
+)
+def test_labels_of_points_that_do_not_fit(labels, message):
+    with pytest.raises(InvalidInputError, match=message):
+        train_segmenter([BALL, BALL], labels, recipe=POINTS, method=PointMLP(width=4))
+
+
+def test_shapes_that_cannot_be_told():
+    known = train_classifier(
+        [BALL, torus(n=400).geometry], [0, 1], recipe=DNA, method=NearestNeighbour()
+    )
+    two = TriangleMesh(
+        np.concatenate([BALL.points, BALL.points + 5]),
+        np.concatenate([BALL.faces, BALL.faces + BALL.n]),
+    )
+    with pytest.raises(InvalidInputError, match=r"be connected.*got 2 components; label them one"):
+        known.classify(two)
+    with pytest.raises(InvalidInputError, match="point"):
+        known.classify(PointCloud([[0.0, 0, 0]]))
+    with pytest.raises(InvalidInputError, match="k"):
+        known.classify(sphere(subdivisions=0).geometry)  # 12 points, 20 modes
+
+
+def test_another_length_than_the_heads_is_refused():
+    known = train_classifier(
+        [BALL, torus(n=400).geometry], [0, 1], recipe=DNA, method=NearestNeighbour()
+    )
+    longer = Recipe(embeddings=(ShapeDNA(count=12), WaveSignature(count=6)), k=20)
+    other = type(known)(known.names, longer, known.method, known.learned, known.examples)
+    with pytest.raises(InvalidInputError, match="as the head was fitted to, 70, got 72"):
+        other.classify(BALL)
+
+
+def test_more_neighbours_than_examples():
+    with pytest.raises(InvalidInputError, match="have 3 rows or more, the neighbours, got 2"):
+        train_classifier(
+            [BALL, torus(n=400).geometry], [0, 1], recipe=DNA,
+            method=NearestNeighbour(neighbours=3),
+        )  # fmt: skip
+
+
+def test_some_points_of_shapes_whose_operator_is_seen():
+    with pytest.raises(InvalidInputError, match="be None, all points, for a network that sees"):
+        train_segmenter(
+            [BALL], [north(BALL)], recipe=POINTS, method=DiffusionNet(width=4, depth=1),
+            training=Training(epochs=1, points=50),
+        )  # fmt: skip
+
+
+def test_missing_packages_are_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "sklearn.neighbors", None)
+    with pytest.raises(MissingDependencyError, match=r"scikit-learn; pip install .*\[learn\]"):
+        NearestNeighbour().fit(np.eye(2), np.arange(2))
+    monkeypatch.setitem(sys.modules, "torch_geometric.nn", None)
+    with pytest.raises(MissingDependencyError, match="backbones"):
+        Hierarchical(backbone="pointnet++").build(3, 2)
+
+
+def test_of_a_mesh_sampled_points_are_seen():
+    mesh = creature(1000)
+    recipe = Recipe(embeddings=(ShapeDNA(count=8),), k=12, points=400, seed=3)
+    plain = Recipe(embeddings=(ShapeDNA(count=8),), k=12)
+    np.testing.assert_array_equal(recipe.vector(mesh), plain.vector(sample(mesh, 400, seed=3)))

@@ -1,0 +1,85 @@
+"""Tangent planes and gradients: exact on planes, right on spheres, by laws elsewhere."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import PointCloud, TriangleMesh, creature, rectangle, sample, sphere
+from spectra_kit.operators import tangent_gradient
+
+
+def in_space(geometry, values):
+    """Gradients as vectors of space, (n, 3)."""
+    frames, x, y = tangent_gradient(geometry)
+    return np.einsum("in,nir->nr", np.stack([x @ values, y @ values]), frames[:, :2])
+
+
+@pytest.mark.parametrize("cloud", [False, True])
+def test_linear_functions_on_a_plane_have_their_gradients(cloud):
+    sheet = rectangle(n=300).geometry
+    turn = Rotation.from_euler("xyz", [0.4, -0.7, 1.1]).as_matrix()
+    points = 1e-3 * sheet.points @ turn.T + [5, 6, 7]
+    shape = PointCloud(points) if cloud else TriangleMesh(points, sheet.faces)
+    slope = turn @ [3.0, -2.0, 0.0]  # in the plane
+    np.testing.assert_allclose(
+        in_space(shape, points @ slope), np.broadcast_to(slope, points.shape), atol=1e-8
+    )
+
+
+@pytest.mark.parametrize("cloud", [False, True])
+def test_gradients_on_the_sphere_converge(cloud):
+    errors = []
+    for level in (2, 3, 4):
+        ball = sphere(subdivisions=level).geometry
+        x = ball.points
+        true = np.array([0, 0, 1.0]) - x[:, 2:] * x  # of the height
+        found = in_space(ball.as_cloud() if cloud else ball, x[:, 2])
+        errors.append(np.sqrt(((found - true) ** 2).sum(1).mean()))
+    rates = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert (rates > 1.2).all(), (errors, rates)  # of the first order, and better where even
+    assert errors[-1] < 4e-3
+
+
+def test_frames_are_right_handed_and_normals_those_of_the_surface():
+    ball = sphere(subdivisions=3).geometry
+    frames = tangent_gradient(ball).frames
+    np.testing.assert_allclose(
+        frames @ frames.transpose(0, 2, 1), np.broadcast_to(np.eye(3), frames.shape), atol=1e-12
+    )
+    np.testing.assert_allclose(np.linalg.det(frames), 1, atol=1e-12)
+    assert (np.abs(np.einsum("nr,nr->n", frames[:, 2], ball.points)) > 0.999).all()
+
+
+def test_windings_do_not_matter_and_units_divide():
+    mesh = creature(800)
+    values = np.sin(5 * mesh.points[:, 0])
+    found = in_space(mesh, values)
+    faces = mesh.faces.copy()
+    faces[::3] = faces[::3, [0, 2, 1]]
+    np.testing.assert_allclose(in_space(TriangleMesh(mesh.points, faces), values), found, atol=1e-9)
+    larger = TriangleMesh(1e6 * mesh.points, mesh.faces)
+    np.testing.assert_allclose(1e6 * in_space(larger, values), found, atol=1e-8)
+
+
+def test_they_turn_with_the_surface():
+    cloud = sample(creature(3000), 1200, seed=0)
+    turn = Rotation.from_euler("xyz", [1.0, 0.2, -0.5]).as_matrix()
+    values = np.cos(4 * cloud.points[:, 1])
+    np.testing.assert_allclose(
+        in_space(PointCloud(cloud.points @ turn.T), values),
+        in_space(cloud, values) @ turn.T,
+        atol=1e-6,
+    )
+
+
+def test_constants_have_none():
+    _, x, y = tangent_gradient(creature(600))
+    ones = np.ones(x.shape[1])
+    assert max(np.abs(x @ ones).max(), np.abs(y @ ones).max()) < 1e-9
+
+
+def test_a_point_whose_triangles_have_no_area_is_refused():
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [3, 0, 0], [4, 0, 0], [5, 0, 0.0]])
+    with pytest.raises(InvalidInputError, match=r"at every point, got none at point 3; repair"):
+        tangent_gradient(TriangleMesh(points, [[0, 1, 2], [3, 4, 5]]))
