@@ -195,7 +195,7 @@ class _Hierarchical(nn.Module):
             latents=1,
         )
         self.backbone = _BACKBONES[sizes.backbone](config, known)
-        self.backbone.head = nn.Identity()  # that of NEO plays no part, either
+        del self.backbone.head  # that of NEO plays no part, either
         self.known = known
         self.out = nn.Linear(sizes.width, outputs)
 

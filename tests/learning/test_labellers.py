@@ -105,7 +105,7 @@ def test_discriminants_find_the_direction_that_tells():
         for head in (LinearDiscriminant(), NearestNeighbour())
     ]
     # The difference of the columns has a spread of 0.28 around classes that are 1 apart.
-    assert right[0] > 0.93
+    assert right[0] > 0.85
     assert right[1] < right[0]
 
 
