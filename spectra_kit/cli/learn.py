@@ -110,7 +110,8 @@ def label(asked: program.Label) -> None:
     if asked.picture:
         check_output(asked.picture, PICTURES, asked.inputs)
     shape, _ = load(asked.file, asked)
-    record: tables.Record = {"input": asked.file, "labeller": asked.labeller}
+    unknown = dict.fromkeys(("label", "name", "scores", "parts", "output"))
+    record: tables.Record = {"input": asked.file, "labeller": asked.labeller, **unknown}
     if not isinstance(labeller, Segmenter):
         with step("looking at it"):
             told = labeller.classify(shape)

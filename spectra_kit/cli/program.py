@@ -281,7 +281,7 @@ class Similar(_Searched, options.Solver, options.Turned, options.Resolution):
     outcome = "shapes like it"
     examples = (
         "similar cat.off animals",
-        "similar cat.off animals --index animals.safetensors --picture like_cat.png",
+        "similar cat.off animals --index known.safetensors -o like.png",
         "similar scan.ply animals --cloud 4000 --solver neo",
     )
     keys = "input, folder, indexed, left_out, neighbours, picture"
@@ -312,12 +312,12 @@ class _Labelled(options.OneFile):
 class Label(_Labelled, options.Turned, options.Resolution):
     """Tell what a shape is, or what its parts are, by what a labeller has learned."""
 
-    outcome = "names for shapes and parts"
+    outcome = "names, and parts"
     examples = (
-        "label scan.ply animals.safetensors",
+        "label a.ply known.safetensors",
         "label body.obj bodies.safetensors -o parts.npz --picture parts.png",
     )
-    keys = "input, labeller, label, name, scores; or parts, output, picture"
+    keys = "input, labeller, label, name, scores, parts, output, picture"
     run = "learn.label"
     operands = "FILE LABELLER [options]"
 

@@ -62,7 +62,8 @@ def read(
                 content = json.loads((file.metadata() or {})[_KEY])
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         except SafetensorError as error:
-            raise InvalidFileError(path, f"no complete safetensors file ({error})") from error
+            problem = f"not a whole {what}, which is a safetensors file ({error})"
+            raise InvalidFileError(path, problem) from error
         if content["format"] != _FORMAT:
             raise InvalidInputError("format", f"be {_FORMAT}", content["format"])
         if not all(tensor.isfinite().all() for tensor in tensors.values()):

@@ -8,7 +8,9 @@ from running import printed
 
 from spectra_kit.cli import main
 from spectra_kit.cli.program import COMMANDS, app, parse
+from spectra_kit.embeddings import ShapeDNA
 from spectra_kit.geometry import TriangleMesh, sphere, write
+from spectra_kit.learning import NearestNeighbour, Recipe, save_labeller, train_classifier
 
 NAMES = [command.name for command in COMMANDS]
 SMALL = ("demo", "--points", "500", "-q", "--json")
@@ -19,6 +21,8 @@ CHEAP = {  # what is not SMALL with four modes
     "explore": (*SMALL, "-k", "4", "--solver", "none", "-o", "page.html"),
     "geodesic": (*SMALL, "--no-pictures"),
     "match": ("a.off", "b.off", "-q", "--json", "-k", "30", "--no-pictures"),
+    "similar": ("a.off", ".", "-q", "--json", "-k", "20"),
+    "label": ("a.off", "known.safetensors", "-q", "--json"),
     "completion": ("bash", "--json"),
 }
 
@@ -51,7 +55,8 @@ def test_help_begins_with_a_purpose_and_its_examples_and_options_parse(name, cap
     for flag in ("--json", "--quiet", "--debug", "--help"):
         assert flag in text.split("general:")[1]
     assert text.index("general:") > max(map(text.index, ("examples:", "input:")))
-    files, given = {"match": ["a", "b"], "completion": ["bash"]}.get(name, ["a"]), []
+    two = {key: ["a", "b"] for key in ("match", "similar", "label")}
+    files, given = {**two, "completion": ["bash"]}.get(name, ["a"]), []
     for option in app()[name].assemble_argument_collection():
         if option.show and option.index is None:
             choices, (count, _) = option.get_choices(), option.token_count()
@@ -77,10 +82,13 @@ def test_one_word_has_one_meaning_over_all_commands():
 @pytest.mark.parametrize("name", NAMES)
 def test_json_is_one_object_with_the_keys_that_the_help_names(name, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    if name == "match":
+    if name in ("match", "similar", "label"):
         ball = sphere(subdivisions=2).geometry
         for file in ("a.off", "b.off"):
             write(TriangleMesh(ball.points * [1, 1.2, 1.5], ball.faces), file)
+        recipe = Recipe(embeddings=(ShapeDNA(count=3),), k=5)
+        known = train_classifier([ball, ball], [0, 1], recipe=recipe, method=NearestNeighbour())
+        save_labeller("known.safetensors", known)
     out, err = printed(capsys, name, *CHEAP.get(name, (*SMALL, "-k", "4")))
     assert err == ""
     assert out.count("\n") < 120  # the numbers of an array are on one line

@@ -1,0 +1,255 @@
+"""The studies of classification and segmentation: protocol, marks, memory, report and apps."""
+
+import json
+
+import classify_shapes
+import numpy as np
+import pytest
+import segment_shapes
+from measure.learning.classification import Draws, Row, Vectors, View, classify_all, drawn
+from measure.learning.classified_report import summarize
+from measure.learning.labelled import SEGMENTED, demo_set, labelled_set, read_set
+from measure.learning.rows import FREE, TRAINED, parts_rows, rows_named
+from measure.learning.segmentation import Parts, PartsRow, marks, segment_all
+
+from spectra_kit.errors import InvalidFileError, InvalidInputError
+
+MESH = View("mesh", "exact")
+
+
+@pytest.fixture(scope="module")
+def shapes():
+    return demo_set()
+
+
+def scores_of(labels, classes):
+    return np.eye(classes)[labels]
+
+
+# --- sets ---
+
+
+def write_set(path, shapes, *, whole):
+    meshes = shapes.meshes
+    arrays = {
+        "V": np.concatenate([m.points for m in meshes]).astype(np.float32),
+        "F": np.concatenate([m.faces for m in meshes]).astype(np.uint16),
+        "voff": np.cumsum([0, *(m.n for m in meshes)]),
+        "foff": np.cumsum([0, *(len(m.faces) for m in meshes)]),
+    }
+    if whole:
+        arrays |= {"label": shapes.labels, "is_train16": shapes.is_train, "classes": shapes.classes}
+    else:
+        # Classes are counted from any number on.
+        arrays |= {
+            "vert_label": np.concatenate(shapes.vertex_labels) + 3,
+            "face_label": np.concatenate(shapes.face_labels) + 3,
+            "is_train": shapes.is_train,
+        }
+    np.savez(path, **arrays)
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_packed_set_is_read_as_it_was(shapes, tmp_path, whole):
+    write_set(tmp_path / "set.npz", shapes, whole=whole)
+    found = read_set("set", tmp_path / "set.npz")
+    for own, other in zip(shapes.meshes, found.meshes, strict=True):
+        np.testing.assert_allclose(other.points, own.points, atol=1e-6)
+        np.testing.assert_array_equal(other.faces, own.faces)
+    assert found.train.tolist() == shapes.train.tolist()
+    if whole:
+        assert found.classes == shapes.classes
+        np.testing.assert_array_equal(found.labels, shapes.labels)
+    else:
+        for name in ("vertex_labels", "face_labels"):
+            for own, other in zip(getattr(shapes, name), getattr(found, name), strict=True):
+                np.testing.assert_array_equal(other, own)
+
+
+def test_sets_that_are_not_there(tmp_path):
+    with pytest.raises(InvalidInputError, match="try `demo`"):
+        labelled_set("human", None, SEGMENTED)
+    with pytest.raises(InvalidInputError, match="no such file"):
+        labelled_set("human", tmp_path, SEGMENTED)
+    (tmp_path / SEGMENTED["human"]).write_bytes(b"no zip")
+    with pytest.raises(InvalidFileError):
+        labelled_set("human", tmp_path, SEGMENTED)
+
+
+# --- draws ---
+
+
+@pytest.mark.parametrize("validated", [False, True])
+def test_examples_are_of_the_training_split_and_never_tested_on(shapes, validated):
+    seen = set()
+    for seed in range(10):
+        known, tested = drawn(shapes, 2, [seed, 0], validated=validated)
+        assert np.bincount(shapes.labels[known]).tolist() == [2, 2, 2]
+        assert shapes.is_train[known].all()
+        assert not set(known) & set(tested)
+        assert shapes.is_train[tested].all() == validated
+        seen |= {tuple(known)}
+    assert len(seen) > 5
+    assert drawn(shapes, 2, [0, 0], validated=False)[1].tolist() == shapes.test.tolist()
+
+
+@pytest.mark.parametrize(("validated", "most"), [(False, 4), (True, 3)])
+def test_more_examples_than_there_are(shapes, validated, most):
+    drawn(shapes, most, [0], validated=validated)
+    with pytest.raises(InvalidInputError, match=f"`shots` must be at most {most}"):
+        drawn(shapes, most + 1, [0], validated=validated)
+
+
+def draws_of(shapes, folder, *rows, **options):
+    vectors = Vectors(folder=folder, contenders=[], problems=[], shapes=shapes)
+    return Draws(
+        folder=folder, contenders=rows, problems=[0, 1], shapes=shapes, vectors=vectors, draws=3,
+        **options,
+    )  # fmt: skip
+
+
+def test_classes_are_told_by_heads_also_turned_and_remembered(shapes, tmp_path, monkeypatch):
+    row = Row(MESH, "heat", "nearest", 3)
+    study = draws_of(shapes, tmp_path, row)
+    results = classify_all(study, jobs=0)
+    cell = summarize(results)["heat", "nearest", "mesh, exact"][3]
+    assert cell["draws"] == 6
+    assert cell["mean"] > 80
+    # Turned meshes have the same spectra, but for rounding.
+    assert cell["turned"] == pytest.approx(cell["mean"], abs=1e-9)
+    confused = np.sum([r.record["confused"] for r in results], axis=0)
+    assert confused.sum() == 6 * len(shapes.test)
+    assert np.trace(confused) / confused.sum() == pytest.approx(cell["mean"] / 100)
+    before = (tmp_path / "measurements.jsonl").read_text()
+    monkeypatch.setattr(Draws, "measure", lambda *_: pytest.fail("measured again"))
+    again = classify_all(study, jobs=0)
+    assert [r.record for r in again] == [r.record for r in results]
+    assert (tmp_path / "measurements.jsonl").read_text() == before
+
+
+@pytest.mark.slow
+def test_a_network_learns_from_clouds(shapes, tmp_path, monkeypatch):
+    monkeypatch.setattr("measure.learning.classification._SHOWN", 150)
+    row = Row(View("cloud", "predicted"), "coordinates", "pointnet", 4)
+    study = draws_of(shapes, tmp_path, row)
+    results = classify_all(study, jobs=0)
+    assert [len(r.record["right"]) for r in results] == [1, 1]
+    assert summarize(results)["coordinates", "pointnet", "cloud, predicted"][4]["mean"] > 60
+
+
+def test_the_rows_have_names(shapes):
+    assert rows_named([str(row) for row in FREE + TRAINED]) == FREE + TRAINED
+    assert len({str(row) for row in FREE + TRAINED}) == len(FREE + TRAINED)
+    with pytest.raises(InvalidInputError, match="`rows` must be of these"):
+        rows_named(["dna by magic"])
+    for name in SEGMENTED:
+        assert len(set(parts_rows(name))) == len(parts_rows(name))
+
+
+# --- marks ---
+
+
+def test_what_is_all_right_has_all_marks(shapes):
+    right = [(i, scores_of(shapes.vertex_labels[i], 3)) for i in shapes.test]
+    # Faces across the border may go to either side: their own scores tell.
+    found = marks(shapes, right)
+    assert found["vertices"] == 1
+    assert found["edges"] > 0.99
+    wrong = [(i, scores_of(1 - shapes.vertex_labels[i], 3)) for i in shapes.test]
+    found = marks(shapes, wrong)
+    assert found["vertices"] == 0
+    assert found["iou"] < 0.03
+
+
+def test_a_class_for_all_has_the_marks_of_its_share(shapes):
+    i = int(shapes.test[0])
+    mesh, truth = shapes.meshes[i], shapes.face_labels[i]
+    share = mesh.face_areas[truth == 0].sum() / mesh.area
+    found = marks(shapes, [(i, scores_of(np.zeros(mesh.n, dtype=int), 3))])
+    assert found["area"] == pytest.approx(share)
+    assert found["faces"] == pytest.approx((truth == 0).mean())
+    assert found["iou"] == pytest.approx(share / 2)  # of the two classes that there are
+    beside = share + 0.15
+    assert share < found["edges"] < beside
+
+
+def test_shapes_count_alike_in_any_unit(shapes):
+    from dataclasses import replace
+
+    rng = np.random.default_rng(0)
+    answers = [(int(i), rng.dirichlet([1, 1, 1], shapes.meshes[i].n)) for i in shapes.test]
+    larger = tuple(
+        mesh.with_points(mesh.points * (100.0 if i % 2 else 1.0))
+        for i, mesh in enumerate(shapes.meshes)
+    )
+    one, other = marks(shapes, answers), marks(replace(shapes, meshes=larger), answers)
+    assert other == pytest.approx(one)
+
+
+# --- parts ---
+
+
+@pytest.mark.slow
+def test_parts_are_learned_kept_and_remembered(shapes, tmp_path, monkeypatch):
+    row = PartsRow("demo", MESH, "coordinates", "mlp")
+    study = Parts(
+        folder=tmp_path, contenders=[row], problems=[0], sets={"demo": shapes}, epochs=3, copies=1
+    )
+    (result,) = segment_all(study, jobs=0)
+    record = result.record
+    assert record["examples"] == 12
+    assert [epoch for epoch, _ in record["curve"]] == [1, 2, 3]
+    assert 0 < record["iou"] <= 1
+    assert record["turned"]["iou"] == pytest.approx(record["iou"], abs=0.2)
+    from spectra_kit.learning import load_labeller
+
+    saved = next(name for name in record["files"] if name.endswith(".safetensors"))
+    labeller = load_labeller(tmp_path / saved)
+    arrays = next(name for name in record["files"] if name.endswith(".npz"))
+    with np.load(tmp_path / arrays) as labels:
+        for i in shapes.test:
+            told = labeller.segment(shapes.meshes[i]).labels
+            np.testing.assert_array_equal(told, labels[str(i)])
+    monkeypatch.setattr(Parts, "measure", lambda *_: pytest.fail("measured again"))
+    assert segment_all(study, jobs=0)[0].record == record
+
+
+def test_more_shapes_than_there_are(shapes, tmp_path):
+    study = Parts(folder=tmp_path, contenders=[], problems=[0], sets={"demo": shapes})
+    known, tested = study._split(shapes, 5, 0)
+    assert len(known) == 5
+    assert tested.tolist() == shapes.test.tolist()
+    held = Parts(
+        folder=tmp_path, contenders=[], problems=[0], sets={"demo": shapes}, validated=True
+    )
+    known, tested = held._split(shapes, 0, 0)
+    assert shapes.is_train[tested].all()
+    assert not set(known) & set(tested)
+    with pytest.raises(InvalidInputError, match="`shots` must be at most 11"):
+        study._split(shapes, 12, 0)
+
+
+# --- apps ---
+
+
+@pytest.mark.slow
+def test_both_apps_write_their_tables(tmp_path, capsys):
+    out = tmp_path / "classes"
+    row = "heat, nearest; mesh, exact"
+    arguments = [str(out), "--set", "demo", "--rows", row, "--shots", "2", "--seeds", "1"]
+    code = classify_shapes.main([*arguments, "--draws", "2", "--jobs", "1", "--no-pictures"])
+    assert code == 0
+    assert row in capsys.readouterr().out
+    assert json.loads((out / "classification.json").read_text())["rows"][0]["view"] == "mesh, exact"
+    out = tmp_path / "parts"
+    row = "demo: coordinates, diffusion; mesh, exact; all"
+    arguments = [str(out), "--set", "demo", "--rows", row, "--epochs", "1", "--jobs", "1"]
+    assert segment_shapes.main([*arguments, "--no-pictures"]) == 0
+    assert row in capsys.readouterr().out
+    assert (out / "epochs.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("app", [classify_shapes, segment_shapes])
+def test_apps_refuse_rows_they_do_not_know(app, tmp_path, capsys):
+    assert app.main([str(tmp_path), "--set", "demo", "--rows", "magic"]) == 2
+    assert "must be of these" in capsys.readouterr().err
