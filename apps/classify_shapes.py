@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from measure.command import exit_code, parser_of
-from measure.learning.classification import Draws, Row, Vectors, classify_all
+from measure.learning.classification import Draws, Row, Vectors, classify_all, most_shots
 from measure.learning.classified_report import draw_pictures, write_report
 from measure.learning.labelled import CLASSIFIED, labelled_set
 from measure.learning.rows import FREE, TRAINED, rows_named
@@ -38,7 +38,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--data", type=Path, help="folder of the sets (default: $SPECTRA_KIT_DATA/tasks)")
     add("--rows", nargs="+", metavar="ROW", help="only these, as the table names them")
     add("--trained", action="store_true", help="rows of networks, too: half an hour each and more")
-    add("--shots", nargs="+", type=int, default=[1, 3, 5, 10], help="examples a class (1 3 5 10)")
+    add("--shots", nargs="+", type=int,
+        help="examples a class (1 3 5 10, as far as the set goes)")  # fmt: skip
     add("--seeds", type=int, default=10, help="(%(default)s)")
     add("--draws", type=int, default=10, help="for each seed (%(default)s)")
     add("--validate", action="store_true",
@@ -63,10 +64,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _classify(args: argparse.Namespace) -> bool:
     shapes = labelled_set(args.set, args.data or data_folder("tasks"), CLASSIFIED)
     table = rows_named(args.rows) if args.rows else FREE + TRAINED * args.trained
+    most = most_shots(shapes) - args.validate
+    numbers = args.shots or [q for q in (1, 3, 5, 10) if q <= most]
     vectors = Vectors(folder=args.out, contenders=[], problems=[], shapes=shapes)
     draws = Draws(
         folder=args.out,
-        contenders=[Row(*row, shots) for row in table for shots in args.shots],
+        contenders=[Row(*row, shots) for row in table for shots in numbers],
         problems=list(range(args.seeds)),
         shapes=shapes,
         vectors=vectors,

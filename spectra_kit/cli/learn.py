@@ -30,6 +30,7 @@ from spectra_kit.learning import (
 def similar(asked: program.Similar) -> None:
     """Search a folder for the shapes that are most like one, and draw them."""
     check_count("--count", asked.count, low=1)
+    check_count("-k", asked.k, low=4)
     if asked.picture:
         check_output(asked.picture, PICTURES, asked.inputs)
     if asked.index:
@@ -44,6 +45,8 @@ def similar(asked: program.Similar) -> None:
         solver=make_solver(asked.solver, asked, asked.k),
     )
     shape, _ = load(asked.file, asked)
+    with step(f"embedding {asked.file}"):
+        recipe.vector(shape)  # refused now, not after the folder
     known = ShapeIndex.load(asked.index) if asked.index and asked.index.is_file() else None
     with counted(f"embedding {asked.folder}", "file") as progress:
         index = index_folder(
@@ -51,7 +54,6 @@ def similar(asked: program.Similar) -> None:
             recipe,
             known=known,
             load=lambda file: load(file, asked)[0],
-            variant=f"repair {asked.repair}, cloud {asked.cloud}, seed {asked.seed}",
             progress=progress,
         )
     if asked.index:

@@ -156,7 +156,7 @@ def embed(
     >>> sk.embeddings.embed(cloud, sk.embeddings.HeatSignature(count=8), k=32).shape
     (800, 8)
     """
-    return _finite(embedding.of_points(Surface(shape, check_count("k", k, low=1), solver)))
+    return finite(embedding.of_points(Surface(shape, check_count("k", k, low=1), solver)))
 
 
 @checked
@@ -202,10 +202,11 @@ def embed_shape(
     >>> bool(np.linalg.norm(near) < np.linalg.norm(far))
     True
     """
-    return _finite(embedding.of_all(Surface(shape, check_count("k", k, low=1), solver)))
+    return finite(embedding.of_all(Surface(shape, check_count("k", k, low=1), solver)))
 
 
-def _finite(values: Floats) -> Floats:
+def finite(values: Floats) -> Floats:
+    """Return numbers of an embedding, or refuse it."""
     if not np.isfinite(values).all():
         raise InvalidInputError("embedding", "give finite numbers", "some that are not")
     return values

@@ -73,7 +73,7 @@ def read(
 
 def as_json(value: Any) -> Any:
     """Return options as JSON has them: classes by their names."""
-    if is_dataclass(value) and type(value).__name__ in _KNOWN:
+    if is_dataclass(value) and _KNOWN.get(type(value).__name__) is type(value):
         options = {f.name: as_json(getattr(value, f.name)) for f in fields(value) if f.init}
         return {"type": type(value).__name__, **options}
     if isinstance(value, tuple):

@@ -16,6 +16,7 @@ from spectra_kit._types import Floats
 from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers import Automatic, Eigensolver
 from spectra_kit.embeddings import Embedding, Surface, embed_batch
+from spectra_kit.embeddings.base import finite
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, sample
 from spectra_kit.learning.networks import Batch, Need
@@ -37,6 +38,9 @@ class Recipe:
         Modes of a shape's spectrum.
     solver : Eigensolver, default Automatic()
         Who computes them: ``Neo()`` predicts them.
+    upright : bool, default False
+        All shapes stand alike, and which way is up counts: they are not turned in training. Without
+        it, where rotations change an embedding, networks learn from shapes turned at random.
     points : int, optional
         See meshes as clouds of so many random points; by default by their own vertices.
     seed : int, default 0
@@ -61,6 +65,7 @@ class Recipe:
     embeddings: tuple[Embedding, ...]
     k: int = 96
     solver: Eigensolver = Automatic()  # noqa: RUF009
+    upright: bool = False
     points: int | None = None
     seed: int = 0
 
@@ -74,8 +79,10 @@ class Recipe:
 
     @property
     def turns(self) -> bool:
-        """Whether rotations change the numbers."""
-        return any("rotation" not in one.invariant_to for one in self.embeddings)
+        """Whether shapes are turned to learn from: rotations change the numbers, and should not."""
+        return not self.upright and any(
+            "rotation" not in one.invariant_to for one in self.embeddings
+        )
 
     def vector(self, shape: Geometry) -> Floats:
         """Return the embeddings of a whole shape, one after the other: (c,).
@@ -86,7 +93,7 @@ class Recipe:
             If the shape has several components, or fewer points than modes are asked for.
         """
         surface = _surface(self, _seen(self, shape))
-        return np.concatenate([e.of_all(surface) for e in self.embeddings])
+        return finite(np.concatenate([e.of_all(surface) for e in self.embeddings]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +131,7 @@ def prepared(
     example = Example(
         points=_tensor((laplacian.points - laplacian.points.mean(axis=0)) * scale),
         mass=_tensor(surface.mass),
-        features=_tensor(np.column_stack([np.empty((laplacian.n, 0)), *still])),
+        features=_tensor(finite(np.column_stack([np.empty((laplacian.n, 0)), *still]))),
         eigenvalues=None if spectrum is None else _tensor(spectrum.eigenvalues),
         eigenvectors=None if spectrum is None else _tensor(spectrum.eigenvectors),
         slopes=_slopes(shape, scale) if "slopes" in sees else None,

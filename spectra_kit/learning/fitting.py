@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -146,7 +147,8 @@ def fit(
         model = Model(network, first.features.shape[-1], classes, whole=whole)
         _scale(model, recipe, examples)
         run = _Run(model, training, -(-len(examples) // _size(training, len(examples))))
-        begun = _resumed(run, folder, recipe, network, training, labels)
+        facts = _facts(recipe, network, training, examples, labels, classes)
+        begun = _resumed(run, folder, facts)
         shown = trange(
             begun, training.epochs, initial=begun, total=training.epochs, unit="epoch",
             disable=None if progress else True,
@@ -158,7 +160,7 @@ def fit(
             run.curve.append(seen)
             shown.set_postfix({name: f"{value:.3g}" for name, value in seen.items()})
             if folder is not None:
-                checkpoint.write(folder, run.state(_facts(recipe, network, training, labels)))
+                checkpoint.write(folder, run.state(facts))
     return model.eval(), run.curve
 
 
@@ -198,26 +200,21 @@ def _rate(steps: int, step: int) -> float:
     return 0.5 + 0.5 * math.cos(math.pi * (step - warm) / (steps - warm))
 
 
-def _resumed(
-    run: _Run,
-    folder: Path | None,
-    recipe: Recipe,
-    network: Network,
-    training: Training,
-    labels: Sequence[Tensor],
-) -> int:
+def _resumed(run: _Run, folder: Path | None, facts: str) -> int:
     """Take up a run where it stopped; return the number of its epochs that are done."""
     if folder is None:
         return 0
+    if folder.exists() and not folder.is_dir():
+        raise InvalidInputError("folder", "be a folder", f"the file {str(folder)!r}")
     folder.mkdir(parents=True, exist_ok=True)
     state = checkpoint.read(folder)
     if state is None:
         return 0
-    if state["facts"] != _facts(recipe, network, training, labels):
+    if state.get("facts") != facts:
         raise InvalidInputError(
             "folder",
             "hold a checkpoint of the same run",
-            "one of another recipe, network, training or set of examples",
+            "one of another recipe, network, training, or of other examples",
             advice="name another folder, or delete the checkpoint",
         )
     run.model.load_state_dict(state["model"])
@@ -227,9 +224,20 @@ def _resumed(
     return len(run.curve)
 
 
-def _facts(recipe: Recipe, network: Network, training: Training, labels: Sequence[Tensor]) -> str:
-    counted = torch.cat([label.flatten() for label in labels])
-    return repr((recipe, network, asdict(training), len(labels), counted.double().std().item()))
+def _facts(
+    recipe: Recipe,
+    network: Network,
+    training: Training,
+    examples: Sequence[Example],
+    labels: Sequence[Tensor],
+    classes: int,
+) -> str:
+    """Return what tells a run from all others: its options, and a hash of what it learns from."""
+    content = hashlib.sha256()
+    for example, label in zip(examples, labels, strict=True):
+        for part in (example.points, example.mass, example.features, label):
+            content.update(repr(tuple(part.shape)).encode() + part.numpy().tobytes())
+    return repr((recipe, network, asdict(training), classes, content.hexdigest()))
 
 
 def _size(training: Training, count: int) -> int:
@@ -249,18 +257,25 @@ def _epoch(
         some, truth = _drawn([examples[i] for i in chosen], [labels[i] for i in chosen], run, rng)
         turned = Tensor(Rotation.random(len(chosen), rng=rng).as_matrix())
         logits = model(batched(recipe, some, rotations=turned if recipe.turns else None))
-        loss = F.cross_entropy(
-            logits.flatten(0, -2),
-            truth.flatten(),
-            ignore_index=UNKNOWN,
-            label_smoothing=training.smoothing,
-        )
+        loss = _loss(logits, truth, training.smoothing)
         run.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         run.optimizer.step()
         run.schedule.step()
         total += loss.item() * len(chosen)
     return total / len(order)
+
+
+def _loss(logits: Tensor, truth: Tensor, smoothing: float) -> Tensor:
+    """Return the mean over what is known, which padding is not; 0 where that is nothing."""
+    total = F.cross_entropy(
+        logits.flatten(0, -2),
+        truth.flatten(),
+        ignore_index=UNKNOWN,
+        label_smoothing=smoothing,
+        reduction="sum",
+    )
+    return total / (truth != UNKNOWN).sum().clamp(min=1)
 
 
 def _drawn(

@@ -9,10 +9,13 @@ import warnings
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from spectra_kit._checked import checked
 from spectra_kit._optional import optional
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import check_count, check_positive
+from spectra_kit._validate import check_count, check_positive, real_array
 from spectra_kit.errors import InvalidInputError
 
 
@@ -20,7 +23,7 @@ from spectra_kit.errors import InvalidInputError
 class Head(Protocol):
     """What can learn to tell classes apart: a frozen dataclass of its options."""
 
-    def fit(self, vectors: Floats, labels: Ints) -> Any:
+    def fit(self, vectors: ArrayLike, labels: ArrayLike) -> Any:
         """Return a classifier of scikit-learn that knows rows (s, c) and their classes (s,)."""
         ...
 
@@ -60,7 +63,7 @@ class NearestNeighbour:
     def __post_init__(self) -> None:
         check_count("neighbours", self.neighbours, low=1)
 
-    def fit(self, vectors: Floats, labels: Ints) -> Any:
+    def fit(self, vectors: ArrayLike, labels: ArrayLike) -> Any:
         """Return it with its examples.
 
         Raises
@@ -70,6 +73,7 @@ class NearestNeighbour:
         MissingDependencyError
             Without scikit-learn.
         """
+        vectors, labels = _examples(vectors, labels)
         if len(vectors) < self.neighbours:
             raise InvalidInputError(
                 "vectors", f"have {self.neighbours} rows or more, the neighbours", len(vectors)
@@ -87,7 +91,7 @@ class LinearDiscriminant:
     example does.
     """
 
-    def fit(self, vectors: Floats, labels: Ints) -> Any:
+    def fit(self, vectors: ArrayLike, labels: ArrayLike) -> Any:
         """Return it fitted.
 
         Raises
@@ -95,6 +99,7 @@ class LinearDiscriminant:
         MissingDependencyError
             Without scikit-learn.
         """
+        vectors, labels = _examples(vectors, labels)
         if len(set(labels.tolist())) == len(labels):
             return NearestNeighbour().fit(vectors, labels)
         analysis = _sklearn("discriminant_analysis").LinearDiscriminantAnalysis
@@ -122,7 +127,7 @@ class SupportVectors:
     def __post_init__(self) -> None:
         check_positive("penalty", self.penalty)
 
-    def fit(self, vectors: Floats, labels: Ints) -> Any:
+    def fit(self, vectors: ArrayLike, labels: ArrayLike) -> Any:
         """Return them fitted.
 
         Raises
@@ -130,8 +135,19 @@ class SupportVectors:
         MissingDependencyError
             Without scikit-learn.
         """
+        vectors, labels = _examples(vectors, labels)
         support = _sklearn("svm").SVC(C=self.penalty)
         return _fitted(support, True, vectors, labels)
+
+
+def _examples(vectors: ArrayLike, labels: ArrayLike) -> tuple[Floats, Ints]:
+    rows = real_array("vectors", vectors)
+    if rows.ndim != 2 or not len(rows):
+        raise InvalidInputError("vectors", "have shape (s, c), a row for each example", rows.shape)
+    classes = np.asarray(labels)
+    if classes.shape != (len(rows),) or classes.dtype.kind not in "iu":
+        raise InvalidInputError("labels", f"be {len(rows)} integers", classes.shape)
+    return rows, classes.astype(np.int64)
 
 
 def _fitted(classifier: Any, scaled: bool, vectors: Floats, labels: Ints) -> Any:

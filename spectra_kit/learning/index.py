@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,11 +16,16 @@ from torch import Tensor
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats
 from spectra_kit._validate import Brief, check_count
+from spectra_kit._version import VERSION
+from spectra_kit.eigensolvers import Neo
+from spectra_kit.embeddings import NeoFunctions
 from spectra_kit.errors import InvalidInputError, SpectraKitError
-from spectra_kit.geometry import Geometry, read
+from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, read
 from spectra_kit.geometry.io import READERS
 from spectra_kit.learning import _files
 from spectra_kit.learning.examples import Recipe
+from spectra_kit.neo.model import NeoNetwork
+from spectra_kit.neo.pretrained import find_weights
 
 
 class Neighbour(NamedTuple):
@@ -31,7 +36,8 @@ class Neighbour(NamedTuple):
     name : str
         Of its file.
     distance : float
-        Mean difference of the embeddings' columns, in standard deviations over the index.
+        Mean difference of the embeddings' columns, in standard deviations over the index; as it is
+        where no column varies, as with a single shape.
     """
 
     name: str
@@ -50,7 +56,7 @@ class ShapeIndex(Brief):
     names : tuple of str
         Of s files.
     digests : tuple of str
-        Of their contents: a file that changed is embedded anew.
+        Of what each vector was made of: a shape that changed is embedded anew.
     vectors : ndarray of shape (s, c)
         The embeddings.
     failures : mapping of str to str
@@ -62,6 +68,14 @@ class ShapeIndex(Brief):
     digests: tuple[str, ...]
     vectors: Floats
     failures: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        rows = np.shape(self.vectors)
+        if len(rows) != 2 or not rows[0] == len(self.names) == len(self.digests):
+            n = len(self.names)
+            raise InvalidInputError(
+                "vectors", f"have {n} rows, as there are names, and digests", rows
+            )
 
     def nearest(self, shape: Geometry, *, count: int = 8) -> tuple[Neighbour, ...]:
         """Return the shapes that are most like one, the nearest first.
@@ -116,10 +130,8 @@ class ShapeIndex(Brief):
 
         def made(content: dict[str, Any], tensors: dict[str, Tensor]) -> ShapeIndex:
             names, digests = tuple(content["names"]), tuple(content["digests"])
-            vectors = tensors["vectors"].numpy()
-            if not len(names) == len(digests) == len(vectors):
-                raise InvalidInputError("names", f"be {len(vectors)}", len(names))
-            return cls(_files.from_json(content["recipe"]), names, digests, vectors)
+            recipe, vectors = _files.from_json(content["recipe"]), tensors["vectors"].numpy()
+            return cls(recipe, names, digests, vectors)
 
         return _files.read(path, "index", made)
 
@@ -131,7 +143,6 @@ def index_folder(
     *,
     known: ShapeIndex | None = None,
     load: Callable[[str], Geometry] = read,
-    variant: str = "",
     progress: Callable[[int, int], object] | None = None,
 ) -> ShapeIndex:
     """Embed the shapes of a folder.
@@ -143,11 +154,10 @@ def index_folder(
     recipe : Recipe
         How they become numbers.
     known : ShapeIndex, optional
-        What of it was made by the same recipe from files of the same content is taken over.
+        What of it was made of the same points and faces, by the same recipe, weights and release,
+        is taken over.
     load : callable, default geometry.read
         From the path of a file to a geometry.
-    variant : str, default ""
-        What, beside the file, decides what `load` returns: repairs, samples, seeds.
     progress : callable, optional
         Told how many files of how many are done.
 
@@ -178,23 +188,24 @@ def index_folder(
     """
     folder = Path(folder)
     entries = sorted(folder.iterdir()) if folder.is_dir() else []
-    files = [path for path in entries if path.suffix.lower() in READERS]
+    files = [p for p in entries if p.suffix.lower() in READERS and p.is_file()]
     if not files:
         raise InvalidInputError(
             "folder",
             f"hold meshes or clouds ({', '.join(sorted(READERS))})",
             f"none in {str(folder)!r}",
         )
-    old = dict[str, Floats]()
-    if known is not None and repr(known.recipe) == repr(recipe):
-        old = dict(zip(known.digests, known.vectors, strict=True))
+    old = {} if known is None else dict(zip(known.digests, known.vectors, strict=True))
+    made_by = _fingerprint(recipe)
     made: dict[str, tuple[str, Floats]] = {}
     failures = {}
     for i, path in enumerate(files):
-        digest = hashlib.sha256(variant.encode() + b"\0" + path.read_bytes()).hexdigest()
         try:
-            vector = old[digest] if digest in old else recipe.vector(load(str(path)))
-            made[path.name] = digest, vector
+            shape = load(str(path))
+            if not isinstance(shape, TriangleMesh | PointCloud):
+                raise InvalidInputError("load", "return a geometry", f"a {type(shape).__name__}")
+            digest = _digest(shape, made_by)
+            made[path.name] = digest, old[digest] if digest in old else recipe.vector(shape)
         except SpectraKitError as error:
             failures[path.name] = str(error)
         if progress is not None:
@@ -203,3 +214,31 @@ def index_folder(
     digests = tuple(digest for digest, _ in made.values())
     rows = np.array(vectors) if vectors else np.empty((0, 0))
     return ShapeIndex(recipe, tuple(made), digests, rows, failures)
+
+
+def _digest(shape: Geometry, made_by: str) -> str:
+    """Hash of a shape as it was read, and of how it is embedded."""
+    found = hashlib.sha256(made_by.encode())
+    for array in (shape.points, getattr(shape, "faces", np.empty(0))):
+        found.update(f"{array.dtype.str}{array.shape}".encode() + array.tobytes())
+    return found.hexdigest()
+
+
+def _fingerprint(recipe: Recipe) -> str:
+    """Tell all that decides a vector but the shape: options, weights by their hash, release."""
+    weights: list[str] = []
+
+    def look(value: Any) -> None:
+        if isinstance(value, NeoFunctions) and not isinstance(value.network, NeoNetwork):
+            weights.append(find_weights(value.network).sha256)
+        if isinstance(value, Neo):
+            weights.append(find_weights(value.weights).sha256)
+        if is_dataclass(value):
+            for part in fields(value):
+                look(getattr(value, part.name))
+        if isinstance(value, tuple):
+            for item in value:
+                look(item)
+
+    look(recipe)
+    return repr((VERSION, recipe, weights))

@@ -12,9 +12,12 @@ from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
+from torch.nn.utils.rnn import pad_sequence
 
 from spectra_kit._checked import checked
 from spectra_kit._validate import check_count
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.backbones import PointNetPlusPlus, PointTransformer
 from spectra_kit.neo.model import NeoConfig
 
@@ -200,9 +203,14 @@ class _Hierarchical(nn.Module):
         self.out = nn.Linear(sizes.width, outputs)
 
     def forward(self, batch: Batch) -> Tensor:
-        known = batch.features if self.known else None
-        out: Tensor = self.out(self.backbone.features(batch.points, batch.mass, known))
-        return out
+        # Neighbours and centres are searched among all points: padding must not be one.
+        answers = []
+        for points, mass, features in zip(batch.points, batch.mass, batch.features, strict=True):
+            own = mass > 0
+            known = features[own][None] if self.known else None
+            answers.append(self.backbone.features(points[own][None], mass[own][None], known)[0])
+        out: Tensor = self.out(pad_sequence(answers, batch_first=True))
+        return F.pad(out, (0, 0, 0, batch.points.shape[1] - out.shape[1]))
 
 
 @checked
@@ -237,6 +245,8 @@ class DiffusionNet:
     def __post_init__(self) -> None:
         check_count("width", self.width, low=1)
         check_count("depth", self.depth, low=1)
+        if not 0 <= self.dropout < 1:
+            raise InvalidInputError("dropout", "be in [0, 1)", self.dropout)
 
     @property
     def sees(self) -> frozenset[Need]:

@@ -120,7 +120,8 @@ def _scene(portrait: Portrait, view: View, dpi: int) -> Scene:
     palette = np.array([_PLAIN], dtype=np.uint8)
     if portrait.labels is not None:
         labels = check_indices("labels", portrait.labels, _CLASSES)
-        palette = _palette(int(labels.max()) + 1)
+        present, labels = np.unique(labels, return_inverse=True)
+        palette = _palette(int(present[-1]) + 1)[present]
     rotation = view.rotation(geometry)
     width, height = (
         round(side * dpi) for side in fitting_size(geometry, rotation, _WIDEST, _TALLEST)
@@ -136,5 +137,7 @@ def _scene(portrait: Portrait, view: View, dpi: int) -> Scene:
 def _palette(count: int) -> Bytes:
     """Return colours (count, 3) that every eye tells apart, as far as there are such."""
     known = [[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in LINE_COLOURS if c != "#000000"]
-    colours = np.array([known[i % len(known)] for i in range(count)], dtype=np.float64)
-    return np.asarray(np.round(colours + _LIGHTER * (255 - colours)), dtype=np.uint8)
+    numbers = np.arange(count)
+    colours = np.array(known, dtype=np.float64)[numbers % len(known)]
+    lighter = _LIGHTER + 0.3 * (numbers // len(known) % 3)[:, None] / 2  # of the next rounds
+    return np.asarray(np.round(colours + lighter * (255 - colours)), dtype=np.uint8)

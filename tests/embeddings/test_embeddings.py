@@ -262,3 +262,49 @@ def test_an_embedding_of_ones_own_is_one_and_must_be_finite():
     np.testing.assert_array_equal(embed(cloud, Heights())[:, 0], cloud.points[:, 2])
     with np.errstate(all="ignore"), pytest.raises(InvalidInputError, match="finite"):
         embed(cloud, Heights(bad=True))
+
+
+def test_a_whole_surface_is_the_quantiles_by_area_of_its_points():
+    """On a sheet that is sampled twice as densely on its left half."""
+    x = np.concatenate([np.linspace(0, 1, 81), np.linspace(1, 2, 41)[1:]])
+    u, v = np.meshgrid(x, np.linspace(0, 0.5, 21), indexing="ij")
+    points = np.stack([u, v, 0 * u], -1).reshape(-1, 3)
+    index = np.arange(len(points)).reshape(u.shape)
+    a, b, c, d = (
+        i.ravel() for i in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
+    )
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    found = embed_shape(TriangleMesh(points, faces), Coordinates(), k=8).reshape(3, 10)
+    levels = (np.arange(10) + 0.5) / 10
+    np.testing.assert_allclose(found[0], 2 * levels - 1, atol=0.01)  # along, in the unit box
+    np.testing.assert_allclose(found[1], (levels - 0.5) * 0.5, atol=0.01)
+    np.testing.assert_allclose(found[2], 0, atol=1e-9)
+
+
+def test_a_wave_signature_without_its_lowest_bands_minds_a_bridge_less():
+    """A point of contact between two ends of a ring moves the lowest modes the most."""
+    angle = np.linspace(0.15, 2 * np.pi - 0.15, 60)
+    tube = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    a, t = np.meshgrid(angle, tube, indexing="ij")
+    radius = 1 + 0.12 * np.cos(t)
+    points = np.stack([radius * np.cos(a), radius * np.sin(a), 0.12 * np.sin(t)], -1)
+    index = np.arange(a.size).reshape(a.shape)
+    ahead = np.roll(index, -1, axis=1)
+    one, two = index[:-1], index[1:]
+    three, four = ahead[1:], ahead[:-1]
+    quads = [(one, two, three), (one, three, four)]
+    faces = np.concatenate([np.stack([i.ravel() for i in q], 1) for q in quads])
+    bridge = [[index[0, 0], index[-1, 0], index[0, 1]]]
+    open_, joined = (
+        TriangleMesh(points.reshape(-1, 3), f) for f in (faces, np.concatenate([faces, bridge]))
+    )
+    apart = []
+    for waves in (WaveSignature(count=12, width=1.5), WaveSignature(count=12, width=1.5, first=8)):
+        one, two = (embed_shape(mesh, waves, k=64) for mesh in (open_, joined))
+        apart.append(np.abs(one - two).mean() / one.std())
+    assert apart[1] < 0.5 * apart[0], apart
+
+
+def test_more_modes_than_the_first_are_needed():
+    with pytest.raises(InvalidInputError, match="`k` must be more than first = 40, got 36"):
+        embed(creature(600), WaveSignature(first=40), k=36, solver=Arpack())

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+import torch
 
+from spectra_kit.eigensolvers import Neo
 from spectra_kit.embeddings import ShapeDNA, WaveSignature
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry import PointCloud, TriangleMesh, creature, read, sphere, torus, write
 from spectra_kit.learning import Recipe, ShapeIndex, index_folder
+from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 
 RECIPE = Recipe(embeddings=(ShapeDNA(count=12), WaveSignature(count=5)), k=24)
 
@@ -21,15 +24,14 @@ def folder(tmp_path):
     return tmp_path
 
 
-class Counted:
-    """Reads files, and remembers which."""
-
-    def __init__(self):
-        self.names = []
-
-    def __call__(self, path):
-        self.names.append(path.rpartition("/")[2])
-        return read(path)
+@pytest.fixture
+def embedded(monkeypatch):
+    """Numbers of points of the shapes that were embedded."""
+    seen, vector = [], Recipe.vector
+    monkeypatch.setattr(
+        Recipe, "vector", lambda self, shape: seen.append(shape.n) or vector(self, shape)
+    )
+    return seen
 
 
 def test_the_nearest_are_those_of_its_kind_in_any_unit(folder):
@@ -55,28 +57,56 @@ def test_itself_is_at_no_distance(folder):
     assert first.distance == pytest.approx(0, abs=1e-9)
 
 
-def test_only_what_is_new_is_embedded_again(folder):
-    first = Counted()
-    index = index_folder(folder, RECIPE, load=first)
-    assert len(first.names) == 5
-    write(torus(n=600, minor=0.2).geometry, folder / "ring0.ply")
-    write(creature(700, seed=3), folder / "other.off")
-    again = Counted()
-    known = index_folder(folder, RECIPE, known=index, load=again)
-    assert again.names == ["other.off", "ring0.ply"]
+def test_only_what_is_new_is_embedded_again(folder, embedded):
+    index = index_folder(folder, RECIPE)
+    assert len(embedded) == 5
+    write(torus(n=800, minor=0.2).geometry, folder / "ring0.ply")
+    write(creature(900, seed=3), folder / "other.off")
+    (folder / "animal0.off").rename(folder / "renamed.off")
+    embedded.clear()
+    known = index_folder(folder, RECIPE, known=index)
+    assert len(embedded) == 2
+    assert min(embedded) > 700
     fresh = index_folder(folder, RECIPE)
     assert known.names == fresh.names
     np.testing.assert_array_equal(known.vectors, fresh.vectors)
 
 
-@pytest.mark.parametrize("change", ["recipe", "variant"])
-def test_what_was_made_otherwise_is_not_taken_over(folder, change):
+def test_what_was_made_otherwise_is_not_taken_over(folder, embedded):
     index = index_folder(folder, RECIPE)
-    again = Counted()
-    recipe = RECIPE if change == "variant" else Recipe(embeddings=RECIPE.embeddings, k=25)
-    variant = "repaired" if change == "variant" else ""
-    index_folder(folder, recipe, known=index, load=again, variant=variant)
-    assert len(again.names) == 5
+    embedded.clear()
+    index_folder(folder, Recipe(embeddings=RECIPE.embeddings, k=25), known=index)
+    assert len(embedded) == 5
+    embedded.clear()
+    index_folder(folder, RECIPE, known=index, load=lambda path: read(path).as_cloud()
+                 if path.endswith(".off") else read(path))  # fmt: skip
+    assert len(embedded) == 3
+
+
+def test_other_weights_under_the_same_name_are_other_weights(folder, tmp_path, embedded):
+    path = tmp_path / "w.safetensors"
+    config = NeoConfig(width=16, depth=1, heads=2, head_width=8, latents=4, m=40, k=24)
+    torch.manual_seed(0)
+    save_weights(path, NeoNetwork(config), {})
+    recipe = Recipe(embeddings=RECIPE.embeddings, k=24, solver=Neo(weights=str(path)))
+    index = index_folder(folder, recipe)
+    embedded.clear()
+    index_folder(folder, recipe, known=index)
+    assert embedded == []
+    save_weights(path, NeoNetwork(config), {})
+    index_folder(folder, recipe, known=index)
+    assert len(embedded) == 5
+
+
+def test_folders_and_broken_links_among_the_files_are_passed_over(folder):
+    (folder / "scans.ply").mkdir()
+    (folder / "gone.off").symlink_to(folder / "nowhere.off")
+    assert len(index_folder(folder, RECIPE).names) == 5
+
+
+def test_an_index_whose_parts_do_not_fit():
+    with pytest.raises(InvalidInputError, match="`vectors` must have 2 rows"):
+        ShapeIndex(RECIPE, ("a", "b"), ("0", "1"), np.ones((3, 4)))
 
 
 def test_what_cannot_be_embedded_is_named_and_the_rest_goes_on(folder):

@@ -1,6 +1,7 @@
 """Classifiers and segmenters: what they learn, carry, save, resume and refuse."""
 
 import sys
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ from spectra_kit.learning import (
     train_segmenter,
 )
 from spectra_kit.learning.examples import prepared
-from spectra_kit.learning.fitting import fit, predicted
+from spectra_kit.learning.fitting import _loss, fit, predicted
 
 DNA = Recipe(embeddings=(ShapeDNA(count=10), WaveSignature(count=6)), k=20)
 POINTS = Recipe(embeddings=(HeatSignature(count=6),), k=20)
@@ -154,24 +155,53 @@ def test_labels_of_samples_are_carried_to_the_vertices():
     assert (told.labels == north(mesh))[away].mean() > 0.97
 
 
-def test_unknown_labels_teach_nothing():
-    mesh = sphere(subdivisions=3).geometry
-    recipe = Recipe(embeddings=(Coordinates(),), k=20)
-    some = np.where(np.arange(mesh.n) % 2, north(mesh), -1)
-    wrong = np.where(np.arange(mesh.n) % 2, north(mesh), 1 - north(mesh))
-    scores = []
-    for labels in (some, wrong):
-        known = train_segmenter(
-            [mesh], [labels], recipe=recipe, method=PointMLP(width=8),
-            training=Training(epochs=3),
-        )  # fmt: skip
-        scores.append(known.segment(mesh).scores)
-    alone = train_segmenter(
-        [mesh], [np.where(some < 0, -1, some)], recipe=recipe, method=PointMLP(width=8),
-        training=Training(epochs=3),
+def test_what_is_unknown_teaches_nothing():
+    generator = torch.Generator().manual_seed(0)
+    logits = torch.randn(2, 50, 3, generator=generator, requires_grad=True)
+    truth = torch.randint(-1, 3, (2, 50), generator=generator)
+    known = truth >= 0
+    loss = _loss(logits, truth, 0.1)
+    expected = torch.nn.functional.cross_entropy(logits[known], truth[known], label_smoothing=0.1)
+    torch.testing.assert_close(loss, expected)
+    (slope,) = torch.autograd.grad(loss, logits)
+    assert (slope[~known] == 0).all()
+    assert (slope[known].abs().sum(-1) > 0).all()
+    nothing = _loss(logits, torch.full_like(truth, -1), 0.1)
+    assert nothing == 0
+    assert (torch.autograd.grad(nothing, logits)[0] == 0).all()
+
+
+def test_a_batch_of_which_nothing_is_known_does_no_harm():
+    mesh = creature(600)
+    unknown = np.full(mesh.n, -1)
+    recipe = Recipe(embeddings=(Coordinates(frame="principal"),), k=20)
+    found = train_segmenter(
+        [mesh, mesh], [north(mesh), unknown], recipe=recipe, method=PointMLP(width=16),
+        training=Training(epochs=60, batch=1, rate=5e-3),
     )  # fmt: skip
-    np.testing.assert_array_equal(alone.segment(mesh).scores, scores[0])
-    assert np.abs(scores[0] - scores[1]).max() > 1e-3
+    assert (found.segment(mesh).labels == north(mesh)).mean() > 0.9
+
+
+def test_samples_must_hold_an_example_of_each_class():
+    mesh = creature(3000)
+    labels = np.full(mesh.n, -1)
+    labels[:2] = 0, 1
+    recipe = Recipe(embeddings=(Coordinates(),), k=20, points=60)
+    with pytest.raises(InvalidInputError, match="have an example of each class"):
+        train_segmenter([mesh], [labels], recipe=recipe, method=PointMLP(width=4))
+
+
+def test_where_shapes_stand_upright_up_counts():
+    ball = sphere(subdivisions=3).geometry
+    right = []
+    for upright in (True, False):
+        found = train_segmenter(
+            [ball], [north(ball)], method=PointMLP(width=16),
+            recipe=Recipe(embeddings=(Coordinates(),), k=20, upright=upright),
+        )  # fmt: skip
+        right.append((found.segment(ball).labels == north(ball)).mean())
+    assert right[0] > 0.95
+    assert right[1] < 0.7  # of a ball that is turned at random, nobody can tell
 
 
 def test_same_seed_same_network_another_another():
@@ -221,6 +251,10 @@ def test_an_interrupted_run_goes_on_to_the_same_end(tmp_path):
         predicted(resumed, recipe, example), predicted(whole, recipe, example)
     )
     other = Training(epochs=5, rate=1e-3)
+    turned, _ = prepared(recipe, creature(600, pose=1), network.sees)
+    for shown, told in (([turned, example], [labels, labels]), ([example] * 2, [1 - labels] * 2)):
+        with pytest.raises(InvalidInputError, match="or of other examples"):
+            fit(recipe, network, shown, told, classes=2, training=training, folder=tmp_path)
     with pytest.raises(InvalidInputError, match="hold a checkpoint of the same run"):
         fit(recipe, network, [example, example], [labels, labels], classes=2, training=other,
             folder=tmp_path)  # fmt: skip
@@ -295,6 +329,9 @@ BALL = sphere(subdivisions=2).geometry
         ([0], None, r"`labels` must have shape \(2,\), one for each of the shapes, got \(1,\)"),
         ([0, 2], None, r"an example of each class, got none of class 1 \('1'\)"),
         ([0, 1], ["a", "b", "c"], r"got none of class 2 \('c'\)"),
+        ([0, 1], ["a", "a"], "`names` must be words, each for one class"),
+        ([0, 1], ["a", ""], "`names` must be words, each for one class"),
+        ([0, 10**12], None, "`labels` must be less than 65536, got 1000000000000"),
         ([0, 3], ["a", "b"], "`labels` must be less than 2, the number of names, got 3"),
         ([0, 0], None, "`labels` must be of two classes or more, got 1"),
         ([0, -1], None, "`labels` must be 0 or more, got -1"),
@@ -333,7 +370,7 @@ def test_shapes_that_cannot_be_told():
         known.classify(two)
     with pytest.raises(InvalidInputError, match="point"):
         known.classify(PointCloud([[0.0, 0, 0]]))
-    with pytest.raises(InvalidInputError, match="k"):
+    with pytest.raises(InvalidInputError, match="`k` must be"):
         known.classify(sphere(subdivisions=0).geometry)  # 12 points, 20 modes
 
 
@@ -377,3 +414,60 @@ def test_of_a_mesh_sampled_points_are_seen():
     recipe = Recipe(embeddings=(ShapeDNA(count=8),), k=12, points=400, seed=3)
     plain = Recipe(embeddings=(ShapeDNA(count=8),), k=12)
     np.testing.assert_array_equal(recipe.vector(mesh), plain.vector(sample(mesh, 400, seed=3)))
+
+
+@dataclass(frozen=True)
+class Broken:
+    """An embedding that gives no number."""
+
+    invariant_to: frozenset = frozenset({"rotation", "scale"})
+
+    def of_points(self, surface):
+        return np.full((surface.laplacian.n, 1), np.nan)
+
+    def of_all(self, surface):
+        return np.array([np.nan])
+
+
+def test_numbers_that_are_none_are_refused():
+    recipe = Recipe(embeddings=(Broken(),), k=12)
+    for ask in (recipe.vector, lambda shape: prepared(recipe, shape)):
+        with pytest.raises(InvalidInputError, match="`embedding` must give finite numbers"):
+            ask(BALL)
+
+
+def test_a_head_of_ones_own_is_not_taken_for_another(tmp_path):
+    own = type("NearestNeighbour", (), {"fit": lambda self, v, y: NearestNeighbour().fit(v, 1 - y)})
+    own = dataclass(frozen=True)(own)
+    found = train_classifier([BALL, torus(n=400).geometry], [0, 1], recipe=DNA, method=own())
+    with pytest.raises(InvalidInputError, match="options that a file can name"):
+        save_labeller(tmp_path / "a.safetensors", found)
+
+
+@pytest.mark.parametrize("head", HEADS, ids=str)
+def test_examples_that_heads_cannot_take(head):
+    for vectors, labels, message in (
+        ([[0.0], [np.nan]], [0, 1], "`vectors` must be finite"),
+        ([0.0, 1.0], [0, 1], "`vectors` must have shape"),
+        ([[0.0], [1.0]], [0, 1, 2], "`labels` must be 2 integers"),
+        ([[0.0], [1.0]], [0.0, 1.0], "`labels` must be 2 integers"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            head.fit(vectors, labels)
+
+
+def test_a_checkpoint_of_another_kind(tmp_path):
+    from spectra_kit.training import checkpoint
+
+    checkpoint.write(tmp_path, {"step": 3})
+    recipe = Recipe(embeddings=(Coordinates(),), k=20)
+    with pytest.raises(InvalidInputError, match="hold a checkpoint of the same run"):
+        train_segmenter(
+            [BALL], [north(BALL)], recipe=recipe, method=PointMLP(width=4), folder=tmp_path
+        )
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InvalidInputError, match="`folder` must be a folder"):
+        train_segmenter(
+            [BALL], [north(BALL)], recipe=recipe, method=PointMLP(width=4),
+            folder=tmp_path / "file",
+        )  # fmt: skip

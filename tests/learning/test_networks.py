@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import spectra_kit as sk
 from spectra_kit.embeddings import Coordinates, HeatSignature
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, creature, torus
 from spectra_kit.learning import DiffusionNet, Hierarchical, PointMLP, PointNet, Recipe
 from spectra_kit.learning.examples import batched, prepared, stretched
@@ -37,8 +38,6 @@ def module_of(network, inputs=8, outputs=3):
 @pytest.mark.parametrize("network", NETWORKS, ids=str)
 @torch.no_grad()
 def test_a_shape_in_a_batch_is_answered_as_alone(network, examples):
-    if isinstance(network, Hierarchical):
-        examples = [e.some(torch.arange(390)) for e in examples]  # these take no padding
     module = module_of(network)
     together = module(batched(RECIPE, examples))
     assert together.shape == (2, max(e.n for e in examples), 3)
@@ -96,13 +95,26 @@ def test_features_spread_as_heat_does():
         np.testing.assert_allclose(seen[0][0, :, 3 + i].numpy(), heat, atol=2e-3)
 
 
+@torch.no_grad()
+def test_diffusion_net_does_not_see_the_unit():
+    mesh, module = creature(520), module_of(DiffusionNet(width=12, depth=2, dropout=0.0))
+    one, other = (
+        module(batched(RECIPE, [prepared(RECIPE, mesh.with_points(s * mesh.points), SEES)[0]]))
+        for s in (1.0, 1e3)
+    )
+    torch.testing.assert_close(other, one, atol=1e-4, rtol=1e-3)
+
+
+def test_shares_that_are_none():
+    for dropout in (-3.0, 1.0, 1.5):
+        with pytest.raises(InvalidInputError, match=r"`dropout` must be in \[0, 1\)"):
+            DiffusionNet(dropout=dropout)
+
+
 def test_gradients_reach_all_weights(examples):
     for network in NETWORKS:
-        chosen = examples
-        if isinstance(network, Hierarchical):
-            chosen = [e.some(torch.arange(390)) for e in examples]
         module = module_of(network).train()
-        torch.autograd.backward(module(batched(RECIPE, chosen)).square().sum())
+        torch.autograd.backward(module(batched(RECIPE, examples)).square().sum())
         assert all(p.grad is not None and p.grad.isfinite().all() for p in module.parameters())
 
 

@@ -30,6 +30,12 @@ def test_first_colours_are_apart():
     assert gaps.min() > 45
 
 
+def test_many_classes_take_no_more_room_than_there_are_and_later_ones_are_paler():
+    _scene(Portrait(geometry=BALL, labels=np.full(162, 60_000)), View(), 30)
+    colours = _palette(24).astype(int)
+    assert len({tuple(c) for c in colours}) == 24
+
+
 @pytest.mark.parametrize(
     ("labels", "message"),
     [

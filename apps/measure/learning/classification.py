@@ -243,6 +243,11 @@ def drawn(
     return np.concatenate(known), np.concatenate(left) if validated else shapes.test
 
 
+def most_shots(shapes: LabelledSet) -> int:
+    """Return how many examples there are of the smallest class."""
+    return int(np.bincount(_labels(shapes)[shapes.train]).min())
+
+
 def _labels(shapes: LabelledSet) -> Ints:
     assert shapes.labels is not None
     return shapes.labels

@@ -109,15 +109,15 @@ def draw_pictures(results: Results, draws: Draws) -> list[Path]:
     heads = [r for r in results if r.ok and not r.contender.trained]
     if not heads:
         return []
-    rows = [r.contender for r in heads if r.contender.embedding == "waves+dna"]
-    row = (rows or [r.contender for r in heads])[-1]._replace(method="nearest")
-    row = row._replace(shots=min(r.contender.shots for r in heads))
-    mine = [r for r in heads if r.contender == row]
-    made = []
-    if mine:
-        made.append(_draw_confusion(mine, draws))
+    best = [r.contender for r in heads if r.contender[1:3] == ("waves+dna", "nearest")]
+    last = (best or [r.contender for r in heads])[-1]
+    same = [r.contender for r in heads if r.contender[:3] == last[:3]]
+    row = min(same, key=lambda one: one.shots)
     vectors = draws.vectors.all(row.view, next(iter(draws.problems)), row.embedding)
-    return [*made, _draw_map(vectors, row, draws)]
+    return [
+        _draw_confusion([r for r in heads if r.contender == row], draws),
+        _draw_map(vectors, row, draws),
+    ]
 
 
 def _draw_confusion(results: Results, draws: Draws) -> Path:
