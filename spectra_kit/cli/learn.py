@@ -100,6 +100,7 @@ def similar(asked: program.Similar) -> None:
 
 def label(asked: program.Label) -> None:
     """Tell what a shape is, or what its parts are; write and draw these."""
+    shape, _ = load(asked.file, asked)
     labeller = load_labeller(asked.labeller)
     parts = isinstance(labeller, Segmenter)
     for given, option in ((asked.output, "--output"), (asked.picture, "--picture")):
@@ -111,7 +112,6 @@ def label(asked: program.Label) -> None:
         check_output(asked.output, [".npz"], asked.inputs)
     if asked.picture:
         check_output(asked.picture, PICTURES, asked.inputs)
-    shape, _ = load(asked.file, asked)
     unknown = dict.fromkeys(("label", "name", "scores", "parts", "output"))
     record: tables.Record = {"input": asked.file, "labeller": asked.labeller, **unknown}
     if not isinstance(labeller, Segmenter):

@@ -54,7 +54,7 @@ def run_by(monkeypatch, function, *options):
 @pytest.mark.parametrize("name", NAMES)
 def test_every_command_refuses_bad_files_in_one_line(name, folder, inside, capsys):
     before = sorted(os.listdir(folder))
-    second = ["ball.off"] if name == "match" else []
+    second = {"match": ["ball.off"], "similar": ["."], "label": ["ball.off"]}.get(name, [])
     source = ["--source", "0"] if name == "geodesic" else []
     for file, message in (
         ("bal.off", "bal.off: there is no such file; did you mean 'ball.off'?"),

@@ -26,6 +26,14 @@ from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, sample
 from spectra_kit.learning.examples import Example, prepared
 from spectra_kit.learning.fitting import fit, predicted
 
+#: What embeddings depend on.
+SOURCES = tuple(
+    f"{package}/*.py"
+    for package in (
+        *("geometry", "linalg", "operators", "subspaces", "levels", "spectra"),
+        *("neo", "eigensolvers", "descriptors", "embeddings"),
+    )
+)
 POINTS = 2048  #: Of a cloud.
 K = 96  #: Modes.
 _PART = 50  # shapes of one measurement of vectors
@@ -121,6 +129,7 @@ class Vectors(Study[View, Part]):
     """The embeddings `WHOLE` of all shapes of a set."""
 
     name: ClassVar[str] = "vectors"
+    sources: ClassVar[tuple[str, ...]] = SOURCES
     fresh: ClassVar[bool] = False
 
     shapes: LabelledSet
@@ -182,6 +191,7 @@ class Draws(Study[Row, int]):
     """Shares of test shapes that are told right, after learning from a few; problems are seeds."""
 
     name: ClassVar[str] = "draws"
+    sources: ClassVar[tuple[str, ...]] = (*SOURCES, "learning/*.py")
     fresh: ClassVar[bool] = False
 
     shapes: LabelledSet

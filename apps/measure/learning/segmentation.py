@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from measure.learning.classification import OF_POINTS, SOLVERS, View
+from measure.learning.classification import OF_POINTS, SOLVERS, SOURCES, View
 from measure.learning.labelled import LabelledSet
 from measure.store import Record, Store, arrays_digest
 from measure.study import Result, Study, run
@@ -58,6 +58,7 @@ class Parts(Study[PartsRow, int]):
     """How well the parts of test shapes are told; problems are seeds."""
 
     name: ClassVar[str] = "parts"
+    sources: ClassVar[tuple[str, ...]] = (*SOURCES, "learning/*.py")
     fresh: ClassVar[bool] = False
 
     sets: dict[str, LabelledSet]
