@@ -12,6 +12,7 @@ import shutil
 from pathlib import Path
 
 from docutils import nodes
+from jupyter_cache import get_cache
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 from sphinx.util import logging
@@ -46,6 +47,13 @@ def _entry(folder: str, path: Path) -> str:
     return f"- [{title}]({folder}/{path.name}): {question[0].strip() if question else ''}"
 
 
+def _make_cache(app: Sphinx, env: BuildEnvironment, pages: list[str]) -> None:
+    """Make the database of executed notebooks: two processes that begin with it would clash."""
+    path = Path(env.mystnb_config.execution_cache_path)  # type: ignore[attr-defined]  # of myst_nb
+    path.mkdir(parents=True, exist_ok=True)
+    get_cache(str(path)).db.dispose()
+
+
 def _spread(app: Sphinx, env: BuildEnvironment, pages: list[str]) -> None:
     """Reorder pages that are to be read: notebooks apart, as a process is given many in a row."""
     slow = [page for page in pages if page.startswith("notebooks/")]
@@ -62,6 +70,7 @@ def _ask_for_a_picture(app: Sphinx, doctree: nodes.document) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     gather(_NOTEBOOKS, Path(app.srcdir) / "notebooks")
+    app.connect("env-before-read-docs", _make_cache)
     app.connect("env-before-read-docs", _spread)
     app.connect("doctree-read", _ask_for_a_picture)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
