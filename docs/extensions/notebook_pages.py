@@ -12,7 +12,6 @@ import shutil
 from pathlib import Path
 
 from docutils import nodes
-from jupyter_cache import get_cache
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 from sphinx.util import logging
@@ -49,6 +48,8 @@ def _entry(folder: str, path: Path) -> str:
 
 def _make_cache(app: Sphinx, env: BuildEnvironment, pages: list[str]) -> None:
     """Make the database of executed notebooks: two processes that begin with it would clash."""
+    from jupyter_cache import get_cache  # comes with myst_nb, which tests do without
+
     path = Path(env.mystnb_config.execution_cache_path)  # type: ignore[attr-defined]  # of myst_nb
     path.mkdir(parents=True, exist_ok=True)
     get_cache(str(path)).db.dispose()
