@@ -126,29 +126,51 @@ def shape_of(shapes: LabelledSet, i: int, kind: str, *, seed: int, turned: bool)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Vectors(Study[View, Part]):
-    """The embeddings `WHOLE` of all shapes of a set."""
+    """The embeddings `WHOLE` of the shapes of a set, and of the test split also turned."""
 
     name: ClassVar[str] = "vectors"
     sources: ClassVar[tuple[str, ...]] = SOURCES
     fresh: ClassVar[bool] = False
 
     shapes: LabelledSet
+    seeds: Sequence[int] = ()
+
+    def tasks(self) -> Iterable[tuple[View, Part, int]]:
+        """See `Study`."""
+        every = (
+            (view, part, 0)
+            for seed in self.seeds
+            for view in self.contenders
+            for part in self.parts(view, seed)
+        )
+        return list(dict.fromkeys(every))
+
+    def parts(self, view: View, seed: int) -> list[Part]:
+        """Cut all shapes into parts; meshes that are not turned are the same for all seeds."""
+        own = seed if view.kind == "cloud" or view.turned else 0
+        count = len(self.shapes.meshes)
+        return [Part(own, start, min(start + _PART, count)) for start in range(0, count, _PART)]
+
+    def _numbers(self, view: View, part: Part) -> list[int]:
+        numbers = np.arange(part.start, part.stop)
+        return (numbers[~self.shapes.is_train[numbers]] if view.turned else numbers).tolist()
 
     def facts(self, contender: View, problem: Part) -> dict[str, object]:
-        """See `Study`; of meshes all seeds are one, but for how they are turned."""
+        """See `Study`."""
         solver = SOLVERS[contender.solver]
         return {
             "set": self.shapes.digest,
             "view": [contender.kind, repr(solver), contender.turned],
-            "part": list(problem),
+            "part": [problem.seed, self._numbers(contender, problem)],
             "embeddings": {name: repr(embedding) for name, embedding in WHOLE.items()},
             "size": [POINTS, K],
         }
 
     def measure(self, contender: View, problem: Part) -> Record:
         """Embed into the file."""
+        numbers = self._numbers(contender, problem)
         vectors: dict[str, list[Floats]] = {name: [] for name in WHOLE}
-        for i in range(problem.start, problem.stop):
+        for i in numbers:
             shape = shape_of(
                 self.shapes, i, contender.kind, seed=problem.seed, turned=contender.turned
             )
@@ -157,18 +179,18 @@ class Vectors(Study[View, Part]):
                 vectors[name].append(embedding.of_all(surface))
         path = self.file(contender, problem, ".npz")
         with atomic_path(path) as part:
-            np.savez(part, **{name: np.array(rows) for name, rows in vectors.items()})  # type: ignore[arg-type]
+            np.savez(part, **{name: np.array(rows) for name, rows in vectors.items() if rows})  # type: ignore[arg-type]
         return {"files": [str(path.relative_to(self.folder))]}
 
-    def all(self, view: View, seed: int, embedding: str) -> Floats:
-        """Return the vectors (s, c) of all shapes."""
-        return np.concatenate(
-            [
-                np.column_stack([file[name] for name in embedding.split("+")])
-                for part in parts(len(self.shapes.meshes), [seed])
-                for file in (_loaded(self.file(view, part, ".npz")),)
-            ]
-        )
+    def of(self, numbers: Ints, view: View, seed: int, embedding: str) -> Floats:
+        """Return the vectors (s, c) of some shapes."""
+        known: dict[int, Floats] = {}
+        for part in self.parts(view, seed):
+            if there := self._numbers(view, part):
+                file = _loaded(self.file(view, part, ".npz"))
+                rows = np.column_stack([file[name] for name in embedding.split("+")])
+                known |= zip(there, rows, strict=True)
+        return np.array([known[i] for i in numbers.tolist()])
 
 
 @lru_cache(maxsize=64)
@@ -177,18 +199,12 @@ def _loaded(path: Path) -> dict[str, Floats]:
         return dict(file)
 
 
-def parts(count: int, seeds: Iterable[int]) -> list[Part]:
-    """Cut all shapes into parts, for each seed."""
-    return [
-        Part(seed, start, min(start + _PART, count))
-        for seed in seeds
-        for start in range(0, count, _PART)
-    ]
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Draws(Study[Row, int]):
-    """Shares of test shapes that are told right, after learning from a few; problems are seeds."""
+    """Shares of test shapes that are told right, after learning from a few; problems are seeds.
+
+    Where they are validated nothing is turned: there is only something to choose.
+    """
 
     name: ClassVar[str] = "draws"
     sources: ClassVar[tuple[str, ...]] = (*SOURCES, "learning/*.py")
@@ -198,15 +214,20 @@ class Draws(Study[Row, int]):
     vectors: Vectors  #: Of all views of all seeds.
     draws: int = 10  #: For each seed; of networks one.
     validated: bool = False  #: Tested on what the training split has left, instead.
-    missing: Mapping[tuple[View, int], str] = field(default_factory=dict)  #: Why no vectors.
+    missing: Mapping[tuple[View, Part], str] = field(default_factory=dict)  #: Why no vectors.
+
+    def views(self, view: View) -> list[View]:
+        """Return how the tested shapes are seen: as in this view, and turned."""
+        return [view] if self.validated else [view, view._replace(turned=True)]
 
     def facts(self, contender: Row, problem: int) -> dict[str, object]:
         """See `Study`."""
         network = NETWORKS.get(contender.method)
         embedding = [repr(x) for x in _embeddings(contender)]
-        view, (first, *_) = contender.view, parts(len(self.shapes.meshes), [problem])
+        view = contender.view
         return {
-            "vectors": self.vectors.key(view, first),
+            "vectors": self.vectors.key(view, self.vectors.parts(view, problem)[0]),
+            "seed": problem,
             "embedding": embedding,
             "method": repr(network or HEADS[contender.method]),
             "training": [_SHOWN, _SEEN] if network else None,
@@ -217,7 +238,9 @@ class Draws(Study[Row, int]):
 
     def excuse(self, contender: Row, problem: int, before: Sequence[Result[Row, int]]) -> str:
         """See `Study`; heads need vectors."""
-        return "" if contender.trained else self.missing.get((contender.view, problem), "")
+        needed = [] if contender.trained else self.views(contender.view)
+        parts = ((view, part) for view in needed for part in self.vectors.parts(view, problem))
+        return next((self.missing[key] for key in parts if key in self.missing), "")
 
     def measure(self, contender: Row, problem: int) -> Record:
         """Draw, learn and test."""
@@ -229,9 +252,9 @@ class Draws(Study[Row, int]):
                 self.shapes, contender.shots, [problem, draw], validated=self.validated
             )
             truth = _labels(self.shapes)[tested]
-            there, moved = learn(self, contender, problem, known, tested)
+            there, *moved = learn(self, contender, problem, known, tested)
             right.append(float((there == truth).mean()))
-            turned.append(float((moved == truth).mean()))
+            turned += [float((taken == truth).mean()) for taken in moved]
             np.add.at(confused, (truth, there), 1)
         return {"right": right, "turned": turned, "confused": confused.tolist()}
 
@@ -270,19 +293,21 @@ def _embeddings(row: Row) -> tuple[e.Embedding, ...]:
 
 def _by_head(
     study: Draws, row: Row, seed: int, known: Ints, tested: Ints
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return what the tested shapes are taken for, as they are and turned."""
-    still, moved = (
-        study.vectors.all(row.view._replace(turned=t), seed, row.embedding) for t in (False, True)
-    )
-    head = HEADS[row.method].fit(still[known], _labels(study.shapes)[known])
-    return head.predict(still[tested]), head.predict(moved[tested])
+) -> list[NDArray[np.int64]]:
+    """Return what the tested shapes are taken for in each view."""
+    vectors = study.vectors
+    examples = vectors.of(known, row.view, seed, row.embedding)
+    head = HEADS[row.method].fit(examples, _labels(study.shapes)[known])
+    return [
+        head.predict(vectors.of(tested, view, seed, row.embedding))
+        for view in study.views(row.view)
+    ]
 
 
 def _by_network(
     study: Draws, row: Row, seed: int, known: Ints, tested: Ints
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Train a network on clouds, and return what it takes the tested ones for."""
+) -> list[NDArray[np.int64]]:
+    """Train a network, and return what it takes the tested shapes for in each view."""
     network, recipe = NETWORKS[row.method], _recipe(row)
     labels = [torch.tensor(label) for label in _labels(study.shapes)[known].tolist()]
     examples = [_example(study.shapes, row, i, seed, False) for i in known.tolist()]
@@ -293,10 +318,10 @@ def _by_network(
         recipe, network, examples, labels, classes=len(study.shapes.classes), training=training
     )
     found = []
-    for turned in (False, True):
-        shown = (_example(study.shapes, row, i, seed, turned) for i in tested.tolist())
+    for view in study.views(row.view):
+        shown = (_example(study.shapes, row, i, seed, view.turned) for i in tested.tolist())
         found.append(np.array([predicted(model, recipe, one).argmax() for one in shown]))
-    return found[0], found[1]
+    return found
 
 
 def _recipe(row: Row) -> learning.Recipe:
@@ -325,19 +350,10 @@ def classify_all(draws: Draws, *, jobs: int = 1, progress: bool = False) -> list
     """Measure what is not remembered, after the vectors for it."""
     store = Store(draws.folder)
     heads = [row for row in draws.contenders if not row.trained]
-    seeds = list(draws.problems)
-    views = {row.view._replace(turned=turned): None for row in heads for turned in (False, True)}
-    vectors = replace(
-        draws.vectors,
-        contenders=list(views),
-        problems=parts(len(draws.shapes.meshes), seeds),
-    )
+    views = {view: None for row in heads for view in draws.views(row.view)}
+    vectors = replace(draws.vectors, contenders=list(views), seeds=list(draws.problems))
     made = run(vectors, store, jobs=jobs, retry=True, progress=progress)
-    missing = {
-        (r.contender._replace(turned=False), r.problem.seed): f"{r.problem}: {r.reason}"
-        for r in made
-        if not r.ok
-    }
+    missing = {(r.contender, r.problem): f"{r.problem}: {r.reason}" for r in made if not r.ok}
     return run(
         replace(draws, vectors=vectors, missing=missing),
         store,

@@ -39,7 +39,7 @@ def summarize(results: Results) -> dict[tuple[str, str, str], dict[int, dict[str
                 "mean": float(right.mean()),
                 "deviation": float(right.std()),
                 "worst": float(right.min()),
-                "turned": float(turned.mean()),
+                "turned": float(turned.mean()) if len(turned) else None,
             }
     return found
 
@@ -71,9 +71,7 @@ def write_report(results: Results, draws: Draws) -> Path:
         [
             f"{embedding}, {method}; {view}",
             *(_cell(cells.get(q)) for q in shots),
-            tables.number(
-                float(np.mean([c["turned"] - c["mean"] for c in cells.values()])), "+.1f"
-            ),
+            _turning(list(cells.values())),
             str(max(cell["draws"] for cell in cells.values())),
         ]
         for (embedding, method, view), cells in found.items()
@@ -98,6 +96,12 @@ def write_report(results: Results, draws: Draws) -> Path:
     return folder / "classification.md"
 
 
+def _turning(cells: list[dict[str, Any]]) -> str:
+    """Return what turning changes."""
+    changes = [cell["turned"] - cell["mean"] for cell in cells if cell["turned"] is not None]
+    return tables.number(float(np.mean(changes)), "+.1f") if changes else tables.NONE
+
+
 def _cell(cell: dict[str, Any] | None) -> str:
     if cell is None:
         return tables.NONE
@@ -113,7 +117,8 @@ def draw_pictures(results: Results, draws: Draws) -> list[Path]:
     last = (best or [r.contender for r in heads])[-1]
     same = [r.contender for r in heads if r.contender[:3] == last[:3]]
     row = min(same, key=lambda one: one.shots)
-    vectors = draws.vectors.all(row.view, next(iter(draws.problems)), row.embedding)
+    every = np.arange(len(draws.shapes.meshes))
+    vectors = draws.vectors.of(every, row.view, next(iter(draws.problems)), row.embedding)
     return [
         _draw_confusion([r for r in heads if r.contender == row], draws),
         _draw_map(vectors, row, draws),

@@ -35,6 +35,8 @@ FREE = [
         ("waves+dna", "nearest"),
         ("waves+dna", "discriminant"),
         ("waves+dna", "support"),
+        ("heat+waves+dna", "nearest"),
+        ("heat+waves+dna", "discriminant"),
     )
 ]
 #: Networks, on clouds: the paper's way, and its rivals.
