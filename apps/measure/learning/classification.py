@@ -152,8 +152,8 @@ class Vectors(Study[View, Part]):
         return [Part(own, start, min(start + _PART, count)) for start in range(0, count, _PART)]
 
     def _numbers(self, view: View, part: Part) -> list[int]:
-        numbers = np.arange(part.start, part.stop)
-        return (numbers[~self.shapes.is_train[numbers]] if view.turned else numbers).tolist()
+        numbers = range(part.start, part.stop)
+        return [i for i in numbers if not (view.turned and self.shapes.is_train[i])]
 
     def facts(self, contender: View, problem: Part) -> dict[str, object]:
         """See `Study`."""

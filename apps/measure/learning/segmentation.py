@@ -32,6 +32,7 @@ _HELD = 0.1  # of the training split, to validate on
 EMBEDDINGS: dict[str, e.Embedding] = {**OF_POINTS, "global": e.GlobalPoints(count=16)}
 NETWORKS: dict[str, learning.Network] = {
     "diffusion": learning.DiffusionNet(dropout=0.2),
+    "wide": learning.DiffusionNet(dropout=0.2, width=128),
     "mlp": learning.PointMLP(),
     "pointnet": learning.PointNet(width=64),
     "pointnet++": learning.Hierarchical(backbone="pointnet++", width=53),
@@ -47,10 +48,12 @@ class PartsRow(NamedTuple):
     embedding: str
     method: str
     shots: int = 0  #: Labelled shapes, 0 for all of the training split.
+    upright: bool = False  #: See `Recipe`.
 
     def __str__(self) -> str:
         of = f"{self.shots} shapes" if self.shots else "all"
-        return f"{self.set}: {self.embedding}, {self.method}; {self.view}; {of}"
+        stand = "; upright" * self.upright
+        return f"{self.set}: {self.embedding}, {self.method}; {self.view}; {of}{stand}"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -148,6 +151,7 @@ def recipe_of(row: PartsRow, seed: int) -> learning.Recipe:
         embeddings=tuple(EMBEDDINGS[name] for name in row.embedding.split("+")),
         k=K,
         solver=SOLVERS[row.view.solver],
+        upright=row.upright,
         points=POINTS if row.view.kind == "cloud" else None,
         seed=seed if row.view.kind == "cloud" else 0,
     )
