@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from measure.command import exit_code, parser_of
-from measure.learning.classification import Draws, Row, Vectors, classify_all, most_shots
+from measure.learning.classification import Draws, Vectors, classify_all, most_shots
 from measure.learning.classified_report import draw_pictures, write_report
 from measure.learning.labelled import CLASSIFIED, labelled_set
 from measure.learning.rows import FREE, TRAINED, rows_named
@@ -52,13 +52,7 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure, print the table; return the exit code: 1 if nothing could be measured."""
     args = _parser().parse_args(argv)
-    measured = False
-
-    def work() -> None:
-        nonlocal measured
-        measured = _classify(args)
-
-    return exit_code(work) or int(not measured)
+    return exit_code(lambda: _classify(args))
 
 
 def _classify(args: argparse.Namespace) -> bool:
@@ -69,7 +63,7 @@ def _classify(args: argparse.Namespace) -> bool:
     vectors = Vectors(folder=args.out, contenders=[], problems=[], shapes=shapes)
     draws = Draws(
         folder=args.out,
-        contenders=[Row(*row, shots) for row in table for shots in numbers],
+        contenders=[row._replace(shots=shots) for row in table for shots in numbers],
         problems=list(range(args.seeds)),
         shapes=shapes,
         vectors=vectors,

@@ -73,13 +73,7 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Match, print the report; return the exit code: 1 if nothing could be measured."""
     args = _parser().parse_args(argv)
-    measured = False
-
-    def work() -> None:
-        nonlocal measured
-        measured = _match(args)
-
-    return exit_code(work) or int(not measured)
+    return exit_code(lambda: _match(args))
 
 
 def _match(args: argparse.Namespace) -> bool:

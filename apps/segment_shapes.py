@@ -52,13 +52,7 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure, print the table; return the exit code: 1 if nothing could be measured."""
     args = _parser().parse_args(argv)
-    measured = False
-
-    def work() -> None:
-        nonlocal measured
-        measured = _segment(args)
-
-    return exit_code(work) or int(not measured)
+    return exit_code(lambda: _segment(args))
 
 
 def _segment(args: argparse.Namespace) -> bool:

@@ -27,13 +27,13 @@ def add_threads(parser: argparse.ArgumentParser) -> None:
 
 
 def exit_code(work: Callable[[], object]) -> int:
-    """Do the work of a command: 0, 2 for an error that is told, 130 after Ctrl-C."""
+    """Do the work of a command: 0, 1 for False, 2 for an error that is told, 130 after Ctrl-C."""
     try:
-        work()
+        answer = work()
     except SpectraKitError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("\nstopped; the same command goes on from here", file=sys.stderr)
         return 130
-    return 0
+    return int(answer is False)

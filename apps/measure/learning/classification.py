@@ -97,15 +97,17 @@ class Part(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A row of the table with a number of examples a class."""
+    """A row of the table, at a number of examples a class."""
 
     view: View
     embedding: str
     method: str
-    shots: int
+    shots: int = 0  #: 0 for all of the row.
 
     def __str__(self) -> str:
-        return f"{self.embedding}, {self.method}; {self.view}; {self.shots}"
+        return f"{self.embedding}, {self.method}; {self.view}" + f"; {self.shots}" * (
+            self.shots > 0
+        )
 
     @property
     def trained(self) -> bool:

@@ -3,30 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
-from measure.learning.classification import View
+from measure.learning.classification import Row, View
 from measure.learning.segmentation import PartsRow
 from spectra_kit.errors import InvalidInputError
-
-
-class TableRow(NamedTuple):
-    """A row for all numbers of examples."""
-
-    view: View
-    embedding: str
-    method: str
-
-    def __str__(self) -> str:
-        return f"{self.embedding}, {self.method}; {self.view}"
-
 
 _MESH, _CLOUD = View("mesh", "exact"), View("cloud", "exact")
 _PREDICTED = View("cloud", "predicted")
 
 #: Without any training, in minutes.
 FREE = [
-    TableRow(view, embedding, method)
+    Row(view, embedding, method)
     for view in (_MESH, _CLOUD, _PREDICTED)
     for embedding, method in (
         ("dna", "nearest"),
@@ -41,7 +28,7 @@ FREE = [
 ]
 #: Networks, on clouds: the paper's way, and its rivals.
 TRAINED = [
-    TableRow(_PREDICTED, embedding, method)
+    Row(_PREDICTED, embedding, method)
     for embedding, method in (
         ("neo-mass-free", "pointnet"),
         ("neo", "pointnet"),
@@ -55,7 +42,7 @@ TRAINED = [
 ]
 
 
-def rows_named(names: Iterable[str]) -> list[TableRow]:
+def rows_named(names: Iterable[str]) -> list[Row]:
     """Return rows by their names in the table."""
     known = {str(row): row for row in FREE + TRAINED}
     for name in names:
