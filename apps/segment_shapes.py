@@ -38,9 +38,7 @@ def _parser() -> argparse.ArgumentParser:
         help=f"{', '.join(SEGMENTED)} or demo (human)")  # fmt: skip
     add("--data", type=Path, help="folder of the sets (default: $SPECTRA_KIT_DATA/tasks)")
     add("--rows", nargs="+", metavar="ROW", help="only these, as the table names them")
-    add("--epochs", type=int, default=40, help="five times as many of a few shapes (%(default)s)")
-    add("--copies", type=int, default=0,
-        help="of each example, stretched at random (%(default)s)")  # fmt: skip
+    add("--epochs", type=int, default=80, help="(%(default)s)")
     add("--seeds", type=int, default=1, help="(%(default)s)")
     add("--validate", action="store_true",
         help="test on a tenth of the training split, held out")  # fmt: skip
@@ -67,7 +65,6 @@ def _segment(args: argparse.Namespace) -> bool:
         problems=list(range(args.seeds)),
         sets={name: labelled_set(name, folder, SEGMENTED) for name in args.set},
         epochs=args.epochs,
-        copies=args.copies,
         validated=args.validate,
     )
     results = segment_all(parts, jobs=args.jobs, progress=True)

@@ -57,22 +57,26 @@ _SIGNATURES = "heat+waves+global"
 
 def parts_rows(name: str) -> list[PartsRow]:
     """Return the rows of the table of segmenters for a set."""
-    rows = [
+    both = f"{_SIGNATURES}+coordinates"
+    if name != "human":  # all others stand alike
+        return [
+            PartsRow(name, _EXACT, both, "diffusion", upright=True),
+            PartsRow(name, _EXACT, _SIGNATURES, "diffusion"),
+            PartsRow(name, _EXACT, "coordinates", "diffusion", upright=True),
+            PartsRow(name, _PREDICTED_MESH, both, "diffusion", upright=True),
+        ]
+    return [
         PartsRow(name, _EXACT, _SIGNATURES, "diffusion"),
-        PartsRow(name, _EXACT, f"{_SIGNATURES}+coordinates", "diffusion"),
+        PartsRow(name, _EXACT, both, "diffusion"),
         PartsRow(name, _EXACT, "coordinates", "diffusion"),
         PartsRow(name, _PREDICTED_MESH, _SIGNATURES, "diffusion"),
+        PartsRow(name, _PREDICTED, _SIGNATURES, "diffusion"),
+        PartsRow(name, _EXACT, both, "diffusion", 10),
+        PartsRow(name, _EXACT, _SIGNATURES, "diffusion", 10),
+        PartsRow(name, _EXACT, "coordinates", "diffusion", 10),
+        PartsRow(name, _EXACT, _SIGNATURES, "mlp"),
+        PartsRow(name, _EXACT, "neo", "mlp"),
+        PartsRow(name, _EXACT, "encoding", "mlp"),
+        PartsRow(name, _EXACT, "neo-mass-free", "pointnet++"),
+        PartsRow(name, _EXACT, "coordinates", "pointnet++"),
     ]
-    if name == "human":
-        rows += [
-            PartsRow(name, _PREDICTED, _SIGNATURES, "diffusion"),
-            PartsRow(name, _EXACT, f"{_SIGNATURES}+coordinates", "diffusion", 10),
-            PartsRow(name, _EXACT, _SIGNATURES, "diffusion", 10),
-            PartsRow(name, _EXACT, "coordinates", "diffusion", 10),
-            PartsRow(name, _EXACT, _SIGNATURES, "mlp"),
-            PartsRow(name, _EXACT, "neo", "mlp"),
-            PartsRow(name, _EXACT, "encoding", "mlp"),
-            PartsRow(name, _EXACT, "neo-mass-free", "pointnet++"),
-            PartsRow(name, _EXACT, "coordinates", "pointnet++"),
-        ]
-    return rows

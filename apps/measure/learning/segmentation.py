@@ -28,11 +28,11 @@ POINTS = 2048  #: Of a cloud.
 K = 96  #: Modes.
 _LOOKS = 40  # at the test shapes, for the curve
 _HELD = 0.1  # of the training split, to validate on
+_COPIES = 15  # where there are few examples
 
 EMBEDDINGS: dict[str, e.Embedding] = {**OF_POINTS, "global": e.GlobalPoints(count=16)}
 NETWORKS: dict[str, learning.Network] = {
     "diffusion": learning.DiffusionNet(dropout=0.2),
-    "wide": learning.DiffusionNet(dropout=0.2, width=128),
     "mlp": learning.PointMLP(),
     "pointnet": learning.PointNet(width=64),
     "pointnet++": learning.Hierarchical(backbone="pointnet++", width=53),
@@ -65,14 +65,12 @@ class Parts(Study[PartsRow, int]):
     fresh: ClassVar[bool] = False
 
     sets: dict[str, LabelledSet]
-    epochs: int = 40
-    copies: int = 0  #: Stretched ones of each example.
+    epochs: int = 80
     validated: bool = False  #: Tested on a part of the training split that is held out, instead.
 
     def training(self, row: PartsRow, seed: int) -> learning.Training:
-        """Return how a network is trained: of a few shapes, with more epochs and fewer steps."""
-        epochs = self.epochs * (5 if row.shots else 1)
-        return learning.Training(epochs=epochs, copies=self.copies, seed=seed)
+        """Return how a network is trained: of a few shapes, with stretched copies of each."""
+        return learning.Training(epochs=self.epochs, copies=_COPIES * bool(row.shots), seed=seed)
 
     def facts(self, contender: PartsRow, problem: int) -> dict[str, object]:
         """See `Study`."""
