@@ -6,6 +6,7 @@ import classify_shapes
 import numpy as np
 import pytest
 import segment_shapes
+from measure.learning import classification
 from measure.learning.classification import Draws, Row, Vectors, View, classify_all, drawn
 from measure.learning.classified_report import summarize
 from measure.learning.labelled import SEGMENTED, demo_set, labelled_set, read_set
@@ -129,7 +130,7 @@ def test_classes_are_told_by_heads_also_turned_and_remembered(shapes, tmp_path, 
 
 @pytest.mark.slow
 def test_a_network_learns_from_clouds(shapes, tmp_path, monkeypatch):
-    monkeypatch.setattr("measure.learning.classification._SHOWN", 150)
+    monkeypatch.setitem(classification._SHOWN, "pointnet", 300)
     row = Row(View("cloud", "predicted"), "coordinates", "pointnet", 4)
     study = draws_of(shapes, tmp_path, row)
     results = classify_all(study, jobs=0)

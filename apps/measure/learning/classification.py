@@ -24,7 +24,7 @@ from spectra_kit.eigensolvers import Arpack, Eigensolver, Neo
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, sample
 from spectra_kit.learning.examples import Example, prepared
-from spectra_kit.learning.fitting import fit, predicted
+from spectra_kit.learning.fitting import fit, predicted, with_copies
 
 #: What embeddings depend on.
 SOURCES = tuple(
@@ -37,7 +37,9 @@ SOURCES = tuple(
 POINTS = 2048  #: Of a cloud.
 K = 96  #: Modes.
 _PART = 50  # shapes of one measurement of vectors
-_SHOWN = 9_000  # shapes that a network is shown, whatever the number of examples
+#: Shapes that a network is shown, whatever the number of examples: as many as an hour allows.
+_SHOWN = {"pointnet": 30_000, "pointnet++": 6_000, "point-transformer": 10_000}
+_COPIES = 7  # of each example, stretched
 _SEEN = 512  # points of each at a time; all of them in tests
 
 SOLVERS: dict[str, Eigensolver] = {"exact": Arpack(), "predicted": Neo()}
@@ -58,6 +60,7 @@ OF_POINTS: dict[str, e.Embedding] = {
     "coordinates": e.Coordinates(),
     "heat": e.HeatSignature(),
     "waves": e.WaveSignature(),
+    "global": e.GlobalPoints(),
 }
 HEADS: dict[str, learning.Head] = {
     "nearest": learning.NearestNeighbour(),
@@ -232,7 +235,7 @@ class Draws(Study[Row, int]):
             "seed": problem,
             "embedding": embedding,
             "method": repr(network or HEADS[contender.method]),
-            "training": [_SHOWN, _SEEN] if network else None,
+            "training": repr(_training(contender, 1, 0)) if network else None,
             "shots": contender.shots,
             "draws": 1 if network else self.draws,
             "validated": self.validated,
@@ -311,19 +314,32 @@ def _by_network(
 ) -> list[NDArray[np.int64]]:
     """Train a network, and return what it takes the tested shapes for in each view."""
     network, recipe = NETWORKS[row.method], _recipe(row)
-    labels = [torch.tensor(label) for label in _labels(study.shapes)[known].tolist()]
-    examples = [_example(study.shapes, row, i, seed, False) for i in known.tolist()]
-    training = learning.Training(
-        epochs=max(1, _SHOWN // len(known)), batch=16, points=_SEEN, seed=seed, smoothing=0.0
-    )
+    training = _training(row, len(known), seed)
+    clouds = [
+        shape_of(study.shapes, i, row.view.kind, seed=seed, turned=False) for i in known.tolist()
+    ]
+    own = with_copies(clouds, training)
     model, _ = fit(
-        recipe, network, examples, labels, classes=len(study.shapes.classes), training=training
+        recipe,
+        network,
+        [prepared(recipe, cloud)[0] for _, cloud in own],
+        [torch.tensor(int(_labels(study.shapes)[known[i]])) for i, _ in own],
+        classes=len(study.shapes.classes),
+        training=training,
     )
     found = []
     for view in study.views(row.view):
         shown = (_example(study.shapes, row, i, seed, view.turned) for i in tested.tolist())
         found.append(np.array([predicted(model, recipe, one).argmax() for one in shown]))
     return found
+
+
+def _training(row: Row, examples: int, seed: int) -> learning.Training:
+    """Return how a network is trained that learns from so many examples."""
+    epochs = max(1, _SHOWN[row.method] // (examples * (1 + _COPIES)))
+    return learning.Training(
+        epochs=epochs, batch=16, points=_SEEN, copies=_COPIES, smoothing=0.0, seed=seed
+    )
 
 
 def _recipe(row: Row) -> learning.Recipe:

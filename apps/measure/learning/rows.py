@@ -32,6 +32,7 @@ TRAINED = [
     for embedding, method in (
         ("neo-mass-free", "pointnet"),
         ("neo", "pointnet"),
+        ("global", "pointnet"),
         ("heat+waves", "pointnet"),
         ("plane-waves", "pointnet"),
         ("encoding", "pointnet"),
