@@ -41,7 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--epochs", type=int, default=80, help="(%(default)s)")
     add("--seeds", type=int, default=1, help="(%(default)s)")
     add("--validate", action="store_true",
-        help="test on a tenth of the training split, held out")  # fmt: skip
+        help="test on a source of the training split (or a tenth), held out")  # fmt: skip
     add("--jobs", type=int, default=os.cpu_count() or 1, help="side by side (%(default)s)")
     add("--no-pictures", action="store_true", help="do not draw shapes")
     return parser

@@ -224,8 +224,14 @@ def test_more_shapes_than_there_are(shapes, tmp_path):
     known, tested = held._split(shapes, 0, 0)
     assert shapes.is_train[tested].all()
     assert not set(known) & set(tested)
-    with pytest.raises(InvalidInputError, match="`shots` must be at most 11"):
-        study._split(shapes, 12, 0)
+    with pytest.raises(InvalidInputError, match="`shots` must be at most 12"):
+        study._split(shapes, 13, 0)
+    sources = replace(shapes, sources=tuple("abc"[i % 3] for i in range(len(shapes.meshes))))
+    for seed in range(4):
+        known, tested = held._split(sources, 0, seed)
+        assert {sources.sources[i] for i in tested} == {"abc"[seed % 3]}
+        assert set(known) | set(tested) == set(shapes.train)
+        assert not set(known) & set(tested)
 
 
 # --- apps ---
@@ -241,7 +247,7 @@ def test_both_apps_write_their_tables(tmp_path, capsys):
     assert row in capsys.readouterr().out
     assert json.loads((out / "classification.json").read_text())["rows"][0]["view"] == "mesh, exact"
     out = tmp_path / "parts"
-    row = "demo: coordinates, diffusion; mesh, exact; all"
+    row = "demo: coordinates, diffusion; mesh, exact; all; upright"
     arguments = [str(out), "--set", "demo", "--rows", row, "--epochs", "1", "--jobs", "1"]
     assert segment_shapes.main([*arguments, "--no-pictures"]) == 0
     assert row in capsys.readouterr().out

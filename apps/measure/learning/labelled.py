@@ -15,6 +15,8 @@ from spectra_kit._types import Bools, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, creature, sphere, torus
 
+_HELD = 0.1
+
 #: Sets by their names on command lines.
 CLASSIFIED = {"shrec11": "shrec16_meshcnn.npz"}
 SEGMENTED = {
@@ -36,6 +38,7 @@ class LabelledSet:
     labels: Ints | None = None  #: (s,): what each shape is.
     vertex_labels: tuple[Ints, ...] = ()  #: Of the vertices of each shape.
     face_labels: tuple[Ints, ...] = ()
+    sources: tuple[str, ...] = ()  #: Where each shape is from, if from several places.
 
     @cached_property
     def digest(self) -> str:
@@ -55,6 +58,18 @@ class LabelledSet:
         """Numbers of the others."""
         return np.flatnonzero(~self.is_train)
 
+    def held_out(self, seed: int) -> Ints:
+        """Numbers of the shapes of the training split to choose by: a tenth, or those of a source.
+
+        Shapes of a source are poses of a few bodies: among others of these, nothing new is seen.
+        """
+        if not self.sources:
+            order = np.random.default_rng(seed).permutation(self.train)
+            return order[: round(_HELD * len(order))]
+        names = sorted({self.sources[i] for i in self.train})
+        held = names[seed % len(names)]
+        return np.array([i for i in self.train if self.sources[i] == held])
+
 
 def read_set(name: str, path: Path) -> LabelledSet:
     """Read a packed set: vertices, faces, offsets of both, labels and split."""
@@ -70,6 +85,7 @@ def read_set(name: str, path: Path) -> LabelledSet:
             labels = file["label"].astype(np.int64)
             return LabelledSet(name, meshes, file["is_train16"], classes, labels)
         known = np.unique(file["face_label"])
+        sources = [str(name).split("__")[0] for name in file["names"]] if "names" in file else []
         points, sides = (
             np.searchsorted(known, file[key]).astype(np.int64)
             for key in ("vert_label", "face_label")
@@ -81,6 +97,7 @@ def read_set(name: str, path: Path) -> LabelledSet:
             tuple(str(number) for number in known),
             vertex_labels=tuple(np.split(points, v[1:-1])),
             face_labels=tuple(np.split(sides, f[1:-1])),
+            sources=tuple(sources) if len(set(sources)) < len(sources) else (),
         )
 
 

@@ -27,7 +27,6 @@ from spectra_kit.learning.labellers import Segmenter, carried
 POINTS = 2048  #: Of a cloud.
 K = 96  #: Modes.
 _LOOKS = 40  # at the test shapes, for the curve
-_HELD = 0.1  # of the training split, to validate on
 _COPIES = 15  # where there are few examples
 
 EMBEDDINGS: dict[str, e.Embedding] = {**OF_POINTS, "global": e.GlobalPoints(count=16)}
@@ -136,11 +135,11 @@ class Parts(Study[PartsRow, int]):
 
     def _split(self, shapes: LabelledSet, shots: int, seed: int) -> tuple[Ints, Ints]:
         order = np.random.default_rng(seed).permutation(shapes.train)
-        held = round(_HELD * len(order))
-        if shots > len(order) - held:
-            raise InvalidInputError("shots", f"be at most {len(order) - held}", shots)
-        known = order[held:] if self.validated else order
-        return known[:shots] if shots else known, order[:held] if self.validated else shapes.test
+        tested = shapes.held_out(seed) if self.validated else shapes.test
+        known = order[~np.isin(order, tested)]
+        if shots > len(known):
+            raise InvalidInputError("shots", f"be at most {len(known)}", shots)
+        return known[:shots] if shots else known, tested
 
 
 def recipe_of(row: PartsRow, seed: int) -> learning.Recipe:
