@@ -1,6 +1,7 @@
 """The studies of classification and segmentation: protocol, marks, memory, report and apps."""
 
 import json
+from dataclasses import replace
 
 import classify_shapes
 import numpy as np
