@@ -175,7 +175,6 @@ def test_a_class_for_all_has_the_marks_of_its_share(shapes):
     assert share < found["edges"] < beside
 
 
-def test_shapes_count_alike_in_any_unit(shapes):
     from dataclasses import replace
 
     rng = np.random.default_rng(0)
