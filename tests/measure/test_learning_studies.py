@@ -175,8 +175,7 @@ def test_a_class_for_all_has_the_marks_of_its_share(shapes):
     assert share < found["edges"] < beside
 
 
-    from dataclasses import replace
-
+def test_shapes_count_alike_in_any_unit(shapes):
     rng = np.random.default_rng(0)
     answers = [(int(i), rng.dirichlet([1, 1, 1], shapes.meshes[i].n)) for i in shapes.test]
     larger = tuple(
