@@ -38,7 +38,7 @@ def _parser() -> argparse.ArgumentParser:
         help=f"{', '.join(SEGMENTED)} or demo (human)")  # fmt: skip
     add("--data", type=Path, help="folder of the sets (default: $SPECTRA_KIT_DATA/tasks)")
     add("--rows", nargs="+", metavar="ROW", help="only these, as the table names them")
-    add("--epochs", type=int, default=80, help="(%(default)s)")
+    add("--epochs", type=int, default=40, help="(%(default)s)")
     add("--seeds", type=int, default=1, help="(%(default)s)")
     add("--validate", action="store_true",
         help="test on a source of the training split (or a tenth), held out")  # fmt: skip

@@ -64,7 +64,7 @@ class Parts(Study[PartsRow, int]):
     fresh: ClassVar[bool] = False
 
     sets: dict[str, LabelledSet]
-    epochs: int = 80
+    epochs: int = 40
     validated: bool = False  #: Tested on a part of the training split that is held out, instead.
 
     def training(self, row: PartsRow, seed: int) -> learning.Training:
