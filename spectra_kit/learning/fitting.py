@@ -122,18 +122,23 @@ def fit(
     *,
     classes: int,
     training: Training,
+    corners: Sequence[Tensor] = (),
     folder: Path | None = None,
     progress: bool = False,
     watch: Callable[[Model, int], dict[str, float]] | None = None,
 ) -> tuple[Model, list[dict[str, float]]]:
     """Train a network; return it, and what was seen after each epoch.
 
-    Labels are () of whole shapes, (n,) of points, `UNKNOWN` where nothing is known. With a folder,
-    its checkpoint is written after each epoch, and gone on from: the result is that of a run
-    without an interruption. `watch` may measure the model after each epoch,
-    whose number it is told.
+    Labels are () of whole shapes, (n,) of points, or with corners (f, 3) of their faces (f,);
+    `UNKNOWN` where nothing is known. With a folder, its checkpoint is written after each epoch, and
+    gone on from: the result is that of a run without an interruption. `watch` may measure the model
+    after each epoch, whose number it is told.
     """
     whole = labels[0].ndim == 0
+    if training.points is not None and corners:
+        raise InvalidInputError(
+            "points", "be None, all points, where labels are of faces", training.points
+        )
     if training.points is not None and network.sees:
         raise InvalidInputError(
             "points",
@@ -147,7 +152,7 @@ def fit(
         model = Model(network, first.features.shape[-1], classes, whole=whole)
         _scale(model, recipe, examples)
         run = _Run(model, training, -(-len(examples) // _size(training, len(examples))))
-        facts = _facts(recipe, network, training, examples, labels, classes)
+        facts = _facts(recipe, network, training, examples, [*labels, *corners], classes)
         begun = _resumed(run, folder, facts)
         shown = trange(
             begun, training.epochs, initial=begun, total=training.epochs, unit="epoch",
@@ -155,7 +160,7 @@ def fit(
         )  # fmt: skip
         for epoch in shown:
             torch.manual_seed(hash_of(training.seed, epoch))  # of dropout
-            loss = _epoch(run, recipe, examples, labels, epoch)
+            loss = _epoch(run, recipe, examples, labels, corners, epoch)
             seen = {"epoch": epoch + 1, "loss": loss, **(watch(model, epoch + 1) if watch else {})}
             run.curve.append(seen)
             shown.set_postfix({name: f"{value:.3g}" for name, value in seen.items()})
@@ -234,9 +239,9 @@ def _facts(
 ) -> str:
     """Return what tells a run from all others: its options, and a hash of what it learns from."""
     content = hashlib.sha256()
-    for example, label in zip(examples, labels, strict=True):
-        for part in (example.points, example.mass, example.features, label):
-            content.update(repr(tuple(part.shape)).encode() + part.numpy().tobytes())
+    seen = (part for e in examples for part in (e.points, e.mass, e.features))
+    for part in (*seen, *labels):
+        content.update(repr(tuple(part.shape)).encode() + part.numpy().tobytes())
     return repr((recipe, network, asdict(training), classes, content.hexdigest()))
 
 
@@ -245,7 +250,12 @@ def _size(training: Training, count: int) -> int:
 
 
 def _epoch(
-    run: _Run, recipe: Recipe, examples: Sequence[Example], labels: Sequence[Tensor], epoch: int
+    run: _Run,
+    recipe: Recipe,
+    examples: Sequence[Example],
+    labels: Sequence[Tensor],
+    corners: Sequence[Tensor],
+    epoch: int,
 ) -> float:
     """Show all examples once; return the mean loss."""
     training, model = run.training, run.model.train()
@@ -257,6 +267,8 @@ def _epoch(
         some, truth = _drawn([examples[i] for i in chosen], [labels[i] for i in chosen], run, rng)
         turned = Tensor(Rotation.random(len(chosen), rng=rng).as_matrix())
         logits = model(batched(recipe, some, rotations=turned if recipe.turns else None))
+        if corners:
+            logits = _at_faces(logits, [corners[i] for i in chosen])
         loss = _loss(logits, truth, training.smoothing)
         run.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
@@ -264,6 +276,12 @@ def _epoch(
         run.schedule.step()
         total += loss.item() * len(chosen)
     return total / len(order)
+
+
+def _at_faces(logits: Tensor, corners: Sequence[Tensor]) -> Tensor:
+    """Return the means (b, f, classes) over the corners of all faces, padded."""
+    means = [own[rows].mean(1) for own, rows in zip(logits, corners, strict=True)]
+    return pad_sequence(means, batch_first=True)
 
 
 def _loss(logits: Tensor, truth: Tensor, smoothing: float) -> Tensor:

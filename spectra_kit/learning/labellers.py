@@ -6,18 +6,19 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
+from torch import Tensor
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import as_array
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.geometry import Geometry, TriangleMesh, sample_with_origin
 from spectra_kit.learning.examples import Example, Recipe, prepared
 from spectra_kit.learning.fitting import UNKNOWN, Model, Training, fit, predicted, with_copies
 from spectra_kit.learning.heads import Head
@@ -302,6 +303,7 @@ def train_segmenter(
     *,
     recipe: Recipe,
     method: Network,
+    of: Literal["points", "faces"] = "points",
     names: Sequence[str] | None = None,
     training: Training = Training(),  # noqa: B008
     folder: str | os.PathLike[str] | None = None,
@@ -313,8 +315,11 @@ def train_segmenter(
     ----------
     shapes : sequence of TriangleMesh or PointCloud
         Examples, each in its own unit.
-    labels : sequence of array_like of shape (n,)
-        Of the points of each: classes counted from 0, -1 where nothing is known.
+    labels : sequence of array_like of shape (n,) or (f,)
+        Of the points of each, or of its faces: classes counted from 0, -1 where nothing is known.
+    of : {"points", "faces"}, default "points"
+        Whose labels these are. Where faces of meshes are labelled, learn from these: a point on the
+        border of two parts belongs to both.
     recipe, method, names, training, folder, progress
         As of `train_classifier`; the method is a network.
 
@@ -351,29 +356,60 @@ def train_segmenter(
             "labels", f"hold an array for each of {len(shapes)} shapes", len(labels)
         )
     truths = [
-        _classes(f"labels[{i}]", some, shape.n, "points", unknown=True)
+        _classes(f"labels[{i}]", some, _count(shape, of, i), of, unknown=True)
         for i, (some, shape) in enumerate(zip(labels, shapes, strict=True))
     ]
     called = _names(np.concatenate([np.empty(0, np.int64), *truths]), names)
-    examples, targets = list[Example](), []
+    examples, truth, corners = list[Example](), list[Tensor](), list[Tensor]()
     for i, shape in with_copies(shapes, training):
         example, seen = prepared(recipe, shape, method.sees)
         examples.append(example)
-        nearest = slice(None) if seen is shape else cKDTree(shape.points).query(seen.points)[1]
-        targets.append(torch.from_numpy(truths[i][nearest]))
+        targets, faces = labels_of(seen, shape, truths[i], recipe, of)
+        truth.append(targets)
+        corners += [] if faces is None else [faces]
     if recipe.points is not None:
-        _names(torch.cat(targets).numpy(), called)  # of each class some samples must be left
+        _names(torch.cat(truth).numpy(), called)  # of each class some samples must be left
     model, _ = fit(
         recipe,
         method,
         examples,
-        targets,
+        truth,
         classes=len(called),
         training=training,
+        corners=corners,
         folder=None if folder is None else Path(folder),
         progress=progress,
     )
     return Segmenter(called, recipe, method, model)
+
+
+def labels_of(
+    seen: Geometry,
+    shape: Geometry,
+    labels: Ints,
+    recipe: Recipe,
+    of: Literal["points", "faces"],
+) -> tuple[Tensor, Tensor | None]:
+    """Return the labels of what is seen of a shape; if these are of faces, their corners, too."""
+    if of == "faces" and isinstance(shape, TriangleMesh):
+        if seen is shape:
+            return torch.tensor(labels), torch.tensor(shape.faces, dtype=torch.int64)
+        assert recipe.points is not None
+        sampled = sample_with_origin(shape, recipe.points, seed=recipe.seed)
+        return torch.tensor(labels[sampled.faces]), None
+    nearest = slice(None) if seen is shape else cKDTree(shape.points).query(seen.points)[1]
+    return torch.tensor(labels[nearest]), None
+
+
+def _count(shape: Geometry, of: str, i: int) -> int:
+    """Return how many labels a shape has."""
+    if of == "points":
+        return shape.n
+    if not isinstance(shape, TriangleMesh):
+        raise InvalidInputError(
+            f"shapes[{i}]", "be a mesh, where labels are of faces", type(shape).__name__
+        )
+    return len(shape.faces)
 
 
 def _classes(name: str, values: ArrayLike, n: int, of: str, *, unknown: bool = False) -> Ints:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-import torch
 from scipy.spatial.transform import Rotation
 
 from measure.learning.classification import OF_POINTS, SOLVERS, SOURCES, View
@@ -22,7 +21,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.learning.examples import Example, prepared
 from spectra_kit.learning.fitting import Model, fit, predicted, with_copies
-from spectra_kit.learning.labellers import Segmenter, carried
+from spectra_kit.learning.labellers import Segmenter, carried, labels_of
 
 POINTS = 2048  #: Of a cloud.
 K = 96  #: Modes.
@@ -107,6 +106,7 @@ class Parts(Study[PartsRow, int]):
             [one.labels for one in seen],
             classes=len(shapes.classes),
             training=training,
+            corners=[one.corners for one in seen if one.corners is not None],
             folder=folder,
             watch=watch,
         )
@@ -175,8 +175,8 @@ class _Seen:
         if key not in _prepared:
             _prepared[key] = prepared(recipe, self.mesh, network.sees)
         self.example, self.seen = _prepared[key]
-        scores = np.eye(len(shapes.classes))[shapes.vertex_labels[i]]
-        self.labels = torch.from_numpy(carried(mesh, scores, self.seen).argmax(axis=1))
+        truth = shapes.face_labels[i]
+        self.labels, self.corners = labels_of(self.seen, mesh, truth, recipe, "faces")
 
     def scores(self, model: Model, recipe: learning.Recipe) -> Floats:
         """Return scores of the mesh's vertices."""
