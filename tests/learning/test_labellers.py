@@ -155,6 +155,31 @@ def test_labels_of_samples_are_carried_to_the_vertices():
     assert (told.labels == north(mesh))[away].mean() > 0.97
 
 
+def test_faces_teach_what_votes_at_their_corners_do_not():
+    # A belt narrower than the edges: most of its vertices have more faces outside it.
+    ball = sphere(subdivisions=3).geometry
+    belt = np.abs(ball.points[ball.faces].mean(axis=1)[:, 2]) < 0.05
+    votes = np.bincount(ball.faces.ravel(), np.repeat(belt - 0.5, 3), minlength=ball.n) > 0
+
+    def found(labels, of, points=None):
+        told = train_segmenter(
+            [ball], [labels.astype(int)], of=of, names=["ball", "belt"],
+            recipe=Recipe(embeddings=(Coordinates(),), k=20, upright=True, points=points),
+            method=PointMLP(width=32), training=Training(epochs=120, rate=1e-2, smoothing=0.0),
+        ).segment(ball)  # fmt: skip
+        return told.labels == 1, told.face_labels == 1
+
+    def overlap(one, other):
+        return (one & other).sum() / (one | other).sum()
+
+    by_faces, by_votes = found(belt, "faces")[1], found(votes, "points")[1]
+    assert overlap(by_votes, belt) < 0.6
+    assert overlap(by_faces, belt) > 0.9
+    # Samples have the label of the face that they lie on.
+    high = ball.points[ball.faces].mean(axis=1)[:, 2] > 0
+    assert overlap(found(high, "faces", points=1000)[0], north(ball) == 1) > 0.95
+
+
 def test_what_is_unknown_teaches_nothing():
     generator = torch.Generator().manual_seed(0)
     logits = torch.randn(2, 50, 3, generator=generator, requires_grad=True)
@@ -356,6 +381,20 @@ def test_labels_that_do_not_fit(labels, names, message):
 def test_labels_of_points_that_do_not_fit(labels, message):
     with pytest.raises(InvalidInputError, match=message):
         train_segmenter([BALL, BALL], labels, recipe=POINTS, method=PointMLP(width=4))
+
+
+def test_labels_of_faces_that_do_not_fit():
+    low, method = np.zeros(len(BALL.faces), dtype=int), PointMLP(width=4)
+    low[:9] = 1
+    with pytest.raises(InvalidInputError, match=r"\(320,\), one for each of the faces, got \(162,"):
+        train_segmenter([BALL], [north(BALL)], of="faces", recipe=POINTS, method=method)
+    cloud = BALL.as_cloud()
+    with pytest.raises(InvalidInputError, match=r"`shapes\[1\]` must be a mesh.*got PointCloud"):
+        train_segmenter([BALL, cloud], [low, low], of="faces", recipe=POINTS, method=method)
+    with pytest.raises(InvalidInputError, match=r"`points` must be None.*labels are of faces"):
+        train_segmenter(
+            [BALL], [low], of="faces", recipe=POINTS, method=method, training=Training(points=9)
+        )
 
 
 def test_shapes_that_cannot_be_told():
