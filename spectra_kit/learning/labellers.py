@@ -392,9 +392,8 @@ def labels_of(
 ) -> tuple[Tensor, Tensor | None]:
     """Return the labels of what is seen of a shape; if these are of faces, their corners, too."""
     if of == "faces" and isinstance(shape, TriangleMesh):
-        if seen is shape:
+        if recipe.points is None:
             return torch.tensor(labels), torch.tensor(shape.faces, dtype=torch.int64)
-        assert recipe.points is not None
         sampled = sample_with_origin(shape, recipe.points, seed=recipe.seed)
         return torch.tensor(labels[sampled.faces]), None
     nearest = slice(None) if seen is shape else cKDTree(shape.points).query(seen.points)[1]
