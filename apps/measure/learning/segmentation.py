@@ -118,7 +118,14 @@ class Parts(Study[PartsRow, int]):
             mesh = shapes.meshes[i]
             points = mesh.points @ Rotation.random(rng=rng).as_matrix().T
             turned.append((i, segmenter.segment(TriangleMesh(points, mesh.faces)).scores))
-        labels = {f"{one.number}": one.scores(model, recipe).argmax(axis=1) for one in shown}
+        scores = {one.number: one.scores(model, recipe) for one in shown}
+        labels = {f"{number}": told.argmax(axis=1) for number, told in scores.items()}
+        learned = {arrays_digest(shapes.meshes[i].points) for i in known}
+        unseen = [
+            (i, told)
+            for i, told in scores.items()
+            if arrays_digest(shapes.meshes[i].points) not in learned
+        ]
         arrays = self.file(contender, problem, ".npz")
         saved = self.file(contender, problem, ".safetensors")
         with atomic_path(arrays) as part:
@@ -127,6 +134,8 @@ class Parts(Study[PartsRow, int]):
         return {
             **{name: value for name, value in curve[-1].items() if name != "epoch"},
             "turned": marks(shapes, turned),
+            "seen": len(scores) - len(unseen),  # in training, too: some sets hold shapes twice
+            "unseen": marks(shapes, unseen),
             "curve": [[one["epoch"], one["iou"]] for one in curve if "iou" in one],
             "weights": sum(p.numel() for p in model.parameters()),
             "examples": len(known),
