@@ -192,10 +192,18 @@ def test_shapes_count_alike_in_any_unit(shapes):
 @pytest.mark.slow
 def test_parts_are_learned_kept_and_remembered(shapes, tmp_path, monkeypatch):
     row = PartsRow("demo", MESH, "coordinates", "mlp", shots=9)
+    first, known = shapes.test[0], np.random.default_rng(0).permutation(shapes.train)[0]
+    twice = {
+        name: tuple(getattr(shapes, name)[known if i == first else i] for i in range(18))
+        for name in ("meshes", "vertex_labels", "face_labels")
+    }
+    shapes = replace(shapes, **twice)  # one of the test split is learned from, too
     study = Parts(folder=tmp_path, contenders=[row], problems=[0], sets={"demo": shapes}, epochs=3)
     (result,) = segment_all(study, jobs=0)
     record = result.record
     assert record["examples"] == 9
+    assert record["seen"] == 1
+    assert record["unseen"]["iou"] != record["iou"]
     assert [epoch for epoch, _ in record["curve"]] == [1, 2, 3]
     assert 0 < record["iou"] <= 1
     assert record["turned"]["iou"] == pytest.approx(record["iou"], abs=0.2)

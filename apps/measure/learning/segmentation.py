@@ -135,7 +135,7 @@ class Parts(Study[PartsRow, int]):
             **{name: value for name, value in curve[-1].items() if name != "epoch"},
             "turned": marks(shapes, turned),
             "seen": len(scores) - len(unseen),  # in training, too: some sets hold shapes twice
-            "unseen": marks(shapes, unseen),
+            "unseen": marks(shapes, unseen) if unseen else None,
             "curve": [[one["epoch"], one["iou"]] for one in curve if "iou" in one],
             "weights": sum(p.numel() for p in model.parameters()),
             "examples": len(known),

@@ -34,6 +34,12 @@ def summarize(results: Results) -> dict[PartsRow, dict[str, Any]]:
             "worst": min(r["iou"] for r in records),
             "deviation": float(np.std([r["iou"] for r in records])),
             "turned": float(np.mean([r["turned"]["iou"] for r in records])),
+            "seen": records[0]["seen"],
+            "unseen": {
+                mark: float(np.mean([r["unseen"][mark] for r in records])) for mark in _MARKS
+            }
+            if records[0]["unseen"]
+            else None,
             "epochs": int(records[0]["curve"][-1][0]),
             "reached": _reached(np.median([r["curve"] for r in records], axis=0)),
             "curves": [r["curve"] for r in records],
@@ -95,6 +101,7 @@ def write_report(results: Results, parts: Parts) -> Path:
             f" reaches {GOAL:g}; the last epoch counts, none is picked. Clouds are {POINTS:,}"
             f" random points, whose labels the vertices get; spectra have {K} modes.",
             tables.table(header, body),
+            tables.listed(_of_unseen(row, cells) for row, cells in found.items() if cells["seen"]),
             tables.listed(f"`{n}`: `{what!r}`" for n, what in {**EMBEDDINGS, **NETWORKS}.items()),
             tables.listed(
                 f"failed: {r.contender}, seed {r.problem}: {r.reason}" for r in results if not r.ok
@@ -104,6 +111,17 @@ def write_report(results: Results, parts: Parts) -> Path:
     if found:
         _draw_curves(found, folder / "epochs.png")
     return folder / "segmentation.md"
+
+
+def _of_unseen(row: PartsRow, cells: dict[str, Any]) -> str:
+    """Say what is told right where shapes are not in the training split as well."""
+    seen, unseen = (
+        f"{row}: {cells['seen']} of the tested shapes are learned from, too",
+        cells["unseen"],
+    )
+    if not unseen:
+        return seen
+    return f"{seen}; of the others IoU {unseen['iou']:.3f}, edges {100 * unseen['edges']:.1f}"
 
 
 def _draw_curves(found: dict[PartsRow, dict[str, Any]], path: Path) -> Path:
