@@ -3,7 +3,7 @@ r"""Learn to tell shapes apart from a few examples of each class, by many embedd
     python apps/classify_shapes.py OUT                       # the training-free rows, SHREC'11
     python apps/classify_shapes.py OUT --trained             # networks, too
     python apps/classify_shapes.py OUT --rows "waves+dna, nearest; cloud, predicted"
-    python apps/classify_shapes.py OUT --validate            # to choose by: no test shape is seen
+    python apps/classify_shapes.py OUT --validate            # to choose by: on the training split
     python apps/classify_shapes.py OUT --set demo            # animals, rings and eggs, no data
 
 The official split holds 16 shapes of each of 30 classes to learn from and 4 to test on. From every

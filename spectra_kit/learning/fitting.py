@@ -57,7 +57,7 @@ class Training:
         few examples, or shapes of one class differ in their proportions.
     points : int, optional
         Show so many points of each example, others each time; all by default. Networks that see
-        operators need them all.
+        operators need them all, and so do labels of faces.
     seed : int, default 0
         Of weights, order, rotations and points.
 
@@ -135,10 +135,6 @@ def fit(
     after each epoch, whose number it is told.
     """
     whole = labels[0].ndim == 0
-    if training.points is not None and corners:
-        raise InvalidInputError(
-            "points", "be None, all points, where labels are of faces", training.points
-        )
     if training.points is not None and network.sees:
         raise InvalidInputError(
             "points",

@@ -331,7 +331,8 @@ def train_segmenter(
     Raises
     ------
     InvalidInputError
-        If labels do not fit the points, a class has no example, or there is only one class.
+        If labels do not fit the points or faces, a class has no example, there is only one class,
+        or training sees some points alone where labels are of faces.
     MissingDependencyError
         Without the packages that the method needs.
 
@@ -354,6 +355,13 @@ def train_segmenter(
     if len(labels) != len(shapes):
         raise InvalidInputError(
             "labels", f"hold an array for each of {len(shapes)} shapes", len(labels)
+        )
+    if of == "faces" and training.points is not None:
+        raise InvalidInputError(
+            "points",
+            "be None, all points, where labels are of faces",
+            training.points,
+            advice="sample the meshes themselves, with `Recipe.points`",
         )
     truths = [
         _classes(f"labels[{i}]", some, _count(shape, of, i), of, unknown=True)

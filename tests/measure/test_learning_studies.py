@@ -8,11 +8,19 @@ import numpy as np
 import pytest
 import segment_shapes
 from measure.learning import classification
-from measure.learning.classification import Draws, Row, Vectors, View, classify_all, drawn
+from measure.learning.classification import (
+    Draws,
+    Row,
+    Vectors,
+    View,
+    classify_all,
+    drawn,
+    shape_of,
+)
 from measure.learning.classified_report import summarize
 from measure.learning.labelled import SEGMENTED, demo_set, labelled_set, read_set
 from measure.learning.rows import FREE, TRAINED, parts_rows, rows_named
-from measure.learning.segmentation import Parts, PartsRow, marks, segment_all
+from measure.learning.segmentation import COPIES, Parts, PartsRow, marks, segment_all
 
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 
@@ -95,6 +103,12 @@ def test_examples_are_of_the_training_split_and_never_tested_on(shapes, validate
     assert drawn(shapes, 2, [0, 0], validated=False)[1].tolist() == shapes.test.tolist()
 
 
+def test_no_examples(shapes):
+    for shots in (0, -1):
+        with pytest.raises(InvalidInputError, match="`shots` must be at least 1"):
+            drawn(shapes, shots, [0], validated=False)
+
+
 @pytest.mark.parametrize(("validated", "most"), [(False, 4), (True, 3)])
 def test_more_examples_than_there_are(shapes, validated, most):
     drawn(shapes, most, [0], validated=validated)
@@ -131,7 +145,7 @@ def test_classes_are_told_by_heads_also_turned_and_remembered(shapes, tmp_path, 
 
 @pytest.mark.slow
 def test_a_network_learns_from_clouds(shapes, tmp_path, monkeypatch):
-    monkeypatch.setitem(classification._SHOWN, "pointnet", 300)
+    monkeypatch.setitem(classification.SHOWN, "pointnet", 300)
     row = Row(View("cloud", "predicted"), "coordinates", "pointnet", 4)
     study = draws_of(shapes, tmp_path, row)
     results = classify_all(study, jobs=0)
@@ -218,6 +232,55 @@ def test_parts_are_learned_kept_and_remembered(shapes, tmp_path, monkeypatch):
             np.testing.assert_array_equal(told, labels[str(i)])
     monkeypatch.setattr(Parts, "measure", lambda *_: pytest.fail("measured again"))
     assert segment_all(study, jobs=0)[0].record == record
+
+
+def test_shapes_are_turned_and_nothing_else(shapes):
+    for kind in ("mesh", "cloud"):
+        still, turned = (shape_of(shapes, 0, kind, seed=1, turned=t).points for t in (False, True))
+        assert not np.allclose(turned, still)
+        np.testing.assert_allclose(turned @ turned.T, still @ still.T, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_what_stands_upright_is_lost_when_it_is_turned(shapes, tmp_path):
+    row = PartsRow("demo", MESH, "coordinates", "mlp", upright=True)
+    study = Parts(folder=tmp_path, contenders=[row], problems=[0], sets={"demo": shapes}, epochs=20)
+    (result,) = segment_all(study, jobs=0)
+    assert result.record["turned"]["iou"] < result.record["iou"] - 0.2
+
+
+def test_few_shapes_have_copies(shapes, tmp_path):
+    row = PartsRow("demo", MESH, "coordinates", "mlp")
+    study = Parts(folder=tmp_path, contenders=[row], problems=[0], sets={"demo": shapes})
+    assert study.training(row, 0).copies == 0
+    assert study.training(row._replace(shots=9), 0).copies == COPIES > 0
+
+
+def test_what_splits_a_set_is_part_of_the_key(shapes, tmp_path):
+    row = PartsRow("demo", MESH, "coordinates", "mlp")
+    count, keys = len(shapes.meshes), set()
+    for validated in (False, True):
+        for sources in ((), tuple("abc"[i % 3] for i in range(count)), ("a", "b") * (count // 2)):
+            study = Parts(
+                folder=tmp_path, contenders=[row], problems=[0], validated=validated,
+                sets={"demo": replace(shapes, sources=sources)},
+            )  # fmt: skip
+            keys.add(study.key(row, 0))
+    assert len(keys) == 4  # sources split the training split alone
+
+
+def test_a_twin_of_what_is_held_out_is_not_learned_from(shapes, tmp_path):
+    first, *others = shapes.train
+    sources = tuple("a" if i == first else "b" for i in range(len(shapes.meshes)))
+    meshes = list(shapes.meshes)
+    meshes[others[0]] = meshes[first]
+    twins = replace(shapes, meshes=tuple(meshes), sources=sources)
+    held = Parts(folder=tmp_path, contenders=[], problems=[0], sets={"demo": twins}, validated=True)
+    known, tested = held._split(twins, 0, 0)
+    assert tested.tolist() == [first]
+    assert sorted(known) == others[1:]
+    with pytest.raises(InvalidInputError, match="shapes to learn from and others to test on"):
+        held._split(replace(twins, sources=("a",) * len(sources)), 0, 0)
 
 
 def test_more_shapes_than_there_are(shapes, tmp_path):

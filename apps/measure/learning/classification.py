@@ -20,6 +20,7 @@ from spectra_kit import embeddings as e
 from spectra_kit import learning
 from spectra_kit._files import atomic_path
 from spectra_kit._types import Floats, Ints
+from spectra_kit._validate import check_count
 from spectra_kit.eigensolvers import Arpack, Eigensolver, Neo
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, sample
@@ -38,8 +39,8 @@ POINTS = 2048  #: Of a cloud.
 K = 96  #: Modes.
 _PART = 50  # shapes of one measurement of vectors
 #: Shapes that a network is shown, whatever the number of examples: as many as an hour allows.
-_SHOWN = {"pointnet": 30_000, "pointnet++": 6_000, "point-transformer": 10_000}
-_COPIES = 7  # of each example, stretched
+SHOWN = {"pointnet": 30_000, "pointnet++": 6_000, "point-transformer": 10_000}
+COPIES = 7  #: Of each example, stretched.
 _SEEN = 512  # points of each at a time; all of them in tests
 
 SOLVERS: dict[str, Eigensolver] = {"exact": Arpack(), "predicted": Neo()}
@@ -212,6 +213,7 @@ class Draws(Study[Row, int]):
     """
 
     name: ClassVar[str] = "draws"
+    version: ClassVar[int] = 2
     sources: ClassVar[tuple[str, ...]] = (*SOURCES, "learning/*.py")
     fresh: ClassVar[bool] = False
 
@@ -268,6 +270,7 @@ def drawn(
     shapes: LabelledSet, shots: int, seed: list[int], *, validated: bool
 ) -> tuple[Ints, Ints]:
     """Return shapes to learn from, so many of each class, and shapes to test on."""
+    check_count("shots", shots, low=1)
     rng, labels = np.random.default_rng(seed), _labels(shapes)
     known, left = [], []
     for label in range(len(shapes.classes)):
@@ -336,9 +339,9 @@ def _by_network(
 
 def _training(row: Row, examples: int, seed: int) -> learning.Training:
     """Return how a network is trained that learns from so many examples."""
-    epochs = max(1, _SHOWN[row.method] // (examples * (1 + _COPIES)))
+    epochs = max(1, SHOWN[row.method] // (examples * (1 + COPIES)))
     return learning.Training(
-        epochs=epochs, batch=16, points=_SEEN, copies=_COPIES, smoothing=0.0, seed=seed
+        epochs=epochs, batch=16, points=_SEEN, copies=COPIES, smoothing=0.0, seed=seed
     )
 
 

@@ -9,10 +9,20 @@ from typing import Any
 import numpy as np
 
 from measure import figures, tables
-from measure.learning.classification import HEADS, NETWORKS, POINTS, WHOLE, Draws, K, Row
+from measure.learning.classification import (
+    HEADS,
+    NETWORKS,
+    OF_POINTS,
+    POINTS,
+    SHOWN,
+    WHOLE,
+    Draws,
+    K,
+    Row,
+)
 from measure.study import Result
 from spectra_kit._optional import optional
-from spectra_kit._types import Floats
+from spectra_kit._types import Floats, Ints
 from spectra_kit._version import VERSION
 
 Results = Sequence[Result[Row, int]]
@@ -87,9 +97,12 @@ def write_report(results: Results, draws: Draws) -> Path:
             " *turned*: what random rotations of the tested shapes change, in points, on average"
             " over the columns.",
             tables.table(header, body),
-            tables.listed(
-                f"`{name}`: `{what!r}`" for name, what in {**WHOLE, **HEADS, **NETWORKS}.items()
-            ),
+            "Networks see shapes and stretched copies of them,"
+            f" {', '.join(f'{count:,} ({name})' for name, count in SHOWN.items())} in all: as many"
+            " as about an hour of a core allows. To each network its time, not its epochs.",
+            tables.listed(f"`{name}` for heads: `{what!r}`" for name, what in WHOLE.items()),
+            tables.listed(f"`{name}` for networks: `{what!r}`" for name, what in OF_POINTS.items()),
+            tables.listed(f"`{name}`: `{what!r}`" for name, what in {**HEADS, **NETWORKS}.items()),
             tables.listed(f"failed: {f['row']}, seed {f['seed']}: {f['reason']}" for f in failures),
         ],
     )
@@ -117,11 +130,11 @@ def draw_pictures(results: Results, draws: Draws) -> list[Path]:
     last = (best or [r.contender for r in heads])[-1]
     same = [r.contender for r in heads if r.contender[:3] == last[:3]]
     row = min(same, key=lambda one: one.shots)
-    every = np.arange(len(draws.shapes.meshes))
+    every = draws.shapes.train if draws.validated else np.arange(len(draws.shapes.meshes))
     vectors = draws.vectors.of(every, row.view, next(iter(draws.problems)), row.embedding)
     return [
         _draw_confusion([r for r in heads if r.contender == row], draws),
-        _draw_map(vectors, row, draws),
+        _draw_map(vectors, every, row, draws),
     ]
 
 
@@ -143,7 +156,7 @@ def _draw_confusion(results: Results, draws: Draws) -> Path:
     return figures.save(figure, draws.folder / "confusion.png")
 
 
-def _draw_map(vectors: Floats, row: Row, draws: Draws) -> Path:
+def _draw_map(vectors: Floats, every: Ints, row: Row, draws: Draws) -> Path:
     """Draw all shapes in the plane: near are those that t-SNE keeps near."""
     manifold = optional("sklearn.manifold", extra="learn", needed_by="the map")
     scaled = vectors / np.maximum(vectors.std(axis=0), 1e-12)
@@ -151,8 +164,8 @@ def _draw_map(vectors: Floats, row: Row, draws: Draws) -> Path:
     places = manifold.TSNE(
         metric="manhattan", init="random", perplexity=perplexity, random_state=0
     ).fit_transform(scaled)
-    labels, names = draws.shapes.labels, draws.shapes.classes
-    assert labels is not None
+    assert draws.shapes.labels is not None
+    labels, names = draws.shapes.labels[every], draws.shapes.classes
     figure, (axes,) = figures.panels(f"All shapes by {row.embedding}; {row.view}", width=9)
     figure.set_size_inches(9, 8)
     axes.grid(visible=False)

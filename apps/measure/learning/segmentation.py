@@ -26,7 +26,7 @@ from spectra_kit.learning.labellers import Segmenter, carried, labels_of
 POINTS = 2048  #: Of a cloud.
 K = 96  #: Modes.
 _LOOKS = 40  # at the test shapes, for the curve
-_COPIES = 15  # where there are few examples
+COPIES = 15  #: Stretched ones of each, where there are few examples.
 
 EMBEDDINGS: dict[str, e.Embedding] = {**OF_POINTS, "global": e.GlobalPoints(count=16)}
 NETWORKS: dict[str, learning.Network] = {
@@ -59,6 +59,7 @@ class Parts(Study[PartsRow, int]):
     """How well the parts of test shapes are told; problems are seeds."""
 
     name: ClassVar[str] = "parts"
+    version: ClassVar[int] = 2
     sources: ClassVar[tuple[str, ...]] = (*SOURCES, "learning/*.py")
     fresh: ClassVar[bool] = False
 
@@ -68,7 +69,7 @@ class Parts(Study[PartsRow, int]):
 
     def training(self, row: PartsRow, seed: int) -> learning.Training:
         """Return how a network is trained: of a few shapes, with stretched copies of each."""
-        return learning.Training(epochs=self.epochs, copies=_COPIES * bool(row.shots), seed=seed)
+        return learning.Training(epochs=self.epochs, copies=COPIES * bool(row.shots), seed=seed)
 
     def facts(self, contender: PartsRow, problem: int) -> dict[str, object]:
         """See `Study`."""
@@ -76,7 +77,9 @@ class Parts(Study[PartsRow, int]):
             "set": self.sets[contender.set].digest,
             "recipe": repr(recipe_of(contender, problem)),
             "network": repr(NETWORKS[contender.method]),
-            "shots": contender.shots,
+            "split": arrays_digest(
+                *self._split(self.sets[contender.set], contender.shots, problem)
+            ),
             "training": repr(self.training(contender, problem)),
             "validated": self.validated,
         }
@@ -88,7 +91,11 @@ class Parts(Study[PartsRow, int]):
         network = NETWORKS[contender.method]
         training = self.training(contender, problem)
         own = with_copies([shapes.meshes[i] for i in known], training)
-        seen = [_Seen(shapes, int(known[i]), mesh, recipe, network) for i, mesh in own]
+        seen = [
+            _Seen(shapes, int(known[i]), mesh, recipe, network)
+            for i, mesh in own
+            if isinstance(mesh, TriangleMesh)
+        ]
         shown = [_Seen(shapes, i, shapes.meshes[i], recipe, network) for i in tested.tolist()]
         step = max(1, training.epochs // _LOOKS)
 
@@ -120,12 +127,8 @@ class Parts(Study[PartsRow, int]):
             turned.append((i, segmenter.segment(TriangleMesh(points, mesh.faces)).scores))
         scores = {one.number: one.scores(model, recipe) for one in shown}
         labels = {f"{number}": told.argmax(axis=1) for number, told in scores.items()}
-        learned = {arrays_digest(shapes.meshes[i].points) for i in known}
-        unseen = [
-            (i, told)
-            for i, told in scores.items()
-            if arrays_digest(shapes.meshes[i].points) not in learned
-        ]
+        learned = {_content(shapes, i) for i in known}
+        unseen = [(i, told) for i, told in scores.items() if _content(shapes, i) not in learned]
         arrays = self.file(contender, problem, ".npz")
         saved = self.file(contender, problem, ".safetensors")
         with atomic_path(arrays) as part:
@@ -144,11 +147,23 @@ class Parts(Study[PartsRow, int]):
 
     def _split(self, shapes: LabelledSet, shots: int, seed: int) -> tuple[Ints, Ints]:
         order = np.random.default_rng(seed).permutation(shapes.train)
-        tested = shapes.held_out(seed) if self.validated else shapes.test
-        known = order[~np.isin(order, tested)]
-        if shots > len(known):
-            raise InvalidInputError("shots", f"be at most {len(known)}", shots)
-        return known[:shots] if shots else known, tested
+        tested = shapes.test
+        if self.validated:  # some sets hold shapes twice
+            tested = shapes.held_out(seed)
+            held = {_content(shapes, i) for i in tested}
+            order = np.array([i for i in order if _content(shapes, i) not in held], dtype=np.int64)
+        if not (len(tested) and len(order)):
+            raise InvalidInputError(
+                "set", "have shapes to learn from and others to test on", shapes.name
+            )
+        if shots > len(order):
+            raise InvalidInputError("shots", f"be at most {len(order)}", shots)
+        return order[:shots] if shots else order, tested
+
+
+def _content(shapes: LabelledSet, i: int) -> str:
+    mesh = shapes.meshes[i]
+    return arrays_digest(mesh.points, mesh.faces)
 
 
 def recipe_of(row: PartsRow, seed: int) -> learning.Recipe:
@@ -173,17 +188,20 @@ class _Seen:
         self,
         shapes: LabelledSet,
         i: int,
-        mesh: Geometry,
+        mesh: TriangleMesh,
         recipe: learning.Recipe,
         network: learning.Network,
     ) -> None:
         self.number, self.mesh = i, mesh
-        key = (shapes.digest, arrays_digest(mesh.points), repr(recipe), bool(network.sees))
+        content = arrays_digest(mesh.points, mesh.faces)
+        key = (shapes.digest, content, repr(recipe), bool(network.sees))
         if _prepared and next(iter(_prepared))[::2] != key[::2]:
             _prepared.clear()  # one recipe at a time
         if key not in _prepared:
             _prepared[key] = prepared(recipe, self.mesh, network.sees)
         self.example, self.seen = _prepared[key]
+        if recipe.points is None:
+            self.seen = mesh  # what is kept may be of another shape of the same points
         truth = shapes.face_labels[i]
         self.labels, self.corners = labels_of(self.seen, mesh, truth, recipe, "faces")
 
