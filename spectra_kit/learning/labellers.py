@@ -301,9 +301,9 @@ def train_segmenter(
     shapes: Sequence[Geometry],
     labels: Sequence[Annotated[ArrayLike, object]],
     *,
+    of: Literal["points", "faces"] = "points",
     recipe: Recipe,
     method: Network,
-    of: Literal["points", "faces"] = "points",
     names: Sequence[str] | None = None,
     training: Training = Training(),  # noqa: B008
     folder: str | os.PathLike[str] | None = None,
