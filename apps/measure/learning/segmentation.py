@@ -91,11 +91,7 @@ class Parts(Study[PartsRow, int]):
         network = NETWORKS[contender.method]
         training = self.training(contender, problem)
         own = with_copies([shapes.meshes[i] for i in known], training)
-        seen = [
-            _Seen(shapes, int(known[i]), mesh, recipe, network)
-            for i, mesh in own
-            if isinstance(mesh, TriangleMesh)
-        ]
+        seen = [_Seen(shapes, int(known[i]), mesh, recipe, network) for i, mesh in own]
         shown = [_Seen(shapes, i, shapes.meshes[i], recipe, network) for i in tested.tolist()]
         step = max(1, training.epochs // _LOOKS)
 
@@ -188,10 +184,11 @@ class _Seen:
         self,
         shapes: LabelledSet,
         i: int,
-        mesh: TriangleMesh,
+        mesh: Geometry,
         recipe: learning.Recipe,
         network: learning.Network,
     ) -> None:
+        assert isinstance(mesh, TriangleMesh)  # and so is a stretched one
         self.number, self.mesh = i, mesh
         content = arrays_digest(mesh.points, mesh.faces)
         key = (shapes.digest, content, repr(recipe), bool(network.sees))
