@@ -7,7 +7,7 @@ import classify_shapes
 import numpy as np
 import pytest
 import segment_shapes
-from measure.learning import classification
+from measure.learning import classification, segmented_report
 from measure.learning.classification import (
     Draws,
     Row,
@@ -150,7 +150,9 @@ def test_a_network_learns_from_clouds(shapes, tmp_path, monkeypatch):
     study = draws_of(shapes, tmp_path, row)
     results = classify_all(study, jobs=0)
     assert [len(r.record["right"]) for r in results] == [1, 1]
-    assert summarize(results)["coordinates", "pointnet", "cloud, predicted"][4]["mean"] > 60
+    cell = summarize(results)["coordinates", "pointnet", "cloud, predicted"][4]
+    assert cell["mean"] > 60
+    assert cell["epochs"] == 300 // (4 * 3 * (1 + classification.COPIES))
 
 
 def test_the_rows_have_names(shapes):
@@ -296,10 +298,15 @@ def test_more_shapes_than_there_are(shapes, tmp_path):
     assert not set(known) & set(tested)
     with pytest.raises(InvalidInputError, match="`shots` must be at most 12"):
         study._split(shapes, 13, 0)
+    assert not shapes.held_source(1)
     sources = replace(shapes, sources=tuple("abc"[i % 3] for i in range(len(shapes.meshes))))
     for seed in range(4):
         known, tested = held._split(sources, 0, seed)
         assert {sources.sources[i] for i in tested} == {"abc"[seed % 3]}
+        rows = [PartsRow("demo", MESH, "coordinates", "diffusion")]
+        of = replace(held, sets={"demo": sources}, problems=[seed], contenders=rows)
+        told = f"held out of demo by seed {seed}: all of `{'abc'[seed % 3]}`"
+        assert told in segmented_report.write_report([], of).read_text()
         assert set(known) | set(tested) == set(shapes.train)
         assert not set(known) & set(tested)
 

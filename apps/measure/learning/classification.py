@@ -237,7 +237,7 @@ class Draws(Study[Row, int]):
             "seed": problem,
             "embedding": embedding,
             "method": repr(network or HEADS[contender.method]),
-            "training": repr(_training(contender, 1, 0)) if network else None,
+            "training": repr(training_of(contender, 1, 0)) if network else None,
             "shots": contender.shots,
             "draws": 1 if network else self.draws,
             "validated": self.validated,
@@ -317,7 +317,7 @@ def _by_network(
 ) -> list[NDArray[np.int64]]:
     """Train a network, and return what it takes the tested shapes for in each view."""
     network, recipe = NETWORKS[row.method], _recipe(row)
-    training = _training(row, len(known), seed)
+    training = training_of(row, len(known), seed)
     clouds = [
         shape_of(study.shapes, i, row.view.kind, seed=seed, turned=False) for i in known.tolist()
     ]
@@ -337,7 +337,7 @@ def _by_network(
     return found
 
 
-def _training(row: Row, examples: int, seed: int) -> learning.Training:
+def training_of(row: Row, examples: int, seed: int) -> learning.Training:
     """Return how a network is trained that learns from so many examples."""
     epochs = max(1, SHOWN[row.method] // (examples * (1 + COPIES)))
     return learning.Training(

@@ -19,6 +19,7 @@ from measure.learning.classification import (
     Draws,
     K,
     Row,
+    training_of,
 )
 from measure.study import Result
 from spectra_kit._optional import optional
@@ -35,8 +36,15 @@ def summarize(results: Results) -> dict[tuple[str, str, str], dict[int, dict[str
         if not result.ok:
             continue
         row = result.contender
+        examples = row.shots * len(result.record["confused"])
         cell = found.setdefault((row.embedding, row.method, str(row.view)), {}).setdefault(
-            row.shots, {"right": [], "turned": [], "seeds": 0}
+            row.shots,
+            {
+                "right": [],
+                "turned": [],
+                "seeds": 0,
+                "epochs": training_of(row, examples, 0).epochs if row.trained else None,
+            },
         )
         cell["right"] += result.record["right"]
         cell["turned"] += result.record["turned"]

@@ -66,9 +66,13 @@ class LabelledSet:
         if not self.sources:
             order = np.random.default_rng(seed).permutation(self.train)
             return order[: round(_HELD * len(order))]
-        names = sorted({self.sources[i] for i in self.train})
-        held = names[seed % len(names)]
+        held = self.held_source(seed)
         return np.array([i for i in self.train if self.sources[i] == held])
+
+    def held_source(self, seed: int) -> str:
+        """Name the source that is held out, nothing if all shapes are from one."""
+        names = sorted({self.sources[i] for i in self.train}) if self.sources else [""]
+        return names[seed % len(names)]
 
 
 def read_set(name: str, path: Path) -> LabelledSet:

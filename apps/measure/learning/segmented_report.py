@@ -57,11 +57,18 @@ def _reached(curve: Floats) -> int | None:
 def write_report(results: Results, parts: Parts) -> Path:
     """Write ``segmentation.md``, its JSON and curves; return the first."""
     folder, found = parts.folder, summarize(results)
+    held = [
+        {"set": name, "seed": seed, "source": source}
+        for name in sorted({row.set for row in parts.contenders} if parts.validated else ())
+        for seed in parts.problems
+        if (source := parts.sets[name].held_source(seed))
+    ]
     tables.write_json(
         folder / "segmentation.json",
         {
             "version": VERSION,
             "validated": parts.validated,
+            "held out": held,
             "rows": [
                 {**row._asdict(), "view": str(row.view), **cells} for row, cells in found.items()
             ],
@@ -107,6 +114,10 @@ def write_report(results: Results, parts: Parts) -> Path:
             f" are shown beside {COPIES} stretched copies of each, so an epoch is as many times"
             " longer.",
             tables.table(header, body),
+            tables.listed(
+                f"held out of {one['set']} by seed {one['seed']}: all of `{one['source']}`"
+                for one in held
+            ),
             tables.listed(f"`{n}`: `{what!r}`" for n, what in {**EMBEDDINGS, **NETWORKS}.items()),
             tables.listed(
                 f"failed: {r.contender}, seed {r.problem}: {r.reason}" for r in results if not r.ok
