@@ -1,19 +1,16 @@
-"""`Store`: what was measured, a line of JSON each, in a file that survives a crash; and keys."""
+"""`Store`: what was measured, a line of JSON each, in a file that survives a crash."""
 
 from __future__ import annotations
 
 import fcntl
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import IO, Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 import spectra_kit
 from spectra_kit._version import VERSION
@@ -81,20 +78,6 @@ class Store:
             fcntl.flock(file, fcntl.LOCK_EX)  # until it is closed
             file.seek(0)
             yield file
-
-
-def digest(facts: Mapping[str, object]) -> str:
-    """Hash of what JSON can say."""
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:24]
-
-
-def arrays_digest(*arrays: NDArray[Any]) -> str:
-    """Hash of what arrays hold."""
-    found = hashlib.blake2b(digest_size=12)
-    for array in arrays:
-        found.update(f"{array.dtype.str}{array.shape}".encode())
-        found.update(np.ascontiguousarray(array).data)
-    return found.hexdigest()
 
 
 @cache

@@ -12,8 +12,9 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from tqdm import tqdm
 
-from measure.store import Record, Store, code_digest, digest
+from measure.store import Record, Store, code_digest
 from measure.worker import FailedError, Limits, Pool, StoppedError
+from spectra_kit._fingerprint import facts_digest
 
 Contender = TypeVar("Contender")
 Problem = TypeVar("Problem")
@@ -137,7 +138,7 @@ class Study(ABC, Generic[Contender, Problem]):
 
     def key(self, contender: Contender, problem: Problem, repeat: int = 0) -> str:
         """Hash of everything that decides the result."""
-        return digest(
+        return facts_digest(
             {
                 "study": [self.name, self.version],
                 "code": code_digest(self.sources),

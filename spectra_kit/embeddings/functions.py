@@ -17,7 +17,7 @@ from spectra_kit._validate import Rebuilt, check_count, check_positive
 from spectra_kit.embeddings.base import Change, Embedding, Pooled, Surface
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.model import NeoNetwork
-from spectra_kit.neo.pretrained import find_weights, load_pretrained
+from spectra_kit.neo.pretrained import find_weights, load_pretrained, weights_digest
 from spectra_kit.subspaces import Frame, canonical_frame
 from spectra_kit.subspaces.frame import POSES
 
@@ -278,7 +278,10 @@ class NeoFunctions(_Functions, Rebuilt):
     def __repr__(self) -> str:
         network = self.network
         named = "<NeoNetwork>" if isinstance(network, NeoNetwork) else repr(os.fspath(network))
-        return f"NeoFunctions(network={named}, poses={self.poses}, masses={self.masses})"
+        return (
+            f"NeoFunctions(network={named}, poses={self.poses}, masses={self.masses},"
+            f" sha256={weights_digest(network)!r})"
+        )
 
     @property
     def frame(self) -> Pose:  # type: ignore[override]

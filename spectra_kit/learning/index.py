@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,18 +13,15 @@ import torch
 from torch import Tensor
 
 from spectra_kit._checked import checked
+from spectra_kit._fingerprint import facts_digest, shape_digest
 from spectra_kit._types import Floats
 from spectra_kit._validate import Brief, check_count
 from spectra_kit._version import VERSION
-from spectra_kit.eigensolvers import Neo
-from spectra_kit.embeddings import NeoFunctions
 from spectra_kit.errors import InvalidInputError, SpectraKitError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, read
 from spectra_kit.geometry.io import READERS
 from spectra_kit.learning import _files
 from spectra_kit.learning.examples import Recipe
-from spectra_kit.neo.model import NeoNetwork
-from spectra_kit.neo.pretrained import find_weights
 
 
 class Neighbour(NamedTuple):
@@ -196,7 +192,6 @@ def index_folder(
             f"none in {str(folder)!r}",
         )
     old = {} if known is None else dict(zip(known.digests, known.vectors, strict=True))
-    made_by = _fingerprint(recipe)
     made: dict[str, tuple[str, Floats]] = {}
     failures = {}
     for i, path in enumerate(files):
@@ -204,7 +199,7 @@ def index_folder(
             shape = load(str(path))
             if not isinstance(shape, TriangleMesh | PointCloud):
                 raise InvalidInputError("load", "return a geometry", f"a {type(shape).__name__}")
-            digest = _digest(shape, made_by)
+            digest = _digest(shape, recipe)
             made[path.name] = digest, old[digest] if digest in old else recipe.vector(shape)
         except SpectraKitError as error:
             failures[path.name] = str(error)
@@ -216,29 +211,6 @@ def index_folder(
     return ShapeIndex(recipe, tuple(made), digests, rows, failures)
 
 
-def _digest(shape: Geometry, made_by: str) -> str:
-    """Hash of a shape as it was read, and of how it is embedded."""
-    found = hashlib.sha256(made_by.encode())
-    for array in (shape.points, getattr(shape, "faces", np.empty(0))):
-        found.update(f"{array.dtype.str}{array.shape}".encode() + array.tobytes())
-    return found.hexdigest()
-
-
-def _fingerprint(recipe: Recipe) -> str:
-    """Tell all that decides a vector but the shape: options, weights by their hash, release."""
-    weights: list[str] = []
-
-    def look(value: Any) -> None:
-        if isinstance(value, NeoFunctions) and not isinstance(value.network, NeoNetwork):
-            weights.append(find_weights(value.network).sha256)
-        if isinstance(value, Neo):
-            weights.append(find_weights(value.weights).sha256)
-        if is_dataclass(value):
-            for part in fields(value):
-                look(getattr(value, part.name))
-        if isinstance(value, tuple):
-            for item in value:
-                look(item)
-
-    look(recipe)
-    return repr((VERSION, recipe, weights))
+def _digest(shape: Geometry, recipe: Recipe) -> str:
+    """Hash of a shape as it was read, of how it is embedded, and of the release that does it."""
+    return facts_digest({"shape": shape_digest(shape), "recipe": repr(recipe), "release": VERSION})

@@ -220,6 +220,17 @@ def find_weights(name_or_path: str | os.PathLike[str]) -> WeightsFile:
     return WeightsFile(path, _sha256(path))
 
 
+def weights_digest(network: str | os.PathLike[str] | NeoNetwork) -> str:
+    """Return a hash of the weights, by which results of different ones can be told apart."""
+    if not isinstance(network, NeoNetwork):
+        return find_weights(network).sha256[:12]
+    content = hashlib.sha256()
+    for name, tensor in network.state_dict().items():
+        content.update(f"{name} {tuple(tensor.shape)}".encode())
+        content.update(tensor.detach().double().cpu().numpy().tobytes())
+    return content.hexdigest()[:12]
+
+
 def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

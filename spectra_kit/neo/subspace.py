@@ -16,7 +16,7 @@ from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, check_count, check_mass, check_points
 from spectra_kit.linalg.torch_device import check_device
 from spectra_kit.neo.model import NeoNetwork
-from spectra_kit.neo.pretrained import find_weights, load_pretrained
+from spectra_kit.neo.pretrained import find_weights, load_pretrained, weights_digest
 from spectra_kit.subspaces.frame import POSES, Frame, canonical_frame
 
 _DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
@@ -97,12 +97,12 @@ class NeoSubspace(Rebuilt):
         return self.predict(points, mass, self.frame(points, mass))
 
     def __repr__(self) -> str:
-        options = f"poses={self.poses}, dtype={self.dtype!r}, device={self.device!r}"
-        if isinstance(self.network, NeoNetwork):
-            size = sum(p.numel() for p in self.network.parameters())
-            return f"NeoSubspace(<NeoNetwork, {size} parameters>, {options})"
-        digest = find_weights(self.network).sha256[:12]
-        return f"NeoSubspace({os.fspath(self.network)!r}, {options}, sha256={digest!r})"
+        network = self.network
+        named = "<NeoNetwork>" if isinstance(network, NeoNetwork) else repr(os.fspath(network))
+        return (
+            f"NeoSubspace({named}, poses={self.poses}, dtype={self.dtype!r},"
+            f" device={self.device!r}, sha256={weights_digest(network)!r})"
+        )
 
     @property
     def n_functions(self) -> int:

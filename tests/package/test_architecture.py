@@ -7,7 +7,8 @@ ROOT = Path(__file__).parents[2] / "spectra_kit"
 LAYERS = [
     "_types",
     "errors _clock _version catalogue",
-    "_files _optional",
+    "_files _optional _fingerprint",
+    "_arrays_file",
     "_display",
     "_validate _checked",
     "geometry linalg",

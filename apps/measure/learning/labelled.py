@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from measure.store import arrays_digest
 from spectra_kit._files import parsing
+from spectra_kit._fingerprint import arrays_digest
 from spectra_kit._types import Bools, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import TriangleMesh, creature, sphere, torus

@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from measure.learning.classification import OF_POINTS, SOLVERS, SOURCES, View
 from measure.learning.labelled import LabelledSet
-from measure.store import Record, Store, arrays_digest
+from measure.store import Record, Store
 from measure.study import Result, Study, run
 from spectra_kit import embeddings as e
 from spectra_kit import learning
 from spectra_kit._files import atomic_path
+from spectra_kit._fingerprint import arrays_digest
 from spectra_kit._types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh

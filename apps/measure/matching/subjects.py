@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from measure.store import arrays_digest
 from spectra_kit._files import parsing
+from spectra_kit._fingerprint import arrays_digest
 from spectra_kit._types import Ints
 from spectra_kit._validate import Rebuilt, check_count, check_indices, frozen
 from spectra_kit.correspondence import Truth

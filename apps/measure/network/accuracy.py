@@ -15,8 +15,9 @@ import torch
 
 from measure.network.cases import Case
 from measure.network.methods import Method
-from measure.store import Record, code_digest, digest
+from measure.store import Record, code_digest
 from measure.study import Study
+from spectra_kit._fingerprint import facts_digest
 from spectra_kit._types import Floats
 from spectra_kit.eigensolvers import Dense, eigensolve
 from spectra_kit.eigensolvers.base import Eigenpairs
@@ -89,7 +90,7 @@ class Accuracy(Study[Method, Case]):
 
     def _exact_path(self, problem: Case) -> Path:
         facts = {"code": code_digest(), **self._exact_facts(problem)}
-        return self.folder / "files" / f"exact-{digest(facts)}.npz"
+        return self.folder / "files" / f"exact-{facts_digest(facts)}.npz"
 
 
 @lru_cache(maxsize=1)  # problem by problem, as they are measured
