@@ -1,5 +1,6 @@
 """The public names, as type checkers see them and `spectra_kit.__getattr__` finds them."""
 
+from . import batch as batch
 from . import catalogue as catalogue
 from . import cli as cli
 from . import correspondence as correspondence
@@ -20,6 +21,7 @@ from . import metrics as metrics
 from . import neo as neo
 from . import operators as operators
 from . import spectra as spectra
+from . import store as store
 from . import subspaces as subspaces
 from . import training as training
 from . import viz as viz
@@ -34,9 +36,11 @@ from .eigensolvers import eigensolve as eigensolve
 from .eigensolvers import spectrum as spectrum
 from .eigensolvers import verify as verify
 from .errors import ConvergenceError as ConvergenceError
+from .errors import DamagedEntryWarning as DamagedEntryWarning
 from .errors import DoubtfulDistanceWarning as DoubtfulDistanceWarning
 from .errors import DoubtfulMatchWarning as DoubtfulMatchWarning
 from .errors import DoubtfulSpectrumWarning as DoubtfulSpectrumWarning
+from .errors import EngineLostError as EngineLostError
 from .errors import InvalidFileError as InvalidFileError
 from .errors import InvalidInputError as InvalidInputError
 from .errors import InvalidSpectrumError as InvalidSpectrumError
@@ -44,7 +48,9 @@ from .errors import MissingDependencyError as MissingDependencyError
 from .errors import OutOfMemoryError as OutOfMemoryError
 from .errors import SpectraKitError as SpectraKitError
 from .errors import SpectraKitWarning as SpectraKitWarning
+from .errors import StoreError as StoreError
 from .errors import WeightsError as WeightsError
+from .errors import WorkerError as WorkerError
 from .geodesics import HeatGeodesics as HeatGeodesics
 from .geodesics import geodesic_distance as geodesic_distance
 from .geometry import PointCloud as PointCloud

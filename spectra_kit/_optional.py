@@ -8,6 +8,7 @@ from types import ModuleType
 from spectra_kit.errors import MissingDependencyError
 
 _PACKAGES = {  # extra -> what pip calls the package
+    "batch": "distributed",
     "backbones": "torch_geometric",
     "learn": "scikit-learn",
     "tensorboard": "tensorboard",

@@ -209,6 +209,18 @@ class WeightsError(SpectraKitError, RuntimeError):
     """A weights file is missing, damaged, or does not fit the network."""
 
 
+class StoreError(SpectraKitError, OSError):
+    """A store cannot be written: the disk is full, or not ours to write to."""
+
+
+class WorkerError(SpectraKitError, RuntimeError):
+    """A process that worked for this one has died."""
+
+
+class EngineLostError(SpectraKitError, ConnectionError):
+    """The scheduler of a run cannot be reached any more."""
+
+
 class SpectraKitWarning(_Advised, UserWarning):
     """Base class of every warning spectra_kit gives on purpose; with advice as errors have it."""
 
@@ -223,3 +235,7 @@ class DoubtfulDistanceWarning(SpectraKitWarning):
 
 class DoubtfulMatchWarning(SpectraKitWarning):
     """A map between two surfaces is no better than one between shapes that do not correspond."""
+
+
+class DamagedEntryWarning(SpectraKitWarning):
+    """An entry of a store was damaged, and computed again."""

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from spectra_kit import catalogue
 from spectra_kit._types import Ints
 from spectra_kit._validate import check_count, quantity
 from spectra_kit.cli.options import DEMO, FORMATS, OnOne, Operator, Reading
@@ -91,12 +90,4 @@ def prepare(asked: OnOne) -> tuple[Geometry, Laplacian]:
 
 def assemble(asked: Operator, geometry: Geometry) -> Laplacian:
     """Assemble the operator with its boundary condition."""
-    if asked.operator == "cotan" and not isinstance(geometry, TriangleMesh):
-        raise InvalidInputError("--operator", "be one for points", "cotan, which needs a mesh")
-    build = catalogue.OPERATORS[asked.operator] if asked.operator else laplacian
-    assembled: Laplacian = build(geometry)
-    if asked.boundary == "dirichlet":
-        if not isinstance(geometry, TriangleMesh) or not len(geometry.boundary_vertices):
-            raise InvalidInputError("--boundary", "be neumann on what has none", "dirichlet")
-        assembled = assembled.dirichlet(geometry.boundary_vertices)
-    return assembled
+    return laplacian(geometry, operator=asked.operator, boundary=asked.boundary)  # type: ignore[arg-type]

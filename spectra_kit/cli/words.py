@@ -8,10 +8,11 @@ from pathlib import Path
 
 from spectra_kit.catalogue import OPERATORS, SOLVERS
 
+_SAME = ("modes", "rtol", "seed", "dpi", "turn", "landmarks", "operator", "boundary", "cloud")
 _OPTIONS = {
     "k": "-k",
     "n_points": "--points",
-    **{name: f"--{name}" for name in ("modes", "rtol", "seed", "dpi", "turn", "landmarks")},
+    **{name: f"--{name}" for name in _SAME},
     "accuracy": "--accuracy",
     "name_or_path": "--weights",
     "coordinate": "--at",

@@ -17,8 +17,16 @@ WORTH_SHARING = 1 << 20
 _SHARES = 4  # for each thread: levels out rows of different lengths
 
 
+_alone: ContextVar[bool] = ContextVar("_alone", default=False)
+
+
 def thread_count() -> int:
-    """Return NUMBA_NUM_THREADS if it is set, else the number of cores this process may use."""
+    """Return NUMBA_NUM_THREADS if it is set, else the number of cores this process may use.
+
+    Inside `single_threaded`, one.
+    """
+    if _alone.get():
+        return 1
     chosen = os.environ.get("NUMBA_NUM_THREADS", "")
     if chosen.isdecimal() and int(chosen) > 0:
         return int(chosen)
@@ -108,6 +116,17 @@ def single_threaded_blas() -> Iterator[None]:
                 _take_control()
                 _limit.restore_original_limits()
                 _limit = None
+
+
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """Keep to one thread inside: others work beside this process."""
+    token = _alone.set(True)
+    try:
+        with single_threaded_blas():
+            yield
+    finally:
+        _alone.reset(token)
 
 
 def _take_control() -> None:

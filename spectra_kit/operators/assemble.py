@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import igl
 import numpy as np
 import robust_laplacian as rl
@@ -12,6 +14,7 @@ from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, quantity
+from spectra_kit.catalogue import OPERATORS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators.checks import (
@@ -30,23 +33,32 @@ _BYTES_PER_FACE = 3_000
 
 
 @checked
-def laplacian(geometry: Geometry) -> Laplacian:
+def laplacian(
+    geometry: Geometry,
+    *,
+    operator: Literal["robust", "cotan", "knn", "delaunay"] | None = None,
+    boundary: Literal["neumann", "dirichlet"] = "neumann",
+) -> Laplacian:
     """Build the Laplacian that fits: `robust_laplacian` of a mesh, `delaunay_laplacian` of a cloud.
 
     Parameters
     ----------
     geometry : TriangleMesh or PointCloud
         With n points.
+    operator : {"robust", "cotan", "knn", "delaunay"}, optional
+        Another one, by its name.
+    boundary : {"neumann", "dirichlet"}, default "neumann"
+        What holds at the boundary of a mesh; Dirichlet holds it at zero.
 
     Returns
     -------
     Laplacian
-        Neumann; mass in the squared length unit of `geometry`.
+        With mass in the squared length unit of `geometry`.
 
     Raises
     ------
     InvalidInputError
-        As of the two.
+        As of the operators; if there is no boundary to hold, or no mesh for cotangents.
 
     Examples
     --------
@@ -54,7 +66,14 @@ def laplacian(geometry: Geometry) -> Laplacian:
     >>> sk.laplacian(sk.geometry.sphere(subdivisions=2).geometry).n
     162
     """
-    return robust_laplacian(geometry)
+    if operator == "cotan" and not isinstance(geometry, TriangleMesh):
+        raise InvalidInputError("operator", "be one for points", "cotan, which needs a mesh")
+    built: Laplacian = OPERATORS[operator or "robust"](geometry)
+    if boundary == "neumann":
+        return built
+    if not isinstance(geometry, TriangleMesh) or not len(geometry.boundary_vertices):
+        raise InvalidInputError("boundary", "be neumann on what has none", "dirichlet")
+    return built.dirichlet(geometry.boundary_vertices)
 
 
 @checked

@@ -531,7 +531,7 @@ class Spectrum(Rebuilt):
         write_spectrum_file(
             Path(path),
             {n: getattr(self, n) for n in ("eigenvalues", "eigenvectors", "mass")},
-            _plain(self.certificate) if self.certificate else None,
+            plain(self.certificate) if self.certificate else None,
             vars(self.provenance),
         )
 
@@ -708,7 +708,7 @@ def _check_covers(certificate: Certificate | None, k: int) -> None:
         )
 
 
-def _plain(certificate: Certificate) -> dict[str, Any]:
+def plain(certificate: Certificate) -> dict[str, Any]:
     """Return the fields of a certificate; what it does not have is left out."""
     record = {name: value for name, value in vars(certificate).items() if value is not None}
     if certificate.count is not None:

@@ -25,19 +25,15 @@ from numpy.typing import ArrayLike
 
 from spectra_kit._files import atomic_path, parsing
 from spectra_kit._validate import check_count
-from spectra_kit.errors import InvalidInputError, SpectraKitError
+from spectra_kit.errors import InvalidInputError, WorkerError
 from spectra_kit.training.families import FAMILIES
 from spectra_kit.training.samples import REASONS, CorpusConfig, Sample, make_sample
 from spectra_kit.training.shards import Batch, Operators, open_shards, write_shard
 
-__all__ = ["CorpusConfig", "CorpusReport", "Sample", "WorkerError", "generate", "make_sample"]
+__all__ = ["CorpusConfig", "CorpusReport", "Sample", "generate", "make_sample"]
 
 _THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _AHEAD = 3  # samples in work or done but not fetched, for each worker
-
-
-class WorkerError(SpectraKitError, RuntimeError):
-    """A process that makes samples has died."""
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ LAYERS = [
     "_spectrum_file subspaces levels",
     "spectra neo",
     "eigensolvers metrics interop descriptors functional_maps geodesics",
-    "correspondence embeddings",
+    "correspondence embeddings store",
     "matching",
     "training viz",
     "learning",
-    "explorer",
+    "explorer batch",
     "cli",
     "__main__",
 ]

@@ -1,0 +1,170 @@
+"""`DaskEngine`: the processes of this machine, or of a cluster, as workers of a run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from spectra_kit._checked import checked
+from spectra_kit._optional import optional
+from spectra_kit._validate import check_count
+from spectra_kit.batch.run import Task
+from spectra_kit.errors import EngineLostError, InvalidInputError, WorkerError
+from spectra_kit.linalg.threads import single_threaded
+from spectra_kit.store import Completed, Plan, SpectrumStore, complete
+
+_AHEAD = 4  # tasks handed out for each thread: none waits, and the scheduler has little to remember
+_ALLOWED_FAILURES = 10  # deaths of workers that a shape may be near by chance
+_WAIT = 30  # seconds for a scheduler to answer
+# What a task needs is known only while it runs: results are small, nothing is worth spilling, and
+# a worker that pauses for memory which its libraries keep would never go on.
+_SETTINGS = {
+    "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
+    "distributed.scheduler.worker-ttl": None,
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": 1,
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 65536,
+}
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class DaskEngine:
+    """Workers of Dask: processes of this machine, one thread each, or those of a cluster.
+
+    A worker that dies is started again and its shape computed elsewhere; a shape near which ten
+    have died fails. Where a cluster has its own scheduler, its own settings count for that.
+
+    Parameters
+    ----------
+    scheduler : str, optional
+        Address of a scheduler, such as ``"tcp://10.0.0.1:8786"``.
+    scheduler_file : path, optional
+        A file in which a scheduler has written its address.
+    nworkers : int, optional
+        Processes to start here, without a scheduler; by default one for each core.
+    nthreads : int, default 1
+        Shapes that each of them works on at a time.
+    memory_limit : str, default "auto"
+        What each of them may hold, as ``"3GB"``: it is killed and started again before it has more.
+        By default its share of the machine.
+
+    Raises
+    ------
+    InvalidInputError
+        If there are workers to start, and a scheduler that has its own.
+    MissingDependencyError
+        (when called) if Dask is not installed.
+    EngineLostError
+        (when called) if the scheduler cannot be reached, or ends.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> engine = sk.batch.DaskEngine(nworkers=2, memory_limit="3GB")
+    """
+
+    scheduler: str | None = None
+    scheduler_file: str | os.PathLike[str] | None = None
+    nworkers: int | None = None
+    nthreads: int = 1
+    memory_limit: str = "auto"
+
+    def __post_init__(self) -> None:
+        check_count("nthreads", self.nthreads, low=1)
+        if self.nworkers is not None:
+            check_count("nworkers", self.nworkers, low=1)
+        if self.scheduler and self.scheduler_file:
+            raise InvalidInputError("scheduler_file", "be left out where `scheduler` is given")
+        here = {"nworkers": None, "nthreads": 1, "memory_limit": "auto"}
+        told = [name for name, usual in here.items() if getattr(self, name) != usual]
+        if self._elsewhere and told:
+            raise InvalidInputError(
+                told[0],
+                "be left out where there is a scheduler, whose workers are there already",
+                getattr(self, told[0]),
+            )
+
+    def __call__(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Completed | BaseException]]:
+        """Hand the tasks out, and yield results as they come."""
+        with self._client() as client:
+            yield from _spread(client, tasks)
+
+    @property
+    def _elsewhere(self) -> bool:
+        return bool(self.scheduler or self.scheduler_file)
+
+    @contextmanager
+    def _client(self) -> Iterator[Any]:
+        dask: Any = optional("dask", extra="batch", needed_by="a run with workers")
+        distributed: Any = optional("distributed", extra="batch", needed_by="a run with workers")
+        if self._elsewhere:
+            where = (
+                {"scheduler_file": os.fspath(self.scheduler_file)} if self.scheduler_file else {}
+            )
+            try:
+                client = distributed.Client(self.scheduler, timeout=_WAIT, **where)
+            except (OSError, TimeoutError, ValueError) as error:
+                raise EngineLostError(
+                    f"no scheduler answers at {self.scheduler or self.scheduler_file}: {error}",
+                    advice="start one with `dask scheduler`, and workers with `dask worker`",
+                ) from error
+            with client:
+                yield client
+            return
+        with (
+            dask.config.set(_SETTINGS),
+            distributed.LocalCluster(
+                n_workers=self.nworkers or os.cpu_count(),
+                threads_per_worker=self.nthreads,
+                memory_limit=self.memory_limit,
+                processes=True,
+                dashboard_address=None,
+                silence_logs="CRITICAL",
+            ) as cluster,
+            distributed.Client(cluster) as client,
+        ):
+            yield client
+
+
+def _spread(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[Task, Completed | BaseException]]:
+    distributed: Any = optional("distributed", extra="batch", needed_by="a run with workers")
+    todo, waiting = iter(tasks), dict[str, Task]()
+    ready = distributed.as_completed()
+
+    def hand_out(count: int) -> None:
+        for task in islice(todo, count):
+            name, path = task.input.name, Path(task.input.path).absolute()
+            store = Path(task.store).absolute()  # workers may have another folder as theirs
+            future = client.submit(_do, str(store), name, str(path), task.plan, pure=False)
+            waiting[future.key] = task
+            ready.add(future)
+
+    hand_out(_AHEAD * max(1, sum(client.nthreads().values())))
+    for future in ready:
+        task = waiting.pop(future.key)
+        if future.cancelled():
+            raise EngineLostError(
+                "the scheduler was lost",
+                advice="what is done is kept; the same command goes on with what is not",
+            )
+        error = future.exception()
+        if isinstance(error, distributed.KilledWorker):
+            error = WorkerError(
+                "the process that worked on it died each time it was tried",
+                advice="as for lack of memory: let fewer workers have more of it",
+            )
+        yield task, future.result() if error is None else error
+        hand_out(1)
+
+
+def _do(store: str, name: str, path: str, plan: Plan) -> Completed:
+    with single_threaded():
+        return complete(SpectrumStore(store), name, path, plan)

@@ -1,0 +1,178 @@
+"""What a run is about: files, patterns, folders and manifests become names with paths."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from spectra_kit._checked import checked
+from spectra_kit._fingerprint import facts_digest
+from spectra_kit._validate import check_count
+from spectra_kit.errors import InvalidFileError, InvalidInputError
+from spectra_kit.geometry.io import READERS
+from spectra_kit.store.files import MARK
+
+_PATTERN = "*?["
+_FILE = "file"  # column of a manifest
+
+
+@dataclass(frozen=True, kw_only=True)
+class Input:
+    """A file to compute, and what else is known of it.
+
+    Parameters
+    ----------
+    name : str
+        By which the store and the table know it.
+    path : Path
+        The file.
+    columns : dict of str to str, optional
+        Further columns of a manifest, for the table.
+    """
+
+    name: str
+    path: Path
+    columns: Mapping[str, str] = field(default_factory=dict)
+
+
+@checked
+def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
+    """Return what files, patterns, folders and manifests name.
+
+    Parameters
+    ----------
+    sources : sequence of path-like
+        Files of any format that `geometry.read` knows; patterns with ``*``, ``?``, ``[]`` and
+        ``**``; folders, of which all such files are taken, those of folders inside, too; and
+        manifests: CSV files whose column ``file`` names files, relative to the manifest. A column
+        ``name`` names them otherwise, further ones are handed on to the table.
+
+    Returns
+    -------
+    list of Input
+        In the order of the sources, those of a pattern or a folder in that of their names. Each is
+        named by its path as it was given, with ``/`` between folders.
+
+    Raises
+    ------
+    InvalidInputError
+        If a source names nothing, or two files have one name.
+    InvalidFileError
+        If a manifest is not there, or has no column ``file``, or an empty cell in it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import spectra_kit as sk
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> for i in range(2):
+    ...     sk.geometry.write(sk.geometry.creature(600, seed=i), folder / f"animal{i}.off")
+    >>> [one.path.name for one in sk.batch.find_inputs([folder])]
+    ['animal0.off', 'animal1.off']
+    """
+    found = [one for source in sources for one in _inputs_of(os.fspath(source))]
+    if not found:
+        raise InvalidInputError("sources", "name a file at least", "none")
+    counts = Counter(one.name for one in found)
+    if twice := [name for name, count in counts.items() if count > 1]:
+        raise InvalidInputError(
+            "sources",
+            "name each file once",
+            f"{len(twice):,} several times, such as {twice[0]!r}",
+            advice="leave one out, or give names in a manifest",
+        )
+    return found
+
+
+@checked
+def shard(inputs: Sequence[Input], part: int, parts: int) -> list[Input]:
+    """Return one of several parts of the inputs, for runs that share a store and nothing else.
+
+    Parameters
+    ----------
+    inputs : sequence of Input
+        All of them.
+    part : int
+        Which, from 1 to `parts`.
+    parts : int
+        How many.
+
+    Returns
+    -------
+    list of Input
+        Chosen by a hash of the names: what is added later moves none from one part to another.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no such part.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import spectra_kit as sk
+    >>> every = [sk.batch.Input(name=f"{i}.off", path=Path(f"{i}.off")) for i in range(100)]
+    >>> sum(len(sk.batch.shard(every, part, 4)) for part in (1, 2, 3, 4))
+    100
+    """
+    check_count("parts", parts, low=1)
+    check_count("part", part, low=1, high=parts)
+    return [one for one in inputs if int(facts_digest({"name": one.name}), 16) % parts == part - 1]
+
+
+def _inputs_of(source: str) -> Iterator[Input]:
+    path = Path(source)
+    if path.suffix.lower() == ".csv":
+        yield from _listed(path)
+    elif path.is_dir():
+        stores = {mark.parent for mark in path.rglob(MARK)}  # what they hold is not for reading
+        inside = (one for one in path.rglob("*") if not stores.intersection(one.parents))
+        yield from _some(source, _readable(inside), "hold meshes or clouds")
+    elif any(sign in source for sign in _PATTERN) and not path.exists():
+        matches = map(Path, glob.glob(source, recursive=True))
+        yield from _some(source, _readable(matches), "match meshes or clouds")
+    else:
+        yield Input(name=path.as_posix(), path=path)  # to read it will tell what is wrong with it
+
+
+def _readable(paths: Iterable[Path]) -> list[Path]:
+    return sorted(path for path in paths if path.suffix.lower() in READERS and path.is_file())
+
+
+def _some(source: str, paths: Sequence[Path], expected: str) -> Iterator[Input]:
+    if not paths:
+        known = ", ".join(sorted(READERS))
+        raise InvalidInputError(repr(source), f"{expected} ({known})", "none")
+    yield from (Input(name=path.as_posix(), path=path) for path in paths)
+
+
+def _listed(manifest: Path) -> Iterator[Input]:
+    """Return what a manifest names."""
+    if not manifest.is_file():
+        raise InvalidFileError(manifest, "there is no such file")
+    with manifest.open(newline="", encoding="utf-8-sig") as file:  # as spreadsheets write it
+        try:
+            rows = list(csv.DictReader(file, strict=True))
+        except (csv.Error, UnicodeDecodeError) as error:
+            raise InvalidFileError(manifest, f"not a table of commas in UTF-8 ({error})") from error
+    if not rows or _FILE not in rows[0]:
+        columns = ", ".join(map(str, rows[0])) if rows else "no row"
+        raise InvalidFileError(
+            manifest, InvalidInputError("manifest", f"have a column {_FILE!r}", columns)
+        )
+    for number, row in enumerate(rows, start=2):
+        if not row[_FILE] or None in row or None in row.values():
+            raise InvalidFileError(
+                manifest, f"line {number} has not a cell for each column, or none for {_FILE!r}"
+            )
+        path = Path(row[_FILE])
+        others = {key: cell for key, cell in row.items() if key not in (_FILE, "name")}
+        yield Input(
+            name=row.get("name") or path.as_posix(), path=manifest.parent / path, columns=others
+        )

@@ -1,0 +1,161 @@
+"""`compute_all`: every input, by whoever works, into one store; failures beside results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, Protocol, runtime_checkable
+
+from spectra_kit._checked import checked
+from spectra_kit._clock import Clock
+from spectra_kit._validate import Brief
+from spectra_kit.batch.inputs import Input
+from spectra_kit.errors import StoreError
+from spectra_kit.store import Completed, Plan, SpectrumStore, complete
+
+
+class Failed(NamedTuple):
+    """An input that could not be computed.
+
+    Attributes
+    ----------
+    input : Input
+        Which.
+    error : Exception
+        Why.
+    """
+
+    input: Input
+    error: Exception
+
+
+class Task(NamedTuple):
+    """What is to be done with an input; it can be pickled."""
+
+    input: Input
+    store: Path
+    plan: Plan
+
+    def __call__(self) -> Completed:
+        """Do it."""
+        return complete(SpectrumStore(self.store), self.input.name, self.input.path, self.plan)
+
+
+@runtime_checkable
+class Engine(Protocol):
+    """Who works: takes tasks, and hands over each with its result, or what it raised."""
+
+    def __call__(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Completed | BaseException]]:
+        """Do the tasks, in any order."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BatchReport(Brief):
+    """What came of a run.
+
+    Attributes
+    ----------
+    completed : tuple of (Input, Completed)
+        In the order of the inputs.
+    failed : tuple of Failed
+        In that order, too.
+    seconds : float
+        That it took.
+    """
+
+    completed: tuple[tuple[Input, Completed], ...]
+    failed: tuple[Failed, ...]
+    seconds: float
+
+    @property
+    def computed(self) -> int:
+        """How many spectra were solved for; the others were there."""
+        return sum(done.computed for _, done in self.completed)
+
+    @property
+    def replaced(self) -> tuple[str, ...]:
+        """What was damaged, and made again."""
+        return tuple(text for _, done in self.completed for text in done.replaced)
+
+
+@checked
+def compute_all(
+    inputs: Sequence[Input],
+    store: SpectrumStore,
+    plan: Plan,
+    *,
+    engine: Engine | None = None,
+    strict: bool = False,
+    progress: Callable[[int, int], object] | None = None,
+) -> BatchReport:
+    """Compute what a plan wants of all inputs, but for what the store has already.
+
+    Interrupted, it loses what is in work; called again, it goes on.
+
+    Parameters
+    ----------
+    inputs : sequence of Input
+        As `find_inputs` returns them.
+    store : SpectrumStore
+        Where all is kept.
+    plan : Plan
+        What is wanted.
+    engine : Engine, optional
+        Who works, such as a `DaskEngine`; by default this process, one shape after the other.
+    strict : bool, default False
+        Stop at the first failure, and raise it.
+    progress : callable, optional
+        Told how many inputs of how many are done.
+
+    Returns
+    -------
+    BatchReport
+        Results and failures.
+
+    Raises
+    ------
+    StoreError
+        If the store cannot be written: no other shape could be kept either.
+    SpectraKitError
+        Of the first input that fails, if it is `strict`; or if the engine is lost.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import spectra_kit as sk
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> sk.geometry.write(sk.geometry.creature(600), folder / "animal.off")
+    >>> _ = (folder / "empty.off").write_text("")
+    >>> inputs, store = sk.batch.find_inputs([folder]), sk.store.SpectrumStore(folder / "store")
+    >>> report = sk.batch.compute_all(inputs, store, sk.store.Plan(k=12))
+    >>> report.computed, [str(failed.error).split(": ")[-1] for failed in report.failed]
+    (1, ['the file is empty'])
+    """
+    clock = Clock()
+    completed, failed = dict[str, Completed](), dict[str, Exception]()
+    tasks = (Task(one, Path(store.path), plan) for one in inputs)
+    for task, result in (engine or _in_this_process)(tasks):
+        if isinstance(result, Completed):
+            completed[task.input.name] = result
+        else:
+            if strict or not isinstance(result, Exception) or isinstance(result, StoreError):
+                raise result
+            failed[task.input.name] = result
+        if progress is not None:
+            progress(len(completed) + len(failed), len(inputs))
+    return BatchReport(
+        completed=tuple((x, completed[x.name]) for x in inputs if x.name in completed),
+        failed=tuple(Failed(x, failed[x.name]) for x in inputs if x.name in failed),
+        seconds=clock.total,
+    )
+
+
+def _in_this_process(tasks: Iterable[Task]) -> Iterator[tuple[Task, Completed | BaseException]]:
+    """Do one task after the other, here."""
+    for task in tasks:
+        try:
+            yield task, task()
+        except Exception as error:  # noqa: BLE001  # one shape's failure, told with its name
+            yield task, error

@@ -1,0 +1,152 @@
+"""The files of a store: what they hold, how they are read, and what may be wrong with them."""
+
+from __future__ import annotations
+
+import errno
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from numpy.typing import NDArray
+
+from spectra_kit._arrays_file import read_arrays, write_arrays
+from spectra_kit._files import parsing
+from spectra_kit._validate import warn
+from spectra_kit.errors import (
+    DamagedEntryWarning,
+    InvalidFileError,
+    InvalidInputError,
+    StoreError,
+)
+
+Kind = Literal["shapes", "spectra", "descriptors", "records"]
+
+FORMAT_VERSION = 1
+MARK = "store.json"  #: A folder that holds this is a store.
+REMEDY = "spectra-kit store verify --remove takes it out, and the next run computes it again"
+_REFUSED = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
+
+
+class StoredEntry(NamedTuple):
+    """A file of a store.
+
+    Attributes
+    ----------
+    kind : {"shapes", "spectra", "descriptors", "records"}
+        What it holds: a geometry, its modes, a signature, or which of these belong to a name.
+    key : str
+        Hash of all that its content follows from.
+    path : Path
+        Where it is.
+    size : int
+        Bytes.
+    """
+
+    kind: Kind
+    key: str
+    path: Path
+    size: int
+
+
+class Damage(NamedTuple):
+    """A file of a store that is not what it was.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    reason : str
+        What is wrong with it.
+    """
+
+    path: Path
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeRecord:
+    """What a store holds for a name.
+
+    Attributes
+    ----------
+    name : str
+        As it was given.
+    file : str
+        Hash of the bytes that were read.
+    facts : dict
+        What was computed, and how: see `Plan`.
+    shape, spectrum : str
+        Keys of the geometry and of its modes.
+    descriptors : dict of str to str
+        Keys of the signatures.
+    problems, warnings : tuple of str
+        What was found about the geometry, and what the solver warned of.
+    """
+
+    name: str
+    file: str
+    facts: Mapping[str, object]
+    shape: str
+    spectrum: str
+    descriptors: Mapping[str, str]
+    problems: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def warn_of_damage(error: InvalidFileError) -> None:
+    """Say that what is damaged is made again."""
+    warn(f"{error.path} is damaged and made again: {error.problem}", DamagedEntryWarning)
+
+
+def misnamed() -> InvalidInputError:
+    """Return what is wrong with an entry that is whole, but under another name."""
+    return InvalidInputError("its content has another hash than its name", advice=REMEDY)
+
+
+def write(path: Path, facts: Mapping[str, object], **arrays: NDArray[Any]) -> None:
+    """Write arrays, and the facts that they follow from."""
+    header = {"format": "spectra_kit arrays", "facts": facts, "arrays": [*arrays]}
+    write_arrays(path, header, arrays)
+
+
+def read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return the header and the arrays of an entry."""
+    return read_arrays(path, "entry of a store", lambda header: header["arrays"], remedy=REMEDY)
+
+
+def read_facts(path: Path) -> dict[str, Any]:
+    """Return what an entry follows from, without its arrays."""
+    header, _ = read_arrays(path, "entry of a store", lambda _: (), remedy=REMEDY)
+    with parsing(path, "entry of a store", remedy=REMEDY):
+        return dict(header["facts"])
+
+
+def read_record(path: Path) -> ShapeRecord:
+    """Return what is known of a name."""
+    with parsing(path, "record of a store", remedy=REMEDY):
+        content = json.loads(path.read_text())
+        lists = {name: tuple(content[name]) for name in ("problems", "warnings")}
+        return ShapeRecord(**{**content, **lists})
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Tell what a disk or its owner does not allow."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _REFUSED:
+            raise
+        raise StoreError(
+            f"cannot write {path}: {(error.strerror or str(error)).lower()}",
+            advice="what is there stays whole; make room or get the right to write, and go on",
+        ) from error
+
+
+def remove(path: Path) -> None:
+    """Remove a file, if it is there."""
+    with writing(path):
+        path.unlink(missing_ok=True)

@@ -1,0 +1,160 @@
+"""`Plan`: what is computed of every shape, and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from spectra_kit._checked import checked
+from spectra_kit._validate import check_count
+from spectra_kit._version import VERSION
+from spectra_kit.catalogue import DESCRIPTORS
+from spectra_kit.eigensolvers import Automatic, Eigensolver
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry import Geometry, TriangleMesh, repair, sample
+from spectra_kit.operators import Laplacian, laplacian
+
+Descriptor = Literal["hks", "wks", "gps", "dna"]
+#: What they are in the catalogue; with its own default options.
+NAMES: dict[str, str] = {"hks": "heat", "wks": "wave", "gps": "gps", "dna": "shape_dna"}
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What is computed of every shape, and how; equal plans of equal shapes, equal results.
+
+    Parameters
+    ----------
+    k : int, default 96
+        Modes, zero modes included.
+    solver : Eigensolver, default Automatic()
+        Who computes them.
+    operator : {"robust", "cotan", "knn", "delaunay"}, optional
+        The Laplacian; by default that of `operators.laplacian`.
+    boundary : {"neumann", "dirichlet"}, default "neumann"
+        Of meshes with a boundary.
+    repair : bool, default False
+        Merge duplicates, drop degenerate faces and unused vertices, as `geometry.repair` does.
+    cloud : int, optional
+        See meshes as so many random points.
+    seed : int, default 0
+        Of these points.
+    descriptors : tuple of {"hks", "wks", "gps", "dna"}, optional
+        Signatures to keep beside the spectrum: heat and wave kernel, global point signature, and
+        ShapeDNA, each with its default options.
+    precision : {"float64", "float32"}, default "float64"
+        In which eigenvectors and descriptors of points are kept. Eigenvalues and masses are kept in
+        float64.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is out of range, or a descriptor is named twice.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> plan = sk.store.Plan(k=24, descriptors=("hks",))
+    >>> plan.laplacian(sk.geometry.creature(600)).n
+    600
+    """
+
+    k: int = 96
+    solver: Eigensolver = Automatic()  # noqa: RUF009
+    operator: Literal["robust", "cotan", "knn", "delaunay"] | None = None
+    boundary: Literal["neumann", "dirichlet"] = "neumann"
+    repair: bool = False
+    cloud: int | None = None
+    seed: int = 0
+    descriptors: tuple[Descriptor, ...] = ()
+    precision: Literal["float64", "float32"] = "float64"
+
+    def __post_init__(self) -> None:
+        check_count("k", self.k, low=1)
+        check_count("seed", self.seed, low=0)
+        if self.cloud is not None:
+            check_count("cloud", self.cloud, low=4)
+        if len(set(self.descriptors)) < len(self.descriptors):
+            raise InvalidInputError("descriptors", "be named once each", self.descriptors)
+
+    def prepared(self, shape: Geometry) -> Geometry:
+        """Return a shape as it is looked at: repaired, and sampled, where the plan says so.
+
+        Parameters
+        ----------
+        shape : TriangleMesh or PointCloud
+            As it was read.
+
+        Returns
+        -------
+        TriangleMesh or PointCloud
+            In the same unit.
+
+        Raises
+        ------
+        InvalidInputError
+            If a cloud is to be sampled, or nothing is left of a mesh.
+
+        Examples
+        --------
+        >>> import spectra_kit as sk
+        >>> sk.store.Plan(cloud=500).prepared(sk.geometry.creature(900)).n
+        500
+        """
+        if self.repair:
+            shape = repair(shape).geometry
+        if self.cloud is None:
+            return shape
+        if not isinstance(shape, TriangleMesh):
+            raise InvalidInputError("cloud", "sample meshes", "a point cloud")
+        return sample(shape, self.cloud, seed=self.seed)
+
+    def laplacian(self, shape: Geometry) -> Laplacian:
+        """Return the operator of a prepared shape, with its boundary condition.
+
+        Parameters
+        ----------
+        shape : TriangleMesh or PointCloud
+            As `prepared` returned it.
+
+        Returns
+        -------
+        Laplacian
+            In the unit of the shape.
+
+        Raises
+        ------
+        InvalidInputError
+            If the operator refuses the shape, or is to vanish at a boundary where there is none.
+
+        Examples
+        --------
+        >>> import spectra_kit as sk
+        >>> sk.store.Plan(operator="cotan").laplacian(sk.geometry.creature(600)).operator
+        'cotan_laplacian(mesh)'
+        """
+        return laplacian(shape, operator=self.operator, boundary=self.boundary)
+
+    @property
+    def solved(self) -> dict[str, object]:
+        """What decides a spectrum beside the shape."""
+        return {
+            "k": self.k,
+            "solver": repr(self.solver),
+            "operator": self.operator,
+            "boundary": self.boundary,
+            "precision": self.precision,
+            "release": VERSION,
+        }
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """What decides all that is kept of a file."""
+        reading = {"repair": self.repair, "cloud": self.cloud, "seed": self.seed}
+        return {**self.solved, **reading, "descriptors": list(self.descriptors)}
+
+
+def describe(name: str, spectrum: object) -> object:
+    """Return a descriptor of a spectrum, by its name in a plan."""
+    return DESCRIPTORS[NAMES[name]](spectrum)

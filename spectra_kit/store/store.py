@@ -1,0 +1,650 @@
+"""`SpectrumStore`: spectra of many shapes in a folder, each computed once."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from spectra_kit._checked import checked
+from spectra_kit._files import atomic_path, parsing
+from spectra_kit._fingerprint import facts_digest, shape_digest
+from spectra_kit._spectrum_file import write_spectrum_file
+from spectra_kit._types import Floats
+from spectra_kit._version import VERSION
+from spectra_kit.eigensolvers import eigensolve
+from spectra_kit.errors import InvalidFileError, InvalidInputError
+from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh
+from spectra_kit.spectra import Spectrum
+from spectra_kit.spectra.spectrum import plain
+from spectra_kit.store import files
+from spectra_kit.store.files import Damage, Kind, ShapeRecord, StoredEntry
+from spectra_kit.store.plan import Descriptor, Plan, describe
+
+Found = TypeVar("Found")
+
+_SUFFIX: Mapping[Kind, str] = {
+    "shapes": ".npz",
+    "spectra": ".npz",
+    "descriptors": ".npz",
+    "records": ".json",
+}
+_LEFT = 24 * 3600  # seconds after which what a writer has left was left by one that is gone
+
+
+@checked
+@dataclass(frozen=True)
+class SpectrumStore:
+    """Spectra of many shapes in a folder: whatever was computed once is read from there.
+
+    An entry is a file, named by a hash of all that its content follows from: points and faces,
+    operator, solver with the hash of its weights, options, release. So it is whole or absent, never
+    out of date, and equal whoever wrote it; many processes, on many machines that share the folder,
+    may read and write at once. Times are not kept: they would make equal entries differ.
+
+    Parameters
+    ----------
+    path : path
+        The folder; made if it is missing.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is something else at `path`.
+    InvalidFileError
+        If the store is of a newer format.
+    StoreError
+        If the folder cannot be made.
+
+    Notes
+    -----
+    Entries are the npz files of `Spectrum.save`, uncompressed and aligned, because these can be
+    mapped into memory and read by NumPy alone. There is no index beside them: the names are the
+    index, to list them is to list folders, and no lock is needed, which databases in a single file
+    need and shared file systems do not always keep.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import spectra_kit as sk
+    >>> store = sk.store.SpectrumStore(tempfile.mkdtemp())
+    >>> animal, plan = sk.geometry.creature(600), sk.store.Plan(k=12)
+    >>> modes = store.spectrum(animal, plan)
+    >>> store.load(store.key(animal, plan), mmap=True)
+    Spectrum(n=600, k=12, ...
+    """
+
+    path: str | os.PathLike[str]
+
+    def __post_init__(self) -> None:
+        root = Path(self.path)
+        object.__setattr__(self, "path", root)
+        mark = root / files.MARK
+        if mark.exists():
+            self._check_format(mark)
+            return
+        if root.exists() and (not root.is_dir() or any(root.iterdir())):
+            raise InvalidInputError(
+                "path",
+                "be a store, an empty folder or a new one",
+                str(root),
+                advice="name another folder",
+            )
+        content = {"format": "spectra_kit store", "version": files.FORMAT_VERSION}
+        with files.writing(mark):
+            root.mkdir(parents=True, exist_ok=True)
+            with atomic_path(mark) as part:
+                part.write_text(json.dumps(content) + "\n")
+
+    def key(self, shape: Geometry, plan: Plan) -> str:
+        """Return the hash of all that a spectrum follows from.
+
+        Parameters
+        ----------
+        shape : TriangleMesh or PointCloud
+            As it is looked at: see `Plan.prepared`.
+        plan : Plan
+            What is computed.
+
+        Returns
+        -------
+        str
+            32 hexadecimal digits.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store, animal = sk.store.SpectrumStore(tempfile.mkdtemp()), sk.geometry.creature(600)
+        >>> store.key(animal, sk.store.Plan(k=12)) == store.key(animal, sk.store.Plan(k=13))
+        False
+        """
+        return facts_digest(_spectrum_facts(shape_digest(shape), plan))
+
+    def __contains__(self, key: object) -> bool:
+        """Whether there is a spectrum of a key, whole or damaged."""
+        return isinstance(key, str) and self._place("spectra", key).exists()
+
+    def load(self, key: str, *, mmap: bool = False) -> Spectrum | None:
+        """Return the spectrum of a key if it is there.
+
+        Parameters
+        ----------
+        key : str
+            As `key` returns it, and `records` tell.
+        mmap : bool, default False
+            Map the arrays instead of reading them, without the checks that reading makes. Of
+            float32, NumPy makes a copy.
+
+        Returns
+        -------
+        Spectrum or None
+            Without the times in its provenance.
+
+        Raises
+        ------
+        InvalidFileError
+            If the entry is damaged.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> sk.store.SpectrumStore(tempfile.mkdtemp()).load("0" * 32) is None
+        True
+        """
+        path = self._place("spectra", key)
+        return Spectrum.load(path, mmap=mmap) if path.exists() else None
+
+    def spectrum(self, shape: Geometry, plan: Plan) -> Spectrum:
+        """Return the spectrum of a shape; compute and keep it if it is not there.
+
+        Parameters
+        ----------
+        shape : TriangleMesh or PointCloud
+            As it is looked at: see `Plan.prepared`.
+        plan : Plan
+            What to compute.
+
+        Returns
+        -------
+        Spectrum
+            Without the times in its provenance.
+
+        Raises
+        ------
+        InvalidInputError, ConvergenceError, InvalidSpectrumError, OutOfMemoryError
+            As of `Plan.laplacian` and `eigensolve`; nothing is kept then.
+        StoreError
+            If it cannot be written.
+
+        Warns
+        -----
+        DamagedEntryWarning
+            If there was an entry, and it was damaged: it is computed again.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store = sk.store.SpectrumStore(tempfile.mkdtemp())
+        >>> store.spectrum(sk.geometry.creature(600), sk.store.Plan(k=12)).k
+        12
+        """
+        facts = _spectrum_facts(shape_digest(shape), plan)
+        key = facts_digest(facts)
+
+        def solved() -> Spectrum:
+            self.keep_shape(shape)
+            made = eigensolve(plan.laplacian(shape), plan.k, plan.solver)
+            made = made.described(made.certificate, replace(made.provenance, seconds={}))
+            vectors = made.eigenvectors.astype(plan.precision)
+            arrays = {"eigenvalues": made.eigenvalues, "eigenvectors": vectors, "mass": made.mass}
+            certificate = plain(made.certificate) if made.certificate else None
+            with self._new("spectra", key) as path:
+                write_spectrum_file(path, arrays, certificate, vars(made.provenance), facts=facts)
+            return replace(made, eigenvectors=vectors)  # as all others will see it
+
+        return _known(lambda: self.load(key), solved)
+
+    def descriptor(self, shape: Geometry, plan: Plan, name: Descriptor) -> Floats:
+        """Return a signature of a shape; compute and keep it, and the spectrum, if it is not there.
+
+        Parameters
+        ----------
+        shape : TriangleMesh or PointCloud
+            As it is looked at: see `Plan.prepared`.
+        plan : Plan
+            What to compute.
+        name : {"hks", "wks", "gps", "dna"}
+            Which.
+
+        Returns
+        -------
+        ndarray of shape (n, c), or (c,) of ShapeDNA
+            In the precision of the plan.
+
+        Raises
+        ------
+        InvalidInputError, ConvergenceError, InvalidSpectrumError, OutOfMemoryError, StoreError
+            As of `spectrum`.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store = sk.store.SpectrumStore(tempfile.mkdtemp())
+        >>> store.descriptor(sk.geometry.creature(600), sk.store.Plan(k=12), "hks").shape
+        (600, 16)
+        """
+        facts = _descriptor_facts(self.key(shape, plan), name)
+        key = facts_digest(facts)
+        path = self._place("descriptors", key)
+
+        def known() -> Floats | None:
+            return files.read(path)[1]["values"] if path.exists() else None
+
+        def described() -> Floats:
+            values = np.asarray(describe(name, self.spectrum(shape, plan))).astype(plan.precision)
+            with self._new("descriptors", key) as place:
+                files.write(place, facts, values=values)
+            return values
+
+        return _known(known, described)
+
+    def descriptor_key(self, spectrum: str, name: Descriptor) -> str:
+        """Return the hash of all that a signature follows from: the key of a spectrum, and a name.
+
+        Parameters
+        ----------
+        spectrum : str
+            As `key` returns it.
+        name : {"hks", "wks", "gps", "dna"}
+            Which.
+
+        Returns
+        -------
+        str
+            32 hexadecimal digits.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> len(sk.store.SpectrumStore(tempfile.mkdtemp()).descriptor_key("0" * 32, "hks"))
+        32
+        """
+        return facts_digest(_descriptor_facts(spectrum, name))
+
+    def keep_shape(self, shape: Geometry) -> str:
+        """Keep a geometry, and return its key.
+
+        Parameters
+        ----------
+        shape : TriangleMesh or PointCloud
+            In any unit.
+
+        Returns
+        -------
+        str
+            For `shape`.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store = sk.store.SpectrumStore(tempfile.mkdtemp())
+        >>> store.shape(store.keep_shape(sk.geometry.creature(600))).n
+        600
+        """
+        key = shape_digest(shape)
+        arrays = {"points": shape.points}
+        if isinstance(shape, TriangleMesh):
+            arrays["faces"] = shape.faces.astype(np.int32 if shape.n < 2**31 else np.int64)
+        if not self._place("shapes", key).exists():
+            with self._new("shapes", key) as path:
+                files.write(path, {}, **arrays)
+        return key
+
+    def shape(self, key: str) -> Geometry:
+        """Return a geometry.
+
+        Parameters
+        ----------
+        key : str
+            As `keep_shape` returns it, and `records` tell.
+
+        Returns
+        -------
+        TriangleMesh or PointCloud
+            The very points and faces.
+
+        Raises
+        ------
+        InvalidFileError
+            If there is none, or it is damaged.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store = sk.store.SpectrumStore(tempfile.mkdtemp())
+        >>> store.shape(store.keep_shape(sk.PointCloud([[0, 0, 0], [1, 0, 0]]))).points[1]
+        array([1., 0., 0.])
+        """
+        path = self._place("shapes", key)
+        _, arrays = files.read(path)
+        with parsing(path, "geometry of a store", remedy=files.REMEDY):
+            if "faces" in arrays:
+                shape: Geometry = TriangleMesh(arrays["points"], arrays["faces"])
+            else:
+                shape = PointCloud(arrays["points"])
+            if shape_digest(shape) != key:
+                raise ValueError("its content has another hash than its name")
+        return shape
+
+    def record(self, name: str, plan: Plan) -> ShapeRecord | None:
+        """Return what is known of a name under a plan.
+
+        Parameters
+        ----------
+        name : str
+            As it was given.
+        plan : Plan
+            What was computed.
+
+        Returns
+        -------
+        ShapeRecord or None
+            None where there is nothing.
+
+        Raises
+        ------
+        InvalidFileError
+            If the record is damaged.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store = sk.store.SpectrumStore(tempfile.mkdtemp())
+        >>> store.record("cat.off", sk.store.Plan()) is None
+        True
+        """
+        path = self._place("records", _record_key(name, plan.facts))
+        return files.read_record(path) if path.exists() else None
+
+    def keep_record(self, record: ShapeRecord) -> None:
+        """Keep what belongs to a name, in the place of what was known of it under that plan.
+
+        Parameters
+        ----------
+        record : ShapeRecord
+            What to keep.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store, plan = sk.store.SpectrumStore(tempfile.mkdtemp()), sk.store.Plan()
+        >>> store.keep_record(
+        ...     sk.store.ShapeRecord(
+        ...         name="cat.off", file="", facts=plan.facts, shape="", spectrum="", descriptors={}
+        ...     )
+        ... )
+        >>> store.record("cat.off", plan).name
+        'cat.off'
+        """
+        text = json.dumps(vars(record), sort_keys=True) + "\n"
+        key = _record_key(record.name, record.facts)
+        with self._new("records", key) as path, atomic_path(path) as part:
+            part.write_text(text)
+
+    def records(self, plan: Plan | None = None) -> Iterator[ShapeRecord]:
+        """Yield what is known of each name, in the order of the names' hashes.
+
+        Parameters
+        ----------
+        plan : Plan, optional
+            Only what was computed by it.
+
+        Yields
+        ------
+        ShapeRecord
+            One for each name and plan.
+
+        Raises
+        ------
+        InvalidFileError
+            If a record is damaged.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> list(sk.store.SpectrumStore(tempfile.mkdtemp()).records())
+        []
+        """
+        for entry in self.entries("records"):
+            record = files.read_record(entry.path)
+            if plan is None or record.facts == plan.facts:
+                yield record
+
+    def entries(self, kind: Kind | None = None) -> Iterator[StoredEntry]:
+        """Yield all entries, or those of a kind, in the order of their keys.
+
+        Parameters
+        ----------
+        kind : {"shapes", "spectra", "descriptors", "records"}, optional
+            Which.
+
+        Yields
+        ------
+        StoredEntry
+            Whatever it holds, whole or damaged.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store = sk.store.SpectrumStore(tempfile.mkdtemp())
+        >>> modes = store.spectrum(sk.geometry.creature(600), sk.store.Plan(k=12))
+        >>> [entry.kind for entry in store.entries()]
+        ['shapes', 'spectra']
+        """
+        for one in _SUFFIX if kind is None else (kind,):
+            for path in self._files(one):
+                if not path.name.startswith("."):
+                    yield StoredEntry(one, path.stem, path, path.stat().st_size)
+
+    def verify(
+        self, *, remove: bool = False, progress: Callable[[int, int], object] | None = None
+    ) -> list[Damage]:
+        """Read everything, and name what is damaged.
+
+        Parameters
+        ----------
+        remove : bool, default False
+            Take it out, too: whoever needs it computes it again.
+        progress : callable, optional
+            Told how many entries of how many are read.
+
+        Returns
+        -------
+        list of Damage
+            Empty where all is well.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be taken out.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store = sk.store.SpectrumStore(tempfile.mkdtemp())
+        >>> key = store.keep_shape(sk.geometry.creature(600))
+        >>> path = next(store.entries()).path
+        >>> _ = path.write_bytes(path.read_bytes()[:-1000])
+        >>> len(store.verify(remove=True)), len(list(store.entries()))
+        (1, 0)
+        """
+        found, entries = [], list(self.entries())
+        for i, entry in enumerate(entries):
+            try:
+                self._read_whole(entry)
+            except InvalidFileError as error:
+                found.append(Damage(entry.path, str(error.problem)))
+                if remove:
+                    files.remove(entry.path)
+            if progress is not None:
+                progress(i + 1, len(entries))
+        return found
+
+    def clean(self) -> list[Path]:
+        """Remove what nothing will ask for again.
+
+        These are entries of other releases, geometries that belong to no entry that stays, and
+        what writers have left that ended a day ago or earlier.
+
+        Returns
+        -------
+        list of Path
+            What was removed.
+
+        Raises
+        ------
+        InvalidFileError
+            If an entry is damaged: `verify` first.
+        StoreError
+            If something cannot be removed.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> sk.store.SpectrumStore(tempfile.mkdtemp()).clean()
+        []
+        """
+        gone, used, kept = list[Path](), set[str](), set[str]()
+        for entry in self.entries("spectra"):
+            facts = files.read_facts(entry.path)
+            if facts["release"] == VERSION:
+                used.add(str(facts["shape"]))
+                kept.add(entry.key)
+            else:
+                gone.append(entry.path)
+        gone += [
+            entry.path
+            for entry in self.entries("descriptors")
+            if files.read_facts(entry.path)["spectrum"] not in kept
+        ]
+        for entry in self.entries("records"):
+            record = files.read_record(entry.path)
+            if record.facts["release"] == VERSION:
+                used.add(record.shape)
+            else:
+                gone.append(entry.path)
+        gone += [entry.path for entry in self.entries("shapes") if entry.key not in used]
+        old = time.time() - _LEFT
+        gone += [
+            path
+            for kind in _SUFFIX
+            for path in self._files(kind)
+            if path.name.startswith(".") and path.stat().st_mtime < old
+        ]
+        for path in gone:
+            files.remove(path)
+        return gone
+
+    # --- files ---
+
+    @property
+    def _root(self) -> Path:
+        return Path(self.path)
+
+    def _place(self, kind: Kind, key: str) -> Path:
+        """Return where an entry is or would be: in one of 256 folders, none of which gets large."""
+        return self._root / kind / key[:2] / f"{key}{_SUFFIX[kind]}"
+
+    def _files(self, kind: Kind) -> Iterator[Path]:
+        for folder in sorted((self._root / kind).glob("??")):
+            yield from sorted(folder.glob(f"*{_SUFFIX[kind]}"))
+
+    @contextmanager
+    def _new(self, kind: Kind, key: str) -> Iterator[Path]:
+        """Yield the place of an entry that is about to be written."""
+        path = self._place(kind, key)
+        with files.writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield path
+
+    def _read_whole(self, entry: StoredEntry) -> None:
+        """Raise if an entry is damaged, or under another name than its content has."""
+        facts: Mapping[str, object] | None = None
+        if entry.kind == "records":
+            record = files.read_record(entry.path)
+            if entry.key != _record_key(record.name, record.facts):
+                raise InvalidFileError(entry.path, files.misnamed())
+        elif entry.kind == "shapes":
+            self.shape(entry.key)
+        elif entry.kind == "spectra":
+            Spectrum.load(entry.path)
+            facts = files.read_facts(entry.path)
+        else:
+            facts = files.read(entry.path)[0]["facts"]
+        if facts is not None and facts_digest(facts) != entry.key:
+            raise InvalidFileError(entry.path, files.misnamed())
+
+    def _check_format(self, mark: Path) -> None:
+        with parsing(mark, "mark of a store", remedy="restore it, or name another folder"):
+            content = json.loads(mark.read_text())
+            if content["format"] != "spectra_kit store":
+                raise KeyError("format")
+            version = int(content["version"])
+        if version > files.FORMAT_VERSION:
+            raise InvalidFileError(
+                mark,
+                f"the store has format version {version}, this spectra_kit reads up to"
+                f" {files.FORMAT_VERSION}; upgrade it",
+            )
+
+
+def _spectrum_facts(shape: str, plan: Plan) -> dict[str, object]:
+    return {"shape": shape, **plan.solved}
+
+
+def _descriptor_facts(spectrum: str, name: str) -> dict[str, object]:
+    return {"spectrum": spectrum, "descriptor": name}
+
+
+def _record_key(name: str, facts: Mapping[str, object]) -> str:
+    return facts_digest({"name": name, "facts": facts})
+
+
+def _known(known: Callable[[], Found | None], make: Callable[[], Found]) -> Found:
+    """Return what is known, else what is made; also where it is damaged, which is told."""
+    try:
+        found = known()
+    except InvalidFileError as error:
+        files.warn_of_damage(error)
+        found = None
+    return make() if found is None else found
