@@ -14,7 +14,8 @@ from spectra_kit.cli.program import COMMANDS, app
 _WIDTH = 80  # lines are shorter than this, or than a narrower terminal
 _SHOWN = (str, int, float, Path)  # defaults of these kinds
 _COLUMN = 24  # where the text of an option begins
-_GROUPS = ("input", "sources", "method", "operator", "solver", "output", "drawing", "general")
+_GROUPS = ("input", "sources", "method", "operator", "solver", "workers",
+           "output", "drawing", "general")  # fmt: skip
 
 
 def help_text(command: type[Command] | None) -> str:

@@ -32,6 +32,11 @@ def _integers(_: object, tokens: Sequence[Any]) -> tuple[int, ...]:
         raise ValueError(f"expected numbers like 1,2,5,10, got {text!r}") from None
 
 
+def words(_: object, tokens: Sequence[Any]) -> tuple[str, ...]:
+    """Return names that commas part."""
+    return tuple(part.strip() for part in tokens[0].value.split(","))
+
+
 def operand(name: str) -> Parameter:
     """Return what is named by its place, as geometries are."""
     text = f"a mesh or point cloud ({FORMATS}), or {DEMO!r} for an animal made on the spot"
@@ -90,13 +95,11 @@ class Command:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reading(Command):
+class Read(Command):
     """What is done to geometries as they are read."""
 
     group = "input"
 
-    points: int = 8000
-    """vertices of the demo, 500 or more"""
     cloud: int | None = None
     """sample N points on the mesh (default: none)"""
     repair: bool = False
@@ -112,6 +115,16 @@ class Reading(Command):
         return [Path(file) for file in given if isinstance(file, str | Path) and file != DEMO]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Reading(Read):
+    """The same, where there may be a demo."""
+
+    group = "input"
+
+    points: int = 8000
+    """vertices of the demo, 500 or more"""
+
+
 @dataclass(frozen=True)
 class OneFile(Reading):
     """The geometry of a command that takes one."""
@@ -122,7 +135,7 @@ class OneFile(Reading):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Operator(Reading):
+class Operator(Read):
     """The Laplacian, and what holds at the boundary."""
 
     group = "operator"
@@ -139,7 +152,7 @@ class OnOne(OneFile, Operator):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Solver(Reading):
+class Solver(Read):
     """An eigensolver, how many modes, and what it may be told."""
 
     group = "solver"

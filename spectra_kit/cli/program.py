@@ -328,6 +328,94 @@ class Label(_Labelled, options.Turned, options.Resolution):
 
 
 @dataclass(frozen=True)
+class _Many(options.Read):
+    group = "input"
+
+    paths: Annotated[
+        tuple[str, ...],
+        Parameter(name="INPUT", help="files, folders, quoted patterns, or a manifest: a .csv with"
+                  " a column `file`, perhaps `name`, and more for the table"),
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Workers(options.Command):
+    group = "workers"
+    notes: ClassVar[Mapping[str, str]] = {
+        "workers": "those of Dask; $DASK_ADDRESS is a scheduler, too"
+    }
+
+    nworkers: int | None = None
+    """processes on this machine, 0 for none but this one (default: one for each core)"""
+    nthreads: int = 1
+    """shapes that each works on at a time"""
+    memory_limit: Annotated[str, Parameter(metavar="SIZE")] = "auto"
+    """of each process, such as 3GB"""
+    scheduler: str | None = None
+    """address of the scheduler of a cluster (default: none, workers on this machine)"""
+    scheduler_file: Path | None = None
+    """file in which a scheduler has written its address (default: none)"""
+    shard: Annotated[str | None, Parameter(metavar="I/N")] = None
+    """compute the I-th of N parts alone, as the tasks of a job array do (default: all)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch(_Many, options.Operator, options.Solver, _Workers):
+    """Compute the spectra of many shapes into a store, each once, and a table of them."""
+
+    outcome = "many spectra"
+    examples = (
+        "batch scans --out store",
+        "batch 'scans/*.ply' --out store --csv table.csv --descriptors hks",
+        "batch subjects.csv --out store --shard 3/100 --nworkers 0",
+    )
+    keys = "inputs, computed, known, failed, replaced, seconds, store, csv"
+    run = "batch.batch"
+    operands = "INPUT... --out STORE [options]"
+    notes: ClassVar[Mapping[str, str]] = {
+        **_Workers.notes,
+        "output": "what the store has already is not computed again; a table is replaced",
+    }
+
+    k: Count = 96
+    solver: SolverName = "automatic"
+    out: Annotated[Path, Parameter(alias="-o", metavar="STORE")]
+    """folder of the store; made if it is missing"""
+    csv: Path | None = None
+    """write a row for each shape to this .csv file: eigenvalues, area, components, warnings
+    (default: none)"""
+    descriptors: Annotated[
+        tuple[str, ...], Parameter(converter=options.words, n_tokens=1, metavar="NAME,...")
+    ] = ()
+    """also keep these: hks, wks, gps, dna (default: none)"""
+    precision: Literal["float64", "float32"] = "float64"
+    """of eigenvectors and descriptors in the store"""
+    strict: bool = False
+    """stop at the first shape that fails"""
+
+
+@dataclass(frozen=True)
+class Store(options.Command):
+    """Look into a store of spectra: list what is there, read all of it, or remove what is old."""
+
+    group = "input"
+    outcome = "what a store holds"
+    examples = ("store list store", "store verify store --remove", "store clean store")
+    keys = "store, entries, bytes, shapes, damaged, removed"
+    run = "batch.store"
+    operands = "ACTION STORE [options]"
+
+    action: Annotated[
+        Literal["list", "verify", "clean"],
+        Parameter(name="ACTION", help="list names; verify that every file is whole; clean away what"
+                  " is of other releases"),
+    ]  # fmt: skip
+    store: Annotated[Path, Parameter(name="STORE", help="the folder")]
+    remove: bool = False
+    """of verify: take out what is damaged, to be computed again"""
+
+
+@dataclass(frozen=True)
 class Completion(options.Command):
     """Print what a shell needs to complete commands, options and file names."""
 
@@ -358,6 +446,8 @@ COMMANDS = (
     Geodesic,
     Similar,
     Label,
+    Batch,
+    Store,
     Completion,
 )
 NAMED: dict[str, type[options.Command]] = {command.name: command for command in COMMANDS}

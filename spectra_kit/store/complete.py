@@ -163,6 +163,15 @@ def complete(
     )
 
 
+def is_known(store: SpectrumStore, name: str, file: Path, plan: Plan) -> bool:
+    """Whether the store seems to have all of a file; what it has is not read."""
+    try:
+        record = store.record(name, plan)
+    except InvalidFileError:
+        return False
+    return record is not None and record.spectrum in store and record.file == _digest(file)
+
+
 def _old_record(store: SpectrumStore, name: str, plan: Plan) -> ShapeRecord | None:
     try:
         return store.record(name, plan)

@@ -21,7 +21,8 @@ from spectra_kit.cli.program import COMMANDS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
 
-NAMES = [command.name for command in COMMANDS if command.name != "completion"]
+OTHERS = ("batch", "store", "completion")  # of many files, of a folder, of none
+NAMES = [command.name for command in COMMANDS if command.name not in OTHERS]
 
 
 @pytest.fixture(scope="module")

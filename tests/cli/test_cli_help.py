@@ -11,6 +11,7 @@ from spectra_kit.cli.program import COMMANDS, app, parse
 from spectra_kit.embeddings import ShapeDNA
 from spectra_kit.geometry import TriangleMesh, sphere, write
 from spectra_kit.learning import NearestNeighbour, Recipe, save_labeller, train_classifier
+from spectra_kit.store import SpectrumStore
 
 NAMES = [command.name for command in COMMANDS]
 SMALL = ("demo", "--points", "500", "-q", "--json")
@@ -23,6 +24,8 @@ CHEAP = {  # what is not SMALL with four modes
     "match": ("a.off", "b.off", "-q", "--json", "-k", "30", "--no-pictures"),
     "similar": ("a.off", ".", "-q", "--json", "-k", "20"),
     "label": ("a.off", "known.safetensors", "-q", "--json"),
+    "batch": ("a.off", "-o", "spectra", "-q", "--json", "-k", "4", "--nworkers", "0"),
+    "store": ("list", "known", "-q", "--json"),
     "completion": ("bash", "--json"),
 }
 
@@ -56,7 +59,7 @@ def test_help_begins_with_a_purpose_and_its_examples_and_options_parse(name, cap
         assert flag in text.split("general:")[1]
     assert text.index("general:") > max(map(text.index, ("examples:", "input:")))
     two = {key: ["a", "b"] for key in ("match", "similar", "label")}
-    files, given = {**two, "completion": ["bash"]}.get(name, ["a"]), []
+    files, given = {**two, "store": ["list", "a"], "completion": ["bash"]}.get(name, ["a"]), []
     for option in app()[name].assemble_argument_collection():
         if option.show and option.index is None:
             choices, (count, _) = option.get_choices(), option.token_count()
@@ -82,7 +85,8 @@ def test_one_word_has_one_meaning_over_all_commands():
 @pytest.mark.parametrize("name", NAMES)
 def test_json_is_one_object_with_the_keys_that_the_help_names(name, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    if name in ("match", "similar", "label"):
+    SpectrumStore("known")
+    if name in ("match", "similar", "label", "batch"):
         ball = sphere(subdivisions=2).geometry
         for file in ("a.off", "b.off"):
             write(TriangleMesh(ball.points * [1, 1.2, 1.5], ball.faces), file)
