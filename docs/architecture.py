@@ -38,6 +38,8 @@ PURPOSE = {
     "geodesics": ("use", "heat method,\nexact distances"),
     "correspondence": ("study", "errors and quality\nof maps"),
     "matching": ("use", "a map that\nis not flipped"),
+    "store": ("use", "each spectrum once,\nin a folder"),
+    "batch": ("use", "many shapes,\nmany workers"),
     "training": ("study", "corpus, losses,\nthe loop"),
     "viz": ("see", "pictures and\nanimations"),
     "explorer": ("see", "a page to turn\nand click"),

@@ -61,7 +61,10 @@ def read_spectrum_file(
                 f" {FORMAT_VERSION}; upgrade it",
             )
         header["provenance"] = _named(header["provenance"])
-        return _ARRAYS if header["certificate"] is None else _ARRAYS + _RESIDUALS
+        if header["certificate"] is None:
+            return _ARRAYS
+        header["certificate"] = dict(header["certificate"])
+        return _ARRAYS + _RESIDUALS
 
     header, arrays = read_arrays(
         path,

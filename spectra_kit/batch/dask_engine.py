@@ -81,7 +81,7 @@ class DaskEngine:
         check_count("nthreads", self.nthreads, low=1)
         if self.nworkers is not None:
             check_count("nworkers", self.nworkers, low=1)
-        if self.scheduler and self.scheduler_file:
+        if None not in (self.scheduler, self.scheduler_file):
             raise InvalidInputError("scheduler_file", "be left out where `scheduler` is given")
         here = {"nworkers": None, "nthreads": 1, "memory_limit": "auto"}
         told = [name for name, usual in here.items() if getattr(self, name) != usual]
@@ -99,16 +99,15 @@ class DaskEngine:
 
     @property
     def _elsewhere(self) -> bool:
-        return bool(self.scheduler or self.scheduler_file)
+        return self.scheduler is not None or self.scheduler_file is not None
 
     @contextmanager
     def _client(self) -> Iterator[Any]:
         dask: Any = optional("dask", extra="batch", needed_by="a run with workers")
         distributed: Any = optional("distributed", extra="batch", needed_by="a run with workers")
         if self._elsewhere:
-            where = (
-                {"scheduler_file": os.fspath(self.scheduler_file)} if self.scheduler_file else {}
-            )
+            file = self.scheduler_file
+            where = {} if file is None else {"scheduler_file": os.fspath(file)}
             try:
                 client = distributed.Client(self.scheduler, timeout=_WAIT, **where)
             except (OSError, TimeoutError, ValueError) as error:

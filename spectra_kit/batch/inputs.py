@@ -21,6 +21,7 @@ _PATTERN = "*?["
 _FILE = "file"  # column of a manifest
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Input:
     """A file to compute, and what else is known of it.

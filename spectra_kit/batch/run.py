@@ -11,7 +11,7 @@ from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._validate import Brief
 from spectra_kit.batch.inputs import Input
-from spectra_kit.errors import StoreError
+from spectra_kit.errors import InvalidInputError, StoreError
 from spectra_kit.store import Completed, Plan, SpectrumStore, complete
 
 
@@ -50,6 +50,7 @@ class Engine(Protocol):
         """Do the tasks, in any order."""
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BatchReport(Brief):
     """What came of a run.
@@ -136,7 +137,10 @@ def compute_all(
     clock = Clock()
     completed, failed = dict[str, Completed](), dict[str, Exception]()
     tasks = (Task(one, Path(store.path), plan) for one in inputs)
-    for task, result in (engine or _in_this_process)(tasks):
+    results = (engine or _in_this_process)(tasks)
+    if not isinstance(results, Iterable):
+        raise InvalidInputError("engine", "return tasks with their results", repr(results))
+    for task, result in results:
         if isinstance(result, Completed):
             completed[task.input.name] = result
         else:

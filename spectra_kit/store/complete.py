@@ -22,6 +22,7 @@ from spectra_kit.store.plan import Plan
 from spectra_kit.store.store import SpectrumStore
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Completed(Brief):
     """What a store holds of a file, now.

@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 from numpy.typing import NDArray
 
 from spectra_kit._arrays_file import read_arrays, write_arrays
+from spectra_kit._checked import checked
 from spectra_kit._files import parsing
 from spectra_kit._validate import warn
 from spectra_kit.errors import (
@@ -66,6 +67,7 @@ class Damage(NamedTuple):
     reason: str
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class ShapeRecord:
     """What a store holds for a name.

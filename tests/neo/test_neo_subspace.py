@@ -9,6 +9,7 @@ from spectra_kit.eigensolvers import Cascade, Neo, RayleighRitz, eigensolve
 from spectra_kit.errors import WeightsError
 from spectra_kit.geometry import PointCloud
 from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace, save_weights
+from spectra_kit.neo.pretrained import weights_digest
 from spectra_kit.operators import robust_laplacian
 from spectra_kit.subspaces.frame import POSES
 
@@ -139,7 +140,9 @@ def test_repr_tells_weights_and_options(network, tmp_path):
         f"NeoSubspace({str(path)!r}, poses=2, dtype='float32', device='cpu',"
         f" sha256={digest[:12]!r})"
     )
-    assert "<NeoNetwork, " in repr(NeoSubspace(network))
+    given = repr(NeoSubspace(network))
+    assert given.startswith("NeoSubspace(<NeoNetwork>")
+    assert weights_digest(network) in given
     assert "cap=2048, smoothing=20" in repr(Neo(cap=2048))
     assert "cap" not in repr(Neo())
 

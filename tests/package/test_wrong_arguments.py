@@ -6,10 +6,13 @@ is replaced by every entry of a table of wrong ones.
 
 from __future__ import annotations
 
+import atexit
 import importlib
 import inspect
 import pkgutil
 import re
+import shutil
+import tempfile
 import typing
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -26,6 +29,7 @@ from scipy import sparse
 
 import spectra_kit as sk
 from spectra_kit import (
+    batch,
     correspondence,
     descriptors,
     embeddings,
@@ -38,6 +42,7 @@ from spectra_kit import (
     metrics,
     neo,
     operators,
+    store,
     subspaces,
     viz,
 )
@@ -141,6 +146,13 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         training=learning.Training(epochs=1),
     )  # fmt: skip
     index = learning.ShapeIndex(recipe, ("mesh.obj",), ("0",), recipe.vector(mesh)[None])
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder)
+    geometry.write(mesh, folder / "mesh.obj")
+    plan, spectra = store.Plan(k=8, descriptors=("dna",)), store.SpectrumStore(folder / "store")
+    inputs = [batch.Input(name="mesh.obj", path=folder / "mesh.obj")]
+    report = batch.compute_all(inputs, spectra, plan)
+    done = report.completed[0][1]
     portrait = viz.Portrait(geometry=mesh, labels=halves, lines=("x",))
     quick = matching.MatchOptions(
         **{"first_samples": 12, "growing": 8, "growing_samples": 40, "grown_modes": 10},
@@ -160,6 +172,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             point,
             run,
         ),
+        *(plan, spectra, inputs[0], report, done, done.record, batch.DaskEngine(scheduler="tcp://127.0.0.1:8786")),
         *(recipe, classifier, segmenter, index, portrait, learning.Training(epochs=1)),
         *(viz.View(), sk.RayleighRitz(), geodesics.Automatic(), given, map_errors),
         *(metrics.compare_spectra(spectrum, spectrum), geometry.repair(mesh)),
@@ -229,6 +242,17 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("score_of.values", {"wave": 0.1}),
         ("match.landmarks fit_functional_map.landmarks", ([0, 1], [0, 1])),
         ("mismatches.landmarks", (np.array([0, 1]), np.array([0, 1]))),
+        # Many shapes.
+        ("find_inputs.sources", ["mesh.obj"]),
+        ("inputs", inputs),
+        ("DaskEngine.scheduler_file DaskEngine.nworkers", None),
+        ("compute_all.store complete.store", spectra),
+        ("complete.file", "mesh.obj"),
+        ("SpectrumStore.descriptor.name SpectrumStore.descriptor_key.name", "dna"),
+        ("SpectrumStore.entries.kind", "shapes"),
+        ("SpectrumStore.shape.key", done.record.shape),
+        ("SpectrumStore.load.key SpectrumStore.descriptor_key.spectrum", done.record.spectrum),
+        ("shard.part shard.parts", 1),
         # Pictures.
         ("plot_correspondence.page plot_correspondences.page plot_distance.page", viz.Page(dpi=10)),
         ("plot_error_curves.errors", {"a": np.ones(4)}),
@@ -268,7 +292,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("indices", np.arange(50)),
         ("rows", np.arange(100)),
         ("DistanceField.seconds", {"factor": 1.0}),
-        ("record", {"legs": []}),
+        ("save_weights.record", {"legs": []}),
         ("kind", "mesh"),
         ("NeoConfig.named.name name_or_path", "small"),
         ("Panel.lines Problem.remedies", ("x",)),
@@ -335,6 +359,14 @@ ALSO = {
     "ShapeIndex.names": {"array"},
     "ShapeIndex.digests": {"array"},
     "Problem.remedies": {"array"},
+    "BatchReport.completed": {"array"},
+    "BatchReport.failed": {"array"},
+    "inputs": {"array"},
+    "Completed.replaced": {"array of U"},
+    "Plan.solver": {"Arpack"},
+    "Plan.descriptors": {"array"},
+    "ShapeRecord.problems": {"array of U"},
+    "ShapeRecord.warnings": {"array of U"},
 }
 
 
