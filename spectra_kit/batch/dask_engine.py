@@ -20,7 +20,6 @@ from spectra_kit.store import Completed, Plan, SpectrumStore, complete
 
 _AHEAD = 4  # tasks handed out for each thread: none waits, and the scheduler has little to remember
 _ALLOWED_FAILURES = 10  # deaths of workers that a shape may be near by chance
-_WAIT = 30  # seconds for a scheduler to answer
 # What a task needs is known only while it runs: results are small, nothing is worth spilling, and
 # a worker that pauses for memory which its libraries keep would never go on.
 _SETTINGS = {
@@ -29,8 +28,11 @@ _SETTINGS = {
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
-    "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": 1,
-    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 65536,
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.nanny.pre-spawn-environ": dict.fromkeys(
+        ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), 1
+    ),
 }
 
 
@@ -109,7 +111,7 @@ class DaskEngine:
             file = self.scheduler_file
             where = {} if file is None else {"scheduler_file": os.fspath(file)}
             try:
-                client = distributed.Client(self.scheduler, timeout=_WAIT, **where)
+                client = distributed.Client(self.scheduler, **where)
             except (OSError, TimeoutError, ValueError) as error:
                 raise EngineLostError(
                     f"no scheduler answers at {self.scheduler or self.scheduler_file}: {error}",
@@ -125,7 +127,7 @@ class DaskEngine:
                 threads_per_worker=self.nthreads,
                 memory_limit=self.memory_limit,
                 processes=True,
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",
                 silence_logs="CRITICAL",
             ) as cluster,
             distributed.Client(cluster) as client,

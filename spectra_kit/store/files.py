@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -28,7 +27,6 @@ Kind = Literal["shapes", "spectra", "descriptors", "records"]
 FORMAT_VERSION = 1
 MARK = "store.json"  #: A folder that holds this is a store.
 REMEDY = "spectra-kit store verify --remove takes it out, and the next run computes it again"
-_REFUSED = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
 
 
 class StoredEntry(NamedTuple):
@@ -140,8 +138,6 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in _REFUSED:
-            raise
         raise StoreError(
             f"cannot write {path}: {(error.strerror or str(error)).lower()}",
             advice="what is there stays whole; make room or get the right to write, and go on",

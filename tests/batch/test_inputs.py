@@ -1,0 +1,102 @@
+"""What a run is about: files, folders, patterns and manifests."""
+
+from pathlib import Path
+
+import pytest
+from conftest import bumpy, refused
+
+from spectra_kit.batch import Input, find_inputs, shard
+from spectra_kit.errors import InvalidFileError
+from spectra_kit.geometry import write
+from spectra_kit.store import SpectrumStore
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for file in ("scans/b.off", "scans/a.ply", "scans/deep/c.obj", "other.npy"):
+        Path(file).parent.mkdir(parents=True, exist_ok=True)
+        shape = bumpy().as_cloud() if file.endswith("npy") else bumpy()
+        write(shape, file)
+    Path("scans/notes.txt").write_text("no shape")
+    return tmp_path
+
+
+def names(*sources):
+    return [one.name for one in find_inputs(sources)]
+
+
+def test_files_folders_and_patterns(folder):
+    every = ["scans/a.ply", "scans/b.off", "scans/deep/c.obj"]
+    assert names("scans") == every
+    assert names(Path("scans") / "deep", "other.npy") == ["scans/deep/c.obj", "other.npy"]
+    assert names("scans/*") == every[:2]
+    assert names("scans/**/*.o[bf]*") == every[1:]
+    assert names("none.off") == ["none.off"]  # to be told of with its reason
+
+
+def test_a_store_inside_a_folder_is_not_read(folder):
+    store = SpectrumStore("scans/store")
+    store.keep_shape(bumpy())
+    assert not any("store" in name for name in names("scans"))
+
+
+def test_manifests(folder):
+    Path("lists").mkdir()
+    table = "\ufefffile,name,age\n../scans/a.ply,anna,31\n../scans/b.off,,7\n"
+    Path("lists/people.csv").write_text(table, encoding="utf-8")
+    first, second = find_inputs(["lists/people.csv"])
+    assert (first.name, dict(first.columns)) == ("anna", {"age": "31"})
+    assert (second.name, dict(second.columns)) == ("../scans/b.off", {"age": "7"})
+    assert first.path.samefile("scans/a.ply")
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("name,age\nanna,3\n", "`manifest` must have a column 'file', got name, age"),
+        ("", "`manifest` must have a column 'file', got no row"),
+        ("file,age\na.ply,3\n,4\n", "line 3 has not a cell for each column"),
+        ("file,age\na.ply\n", "line 2 has not a cell for each column"),
+        ("file\na.ply,4\n", "line 2 has not a cell for each column"),
+        ('file\n"a.ply\n', "not a table of commas in UTF-8"),
+    ],
+)
+def test_manifests_that_are_none(folder, text, problem):
+    Path("people.csv").write_text(text)
+    with pytest.raises(InvalidFileError) as caught:
+        find_inputs(["people.csv"])
+    assert problem in str(caught.value)
+
+
+def test_a_manifest_in_another_encoding_or_missing(folder):
+    Path("people.csv").write_bytes(b"file\n\xff\xfe.off\n")
+    with pytest.raises(InvalidFileError, match="not a table of commas in UTF-8"):
+        find_inputs(["people.csv"])
+    with pytest.raises(InvalidFileError, match="there is no such file"):
+        find_inputs(["nobody.csv"])
+
+
+def test_sources_that_name_nothing_or_one_thing_twice(folder):
+    Path("empty").mkdir()
+    for source, expected in (("empty", "hold meshes or clouds"), ("*.stl", "match meshes or cl")):
+        with pytest.raises(ValueError, match=f"`'.*'` must {expected}"):
+            find_inputs([source])
+    refused("sources", "name a file at least, got none", find_inputs, [])
+    refused("sources", "name each file once, got 1 several times", find_inputs,
+            ["scans/a.ply", "scans/*.ply"])  # fmt: skip
+
+
+def test_shards_are_disjoint_and_stay_where_they_are():
+    every = [Input(name=f"{i}.off", path=Path(f"{i}.off")) for i in range(200)]
+    parts = [shard(every, part, 7) for part in range(1, 8)]
+    assert sorted(one.name for part in parts for one in part) == sorted(x.name for x in every)
+    assert min(map(len, parts)) > 10
+    fewer = [shard(every[::2], part, 7) for part in range(1, 8)]
+    for part, less in zip(parts, fewer, strict=True):
+        assert {one.name for one in less} <= {one.name for one in part}
+
+
+@pytest.mark.parametrize(("part", "parts"), [(0, 3), (4, 3), (1, 0)])
+def test_shards_that_are_none(part, parts):
+    refused("parts" if parts == 0 else "part", "be ", shard, [], part, parts)

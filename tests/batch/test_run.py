@@ -1,0 +1,259 @@
+"""Runs over many shapes: results beside failures, once each, whoever works."""
+
+import csv
+import socket
+import subprocess
+import sys
+import time
+
+import dask
+import numpy as np
+import psutil
+import pytest
+from conftest import bumpy, creature, moved, refused
+
+import spectra_kit as sk
+from spectra_kit.batch import DaskEngine, Input, compute_all, find_inputs, write_table
+from spectra_kit.errors import EngineLostError, InvalidFileError, StoreError
+from spectra_kit.geometry import write
+from spectra_kit.store import Plan, SpectrumStore
+
+PLAN = Plan(k=6)
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory):
+    """Four shapes, of which two are one; and three files that are none."""
+    folder = tmp_path_factory.mktemp("scans")
+    for i in range(2):
+        write(creature(520, seed=i), folder / f"animal{i}.off")
+    write(moved(bumpy(), 3, 0, 0), folder / "bumpy.ply")
+    write(moved(bumpy(), 3, 0, 0), folder / "copy.ply")
+    (folder / "empty.off").touch()
+    (folder / "half.off").write_text("OFF\n4 4 0\n0 0 0\n")
+    (folder / "words.obj").write_text("these are words\n")
+    return folder
+
+
+@pytest.fixture
+def store(tmp_path):
+    return SpectrumStore(tmp_path / "store")
+
+
+def entries(store):
+    return {
+        entry.path.relative_to(store.path): entry.path.read_bytes() for entry in store.entries()
+    }
+
+
+def test_results_and_failures_are_in_the_order_of_the_inputs(scans, store):
+    told = []
+    inputs = find_inputs([scans])
+    report = compute_all(inputs, store, PLAN, progress=lambda *args: told.append(args))
+    assert told == [(i + 1, 7) for i in range(7)]
+    assert [one.path.name for one, _ in report.completed] == [
+        *("animal0.off", "animal1.off", "bumpy.ply", "copy.ply")
+    ]
+    reasons = {one.input.path.name: str(one.error) for one in report.failed}
+    assert [*reasons] == ["empty.off", "half.off", "words.obj"]
+    assert "the file is empty" in reasons["empty.off"]
+    assert all(name in reason for name, reason in reasons.items())
+    assert report.computed == 3  # of two names of one shape, one is solved for
+    assert report.replaced == ()
+    for one, done in report.completed:
+        expected = sk.spectrum(one.path, 6)
+        np.testing.assert_allclose(done.eigenvalues, expected.eigenvalues, rtol=1e-12, atol=1e-12)
+        assert done.area == pytest.approx(sk.read(one.path).area)
+
+
+def test_a_second_run_computes_nothing_and_writes_nothing(scans, store):
+    inputs = find_inputs([scans])
+    compute_all(inputs, store, PLAN)
+    before = {entry.path: entry.path.stat().st_mtime_ns for entry in store.entries()}
+    report = compute_all(inputs, store, PLAN)
+    assert (report.computed, len(report.completed), len(report.failed)) == (0, 4, 3)
+    assert before == {entry.path: entry.path.stat().st_mtime_ns for entry in store.entries()}
+
+
+def test_a_run_that_was_interrupted_goes_on(scans, store):
+    class StoppedError(Exception):
+        pass
+
+    def stop(done, count):
+        if done == 2:
+            raise StoppedError
+
+    inputs = find_inputs([scans])
+    with pytest.raises(StoppedError):
+        compute_all(inputs, store, PLAN, progress=stop)
+    there = len(list(store.entries("spectra")))
+    report = compute_all(inputs, store, PLAN)
+    assert there + report.computed == 3
+    assert there > 0
+
+
+def test_strict_runs_stop_at_the_first_failure(scans, store):
+    with pytest.raises(InvalidFileError, match=r"empty\.off"):
+        compute_all(find_inputs([scans]), store, PLAN, strict=True)
+
+
+def test_a_store_that_cannot_be_written_ends_the_run(scans, store):
+    (store.path / "spectra").write_text("in the way")
+    with pytest.raises(StoreError, match="spectra"):
+        compute_all(find_inputs([scans]), store, PLAN)
+
+
+def test_an_engine_that_is_none(scans, store):
+    refused("engine", "return tasks with their results", compute_all, [], store, PLAN,
+            engine=lambda tasks: None)  # fmt: skip
+
+
+# --- tables ---
+
+
+def test_a_table_has_a_row_for_each_shape(scans, store, tmp_path):
+    plan = Plan(k=6, descriptors=("dna",))
+    found = [Input(name=path.name, path=path, columns={"age": "3"}) for path in
+             (scans / "bumpy.ply", scans / "animal0.off", scans / "copy.ply")]  # fmt: skip
+    report = compute_all(found, store, plan)
+    write_table(tmp_path / "table.csv", report)
+    with (tmp_path / "table.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["name"], row["age"], row["same_as"]) for row in rows] == [
+        *(("bumpy.ply", "3", ""), ("animal0.off", "3", ""), ("copy.ply", "3", "bumpy.ply"))
+    ]
+    for row, (_, done) in zip(rows, report.completed, strict=True):
+        values = [float(row[f"eigenvalue_{i}"]) for i in range(6)]
+        np.testing.assert_array_equal(values, done.eigenvalues)
+        np.testing.assert_array_equal([float(row[f"dna_{i + 1}"]) for i in range(len(done.dna))],
+                                      done.dna)  # fmt: skip
+        assert float(row["area"]) == done.area
+        assert store.load(row["spectrum"]).k == 6
+        assert (row["components"], row["zero_modes"], row["level"]) == ("1", "1", "verified")
+
+
+def test_tables_of_other_columns_and_of_nothing(scans, store, tmp_path):
+    one = Input(name="a", path=scans / "bumpy.ply", columns={"area": "3"})
+    report = compute_all([one], store, PLAN)
+    refused("columns", "not have the names of the table's own", write_table,
+            tmp_path / "table.csv", report)  # fmt: skip
+    assert not (tmp_path / "table.csv").exists()
+    write_table(tmp_path / "table.csv", compute_all([], store, PLAN))
+    assert (tmp_path / "table.csv").read_text().startswith("name,kind,points")
+
+
+# --- workers ---
+
+
+@pytest.mark.parametrize(
+    ("argument", "expected", "options"),
+    [
+        ("nworkers", "be at least 1", {"nworkers": 0}),
+        ("nthreads", "be at least 1", {"nthreads": 0}),
+        ("scheduler_file", "be left out", {"scheduler": "tcp://a:1", "scheduler_file": "b"}),
+        ("nworkers", "be left out where there is a scheduler", {"scheduler": "a", "nworkers": 2}),
+        ("nthreads", "be left out where there is a", {"scheduler_file": "a", "nthreads": 2}),
+        ("memory_limit", "be left out where", {"scheduler": "a", "memory_limit": "1GB"}),
+    ],
+)
+def test_engines_that_cannot_be(argument, expected, options):
+    refused(argument, expected, DaskEngine, **options)
+
+
+@pytest.mark.slow
+def test_workers_end_with_the_bytes_of_one_process(scans, store, tmp_path):
+    inputs = find_inputs([scans])
+    alone = compute_all(inputs, store, PLAN)
+    other = SpectrumStore(tmp_path / "other")
+    report = compute_all(inputs, other, PLAN, engine=DaskEngine(nworkers=2))
+    assert entries(store) == entries(other)
+    assert [one.name for one, _ in report.completed] == [one.name for one, _ in alone.completed]
+    assert [str(x.error) for x in report.failed] == [str(x.error) for x in alone.failed]
+
+
+class Killed:
+    """A progress that kills the workers by signal 9 when the first shape is done."""
+
+    def __init__(self):
+        self.count = 0
+
+    def __call__(self, done, count):
+        if not self.count:
+            for child in psutil.Process().children(recursive=True):
+                if "spawn_main" in " ".join(child.cmdline()):
+                    child.kill()
+                    self.count += 1
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # whoever talks to the dead says so
+def test_workers_that_are_killed_lose_nothing(scans, store, tmp_path):
+    for i in range(6):
+        write(creature(1500, seed=i), tmp_path / f"animal{i}.off")
+    inputs, killed = find_inputs([str(tmp_path / "*.off")]), Killed()
+    report = compute_all(inputs, store, PLAN, engine=DaskEngine(nworkers=1), progress=killed)
+    assert killed.count >= 1
+    assert (len(report.completed), report.failed) == (6, ())
+    again = SpectrumStore(tmp_path / "again")
+    compute_all(inputs, again, PLAN)
+    assert entries(store) == entries(again)
+
+
+def free_port():
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """A scheduler and a worker, begun by their own commands; its address, and the scheduler."""
+    address = f"tcp://127.0.0.1:{free_port()}"
+    here = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    dask = [sys.executable, "-m", "dask"]
+    own = ["--host", address, "--no-dashboard", "--scheduler-file", str(tmp_path / "where.json")]
+    scheduler = subprocess.Popen([*dask, "scheduler", *own], **here)
+    worker = subprocess.Popen([*dask, "worker", address, "--nthreads", "1", "--no-dashboard",
+                               "--death-timeout", "60", "--local-directory", str(tmp_path)],
+                              **here)  # fmt: skip
+    try:
+        yield address, scheduler
+    finally:
+        for process in (worker, scheduler):
+            process.terminate()
+            try:
+                process.wait(timeout=20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_does_the_same_and_its_end_is_told(scans, cluster, store, tmp_path):
+    address, scheduler = cluster
+    inputs = find_inputs([scans])
+    report = compute_all(inputs[:3], store, PLAN, engine=DaskEngine(scheduler=address))
+    assert report.computed == 3
+    file = DaskEngine(scheduler_file=tmp_path / "where.json")
+    assert compute_all(inputs[:3], store, PLAN, engine=file).computed == 0
+
+    def end(done, count):
+        scheduler.kill()
+        scheduler.wait()
+        time.sleep(0.2)
+
+    with pytest.raises(EngineLostError, match="the same command goes on"):
+        compute_all(inputs, store, Plan(k=5), engine=DaskEngine(scheduler=address), progress=end)
+    left = compute_all(inputs, store, Plan(k=5))
+    assert len(left.completed) == 4
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_not_there():
+    engine = DaskEngine(scheduler=f"tcp://127.0.0.1:{free_port()}")
+    with (
+        dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
+        pytest.raises(EngineLostError, match=r"no scheduler answers at tcp://127\.0\.0\.1:"),
+    ):
+        list(engine([]))

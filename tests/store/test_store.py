@@ -1,0 +1,408 @@
+"""A store of spectra: what it keeps, under which keys, and what becomes of damage."""
+
+import json
+import os
+import stat
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from conftest import bumpy, creature, refused
+
+import spectra_kit as sk
+from spectra_kit.catalogue import DESCRIPTORS
+from spectra_kit.errors import DamagedEntryWarning, InvalidFileError, StoreError
+from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, write
+from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
+from spectra_kit.spectra import Spectrum
+from spectra_kit.store import Plan, ShapeRecord, SpectrumStore, complete
+from spectra_kit.store.plan import NAMES
+
+PLAN = Plan(k=12)
+
+
+@pytest.fixture
+def store(tmp_path):
+    return SpectrumStore(tmp_path / "store")
+
+
+def content(folder):
+    """The bytes of every file of a folder."""
+    files = (path for path in Path(folder).rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+@contextmanager
+def unprivileged():
+    """Be nobody for a while, if this is the superuser, who may write anywhere."""
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        if root:
+            os.seteuid(0)
+
+
+def test_what_comes_back_is_what_was_solved(store):
+    mesh = bumpy()
+    exact = sk.eigensolve(sk.laplacian(mesh), 12)
+    first, second = store.spectrum(mesh, PLAN), store.spectrum(mesh, PLAN)
+    loaded = store.load(store.key(mesh, PLAN), mmap=True)
+    for kept in (first, second, loaded):
+        np.testing.assert_array_equal(kept.eigenvalues, exact.eigenvalues)
+        np.testing.assert_array_equal(kept.eigenvectors, exact.eigenvectors)
+        np.testing.assert_array_equal(kept.mass, exact.mass)
+        assert kept.certificate.level == exact.certificate.level
+        assert kept.provenance.solver == exact.provenance.solver
+        assert kept.provenance.seconds == {}
+    assert isinstance(loaded.eigenvectors.base.base, np.memmap)
+    assert [entry.kind for entry in store.entries()] == ["shapes", "spectra"]
+
+
+def test_a_second_call_writes_nothing(store):
+    store.descriptor(bumpy(), PLAN, "hks")
+    before = {entry.path: entry.path.stat().st_mtime_ns for entry in store.entries()}
+    store.descriptor(bumpy(), PLAN, "hks")
+    assert before == {entry.path: entry.path.stat().st_mtime_ns for entry in store.entries()}
+
+
+def test_keys_tell_all_that_decides_a_spectrum_and_nothing_else(store, tmp_path):
+    torch.manual_seed(0)
+    config = NeoConfig(width=16, depth=1, heads=2, head_width=8, latents=4, m=16, k=8)
+    for name in "ab":
+        save_weights(tmp_path / f"{name}.safetensors", NeoNetwork(config), {})
+    mesh = bumpy()
+    nudged = np.array(mesh.points)
+    nudged[7, 1] = np.nextafter(nudged[7, 1], 9)
+    others = [
+        (TriangleMesh(nudged, mesh.faces), PLAN),
+        (TriangleMesh(mesh.points, mesh.faces[:, [1, 2, 0]]), PLAN),
+        (mesh.as_cloud(), PLAN),
+        *((mesh, plan) for plan in (
+            Plan(k=13), Plan(k=12, solver=sk.Arpack()), Plan(k=12, solver=sk.Arpack(seed=1)),
+            Plan(k=12, operator="cotan"), Plan(k=12, operator="robust"),
+            Plan(k=12, boundary="dirichlet"), Plan(k=12, precision="float32"),
+            Plan(k=12, solver=sk.Neo(weights=str(tmp_path / "a.safetensors"))),
+            Plan(k=12, solver=sk.Neo(weights=str(tmp_path / "b.safetensors"))),
+        )),
+    ]  # fmt: skip
+    keys = {store.key(shape, plan) for shape, plan in [(mesh, PLAN), *others]}
+    assert len(keys) == len(others) + 1
+    same = Plan(k=12, descriptors=("hks",), repair=True, cloud=50, seed=3)
+    copy = TriangleMesh(np.array(mesh.points), np.array(mesh.faces))
+    assert store.key(copy, same) == store.key(mesh, PLAN)
+
+
+def test_weights_that_changed_in_their_file_are_others(store, tmp_path):
+    config = NeoConfig(width=16, depth=1, heads=2, head_width=8, latents=4, m=16, k=8)
+    path, keys = tmp_path / "mine.safetensors", set()
+    for seed in (0, 1):
+        torch.manual_seed(seed)
+        save_weights(path, NeoNetwork(config), {})
+        keys.add(store.key(bumpy(), Plan(k=8, solver=sk.Neo(weights=str(path)))))
+    assert len(keys) == 2
+
+
+def test_float32_keeps_eigenvalues_and_masses_whole(store):
+    exact, plan = store.spectrum(bumpy(), PLAN), Plan(k=12, precision="float32")
+    made, again = (store.spectrum(bumpy(), plan) for _ in range(2))
+    np.testing.assert_array_equal(made.eigenvalues, exact.eigenvalues)
+    np.testing.assert_array_equal(made.mass, exact.mass)
+    rounded = exact.eigenvectors.astype(np.float32)
+    for kept in (made, again):
+        np.testing.assert_array_equal(kept.eigenvectors, rounded)
+    with np.load(store._place("spectra", store.key(bumpy(), plan))) as file:
+        assert file["eigenvectors"].dtype == np.float32
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_descriptors_are_those_of_the_catalogue(store, name):
+    mesh = bumpy()
+    expected = np.asarray(DESCRIPTORS[NAMES[name]](store.spectrum(mesh, PLAN)))
+    for _ in range(2):
+        np.testing.assert_array_equal(store.descriptor(mesh, PLAN, name), expected)
+
+
+def test_entries_are_for_numpy_alone_to_read(store):
+    key = store.key(bumpy(), PLAN)
+    store.spectrum(bumpy(), PLAN)
+    entry = next(store.entries("spectra"))
+    assert (entry.key, entry.path.parent.name) == (key, key[:2])
+    with np.load(entry.path) as file:
+        assert file["eigenvectors"].shape == (bumpy().n, 12)
+    with np.load(next(store.entries("shapes")).path) as file:
+        np.testing.assert_array_equal(file["points"], bumpy().points)
+        np.testing.assert_array_equal(file["faces"], bumpy().faces)
+
+
+# --- damage ---
+
+
+def cut(data):
+    return data[: len(data) // 2]
+
+
+def flip(data):
+    return data[:-2000] + bytes([data[-2000] ^ 1]) + data[-1999:]
+
+
+def emptied(_):
+    return b""
+
+
+@pytest.fixture
+def filled(store, tmp_path):
+    """A store with one shape, two descriptors and a record."""
+    write(bumpy(), tmp_path / "bumpy.off")
+    plan = Plan(k=12, descriptors=("hks", "dna"))
+    complete(store, "bumpy", tmp_path / "bumpy.off", plan)
+    return store, lambda: complete(store, "bumpy", tmp_path / "bumpy.off", plan)
+
+
+@pytest.mark.parametrize("damage", [cut, flip, emptied])
+@pytest.mark.parametrize("kind", ["shapes", "spectra", "descriptors", "records"])
+def test_damage_is_named_and_made_good(filled, kind, damage):
+    store, again = filled
+    before = content(store.path)
+    entry = next(store.entries(kind))
+    if kind == "records" and damage is flip:
+        text = entry.path.read_text().replace('"bumpy"', '"Bumpy"')  # whole JSON of another name
+        entry.path.write_text(text)
+    else:
+        entry.path.write_bytes(damage(entry.path.read_bytes()))
+    found = store.verify()
+    assert [one.path for one in found] == [entry.path]
+    done = again()
+    assert any(str(entry.path) in text for text in done.replaced) or kind == "records"
+    assert done.computed == (kind == "spectra")
+    assert content(store.path) == before
+    assert store.verify() == []
+
+
+def test_what_is_damaged_is_warned_of(store):
+    store.spectrum(bumpy(), PLAN)
+    entry = next(store.entries("spectra"))
+    entry.path.write_bytes(cut(entry.path.read_bytes()))
+    with pytest.warns(DamagedEntryWarning, match=entry.key):
+        store.spectrum(bumpy(), PLAN)
+    assert store.verify() == []
+
+
+@pytest.mark.parametrize("kind", ["shapes", "spectra", "descriptors"])
+def test_an_entry_under_another_name_is_found(filled, kind):
+    store, _ = filled
+    entry = next(store.entries(kind))
+    other = entry.path.with_name(entry.key[:2] + "0" * 30 + entry.path.suffix)
+    other.write_bytes(entry.path.read_bytes())
+    told = []
+    found = store.verify(remove=True, progress=lambda done, count: told.append((done, count)))
+    assert [one.path for one in found] == [other]
+    assert not other.exists()
+    assert told[-1] == (len(told), len(told))
+
+
+def test_verify_without_a_wish_removes_nothing(filled):
+    store, _ = filled
+    for entry in store.entries():
+        entry.path.write_bytes(b"")
+    count = len(list(store.entries()))
+    assert len(store.verify()) == count
+    assert len(list(store.entries())) == count
+    store.verify(remove=True)
+    assert list(store.entries()) == []
+
+
+# --- what nobody needs any more ---
+
+
+def test_clean_removes_other_releases_orphans_and_leftovers(filled, monkeypatch):
+    store, _ = filled
+    kept = {entry.path for entry in store.entries()}
+    with monkeypatch.context() as other:
+        other.setattr("spectra_kit.store.plan.VERSION", "0.0.1")
+        plan = Plan(k=5, descriptors=("hks",))
+        store.descriptor(creature(600), plan, "hks")
+        store.keep_record(
+            ShapeRecord(
+                name="old", file="", facts=plan.facts, shape="", spectrum="", descriptors={}
+            )
+        )
+    old = next(store.entries("shapes")).path.parent / ".0123456789abcdef.npz"
+    young = old.with_name(".fedcba9876543210.npz")
+    for path in (old, young):
+        path.write_bytes(b"half")
+    two_days_ago = time.time() - 48 * 3600
+    os.utime(old, (two_days_ago, two_days_ago))
+    gone = store.clean()
+    assert old in gone
+    assert len(gone) == 5  # shape, spectrum, descriptor, record and what a writer has left
+    assert {entry.path for entry in store.entries()} == kept
+    assert young.exists()
+
+
+# --- many writers ---
+
+
+WRITER = """
+import sys
+import spectra_kit as sk
+store = sk.store.SpectrumStore(sys.argv[1])
+for seed in range(4):
+    store.descriptor(sk.geometry.creature(520, seed=seed), sk.store.Plan(k=6), "hks")
+"""
+
+
+@pytest.mark.slow
+def test_two_writers_end_with_the_bytes_of_one(tmp_path):
+    def start(name):
+        return subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path / name)])
+
+    alone = [start("one")]
+    assert [process.wait(timeout=120) for process in alone] == [0]
+    both = [start("two") for _ in range(2)]
+    assert [process.wait(timeout=120) for process in both] == [0, 0]
+    assert content(tmp_path / "one") == content(tmp_path / "two")
+
+
+# --- places that are no good ---
+
+
+def test_a_store_of_a_newer_release_is_refused_and_stays(store):
+    store.spectrum(bumpy(), PLAN)
+    mark = store.path / "store.json"
+    mark.write_text(json.dumps({"format": "spectra_kit store", "version": 2}))
+    before = content(store.path)
+    with pytest.raises(InvalidFileError, match="version 2, this spectra_kit reads up to 1; upgr"):
+        SpectrumStore(store.path)
+    assert content(store.path) == before
+
+
+@pytest.mark.parametrize("text", ["{", '{"format": "other", "version": 1}', "[]", ""])
+def test_a_mark_that_is_damaged(store, text):
+    (store.path / "store.json").write_text(text)
+    with pytest.raises(InvalidFileError, match="not a whole mark of a store"):
+        SpectrumStore(store.path)
+
+
+def test_other_things_are_no_stores(tmp_path):
+    (tmp_path / "file").write_text("words")
+    for path in (tmp_path, tmp_path / "file"):
+        refused("path", "be a store, an empty folder or a new one", SpectrumStore, path)
+    assert (tmp_path / "file").read_text() == "words"
+    with pytest.raises(StoreError, match="not a directory"):
+        SpectrumStore("/dev/null/store")
+
+
+def test_a_full_disk_leaves_nothing_half(store):
+    resource = pytest.importorskip("resource", reason="limits of files are Unix's")
+    store.spectrum(bumpy(), PLAN)
+    before, (_, hard) = content(store.path), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+    try:
+        with pytest.raises(StoreError, match="make room or get the right to write"):
+            store.spectrum(creature(600), PLAN)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+    assert content(store.path) == before
+    assert store.spectrum(creature(600), PLAN).k == 12
+
+
+def test_a_store_that_may_only_be_read():
+    with tempfile.TemporaryDirectory() as folder:
+        os.chmod(folder, 0o755)
+        store = SpectrumStore(Path(folder) / "store")
+        write(bumpy(), Path(folder) / "bumpy.off")
+        complete(store, "bumpy", Path(folder) / "bumpy.off", PLAN)
+        before, places = content(store.path), [store.path, *store.path.rglob("*")]
+        for place in places:
+            place.chmod(stat.S_IMODE(place.stat().st_mode) & ~0o222)
+        with unprivileged():
+            again = SpectrumStore(store.path)
+            assert again.spectrum(bumpy(), PLAN).k == 12
+            assert not complete(again, "bumpy", Path(folder) / "bumpy.off", PLAN).computed
+            with pytest.raises(StoreError, match="permission denied"):
+                again.spectrum(creature(600), PLAN)
+        assert content(store.path) == before
+        for place in places:
+            place.chmod(0o755)
+
+
+# --- plans and files ---
+
+
+@pytest.mark.parametrize(
+    ("argument", "expected", "options"),
+    [
+        ("k", "be at least 1", {"k": 0}),
+        ("cloud", "be at least 4", {"cloud": 3}),
+        ("seed", "be at least 0", {"seed": -1}),
+        ("descriptors", "be named once each", {"descriptors": ("hks", "dna", "hks")}),
+    ],
+)
+def test_plans_that_cannot_be(argument, expected, options):
+    refused(argument, expected, Plan, **options)
+
+
+def test_plans_that_do_not_fit_their_shape():
+    cloud = PointCloud(np.random.default_rng(0).random((50, 3)))
+    refused("cloud", "sample meshes", Plan(cloud=20).prepared, cloud)
+    refused("operator", "be one for points", Plan(operator="cotan").laplacian, cloud)
+    refused("boundary", "be neumann on what has none", Plan(boundary="dirichlet").laplacian, cloud)
+
+
+def test_dirichlet_is_that_of_the_operator(store):
+    sheet = rectangle(n=300).geometry
+    values = store.spectrum(sheet, Plan(k=5, boundary="dirichlet")).eigenvalues
+    expected = sk.eigensolve(sk.laplacian(sheet).dirichlet(sheet.boundary_vertices), 5)
+    np.testing.assert_allclose(values, expected.eigenvalues, rtol=1e-10)
+    assert values[0] > 1
+
+
+def test_a_file_that_changed_is_computed_anew_and_one_renamed_is_known(store, tmp_path):
+    write(bumpy(), tmp_path / "a.off")
+    first = complete(store, "a", tmp_path / "a.off", PLAN)
+    assert (first.computed, first.kind, first.points) == (True, "mesh", bumpy().n)
+    write(bumpy(), tmp_path / "b.ply")  # the same shape, in other bytes
+    second = complete(store, "b", tmp_path / "b.ply", PLAN)
+    assert not second.computed
+    assert second.record.spectrum == first.record.spectrum
+    write(creature(600), tmp_path / "a.off")
+    changed = complete(store, "a", tmp_path / "a.off", PLAN)
+    assert changed.computed
+    assert store.record("a", PLAN).spectrum == changed.record.spectrum
+    assert [record.name for record in store.records(PLAN)].count("a") == 1
+    assert list(store.records(Plan(k=13))) == []
+
+
+def test_what_a_shape_and_a_solver_were_found_to_be_is_remembered(store, tmp_path):
+    open_mesh = TriangleMesh(bumpy().points, bumpy().faces[:-30])
+    write(open_mesh, tmp_path / "a.off")
+    plan = Plan(k=12, solver=sk.RayleighRitz(subspace=sk.RandomBasis(m=30)), repair=True)
+    first = complete(store, "a", tmp_path / "a.off", plan)
+    second = complete(store, "a", tmp_path / "a.off", plan)
+    assert first.record.warnings
+    assert (second.record, second.computed) == (first.record, False)
+    assert first.level == "residuals"
+    assert (first.components, first.zero_modes) == (1, 1)
+
+
+def test_a_file_that_cannot_be_read_leaves_no_record(store, tmp_path):
+    (tmp_path / "a.off").write_text("OFF\n1 1 0\n")
+    for file in ("a.off", "none.off"):
+        with pytest.raises(InvalidFileError, match=file):
+            complete(store, "a", tmp_path / file, PLAN)
+    assert list(store.entries()) == []
+
+
+def test_spectra_of_a_store_are_whole_spectra(store):
+    store.spectrum(bumpy(), PLAN)
+    spectrum = Spectrum.load(next(store.entries("spectra")).path)
+    assert spectrum.certificate.relative_residuals.max() < 1e-8
