@@ -1,0 +1,150 @@
+"""The commands of many shapes: `batch` into a store, and `store`, which looks into it."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from conftest import bumpy, creature
+from running import printed, record, refusal
+
+import spectra_kit as sk
+from spectra_kit.cli import main
+from spectra_kit.geometry import TriangleMesh, write
+from spectra_kit.store import SpectrumStore
+
+HERE = ("-k", 6, "--nworkers", 0)
+
+
+@pytest.fixture
+def scans(tmp_path, monkeypatch):
+    """Three shapes in a folder, and the working folder beside it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scans").mkdir()
+    write(bumpy(), "scans/a.off")
+    write(creature(520), "scans/b.ply")
+    write(creature(520).as_cloud(), "scans/c.xyz")
+    return tmp_path / "scans"
+
+
+def test_a_folder_into_a_store_and_a_table(scans, capsys):
+    run = ("batch", "scans", "--out", "store", *HERE, "--csv", "t.csv", "--descriptors", "hks,dna")
+    made = record(capsys, *run)
+    assert (made["inputs"], made["computed"], made["known"], made["failed"]) == (3, 3, 0, [])
+    with open("t.csv", newline="") as file:
+        rows = {row["name"]: row for row in csv.DictReader(file)}
+    assert [*rows] == ["scans/a.off", "scans/b.ply", "scans/c.xyz"]
+    exact = sk.spectrum("scans/a.off", 6).eigenvalues
+    values = [float(rows["scans/a.off"][f"eigenvalue_{i}"]) for i in range(6)]
+    np.testing.assert_allclose(values, exact, rtol=1e-12, atol=1e-12)
+    assert rows["scans/c.xyz"]["kind"] == "cloud"
+    again = record(capsys, *run)
+    assert (again["computed"], again["known"]) == (0, 3)
+    text, _ = printed(capsys, *run)
+    assert "3 shapes: 0 computed, 3 known, 0 failed" in text
+
+
+def test_what_fails_is_named_with_its_reason_and_the_rest_goes_on(scans, capsys):
+    mesh = bumpy()
+    write(TriangleMesh(np.vstack([mesh.points, [[9, 9, 9]]]), mesh.faces), "scans/loose.off")
+    (scans / "empty.off").touch()
+    assert main(["batch", "scans", "-o", "store", *map(str, HERE), "--json"]) == 2
+    out, err = capsys.readouterr()
+    told = json.loads(out)
+    assert told["computed"] == 3
+    reasons = {one["name"]: one["reason"] for one in told["failed"]}
+    assert [*reasons] == ["scans/empty.off", "scans/loose.off"]
+    assert reasons["scans/loose.off"].endswith("drop them with --repair")
+    for name, reason in reasons.items():
+        assert f"failed: {name}: {reason}\n" in err
+    assert err.endswith("error: 2 shapes of 5 failed, as told above; mend or leave them out;"
+                        " what is done is kept\n")  # fmt: skip
+    mended = ("batch", "scans", "-o", "store", *HERE, "--repair")
+    assert main([*map(str, mended)]) == 2
+    assert "1 shape of 5 failed" in capsys.readouterr().err
+
+
+def test_strict_runs_stop(scans, capsys):
+    (scans / "A.off").touch()
+    line = refusal(capsys, "batch", "scans", "-o", "store", *HERE, "--strict")
+    assert "scans/A.off: the file is empty" in line
+    assert list(SpectrumStore("store").entries()) == []
+
+
+def test_shards_share_a_store(scans, capsys):
+    counts = [
+        record(capsys, "batch", "scans", "-o", "store", *HERE, "--shard", f"{i}/2")["computed"]
+        for i in (1, 2)
+    ]
+    assert sum(counts) == 3
+    assert record(capsys, "batch", "scans", "-o", "store", *HERE)["computed"] == 0
+
+
+@pytest.mark.slow
+def test_workers_do_the_same(scans, capsys):
+    run = ("batch", "scans", "-k", 6, "-o")
+    record(capsys, *run, "one", "--nworkers", 0)
+    assert record(capsys, *run, "two", "--nworkers", 2)["computed"] == 3
+    one, two = ({e.key: e.path.read_bytes() for e in SpectrumStore(store).entries()}
+                for store in ("one", "two"))  # fmt: skip
+    assert one == two
+
+
+@pytest.mark.parametrize(
+    ("message", "options"),
+    [
+        ("`--shard` must be like 3/100, counted from 1, got 3", ("--shard", "3")),
+        ("`part` must be in [1, 3], got 4", ("--shard", "4/3")),
+        ("`--descriptors` must be among hks, wks, gps, dna, got sift", ("--descriptors", "sift")),
+        ("`output` must be a .csv file", ("--csv", "table.xlsx")),
+        ("--nworkers 0, which is this process alone", ("--nworkers", "0", "--nthreads", "2")),
+        ("`nworkers` must be left out", ("--scheduler", "tcp://a:1", "--nworkers", "2")),
+    ],
+)
+def test_options_that_are_wrong(scans, capsys, message, options):
+    assert message in refusal(capsys, "batch", "scans", "-o", "store", "-k", 6, *options)
+
+
+def test_inputs_and_stores_that_are_none(scans, capsys):
+    (scans / "deep").mkdir()
+    assert "hold meshes or clouds" in refusal(capsys, "batch", "scans/deep", "-o", "store", *HERE)
+    line = refusal(capsys, "batch", "scans", "-o", "scans", *HERE)
+    assert "be a store, an empty folder or a new one" in line
+
+
+def test_a_store_is_listed_verified_and_cleaned(scans, capsys):
+    printed(capsys, "batch", "scans", "-o", "store", *HERE)
+    listed = record(capsys, "store", "list", "store")
+    assert [one["name"] for one in listed["shapes"]] == [
+        "scans/a.off",
+        "scans/b.ply",
+        "scans/c.xyz",
+    ]
+    kept = SpectrumStore("store")
+    assert listed["entries"] == len(list(kept.entries())) == 9
+    assert record(capsys, "store", "verify", "store")["damaged"] == []
+    entry = next(kept.entries("spectra"))
+    entry.path.write_bytes(entry.path.read_bytes()[:-1])
+    assert main(["store", "verify", "store"]) == 2
+    out, err = capsys.readouterr()
+    assert f"damaged: {entry.path}" in out
+    assert "1 entry of the store" in err
+    removed = record(capsys, "store", "verify", "store", "--remove")
+    assert removed["removed"] == [str(entry.path)]
+    assert record(capsys, "batch", "scans", "-o", "store", *HERE)["computed"] == 1
+    assert record(capsys, "store", "clean", "store")["removed"] == []
+
+
+def test_a_damaged_entry_is_told_of_and_made_again(scans, capsys):
+    printed(capsys, "batch", "scans", "-o", "store", *HERE)
+    entry = next(SpectrumStore("store").entries("spectra"))
+    entry.path.write_bytes(b"")
+    text, said = printed(capsys, "batch", "scans", "-o", "store", *HERE)
+    assert "3 shapes: 1 computed, 2 known, 0 failed" in text
+    assert f"warning: {entry.path} is damaged and made again" in said
+
+
+def test_what_is_no_store_is_not_made_one(scans, capsys):
+    assert "is no store" in refusal(capsys, "store", "list", "nowhere")
+    assert not (scans.parent / "nowhere").exists()
+    assert "on list" in refusal(capsys, "store", "list", "nowhere", "--remove")
