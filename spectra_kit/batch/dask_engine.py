@@ -167,5 +167,9 @@ def _spread(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[Task, Complete
 
 
 def _do(store: str, name: str, path: str, plan: Plan) -> Completed:
+    distributed: Any = optional("distributed", extra="batch", needed_by="a run with workers")
+    worker = distributed.get_worker()
+    limit = worker.memory_manager.memory_limit  # of the process; None for none
+    memory = limit / 2**30 / worker.state.nthreads if limit else None
     with single_threaded():
-        return complete(SpectrumStore(store), name, path, plan)
+        return complete(SpectrumStore(store), name, path, plan, memory=memory)

@@ -9,10 +9,12 @@ from pathlib import Path
 from spectra_kit.catalogue import OPERATORS, SOLVERS
 
 _SAME = ("modes", "rtol", "seed", "dpi", "turn", "landmarks", "operator", "boundary", "cloud")
+_MANY = ("nworkers", "nthreads", "memory_limit", "scheduler", "scheduler_file")  # of Dask
 _OPTIONS = {
     "k": "-k",
     "n_points": "--points",
     **{name: f"--{name}" for name in _SAME},
+    **{name: f"--{name.replace('_', '-')}" for name in _MANY},
     "accuracy": "--accuracy",
     "name_or_path": "--weights",
     "coordinate": "--at",

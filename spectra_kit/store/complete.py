@@ -14,7 +14,12 @@ from spectra_kit._checked import checked
 from spectra_kit._fingerprint import shape_digest
 from spectra_kit._types import Floats
 from spectra_kit._validate import Brief
-from spectra_kit.errors import DamagedEntryWarning, InvalidFileError, SpectraKitWarning
+from spectra_kit.errors import (
+    DamagedEntryWarning,
+    InvalidFileError,
+    OutOfMemoryError,
+    SpectraKitWarning,
+)
 from spectra_kit.geometry import Geometry, TriangleMesh, diagnose, read
 from spectra_kit.linalg.threads import single_threaded_blas
 from spectra_kit.store.files import ShapeRecord, remove, warn_of_damage
@@ -73,7 +78,12 @@ class Completed(Brief):
 
 @checked
 def complete(
-    store: SpectrumStore, name: str, file: str | os.PathLike[str], plan: Plan
+    store: SpectrumStore,
+    name: str,
+    file: str | os.PathLike[str],
+    plan: Plan,
+    *,
+    memory: float | None = None,
 ) -> Completed:
     """Compute what a plan wants of a file, unless the store has it already.
 
@@ -90,6 +100,8 @@ def complete(
         Of any format that `geometry.read` knows.
     plan : Plan
         What is wanted.
+    memory : float, optional
+        GiB that there are: what will need more (`Plan.gigabytes`) is refused before it is tried.
 
     Returns
     -------
@@ -124,6 +136,13 @@ def complete(
         shape, problems = _shape(store, path, plan, old if old and old.file == digest else None)
         key = store.key(shape, plan)
         there = key in store
+        if not there and memory is not None and plan.gigabytes(shape.n) > memory:
+            raise OutOfMemoryError(
+                f"{path}: the modes of {shape.n:,} points need about"
+                f" {plan.gigabytes(shape.n):.1f} GiB, and there are {memory:.1f}",
+                advice=("raise {}", "lower {}"),
+                remedies=("memory_limit", "nworkers"),
+            )
         spectrum = store.spectrum(shape, plan)
         signatures = {kind: store.descriptor(shape, plan, kind) for kind in plan.descriptors}
     replaced = _told(caught, DamagedEntryWarning)

@@ -12,6 +12,7 @@ from spectra_kit.catalogue import DESCRIPTORS
 from spectra_kit.eigensolvers import Automatic, Eigensolver
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, repair, sample
+from spectra_kit.linalg.memory import factor_gigabytes
 from spectra_kit.operators import Laplacian, laplacian
 
 Descriptor = Literal["hks", "wks", "gps", "dna"]
@@ -135,6 +136,28 @@ class Plan:
         'cotan_laplacian(mesh)'
         """
         return laplacian(shape, operator=self.operator, boundary=self.boundary)
+
+    def gigabytes(self, n: int) -> float:
+        """Estimate what the modes of n points take while they are solved for, in GiB.
+
+        Parameters
+        ----------
+        n : int
+            Points.
+
+        Returns
+        -------
+        float
+            For a complete factor, and nine vectors for each mode: what `Automatic` took on real
+            meshes of 5,000 to 135,000 points was 0.7 to 0.95 of it. Approximate solvers take less.
+
+        Examples
+        --------
+        >>> import spectra_kit as sk
+        >>> round(sk.store.Plan(k=96).gigabytes(135_000), 2)
+        0.97
+        """
+        return factor_gigabytes(n) + 9 * 8 * self.k * n / 2**30
 
     @property
     def solved(self) -> dict[str, object]:

@@ -257,3 +257,12 @@ def test_a_scheduler_that_is_not_there():
         pytest.raises(EngineLostError, match=r"no scheduler answers at tcp://127\.0\.0\.1:"),
     ):
         list(engine([]))
+
+
+@pytest.mark.slow
+def test_workers_refuse_what_will_not_fit(scans, store):
+    plan = Plan(k=500)
+    engine = DaskEngine(nworkers=1, memory_limit="210MB")
+    write(creature(9000), store.path / "large.off")
+    report = compute_all(find_inputs([store.path / "large.off"]), store, plan, engine=engine)
+    assert "need about 0." in str(report.failed[0].error)

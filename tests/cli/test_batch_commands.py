@@ -98,7 +98,7 @@ def test_workers_do_the_same(scans, capsys):
         ("`--descriptors` must be among hks, wks, gps, dna, got sift", ("--descriptors", "sift")),
         ("`output` must be a .csv file", ("--csv", "table.xlsx")),
         ("--nworkers 0, which is this process alone", ("--nworkers", "0", "--nthreads", "2")),
-        ("`nworkers` must be left out", ("--scheduler", "tcp://a:1", "--nworkers", "2")),
+        ("`--nworkers` must be left out", ("--scheduler", "tcp://a:1", "--nworkers", "2")),
     ],
 )
 def test_options_that_are_wrong(scans, capsys, message, options):

@@ -17,7 +17,12 @@ from conftest import bumpy, creature, refused
 
 import spectra_kit as sk
 from spectra_kit.catalogue import DESCRIPTORS
-from spectra_kit.errors import DamagedEntryWarning, InvalidFileError, StoreError
+from spectra_kit.errors import (
+    DamagedEntryWarning,
+    InvalidFileError,
+    OutOfMemoryError,
+    StoreError,
+)
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, write
 from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 from spectra_kit.spectra import Spectrum
@@ -406,3 +411,13 @@ def test_spectra_of_a_store_are_whole_spectra(store):
     store.spectrum(bumpy(), PLAN)
     spectrum = Spectrum.load(next(store.entries("spectra")).path)
     assert spectrum.certificate.relative_residuals.max() < 1e-8
+
+
+def test_what_needs_more_memory_than_there_is_is_not_tried(store, tmp_path):
+    write(bumpy(), tmp_path / "a.off")
+    needed = PLAN.gigabytes(bumpy().n)
+    with pytest.raises(OutOfMemoryError, match="raise memory_limit, or lower nworkers"):
+        complete(store, "a", tmp_path / "a.off", PLAN, memory=0.9 * needed)
+    assert list(store.entries("spectra")) == []
+    assert complete(store, "a", tmp_path / "a.off", PLAN, memory=1.1 * needed).computed
+    assert not complete(store, "a", tmp_path / "a.off", PLAN, memory=0.1 * needed).computed

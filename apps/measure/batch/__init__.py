@@ -1,0 +1,1 @@
+"""Trials of runs over many shapes."""
