@@ -395,15 +395,8 @@ class Batch(_Many, options.Operator, options.Solver, _Workers):
 
 
 @dataclass(frozen=True)
-class Store(options.Command):
-    """Look into a store of spectra: list what is there, read all of it, or remove what is old."""
-
+class _Kept(options.Command):
     group = "input"
-    outcome = "what a store holds"
-    examples = ("store list store", "store verify store --remove", "store clean store")
-    keys = "store, entries, bytes, shapes, damaged, removed"
-    run = "batch.store"
-    operands = "ACTION STORE [options]"
 
     action: Annotated[
         Literal["list", "verify", "clean"],
@@ -411,6 +404,19 @@ class Store(options.Command):
                   " is of other releases"),
     ]  # fmt: skip
     store: Annotated[Path, Parameter(name="STORE", help="the folder")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Store(_Kept):
+    """Look into a store of spectra: list what is there, read all of it, or remove what is old."""
+
+    group = "output"
+    outcome = "what a store holds"
+    examples = ("store list store", "store verify store --remove", "store clean store")
+    keys = "store, entries, bytes, shapes, damaged, removed"
+    run = "batch.store"
+    operands = "ACTION STORE [options]"
+
     remove: bool = False
     """of verify: take out what is damaged, to be computed again"""
 
