@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba.core import types
-from numba.core.datamodel import PrimitiveModel, register_default
-from numba.extending import intrinsic
+from numba.extending import intrinsic, models, register_model
 from numpy.typing import NDArray
 
 from spectra_kit.linalg.compiled import compiled
@@ -29,7 +28,7 @@ LANES = 8
 _FUSED = ("contract",)  # one rounding for a product and its sum, where the processor can
 
 
-class Lanes(types.Type):  # type: ignore[misc]
+class Lanes(types.Type):
     """A number of each of the right-hand sides."""
 
     def __init__(self, dtype: Any) -> None:
@@ -37,11 +36,12 @@ class Lanes(types.Type):  # type: ignore[misc]
         super().__init__(name=f"Lanes({dtype})")
 
 
-@register_default(Lanes)
-class _LanesModel(PrimitiveModel):  # type: ignore[misc]
+@register_model(Lanes)
+class _LanesModel(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
         number = dmm.lookup(fe_type.dtype).get_value_type()
-        super().__init__(dmm, fe_type, ir.VectorType(number, LANES))
+        vector = ir.VectorType(number, LANES)
+        super().__init__(dmm, fe_type, vector)  # type: ignore[no-untyped-call]
 
 
 def _instruction(define: Callable[..., Any]) -> Any:
