@@ -196,12 +196,12 @@ class HeatGeodesics:
         """
         return self._fields([check_sources(sources, self._geometry, weights)])[0]
 
-    def distances(self, sources: Sequence[SourcesLike]) -> list[DistanceField]:
+    def distances(self, sources: Sequence[SourcesLike] | Ints) -> list[DistanceField]:
         """Measure a distance field for each of many sources, or sets of sources.
 
         Parameters
         ----------
-        sources : sequence of whatever `distance` takes
+        sources : sequence of whatever `distance` takes, or array of int of shape (s,)
             One after the other.
 
         Returns
@@ -235,8 +235,7 @@ class HeatGeodesics:
         for component, places in members.items():
             ready = self._ready(component)
             iterative = isinstance(ready.poisson, IterativePoisson)
-            width = 1 if iterative else _TOGETHER * thread_count()
-            for left, right in ranges(len(places), width):
+            for left, right in ranges(len(places), 1 if iterative else solved_together()):
                 block = places[left:right]
                 found |= zip(block, self._block(ready, [sources[i] for i in block]), strict=True)
         return [found[i] for i in range(len(sources))]
@@ -438,6 +437,11 @@ class HeatGeodesics:
                     " triangle wide",
                 )
         return whole
+
+
+def solved_together() -> int:
+    """Return how many sources a direct solver solves for at once: some for each thread."""
+    return _TOGETHER * thread_count()
 
 
 def _from_sources(potential: Floats, sources: Sources, labels: Ints) -> Floats:
