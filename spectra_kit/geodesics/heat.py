@@ -196,7 +196,7 @@ class HeatGeodesics:
         """
         return self._fields([check_sources(sources, self._geometry, weights)])[0]
 
-    def distances(self, sources: Sequence[SourcesLike] | Ints) -> list[DistanceField]:
+    def distances(self, sources: Sequence[SourcesLike]) -> list[DistanceField]:
         """Measure a distance field for each of many sources, or sets of sources.
 
         Parameters

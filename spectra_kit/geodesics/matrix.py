@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
-from spectra_kit._types import Ints
 from spectra_kit._validate import check_count, warn
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat import HeatGeodesics, solved_together
@@ -26,7 +25,7 @@ _TILE = 1024  # rows and columns whose halves are averaged at once: 4 MiB of flo
 @checked
 def distance_matrix(
     geometry: Geometry | IntrinsicTriangulation | HeatGeodesics,
-    sources: Sequence[SourcesLike] | Ints | None = None,
+    sources: Sequence[SourcesLike] | None = None,
     *,
     out: NDArray[Any] | None = None,
     dtype: Literal["float32", "float64"] = "float32",
@@ -124,7 +123,7 @@ def distance_matrix(
             "be left out where there are `sources`, of which the other direction is not known",
             symmetric,
         )
-    rows: Sequence[SourcesLike] | Ints = range(n) if sources is None else sources
+    rows: Sequence[SourcesLike] = range(n) if sources is None else sources
     shape = (len(rows), n)
     if out is None and start:
         raise InvalidInputError("start", "be 0 without `out`, which holds the rows before", start)
@@ -144,12 +143,13 @@ def distance_matrix(
 
 def _fitting(out: NDArray[Any], shape: tuple[int, int], dtype: str) -> NDArray[Any]:
     """Return `out` if the matrix can be written to it."""
+    expected = f"be an array of shape {shape} and type {dtype} that can be written to"
+    if not isinstance(out, np.ndarray):
+        raise InvalidInputError("out", expected, type(out).__name__)
     if out.shape != shape or out.dtype != dtype or not out.flags.writeable:
+        read_only = "" if out.flags.writeable else ", read-only"
         raise InvalidInputError(
-            "out",
-            f"be an array of shape {shape} and type {dtype} that can be written to",
-            f"one of shape {out.shape} and type {out.dtype}"
-            + ("" if out.flags.writeable else ", read-only"),
+            "out", expected, f"one of shape {out.shape} and type {out.dtype}{read_only}"
         )
     return out
 

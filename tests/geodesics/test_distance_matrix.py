@@ -161,7 +161,7 @@ def test_bad_input_is_refused() -> None:
     fits = f"be an array of shape (3, {n}) and type float32 that can be written to"
     frozen = np.empty((3, n), np.float32)
     frozen.flags.writeable = False
-    for out in (np.empty((n, 3), np.float32), np.empty((3, n)), frozen):
+    for out in (np.empty((n, 3), np.float32), np.empty((3, n)), frozen, "distances.npy"):
         refused("out", fits, distance_matrix, mesh, [0, 1, 2], out=out)
     refused("symmetric", "be left out where there", distance_matrix, mesh, [0], symmetric=True)
     refused("start", "be 0 without `out`", distance_matrix, mesh, [0, 1], start=1)
