@@ -78,6 +78,8 @@ class HeatGeodesics:
 
     Attributes
     ----------
+    geometry : TriangleMesh, PointCloud or IntrinsicTriangulation
+        As it was given; sources are named by its points and faces.
     triangulation : IntrinsicTriangulation
         What the distances are measured on.
     time_steps : ndarray of shape (n_components,)
@@ -148,7 +150,7 @@ class HeatGeodesics:
                 f"have the {self.triangulation.n} points of `geometry`",
                 f"one of {spectrum.n}",
             )
-        self._geometry, self._spectrum, self._solver = geometry, spectrum, solver
+        self.geometry, self._spectrum, self._solver = geometry, spectrum, solver
         self._boundary: Boundary = boundary
         self.time_steps = frozen(time_coefficient * self.triangulation.spacings**2)
         self._time_coefficient = time_coefficient
@@ -194,7 +196,7 @@ class HeatGeodesics:
             If an iterative solver stops short: `partial` is the `DistanceField` of what it had,
             or the `Heat` if that was the heat step.
         """
-        return self._fields([check_sources(sources, self._geometry, weights)])[0]
+        return self._fields([check_sources(sources, self.geometry, weights)])[0]
 
     def distances(self, sources: Sequence[SourcesLike]) -> list[DistanceField]:
         """Measure a distance field for each of many sources, or sets of sources.
@@ -223,7 +225,7 @@ class HeatGeodesics:
         >>> [field.distance.shape for field in heat.distances([0, [1, 2]])]
         [(642,), (642,)]
         """
-        checked = [check_sources(one, self._geometry) for one in sources]
+        checked = [check_sources(one, self.geometry) for one in sources]
         return self._fields(checked)
 
     def _fields(self, sources: Sequence[Sources]) -> list[DistanceField]:

@@ -14,7 +14,7 @@ from spectra_kit._checked import checked
 from spectra_kit._validate import check_count, warn
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat import HeatGeodesics, solved_together
-from spectra_kit.geodesics.sources import SourcesLike
+from spectra_kit.geodesics.sources import SourcesLike, check_sources
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.linalg.threads import ranges
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation
@@ -123,7 +123,9 @@ def distance_matrix(
             "be left out where there are `sources`, of which the other direction is not known",
             symmetric,
         )
-    rows: Sequence[SourcesLike] = range(n) if sources is None else sources
+    rows: Sequence[SourcesLike] = range(n)
+    if sources is not None:
+        rows = [check_sources(one, heat.geometry) for one in sources]
     shape = (len(rows), n)
     if out is None and start:
         raise InvalidInputError("start", "be 0 without `out`, which holds the rows before", start)

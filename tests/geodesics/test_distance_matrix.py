@@ -161,13 +161,13 @@ def test_bad_input_is_refused() -> None:
     fits = f"be an array of shape (3, {n}) and type float32 that can be written to"
     frozen = np.empty((3, n), np.float32)
     frozen.flags.writeable = False
-    for out in (np.empty((n, 3), np.float32), np.empty((3, n)), frozen, "distances.npy"):
+    for out in (np.empty((n, 3), np.float32), np.empty((3, n)), frozen, [[0.0] * n] * 3):
         refused("out", fits, distance_matrix, mesh, [0, 1, 2], out=out)
     refused("symmetric", "be left out where there", distance_matrix, mesh, [0], symmetric=True)
     refused("start", "be 0 without `out`", distance_matrix, mesh, [0, 1], start=1)
     out = np.empty((2, n), np.float32)
     refused("start", "be in [0, 2]", distance_matrix, mesh, [0, 1], out=out, start=3)
-    refused("sources", "be", distance_matrix, mesh, [0, n])
+    refused("sources", "be indices", distance_matrix, mesh, [0, n])
     assert distance_matrix(mesh, []).shape == (0, n)
 
 
