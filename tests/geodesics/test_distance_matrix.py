@@ -167,7 +167,7 @@ def test_bad_input_is_refused() -> None:
     refused("start", "be 0 without `out`", distance_matrix, mesh, [0, 1], start=1)
     out = np.empty((2, n), np.float32)
     refused("start", "be in [0, 2]", distance_matrix, mesh, [0, 1], out=out, start=3)
-    refused("sources", "be indices", distance_matrix, mesh, [0, n])
+    refused("sources", "be in [0, 42)", distance_matrix, mesh, [0, n])
     assert distance_matrix(mesh, []).shape == (0, n)
 
 
