@@ -22,7 +22,7 @@ from spectra_kit.errors import (
     StoreError,
 )
 
-Kind = Literal["shapes", "spectra", "descriptors", "records"]
+Kind = Literal["shapes", "spectra", "descriptors", "maps", "records"]
 
 FORMAT_VERSION = 1
 MARK = "store.json"  #: A folder that holds this is a store.
@@ -34,8 +34,9 @@ class StoredEntry(NamedTuple):
 
     Attributes
     ----------
-    kind : {"shapes", "spectra", "descriptors", "records"}
-        What it holds: a geometry, its modes, a signature, or which of these belong to a name.
+    kind : {"shapes", "spectra", "descriptors", "maps", "records"}
+        What it holds: a geometry, its modes, a signature, a map between two, or which of these
+        belong to a name.
     key : str
         Hash of all that its content follows from.
     path : Path

@@ -9,9 +9,10 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path, parsing
@@ -34,6 +35,7 @@ _SUFFIX: Mapping[Kind, str] = {
     "shapes": ".npz",
     "spectra": ".npz",
     "descriptors": ".npz",
+    "maps": ".npz",
     "records": ".json",
 }
 _LEFT = 24 * 3600  # seconds after which what a writer has left was left by one that is gone
@@ -355,6 +357,75 @@ class SpectrumStore:
                 raise ValueError("its content has another hash than its name")
         return shape
 
+    def keep_map(self, facts: Mapping[str, object], arrays: Mapping[str, NDArray[Any]]) -> str:
+        """Keep a map between two shapes, and return its key.
+
+        Parameters
+        ----------
+        facts : mapping
+            All that it follows from, as JSON can say it; among it the keys of two spectra as
+            ``source`` and ``target``, and the ``release`` that found it.
+        arrays : mapping of str to ndarray
+            What it is.
+
+        Returns
+        -------
+        str
+            For `load_map`.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import numpy as np
+        >>> import spectra_kit as sk
+        >>> store, facts = sk.store.SpectrumStore(tempfile.mkdtemp()), {"source": "", "target": ""}
+        >>> key = store.keep_map(facts, {"point_map": np.arange(3)})
+        >>> store.load_map(key)["point_map"]
+        array([0, 1, 2])
+        """
+        key = facts_digest(facts)
+        with self._new("maps", key) as path:
+            files.write(path, facts, **arrays)
+        return key
+
+    def load_map(self, key: str) -> dict[str, NDArray[Any]] | None:
+        """Return the arrays of a map if it is there.
+
+        Parameters
+        ----------
+        key : str
+            As `keep_map` returns it.
+
+        Returns
+        -------
+        dict of str to ndarray, or None
+            As they were kept.
+
+        Raises
+        ------
+        InvalidFileError
+            If the entry is damaged.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> sk.store.SpectrumStore(tempfile.mkdtemp()).load_map("0" * 32) is None
+        True
+        """
+        path = self._place("maps", key)
+        if not path.exists():
+            return None
+        header, arrays = files.read(path)
+        if facts_digest(header["facts"]) != key:
+            raise InvalidFileError(path, files.misnamed())
+        return arrays
+
     def record(self, name: str, plan: Plan) -> ShapeRecord | None:
         """Return what is known of a name under a plan.
 
@@ -452,7 +523,7 @@ class SpectrumStore:
 
         Parameters
         ----------
-        kind : {"shapes", "spectra", "descriptors", "records"}, optional
+        kind : {"shapes", "spectra", "descriptors", "maps", "records"}, optional
             Which.
 
         Yields
@@ -557,6 +628,10 @@ class SpectrumStore:
             for entry in self.entries("descriptors")
             if files.read_facts(entry.path)["spectrum"] not in kept
         ]
+        for entry in self.entries("maps"):
+            facts = files.read_facts(entry.path)
+            if facts["release"] != VERSION or not kept.issuperset(_ends(facts)):
+                gone.append(entry.path)
         for entry in self.entries("records"):
             record = files.read_record(entry.path)
             if record.facts["release"] == VERSION:
@@ -634,6 +709,11 @@ def _spectrum_facts(shape: str, plan: Plan) -> dict[str, object]:
 
 def _descriptor_facts(spectrum: str, name: str) -> dict[str, object]:
     return {"spectrum": spectrum, "descriptor": name}
+
+
+def _ends(facts: Mapping[str, object]) -> tuple[str, str]:
+    """Return the keys of the spectra that a map joins."""
+    return str(facts["source"]), str(facts["target"])
 
 
 def _record_key(name: str, facts: Mapping[str, object]) -> str:
