@@ -97,9 +97,14 @@ class ShapeRecord:
     warnings: tuple[str, ...] = ()
 
 
+def damage(error: InvalidFileError) -> str:
+    """Return the words for what is damaged and made again."""
+    return f"{error.path} is damaged and made again: {error.problem}"
+
+
 def warn_of_damage(error: InvalidFileError) -> None:
     """Say that what is damaged is made again."""
-    warn(f"{error.path} is damaged and made again: {error.problem}", DamagedEntryWarning)
+    warn(damage(error), DamagedEntryWarning)
 
 
 def misnamed() -> InvalidInputError:

@@ -385,7 +385,7 @@ class SpectrumStore:
         >>> import spectra_kit as sk
         >>> store, facts = sk.store.SpectrumStore(tempfile.mkdtemp()), {"source": "", "target": ""}
         >>> key = store.keep_map(facts, {"point_map": np.arange(3)})
-        >>> store.load_map(key)["point_map"]
+        >>> store.load_map(key)[1]["point_map"]
         array([0, 1, 2])
         """
         key = facts_digest(facts)
@@ -393,8 +393,8 @@ class SpectrumStore:
             files.write(path, facts, **arrays)
         return key
 
-    def load_map(self, key: str) -> dict[str, NDArray[Any]] | None:
-        """Return the arrays of a map if it is there.
+    def has_map(self, key: str) -> bool:
+        """Return whether there is a map of a key, whole or damaged.
 
         Parameters
         ----------
@@ -403,7 +403,24 @@ class SpectrumStore:
 
         Returns
         -------
-        dict of str to ndarray, or None
+        bool
+            Without a look into it.
+        """
+        return self._place("maps", key).exists()
+
+    def load_map(self, key: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]] | None:
+        """Return the facts and the arrays of a map if it is there.
+
+        Parameters
+        ----------
+        key : str
+            As `keep_map` returns it.
+
+        Returns
+        -------
+        facts : dict
+            As they were kept, but for tuples, which are lists now.
+        arrays : dict of str to ndarray
             As they were kept.
 
         Raises
@@ -418,13 +435,13 @@ class SpectrumStore:
         >>> sk.store.SpectrumStore(tempfile.mkdtemp()).load_map("0" * 32) is None
         True
         """
-        path = self._place("maps", key)
-        if not path.exists():
+        if not self.has_map(key):
             return None
+        path = self._place("maps", key)
         header, arrays = files.read(path)
         if facts_digest(header["facts"]) != key:
             raise InvalidFileError(path, files.misnamed())
-        return arrays
+        return header["facts"], arrays
 
     def record(self, name: str, plan: Plan) -> ShapeRecord | None:
         """Return what is known of a name under a plan.
