@@ -11,6 +11,7 @@ from spectra_kit.catalogue import OPERATORS, SOLVERS
 _SAME = ("modes", "rtol", "seed", "dpi", "turn", "landmarks", "operator", "boundary", "cloud")
 _OPTIONS = {
     "k": "-k",
+    "plan": "-k",
     "n_points": "--points",
     **{name: f"--{name}" for name in _SAME},
     "accuracy": "--accuracy",
