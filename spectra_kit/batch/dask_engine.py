@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 from spectra_kit._checked import checked
@@ -15,8 +14,8 @@ from spectra_kit._optional import optional
 from spectra_kit._validate import check_count
 from spectra_kit.batch.run import Task
 from spectra_kit.errors import EngineLostError, InvalidInputError, WorkerError
+from spectra_kit.linalg.memory import memory_of
 from spectra_kit.linalg.threads import single_threaded
-from spectra_kit.store import Completed, Plan, SpectrumStore, complete
 
 _AHEAD = 4  # tasks handed out for each thread: none waits, and the scheduler has little to remember
 _ALLOWED_FAILURES = 10  # deaths of workers that a shape may be near by chance
@@ -94,7 +93,7 @@ class DaskEngine:
                 getattr(self, told[0]),
             )
 
-    def __call__(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Completed | BaseException]]:
+    def __call__(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
         """Hand the tasks out, and yield results as they come."""
         with self._client() as client:
             yield from _spread(client, tasks)
@@ -135,16 +134,14 @@ class DaskEngine:
             yield client
 
 
-def _spread(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[Task, Completed | BaseException]]:
+def _spread(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
     distributed: Any = optional("distributed", extra="batch", needed_by="a run with workers")
     todo, waiting = iter(tasks), dict[str, Task]()
     ready = distributed.as_completed()
 
     def hand_out(count: int) -> None:
         for task in islice(todo, count):
-            name, path = task.input.name, Path(task.input.path).absolute()
-            store = Path(task.store).absolute()  # workers may have another folder as theirs
-            future = client.submit(_do, str(store), name, str(path), task.plan, pure=False)
+            future = client.submit(_do, task, pure=False)
             waiting[future.key] = task
             ready.add(future)
 
@@ -166,10 +163,10 @@ def _spread(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[Task, Complete
         hand_out(1)
 
 
-def _do(store: str, name: str, path: str, plan: Plan) -> Completed:
+def _do(task: Task) -> Any:
     distributed: Any = optional("distributed", extra="batch", needed_by="a run with workers")
     worker = distributed.get_worker()
     limit = worker.memory_manager.memory_limit  # of the process; None for none
-    memory = limit / 2**30 / worker.state.nthreads if limit else None
-    with single_threaded():
-        return complete(SpectrumStore(store), name, path, plan, memory=memory)
+    share = limit / 2**30 / worker.state.nthreads if limit else None
+    with single_threaded(), memory_of(share):
+        return task()

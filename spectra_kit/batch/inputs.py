@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 from spectra_kit._checked import checked
 from spectra_kit._fingerprint import facts_digest
@@ -39,6 +40,32 @@ class Input:
     name: str
     path: Path
     columns: Mapping[str, str] = field(default_factory=dict)
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Pair:
+    """Two shapes of a store to match, and what else is known of them.
+
+    Parameters
+    ----------
+    source, target : str
+        Their names in the store.
+    columns : dict of str to str, optional
+        For the table.
+    """
+
+    source: str
+    target: str
+    columns: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Both names."""
+        return f"{self.source} to {self.target}"
+
+
+Named = TypeVar("Named", Input, Pair)
 
 
 @checked
@@ -92,12 +119,12 @@ def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
 
 
 @checked
-def shard(inputs: Sequence[Input], part: int, parts: int) -> list[Input]:
+def shard(inputs: Sequence[Named], part: int, parts: int) -> list[Named]:
     """Return one of several parts of the inputs, for runs that share a store and nothing else.
 
     Parameters
     ----------
-    inputs : sequence of Input
+    inputs : sequence of Input or Pair
         All of them.
     part : int
         Which, from 1 to `parts`.
@@ -106,7 +133,7 @@ def shard(inputs: Sequence[Input], part: int, parts: int) -> list[Input]:
 
     Returns
     -------
-    list of Input
+    list of Input or Pair
         Chosen by a hash of the names: what is added later moves none from one part to another.
 
     Raises
@@ -155,25 +182,31 @@ def _some(source: str, paths: Sequence[Path], expected: str) -> Iterator[Input]:
 
 def _listed(manifest: Path) -> Iterator[Input]:
     """Return what a manifest names."""
-    if not manifest.is_file():
-        raise InvalidFileError(manifest, "there is no such file")
-    with manifest.open(newline="", encoding="utf-8-sig") as file:  # as spreadsheets write it
-        try:
-            rows = list(csv.DictReader(file, strict=True))
-        except (csv.Error, UnicodeDecodeError) as error:
-            raise InvalidFileError(manifest, f"not a table of commas in UTF-8 ({error})") from error
-    if not rows or _FILE not in rows[0]:
-        columns = ", ".join(map(str, rows[0])) if rows else "no row"
-        raise InvalidFileError(
-            manifest, InvalidInputError("manifest", f"have a column {_FILE!r}", columns)
-        )
-    for number, row in enumerate(rows, start=2):
-        if not row[_FILE] or None in row or None in row.values():
-            raise InvalidFileError(
-                manifest, f"line {number} has not a cell for each column, or none for {_FILE!r}"
-            )
+    for row in rows_of(manifest, "manifest", (_FILE,)):
         path = Path(row[_FILE])
         others = {key: cell for key, cell in row.items() if key not in (_FILE, "name")}
         yield Input(
             name=row.get("name") or path.as_posix(), path=manifest.parent / path, columns=others
         )
+
+
+def rows_of(path: Path, what: str, needed: Sequence[str]) -> Iterator[dict[str, str]]:
+    """Return the rows of a CSV file that has some columns, and no empty cell in them."""
+    if not path.is_file():
+        raise InvalidFileError(path, "there is no such file")
+    with path.open(newline="", encoding="utf-8-sig") as file:  # as spreadsheets write it
+        try:
+            rows = list(csv.DictReader(file, strict=True))
+        except (csv.Error, UnicodeDecodeError) as error:
+            raise InvalidFileError(path, f"not a table of commas in UTF-8 ({error})") from error
+    names = " and ".join(map(repr, needed))
+    if not rows or not set(needed) <= set(rows[0]):
+        columns = ", ".join(map(str, rows[0])) if rows else "no row"
+        kind = "a column" if len(needed) == 1 else "columns"
+        raise InvalidFileError(path, InvalidInputError(what, f"have {kind} {names}", columns))
+    for number, row in enumerate(rows, start=2):
+        if None in row or None in row.values() or not all(row[name] for name in needed):
+            raise InvalidFileError(
+                path, f"line {number} has not a cell for each column, or none for {names}"
+            )
+        yield row

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
@@ -13,6 +13,7 @@ from spectra_kit._validate import Brief
 from spectra_kit.batch.inputs import Input
 from spectra_kit.errors import InvalidInputError, StoreError
 from spectra_kit.store import Completed, Plan, SpectrumStore, complete
+from spectra_kit.store.complete import known
 
 
 class Failed(NamedTuple):
@@ -30,24 +31,45 @@ class Failed(NamedTuple):
     error: Exception
 
 
-class Task(NamedTuple):
-    """What is to be done with an input; it can be pickled."""
+@runtime_checkable
+class Task(Protocol):
+    """Something to be done, here or elsewhere: it can be pickled, and called."""
 
-    input: Input
-    store: Path
-    plan: Plan
+    @property
+    def name(self) -> str:
+        """By which it is known among the others of a run."""
 
-    def __call__(self) -> Completed:
-        """Do it."""
-        return complete(SpectrumStore(self.store), self.input.name, self.input.path, self.plan)
+    def __call__(self) -> Any:
+        """Do it, and return what came of it."""
 
 
 @runtime_checkable
 class Engine(Protocol):
     """Who works: takes tasks, and hands over each with its result, or what it raised."""
 
-    def __call__(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Completed | BaseException]]:
+    def __call__(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
         """Do the tasks, in any order."""
+
+
+@dataclass(frozen=True)
+class _Completion:
+    """An input that is to be completed."""
+
+    input: Input
+    store: Path
+    plan: Plan
+
+    @property
+    def name(self) -> str:
+        return self.input.name
+
+    def __call__(self) -> Completed:
+        return complete(SpectrumStore(self.store), self.input.name, self.input.path, self.plan)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle it with paths from the root: who works may have another folder as theirs."""
+        there = replace(self.input, path=self.input.path.absolute())
+        return _Completion, (there, self.store.absolute(), self.plan)
 
 
 @checked
@@ -135,20 +157,18 @@ def compute_all(
     (1, ['the file is empty'])
     """
     clock = Clock()
-    completed, failed = dict[str, Completed](), dict[str, Exception]()
-    tasks = (Task(one, Path(store.path), plan) for one in inputs)
-    results = (engine or _in_this_process)(tasks)
-    if not isinstance(results, Iterable):
-        raise InvalidInputError("engine", "return tasks with their results", repr(results))
-    for task, result in results:
-        if isinstance(result, Completed):
-            completed[task.input.name] = result
+    completed, todo = dict[str, Any](), list[Task]()
+    for one in inputs:
+        if (there := known(store, one.name, one.path, plan)) is not None:
+            completed[one.name] = there
+            if progress is not None:
+                progress(len(completed), len(inputs))
         else:
-            if strict or not isinstance(result, Exception) or isinstance(result, StoreError):
-                raise result
-            failed[task.input.name] = result
-        if progress is not None:
-            progress(len(completed) + len(failed), len(inputs))
+            todo.append(_Completion(one, Path(store.path), plan))
+    made, failed = work(
+        todo, len(inputs), engine=engine, strict=strict, progress=progress, before=len(completed)
+    )
+    completed |= made
     return BatchReport(
         completed=tuple((x, completed[x.name]) for x in inputs if x.name in completed),
         failed=tuple(Failed(x, failed[x.name]) for x in inputs if x.name in failed),
@@ -156,10 +176,42 @@ def compute_all(
     )
 
 
-def _in_this_process(tasks: Iterable[Task]) -> Iterator[tuple[Task, Completed | BaseException]]:
+def work(
+    tasks: Sequence[Task],
+    count: int,
+    *,
+    engine: Engine | None,
+    strict: bool,
+    progress: Callable[[int, int], object] | None,
+    before: int = 0,
+) -> tuple[dict[str, Any], dict[str, Exception]]:
+    """Return what came of tasks, and what they raised, by their names.
+
+    They are told to be so many in all, some of which were done `before`. Without any no engine is
+    begun.
+    """
+    completed, failed = dict[str, Any](), dict[str, Exception]()
+    if not tasks:
+        return completed, failed
+    results = (engine or _in_this_process)(tasks)
+    if not isinstance(results, Iterable):
+        raise InvalidInputError("engine", "return tasks with their results", repr(results))
+    for task, result in results:
+        if isinstance(result, BaseException):
+            if strict or not isinstance(result, Exception) or isinstance(result, StoreError):
+                raise result
+            failed[task.name] = result
+        else:
+            completed[task.name] = result
+        if progress is not None:
+            progress(before + len(completed) + len(failed), count)
+    return completed, failed
+
+
+def _in_this_process(tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
     """Do one task after the other, here."""
     for task in tasks:
         try:
             yield task, task()
-        except Exception as error:  # noqa: BLE001  # one shape's failure, told with its name
+        except Exception as error:  # noqa: BLE001  # one task's failure, told with its name
             yield task, error

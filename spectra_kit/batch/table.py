@@ -1,21 +1,25 @@
-"""One row for each shape: what it is, how far its modes can be trusted, and its eigenvalues."""
+"""One row for each shape, or for each pair: what it is, and how far it can be trusted."""
 
 from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path
-from spectra_kit.batch.inputs import Input
+from spectra_kit.batch.inputs import Input, Pair
+from spectra_kit.batch.match_all import MatchReport
+from spectra_kit.batch.matched import Matched
 from spectra_kit.batch.run import BatchReport
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.store import Completed
 
 _OWN = ("name", "kind", "points", "faces", "area", "components", "zero_modes", "level", "residual",
         "problems", "warnings", "same_as", "shape", "spectrum")  # fmt: skip
+_OF_PAIRS = ("source", "target", "score", "coverage", "margin", "mirror_margin", "orientation",
+             "mirrored", "ambiguous", "convincing", "doubts", "map")  # fmt: skip
 
 
 @checked
@@ -61,39 +65,100 @@ def write_table(path: str | os.PathLike[str], report: BatchReport) -> None:
         row["same_as"] = first.setdefault(row["shape"], row["name"])
         if row["same_as"] == row["name"]:
             row["same_as"] = ""
+    _write(path, rows, _OWN)
+
+
+@checked
+def write_match_table(path: str | os.PathLike[str], report: MatchReport) -> None:
+    """Write what was matched as CSV, a row for each pair.
+
+    Parameters
+    ----------
+    path : path
+        The file; it appears whole or not at all.
+    report : MatchReport
+        What was matched. What failed has no row.
+
+    Raises
+    ------
+    InvalidInputError
+        If a column of the pairs has the name of one of these, or the folder does not exist.
+
+    Notes
+    -----
+    Columns: ``source``, ``target`` and those of the pairs; ``score`` and ``coverage``, ``margin``
+    and ``mirror_margin`` over rivals, and ``orientation`` of the map, as `Match` has them;
+    ``mirrored``, ``ambiguous``, ``convincing``, and the ``doubts`` behind the two; the key ``map``
+    of the store, for `load_match`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import spectra_kit as sk
+    >>> path = Path(tempfile.mkdtemp()) / "maps.csv"
+    >>> sk.batch.write_match_table(path, sk.batch.MatchReport(matched=(), failed=(), seconds=0.0))
+    >>> path.read_text().split(",")[:3]
+    ['source', 'target', 'score']
+    """
+    _write(path, [_match_row(pair, found) for pair, found in report.matched], _OF_PAIRS)
+
+
+def _write(
+    path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]], own: Sequence[str]
+) -> None:
     columns = list(dict.fromkeys(name for row in rows for name in row))
     with atomic_path(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, columns or _OWN)
+        writer = csv.DictWriter(file, columns or own)
         writer.writeheader()
         writer.writerows(rows)
+
+
+def _match_row(pair: Pair, found: Matched) -> dict[str, Any]:
+    own: Mapping[str, Any] = {
+        "source": pair.source,
+        "target": pair.target,
+        "score": repr(found.score),
+        "coverage": repr(found.coverage),
+        "margin": repr(found.margin),
+        "mirror_margin": repr(found.mirror_margin),
+        "orientation": "" if found.orientation is None else repr(found.orientation),
+        "mirrored": found.mirrored,
+        "ambiguous": found.ambiguous,
+        "convincing": found.convincing,
+        "doubts": "; ".join(found.doubts),
+        "map": found.key,
+    }
+    _refuse_taken(pair.columns, own)
+    return {"source": pair.source, "target": pair.target, **pair.columns, **own}
+
+
+def _refuse_taken(columns: Mapping[str, str], own: Mapping[str, Any]) -> None:
+    if taken := [name for name in columns if name in own]:
+        raise InvalidInputError(
+            "columns", "not have the names of the table's own", ", ".join(map(repr, taken))
+        )
 
 
 def _row(one: Input, done: Completed) -> dict[str, Any]:
     record = done.record
     own: Mapping[str, Any] = {
         "name": one.name,
-        "kind": done.kind,
-        "points": done.points,
-        "faces": done.faces,
-        "area": repr(done.area),
-        "components": done.components,
-        "zero_modes": done.zero_modes,
-        "level": done.level,
-        "residual": f"{done.residual:.1e}",
+        "kind": record.kind,
+        "points": record.points,
+        "faces": record.faces,
+        "area": repr(record.area),
+        "components": record.components,
+        "zero_modes": record.zero_modes,
+        "level": record.level,
+        "residual": f"{record.residual:.1e}",
         "problems": "; ".join(record.problems),
         "warnings": "; ".join(record.warnings),
         "same_as": "",
         "shape": record.shape,
         "spectrum": record.spectrum,
     }
-    if taken := [name for name in one.columns if name in own]:
-        raise InvalidInputError(
-            "columns", "not have the names of the table's own", ", ".join(map(repr, taken))
-        )
-    values = {f"eigenvalue_{i}": repr(float(v)) for i, v in enumerate(done.eigenvalues)}
-    signature = (
-        {}
-        if done.dna is None
-        else {f"dna_{i}": repr(float(v)) for i, v in enumerate(done.dna, start=1)}
-    )
+    _refuse_taken(one.columns, own)
+    values = {f"eigenvalue_{i}": repr(value) for i, value in enumerate(record.eigenvalues)}
+    signature = {f"dna_{i}": repr(value) for i, value in enumerate(record.dna, start=1)}
     return {"name": one.name, **one.columns, **own, **values, **signature}

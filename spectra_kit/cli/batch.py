@@ -26,7 +26,6 @@ from spectra_kit.cli.solving import check_solvers, make_solver
 from spectra_kit.cli.words import told
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.store import Plan, SpectrumStore
-from spectra_kit.store.complete import is_known
 from spectra_kit.store.files import MARK
 from spectra_kit.store.plan import Descriptor
 
@@ -53,8 +52,8 @@ def batch(asked: program.Batch) -> None:
         descriptors=asked.descriptors,  # type: ignore[arg-type]
         precision=asked.precision,
     )
+    engine = _engine(asked, inputs)
     store = SpectrumStore(asked.out)
-    engine = _engine(asked, inputs, store, plan)
     try:
         with counted("computing", "shape") as progress:
             report = compute_all(
@@ -77,9 +76,7 @@ def _part(asked: program.Batch, inputs: list[Input]) -> list[Input]:
     return shard(inputs, int(part), int(parts))
 
 
-def _engine(
-    asked: program.Batch, inputs: list[Input], store: SpectrumStore, plan: Plan
-) -> Engine | None:
+def _engine(asked: program.Batch, inputs: list[Input]) -> Engine | None:
     """Return who works: workers, unless this process alone is asked for or is enough."""
     own = ("nthreads", "memory_limit", "scheduler", "scheduler_file")
     if asked.nworkers == 0:
@@ -95,12 +92,9 @@ def _engine(
         nthreads=asked.nthreads,
         memory_limit=asked.memory_limit,
     )
-    missing = sum(not is_known(store, one.name, one.path, plan) for one in inputs)
-    if not missing:
-        return None
     told_to = scheduler or asked.scheduler_file or asked.nworkers is not None
-    if not told_to and (missing == 1 or find_spec("distributed") is None):
-        if missing > 1:
+    if not told_to and (len(inputs) == 1 or find_spec("distributed") is None):
+        if len(inputs) > 1:
             say("one shape at a time; pip install 'spectra_kit[batch]' lets all cores work")
         return None
     return engine

@@ -12,6 +12,7 @@ _SAME = ("modes", "rtol", "seed", "dpi", "turn", "landmarks", "operator", "bound
 _MANY = ("nworkers", "nthreads", "memory_limit", "scheduler", "scheduler_file")  # of Dask
 _OPTIONS = {
     "k": "-k",
+    "plan": "-k",
     "n_points": "--points",
     **{name: f"--{name}" for name in _SAME},
     **{name: f"--{name.replace('_', '-')}" for name in _MANY},

@@ -8,6 +8,7 @@ import numpy as np
 
 from spectra_kit._types import Floats
 from spectra_kit._validate import quantity, warn
+from spectra_kit.eigensolvers.base import Eigensolver
 from spectra_kit.errors import DoubtfulSpectrumWarning
 from spectra_kit.levels import smoothed
 from spectra_kit.linalg.ritz import ritz_pairs
@@ -73,8 +74,8 @@ def verdict(spectrum: Spectrum) -> str:
     return ""
 
 
-def warn_of_doubts(spectrum: Spectrum, target: float | None) -> None:
-    """Warn the caller of `eigensolve` of what `verdict` says, and where a target was missed."""
+def warn_of_doubts(spectrum: Spectrum, solver: Eigensolver) -> None:
+    """Warn of what `verdict` says of a solver's spectrum, and where its target was missed."""
     if told := verdict(spectrum):
         warn(
             told,
@@ -84,10 +85,13 @@ def warn_of_doubts(spectrum: Spectrum, target: float | None) -> None:
         )
     certificate = spectrum.certificate
     errors = None if certificate is None else certificate.errors
-    if target is not None and errors is not None and (left := float(errors.mean())) > target:
-        steps = quantity(spectrum.provenance.iterations or 0, "step")
+    target, steps = getattr(solver, "target", None), spectrum.provenance.iterations
+    if target is None or errors is None or not steps:  # without steps nothing was aimed at
+        return
+    if (left := float(errors.mean())) > target:
         warn(
-            f"target = {target:g} was not reached: {steps} of smoothing left errors that are"
+            f"target = {target:g} was not reached: {quantity(steps, 'step')} of smoothing left"
+            " errors that are"
             f" estimated at {left:.1e} in the mean",
             DoubtfulSpectrumWarning,
             advice="allow more steps (max_steps of Cascade, smoothing of Neo), or use {}",

@@ -188,9 +188,7 @@ class _Run:
             return self.completed(spectrum)
         if pairs.errors is None:
             spectrum = with_bounds(spectrum, self.laplacian)
-        # Without steps, as where nothing is to be smoothed, no target was aimed at.
-        aimed = pairs.errors is not None and self.iterations
-        warn_of_doubts(spectrum, getattr(self.solver, "target", None) if aimed else None)
+        warn_of_doubts(spectrum, self.solver)
         return spectrum
 
     def completed(self, spectrum: Spectrum) -> Spectrum:

@@ -3,6 +3,7 @@
 from spectra_kit.geodesics.exact import exact_distances
 from spectra_kit.geodesics.heat import HeatGeodesics, geodesic_distance
 from spectra_kit.geodesics.heat_step import Heat
+from spectra_kit.geodesics.matrix import distance_matrix
 from spectra_kit.geodesics.result import DistanceField
 from spectra_kit.geodesics.solvers import Automatic, Direct, Iterative
 from spectra_kit.geodesics.sources import FacePoint, Sources, check_sources, nearest_source
@@ -22,6 +23,7 @@ __all__ = [
     "Iterative",
     "Sources",
     "check_sources",
+    "distance_matrix",
     "exact_distances",
     "geodesic_distance",
     "nearest_source",

@@ -31,7 +31,7 @@ from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.linalg.constant_kernel import ConstantKernel
 from spectra_kit.linalg.grounded import GroundedCholesky
 from spectra_kit.linalg.solution import LinearSolution
-from spectra_kit.linalg.threads import in_threads
+from spectra_kit.linalg.threads import in_threads, ranges, thread_count
 from spectra_kit.operators.intrinsic import IntrinsicTriangulation, intrinsic_delaunay
 from spectra_kit.spectra import Spectrum
 
@@ -40,6 +40,7 @@ Boundary = Literal["neumann", "dirichlet", "average"]
 # Share of the points nearer to a source than sqrt(t) that deserves a warning, and how many of them
 # are few for each source.
 _BLURRED, _NEAR = 0.25, 20
+_TOGETHER = 8  # sources that a thread solves for at once, as `SparseLDL` does best
 _LONGEST = 1e30  # coefficient of a time with which one can calculate
 
 
@@ -77,6 +78,8 @@ class HeatGeodesics:
 
     Attributes
     ----------
+    geometry : TriangleMesh, PointCloud or IntrinsicTriangulation
+        As it was given; sources are named by its points and faces.
     triangulation : IntrinsicTriangulation
         What the distances are measured on.
     time_steps : ndarray of shape (n_components,)
@@ -147,7 +150,7 @@ class HeatGeodesics:
                 f"have the {self.triangulation.n} points of `geometry`",
                 f"one of {spectrum.n}",
             )
-        self._geometry, self._spectrum, self._solver = geometry, spectrum, solver
+        self.geometry, self._spectrum, self._solver = geometry, spectrum, solver
         self._boundary: Boundary = boundary
         self.time_steps = frozen(time_coefficient * self.triangulation.spacings**2)
         self._time_coefficient = time_coefficient
@@ -193,19 +196,21 @@ class HeatGeodesics:
             If an iterative solver stops short: `partial` is the `DistanceField` of what it had,
             or the `Heat` if that was the heat step.
         """
-        return self._distance(check_sources(sources, self._geometry, weights))
+        return self._fields([check_sources(sources, self.geometry, weights)])[0]
 
     def distances(self, sources: Sequence[SourcesLike]) -> list[DistanceField]:
         """Measure a distance field for each of many sources, or sets of sources.
 
         Parameters
         ----------
-        sources : sequence of whatever `distance` takes
+        sources : sequence of whatever `distance` takes, or array of int of shape (s,)
             One after the other.
 
         Returns
         -------
         list of DistanceField
+            Bit by bit those of `distance`, but sooner where the solver is direct: several are
+            solved for at once, and their seconds are an even share of what that took.
 
         Raises
         ------
@@ -220,64 +225,102 @@ class HeatGeodesics:
         >>> [field.distance.shape for field in heat.distances([0, [1, 2]])]
         [(642,), (642,)]
         """
-        checked = [check_sources(one, self._geometry) for one in sources]
-        return [self._distance(one) for one in checked]
+        checked = [check_sources(one, self.geometry) for one in sources]
+        return self._fields(checked)
 
-    def _distance(self, sources: Sources) -> DistanceField:
-        ready = self._ready(sources)
+    def _fields(self, sources: Sequence[Sources]) -> list[DistanceField]:
+        """Measure one field for each, a component at a time and in blocks."""
+        members: dict[int | None, list[int]] = {}
+        for i, one in enumerate(sources):
+            members.setdefault(self._component(one), []).append(i)
+        found: dict[int, DistanceField] = {}
+        for component, places in members.items():
+            ready = self._ready(component)
+            iterative = isinstance(ready.poisson, IterativePoisson)
+            for left, right in ranges(len(places), 1 if iterative else solved_together()):
+                block = places[left:right]
+                found |= zip(block, self._block(ready, [sources[i] for i in block]), strict=True)
+        return [found[i] for i in range(len(sources))]
+
+    def _block(self, ready: _Ready, sources: Sequence[Sources]) -> list[DistanceField]:
+        """Measure the fields of sources that need the same factors, together."""
         system = ready.system
-        used = ready.poisson.options if isinstance(ready.poisson, IterativePoisson) else Direct()
-        heated = sources.right_hand_side()[system.order]
-        heats = {size: self._heat(system, steps, heated) for size, steps in ready.steps.items()}
-        heat, labels = heats[0], self.triangulation.laplacian.component_labels
-        clock = Clock()
-        at_zero = np.zeros(self.triangulation.n, dtype=bool)
-        at_zero[sources.vertices[sources.offsets == 0]] = True
-        flow = system.flow(heats, at_zero[system.order])
-        clock.stage("directions")
-
-        def field(solution: LinearSolution) -> DistanceField:
-            potential = system.outwards(system.unit * solution.x)
-            return DistanceField(
-                distance=_from_sources(potential, sources, labels),
-                sources=sources,
-                time_step=float(self.time_steps[labels[sources.vertices[0]]]),
-                solver=used,
-                reason=ready.reason,
-                heat=heat.moved(system.outwards),
-                poisson=replace(solution, x=potential),
-                seconds={
-                    "triangulation": self.triangulation.seconds,
-                    "setup": ready.seconds,
-                    "heat": sum(one.seconds for one in heats.values()),
-                    **clock.seconds,
-                    "poisson": solution.seconds,
-                },
+        heated = [one.right_hand_side()[system.order] for one in sources]
+        heats = {size: self._heats(system, steps, heated) for size, steps in ready.steps.items()}
+        flows, seconds = [], []
+        for i, one in enumerate(sources):
+            clock = Clock()
+            at_zero = np.zeros(self.triangulation.n, dtype=bool)
+            at_zero[one.vertices[one.offsets == 0]] = True
+            own = {size: found[i] for size, found in heats.items()}
+            flows.append(system.flow(own, at_zero[system.order]))
+            seconds.append(
+                {"heat": sum(heat.seconds for heat in own.values()), "directions": clock.total}
             )
-
+        made = [
+            partial(self._field, ready, one, heat, took)
+            for one, heat, took in zip(sources, heats[0], seconds, strict=True)
+        ]
         try:
-            found = field(ready.poisson.solution(flow))
-        except ConvergenceError as error:
+            solutions = ready.poisson.solutions(flows)
+        except ConvergenceError as error:  # of one alone: only iterations do not converge
             if not isinstance(error.partial, LinearSolution):
                 raise
-            raise ConvergenceError(str(error), partial=field(error.partial)) from error
-        blurred = int((found.distance < np.sqrt(self.time_steps)[labels]).sum())
-        if blurred > max(_BLURRED * found.reached.sum(), _NEAR * len(sources.vertices)):
+            raise ConvergenceError(str(error), partial=made[0](error.partial)) from error
+        fields = [make(solution) for make, solution in zip(made, solutions, strict=True)]
+        for field in fields:
+            self._warn_of_blur(field)
+        return fields
+
+    def _field(
+        self,
+        ready: _Ready,
+        sources: Sources,
+        heat: Heat,
+        seconds: Mapping[str, float],
+        solution: LinearSolution,
+    ) -> DistanceField:
+        """Gather what was found."""
+        system, poisson = ready.system, ready.poisson
+        labels = self.triangulation.laplacian.component_labels
+        potential = system.outwards(system.unit * solution.x)
+        return DistanceField(
+            distance=_from_sources(potential, sources, labels),
+            sources=sources,
+            time_step=float(self.time_steps[labels[sources.vertices[0]]]),
+            solver=poisson.options if isinstance(poisson, IterativePoisson) else Direct(),
+            reason=ready.reason,
+            heat=heat.moved(system.outwards),
+            poisson=replace(solution, x=potential),
+            seconds={
+                "triangulation": self.triangulation.seconds,
+                "setup": ready.seconds,
+                **seconds,
+                "poisson": solution.seconds,
+            },
+        )
+
+    def _warn_of_blur(self, field: DistanceField) -> None:
+        """Say so where many points are as near to a source as the heat step cannot see."""
+        labels = self.triangulation.laplacian.component_labels
+        blurred = int((field.distance < np.sqrt(self.time_steps)[labels]).sum())
+        if blurred > max(_BLURRED * field.reached.sum(), _NEAR * len(field.sources.vertices)):
             warn(
-                f"{blurred} of {found.reached.sum()} points are nearer to a source than the typical"
-                f" edge (of {np.sqrt(found.time_step / self._time_coefficient):.3g}) that sets the"
+                f"{blurred} of {field.reached.sum()} points are nearer to a source than the typical"
+                f" edge (of {np.sqrt(field.time_step / self._time_coefficient):.3g}) that sets the"
                 " time of the heat step, so their distances are blurred",
                 DoubtfulDistanceWarning,
                 advice="separate parts of very different size, or lower `time_coefficient`",
             )
-        return found
 
-    def _ready(self, sources: Sources) -> _Ready:
-        """Return what these sources need: no heat comes to other components than theirs."""
+    def _component(self, sources: Sources) -> int | None:
+        """Return the component that suffices for these sources, None for all of them."""
         labels = self.triangulation.laplacian.component_labels[sources.vertices]
         alone = isinstance(self._chosen[0], Direct) and len(np.unique(labels)) == 1
-        several = len(self.time_steps) > 1
-        component = int(labels[0]) if alone and several else None
+        return int(labels[0]) if alone and len(self.time_steps) > 1 else None
+
+    def _ready(self, component: int | None) -> _Ready:
+        """Return what sources on a component need: no heat comes to others."""
         if component not in self._prepared:
             self._prepared[component] = self._prepare(component)
         return self._prepared[component]
@@ -363,30 +406,44 @@ class HeatGeodesics:
             return GroundedCholesky(stiffness, kernel, elimination=system.elimination)
         return IterativePoisson(stiffness, kernel, options, self._spectrum, system.order)
 
-    def _heat(self, system: System, steps: Mapping[Boundary, HeatStep], heated: Floats) -> Heat:
+    def _heats(
+        self, system: System, steps: Mapping[Boundary, HeatStep], heated: Sequence[Floats]
+    ) -> list[Heat]:
         """Return the heat of all steps together; a cold boundary takes what is put on it."""
-        sourced = np.unique(system.labels[heated > 0])
-        heated = heated / (heated / system.mass).max()  # heat of about 1, whatever the unit
-        found = []
+        sourced = [np.unique(system.labels[one > 0]) for one in heated]
+        # Heat of about 1, whatever the unit.
+        heated = [one / (one / system.mass).max() for one in heated]
+        found: list[list[Heat]] = [[] for _ in heated]
         for condition, step in steps.items():
-            warm = heated if condition == "neumann" else np.where(system.inside, heated, 0.0)
-            cold = np.setdiff1d(sourced, system.labels[warm > 0])
-            if len(cold) and self._boundary == "dirichlet":
-                raise _cold()
-            if warm.any():
-                found.append(step.solve(warm))
-        if not found:
+            warm = [
+                one if condition == "neumann" else np.where(system.inside, one, 0.0)
+                for one in heated
+            ]
+            if self._boundary == "dirichlet":
+                for labels, one in zip(sourced, warm, strict=True):
+                    if len(np.setdiff1d(labels, system.labels[one > 0])):
+                        raise _cold()
+            some = [i for i, one in enumerate(warm) if one.any()]
+            for i, heat in zip(some, step.solve_all([warm[i] for i in some]), strict=True):
+                found[i].append(heat)
+        if not all(found):
             raise _cold()
-        heat = reduce(Heat.plus, found)
-        cold_points = (heat.values == 0) & system.inside
-        if (cut := int(np.isin(system.labels[cold_points], sourced).sum())) > 0:
-            raise InvalidInputError(
-                "boundary",
-                "be 'neumann' or 'average' here",
-                f"'dirichlet', which cuts {cut} points off from the sources, as at a strip one"
-                " triangle wide",
-            )
-        return heat
+        whole = [reduce(Heat.plus, parts) for parts in found]
+        for labels, heat in zip(sourced, whole, strict=True):
+            cold = np.flatnonzero((heat.values == 0) & system.inside)
+            if (cut := int(np.isin(system.labels[cold], labels).sum())) > 0:
+                raise InvalidInputError(
+                    "boundary",
+                    "be 'neumann' or 'average' here",
+                    f"'dirichlet', which cuts {cut} points off from the sources, as at a strip one"
+                    " triangle wide",
+                )
+        return whole
+
+
+def solved_together() -> int:
+    """Return how many sources a direct solver solves for at once: some for each thread."""
+    return _TOGETHER * thread_count()
 
 
 def _from_sources(potential: Floats, sources: Sources, labels: Ints) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -27,6 +27,7 @@ _ACCURACY = 1e-10  # componentwise backward error
 _DECAY = 0.8  # of log u per sqrt(t), a little less than it is: to choose exponents
 _LIFT = 1000  # a direct solution is at most 2**1000, and may fall to
 _FLOOR = 1e-290  # before digits are lost
+_STEP = 64  # between exponents, a power of two: squares of values from 1 to 2**64 are in range
 
 
 @checked
@@ -255,35 +256,60 @@ class HeatStep:
             If the iteration does not reach its accuracy, as it may not where triangles differ in
             size by orders of magnitude.
         """
-        inside, clock = self._inside, Clock()
-        rhs = (rhs if inside is None else rhs[inside]) / self._unit
-        largest = (rhs / self._mass).max()  # no u is larger, by the maximum principle
-        found = self._direct(rhs / largest, clock) or self._iterate(rhs / largest, clock)
-        found = replace(found, values=largest * found.values)
-        return found if inside is None else found.spread(inside)
+        return self.solve_all([rhs])[0]
 
-    def _direct(self, rhs: Floats, clock: Clock) -> Heat | None:
-        """Return u, at most 1, by the complete factor; None without one, or if it underflows."""
+    def solve_all(self, sides: Sequence[Floats]) -> list[Heat]:
+        """Return u for each b of `sides`, as `solve` does: by a complete factor, all at once.
+
+        What that takes is shared out evenly among their seconds.
+        """
+        if not sides:
+            return []
+        inside, clock = self._inside, Clock()
+        sides = [(rhs if inside is None else rhs[inside]) / self._unit for rhs in sides]
+        largest = [(rhs / self._mass).max() for rhs in sides]  # of u, by the maximum principle
+        sides = [rhs / most for rhs, most in zip(sides, largest, strict=True)]
+        direct = self._direct(sides)
+        share = clock.total / len(sides)
+        found = [heat or self._iterate(rhs) for heat, rhs in zip(direct, sides, strict=True)]
+        found = [
+            replace(heat, values=most * heat.values, seconds=heat.seconds + share)
+            for heat, most in zip(found, largest, strict=True)
+        ]
+        return found if inside is None else [heat.spread(inside) for heat in found]
+
+    def _direct(self, sides: Sequence[Floats]) -> Sequence[Heat | None]:
+        """Return each u, at most 1, by the complete factor; None without one, or if it underflows.
+
+        It is no time that they say they took.
+        """
+        if self._complete is None:
+            return [None] * len(sides)
+        lifted = [np.ldexp(rhs, _LIFT) for rhs in sides]
+        solved = np.ascontiguousarray(self._complete.solve(np.column_stack(lifted)).T)
+        return [self._in_range(rhs, u) for rhs, u in zip(lifted, solved, strict=True)]
+
+    def _in_range(self, lifted: Floats, u: Floats) -> Heat | None:
+        """Return what a direct solution says, or None if it underflows."""
         from spectra_kit.geodesics._kernels import residual
 
-        if self._complete is None:
-            return None
-        lifted, A = np.ldexp(rhs, _LIFT), self._matrix
-        u = self._complete.solve(lifted)
         if not (u > _FLOOR).all():
-            reached = np.isin(self._labels, self._labels[rhs > 0])
+            reached = np.isin(self._labels, self._labels[lifted > 0])
             if not (u[reached] > _FLOOR).all():
                 return None
             u = np.where(reached, u, 0.0)
         if not np.isfinite(u).all():
             return None
+        A = self._matrix
         share = residual(A.indptr, A.indices, A.data, lifted, u, np.empty_like(u))
-        values, exponents = np.frexp(u)
-        return Heat(values, exponents - _LIFT, "Cholesky", 0, share, clock.total)
+        # Neighbours with one exponent are quicker to compare: there are few different ones.
+        exponents = np.frexp(u)[1] & -_STEP
+        return Heat(np.ldexp(u, -exponents), exponents - _LIFT, "Cholesky", 0, share, 0.0)
 
-    def _iterate(self, rhs: Floats, clock: Clock) -> Heat:
+    def _iterate(self, rhs: Floats) -> Heat:
         from spectra_kit.geodesics._heat_iteration import iterate
 
+        clock = Clock()
         cost = dijkstra(self._costs, indices=np.flatnonzero(rhs), min_only=True)
         guess = np.where(np.isfinite(cost), np.rint(cost / -np.log(2)), 0.0).astype(np.int32)
         end = iterate(self._matrix, *self._incomplete, rhs, guess, accuracy=_ACCURACY)

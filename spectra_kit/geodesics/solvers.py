@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -223,6 +224,10 @@ class IterativePoisson:
             rtol=self.options.rtol,
             max_iterations=self.options.max_iterations,
         )
+
+    def solutions(self, sides: Sequence[Floats]) -> list[LinearSolution]:
+        """Solve for one after the other."""
+        return [self.solution(rhs) for rhs in sides]
 
 
 def coarse_space(

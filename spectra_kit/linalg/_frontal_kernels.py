@@ -1,4 +1,4 @@
-"""Inner loops of `SparseLDL`, compiled by numba on first use.
+"""The factorisation of `SparseLDL`, compiled by numba on first use.
 
 A front is a dense symmetric matrix of the columns of a supernode, which are eliminated in it, and
 of the rows below them, whose Schur complement goes to the front of the parent in the elimination
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from spectra_kit.linalg.compiled import compiled
 
 Floats = NDArray[np.float64]
-Reals = Floats | NDArray[np.float32]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 
@@ -328,141 +327,3 @@ def factor_columns(begins: Ints, first: Longs, rows: Ints, fill: int) -> tuple[L
                 at += 1
             starts[j + 1] = at
     return starts, found
-
-
-@compiled(fastmath={"reassoc", "nsz", "contract"})
-def solve_columns(
-    order: Ints,
-    begins: Ints,
-    first: Longs,
-    rows: Ints,
-    panels: Longs,
-    factor: Reals,
-    inverse: Reals,
-    rhs: Reals,
-    out: Reals,
-    left: int,
-    right: int,
-) -> None:
-    """Write the solution of ``P (I + L) D (I + L)^T P^T x = rhs`` to `out`, both (n, s).
-
-    For the columns `left` to `right`: what is read of the factor serves them all, four of its
-    columns in one pass over a right-hand side. Each of these goes through the same loops, so that
-    its bits do not depend on the others.
-    """
-    n, count, many = len(order), len(begins) - 1, right - left
-    y = np.empty((n, many), factor.dtype)
-    for i in range(n):
-        for c in range(many):
-            y[i, c] = rhs[order[i], left + c]
-    most = 0
-    for s in range(count):
-        most = max(most, begins[s + 1] - begins[s] + first[s + 1] - first[s])
-    work = np.empty((many, most), factor.dtype)
-    for s in range(count):
-        a, b = begins[s], begins[s + 1]
-        width, low = b - a, first[s]
-        u = first[s + 1] - low
-        m = width + u
-        nothing = True
-        for k in range(width):
-            for c in range(many):
-                work[c, k] = y[a + k, c]
-                nothing = nothing and y[a + k, c] == 0.0
-        if nothing:  # as in most runs where few entries of `rhs` are not zero
-            continue
-        for c in range(many):
-            for k in range(width, m):
-                work[c, k] = 0.0
-        k = 0
-        while k + 4 <= width:
-            p0 = panels[s] + k * m - k * (k + 3) // 2 - 1  # p0 + j: entry j of column k
-            p1 = p0 + m - k - 2
-            p2 = p1 + m - k - 3
-            p3 = p2 + m - k - 4
-            l10, l20, l30 = factor[p0 + k + 1], factor[p0 + k + 2], factor[p0 + k + 3]
-            l21, l31, l32 = factor[p1 + k + 2], factor[p1 + k + 3], factor[p2 + k + 3]
-            f0, f1 = factor[p0 + k + 4 : p0 + m], factor[p1 + k + 4 : p1 + m]
-            f2, f3 = factor[p2 + k + 4 : p2 + m], factor[p3 + k + 4 : p3 + m]
-            for c in range(many):
-                w = work[c]
-                w0 = w[k]
-                w1 = w[k + 1] - l10 * w0
-                w2 = w[k + 2] - l20 * w0 - l21 * w1
-                w3 = w[k + 3] - l30 * w0 - l31 * w1 - l32 * w2
-                w[k + 1], w[k + 2], w[k + 3] = w1, w2, w3
-                rest = w[k + 4 : m]
-                for j in range(len(rest)):
-                    rest[j] -= (f0[j] * w0 + f1[j] * w1) + (f2[j] * w2 + f3[j] * w3)
-            k += 4
-        while k < width:
-            p0 = panels[s] + k * m - k * (k + 3) // 2 - 1
-            f0 = factor[p0 + k + 1 : p0 + m]
-            for c in range(many):
-                value = work[c, k]
-                rest = work[c, k + 1 : m]
-                for j in range(len(rest)):
-                    rest[j] -= f0[j] * value
-            k += 1
-        for k in range(width):
-            for c in range(many):
-                y[a + k, c] = work[c, k]
-        for k in range(u):
-            i = rows[low + k]
-            for c in range(many):
-                y[i, c] += work[c, width + k]
-    nought = factor.dtype.type(0)
-    for s in range(count - 1, -1, -1):
-        a, b = begins[s], begins[s + 1]
-        width, low = b - a, first[s]
-        u = first[s + 1] - low
-        m = width + u
-        for k in range(width):
-            for c in range(many):
-                work[c, k] = y[a + k, c] * inverse[a + k]
-        for k in range(u):
-            i = rows[low + k]
-            for c in range(many):
-                work[c, width + k] = y[i, c]
-        k = width
-        while k % 4 > 0:
-            k -= 1
-            p0 = panels[s] + k * m - k * (k + 3) // 2 - 1
-            f0 = factor[p0 + k + 1 : p0 + m]
-            for c in range(many):
-                rest = work[c, k + 1 : m]
-                total = nought
-                for j in range(len(rest)):
-                    total += f0[j] * rest[j]
-                work[c, k] -= total
-        while k > 0:
-            k -= 4
-            p0 = panels[s] + k * m - k * (k + 3) // 2 - 1
-            p1 = p0 + m - k - 2
-            p2 = p1 + m - k - 3
-            p3 = p2 + m - k - 4
-            l10, l20, l30 = factor[p0 + k + 1], factor[p0 + k + 2], factor[p0 + k + 3]
-            l21, l31, l32 = factor[p1 + k + 2], factor[p1 + k + 3], factor[p2 + k + 3]
-            f0, f1 = factor[p0 + k + 4 : p0 + m], factor[p1 + k + 4 : p1 + m]
-            f2, f3 = factor[p2 + k + 4 : p2 + m], factor[p3 + k + 4 : p3 + m]
-            for c in range(many):
-                w = work[c]
-                rest = w[k + 4 : m]
-                t0, t1, t2, t3 = nought, nought, nought, nought
-                for j in range(len(rest)):
-                    x = rest[j]
-                    t0 += f0[j] * x
-                    t1 += f1[j] * x
-                    t2 += f2[j] * x
-                    t3 += f3[j] * x
-                w3 = w[k + 3] - t3
-                w2 = w[k + 2] - t2 - l32 * w3
-                w1 = w[k + 1] - t1 - l21 * w2 - l31 * w3
-                w0 = w[k] - t0 - l10 * w1 - l20 * w2 - l30 * w3
-                w[k], w[k + 1], w[k + 2], w[k + 3] = w0, w1, w2, w3
-        for k in range(width):
-            for c in range(many):
-                y[a + k, c] = work[c, k]
-    for i in range(n):
-        for c in range(many):
-            out[order[i], left + c] = y[i, c]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
@@ -134,9 +137,42 @@ class GroundedCholesky:
         >>> factor.solution(np.array([1.0, 1.0])).method
         'Cholesky'
         """
+        return self.solutions([rhs])[0]
+
+    def solutions(self, sides: Sequence[ArrayLike]) -> list[LinearSolution]:
+        """Solve for several right-hand sides at once, eight in little more than the time of one.
+
+        Parameters
+        ----------
+        sides : sequence of array_like of shape (n,)
+            Each as for `solve`, which says what is refused.
+
+        Returns
+        -------
+        list of LinearSolution
+            Bit by bit what `solution` returns for each of them, but for the seconds: what they took
+            together is shared out evenly.
+
+        Examples
+        --------
+        >>> from scipy import sparse
+        >>> from spectra_kit.linalg import GroundedCholesky
+        >>> factor = GroundedCholesky(sparse.csr_array([[2.0, -1.0], [-1.0, 2.0]]))
+        >>> [solution.x for solution in factor.solutions([[1.0, 1.0], [3.0, 0.0]])]
+        [array([1., 1.]), array([2., 1.])]
+        """
+        if not sides:
+            return []
         clock = Clock()
-        b = check_rhs(rhs, self.n, self._kernel)
-        x = self._factor.solve(np.where(self._held, 0.0, b))
+        checked = [check_rhs(rhs, self.n, self._kernel) for rhs in sides]
+        freed = np.column_stack([np.where(self._held, 0.0, b) for b in checked])
+        solved = np.ascontiguousarray(self._factor.solve(freed).T)
+        found = [self._accurate(b, x) for b, x in zip(checked, solved, strict=True)]
+        seconds = clock.total / len(sides)
+        return [replace(one, seconds=seconds, times=np.array([seconds])) for one in found]
+
+    def _accurate(self, b: Floats, x: Floats) -> LinearSolution:
+        """Return what the factor made of `b`, if it is a solution; of no time."""
         if self._kernel is not None:
             x = self._kernel.remove(x)
         residual, norm = _norm(b - self._matrix @ x), _norm(b)
@@ -149,7 +185,6 @@ class GroundedCholesky:
                 " of your own, pass the kernel of a Neumann Laplacian as"
                 " ConstantKernel(laplacian.component_labels)"
             )
-        seconds = clock.total
         return LinearSolution(
             x=x,
             residual_norms=np.array([residual]),
@@ -157,8 +192,8 @@ class GroundedCholesky:
             converged=True,
             method="Cholesky",
             setup_seconds=self.seconds,
-            seconds=seconds,
-            times=np.array([seconds]),
+            seconds=0.0,
+            times=np.zeros(1),
         )
 
 

@@ -13,10 +13,8 @@ from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.elimination import Elimination, no_memory, symmetric
 from spectra_kit.linalg.products import real_dtype
-from spectra_kit.linalg.threads import in_threads, shares, thread_count
+from spectra_kit.linalg.threads import in_threads, shares
 
-_WIDE = 16  # columns solved together: more gain nothing, and cost memory in each thread
-_NARROW = 4  # fewer than these are not worth a thread of their own
 _BALANCING = 8  # steps towards the x that makes a bound sharpest; each costs two products
 _EPS = float(np.finfo(np.float64).eps)
 
@@ -67,9 +65,10 @@ class SparseLDL:
 
     Notes
     -----
-    A multifrontal factorisation in the order of `minimum_degree`, solved in blocks of columns,
-    one for each thread; all in compiled loops that release the interpreter lock. The bits of a
-    solution depend neither on the number of threads nor on the other right-hand sides. On operators
+    A multifrontal factorisation in the order of `minimum_degree`; eight right-hand sides are
+    solved for in the time of one, so give it all there are at once. Compiled loops release the
+    interpreter lock, in threads. The bits of a solution depend neither on the number of threads
+    nor on the other right-hand sides. On operators
     of surfaces CHOLMOD from a wheel took five to seven times as long for a factor.
 
     Examples
@@ -234,7 +233,7 @@ class SparseLDL:
         array([[1., 2.],
                [1., 1.]])
         """
-        from spectra_kit.linalg._frontal_kernels import solve_columns
+        from spectra_kit.linalg._lane_kernels import LANES, solve_columns
 
         real = real_dtype("dtype", dtype)
         if np.iscomplexobj(rhs):
@@ -247,8 +246,7 @@ class SparseLDL:
         pattern = (known.order, known.begins, known.first, known.rows, known.panels)
         columns = rhs.size // max(self.n, 1)
         block = (rhs.reshape(self.n, columns), out.reshape(self.n, columns))
-        blocks = max(-(-columns // _WIDE), min(thread_count(), columns // _NARROW))
-        cuts = shares(columns, blocks) if columns else []
+        cuts = shares(columns, -(-columns // LANES)) if columns else []
         in_threads(solve_columns, ((*pattern, lower, inverse, *block, *cut) for cut in cuts))
         return out
 

@@ -1,8 +1,29 @@
-"""How much memory a sparse factor takes, before there is one."""
+"""How much memory there is, and how much a sparse factor takes, before there is one."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
 import numpy as np
+
+_limit: ContextVar[float | None] = ContextVar("_limit", default=None)
+
+
+@contextmanager
+def memory_of(gigabytes: float | None) -> Iterator[None]:
+    """Tell what is done inside how much it may take, in GiB; None says nothing of it."""
+    token = _limit.set(gigabytes)
+    try:
+        yield
+    finally:
+        _limit.reset(token)
+
+
+def memory_limit() -> float | None:
+    """Return how much may be taken here, in GiB, where somebody has said so."""
+    return _limit.get()
 
 
 def factor_gigabytes(n: int) -> float:

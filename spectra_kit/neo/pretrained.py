@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from dataclasses import asdict
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -232,6 +233,12 @@ def weights_digest(network: str | os.PathLike[str] | NeoNetwork) -> str:
 
 
 def _sha256(path: Path) -> str:
+    state = path.stat()
+    return _sha256_of(path.absolute(), state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=16)
+def _sha256_of(path: Path, _changed: int, _size: int) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -6,14 +6,13 @@ import hashlib
 import os
 import time
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from spectra_kit._checked import checked
 from spectra_kit._fingerprint import shape_digest
-from spectra_kit._types import Floats
 from spectra_kit._validate import Brief
+from spectra_kit.eigensolvers.doubts import warn_of_doubts
 from spectra_kit.errors import (
     DamagedEntryWarning,
     InvalidFileError,
@@ -21,7 +20,9 @@ from spectra_kit.errors import (
     SpectraKitWarning,
 )
 from spectra_kit.geometry import Geometry, TriangleMesh, diagnose, read
+from spectra_kit.linalg.memory import memory_limit
 from spectra_kit.linalg.threads import single_threaded_blas
+from spectra_kit.spectra import Spectrum
 from spectra_kit.store.files import ShapeRecord, remove, warn_of_damage
 from spectra_kit.store.plan import Plan
 from spectra_kit.store.store import SpectrumStore
@@ -35,25 +36,9 @@ class Completed(Brief):
     Attributes
     ----------
     record : ShapeRecord
-        Keys of everything.
-    kind : {"mesh", "cloud"}
-        Of the geometry as it was looked at.
-    points, faces : int
-        Of it.
-    area : float
-        In the squared unit of the file.
-    components, zero_modes : int
-        Of the operator, and of the modes.
-    level : str
-        How far the modes can be trusted: see `Certificate.level`.
-    residual : float
-        Largest relative residual.
-    eigenvalues : ndarray of shape (k,)
-        In 1/length^2.
-    dna : ndarray of shape (c,) or None
-        ShapeDNA, where the plan wants it.
+        What is known of it, and the keys of everything.
     computed : bool
-        Whether a spectrum was solved for, or everything was there.
+        Whether a spectrum was solved for, or was there.
     replaced : tuple of str
         What was damaged and computed again.
     seconds : float
@@ -61,16 +46,6 @@ class Completed(Brief):
     """
 
     record: ShapeRecord
-    kind: str
-    points: int
-    faces: int
-    area: float
-    components: int
-    zero_modes: int
-    level: str
-    residual: float
-    eigenvalues: Floats
-    dna: Floats | None
     computed: bool
     replaced: tuple[str, ...]
     seconds: float
@@ -78,17 +53,13 @@ class Completed(Brief):
 
 @checked
 def complete(
-    store: SpectrumStore,
-    name: str,
-    file: str | os.PathLike[str],
-    plan: Plan,
-    *,
-    memory: float | None = None,
+    store: SpectrumStore, name: str, file: str | os.PathLike[str], plan: Plan
 ) -> Completed:
     """Compute what a plan wants of a file, unless the store has it already.
 
-    What the store has is read whole, so that damage is found. BLAS gets one thread: results depend
-    on their number by rounding, and many shapes are worked on side by side.
+    What the store has is not read, but for its record; an entry whose size is not what it was is
+    made again, and `SpectrumStore.verify` finds whatever else is damaged. BLAS gets one thread:
+    results depend on their number by rounding, and many shapes are worked on side by side.
 
     Parameters
     ----------
@@ -100,8 +71,6 @@ def complete(
         Of any format that `geometry.read` knows.
     plan : Plan
         What is wanted.
-    memory : float, optional
-        GiB that there are: what will need more (`Plan.gigabytes`) is refused before it is tried.
 
     Returns
     -------
@@ -129,44 +98,36 @@ def complete(
     False
     """
     start, path = time.perf_counter(), Path(file)
+    if (there := known(store, name, path, plan)) is not None:
+        return there
     with warnings.catch_warnings(record=True) as caught, single_threaded_blas():
         warnings.simplefilter("always")
         digest = _digest(path)
         old = _old_record(store, name, plan)
         shape, problems = _shape(store, path, plan, old if old and old.file == digest else None)
         key = store.key(shape, plan)
-        there = key in store
-        if not there and memory is not None and plan.gigabytes(shape.n) > memory:
-            raise OutOfMemoryError(
-                f"{path}: the modes of {shape.n:,} points need about"
-                f" {plan.gigabytes(shape.n):.1f} GiB, and there are {memory:.1f}",
-                advice=("raise {}", "lower {}"),
-                remedies=("memory_limit", "nworkers"),
-            )
+        solved = key not in store
+        if solved:
+            _check_memory(path, plan, shape.n)
         spectrum = store.spectrum(shape, plan)
         signatures = {kind: store.descriptor(shape, plan, kind) for kind in plan.descriptors}
-    replaced = _told(caught, DamagedEntryWarning)
-    computed = not there or any(key in text for text in replaced)
-    doubts = _told(caught, SpectraKitWarning, but=DamagedEntryWarning)
     for one in caught:
         if not issubclass(one.category, SpectraKitWarning):
             warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+    replaced = tuple(str(x.message) for x in caught if x.category is DamagedEntryWarning)
+    certificate = spectrum.certificate
+    assert certificate is not None  # `eigensolve` certifies
+    descriptors: dict[str, str] = {
+        kind: store.descriptor_key(key, kind) for kind in plan.descriptors
+    }
     record = ShapeRecord(
         name=name,
         file=digest,
         facts=plan.facts,
         shape=shape_digest(shape),
         spectrum=key,
-        descriptors={kind: store.descriptor_key(key, kind) for kind in plan.descriptors},
-        problems=problems,
-        warnings=doubts if computed or old is None else old.warnings,
-    )
-    if record != old:
-        store.keep_record(record)
-    certificate = spectrum.certificate
-    assert certificate is not None  # `eigensolve` certifies
-    return Completed(
-        record=record,
+        descriptors=descriptors,
+        sizes=store.sizes(shape_digest(shape), key, *descriptors.values()),
         kind="mesh" if isinstance(shape, TriangleMesh) else "cloud",
         points=shape.n,
         faces=len(shape.faces) if isinstance(shape, TriangleMesh) else 0,
@@ -175,21 +136,52 @@ def complete(
         zero_modes=certificate.n_zero_modes,
         level=certificate.level,
         residual=float(certificate.relative_residuals.max()),
-        eigenvalues=spectrum.eigenvalues,
-        dna=signatures.get("dna"),
-        computed=computed,
+        eigenvalues=tuple(spectrum.eigenvalues.tolist()),
+        dna=tuple(signatures["dna"].tolist()) if "dna" in signatures else (),
+        problems=problems,
+        warnings=_doubts(spectrum, plan),
+    )
+    if record != old:
+        store.keep_record(record)
+    return Completed(
+        record=record,
+        computed=solved or any(key in text for text in replaced),
         replaced=replaced,
         seconds=time.perf_counter() - start,
     )
 
 
-def is_known(store: SpectrumStore, name: str, file: Path, plan: Plan) -> bool:
-    """Whether the store seems to have all of a file; what it has is not read."""
+def known(store: SpectrumStore, name: str, file: Path, plan: Plan) -> Completed | None:
+    """Return what a store has of a file, if that is all: entries of the sizes that they had."""
+    start = time.perf_counter()
     try:
         record = store.record(name, plan)
     except InvalidFileError:
-        return False
-    return record is not None and record.spectrum in store and record.file == _digest(file)
+        return None  # `complete` makes it good, and tells
+    if record is None or record.file != _digest(file) or not store.holds(record):
+        return None
+    seconds = time.perf_counter() - start
+    return Completed(record=record, computed=False, replaced=(), seconds=seconds)
+
+
+def _check_memory(path: Path, plan: Plan, n: int) -> None:
+    """Refuse what will need more memory than there is."""
+    needed, there = plan.gigabytes(n), memory_limit()
+    if there is not None and needed > there:
+        raise OutOfMemoryError(
+            f"{path}: the modes of {n:,} points need about {needed:.1f} GiB, and there are"
+            f" {there:.1f}",
+            advice=("raise {}", "lower {}"),
+            remedies=("memory_limit", "nworkers"),
+        )
+
+
+def _doubts(spectrum: Spectrum, plan: Plan) -> tuple[str, ...]:
+    """Return what `eigensolve` warns of, also where it was not called now."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        warn_of_doubts(spectrum, plan.solver)
+    return tuple(str(one.message) for one in caught)
 
 
 def _old_record(store: SpectrumStore, name: str, plan: Plan) -> ShapeRecord | None:
@@ -225,12 +217,3 @@ def _digest(path: Path) -> str:
         return ""  # `read` says why there are none
     with path.open("rb") as file:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
-
-
-def _told(
-    caught: Sequence[warnings.WarningMessage],
-    kind: type[Warning],
-    but: type[Warning] | tuple[()] = (),
-) -> tuple[str, ...]:
-    messages = (one.message for one in caught)
-    return tuple(str(m) for m in messages if isinstance(m, kind) and not isinstance(m, but))

@@ -22,9 +22,10 @@ from spectra_kit.errors import (
     StoreError,
 )
 
-Kind = Literal["shapes", "spectra", "descriptors", "records"]
+Kind = Literal["shapes", "spectra", "descriptors", "maps", "records"]
 
 FORMAT_VERSION = 1
+_LISTS = ("eigenvalues", "dna", "problems", "warnings")  # of a record
 MARK = "store.json"  #: A folder that holds this is a store.
 REMEDY = "spectra-kit store verify --remove takes it out, and the next run computes it again"
 
@@ -34,8 +35,9 @@ class StoredEntry(NamedTuple):
 
     Attributes
     ----------
-    kind : {"shapes", "spectra", "descriptors", "records"}
-        What it holds: a geometry, its modes, a signature, or which of these belong to a name.
+    kind : {"shapes", "spectra", "descriptors", "maps", "records"}
+        What it holds: a geometry, its modes, a signature, a map between two, or which of these
+        belong to a name.
     key : str
         Hash of all that its content follows from.
     path : Path
@@ -82,8 +84,30 @@ class ShapeRecord:
         Keys of the geometry and of its modes.
     descriptors : dict of str to str
         Keys of the signatures.
+    sizes : dict of str to int
+        Bytes of all these entries, by their keys.
+    kind : {"mesh", "cloud"}
+        Of the geometry as it was looked at.
+    points, faces : int
+        Of it.
+    area : float
+        In the squared unit of the file.
+    components, zero_modes : int
+        Of the operator, and of the modes.
+    level : str
+        How far the modes can be trusted: see `Certificate.level`.
+    residual : float
+        Largest relative residual.
+    eigenvalues : tuple of float
+        In 1/length^2.
+    dna : tuple of float
+        ShapeDNA, where the plan wants it.
     problems, warnings : tuple of str
         What was found about the geometry, and what the solver warned of.
+
+    Notes
+    -----
+    It tells all that a table has, so that no table needs to read the entries themselves.
     """
 
     name: str
@@ -92,13 +116,29 @@ class ShapeRecord:
     shape: str
     spectrum: str
     descriptors: Mapping[str, str]
+    sizes: Mapping[str, int]
+    kind: Literal["mesh", "cloud"]
+    points: int
+    faces: int
+    area: float
+    components: int
+    zero_modes: int
+    level: str
+    residual: float
+    eigenvalues: tuple[float, ...]
+    dna: tuple[float, ...] = ()
     problems: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
 
+def damage(error: InvalidFileError) -> str:
+    """Return the words for what is damaged and made again."""
+    return f"{error.path} is damaged and made again: {error.problem}"
+
+
 def warn_of_damage(error: InvalidFileError) -> None:
     """Say that what is damaged is made again."""
-    warn(f"{error.path} is damaged and made again: {error.problem}", DamagedEntryWarning)
+    warn(damage(error), DamagedEntryWarning)
 
 
 def misnamed() -> InvalidInputError:
@@ -128,7 +168,7 @@ def read_record(path: Path) -> ShapeRecord:
     """Return what is known of a name."""
     with parsing(path, "record of a store", remedy=REMEDY):
         content = json.loads(path.read_text())
-        lists = {name: tuple(content[name]) for name in ("problems", "warnings")}
+        lists = {name: tuple(content[name]) for name in _LISTS}
         return ShapeRecord(**{**content, **lists})
 
 

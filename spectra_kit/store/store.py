@@ -9,9 +9,10 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path, parsing
@@ -34,6 +35,7 @@ _SUFFIX: Mapping[Kind, str] = {
     "shapes": ".npz",
     "spectra": ".npz",
     "descriptors": ".npz",
+    "maps": ".npz",
     "records": ".json",
 }
 _LEFT = 24 * 3600  # seconds after which what a writer has left was left by one that is gone
@@ -355,6 +357,92 @@ class SpectrumStore:
                 raise ValueError("its content has another hash than its name")
         return shape
 
+    def keep_map(self, facts: Mapping[str, object], arrays: Mapping[str, NDArray[Any]]) -> str:
+        """Keep a map between two shapes, and return its key.
+
+        Parameters
+        ----------
+        facts : mapping
+            All that it follows from, as JSON can say it; among it the keys of two spectra as
+            ``source`` and ``target``, and the ``release`` that found it.
+        arrays : mapping of str to ndarray
+            What it is.
+
+        Returns
+        -------
+        str
+            For `load_map`.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import numpy as np
+        >>> import spectra_kit as sk
+        >>> store, facts = sk.store.SpectrumStore(tempfile.mkdtemp()), {"source": "", "target": ""}
+        >>> key = store.keep_map(facts, {"point_map": np.arange(3)})
+        >>> store.load_map(key)[1]["point_map"]
+        array([0, 1, 2])
+        """
+        key = facts_digest(facts)
+        with self._new("maps", key) as path:
+            files.write(path, facts, **arrays)
+        return key
+
+    def has_map(self, key: str) -> bool:
+        """Return whether there is a map of a key, whole or damaged.
+
+        Parameters
+        ----------
+        key : str
+            As `keep_map` returns it.
+
+        Returns
+        -------
+        bool
+            Without a look into it.
+        """
+        return self._place("maps", key).exists()
+
+    def load_map(self, key: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]] | None:
+        """Return the facts and the arrays of a map if it is there.
+
+        Parameters
+        ----------
+        key : str
+            As `keep_map` returns it.
+
+        Returns
+        -------
+        facts : dict
+            As they were kept, but for tuples, which are lists now.
+        arrays : dict of str to ndarray
+            As they were kept.
+
+        Raises
+        ------
+        InvalidFileError
+            If the entry is damaged.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> sk.store.SpectrumStore(tempfile.mkdtemp()).load_map("0" * 32) is None
+        True
+        """
+        if not self.has_map(key):
+            return None
+        path = self._place("maps", key)
+        header, arrays = files.read(path)
+        if facts_digest(header["facts"]) != key:
+            raise InvalidFileError(path, files.misnamed())
+        return header["facts"], arrays
+
     def record(self, name: str, plan: Plan) -> ShapeRecord | None:
         """Return what is known of a name under a plan.
 
@@ -406,7 +494,9 @@ class SpectrumStore:
         >>> store, plan = sk.store.SpectrumStore(tempfile.mkdtemp()), sk.store.Plan()
         >>> store.keep_record(
         ...     sk.store.ShapeRecord(
-        ...         name="cat.off", file="", facts=plan.facts, shape="", spectrum="", descriptors={}
+        ...         name="cat.off", file="", facts=plan.facts, shape="", spectrum="",
+        ...         descriptors={}, sizes={}, kind="cloud", points=0, faces=0, area=0.0,
+        ...         components=0, zero_modes=0, level="residuals", residual=0.0, eigenvalues=(),
         ...     )
         ... )
         >>> store.record("cat.off", plan).name
@@ -416,6 +506,56 @@ class SpectrumStore:
         key = _record_key(record.name, record.facts)
         with self._new("records", key) as path, atomic_path(path) as part:
             part.write_text(text)
+
+    def sizes(self, *keys: str) -> dict[str, int]:
+        """Return the bytes of those entries of some keys that are there.
+
+        Parameters
+        ----------
+        *keys : str
+            Of geometries, spectra, descriptors or maps.
+
+        Returns
+        -------
+        dict of str to int
+            By key.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> sk.store.SpectrumStore(tempfile.mkdtemp()).sizes("0" * 32)
+        {}
+        """
+        kinds = [kind for kind in _SUFFIX if kind != "records"]
+        places = ((key, self._place(kind, key)) for key in keys for kind in kinds)
+        return {key: path.stat().st_size for key, path in places if path.exists()}
+
+    def holds(self, record: ShapeRecord) -> bool:
+        """Return whether all entries of a record are there, as many bytes as they had.
+
+        Parameters
+        ----------
+        record : ShapeRecord
+            As `record` returns it.
+
+        Returns
+        -------
+        bool
+            Without a look into the entries.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> import spectra_kit as sk
+        >>> folder = Path(tempfile.mkdtemp())
+        >>> sk.geometry.write(sk.geometry.creature(600), folder / "animal.off")
+        >>> store, plan = sk.store.SpectrumStore(folder / "store"), sk.store.Plan(k=12)
+        >>> store.holds(sk.store.complete(store, "animal", folder / "animal.off", plan).record)
+        True
+        """
+        return self.sizes(*record.sizes) == record.sizes
 
     def records(self, plan: Plan | None = None) -> Iterator[ShapeRecord]:
         """Yield what is known of each name, in the order of the names' hashes.
@@ -452,7 +592,7 @@ class SpectrumStore:
 
         Parameters
         ----------
-        kind : {"shapes", "spectra", "descriptors", "records"}, optional
+        kind : {"shapes", "spectra", "descriptors", "maps", "records"}, optional
             Which.
 
         Yields
@@ -557,6 +697,10 @@ class SpectrumStore:
             for entry in self.entries("descriptors")
             if files.read_facts(entry.path)["spectrum"] not in kept
         ]
+        for entry in self.entries("maps"):
+            facts = files.read_facts(entry.path)
+            if facts["release"] != VERSION or not kept.issuperset(_ends(facts)):
+                gone.append(entry.path)
         for entry in self.entries("records"):
             record = files.read_record(entry.path)
             if record.facts["release"] == VERSION:
@@ -634,6 +778,11 @@ def _spectrum_facts(shape: str, plan: Plan) -> dict[str, object]:
 
 def _descriptor_facts(spectrum: str, name: str) -> dict[str, object]:
     return {"spectrum": spectrum, "descriptor": name}
+
+
+def _ends(facts: Mapping[str, object]) -> tuple[str, str]:
+    """Return the keys of the spectra that a map joins."""
+    return str(facts["source"]), str(facts["target"])
 
 
 def _record_key(name: str, facts: Mapping[str, object]) -> str:

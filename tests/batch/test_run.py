@@ -62,8 +62,10 @@ def test_results_and_failures_are_in_the_order_of_the_inputs(scans, store):
     assert report.replaced == ()
     for one, done in report.completed:
         expected = sk.spectrum(one.path, 6)
-        np.testing.assert_allclose(done.eigenvalues, expected.eigenvalues, rtol=1e-12, atol=1e-12)
-        assert done.area == pytest.approx(sk.read(one.path).area)
+        np.testing.assert_allclose(
+            done.record.eigenvalues, expected.eigenvalues, rtol=1e-12, atol=1e-12
+        )
+        assert done.record.area == pytest.approx(sk.read(one.path).area)
 
 
 def test_a_second_run_computes_nothing_and_writes_nothing(scans, store):
@@ -124,10 +126,10 @@ def test_a_table_has_a_row_for_each_shape(scans, store, tmp_path):
     ]
     for row, (_, done) in zip(rows, report.completed, strict=True):
         values = [float(row[f"eigenvalue_{i}"]) for i in range(6)]
-        np.testing.assert_array_equal(values, done.eigenvalues)
-        np.testing.assert_array_equal([float(row[f"dna_{i + 1}"]) for i in range(len(done.dna))],
-                                      done.dna)  # fmt: skip
-        assert float(row["area"]) == done.area
+        np.testing.assert_array_equal(values, done.record.eigenvalues)
+        signature = [float(row[f"dna_{i + 1}"]) for i in range(len(done.record.dna))]
+        np.testing.assert_array_equal(signature, done.record.dna)
+        assert float(row["area"]) == done.record.area
         assert store.load(row["spectrum"]).k == 6
         assert (row["components"], row["zero_modes"], row["level"]) == ("1", "1", "verified")
 
@@ -169,6 +171,15 @@ def test_workers_end_with_the_bytes_of_one_process(scans, store, tmp_path):
     assert entries(store) == entries(other)
     assert [one.name for one, _ in report.completed] == [one.name for one, _ in alone.completed]
     assert [str(x.error) for x in report.failed] == [str(x.error) for x in alone.failed]
+
+
+def test_an_engine_is_not_begun_for_what_is_there(scans, store):
+    def engine(tasks):
+        raise AssertionError
+
+    inputs = find_inputs([scans / "bumpy.ply", scans / "copy.ply"])
+    compute_all(inputs, store, PLAN)
+    assert len(compute_all(inputs, store, PLAN, engine=engine).completed) == 2
 
 
 class Killed:

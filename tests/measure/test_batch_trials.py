@@ -28,7 +28,7 @@ def test_trials_tell_what_happened(setting):
     assert told["failed"] == [0, 0]
     assert told["same bytes"]
     told = TRIALS["damaged"](setting)
-    assert told["found by verify"] == told["named by the run"] == told["computed"] == 3
+    assert told["found"] == told["of these three"] == told["computed"] == 3
     assert told["as undisturbed"]
     told = TRIALS["memory"](setting)
     assert told["computed"] == 4

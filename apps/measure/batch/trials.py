@@ -134,7 +134,7 @@ def _interrupted(setting: Setting) -> Facts:
 
 
 def _damaged(setting: Setting) -> Facts:
-    """Cut one entry short, turn a bit of another, empty a third; and call the run again."""
+    """Cut one entry short, turn a bit of another, empty a third; verify, and run again."""
     store, whole = setting.store("damaged"), setting.store("one", fresh=False)
     shutil.copytree(whole, store)
     entries = list(SpectrumStore(store).entries("spectra"))
@@ -143,10 +143,11 @@ def _damaged(setting: Setting) -> Facts:
     chosen[0].write_bytes(data[0][:-500])
     chosen[1].write_bytes(data[1][:5000] + bytes([data[1][5000] ^ 1]) + data[1][5001:])
     chosen[2].write_bytes(b"")
-    found = SpectrumStore(store).verify()
+    command = [*_COMMAND[:3], "store", "verify", str(store), "--remove", "--json"]
+    verified = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+    named = sum(one["path"] in map(str, chosen) for one in verified["damaged"])
     told, _ = setting.run(store, *setting.shared)
-    named = sum(any(str(path) in text for text in told["replaced"]) for path in chosen)
-    return {"found by verify": len(found), "named by the run": named,
+    return {"found": len(verified["damaged"]), "of these three": named,
             "computed": told["computed"], "as undisturbed": equal(store, whole)}  # fmt: skip
 
 

@@ -1,0 +1,214 @@
+"""`match_all`: the maps of many pairs, by whoever works, into the store that holds their shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from spectra_kit._checked import checked
+from spectra_kit._clock import Clock
+from spectra_kit._validate import Brief
+from spectra_kit.batch.inputs import Pair
+from spectra_kit.batch.matched import Matched, Matching, matched
+from spectra_kit.batch.pairs import records_of
+from spectra_kit.batch.run import Engine, work
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.store import Plan, ShapeRecord, SpectrumStore
+
+_TILE = 4  # sources by targets that are matched one after the other: shapes are prepared anew less
+
+
+class FailedPair(NamedTuple):
+    """A pair that could not be matched.
+
+    Attributes
+    ----------
+    pair : Pair
+        Which.
+    error : Exception
+        Why.
+    """
+
+    pair: Pair
+    error: Exception
+
+
+@dataclass(frozen=True)
+class _Search:
+    """A pair that is to be matched."""
+
+    pair: Pair
+    source: ShapeRecord
+    target: ShapeRecord
+    store: Path
+    matching: Matching
+
+    @property
+    def name(self) -> str:
+        return self.pair.name
+
+    def __call__(self) -> Matched:
+        return matched(SpectrumStore(self.store), self.source, self.target, self.matching)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle it with paths from the root: who works may have another folder as theirs."""
+        return _Search, (
+            *(self.pair, self.source, self.target),
+            self.store.absolute(),
+            self.matching,
+        )
+
+
+@checked
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MatchReport(Brief):
+    """What came of a run over pairs.
+
+    Attributes
+    ----------
+    matched : tuple of (Pair, Matched)
+        In the order of the pairs.
+    failed : tuple of FailedPair
+        In that order, too.
+    seconds : float
+        That it took.
+    """
+
+    matched: tuple[tuple[Pair, Matched], ...]
+    failed: tuple[FailedPair, ...]
+    seconds: float
+
+    @property
+    def computed(self) -> int:
+        """How many maps were searched for; the others were there."""
+        return sum(done.computed for _, done in self.matched)
+
+    @property
+    def replaced(self) -> tuple[str, ...]:
+        """What was damaged, and made again."""
+        return tuple(text for _, done in self.matched for text in done.replaced)
+
+
+@checked
+def match_all(
+    store: SpectrumStore,
+    pairs: Sequence[Pair],
+    plan: Plan | Mapping[str, object] | None = None,
+    *,
+    matching: Matching = Matching(),  # noqa: B008
+    engine: Engine | None = None,
+    strict: bool = False,
+    progress: Callable[[int, int], object] | None = None,
+) -> MatchReport:
+    """Match pairs of shapes of a store, but for those whose map it has already.
+
+    Interrupted, it loses what is in work; called again, it goes on.
+
+    Parameters
+    ----------
+    store : SpectrumStore
+        What holds the shapes and their spectra, and keeps the maps.
+    pairs : sequence of Pair
+        As `find_pairs` returns them.
+    plan : Plan or its facts, optional
+        By which the spectra were computed, where the store has several.
+    matching : Matching
+        How they are matched.
+    engine : Engine, optional
+        Who works, such as a `DaskEngine`; by default this process, one pair after the other.
+    strict : bool, default False
+        Stop at the first failure, and raise it.
+    progress : callable, optional
+        Told how many pairs of how many are done.
+
+    Returns
+    -------
+    MatchReport
+        Results and failures. The maps themselves are in the store: `load_match`.
+
+    Raises
+    ------
+    InvalidInputError
+        If the store has no spectra, or those of several plans and none is given.
+    InvalidFileError
+        If a record of the store is damaged.
+    StoreError
+        If the store cannot be written: no other map could be kept either.
+    SpectraKitError
+        Of the first pair that fails, if it is `strict`; or if the engine is lost.
+
+    Notes
+    -----
+    A pair fails by itself if a name is not in the store, a shape is one that `match` refuses (of
+    several components, of fewer than 30 modes), or what the store holds of it is damaged.
+
+    Pairs are taken in tiles of four sources by four targets, and each worker keeps the last six
+    shapes that it has prepared.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import spectra_kit as sk
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> animal = sk.geometry.creature(600)
+    >>> sk.geometry.write(animal, folder / "animal.off")
+    >>> sk.geometry.write(sk.geometry.mirrored(animal), folder / "image.off")
+    >>> store, plan = sk.store.SpectrumStore(folder / "store"), sk.store.Plan(k=60)
+    >>> inputs = [
+    ...     sk.batch.Input(name=name, path=folder / f"{name}.off") for name in ("animal", "image")
+    ... ]
+    >>> _ = sk.batch.compute_all(inputs, store, plan)
+    >>> report = sk.batch.match_all(store, sk.batch.find_pairs("all", store))
+    >>> pair, found = report.matched[0]
+    >>> pair.name, found.mirrored
+    ('animal to image', True)
+    >>> sk.batch.load_match(store, found.key).point_map[:4]
+    array([0, 1, 2, 3])
+    """
+    clock, records = Clock(), records_of(store, plan)
+    searches, failed = list[_Search](), dict[str, Exception]()
+    for pair in in_tiles(pairs):
+        if unknown := _unknown(pair, records):
+            if strict:
+                raise unknown
+            failed[pair.name] = unknown
+        else:
+            ends = (records[pair.source], records[pair.target])
+            searches.append(_Search(pair, *ends, Path(store.path), matching))
+    found, others = work(searches, len(searches), engine=engine, strict=strict, progress=progress)
+    failed |= others
+    return MatchReport(
+        matched=tuple((pair, found[pair.name]) for pair in pairs if pair.name in found),
+        failed=tuple(FailedPair(pair, failed[pair.name]) for pair in pairs if pair.name in failed),
+        seconds=clock.total,
+    )
+
+
+def in_tiles(pairs: Sequence[Pair]) -> Iterator[Pair]:
+    """Yield the pairs so that few shapes take part in those of a while."""
+    places: dict[str, int] = {}
+    for pair in pairs:
+        for name in (pair.source, pair.target):
+            places.setdefault(name, len(places))
+
+    def tile(pair: Pair) -> tuple[int, ...]:
+        i, j = places[pair.source], places[pair.target]
+        return i // _TILE, j // _TILE, i, j
+
+    yield from sorted(pairs, key=tile)
+
+
+def _unknown(pair: Pair, records: Mapping[str, ShapeRecord]) -> InvalidInputError | None:
+    """Return what is wrong with the names of a pair, if anything is."""
+    for end, name in (("source", pair.source), ("target", pair.target)):
+        if name not in records:
+            return InvalidInputError(
+                end,
+                "be the name of a shape in the store",
+                repr(name),
+                advice="compute it first; `spectra-kit store list` tells all names",
+            )
+    return None

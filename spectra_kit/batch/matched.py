@@ -1,0 +1,285 @@
+"""`matched`: from two shapes of a store to the map between them, unless the store has that too."""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spectra_kit._checked import checked
+from spectra_kit._fingerprint import facts_digest
+from spectra_kit._validate import Brief, check_count
+from spectra_kit._version import VERSION
+from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError, InvalidInputError
+from spectra_kit.linalg.threads import single_threaded_blas
+from spectra_kit.matching import (
+    Candidate,
+    Match,
+    MatchOptions,
+    Prepared,
+    ScoreWeights,
+    match,
+    prepare,
+)
+from spectra_kit.matching.options import DEFAULT
+from spectra_kit.matching.prepare import LOWEST_K
+from spectra_kit.store import ShapeRecord, SpectrumStore
+from spectra_kit.store.files import damage
+
+#: Prepared shapes that a worker keeps: those of a tile of `match_all` and the row that it works on.
+KEPT = 6
+_MISMATCH = "mismatch_"  # before the names of mismatches, among those of arrays
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Matching:
+    """How shapes of a store are matched; all as in `match`.
+
+    Parameters
+    ----------
+    k : int, default 150
+        Modes to end with; fewer where a spectrum has fewer.
+    mirrored : bool, optional
+        Whether maps turn the surface over; both are tried without it.
+    elastic : bool, default True
+        Whether to bend the source onto the target in the end.
+    options : MatchOptions
+        What is tried and believed.
+
+    Raises
+    ------
+    InvalidInputError
+        If `k` is below 30.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> sk.batch.Matching(mirrored=False).k
+    150
+    """
+
+    k: int = 150
+    mirrored: bool | None = None
+    elastic: bool = True
+    options: MatchOptions = DEFAULT
+
+    def __post_init__(self) -> None:
+        check_count("k", self.k, low=LOWEST_K)
+
+    def key(self, source: ShapeRecord, target: ShapeRecord) -> str:
+        """Return the hash of all that a map between two shapes follows from.
+
+        Parameters
+        ----------
+        source, target : ShapeRecord
+            What a store holds of them.
+
+        Returns
+        -------
+        str
+            32 hexadecimal digits, for `load_match`.
+        """
+        return facts_digest(facts_of(self, source, target))
+
+
+@checked
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Matched(Brief):
+    """What a store holds of a pair, now.
+
+    Attributes
+    ----------
+    key : str
+        Of the map: see `load_match`.
+    score, margin, mirror_margin, coverage : float
+        How good the map is: see `Match`.
+    orientation : float or None
+        Of it.
+    mirrored, ambiguous, convincing : bool
+        What it is believed to be.
+    doubts : tuple of str
+        What speaks against it.
+    computed : bool
+        Whether it was searched for, or there.
+    replaced : tuple of str
+        What was damaged and computed again.
+    seconds : float
+        That it took.
+    """
+
+    key: str
+    score: float
+    margin: float
+    mirror_margin: float
+    coverage: float
+    orientation: float | None
+    mirrored: bool
+    ambiguous: bool
+    convincing: bool
+    doubts: tuple[str, ...]
+    computed: bool
+    replaced: tuple[str, ...]
+    seconds: float
+
+
+@checked
+def load_match(store: SpectrumStore, key: str) -> Match | None:
+    """Return a match that a store keeps.
+
+    Parameters
+    ----------
+    store : SpectrumStore
+        Which `match_all` has filled.
+    key : str
+        As `Matched` has it, and the table of a run.
+
+    Returns
+    -------
+    Match or None
+        The very numbers; None where there is none.
+
+    Raises
+    ------
+    InvalidFileError
+        If the entry is damaged.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import spectra_kit as sk
+    >>> sk.batch.load_match(sk.store.SpectrumStore(tempfile.mkdtemp()), "0" * 32) is None
+    True
+    """
+    found = store.load_map(key)
+    if found is None:
+        return None
+    facts, arrays = found
+    if "matching" not in facts:
+        raise InvalidInputError("key", "be that of a match", repr(key))
+    return _restored(facts["matching"]["options"], arrays)
+
+
+def facts_of(matching: Matching, source: ShapeRecord, target: ShapeRecord) -> dict[str, object]:
+    """Return all that a map between two shapes follows from."""
+    ends = {"source": source.spectrum, "target": target.spectrum}
+    return {**ends, "matching": asdict(matching), "release": VERSION}
+
+
+def matched(
+    store: SpectrumStore, source: ShapeRecord, target: ShapeRecord, matching: Matching
+) -> Matched:
+    """Match two shapes of a store, unless it has their map already.
+
+    A map that is there is read whole, so that damage is found. BLAS gets one thread, as in
+    `complete`.
+    """
+    start, facts = time.perf_counter(), facts_of(matching, source, target)
+    key, replaced = facts_digest(facts), tuple[str, ...]()
+    try:
+        found = load_match(store, key)
+    except InvalidFileError as error:
+        found, replaced = None, (damage(error),)
+    if computed := found is None:
+        with single_threaded_blas(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", DoubtfulMatchWarning)  # `convincing` tells
+            found = match(
+                *(_prepared(os.fspath(store.path), x.shape, x.spectrum) for x in (source, target)),
+                k=matching.k,
+                mirrored=matching.mirrored,
+                elastic=matching.elastic,
+                options=matching.options,
+            )
+        store.keep_map(facts, _arrays(found))
+    return Matched(
+        key=key,
+        score=found.score,
+        margin=found.margin,
+        mirror_margin=found.mirror_margin,
+        coverage=found.coverage,
+        orientation=found.orientation,
+        mirrored=found.mirrored,
+        ambiguous=found.ambiguous,
+        convincing=found.convincing,
+        doubts=found.doubts,
+        computed=computed,
+        replaced=replaced,
+        seconds=time.perf_counter() - start,
+    )
+
+
+@lru_cache(maxsize=KEPT)
+def _prepared(store: str, shape: str, spectrum: str) -> Prepared:
+    """Return a shape of a store, ready to be matched; the last few are kept for further pairs."""
+    place = SpectrumStore(store)
+    modes = place.load(spectrum)
+    if modes is None:
+        raise InvalidInputError(
+            "store", "hold the spectrum of each shape", f"none of {spectrum}", advice="compute it"
+        )
+    return prepare(modes, place.shape(shape))
+
+
+def _arrays(match: Match) -> dict[str, NDArray[Any]]:
+    """Return all of a match but its options."""
+    candidates = match.candidates
+    judged = [
+        float(match.mirrored),
+        np.nan if match.orientation is None else match.orientation,
+        *(match.margin, match.mirror_margin, match.consistent, match.coverage),
+    ]
+    return {
+        "point_map": match.point_map,
+        "functional_map": match.functional_map,
+        "judged": np.array(judged),
+        "candidate_maps": np.array([one.functional_map for one in candidates]),
+        "candidate_scores": np.array([one.score for one in candidates]),
+        "candidates_mirrored": np.array([one.mirrored for one in candidates], dtype=np.int8),
+        **{
+            _MISMATCH + name: np.array([one.mismatches[name] for one in candidates])
+            for name in candidates[0].mismatches
+        },
+    }
+
+
+def _restored(options: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Match:
+    """Return the match of such arrays; lists among its options were tuples."""
+    kept = tuple((int(modes), int(count)) for modes, count in options["kept"])
+    weights = ScoreWeights(**options["weights"])
+    judged: list[float] = arrays["judged"].tolist()
+    mirrored, orientation, margin, mirror_margin, consistent, coverage = judged
+    mismatches = {
+        name.removeprefix(_MISMATCH): values.tolist()
+        for name, values in arrays.items()
+        if name.startswith(_MISMATCH)
+    }
+    candidates = tuple(
+        Candidate(
+            functional_map=C,
+            score=score,
+            mismatches={name: values[i] for name, values in mismatches.items()},
+            mirrored=bool(arrays["candidates_mirrored"][i]),
+        )
+        for i, (C, score) in enumerate(
+            zip(arrays["candidate_maps"], arrays["candidate_scores"].tolist(), strict=True)
+        )
+    )
+    return Match(
+        point_map=arrays["point_map"],
+        functional_map=arrays["functional_map"],
+        mirrored=bool(mirrored),
+        orientation=None if np.isnan(orientation) else orientation,
+        margin=margin,
+        mirror_margin=mirror_margin,
+        consistent=consistent,
+        coverage=coverage,
+        candidates=candidates,
+        options=MatchOptions(**{**options, "kept": kept, "weights": weights}),
+    )

@@ -1,0 +1,119 @@
+"""Which shapes of a store are matched: all with all, or the pairs of a table."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Mapping
+from itertools import combinations
+from pathlib import Path
+
+from spectra_kit._checked import checked
+from spectra_kit.batch.inputs import Pair, rows_of
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.store import Plan, ShapeRecord, SpectrumStore
+
+ALL = "all"
+_ENDS = ("source", "target")
+
+
+@checked
+def find_pairs(
+    pairs: str | os.PathLike[str],
+    store: SpectrumStore,
+    plan: Plan | Mapping[str, object] | None = None,
+) -> list[Pair]:
+    """Return the pairs that are to be matched.
+
+    Parameters
+    ----------
+    pairs : "all" or path-like
+        All shapes of the store with all others, each two once: the one whose name comes first is
+        the source. Or a CSV file with columns ``source`` and ``target``, names in the store;
+        further columns are handed on to the table.
+    store : SpectrumStore
+        Whose shapes.
+    plan : Plan or its facts, optional
+        By which they were computed, where the store has several.
+
+    Returns
+    -------
+    list of Pair
+        In the order of the names, or of the file.
+
+    Raises
+    ------
+    InvalidInputError
+        If the store has fewer than two shapes, or several plans and none is given; if a file names
+        a pair twice.
+    InvalidFileError
+        If the file is not there, or has no such columns, or an empty cell in them; or a record of
+        the store is damaged.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import spectra_kit as sk
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> for i in range(3):
+    ...     sk.geometry.write(sk.geometry.creature(600, seed=i), folder / f"{i}.off")
+    >>> store, plan = sk.store.SpectrumStore(folder / "store"), sk.store.Plan(k=12)
+    >>> for i in range(3):
+    ...     _ = sk.store.complete(store, f"animal{i}", folder / f"{i}.off", plan)
+    >>> [pair.name for pair in sk.batch.find_pairs("all", store)]
+    ['animal0 to animal1', 'animal0 to animal2', 'animal1 to animal2']
+    """
+    if os.fspath(pairs) == ALL:
+        names = sorted(records_of(store, plan))
+        if len(names) < 2:
+            raise InvalidInputError("store", "hold two shapes to match", len(names))
+        return [Pair(source=a, target=b) for a, b in combinations(names, 2)]
+    found = [
+        Pair(
+            source=row["source"],
+            target=row["target"],
+            columns={key: cell for key, cell in row.items() if key not in _ENDS},
+        )
+        for row in rows_of(Path(pairs), "pairs", _ENDS)
+    ]
+    counts = Counter(pair.name for pair in found)
+    if twice := [name for name, count in counts.items() if count > 1]:
+        raise InvalidInputError(
+            "pairs",
+            "name each pair once",
+            f"{len(twice):,} several times, such as {twice[0]!r}",
+            advice="leave one out",
+        )
+    return found
+
+
+def records_of(
+    store: SpectrumStore, plan: Plan | Mapping[str, object] | None
+) -> dict[str, ShapeRecord]:
+    """Return what a store holds of each name under a plan, or under the only one it has."""
+    if plan is None:
+        plan = only_plan(store)
+    facts = plan.facts if isinstance(plan, Plan) else plan
+    return {one.name: one for one in store.records() if one.facts == facts}
+
+
+def only_plan(store: SpectrumStore, k: int | None = None) -> Mapping[str, object]:
+    """Return the facts of the plan that a store has spectra of, with k modes if that is told."""
+    plans = list[Mapping[str, object]]()
+    for one in store.records():
+        if one.facts not in plans and k in (None, one.facts["k"]):
+            plans.append(one.facts)
+    if not plans:
+        kind = "spectra" if k is None else f"spectra of {k} modes"
+        raise InvalidInputError("store", f"hold {kind}", "none", advice="compute them first")
+    if len(plans) > 1:
+        modes = " and ".join(str(one["k"]) for one in plans)
+        raise InvalidInputError(
+            "store",
+            "hold spectra of one plan, or be told of which",
+            f"those of {len(plans)}, with {modes} modes",
+            advice="name it by {}",
+            remedies=("plan",),
+        )
+    return plans[0]
