@@ -15,6 +15,7 @@ from spectra_kit.errors import ConvergenceError, InvalidInputError
 from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
 from spectra_kit.linalg.threads import in_threads, ranges
 from spectra_kit.operators._half_edges import (
+    ROUNDING,
     cotangent_laplacian,
     flip_to_delaunay,
     glue,
@@ -55,16 +56,33 @@ def glued_mesh(mesh: TriangleMesh, mollify_factor: float) -> Glued:
     points = mesh.points / unit[:, None]
     corners = mesh.faces.astype(np.int32)
     lengths = side_lengths(points, corners, mollify_factor)
-    sides = sides_by_corner(corners, mesh.n)
-    twins = np.empty(3 * len(corners), dtype=np.int32)
-    copies, boundary = 1, np.empty(0, dtype=np.int64)
-    if not pair_sides(corners, *sides, twins):
-        corners, lengths, twins = _front_and_back(points, corners, lengths, sides, sharpest=2.0)
-        copies, boundary = 2, mesh.boundary_vertices
-    _make_delaunay(corners, lengths, twins)
-    stiffness, mass = _laplacian(corners, lengths, twins, mesh.n, copies)
+    corners, lengths, twins, copies = glued_faces(points, corners, lengths)
+    make_delaunay(corners, lengths, twins)
+    stiffness, mass = laplacian_of(corners, lengths, twins, mesh.n, copies)
     lengths *= unit[corners[:, :1]]
+    boundary = np.empty(0, dtype=np.int64) if copies == 1 else mesh.boundary_vertices
     return Glued(corners, lengths, copies, boundary, stiffness, mass * unit**2)
+
+
+def glued_faces(points: Floats, corners: Ints, lengths: Floats) -> tuple[Ints, Floats, Ints, int]:
+    """Glue the faces of a mesh (f, 3) to a surface without boundary.
+
+    Return corners, lengths and twins of its triangles, and how often each face is there: once, or
+    as a front and a back in turn.
+    """
+    sides = sides_by_corner(corners, len(points))
+    twins = np.empty(3 * len(corners), dtype=np.int32)
+    if pair_sides(corners, *sides, twins):
+        return corners, lengths, twins, 1
+    return *_front_and_back(points, corners, lengths, sides, sharpest=2.0), 2
+
+
+def folded(slopes: Floats, copies: int) -> Floats:
+    """Add up what belongs to the sides (f, 3) of each face, of those of its copies."""
+    if copies == 1:
+        return slopes
+    front, back = slopes.reshape(-1, 2, 3).swapaxes(0, 1)
+    return np.asarray(front + back[:, ::-1])  # whose sides run the other way: see `_SIDES`
 
 
 def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> Glued:
@@ -78,10 +96,10 @@ def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> G
     corners, lengths, twins = _front_and_back(
         points, triangles, lengths, sides_by_corner(triangles, cloud.n), sharpest=0.0
     )
-    _make_delaunay(corners, lengths, twins)
+    make_delaunay(corners, lengths, twins)
     corners = order[corners].astype(np.int32)
     copies = 6  # three stars, a front and a back
-    stiffness, mass = _laplacian(corners, lengths, twins, cloud.n, copies)
+    stiffness, mass = laplacian_of(corners, lengths, twins, cloud.n, copies)
     if not mass.all():
         raise InvalidInputError(
             "geometry",
@@ -111,17 +129,31 @@ def _front_and_back(
     return triangles[:, _CORNERS].reshape(-1, 3), lengths[:, _SIDES].reshape(-1, 3), twins
 
 
-def _make_delaunay(corners: Ints, lengths: Floats, twins: Ints) -> None:
-    """Flip edges, in place, until the angles opposite each sum to at most pi."""
+def make_delaunay(
+    corners: Ints,
+    lengths: Floats,
+    twins: Ints,
+    *,
+    slack: tuple[float, float] = ROUNDING,
+    recorded: bool = False,
+) -> tuple[Ints, Floats]:
+    """Flip edges, in place, until the angles opposite each sum to at most pi.
+
+    Return the flips, as `undo_flips` takes them back.
+    """
     most = _FLIPS * len(twins)
-    if not flip_to_delaunay(corners.reshape(-1), lengths.reshape(-1), twins, most):
+    ended, flipped, before = flip_to_delaunay(
+        corners.reshape(-1), lengths.reshape(-1), twins, most, slack, recorded
+    )
+    if not ended:
         raise ConvergenceError(
             "the triangles of `geometry` must become Delaunay by edge flips, got no end to them"
             f" after {most}; raise `mollify_factor`, or drop points that nearly coincide"
         )
+    return flipped, before
 
 
-def _laplacian(
+def laplacian_of(
     corners: Ints, lengths: Floats, twins: Ints, n: int, copies: int
 ) -> tuple[sparse.csr_array, Floats]:
     """Return stiffness and lumped mass of one copy of the surface."""
