@@ -68,7 +68,7 @@ def lengthened_by_component(mesh: TriangleMesh, factor: float) -> tuple[Floats, 
     longer = factor - slacks.min()
     if longer <= 0:
         return space, lambda slopes: slopes
-    t, c = np.divmod(slacks.argmin(keepdims=True).ravel(), 3)
+    t, c = np.divmod(np.array([slacks.argmin()]), 3)
 
     def back(slopes: Floats) -> Floats:
         total = np.bincount(label.ravel(), slopes.ravel(), minlength=len(means))

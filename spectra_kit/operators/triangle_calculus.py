@@ -74,10 +74,11 @@ def voronoi_slopes(lengths: Floats, weights: Floats) -> Floats:
     # Along side c, either corner has a triangle of height l cot / 2 over half of it.
     along = (weights + np.roll(weights, -1, axis=1)) / 8
     acute = _weighted_cotangent_slopes(lengths, along * squared) + 2 * lengths * along * cotangents
-    large = np.roll(cotangents, -1, axis=1) < 0  # the angle at a corner is opposite the next side
+    # The angle at a corner is opposite the next side.
+    large = np.asarray(np.roll(cotangents, -1, axis=1) < 0)
     shares = np.where(large, 1 / 2, 1 / 4)
     obtuse = _area_slopes(lengths, (shares * weights).sum(axis=1))
-    return np.where(large.any(axis=1)[:, None], obtuse, acute)
+    return np.where(large.any(axis=1, keepdims=True), obtuse, acute)
 
 
 def _cotangents(lengths: Floats) -> Floats:
