@@ -60,8 +60,8 @@ def mesh_eigenvalues(
     ------
     InvalidInputError
         If `points` is no real tensor; as `TriangleMesh`, `laplacian` and `eigensolve`. Where a
-        gradient is wanted: if two ends of an edge coincide, or ``robust`` is asked for of a mesh
-        with non-manifold edges.
+        gradient is wanted: if two ends of an edge coincide; or if the triangles of "robust", of
+        which its library tells nothing, are not found again, as may happen among needles.
     ConvergenceError, InvalidSpectrumError, OutOfMemoryError
         As `laplacian` and `eigensolve`.
 
@@ -71,9 +71,8 @@ def mesh_eigenvalues(
     which each is differentiated by the lengths of its sides. It is exact for the discrete operator,
     not only in the limit of fine meshes. The triangles of "robust" and "delaunay" come from edge
     flips and, where some are nearly degenerate, longer sides; the gradient goes back through both.
-    As points move, these operators jump a little where an edge flips; "cotan" does not. Where four
-    points of a face and its neighbour are on a circle, as in grids, the gradient is that of one
-    side.
+    As points move, these operators jump a little where an edge flips; "cotan" does not. The
+    gradient is that of the triangles there are.
 
     Clusters of eigenvalues, and second derivatives, are as of `eigenvalues`. Zero modes have no
     gradient: exactly zero.

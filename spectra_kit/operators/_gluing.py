@@ -12,18 +12,20 @@ from scipy.spatial import cKDTree
 from spectra_kit._types import Bools, Floats
 from spectra_kit._validate import quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import PointCloud, TriangleMesh, distinct_rows
 from spectra_kit.linalg.threads import in_threads, ranges
 from spectra_kit.operators._half_edges import (
     ROUNDING,
     cotangent_laplacian,
+    flip_in_order,
     flip_to_delaunay,
     glue,
     pair_sides,
     side_lengths,
     sides_by_corner,
 )
-from spectra_kit.operators.checks import unit_of, units_of
+from spectra_kit.operators._tufted import tufted_cover
+from spectra_kit.operators.checks import mean_edges, unit_of, units_of
 from spectra_kit.operators.local_delaunay import local_triangles
 from spectra_kit.operators.triangle_calculus import areas
 
@@ -34,6 +36,7 @@ _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the num
 # Of a half-edge, before giving up. Clouds need 0.14 at most, but n slivers that fan out from one
 # point, as in flat parts of technical models, n / 32.
 _FLIPS = 1000
+_LIBRARY = 2e-6  # sums of cotangents so far below zero are zero to the library robust_laplacian
 _CORNERS, _SIDES = [0, 1, 2, 0, 2, 1], [0, 1, 2, 2, 1, 0]  # of a front and its back
 # Circles through the corners of a triangle are no larger, for the distance of the 30th neighbour,
 # between random points on a sphere; along a boundary they are.
@@ -75,6 +78,28 @@ def glued_faces(points: Floats, corners: Ints, lengths: Floats) -> tuple[Ints, F
     if pair_sides(corners, *sides, twins):
         return corners, lengths, twins, 1
     return *_front_and_back(points, corners, lengths, sides, sharpest=2.0), 2
+
+
+def tufted_delaunay(
+    mesh: TriangleMesh, sides: Floats
+) -> tuple[Ints, Floats, Ints, tuple[Ints, Floats]]:
+    """Find the triangles of the library robust_laplacian: a front and a back of each face, flipped.
+
+    Return their corners, lengths and twins, and the flips as `undo_flips` takes them back.
+    """
+    faces: Ints = mesh.faces.astype(np.int32)
+    edge = distinct_rows(mesh.edges)[1]
+    starts = np.append(0, np.cumsum(np.bincount(edge)))
+    twins, leads = np.empty(2 * len(edge), np.int32), np.empty(len(edge), np.int32)
+    points = mesh.points / mean_edges(mesh)[:, None]
+    tufted_cover(points, faces, starts, np.argsort(edge, kind="stable"), twins, leads)
+    corners, lengths = faces[:, _CORNERS].reshape(-1, 3), sides[:, _SIDES].reshape(-1, 3)
+    most = _FLIPS * len(twins)
+    ended, flipped, before = flip_in_order(
+        corners.reshape(-1), lengths.reshape(-1), twins, leads, most, _LIBRARY
+    )
+    _check_ended(ended, most)
+    return corners, lengths, twins, (flipped, before)
 
 
 def folded(slopes: Floats, copies: int) -> Floats:
@@ -134,7 +159,6 @@ def make_delaunay(
     lengths: Floats,
     twins: Ints,
     *,
-    slack: tuple[float, float] = ROUNDING,
     recorded: bool = False,
 ) -> tuple[Ints, Floats]:
     """Flip edges, in place, until the angles opposite each sum to at most pi.
@@ -143,14 +167,18 @@ def make_delaunay(
     """
     most = _FLIPS * len(twins)
     ended, flipped, before = flip_to_delaunay(
-        corners.reshape(-1), lengths.reshape(-1), twins, most, slack, recorded
+        corners.reshape(-1), lengths.reshape(-1), twins, most, ROUNDING, recorded
     )
+    _check_ended(ended, most)
+    return flipped, before
+
+
+def _check_ended(ended: bool, most: int) -> None:
     if not ended:
         raise ConvergenceError(
             "the triangles of `geometry` must become Delaunay by edge flips, got no end to them"
             f" after {most}; raise `mollify_factor`, or drop points that nearly coincide"
         )
-    return flipped, before
 
 
 def laplacian_of(

@@ -258,6 +258,59 @@ def flip_to_delaunay(
 
 
 @compiled(error_model="numpy")
+def flip_in_order(
+    tails: Ints, lengths: Floats, twins: Ints, leads: Ints, most: int, least: float
+) -> tuple[bool, Ints, Floats]:
+    """Flip as `flip_to_delaunay` does, in the order of the library robust_laplacian, recorded.
+
+    It visits all edges, and again those beside one that it has flipped, after all that wait.
+    `leads` has one half-edge of each edge; sums of two cotangents down to -`least` are zero to it.
+    """
+    n_edges, n_visits, flips = len(leads), len(leads), 0
+    edges = np.empty(len(tails), np.int32)
+    for e in range(n_edges):
+        edges[leads[e]] = edges[twins[leads[e]]] = e
+    queue, waiting = np.arange(n_edges).astype(np.int32), np.ones(n_edges, np.bool_)
+    flipped, before = np.empty((len(tails), 2), np.int32), np.empty(len(tails))
+    first = 0  # in a ring: no edge is in it twice
+    while n_visits > 0:
+        e = queue[first]
+        first, n_visits = (first + 1) % n_edges, n_visits - 1
+        waiting[e] = False
+        h = leads[e] + 0
+        g = twins[h] + 0
+        if h // 3 == g // 3 or not _is_bad(lengths, h, g, (least, 0.0)):
+            continue
+        if flips == most:
+            return False, flipped[:0], before[:0]
+        if flips == len(before):
+            flipped = np.concatenate((flipped, np.empty_like(flipped)))
+            before = np.concatenate((before, np.empty_like(before)))
+        flipped[flips, 0], flipped[flips, 1], before[flips] = h, g, lengths[h]
+        flips += 1
+        bc, ca, ad, db = _next(h), _previous(h), _next(g), _previous(g)
+        new = (ca, ad, db, bc)  # where they are after it: see `_flip`
+        names = (edges[bc], edges[ca], edges[ad], edges[db])
+        is_lead = (
+            leads[edges[bc]] == bc,
+            leads[edges[ca]] == ca,
+            leads[edges[ad]] == ad,
+            leads[edges[db]] == db,
+        )
+        _flip(tails, lengths, twins, h, g)
+        for j in range(4):
+            edges[new[j]] = names[j]
+            if is_lead[j]:
+                leads[names[j]] = new[j]
+        for outer in (_previous(g), _next(g), _previous(h), _next(h)):
+            if not waiting[edges[outer]]:
+                queue[(first + n_visits) % n_edges] = edges[outer]
+                waiting[edges[outer]] = True
+                n_visits += 1
+    return True, flipped[:flips].copy(), before[:flips].copy()
+
+
+@compiled(error_model="numpy")
 def undo_flips(lengths: Floats, slopes: Floats, flipped: Ints, before: Floats) -> None:
     """Take flips back, and the derivatives by the lengths of all half-edges with them.
 

@@ -31,8 +31,7 @@ from spectra_kit.operators.mollified import (
 from spectra_kit.operators.triangle_calculus import energy_slopes, lumped_slopes, voronoi_slopes
 
 _MOLLIFY = 1e-5  # as the operators have it
-_LIBRARY = (2e-6, 0.0)  # see `ROUNDING`: what the library robust_laplacian takes for zero
-_SAME = 1e-5  # weights that differ by less are those of edges that may be flipped or not
+_SAME = 1e-5  # relative difference of sums over the same triangles, needles among them
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +106,7 @@ def traced(
     ------
     InvalidInputError
         As `laplacian`; if the ends of an edge coincide, where its length has no derivative; or if
-        the library robust_laplacian glues the faces of non-manifold edges otherwise.
+        the library robust_laplacian has other triangles than those found here.
     """
     built, unit = laplacian(mesh, operator=operator, boundary=boundary), unit_of(mesh)
     scaled = mesh.with_points(mesh.points / unit)
@@ -138,14 +137,16 @@ def _delaunay(
     """Find the triangles of an intrinsic Delaunay Laplacian again, and record the flips."""
     from spectra_kit.operators import _gluing, _half_edges  # numba is slow to import
 
-    lengthened = lengthened_by_component if by_library else lengthened_by_corner
-    sides, unmollified = lengthened(mesh, _MOLLIFY)
-    faces = mesh.faces.astype(np.int32)
-    corners, lengths, twins, copies = _gluing.glued_faces(mesh.points, faces, sides)
-    slack = _LIBRARY if by_library else _half_edges.ROUNDING
-    flips = _gluing.make_delaunay(corners, lengths, twins, slack=slack, recorded=True)
     if by_library:
-        _check_same(built, _gluing.laplacian_of(corners, lengths, twins, mesh.n, copies)[0])
+        sides, unmollified = lengthened_by_component(mesh, _MOLLIFY)
+        corners, lengths, twins, flips = _gluing.tufted_delaunay(mesh, sides)
+        copies = 2
+        _check_same(built, *_gluing.laplacian_of(corners, lengths, twins, mesh.n, copies), unit)
+    else:
+        sides, unmollified = lengthened_by_corner(mesh, _MOLLIFY)
+        faces = mesh.faces.astype(np.int32)
+        corners, lengths, twins, copies = _gluing.glued_faces(mesh.points, faces, sides)
+        flips = _gluing.make_delaunay(corners, lengths, twins, recorded=True)
 
     def to_faces(slopes: Floats) -> Floats:
         before, slopes = lengths.copy(), slopes.copy()
@@ -155,21 +156,16 @@ def _delaunay(
     return TracedLaplacian(built, mesh, unit, corners, lengths, 1 / copies, lumped_slopes, to_faces)
 
 
-def _check_same(built: Laplacian, stiffness: sparse.csr_array) -> None:
-    """Refuse where the library has glued otherwise: its derivatives are not known.
-
-    Where four points are on a circle, two triangulations are Delaunay, and the order of the flips
-    tells which is found. They have the same L, and masses that differ at these points. There the
-    operator jumps, and what is returned is its derivative on one side.
-    """
+def _check_same(built: Laplacian, stiffness: sparse.csr_array, mass: Floats, unit: float) -> None:
+    """Refuse where the library has other triangles: its derivatives are not known."""
     apart = abs(built.stiffness - stiffness).max(axis=1).toarray().ravel()
     other = apart > _SAME * (1 + built.stiffness.diagonal())
+    other |= abs(built.mass / unit**2 - mass) > _SAME * mass
     if other.any():
         raise InvalidInputError(
             "operator",
-            "be glued in a way that is known, to be differentiated",
-            f"robust, with other triangles at {quantity(int(other.sum()), 'vertex')}: the mesh has"
-            " non-manifold edges",
+            "be a sum over triangles that are known, to be differentiated",
+            f"robust, with other triangles at {quantity(int(other.sum()), 'vertex')}",
             advice="use delaunay",
         )
 
