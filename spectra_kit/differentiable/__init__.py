@@ -1,7 +1,7 @@
 """Eigenvalues as functions that PyTorch can differentiate: of matrices, and of vertices.
 
-It stands above the solvers, any of which may solve, and below nothing: who has no use for
-gradients imports no torch.
+It stands above operators and solvers: each of them may be called, and none knows of it. So to solve
+imports no torch.
 
 >>> import torch
 >>> from spectra_kit.differentiable import mesh_eigenvalues

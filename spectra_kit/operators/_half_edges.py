@@ -302,6 +302,7 @@ def flip_in_order(
             edges[new[j]] = names[j]
             if is_lead[j]:
                 leads[names[j]] = new[j]
+        # This order of the four is what its masses agree with.
         for outer in (_previous(g), _next(g), _previous(h), _next(h)):
             if not waiting[edges[outer]]:
                 queue[(first + n_visits) % n_edges] = edges[outer]
