@@ -32,6 +32,7 @@ PURPOSE = {
     "metrics": ("study", "spectra compared"),
     "interop": ("use", "to and from\nother toolkits"),
     "descriptors": ("use", "signatures,\nspectral distances"),
+    "differentiable": ("use", "gradients of\neigenvalues"),
     "embeddings": ("use", "numbers to learn\nand search by"),
     "learning": ("use", "labels of shapes\nand of their points"),
     "functional_maps": ("use", "fit, ZoomOut,\nconversions"),

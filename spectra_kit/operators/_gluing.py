@@ -12,17 +12,20 @@ from scipy.spatial import cKDTree
 from spectra_kit._types import Bools, Floats
 from spectra_kit._validate import quantity
 from spectra_kit.errors import ConvergenceError, InvalidInputError
-from spectra_kit.geometry.shapes import PointCloud, TriangleMesh
+from spectra_kit.geometry.shapes import PointCloud, TriangleMesh, distinct_rows
 from spectra_kit.linalg.threads import in_threads, ranges
 from spectra_kit.operators._half_edges import (
+    ROUNDING,
     cotangent_laplacian,
+    flip_in_order,
     flip_to_delaunay,
     glue,
     pair_sides,
     side_lengths,
     sides_by_corner,
 )
-from spectra_kit.operators.checks import unit_of, units_of
+from spectra_kit.operators._tufted import tufted_cover
+from spectra_kit.operators.checks import mean_edges, unit_of, units_of
 from spectra_kit.operators.local_delaunay import local_triangles
 from spectra_kit.operators.triangle_calculus import areas
 
@@ -33,6 +36,7 @@ _BLOCK = 16_384  # points of one task: fixed, so that nothing depends on the num
 # Of a half-edge, before giving up. Clouds need 0.14 at most, but n slivers that fan out from one
 # point, as in flat parts of technical models, n / 32.
 _FLIPS = 1000
+_LIBRARY = 2e-6  # sums of cotangents so far below zero are zero to the library robust_laplacian
 _CORNERS, _SIDES = [0, 1, 2, 0, 2, 1], [0, 1, 2, 2, 1, 0]  # of a front and its back
 # Circles through the corners of a triangle are no larger, for the distance of the 30th neighbour,
 # between random points on a sphere; along a boundary they are.
@@ -55,16 +59,55 @@ def glued_mesh(mesh: TriangleMesh, mollify_factor: float) -> Glued:
     points = mesh.points / unit[:, None]
     corners = mesh.faces.astype(np.int32)
     lengths = side_lengths(points, corners, mollify_factor)
-    sides = sides_by_corner(corners, mesh.n)
-    twins = np.empty(3 * len(corners), dtype=np.int32)
-    copies, boundary = 1, np.empty(0, dtype=np.int64)
-    if not pair_sides(corners, *sides, twins):
-        corners, lengths, twins = _front_and_back(points, corners, lengths, sides, sharpest=2.0)
-        copies, boundary = 2, mesh.boundary_vertices
-    _make_delaunay(corners, lengths, twins)
-    stiffness, mass = _laplacian(corners, lengths, twins, mesh.n, copies)
+    corners, lengths, twins, copies = glued_faces(points, corners, lengths)
+    make_delaunay(corners, lengths, twins)
+    stiffness, mass = laplacian_of(corners, lengths, twins, mesh.n, copies)
     lengths *= unit[corners[:, :1]]
+    boundary = np.empty(0, dtype=np.int64) if copies == 1 else mesh.boundary_vertices
     return Glued(corners, lengths, copies, boundary, stiffness, mass * unit**2)
+
+
+def glued_faces(points: Floats, corners: Ints, lengths: Floats) -> tuple[Ints, Floats, Ints, int]:
+    """Glue the faces of a mesh (f, 3) to a surface without boundary.
+
+    Return corners, lengths and twins of its triangles, and how often each face is there: once, or
+    as a front and a back in turn.
+    """
+    sides = sides_by_corner(corners, len(points))
+    twins = np.empty(3 * len(corners), dtype=np.int32)
+    if pair_sides(corners, *sides, twins):
+        return corners, lengths, twins, 1
+    return *_front_and_back(points, corners, lengths, sides, sharpest=2.0), 2
+
+
+def tufted_delaunay(
+    mesh: TriangleMesh, sides: Floats
+) -> tuple[Ints, Floats, Ints, tuple[Ints, Floats]]:
+    """Find the triangles of the library robust_laplacian: a front and a back of each face, flipped.
+
+    Return their corners, lengths and twins, and the flips as `undo_flips` takes them back.
+    """
+    faces: Ints = mesh.faces.astype(np.int32)
+    edge = distinct_rows(mesh.edges)[1]
+    starts = np.append(0, np.cumsum(np.bincount(edge)))
+    twins, leads = np.empty(2 * len(edge), np.int32), np.empty(len(edge), np.int32)
+    points = mesh.points / mean_edges(mesh)[:, None]
+    tufted_cover(points, faces, starts, np.argsort(edge, kind="stable"), twins, leads)
+    corners, lengths = faces[:, _CORNERS].reshape(-1, 3), sides[:, _SIDES].reshape(-1, 3)
+    most = _FLIPS * len(twins)
+    ended, flipped, before = flip_in_order(
+        corners.reshape(-1), lengths.reshape(-1), twins, leads, most, _LIBRARY
+    )
+    _check_ended(ended, most)
+    return corners, lengths, twins, (flipped, before)
+
+
+def folded(slopes: Floats, copies: int) -> Floats:
+    """Add up what belongs to the sides (f, 3) of each face, of those of its copies."""
+    if copies == 1:
+        return slopes
+    front, back = slopes.reshape(-1, 2, 3).swapaxes(0, 1)
+    return np.asarray(front + back[:, ::-1])  # whose sides run the other way: see `_SIDES`
 
 
 def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> Glued:
@@ -78,10 +121,10 @@ def glued_cloud(cloud: PointCloud, mollify_factor: float, n_neighbors: int) -> G
     corners, lengths, twins = _front_and_back(
         points, triangles, lengths, sides_by_corner(triangles, cloud.n), sharpest=0.0
     )
-    _make_delaunay(corners, lengths, twins)
+    make_delaunay(corners, lengths, twins)
     corners = order[corners].astype(np.int32)
     copies = 6  # three stars, a front and a back
-    stiffness, mass = _laplacian(corners, lengths, twins, cloud.n, copies)
+    stiffness, mass = laplacian_of(corners, lengths, twins, cloud.n, copies)
     if not mass.all():
         raise InvalidInputError(
             "geometry",
@@ -111,17 +154,34 @@ def _front_and_back(
     return triangles[:, _CORNERS].reshape(-1, 3), lengths[:, _SIDES].reshape(-1, 3), twins
 
 
-def _make_delaunay(corners: Ints, lengths: Floats, twins: Ints) -> None:
-    """Flip edges, in place, until the angles opposite each sum to at most pi."""
+def make_delaunay(
+    corners: Ints,
+    lengths: Floats,
+    twins: Ints,
+    *,
+    recorded: bool = False,
+) -> tuple[Ints, Floats]:
+    """Flip edges, in place, until the angles opposite each sum to at most pi.
+
+    Return the flips, as `undo_flips` takes them back.
+    """
     most = _FLIPS * len(twins)
-    if not flip_to_delaunay(corners.reshape(-1), lengths.reshape(-1), twins, most):
+    ended, flipped, before = flip_to_delaunay(
+        corners.reshape(-1), lengths.reshape(-1), twins, most, ROUNDING, recorded
+    )
+    _check_ended(ended, most)
+    return flipped, before
+
+
+def _check_ended(ended: bool, most: int) -> None:
+    if not ended:
         raise ConvergenceError(
             "the triangles of `geometry` must become Delaunay by edge flips, got no end to them"
             f" after {most}; raise `mollify_factor`, or drop points that nearly coincide"
         )
 
 
-def _laplacian(
+def laplacian_of(
     corners: Ints, lengths: Floats, twins: Ints, n: int, copies: int
 ) -> tuple[sparse.csr_array, Floats]:
     """Return stiffness and lumped mass of one copy of the surface."""

@@ -22,7 +22,8 @@ Ints = NDArray[np.int32]
 
 _COINCIDENT = 1e-12  # triangles smaller than this, in a geometry of size 1, are mollified to it
 _TIE = 1e-12  # cosines that differ by less are equal, but for rounding
-_ROUNDING = 1e-9  # sums of cotangents this far below zero, relatively, are zero
+#: Sums of cotangents so far below zero are zero: so much, and so much of the cotangents.
+ROUNDING = (1e-9, 1e-9)
 _NONE, _PAIRED = -1, -2
 _BEFORE = (2, 0, 1)  # corners of a triangle
 
@@ -204,17 +205,30 @@ def _direction(points: Floats, low: int, high: int, apex: int, out: Floats) -> N
 
 
 @compiled(error_model="numpy")
-def flip_to_delaunay(tails: Ints, lengths: Floats, twins: Ints, most: int) -> bool:
+def flip_to_delaunay(
+    tails: Ints,
+    lengths: Floats,
+    twins: Ints,
+    most: int,
+    slack: tuple[float, float],
+    recorded: bool,
+) -> tuple[bool, Ints, Floats]:
     """Flip edges until the two angles opposite each sum to at most pi; return if all do.
 
     Flipping lowers the Dirichlet energy (Rippa 1990), so it comes to an end but for rounding;
     after `most` flips it is given up. In place.
+
+    Also return both half-edges (flips, 2) of each edge that was flipped and its length (flips,)
+    before, in their order; none unless `recorded`.
     """
     waiting = np.zeros(len(tails), np.bool_)
     stack = np.empty(len(tails), np.int32)
+    flipped, before = np.empty((len(tails) if recorded else 0, 2), np.int32), np.empty(0)
+    if recorded:
+        before = np.empty(len(tails))
     top = 0
     for h in range(len(tails)):
-        if h < twins[h] and _is_bad(lengths, h, twins[h] + 0):
+        if h < twins[h] and _is_bad(lengths, h, twins[h] + 0, slack):
             stack[top], waiting[h] = h, True
             top += 1
     flips = 0
@@ -223,10 +237,15 @@ def flip_to_delaunay(tails: Ints, lengths: Floats, twins: Ints, most: int) -> bo
         h = stack[top] + 0  # of 64 bits: nothing is compiled for two kinds of integers
         waiting[h] = False
         g = twins[h] + 0
-        if h // 3 == g // 3 or not _is_bad(lengths, h, g):
+        if h // 3 == g // 3 or not _is_bad(lengths, h, g, slack):
             continue
         if flips == most:
-            return False
+            return False, flipped[:0], before[:0]
+        if recorded:
+            if flips == len(before):
+                flipped = np.concatenate((flipped, np.empty_like(flipped)))
+                before = np.concatenate((before, np.empty_like(before)))
+            flipped[flips, 0], flipped[flips, 1], before[flips] = h, g, lengths[h]
         _flip(tails, lengths, twins, h, g)
         flips += 1
         for outer in (_next(h), _previous(h), _next(g), _previous(g)):
@@ -234,7 +253,93 @@ def flip_to_delaunay(tails: Ints, lengths: Floats, twins: Ints, most: int) -> bo
             if not waiting[low]:
                 stack[top], waiting[low] = low, True
                 top += 1
-    return True
+    kept = flips if recorded else 0
+    return True, flipped[:kept].copy(), before[:kept].copy()
+
+
+@compiled(error_model="numpy")
+def flip_in_order(
+    tails: Ints, lengths: Floats, twins: Ints, leads: Ints, most: int, least: float
+) -> tuple[bool, Ints, Floats]:
+    """Flip as `flip_to_delaunay` does, in the order of the library robust_laplacian, recorded.
+
+    It visits all edges, and again those beside one that it has flipped, after all that wait.
+    `leads` has one half-edge of each edge; sums of two cotangents down to -`least` are zero to it.
+    """
+    n_edges, n_visits, flips = len(leads), len(leads), 0
+    edges = np.empty(len(tails), np.int32)
+    for e in range(n_edges):
+        edges[leads[e]] = edges[twins[leads[e]]] = e
+    queue, waiting = np.arange(n_edges).astype(np.int32), np.ones(n_edges, np.bool_)
+    flipped, before = np.empty((len(tails), 2), np.int32), np.empty(len(tails))
+    first = 0  # in a ring: no edge is in it twice
+    while n_visits > 0:
+        e = queue[first]
+        first, n_visits = (first + 1) % n_edges, n_visits - 1
+        waiting[e] = False
+        h = leads[e] + 0
+        g = twins[h] + 0
+        if h // 3 == g // 3 or not _is_bad(lengths, h, g, (least, 0.0)):
+            continue
+        if flips == most:
+            return False, flipped[:0], before[:0]
+        if flips == len(before):
+            flipped = np.concatenate((flipped, np.empty_like(flipped)))
+            before = np.concatenate((before, np.empty_like(before)))
+        flipped[flips, 0], flipped[flips, 1], before[flips] = h, g, lengths[h]
+        flips += 1
+        bc, ca, ad, db = _next(h), _previous(h), _next(g), _previous(g)
+        new = (ca, ad, db, bc)  # where they are after it: see `_flip`
+        names = (edges[bc], edges[ca], edges[ad], edges[db])
+        is_lead = (
+            leads[edges[bc]] == bc,
+            leads[edges[ca]] == ca,
+            leads[edges[ad]] == ad,
+            leads[edges[db]] == db,
+        )
+        _flip(tails, lengths, twins, h, g)
+        for j in range(4):
+            edges[new[j]] = names[j]
+            if is_lead[j]:
+                leads[names[j]] = new[j]
+        # This order of the four is what its masses agree with.
+        for outer in (_previous(g), _next(g), _previous(h), _next(h)):
+            if not waiting[edges[outer]]:
+                queue[(first + n_visits) % n_edges] = edges[outer]
+                waiting[edges[outer]] = True
+                n_visits += 1
+    return True, flipped[:flips].copy(), before[:flips].copy()
+
+
+@compiled(error_model="numpy")
+def undo_flips(lengths: Floats, slopes: Floats, flipped: Ints, before: Floats) -> None:
+    """Take flips back, and the derivatives by the lengths of all half-edges with them.
+
+    `lengths` and `slopes` are those after the flips, and become those before them. Both halves of
+    an edge have the same length, so what they have of its derivative may be split in any way.
+    """
+    for i in range(len(flipped) - 1, -1, -1):
+        h, g = flipped[i, 0] + 0, flipped[i, 1] + 0
+        bc, ca, ad, db = _next(h), _previous(h), _next(g), _previous(g)
+        cd, slope = lengths[h], slopes[h] + slopes[g]
+        # The outer half-edges have moved by one place: see `_flip`.
+        for side in (lengths, slopes):
+            side[bc], side[ca], side[ad], side[db] = side[ca], side[ad], side[db], side[bc]
+        ab = lengths[h] = lengths[g] = before[i]
+        # With a at 0 and b at (ab, 0), c is at (cx, up) and d at (dx, -down).
+        cx = (ab * ab + lengths[ca] * lengths[ca] - lengths[bc] * lengths[bc]) / (2 * ab)
+        dx = (ab * ab + lengths[ad] * lengths[ad] - lengths[db] * lengths[db]) / (2 * ab)
+        up, down = 2 * _area(lengths, h) / ab, 2 * _area(lengths, g) / ab
+        along, across = (cx - dx) / cd, (up + down) / cd
+        slopes[ca] += slope * lengths[ca] / ab * (along + across * (ab - cx) / up)
+        slopes[bc] += slope * lengths[bc] / ab * (across * cx / up - along)
+        slopes[ad] += slope * lengths[ad] / ab * (across * (ab - dx) / down - along)
+        slopes[db] += slope * lengths[db] / ab * (across * dx / down + along)
+        slopes[h] = slope * (
+            (1 - cx / ab) * (along - across * cx / up)
+            - (1 - dx / ab) * (along + across * dx / down)
+        )
+        slopes[g] = 0.0
 
 
 @register_jitable
@@ -267,9 +372,9 @@ def _flip(tails: Ints, lengths: Floats, twins: Ints, h: int, g: int) -> None:
 
 
 @register_jitable
-def _is_bad(lengths: Floats, h: int, g: int) -> bool:
+def _is_bad(lengths: Floats, h: int, g: int, slack: tuple[float, float]) -> bool:
     one, other = _cotangent(lengths, h), _cotangent(lengths, g)
-    return one + other < -_ROUNDING * (1 + abs(one) + abs(other))
+    return one + other < -slack[0] - slack[1] * (abs(one) + abs(other))
 
 
 @register_jitable

@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
-from spectra_kit._types import Floats
 from spectra_kit._validate import check_count, quantity
 from spectra_kit.catalogue import OPERATORS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
@@ -21,6 +20,7 @@ from spectra_kit.operators.checks import (
     check_distinct,
     check_faces_usable,
     check_mollify_factor,
+    mean_edges,
     unit_of,
     units_of,
 )
@@ -140,7 +140,7 @@ def robust_laplacian(
     check_mollify_factor(mollify_factor)
     check_faces_usable(geometry)
     _check_room(len(geometry.faces) * _BYTES_PER_FACE)
-    unit, faces = _mean_edges(geometry), np.array(geometry.faces)
+    unit, faces = mean_edges(geometry), np.array(geometry.faces)
     stiffness, mass = rl.mesh_laplacian(geometry.points / unit[:, None], faces, mollify_factor)
     return Laplacian(
         with_zero_sums(stiffness),
@@ -339,17 +339,3 @@ def knn_laplacian(geometry: Geometry, *, n_neighbors: int = 20) -> Laplacian:
         operator=f"knn_laplacian(n_neighbors={n_neighbors})",
         seconds=clock.total,
     )
-
-
-def _mean_edges(mesh: TriangleMesh) -> Floats:
-    """Return the mean edge of the component of each vertex (n,); of one alone, a like length.
-
-    In these units the library, which knows one mean edge, mollifies each component by its own.
-    """
-    units, labels = units_of(mesh), mesh.component_labels
-    if not labels.any():
-        return units
-    low, high = mesh.unique_edges[0].T
-    lengths = np.linalg.norm((mesh.points[high] - mesh.points[low]) / units[low, None], axis=1)
-    means = np.bincount(labels[low], lengths) / np.bincount(labels[low])
-    return units * np.where(means > 0, means, 1.0)[labels]

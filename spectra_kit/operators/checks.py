@@ -104,6 +104,20 @@ def units_of(mesh: TriangleMesh) -> NDArray[np.float64]:
     return np.where(units > 0, units, unit)
 
 
+def mean_edges(mesh: TriangleMesh) -> NDArray[np.float64]:
+    """Return the mean edge of the component of each vertex (n,); of one alone, a like length.
+
+    In these units the library, which knows one mean edge, mollifies each component by its own.
+    """
+    units, labels = units_of(mesh), mesh.component_labels
+    if not labels.any():
+        return units
+    low, high = mesh.unique_edges[0].T
+    lengths = np.linalg.norm((mesh.points[high] - mesh.points[low]) / units[low, None], axis=1)
+    means = np.bincount(labels[low], lengths) / np.bincount(labels[low])
+    return units * np.where(means > 0, means, 1.0)[labels]
+
+
 def check_distinct(points: NDArray[np.float64]) -> None:
     """Refuse exactly coincident points: they have no area of their own."""
     order = np.lexsort(points.T)

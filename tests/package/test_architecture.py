@@ -16,7 +16,7 @@ LAYERS = [
     "_spectrum_file subspaces levels",
     "spectra neo",
     "eigensolvers metrics interop descriptors functional_maps geodesics",
-    "correspondence embeddings store",
+    "correspondence differentiable embeddings store",
     "matching",
     "training viz",
     "learning",

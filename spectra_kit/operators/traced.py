@@ -1,0 +1,183 @@
+"""Laplacians that know how they came from their points, and so how eigenvalues move with these.
+
+Eigenvalues depend on the points through the lengths of edges alone. Of a mode with ``u^T M u = 1``,
+``d lambda = u^T (dL - lambda dM) u``: a sum over triangles, each of which is differentiated by its
+sides. Edge flips are taken back one by one, and so is what mollification added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from spectra_kit._types import Floats
+from spectra_kit._validate import quantity
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.geometry.shapes import TriangleMesh
+from spectra_kit.operators.assemble import laplacian
+from spectra_kit.operators.checks import unit_of
+from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.operators.mollified import (
+    Pullback,
+    lengthened_by_component,
+    lengthened_by_corner,
+    sides_in_space,
+)
+from spectra_kit.operators.triangle_calculus import energy_slopes, lumped_slopes, voronoi_slopes
+
+_MOLLIFY = 1e-5  # as the operators have it
+_SAME = 1e-5  # relative difference of sums over the same triangles, needles among them
+
+
+@dataclass(frozen=True, eq=False)
+class TracedLaplacian:
+    """The Laplacian of a mesh, its triangles, and the way back from their sides to the points.
+
+    Lengths are in a `unit`, a power of two, in which nothing overflows.
+
+    Attributes
+    ----------
+    laplacian : Laplacian
+        As the operator returns it, on n points.
+    mesh : TriangleMesh
+        In this unit, with f faces.
+    unit : float
+        In that of the points.
+    corners : ndarray of shape (t, 3)
+        Of the triangles over which L and M are sums.
+    lengths : ndarray of shape (t, 3)
+        ``lengths[:, c]`` is the side from corner c to corner c + 1.
+    share : float
+        How much each triangle counts.
+    mass_slopes : callable
+        Derivatives of areas of the corners by the sides: see `triangle_calculus`.
+    to_faces : callable
+        Takes derivatives by `lengths` to those by the sides of the faces in space, shape (f, 3).
+    """
+
+    laplacian: Laplacian
+    mesh: TriangleMesh
+    unit: float
+    corners: NDArray[np.int32]
+    lengths: Floats
+    share: float
+    mass_slopes: Callable[[Floats, Floats], Floats]
+    to_faces: Pullback
+
+    def gradient(self, eigenvalues: Floats, eigenvectors: Floats, weights: Floats) -> Floats:
+        """Return the derivative of ``sum_j weights_j eigenvalues_j`` by the points.
+
+        Parameters
+        ----------
+        eigenvalues, weights : ndarray of shape (k,)
+            Equal weights within a cluster: of the modes of one, only the sum has a derivative.
+        eigenvectors : ndarray of shape (n, k)
+            M-orthonormal; zero where points are fixed.
+
+        Returns
+        -------
+        ndarray of shape (n, 3)
+            In 1/length^3.
+        """
+        heads = np.roll(self.corners, -1, axis=1)
+        squares, lumped = np.zeros(self.corners.shape), np.zeros(self.mesh.n)
+        for j in np.flatnonzero(weights):  # one by one: no array has all modes on all sides
+            u = np.ascontiguousarray(eigenvectors[:, j])
+            squares += weights[j] * (u[self.corners] - u[heads]) ** 2
+            lumped += weights[j] * (eigenvalues[j] * self.unit**2) * u**2
+        slopes = energy_slopes(self.lengths, squares)
+        slopes -= self.mass_slopes(self.lengths, lumped[self.corners])
+        return _by_points(self.mesh, self.to_faces(self.share * slopes)) / self.unit
+
+
+def traced(
+    mesh: TriangleMesh,
+    operator: Literal["robust", "cotan", "delaunay"],
+    boundary: Literal["neumann", "dirichlet"],
+) -> TracedLaplacian:
+    """Return the `laplacian` of a mesh with its trace.
+
+    Raises
+    ------
+    InvalidInputError
+        As `laplacian`; if the ends of an edge coincide, where its length has no derivative; or if
+        the library robust_laplacian has other triangles than those found here.
+    """
+    built, unit = laplacian(mesh, operator=operator, boundary=boundary), unit_of(mesh)
+    scaled = mesh.with_points(mesh.points / unit)
+    if n_short := int((sides_in_space(scaled) == 0).sum()):
+        raise InvalidInputError(
+            "points",
+            "differ at the two ends of an edge",
+            f"{quantity(n_short, 'side')} of length 0",
+            advice="join such vertices first",
+        )
+    if operator == "cotan":
+        return TracedLaplacian(
+            built,
+            scaled,
+            unit,
+            mesh.faces.astype(np.int32),
+            sides_in_space(scaled),
+            1.0,
+            voronoi_slopes,
+            lambda slopes: slopes,
+        )
+    return _delaunay(scaled, unit, built, by_library=operator == "robust")
+
+
+def _delaunay(
+    mesh: TriangleMesh, unit: float, built: Laplacian, *, by_library: bool
+) -> TracedLaplacian:
+    """Find the triangles of an intrinsic Delaunay Laplacian again, and record the flips."""
+    from spectra_kit.operators import _gluing, _half_edges  # numba is slow to import
+
+    if by_library:
+        sides, unmollified = lengthened_by_component(mesh, _MOLLIFY)
+        corners, lengths, twins, flips = _gluing.tufted_delaunay(mesh, sides)
+        copies = 2
+        _check_same(built, *_gluing.laplacian_of(corners, lengths, twins, mesh.n, copies), unit)
+    else:
+        sides, unmollified = lengthened_by_corner(mesh, _MOLLIFY)
+        faces = mesh.faces.astype(np.int32)
+        corners, lengths, twins, copies = _gluing.glued_faces(mesh.points, faces, sides)
+        flips = _gluing.make_delaunay(corners, lengths, twins, recorded=True)
+
+    def to_faces(slopes: Floats) -> Floats:
+        before, slopes = lengths.copy(), slopes.copy()
+        _half_edges.undo_flips(before.reshape(-1), slopes.reshape(-1), *flips)
+        return unmollified(_gluing.folded(slopes, copies))
+
+    return TracedLaplacian(built, mesh, unit, corners, lengths, 1 / copies, lumped_slopes, to_faces)
+
+
+def _check_same(built: Laplacian, stiffness: sparse.csr_array, mass: Floats, unit: float) -> None:
+    """Refuse where the library has other triangles: its derivatives are not known."""
+    apart = abs(built.stiffness - stiffness).max(axis=1).toarray().ravel()
+    other = apart > _SAME * (1 + built.stiffness.diagonal())
+    other |= abs(built.mass / unit**2 - mass) > _SAME * mass
+    if other.any():
+        raise InvalidInputError(
+            "operator",
+            "be a sum over triangles that are known, to be differentiated",
+            f"robust, with other triangles at {quantity(int(other.sum()), 'vertex')}",
+            advice="use delaunay",
+        )
+
+
+def _by_points(mesh: TriangleMesh, slopes: Floats) -> Floats:
+    """Take derivatives by the sides of the faces to those by the points, shape (n, 3)."""
+    heads = np.roll(mesh.faces, -1, axis=1)
+    along = mesh.points[heads] - mesh.points[mesh.faces]
+    along *= (slopes / np.linalg.norm(along, axis=2))[:, :, None]
+    gradient = np.empty((mesh.n, 3))
+    for axis in range(3):
+        by_side = along[:, :, axis].ravel()
+        gradient[:, axis] = np.bincount(heads.ravel(), by_side, minlength=mesh.n)
+        gradient[:, axis] -= np.bincount(mesh.faces.ravel(), by_side, minlength=mesh.n)
+    return gradient
