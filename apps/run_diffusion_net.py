@@ -74,7 +74,8 @@ def _run(args: argparse.Namespace) -> None:
                 " body; the difference from their own operators in points; and faces labelled as"
                 " with these, right or wrong.",
                 _accuracy(marks, chosen),
-                f"Seconds for all seven tensors of an animal of {mesh.n} vertices, 128 modes.",
+                f"Seconds of CPU time for all seven tensors of an animal of {mesh.n} vertices, 128"
+                " modes.",
                 _seconds(times),
                 machine_line(machine),
             ],

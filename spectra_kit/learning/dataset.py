@@ -7,6 +7,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.data import Dataset
@@ -135,10 +136,11 @@ class StoreDataset(Dataset[ShapeTensors]):
         if spectrum is None:
             raise _gone("modes")
         eigenvalues, eigenvectors, mass = spectrum.to_torch(dtype=self.dtype)
+        faces = shape.faces if isinstance(shape, TriangleMesh) else np.empty((0, 3))
         item = ShapeTensors(
             name=entry.name,
             points=self._tensor(shape.points),
-            faces=torch.tensor(shape.faces if isinstance(shape, TriangleMesh) else []).view(-1, 3),
+            faces=torch.tensor(faces, dtype=torch.int64),
             mass=mass,
             eigenvalues=eigenvalues,
             eigenvectors=eigenvectors,

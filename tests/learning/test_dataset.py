@@ -82,6 +82,7 @@ def test_items_are_what_the_store_holds_in_the_order_of_names(exact, store):
         np.testing.assert_allclose(item.points, shape.points, atol=1e-6)  # as files have them
         faces = shape.faces if isinstance(shape, TriangleMesh) else np.empty((0, 3))
         np.testing.assert_array_equal(item.faces, faces)
+        assert item.faces.dtype == torch.int64
         np.testing.assert_array_equal(item.mass, laplacian.mass)
         np.testing.assert_array_equal(dense(item.stiffness), laplacian.stiffness.toarray())
         np.testing.assert_array_equal(item.eigenvalues, spectrum.eigenvalues)

@@ -31,7 +31,7 @@ INPUTS = tuple(_WEIGHTS)
 
 
 class Made(NamedTuple):
-    """Operators in DiffusionNet's order, and the seconds of the stages that made them."""
+    """Operators in DiffusionNet's order, and the CPU seconds of the stages that made them."""
 
     tensors: tuple[Tensor, ...]
     seconds: dict[str, float]
@@ -71,11 +71,11 @@ class Published:
 
     def operators(self, points: Tensor, faces: Tensor) -> Made:
         """Return the operators of their own ``get_operators``."""
-        start = time.perf_counter()
+        start = time.process_time()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of a constructor that torch will retire
             tensors = self.geometry.get_operators(points, faces, k_eig=_K)
-        return Made(tensors, {"all": time.perf_counter() - start})
+        return Made(tensors, {"all": time.process_time() - start})
 
     @torch.no_grad()
     def labels(self, points: Tensor, faces: Tensor, tensors: tuple[Tensor, ...]) -> list[Tensor]:
@@ -98,19 +98,19 @@ def maker_of(solver: Any) -> Maker:
     """Return what makes our operators, with the modes of a solver."""
 
     def make(points: Tensor, faces: Tensor) -> Made:
-        times = [time.perf_counter()]
+        times = [time.process_time()]
         mesh = TriangleMesh(points.double().numpy(), faces.numpy())
         laplacian = sk.laplacian(mesh)
-        times.append(time.perf_counter())
+        times.append(time.process_time())
         with warnings.catch_warnings():
             # A solver may be told to stop before its modes are good: to see what they are good for.
             warnings.simplefilter("ignore", DoubtfulSpectrumWarning)
             spectrum = sk.eigensolve(laplacian, _K, solver)
-        times.append(time.perf_counter())
+        times.append(time.process_time())
         gradient = tangent_gradient(mesh, oriented=True)
-        times.append(time.perf_counter())
+        times.append(time.process_time())
         tensors = sk.interop.to_diffusion_net(spectrum, laplacian, gradient)
-        times.append(time.perf_counter())
+        times.append(time.process_time())
         stages = ("Laplacian", "modes", "gradient", "tensors")
         return Made(tensors, dict(zip(stages, np.diff(times).tolist(), strict=True)))
 
@@ -159,10 +159,10 @@ def mark(
 
 
 def seconds(published: Published, mesh: TriangleMesh) -> dict[str, dict[str, float]]:
-    """Return the seconds of each maker's stages on a mesh; the time to a first import is not in."""
+    """Return the CPU seconds of each maker's stages on a mesh, once all is loaded and compiled."""
     found = {}
     for name, make in makers(published).items():
-        for surface in (sk.geometry.creature(10_000), mesh):  # the first compiles and loads
+        for surface in (sk.geometry.creature(10_000), mesh):
             found[name] = make(*published.prepared(surface)).seconds
     return found
 
