@@ -7,7 +7,7 @@ larger ones are refused. Meshes of other toolkits need no adapter: see `geometry
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,7 @@ from spectra_kit._validate import as_array, check_mass
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.operators.laplacian import Laplacian, lumped_diagonal
+from spectra_kit.operators.tangent import TangentGradient
 from spectra_kit.spectra import Provenance, Spectrum
 
 if TYPE_CHECKING:
@@ -42,6 +43,34 @@ class GeomfumArrays(TypedDict):
     mass_matrix: sparse.dia_matrix
     vals: Any
     vecs: Any
+
+
+class DiffusionNetTensors(NamedTuple):
+    """What DiffusionNet's ``get_operators`` returns, in its order, under its names.
+
+    Attributes
+    ----------
+    frames : torch.Tensor of shape (n, 3, 3)
+        Rows are the first axis of the tangent plane, the second, and the outward normal.
+    mass : torch.Tensor of shape (n,)
+        In length^2.
+    L : torch.Tensor of shape (n, n), sparse COO
+        The weak Laplacian, positive semi-definite.
+    evals : torch.Tensor of shape (k,)
+        In 1/length^2.
+    evecs : torch.Tensor of shape (n, k)
+        In 1/length.
+    gradX, gradY : torch.Tensor of shape (n, n), sparse COO
+        Slopes along the two axes, in 1/length.
+    """
+
+    frames: torch.Tensor
+    mass: torch.Tensor
+    L: torch.Tensor
+    evals: torch.Tensor
+    evecs: torch.Tensor
+    gradX: torch.Tensor  # noqa: N815
+    gradY: torch.Tensor  # noqa: N815
 
 
 @checked
@@ -228,35 +257,82 @@ def from_geomfum(
 
 @checked
 def to_diffusion_net(
-    spectrum: Spectrum, laplacian: Laplacian, *, dtype: torch.dtype | None = None
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return ``(mass, L, evals, evecs)``, the spectral part of DiffusionNet's operator tuple.
-
-    Its frames and gradients are left to its own ``get_operators``.
+    spectrum: Spectrum,
+    laplacian: Laplacian,
+    gradient: TangentGradient,
+    *,
+    dtype: torch.dtype | None = None,
+) -> DiffusionNetTensors:
+    """Return what DiffusionNet's layers take, in the place of its ``get_operators``.
 
     Parameters
     ----------
     spectrum, laplacian
         As of `to_pyfm`.
+    gradient : TangentGradient
+        ``tangent_gradient(geometry, oriented=True)``: with its gradients turned by learned angles,
+        which is its default, the network tells a surface from its mirror image.
     dtype : torch.dtype, optional
         float32 by default, as DiffusionNet has it.
 
     Returns
     -------
-    tuple of torch.Tensor
-        Shapes (n,), (n, n) sparse COO, (k,), (n, k).
+    DiffusionNetTensors
+        A tuple of seven.
+
+    Raises
+    ------
+    InvalidInputError
+        If they are not of the same points.
+
+    Notes
+    -----
+    Its layers see no unit: weights know the one they were trained in. Its own scripts centre the
+    points and divide them by the largest distance from their centre.
+
+    References
+    ----------
+    N. Sharp, S. Attaiki, K. Crane, M. Ovsjanikov, "DiffusionNet: discretization agnostic learning
+    on surfaces", ACM Transactions on Graphics 41(3), 2022.
+
+    Examples
+    --------
+    >>> import spectra_kit as sk
+    >>> from spectra_kit.operators import tangent_gradient
+    >>> mesh = sk.geometry.creature(600)
+    >>> laplacian = sk.robust_laplacian(mesh)
+    >>> frames, mass, L, evals, evecs, gradX, gradY = sk.interop.to_diffusion_net(
+    ...     sk.eigensolve(laplacian, 16), laplacian, tangent_gradient(mesh, oriented=True)
+    ... )
+    >>> gradX.shape
+    torch.Size([600, 600])
     """
     import torch
 
     _check_pair(spectrum, laplacian)
+    if len(gradient.frames) != spectrum.n:
+        raise InvalidInputError(
+            "gradient", f"be the one of `spectrum` ({spectrum.n} points)", len(gradient.frames)
+        )
     dtype = torch.float32 if dtype is None else dtype
     evals, evecs, mass = spectrum.to_torch(dtype=dtype)
-    L = sparse.coo_array(laplacian.stiffness)
-    indices = torch.tensor(np.vstack([L.row, L.col]), dtype=torch.int64)
-    stiffness = torch.sparse_coo_tensor(
-        indices, torch.tensor(L.data, dtype=dtype), L.shape, check_invariants=True
+    L, grad_x, grad_y = (
+        _coo_tensor(matrix, dtype) for matrix in (laplacian.stiffness, gradient.x, gradient.y)
+    )
+    frames = torch.tensor(gradient.frames, dtype=dtype)
+    return DiffusionNetTensors(frames, mass, L, evals, evecs, grad_x, grad_y)
+
+
+def _coo_tensor(matrix: sparse.csr_array, dtype: torch.dtype) -> torch.Tensor:
+    import torch
+
+    entries = sparse.coo_array(matrix)
+    return torch.sparse_coo_tensor(
+        torch.tensor(np.vstack([entries.row, entries.col]), dtype=torch.int64),
+        torch.tensor(entries.data, dtype=dtype),
+        entries.shape,
+        check_invariants=True,
     ).coalesce()
-    return mass, stiffness, evals, evecs
 
 
 @checked
@@ -266,8 +342,9 @@ def from_diffusion_net(operators: tuple[Any, ...]) -> Spectrum:
     Parameters
     ----------
     operators : tuple
-        ``(frames, mass, L, evals, evecs, gradX, gradY)`` as its ``get_operators`` returns them, or
-        the four ``(mass, L, evals, evecs)`` of `to_diffusion_net`. Tensors on any device.
+        ``(frames, mass, L, evals, evecs, gradX, gradY)`` as its ``get_operators`` and
+        `to_diffusion_net` return them, or the four ``(mass, L, evals, evecs)``. Tensors on any
+        device.
 
     Returns
     -------

@@ -5,6 +5,9 @@ scikit-learn (`NearestNeighbour`, `LinearDiscriminant`, `SupportVectors`) learns
 shapes apart, a network (`PointMLP`, `PointNet`, `DiffusionNet`, `Hierarchical`) these or their
 points. What comes out, a `Classifier` or a `Segmenter`, labels any mesh or cloud and can be saved.
 
+For networks of one's own, a `StoreDataset` gives the shapes of a store as tensors, and `collate`
+puts them side by side.
+
 >>> import spectra_kit as sk
 >>> from spectra_kit import learning
 >>> shapes = [sk.geometry.sphere(subdivisions=3).geometry, sk.geometry.torus(n=400).geometry]
@@ -16,6 +19,7 @@ points. What comes out, a `Classifier` or a `Segmenter`, labels any mesh or clou
 'ring'
 """
 
+from spectra_kit.learning.dataset import StoreDataset
 from spectra_kit.learning.examples import Recipe
 from spectra_kit.learning.fitting import Training
 from spectra_kit.learning.heads import Head, LinearDiscriminant, NearestNeighbour, SupportVectors
@@ -37,6 +41,7 @@ from spectra_kit.learning.networks import (
     PointNet,
 )
 from spectra_kit.learning.saved import load_labeller, save_labeller
+from spectra_kit.learning.tensors import ShapeBatch, ShapeTensors, collate, normalized
 
 __all__ = [
     "Batch",
@@ -54,11 +59,16 @@ __all__ = [
     "Recipe",
     "Segmentation",
     "Segmenter",
+    "ShapeBatch",
     "ShapeIndex",
+    "ShapeTensors",
+    "StoreDataset",
     "SupportVectors",
     "Training",
+    "collate",
     "index_folder",
     "load_labeller",
+    "normalized",
     "save_labeller",
     "train_classifier",
     "train_segmenter",

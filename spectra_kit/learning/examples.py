@@ -19,6 +19,7 @@ from spectra_kit.embeddings import Embedding, Surface, embed_batch
 from spectra_kit.embeddings.base import finite
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, sample
+from spectra_kit.learning._sparse import block_diagonal, csr_tensor
 from spectra_kit.learning.networks import Batch, Need
 from spectra_kit.operators import tangent_gradient
 
@@ -105,7 +106,7 @@ class Example:
     features: Tensor  #: (n, c): of the embeddings that do not change with rotation
     eigenvalues: Tensor | None  #: (k,)
     eigenvectors: Tensor | None  #: (n, k)
-    slopes: tuple[Tensor, Tensor, Tensor] | None  #: rows and columns (2, e), values (e,) twice
+    slopes: tuple[Tensor, Tensor] | None  #: (n, n), sparse CSR: along the tangents
 
     @property
     def n(self) -> int:
@@ -154,14 +155,15 @@ def batched(
     ]
     values = [e.eigenvalues for e in examples if e.eigenvalues is not None]
     vectors = [e.eigenvectors for e in examples if e.eigenvectors is not None]
-    slopes = [e.slopes for e in examples if e.slopes is not None]
+    along, across = ([e.slopes[axis] for e in examples if e.slopes is not None] for axis in (0, 1))
+    n = points.shape[1]
     return Batch(
         torch.cat([features, *turned], dim=-1),
         points,
         mass,
         torch.stack(values) if values else None,
         pad_sequence(vectors, batch_first=True) if vectors else None,
-        _blocks(slopes, points.shape[1]) if slopes else None,
+        (block_diagonal(along, n), block_diagonal(across, n)) if along else None,
     )
 
 
@@ -195,28 +197,6 @@ def _tensor(values: Floats) -> Tensor:
     return torch.tensor(values, dtype=torch.float32)
 
 
-def _slopes(shape: Geometry, scale: float) -> tuple[Tensor, Tensor, Tensor]:
+def _slopes(shape: Geometry, scale: float) -> tuple[Tensor, Tensor]:
     _, x, y = tangent_gradient(shape)
-    x, y = x.tocoo(), y.tocoo()  # of one pattern
-    return (
-        torch.tensor(np.vstack([x.row, x.col]), dtype=torch.int64),
-        _tensor(x.data / scale),
-        _tensor(y.data / scale),
-    )
-
-
-def _blocks(slopes: Sequence[tuple[Tensor, Tensor, Tensor]], n: int) -> tuple[Tensor, Tensor]:
-    """Return matrices (b n, b n) whose blocks are those of the shapes."""
-    where = torch.cat([index + i * n for i, (index, _, _) in enumerate(slopes)], dim=1)
-    size = (len(slopes) * n,) * 2
-    one, other = (
-        torch.sparse_coo_tensor(
-            where,
-            torch.cat([s[axis] for s in slopes]),
-            size,
-            is_coalesced=True,
-            check_invariants=False,
-        )
-        for axis in (1, 2)
-    )
-    return one, other
+    return csr_tensor(x / scale, torch.float32), csr_tensor(y / scale, torch.float32)

@@ -14,6 +14,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 from spectra_kit.operators.checks import check_cloud_usable, check_faces_usable, unit_of
 from spectra_kit.operators.local_delaunay import local_triangles
+from spectra_kit.operators.oriented import OrientedTriangles, oriented_triangles
 
 
 class TangentGradient(NamedTuple):
@@ -22,8 +23,8 @@ class TangentGradient(NamedTuple):
     Attributes
     ----------
     frames : ndarray of shape (n, 3, 3)
-        Rows are the first axis, the second, and the normal, of unit length: right-handed. Which
-        side the normal is on, and how the axes are turned, says nothing.
+        Rows are the first axis, the second, and the normal, of unit length: right-handed. How the
+        axes are turned says nothing; nor does the side of the normal, unless they are oriented.
     x, y : csr_array of shape (n, n)
         ``x @ f`` is the slope of a function f along the first axis of each point, in 1/length.
     """
@@ -34,15 +35,21 @@ class TangentGradient(NamedTuple):
 
 
 @checked
-def tangent_gradient(geometry: Geometry, *, n_neighbors: int = 30) -> TangentGradient:
+def tangent_gradient(
+    geometry: Geometry, *, n_neighbors: int = 30, oriented: bool = False
+) -> TangentGradient:
     """Return tangent planes at the points of a surface, and gradients in them.
 
     Parameters
     ----------
     geometry : TriangleMesh or PointCloud
-        With n points. Windings of faces do not matter.
+        With n points. Windings of faces do not matter, unless frames are to be oriented.
     n_neighbors : int, default 30
         Of a cloud: candidates for the triangles of a point, as in `delaunay_laplacian`.
+    oriented : bool, default False
+        Let normals point outwards, as `oriented_triangles` tells; the second axes turn with them.
+        For what tells a surface from its mirror image, as gradients that a network turns in their
+        planes do.
 
     Returns
     -------
@@ -53,7 +60,8 @@ def tangent_gradient(geometry: Geometry, *, n_neighbors: int = 30) -> TangentGra
     ------
     InvalidInputError
         If a vertex has no face or a face names one twice; if a cloud has fewer than four points or
-        duplicates; or where all triangles of a point are degenerate.
+        duplicates; or where all triangles of a point are degenerate. With `oriented`, as of
+        `oriented_triangles`, too.
 
     Notes
     -----
@@ -98,6 +106,8 @@ def tangent_gradient(geometry: Geometry, *, n_neighbors: int = 30) -> TangentGra
     solid = areas > 0
     faces, owners, doubled, areas = faces[solid], owners[solid], doubled[solid], areas[solid]
     frames = _frames(owners, doubled / areas[:, None] ** 0.5, n)
+    if oriented:
+        frames = _outward(frames, points, oriented_triangles(geometry, n_neighbors=n_neighbors))
     # The slope of the hat function of a corner, times the area, is half the side facing it, turned.
     normals = doubled / (2 * areas[:, None])
     rows, columns, slopes = [], [], []
@@ -128,3 +138,12 @@ def _frames(owners: Ints, normals: Floats, n: int) -> Floats:
     axes = np.linalg.eigh(moments)[1]
     first, normal = axes[:, :, 1], axes[:, :, 2]
     return np.stack([first, np.cross(normal, first), normal], axis=1)
+
+
+def _outward(frames: Floats, points: Floats, outer: OrientedTriangles) -> Floats:
+    """Return frames whose normals are on the side of the triangles at their points."""
+    a, b, c = (points[outer.faces[:, i]] for i in range(3))
+    across, corners = np.cross(b - a, c - a), outer.faces.ravel()
+    normals = [np.bincount(corners, np.repeat(part, 3), len(points)) for part in across.T]
+    inward = np.einsum("rn,nr->n", normals, frames[:, 2]) < 0
+    return np.where(inward[:, None, None], frames * [[1.0], [-1.0], [-1.0]], frames)

@@ -106,8 +106,8 @@ def test_a_store_that_cannot_be_written_ends_the_run(scans, store):
 
 
 def test_an_engine_that_is_none(scans, store):
-    refused("engine", "return tasks with their results", compute_all, [], store, PLAN,
-            engine=lambda tasks: None)  # fmt: skip
+    refused("engine", "return tasks with their results", compute_all, find_inputs([scans]), store,
+            PLAN, engine=lambda tasks: None)  # fmt: skip
 
 
 # --- tables ---

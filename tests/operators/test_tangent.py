@@ -83,3 +83,39 @@ def test_a_point_whose_triangles_have_no_area_is_refused():
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [3, 0, 0], [4, 0, 0], [5, 0, 0.0]])
     with pytest.raises(InvalidInputError, match=r"at every point, got none at point 3; repair"):
         tangent_gradient(TriangleMesh(points, [[0, 1, 2], [3, 4, 5]]))
+
+
+@pytest.mark.parametrize("as_given", ["mesh", "inside out", "cloud"])
+def test_oriented_frames_tell_a_ball_from_its_mirror_image(as_given):
+    ball = sphere(subdivisions=3).geometry
+    shapes = {
+        "mesh": ball,
+        "inside out": TriangleMesh(ball.points, ball.faces[:, ::-1]),
+        "cloud": ball.as_cloud(),
+    }
+    x, y, z = ball.points.T
+    frames, along, across = tangent_gradient(shapes[as_given], oriented=True)
+    assert (np.einsum("nr,nr->n", frames[:, 2], ball.points) > 0.999).all()
+    np.testing.assert_allclose(np.linalg.det(frames), 1, atol=1e-12)
+    # On the unit ball n . (grad x x grad y) is z.
+    skew = (along @ x) * (across @ y) - (across @ x) * (along @ y)
+    np.testing.assert_allclose(skew, z, atol=0.05)
+
+
+def test_orienting_turns_the_second_axis_alone():
+    sheet = creature(700)
+    free, held = tangent_gradient(sheet), tangent_gradient(sheet, oriented=True)
+    signs = np.einsum("nr,nr->n", free.frames[:, 2], held.frames[:, 2])
+    np.testing.assert_allclose(np.abs(signs), 1)
+    np.testing.assert_array_equal(held.frames[:, 0], free.frames[:, 0])
+    assert abs(held.x - free.x).max() == 0
+    values = np.sin(5 * sheet.points[:, 0])
+    np.testing.assert_allclose(held.y @ values, signs * (free.y @ values), atol=1e-12)
+
+
+def test_a_surface_of_two_windings_has_no_outer_side():
+    mesh = creature(600)
+    faces = mesh.faces.copy()
+    faces[0] = faces[0, ::-1]
+    with pytest.raises(InvalidInputError, match="have faces of one winding"):
+        tangent_gradient(TriangleMesh(mesh.points, faces), oriented=True)

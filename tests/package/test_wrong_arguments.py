@@ -119,6 +119,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     spectrum = sk.eigensolve(laplacian, 40)
     n, same, identity = spectrum.n, np.arange(spectrum.n), np.eye(20)
     oriented = operators.oriented_triangles(mesh)
+    slopes = operators.tangent_gradient(mesh)
     triangulation = sk.intrinsic_delaunay(mesh)
     prepared = sk.prepare(spectrum, mesh)
     heat_geodesics = sk.HeatGeodesics(mesh)
@@ -153,6 +154,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     inputs = [batch.Input(name="mesh.obj", path=folder / "mesh.obj")]
     report = batch.compute_all(inputs, spectra, plan)
     done = report.completed[0][1]
+    dataset = learning.StoreDataset(spectra)
     portrait = viz.Portrait(geometry=mesh, labels=halves, lines=("x",))
     quick = matching.MatchOptions(
         **{"first_samples": 12, "growing": 8, "growing_samples": 40, "grown_modes": 10},
@@ -181,7 +183,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             done.record,
             batch.DaskEngine(scheduler="tcp://127.0.0.1:8786"),
         ),
-        *(recipe, classifier, segmenter, index, portrait, learning.Training(epochs=1)),
+        *(dataset, recipe, classifier, segmenter, index, portrait, learning.Training(epochs=1)),
         *(viz.View(), sk.RayleighRitz(), geodesics.Automatic(), given, map_errors),
         *(metrics.compare_spectra(spectrum, spectrum), geometry.repair(mesh)),
         *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), correspondence.Truth(same, same)),
@@ -214,7 +216,8 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("descriptors signature source_descriptors target_descriptors", signature),
         ("features", (signature, signature)),
         ("fit_functional_map.oriented", (oriented, oriented)),
-        ("operators", interop.to_diffusion_net(spectrum, laplacian)),
+        ("gradient", slopes),
+        ("operators", interop.to_diffusion_net(spectrum, laplacian, slopes)),
         ("mismatches.source mismatches.target", prepared),
         ("Union.parts start subspace", given),
         ("embedding", embeddings.HeatSignature(count=4)),
@@ -242,6 +245,11 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("folder", "checkpoints"),
         ("index_folder.folder", "."),
         ("known", index),
+        ("StoreDataset.store", spectra),
+        ("StoreDataset.plan", plan),
+        ("StoreDataset.transform", learning.normalized),
+        ("items", [dataset[0]]),
+        ("item", dataset[0]),
         ("load", geometry.read),
         ("portraits", [portrait]),
         # Distances and maps.
@@ -315,7 +323,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("progress", lambda done, total: None),
         ("response", np.exp),
         ("told.word", str.upper),
-        ("Spectrum.to_torch.dtype to_diffusion_net.dtype", torch.float32),
+        ("Spectrum.to_torch.dtype to_diffusion_net.dtype StoreDataset.dtype", torch.float32),
         # Files.
         ("path", "out.png"),
         ("read.path", "mesh.obj"),
@@ -382,6 +390,7 @@ ALSO = {
     "Completed.replaced": {"array of U"},
     "Plan.solver": {"Arpack"},
     "Plan.descriptors": {"array"},
+    "StoreDataset.operators": {"array"},
     "ShapeRecord.problems": {"array of U"},
     "ShapeRecord.warnings": {"array of U"},
 }

@@ -4,6 +4,7 @@ import copy
 import json
 import pickle
 import zipfile
+from functools import partial
 
 import numpy as np
 import pytest
@@ -31,6 +32,7 @@ from spectra_kit.interop import (
     to_geomfum,
     to_pyfm,
 )
+from spectra_kit.operators import tangent_gradient
 
 
 @pytest.fixture(scope="module")
@@ -270,7 +272,9 @@ def test_what_is_refused(spectrum, bumpy_laplacian) -> None:
     held = free.dirichlet(flat.boundary_vertices)
     short = spectrum.truncate(3).certificate
     zeros = Spectrum(spectrum.eigenvalues, 0 * U, mass)
-    other = robust_laplacian(sphere(subdivisions=2).geometry)
+    small = sphere(subdivisions=2).geometry
+    other = robust_laplacian(small)
+    slopes, few = tangent_gradient(bumpy()), tangent_gradient(small)
     for call, kind, message in (
         (lambda: Spectrum(VALUES, VECTORS.T, ONES), InvalidSpectrumError, r"\(4, 3\).*transposed"),
         (lambda: Spectrum(VALUES[::-1], VECTORS, ONES), InvalidSpectrumError, "ascending"),
@@ -301,7 +305,12 @@ def test_what_is_refused(spectrum, bumpy_laplacian) -> None:
         (lambda: from_diffusion_net((U, mass)), InvalidInputError, "got 2 entries"),
         *(
             (lambda f=f: f(spectrum, other), InvalidInputError, "must be the one of `spectrum`")
-            for f in (to_pyfm, to_geomfum, to_diffusion_net)
+            for f in (to_pyfm, to_geomfum, partial(to_diffusion_net, gradient=slopes))
+        ),
+        (
+            lambda: to_diffusion_net(spectrum, bumpy_laplacian, few),
+            InvalidInputError,
+            r"`gradient` must be the one of `spectrum` \(642 points\), got 162",
         ),
     ):
         with pytest.raises(kind, match=message):
@@ -330,8 +339,9 @@ def test_adapters_there_and_back(spectrum, bumpy_laplacian) -> None:
         assert np.array_equal(other.eigenvectors, spectrum.eigenvectors)
         certificate = other.certify(bumpy_laplacian).certificate
         assert np.array_equal(certificate.residuals, spectrum.certificate.residuals)
-    mass, L, evals, evecs = to_diffusion_net(spectrum, bumpy_laplacian)
-    net = from_diffusion_net((None, mass, L, evals, evecs, None, None))
+    seven = to_diffusion_net(spectrum, bumpy_laplacian, tangent_gradient(bumpy()))
+    _, mass, L, evals, evecs, _, _ = seven
+    net = from_diffusion_net(seven)
     again = from_diffusion_net((mass, L, evals, evecs.requires_grad_()))
     assert np.array_equal(again.eigenvectors, net.eigenvectors)
     assert net.eigenvalues == pytest.approx(spectrum.eigenvalues, abs=1e-5)
