@@ -73,14 +73,18 @@ def verdict(spectrum: Spectrum) -> str:
     return ""
 
 
-def warn_of_doubts(spectrum: Spectrum, target: float | None) -> None:
-    """Warn the caller of `eigensolve` of what `verdict` says, and where a target was missed."""
+def warn_of_doubts(spectrum: Spectrum, target: float | None, *, where: str = "") -> None:
+    """Warn the caller of `eigensolve` of what `verdict` says, and where a target was missed.
+
+    Of many spectra, `where` says which it is.
+    """
     if told := verdict(spectrum):
         warn(
             told,
             DoubtfulSpectrumWarning,
             advice="smooth it by {}, go on from it by {}, or take an exact solver such as {}",
             remedies=("Cascade", "Refined", "Arpack"),
+            where=where,
         )
     certificate = spectrum.certificate
     errors = None if certificate is None else certificate.errors
@@ -92,4 +96,5 @@ def warn_of_doubts(spectrum: Spectrum, target: float | None) -> None:
             DoubtfulSpectrumWarning,
             advice="allow more steps (max_steps of Cascade, smoothing of Neo), or use {}",
             remedies=("Arpack",),
+            where=where,
         )

@@ -7,6 +7,7 @@ import math
 import time
 import traceback
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -107,6 +108,14 @@ def eigensolve(
     >>> bool(spectrum.certificate.relative_residuals.max() < 1e-8)
     True
     """
+    check_modes(laplacian, k)
+    solved = solve(laplacian, k, solver)
+    solved.warn()
+    return solved.spectrum
+
+
+def check_modes(laplacian: Laplacian, k: int) -> None:
+    """Refuse to look for more modes than there can be."""
     n_free = len(laplacian.free)
     if check_count("k", k, low=1) > n_free:
         raise InvalidInputError(
@@ -115,12 +124,41 @@ def eigensolve(
             k,
             advice="ask for fewer modes or sample more points",
         )
+
+
+class Solved(NamedTuple):
+    """A spectrum, and the target that its approximate solver aimed at, if it tells how near."""
+
+    spectrum: Spectrum
+    target: float | None
+
+    def warn(self, *, where: str = "") -> None:
+        """Warn the caller of the package of what is doubtful, if the solver was approximate."""
+        if self.spectrum.provenance.accuracy not in ("exact", "to tolerance"):
+            warn_of_doubts(self.spectrum, self.target, where=where)
+
+
+def is_whole(laplacian: Laplacian) -> bool:
+    """Whether this is one component, all of it free, of ordinary size: solved as it is."""
+    return laplacian.n_components == 1 and not len(laplacian.fixed) and not any(Units.of(laplacian))
+
+
+def solve(
+    laplacian: Laplacian,
+    k: int,
+    solver: Eigensolver,
+    begun: Callable[[], Eigenpairs] | None = None,
+) -> Solved:
+    """Solve and certify; what warns is left to the caller.
+
+    Of a whole operator (`is_whole`) a function may be `begun` that does what is left to do.
+    """
     if any(units := Units.of(laplacian)):
         return _in_units(units, laplacian, k, solver)
-    return _Run(laplacian, k, solver).solved()
+    return _Run(laplacian, k, solver, begun).solved()
 
 
-def _in_units(units: Units, laplacian: Laplacian, k: int, solver: Eigensolver) -> Spectrum:
+def _in_units(units: Units, laplacian: Laplacian, k: int, solver: Eigensolver) -> Solved:
     """Solve in units of the shape's own: beyond 1e9 and below 1e-9, squares leave float32."""
 
     def given(spectrum: Spectrum) -> Spectrum:
@@ -129,7 +167,8 @@ def _in_units(units: Units, laplacian: Laplacian, k: int, solver: Eigensolver) -
         return spectrum.described(spectrum.certificate, provenance)
 
     try:
-        return given(eigensolve(units.taken_from(laplacian), k, solver))
+        solved = solve(units.taken_from(laplacian), k, solver)
+        return solved._replace(spectrum=given(solved.spectrum))
     except (ConvergenceError, OutOfMemoryError) as error:
         error.partial = error.partial and given(error.partial)
         raise
@@ -150,6 +189,7 @@ class _Run:
     laplacian: Laplacian
     k: int
     solver: Eigensolver
+    begun: Callable[[], Eigenpairs] | None = None  # in place of the solver, of a whole operator
     start: float = field(default_factory=time.perf_counter)
     parts: list[Ints] = field(default_factory=list)  # the points of each component
     chosen: dict[int, Chosen] = field(default_factory=dict)  # by component, where a solver chose
@@ -160,7 +200,7 @@ class _Run:
     def __post_init__(self) -> None:
         self.name = repr(self.solver)  # before the work: what can't be told must not cost it
 
-    def solved(self) -> Spectrum:
+    def solved(self) -> Solved:
         """Solve, certify, and complete what is to be exact."""
         try:
             pairs = self.components(self.k, self.solver)
@@ -185,13 +225,12 @@ class _Run:
             ) from error
         spectrum = self.packed(pairs)
         if spectrum.provenance.accuracy in ("exact", "to tolerance"):
-            return self.completed(spectrum)
+            return Solved(self.completed(spectrum), None)
         if pairs.errors is None:
             spectrum = with_bounds(spectrum, self.laplacian)
         # Without steps, as where nothing is to be smoothed, no target was aimed at.
         aimed = pairs.errors is not None and self.iterations
-        warn_of_doubts(spectrum, getattr(self.solver, "target", None) if aimed else None)
-        return spectrum
+        return Solved(spectrum, getattr(self.solver, "target", None) if aimed else None)
 
     def completed(self, spectrum: Spectrum) -> Spectrum:
         """Count the eigenvalues, and go on from what was found until none is missing.
@@ -304,7 +343,10 @@ class _Run:
             vector = 1 / np.sqrt(laplacian.mass)[:, None]
             return Eigenpairs(value, vector, errors=np.zeros(1))
         try:
-            pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
+            if self.begun is not None and solver is self.solver:
+                pairs = self.begun()
+            else:
+                pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
         except NotConvergedError as error:
             nothing = Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)))
             self.count(error.pairs or nothing, time.perf_counter() - start)

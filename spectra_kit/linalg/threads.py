@@ -20,6 +20,11 @@ _SHARES = 4  # for each thread: levels out rows of different lengths
 _alone: ContextVar[bool] = ContextVar("_alone", default=False)
 
 
+def alone() -> bool:
+    """Whether this is inside `single_threaded`."""
+    return _alone.get()
+
+
 def thread_count() -> int:
     """Return NUMBA_NUM_THREADS if it is set, else the number of cores this process may use.
 
@@ -81,7 +86,12 @@ def in_threads(task: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -
         results = _one_by_one(task, calls[slice(*first)])
         return results + [result for future in futures for result in future.result()]
     with ThreadPoolExecutor(workers) as pool:
-        return [done.result() for done in [pool.submit(task, *call) for call in calls]]
+        waiting = [pool.submit(task, *call) for call in calls]
+        try:
+            return [done.result() for done in waiting]
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)  # nobody wants what has not begun
+            raise
 
 
 def _one_by_one(task: Callable[..., Any], calls: list[tuple[Any, ...]]) -> list[Any]:
