@@ -115,7 +115,7 @@ def single_threaded_blas() -> Iterator[None]:
     with _lock:
         if _depth == 0:
             _take_control()
-            _limit = _controller().limit(limits=1, user_api="blas")
+            _limit = _controller().limit(limits=1)
         _depth += 1
     try:
         yield
@@ -158,8 +158,11 @@ def blas_threads_for(entries: int) -> AbstractContextManager[None]:
 
 @cache
 def _controller() -> Any:
-    """Find the BLAS libraries of NumPy and SciPy, once: it takes longer than a small product."""
+    """Find the BLAS libraries of NumPy and SciPy, once: it takes longer than a small product.
+
+    And no others: what limits these would set OpenMP's threads, which torch counts, as it leaves.
+    """
     import scipy.linalg  # noqa: F401  (has a BLAS of its own)
     from threadpoolctl import ThreadpoolController
 
-    return ThreadpoolController()
+    return ThreadpoolController().select(user_api="blas")

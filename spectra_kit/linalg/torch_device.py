@@ -128,8 +128,9 @@ def torch_threads() -> Iterator[None]:
         return
     global _depth, _threads
     with _lock:
+        count = torch.get_num_threads()  # asked in any case: the first question sets it
         if _depth == 0:
-            _threads = torch.get_num_threads()
+            _threads = count
         _depth += 1
         torch.set_num_threads(1)
     try:

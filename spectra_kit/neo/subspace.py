@@ -171,7 +171,9 @@ class NeoSubspace(Rebuilt):
             w = check_mass("mass", w, len(x))
             padded[i, : len(x)], weights[i, : len(x)] = _posed(x, w, self.frame(x, w))
             sizes.append(len(x))
-        bases = self._forward(padded, weights) if sizes else []
+        if not sizes:
+            return []
+        bases = self._forward(padded, weights)
         return [basis[:n] for basis, n in zip(bases, sizes, strict=True)]
 
     def _forward(self, posed: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
@@ -210,4 +212,6 @@ def _posed(
     points: NDArray[np.float64], mass: NDArray[np.float64], frame: Frame
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return a cloud as the network sees it."""
-    return torch.from_numpy(frame.pose(points)).float(), torch.from_numpy(mass / mass.mean()).float()
+    return torch.from_numpy(frame.pose(points)).float(), torch.from_numpy(
+        mass / mass.mean()
+    ).float()
