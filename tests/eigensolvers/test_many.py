@@ -17,7 +17,7 @@ from spectra_kit.training.pool import open_pool
 
 K = 24
 # What padding and other shapes of products change: rounding of a float32 network, in functions
-# that are then smoothed. Up to 5e-8 was measured on 200 real clouds.
+# that are then smoothed. Of eight real clouds of 2,048 points no eigenvalue differed by over 5e-8.
 ROUNDING = 1e-6
 
 

@@ -182,7 +182,7 @@ def test_what_cannot_be_done_is_refused(network, laplacian):
         refused(argument, expected, call, **options)
     points, mass = laplacian.points, laplacian.mass
     subspace = NeoSubspace(network)
-    refused("mass", "be as many as the 2 clouds", subspace.predict_many, [points, points], [mass])
+    refused("points", "be as many as `mass`, 1", subspace.predict_many, [points, points], [mass])
     refused("mass", "have shape (400,)", subspace.predict_many, [points, points], [mass, mass[1:]])
     with pytest.raises(WeightsError, match="must be one of"):
         NeoSubspace("huge")

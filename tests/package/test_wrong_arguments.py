@@ -322,6 +322,7 @@ ALSO = {
     "check_sources.geometry": {"Laplacian", "Spectrum"},
     "eigensolve.solver": {"Arpack"},
     "eigensolve_many.solver": {"Arpack"},
+    "eigensolve_many.laplacians": {"array"},
     "to_pyvista.point_arrays": {"Spectrum", "array of b"},
     "spectrum.solver": {"Arpack"},
     "Surface.shape": {"Laplacian", "Spectrum"},
