@@ -79,6 +79,7 @@ def eigensolve_many(
     >>> [spectrum.k for spectrum in spectra]
     [16, 16, 16]
     """
+    check_count("k", k, low=1)
     check_count("batch", batch, low=1)
     for i, laplacian in enumerate(laplacians):
         with _about(i):
