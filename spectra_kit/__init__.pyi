@@ -33,6 +33,7 @@ from .eigensolvers import Neo as Neo
 from .eigensolvers import RayleighRitz as RayleighRitz
 from .eigensolvers import Refined as Refined
 from .eigensolvers import eigensolve as eigensolve
+from .eigensolvers import eigensolve_many as eigensolve_many
 from .eigensolvers import spectrum as spectrum
 from .eigensolvers import verify as verify
 from .errors import ConvergenceError as ConvergenceError

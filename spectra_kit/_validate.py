@@ -224,10 +224,12 @@ def warn(
     *,
     advice: str = "",
     remedies: tuple[str, ...] = (),
+    where: str = "",
 ) -> None:
     """Warn at the line that called the package, however deep inside the reason was found."""
     level, frame = 1, sys._getframe()
     while frame.f_back and frame.f_globals["__name__"].partition(".")[0] == "spectra_kit":
         level, frame = level + 1, frame.f_back
     told = category(message, advice=advice, remedies=remedies)
+    told.where = where
     warnings.warn(told, stacklevel=level)

@@ -18,6 +18,8 @@ Advice = str | tuple[str, ...]
 class _Advised(Exception):  # noqa: N818  # the part that errors and warnings share
     """What was found, and what to do about it, apart: so that it can be told in other words."""
 
+    where = ""  # which of several things it is about, as ``laplacians[3]``
+
     def __init__(self, *facts: object, advice: Advice = "", remedies: tuple[str, ...] = ()) -> None:
         super().__init__(*facts)
         self.advice, self.remedies = advice, remedies
@@ -37,7 +39,8 @@ class _Advised(Exception):  # noqa: N818  # the part that errors and warnings sh
         str
             One line.
         """
-        return "; ".join(filter(None, (self._finding(word), self._advised(word))))
+        message = "; ".join(filter(None, (self._finding(word), self._advised(word))))
+        return f"{self.where}: {message}" if self.where else message
 
     def _advised(self, word: Callable[[str], str]) -> str:
         words = map(word, self.remedies)
@@ -64,6 +67,8 @@ class SpectraKitError(_Advised):
         alternatives, each has one.
     remedies : tuple of str
         The arguments and calls that the advice names, as Python has them.
+    where : str
+        Which of several things it is about, where a call was given many; empty elsewhere.
     """
 
 

@@ -5,6 +5,7 @@ from spectra_kit.eigensolvers.automatic import Automatic
 from spectra_kit.eigensolvers.base import Eigenpairs, Eigensolver, NotConvergedError
 from spectra_kit.eigensolvers.cascade import Cascade
 from spectra_kit.eigensolvers.dense import Dense
+from spectra_kit.eigensolvers.many import eigensolve_many
 from spectra_kit.eigensolvers.neo import Neo
 from spectra_kit.eigensolvers.rayleigh_ritz import RayleighRitz
 from spectra_kit.eigensolvers.refined import Refined
@@ -24,6 +25,7 @@ __all__ = [
     "RayleighRitz",
     "Refined",
     "eigensolve",
+    "eigensolve_many",
     "spectrum",
     "verify",
 ]

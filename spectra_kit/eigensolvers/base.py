@@ -56,6 +56,10 @@ class Eigensolver(Protocol):
     A backend may have two more attributes. ``promise`` says what its answers are (`Promise`):
     where they are to be exact or to a tolerance, `eigensolve` counts the eigenvalues and completes
     what was missed. ``name`` is what `Provenance` calls it, if not its class in lower case.
+
+    What gains from many operators at once may have a method ``begin(laplacians, k)``. It does what
+    they share, and returns a function for each that does the rest: without arguments, in any
+    thread, with the result of ``eigenpairs``. Only `eigensolve_many` calls it.
     """
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs | tuple[Floats, Floats]:

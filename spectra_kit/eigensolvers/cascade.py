@@ -109,7 +109,7 @@ class Cascade(OnPoints):
         """See `Eigensolver.eigenpairs`."""
         from spectra_kit.linalg.torch_device import device_clock, device_memory
 
-        block = block_size(k, self.guard)
+        block, keep = block_size(k, self.guard), block_size(k, self.guard / 2)
         clock = device_clock(self.device)
         # Without sparse products nothing depends on the order of the points.
         gathers, order = gathered(laplacian) if self.max_steps else (laplacian, None)
@@ -134,14 +134,15 @@ class Cascade(OnPoints):
                 L, M, Y = (
                     on_device(part, self.device) for part in (bottom.stiffness, bottom.mass, basis)
                 )
-                begun = ritz_pairs(L, M, Y, block, least=k, rank_tol=self.rank_tol)[:2]
+                wanted = block if levels else keep
+                begun = ritz_pairs(L, M, Y, wanted, least=k, rank_tol=self.rank_tol)[:2]
             clock.stage("coarse")
             found = climb(
                 gathers,
                 levels,
                 *begun,
                 k,
-                keep=block_size(k, self.guard / 2),
+                keep=keep,
                 target=self.target,
                 max_steps=self.max_steps,
                 device=self.device,

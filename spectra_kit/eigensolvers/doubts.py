@@ -74,14 +74,21 @@ def verdict(spectrum: Spectrum) -> str:
     return ""
 
 
-def warn_of_doubts(spectrum: Spectrum, solver: Eigensolver) -> None:
-    """Warn of what `verdict` says of a solver's spectrum, and where its target was missed."""
+def warn_of_doubts(spectrum: Spectrum, solver: Eigensolver, *, where: str = "") -> None:
+    """Warn of what is doubtful of a solver's spectrum, if it is approximate.
+
+    That is what `verdict` says, and that the solver's target was missed. Of many spectra, `where`
+    says which it is.
+    """
+    if spectrum.provenance.accuracy in ("exact", "to tolerance"):
+        return
     if told := verdict(spectrum):
         warn(
             told,
             DoubtfulSpectrumWarning,
             advice="smooth it by {}, go on from it by {}, or take an exact solver such as {}",
             remedies=("Cascade", "Refined", "Arpack"),
+            where=where,
         )
     certificate = spectrum.certificate
     errors = None if certificate is None else certificate.errors
@@ -96,4 +103,5 @@ def warn_of_doubts(spectrum: Spectrum, solver: Eigensolver) -> None:
             DoubtfulSpectrumWarning,
             advice="allow more steps (max_steps of Cascade, smoothing of Neo), or use {}",
             remedies=("Arpack",),
+            where=where,
         )

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass
-from functools import cached_property
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, check_count
@@ -16,6 +19,7 @@ from spectra_kit.eigensolvers.base import Eigenpairs, Promise
 from spectra_kit.eigensolvers.cascade import Cascade
 from spectra_kit.eigensolvers.dense import Dense
 from spectra_kit.operators.laplacian import Laplacian
+from spectra_kit.subspaces import GivenBasis
 
 if TYPE_CHECKING:
     import torch
@@ -131,6 +135,41 @@ class Neo(Rebuilt):
 
     def eigenpairs(self, laplacian: Laplacian, k: int) -> Eigenpairs:
         """See `Eigensolver.eigenpairs`."""
-        if laplacian.n <= 2 * self.subspace.n_functions:
+        if self._is_small(laplacian):
             return Dense().eigenpairs(laplacian, k)._replace(errors=np.zeros(k))
         return self._cascade.eigenpairs(laplacian, k)
+
+    def begin(self, laplacians: Sequence[Laplacian], k: int) -> list[Callable[[], Eigenpairs]]:
+        """See `Eigensolver.begin`: the functions of all come from one forward pass."""
+        from spectra_kit.linalg.torch_device import device_memory
+
+        rest: list[Callable[[], Eigenpairs]] = [
+            partial(self.eigenpairs, laplacian, k) for laplacian in laplacians
+        ]
+        whole = [
+            i
+            for i, laplacian in enumerate(laplacians)
+            if self.cap is None and not self._is_small(laplacian)
+        ]
+        start = time.perf_counter()
+        with device_memory():
+            bases = self.subspace.predict_many(
+                [laplacians[i].points for i in whole], [laplacians[i].mass for i in whole]
+            )
+            columns = [basis.cpu().numpy() for basis in bases]
+        share = (time.perf_counter() - start) / max(len(whole), 1)
+        for i, own in zip(whole, columns, strict=True):
+            rest[i] = partial(self._predicted, laplacians[i], k, own, share)
+        return rest
+
+    def _predicted(
+        self, laplacian: Laplacian, k: int, basis: NDArray[np.float32], seconds: float
+    ) -> Eigenpairs:
+        """Go on from the functions of the network, which took so many `seconds`."""
+        pairs = replace(self._cascade, subspace=GivenBasis(basis)).eigenpairs(laplacian, k)
+        stages = dict(pairs.seconds or {})
+        return pairs._replace(seconds=stages | {"subspace": stages["subspace"] + seconds})
+
+    def _is_small(self, laplacian: Laplacian) -> bool:
+        """Whether to solve it exactly: there is nothing to gain from a guess."""
+        return laplacian.n <= 2 * self.subspace.n_functions

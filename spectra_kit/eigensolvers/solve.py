@@ -7,6 +7,7 @@ import math
 import time
 import traceback
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -107,6 +108,14 @@ def eigensolve(
     >>> bool(spectrum.certificate.relative_residuals.max() < 1e-8)
     True
     """
+    check_modes(laplacian, k)
+    spectrum = solve(laplacian, k, solver)
+    warn_of_doubts(spectrum, solver)
+    return spectrum
+
+
+def check_modes(laplacian: Laplacian, k: int) -> None:
+    """Refuse to look for more modes than there can be."""
     n_free = len(laplacian.free)
     if check_count("k", k, low=1) > n_free:
         raise InvalidInputError(
@@ -115,9 +124,26 @@ def eigensolve(
             k,
             advice="ask for fewer modes or sample more points",
         )
+
+
+def is_whole(laplacian: Laplacian) -> bool:
+    """Whether this is one component, all of it free, of ordinary size: solved as it is."""
+    return laplacian.n_components == 1 and not len(laplacian.fixed) and not any(Units.of(laplacian))
+
+
+def solve(
+    laplacian: Laplacian,
+    k: int,
+    solver: Eigensolver,
+    begun: Callable[[], Eigenpairs] | None = None,
+) -> Spectrum:
+    """Solve and certify; what warns is left to the caller.
+
+    Of a whole operator (`is_whole`) a function may be `begun` that does what is left to do.
+    """
     if any(units := Units.of(laplacian)):
         return _in_units(units, laplacian, k, solver)
-    return _Run(laplacian, k, solver).solved()
+    return _Run(laplacian, k, solver, begun).solved()
 
 
 def _in_units(units: Units, laplacian: Laplacian, k: int, solver: Eigensolver) -> Spectrum:
@@ -129,7 +155,7 @@ def _in_units(units: Units, laplacian: Laplacian, k: int, solver: Eigensolver) -
         return spectrum.described(spectrum.certificate, provenance)
 
     try:
-        return given(eigensolve(units.taken_from(laplacian), k, solver))
+        return given(solve(units.taken_from(laplacian), k, solver))
     except (ConvergenceError, OutOfMemoryError) as error:
         error.partial = error.partial and given(error.partial)
         raise
@@ -150,6 +176,7 @@ class _Run:
     laplacian: Laplacian
     k: int
     solver: Eigensolver
+    begun: Callable[[], Eigenpairs] | None = None  # in place of the solver, of a whole operator
     start: float = field(default_factory=time.perf_counter)
     parts: list[Ints] = field(default_factory=list)  # the points of each component
     chosen: dict[int, Chosen] = field(default_factory=dict)  # by component, where a solver chose
@@ -188,7 +215,6 @@ class _Run:
             return self.completed(spectrum)
         if pairs.errors is None:
             spectrum = with_bounds(spectrum, self.laplacian)
-        warn_of_doubts(spectrum, self.solver)
         return spectrum
 
     def completed(self, spectrum: Spectrum) -> Spectrum:
@@ -302,7 +328,10 @@ class _Run:
             vector = 1 / np.sqrt(laplacian.mass)[:, None]
             return Eigenpairs(value, vector, errors=np.zeros(1))
         try:
-            pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
+            if self.begun is not None and solver is self.solver:
+                pairs = self.begun()
+            else:
+                pairs = Eigenpairs(*solver.eigenpairs(laplacian, k))
         except NotConvergedError as error:
             nothing = Eigenpairs(np.empty(0), np.empty((laplacian.n, 0)))
             self.count(error.pairs or nothing, time.perf_counter() - start)

@@ -15,7 +15,13 @@ from scipy import sparse
 from spectra_kit._types import Floats, Singles
 from spectra_kit.linalg.products import rows_of, spmm
 from spectra_kit.linalg.residuals import residuals
-from spectra_kit.linalg.threads import in_threads, ranges, shares, single_threaded_blas
+from spectra_kit.linalg.threads import (
+    WORTH_SHARING,
+    in_threads,
+    ranges,
+    shares,
+    single_threaded_blas,
+)
 
 Block = NDArray[np.floating]
 Weights = Any  # the diagonal of M as an array, or M itself as a sparse one
@@ -43,8 +49,8 @@ def gram(mass: Weights, Y: Block) -> Floats:
 
 def projected(matrix: sparse.csr_array, Y: Block) -> Floats:
     """Return ``Y^T L Y``, symmetric, in float64."""
-    Y = np.ascontiguousarray(Y)  # SciPy would copy all of it for each block of rows
-    if Y.dtype == np.float64:
+    if Y.dtype == np.float64 or Y.size <= WORTH_SHARING:
+        Y = np.ascontiguousarray(Y, dtype=float)  # not by SciPy, for each block of rows
         inside = _sum_of(lambda rows: Y[rows].T @ (matrix[rows] @ Y), len(Y))
         return (inside + inside.T) / 2
     parts = []

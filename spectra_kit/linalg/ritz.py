@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
@@ -53,6 +54,8 @@ def ritz_pairs(
     if not np.isfinite(scale).all() or not scale.all():
         Y = orthonormalize(Y, mass, rank_tol=rank_tol)  # says what is wrong with it
         whitener = np.eye(Y.shape[1])
+    elif (root := _inverse_root(gram / scale / scale[:, None], rank_tol)) is not None:
+        whitener = root / scale[:, None]
     else:
         values, vectors = np.linalg.eigh(gram / scale / scale[:, None])
         kept = values > max(_WELL_CONDITIONED, rank_tol**2) * values[-1]
@@ -75,6 +78,21 @@ def ritz_pairs(
     if error > _ROUNDING:
         return RitzPairs(*ritz_rotation(stiffness, mass, U), rank)
     return RitzPairs(inside[:k], U, rank)
+
+
+def _inverse_root(gram: Floats, rank_tol: float) -> Floats | None:
+    """Return W with ``W^T G W = I`` of a Gram matrix of unit columns, whose rank is not in doubt.
+
+    By a Cholesky factor, which takes a tenth of the time of eigenvectors and leaves less rounding.
+    The inverse W of the factor tells whether a cut could drop anything: the highest eigenvalue of G
+    is at most m, the lowest at least ``1 / |W|^2`` in the Frobenius norm.
+    """
+    factor, failed = dpotrf(gram)
+    if failed:
+        return None
+    root = np.triu(dtrtri(factor)[0])
+    cut = max(_WELL_CONDITIONED, rank_tol**2)
+    return root if len(gram) * np.square(root).sum() < 1 / cut else None
 
 
 @single_threaded_blas()

@@ -20,6 +20,11 @@ _SHARES = 4  # for each thread: levels out rows of different lengths
 _alone: ContextVar[bool] = ContextVar("_alone", default=False)
 
 
+def alone() -> bool:
+    """Whether this is inside `single_threaded`."""
+    return _alone.get()
+
+
 def thread_count() -> int:
     """Return NUMBA_NUM_THREADS if it is set, else the number of cores this process may use.
 
@@ -81,7 +86,12 @@ def in_threads(task: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -
         results = _one_by_one(task, calls[slice(*first)])
         return results + [result for future in futures for result in future.result()]
     with ThreadPoolExecutor(workers) as pool:
-        return [done.result() for done in [pool.submit(task, *call) for call in calls]]
+        waiting = [pool.submit(task, *call) for call in calls]
+        try:
+            return [done.result() for done in waiting]
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)  # nobody wants what has not begun
+            raise
 
 
 def _one_by_one(task: Callable[..., Any], calls: list[tuple[Any, ...]]) -> list[Any]:
@@ -105,7 +115,7 @@ def single_threaded_blas() -> Iterator[None]:
     with _lock:
         if _depth == 0:
             _take_control()
-            _limit = _controller().limit(limits=1, user_api="blas")
+            _limit = _controller().limit(limits=1)
         _depth += 1
     try:
         yield
@@ -148,8 +158,11 @@ def blas_threads_for(entries: int) -> AbstractContextManager[None]:
 
 @cache
 def _controller() -> Any:
-    """Find the BLAS libraries of NumPy and SciPy, once: it takes longer than a small product."""
+    """Find the BLAS libraries of NumPy and SciPy, once: it takes longer than a small product.
+
+    And no others: what limits these would set OpenMP's threads, which torch counts, as it leaves.
+    """
     import scipy.linalg  # noqa: F401  (has a BLAS of its own)
     from threadpoolctl import ThreadpoolController
 
-    return ThreadpoolController()
+    return ThreadpoolController().select(user_api="blas")

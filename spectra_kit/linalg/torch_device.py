@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from torch import Tensor
 from spectra_kit._clock import Clock
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.products import spmm
+from spectra_kit.linalg.threads import alone
 
 
 def sparse_tensor(csr: sparse.csr_array, device: str = "cpu") -> Tensor:
@@ -107,6 +109,36 @@ def device_memory() -> Iterator[None]:
         if "can't allocate memory" not in str(error):
             raise
         raise MemoryError(str(error).partition("\n")[0]) from error
+
+
+_lock = threading.Lock()
+_depth = 0
+_threads = 1  # of torch, while it is kept to fewer
+
+
+@contextmanager
+def torch_threads() -> Iterator[None]:
+    """Keep torch to one thread inside where `threads.single_threaded` keeps all else to one.
+
+    May be entered from several threads; the last to leave restores what was before. torch counts
+    for each thread of ours apart, but what one sets is what later ones begin with.
+    """
+    if not alone():
+        yield
+        return
+    global _depth, _threads
+    with _lock:
+        count = torch.get_num_threads()  # asked in any case: the first question sets it
+        if _depth == 0:
+            _threads = count
+        _depth += 1
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        with _lock:
+            _depth -= 1
+            torch.set_num_threads(_threads)
 
 
 def device_clock(device: torch.device | str) -> Clock:

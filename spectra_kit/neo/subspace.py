@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import copy
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -14,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from spectra_kit._checked import checked
 from spectra_kit._validate import Rebuilt, check_count, check_mass, check_points
-from spectra_kit.linalg.torch_device import check_device
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.linalg.torch_device import check_device, torch_threads
 from spectra_kit.neo.model import NeoNetwork
 from spectra_kit.neo.pretrained import find_weights, load_pretrained, weights_digest
 from spectra_kit.subspaces.frame import POSES, Frame, canonical_frame
@@ -123,23 +125,108 @@ class NeoSubspace(Rebuilt):
         """Return the basis as a float32 tensor of shape (n, 1 + poses * m) on `device`."""
         points = check_points("points", points)
         mass = check_mass("mass", mass, len(points))
-        n, m, model = len(points), self._model.config.m, self._model
-        basis = torch.ones(n, 1 + self.poses * m, device=self.device)
-        weights = torch.from_numpy(mass / mass.mean()).float().to(self.device)
-        posed = torch.from_numpy(frame.pose(points)).float().to(self.device)
-        for i, flip in enumerate(POSES[: self.poses]):
-            x = posed * torch.tensor(flip).to(posed)
-            columns = slice(1 + i * m, 1 + (i + 1) * m)
-            if n <= self.chunk:
-                basis[:, columns] = model(x.unsqueeze(0), weights.unsqueeze(0))[0]
-            else:
-                model.evaluate_chunked(x, weights, chunk=self.chunk, out=basis[:, columns])
+        posed, weights = _posed(points, mass, frame)
+        if len(points) <= self.chunk:
+            return self._forward(posed.unsqueeze(0), weights.unsqueeze(0))[0]
+        posed, weights, model = posed.to(self.device), weights.to(self.device), self._model
+        basis = torch.ones(len(points), self.n_functions, device=self.device)
+        with torch_threads():
+            for columns, flip in self._flips():
+                x, out = posed * flip, basis[:, columns]
+                model.evaluate_chunked(x, weights, chunk=self.chunk, out=out)
         return basis
+
+    @torch.no_grad()
+    def predict_many(
+        self, points: Sequence[ArrayLike], mass: Sequence[ArrayLike]
+    ) -> list[torch.Tensor]:
+        """Predict bases of several clouds in one forward pass.
+
+        Smaller clouds are padded by points without mass, which change nothing at the others but
+        rounding. A network that does not heed masses sees one cloud after the other.
+
+        Parameters
+        ----------
+        points : sequence of array_like of shape (n_i, 3)
+            As of a call for one cloud.
+        mass : sequence of array_like of shape (n_i,)
+            As many.
+
+        Returns
+        -------
+        list of Tensor of shape (n_i, 1 + poses * m), float32
+            On `device`.
+
+        Raises
+        ------
+        InvalidInputError
+            If there are not as many clouds as masses, or one is malformed.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from spectra_kit.neo import NeoConfig, NeoNetwork, NeoSubspace
+        >>> subspace = NeoSubspace(NeoNetwork(NeoConfig.named("small")))
+        >>> clouds = [np.random.default_rng(0).normal(size=(n, 3)) for n in (300, 200)]
+        >>> bases = subspace.predict_many(clouds, [np.ones(300), np.ones(200)])
+        >>> [tuple(basis.shape) for basis in bases]
+        [(300, 257), (200, 257)]
+        """
+        if len(points) != len(mass):
+            raise InvalidInputError("points", f"be as many as `mass`, {len(mass)}", len(points))
+        config = self._model.config
+        largest = max(map(len, points), default=0)  # type: ignore[arg-type]
+        if largest > self.chunk or config.backbone != "neo" or not config.mass_aware:
+            return [self.tensor(*cloud) for cloud in zip(points, mass, strict=True)]
+        padded = torch.zeros(len(points), largest, 3)
+        weights = torch.zeros(len(points), largest)
+        sizes = []
+        for i, (x, w) in enumerate(zip(points, mass, strict=True)):
+            x = check_points("points", x)
+            w = check_mass("mass", w, len(x))
+            padded[i, : len(x)], weights[i, : len(x)] = _posed(x, w, self.frame(x, w))
+            sizes.append(len(x))
+        if not sizes:
+            return []
+        bases = self._forward(padded, weights)
+        return [basis[:n] for basis, n in zip(bases, sizes, strict=True)]
+
+    def _forward(self, posed: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+        """Return the bases (B, N, 1 + poses * m) of posed clouds (B, N, 3), masses (B, N)."""
+        posed, weights = posed.to(self.device), weights.to(self.device)
+        basis = torch.ones(*weights.shape, self.n_functions, device=self.device)
+        with torch_threads():
+            for columns, flip in self._flips():
+                basis[..., columns] = self._model(posed * flip, weights)
+        return basis
+
+    def _flips(self) -> list[tuple[slice, torch.Tensor]]:
+        """Return the columns of each pose, and the signs that make it."""
+        m = self._model.config.m
+        flips = torch.tensor(POSES[: self.poses], dtype=torch.float32, device=self.device)
+        return [(slice(1 + i * m, 1 + (i + 1) * m), flip) for i, flip in enumerate(flips)]
 
     @cached_property
     def _model(self) -> NeoNetwork:
-        network = self.network
-        if not isinstance(network, NeoNetwork):
-            network = load_pretrained(network).network
-        model = copy.deepcopy(network) if network is self.network else network
-        return model.eval().to(self.device, _DTYPES[self.dtype])
+        if not isinstance(self.network, NeoNetwork):
+            digest = find_weights(self.network).sha256
+            return _loaded(os.fspath(self.network), digest, self.device, self.dtype)
+        return copy.deepcopy(self.network).eval().to(self.device, _DTYPES[self.dtype])
+
+
+@lru_cache(maxsize=4)
+def _loaded(name_or_path: str, sha256: str, device: str, dtype: str) -> NeoNetwork:
+    """Return the network of a file, the same for all who ask: reading it takes half a prediction.
+
+    Nobody changes it, and a file of other content has another hash.
+    """
+    return load_pretrained(name_or_path).network.to(device, _DTYPES[dtype])
+
+
+def _posed(
+    points: NDArray[np.float64], mass: NDArray[np.float64], frame: Frame
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return a cloud as the network sees it."""
+    return torch.from_numpy(frame.pose(points)).float(), torch.from_numpy(
+        mass / mass.mean()
+    ).float()

@@ -4,13 +4,18 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
-from spectra_kit.linalg.threads import blas_threads_for, single_threaded_blas
+from spectra_kit.linalg.threads import (
+    blas_threads_for,
+    in_threads,
+    single_threaded_blas,
+)
 
 # What threads other than the main one ran for, in milliseconds: they spin while they wait.
 CODE = """
@@ -101,3 +106,20 @@ def test_any_thread_may_limit_blas_and_the_last_to_leave_restores_it() -> None:
             assert set(blas_threads()) == {1}
         assert blas_threads() == before
         assert pool.submit(blas_threads).result() == before
+
+
+def test_after_a_failure_nothing_new_begins(monkeypatch):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    begun, gate = [], threading.Event()
+
+    def task(i):
+        begun.append(i)
+        if i == 0:
+            raise ValueError("the first")
+        gate.wait(0.2)  # until the failure has been seen
+        if i == 1:
+            raise KeyError("the second")
+
+    with pytest.raises(ValueError, match="the first"):
+        in_threads(task, ((i,) for i in range(100)))
+    assert len(begun) < 10

@@ -1,18 +1,22 @@
 """Sparse tensors, stage times and memory errors on a torch device."""
 
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 import torch
 from scipy import sparse
 
+from spectra_kit.linalg.threads import single_threaded
 from spectra_kit.linalg.torch_device import (
     csr_like,
     csr_product,
     device_clock,
     device_memory,
     sparse_tensor,
+    torch_threads,
 )
 
 DEVICES = ["cpu"] + ["cuda"] * torch.cuda.is_available()
@@ -48,3 +52,29 @@ def test_a_clock_books_time_by_stage():
         clock.stage(stage)
     assert 0.04 <= clock.seconds["sleep"] <= clock.total
     assert clock.seconds["wake"] <= clock.total - clock.seconds["sleep"]
+
+
+def test_torch_keeps_to_one_thread_where_all_else_does():
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    meet = threading.Barrier(2)
+
+    def inside(last: bool) -> tuple[int, int]:
+        with single_threaded(), torch_threads():
+            meet.wait()
+            first = torch.get_num_threads()
+            meet.wait()
+            if last:
+                time.sleep(0.05)  # leaves when the other has
+        return first, torch.get_num_threads()
+
+    try:
+        with torch_threads():
+            assert torch.get_num_threads() == 3
+        with ThreadPoolExecutor(2) as pool:
+            assert list(pool.map(inside, (False, True))) == [(1, 3), (1, 3)]
+        with ThreadPoolExecutor(1) as pool:  # a thread of its own, begun afterwards
+            assert pool.submit(torch.get_num_threads).result() == 3
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)

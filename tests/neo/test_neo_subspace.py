@@ -98,6 +98,33 @@ def test_chunks_and_precisions_agree(network, laplacian):
     assert next(network.parameters()).dtype == torch.float32
 
 
+@pytest.mark.parametrize(
+    "options", [{}, {"mass_aware": False}, {"frame": "none"}], ids=["", "no mass", "no frame"]
+)
+def test_clouds_predicted_together_are_predicted_as_alone(laplacian, options):
+    torch.manual_seed(0)
+    subspace = NeoSubspace(NeoNetwork(NeoConfig(**SIZES, **options)), poses=2)
+    some = [slice(0, 400), slice(0, 250), slice(100, 397)]
+    points, mass = ([array[part] for part in some] for array in (laplacian.points, laplacian.mass))
+    together = subspace.predict_many(points, mass)
+    assert [tuple(basis.shape) for basis in together] == [(400, 49), (250, 49), (297, 49)]
+    for basis, x, w in zip(together, points, mass, strict=True):
+        np.testing.assert_allclose(basis.numpy(), subspace(x, w), atol=1e-5)
+    assert subspace.predict_many([], []) == []
+
+
+def test_a_file_is_read_once_and_again_when_it_has_changed(tmp_path, laplacian):
+    path, bases = tmp_path / "mine.safetensors", []
+    for seed in (0, 1):
+        torch.manual_seed(seed)
+        save_weights(path, NeoNetwork(NeoConfig(**SIZES)), {})
+        one, same = NeoSubspace(path), NeoSubspace(path)
+        bases.append(one(laplacian.points, laplacian.mass))
+        np.testing.assert_array_equal(same(laplacian.points, laplacian.mass), bases[-1])
+        assert one._model is same._model
+    assert np.abs(bases[1] - bases[0]).max() > 0.1
+
+
 @pytest.mark.filterwarnings("ignore::spectra_kit.errors.DoubtfulSpectrumWarning")
 def test_the_shipped_network_gains_from_a_cap():
     laplacian = robust_laplacian(creature(2500, seed=1))
@@ -156,6 +183,10 @@ def test_what_cannot_be_done_is_refused(network, laplacian):
         ("smoothing", "be at least 0", Neo, {"smoothing": -1}),
     ):
         refused(argument, expected, call, **options)
+    points, mass = laplacian.points, laplacian.mass
+    subspace = NeoSubspace(network)
+    refused("points", "be as many as `mass`, 1", subspace.predict_many, [points, points], [mass])
+    refused("mass", "have shape (400,)", subspace.predict_many, [points, points], [mass, mass[1:]])
     with pytest.raises(WeightsError, match="must be one of"):
         NeoSubspace("huge")
 

@@ -56,7 +56,7 @@ PACKAGES = [name for _, name, _ in pkgutil.iter_modules(sk.__path__) if not INNE
 LEFT_TO_TORCH = {"NeoNetwork.forward", "NeoNetwork.features", "NeoNetwork.evaluate_chunked"}
 # Called by `eigensolve`, `embed` and `train_classifier` alone, which have checked what they pass.
 HOOKS = re.compile(
-    r"\.eigenpairs$|\.of_points$|\.of_all$|\.values$|\.fit$|\.build$"
+    r"\.eigenpairs$|\.begin$|\.of_points$|\.of_all$|\.values$|\.fit$|\.build$"
     r"|^(?!GivenBasis|Laplacian).*restricted$"
 )
 
@@ -205,6 +205,9 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("inside", np.ones(n, dtype=bool)),
         ("vectors", np.ones((len(triangulation.corners), 2))),
         ("dirichlet_energy.source dirichlet_energy.target", laplacian),
+        ("laplacians", [laplacian]),
+        ("predict_many.points", [ball.points]),
+        ("predict_many.mass", [spectrum.mass]),
         ("match.source match.target", spectrum),
         ("spectra", {"a": spectrum}),
         ("dirichlet eigenvalues", spectrum.eigenvalues),
@@ -365,6 +368,8 @@ ALSO = {
     "plot_spectrum.spectra": {"Spectrum"},
     "check_sources.geometry": {"Laplacian", "Spectrum"},
     "eigensolve.solver": {"Arpack"},
+    "eigensolve_many.solver": {"Arpack"},
+    "eigensolve_many.laplacians": {"array"},
     "to_pyvista.point_arrays": {"Spectrum", "array of b"},
     "spectrum.solver": {"Arpack"},
     "eigenvalues.solver": {"Arpack"},
