@@ -95,7 +95,7 @@ class MatchReport(Brief):
 def match_all(
     store: SpectrumStore,
     pairs: Sequence[Pair],
-    plan: Plan | Mapping[str, object] | None = None,
+    plan: Plan | None = None,
     *,
     matching: Matching = Matching(),  # noqa: B008
     engine: Engine | None = None,
@@ -112,7 +112,7 @@ def match_all(
         What holds the shapes and their spectra, and keeps the maps.
     pairs : sequence of Pair
         As `find_pairs` returns them.
-    plan : Plan or its facts, optional
+    plan : Plan, optional
         By which the spectra were computed, where the store has several.
     matching : Matching
         How they are matched.
@@ -168,7 +168,30 @@ def match_all(
     >>> sk.batch.load_match(store, found.key).point_map[:4]
     array([0, 1, 2, 3])
     """
-    clock, records = Clock(), records_of(store, plan)
+    records = records_of(store, None if plan is None else plan.facts)
+    return match_records(
+        store,
+        pairs,
+        records,
+        matching=matching,
+        engine=engine,
+        strict=strict,
+        progress=progress,
+    )
+
+
+def match_records(
+    store: SpectrumStore,
+    pairs: Sequence[Pair],
+    records: Mapping[str, ShapeRecord],
+    *,
+    matching: Matching,
+    engine: Engine | None,
+    strict: bool,
+    progress: Callable[[int, int], object] | None,
+) -> MatchReport:
+    """Match pairs of which `records` tell what the store holds: see `match_all`."""
+    clock = Clock()
     searches, failed = list[_Search](), dict[str, Exception]()
     for pair in in_tiles(pairs):
         if unknown := _unknown(pair, records):

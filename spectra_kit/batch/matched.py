@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from spectra_kit._checked import checked
 from spectra_kit._fingerprint import facts_digest
 from spectra_kit._validate import Brief, check_count
-from spectra_kit._version import VERSION
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError, InvalidInputError
 from spectra_kit.linalg.threads import single_threaded_blas
 from spectra_kit.matching import (
@@ -32,6 +31,7 @@ from spectra_kit.matching.options import DEFAULT
 from spectra_kit.matching.prepare import LOWEST_K
 from spectra_kit.store import ShapeRecord, SpectrumStore
 from spectra_kit.store.files import damage
+from spectra_kit.store.store import map_facts
 
 #: Prepared shapes that a worker keeps: those of a tile of `match_all` and the row that it works on.
 KEPT = 6
@@ -87,7 +87,8 @@ class Matching:
         str
             32 hexadecimal digits, for `load_match`.
         """
-        return facts_digest(facts_of(self, source, target))
+        how = how_of(self, source, target)
+        return facts_digest(map_facts(source.spectrum, target.spectrum, how))
 
 
 @checked
@@ -162,15 +163,15 @@ def load_match(store: SpectrumStore, key: str) -> Match | None:
     if found is None:
         return None
     facts, arrays = found
-    if "matching" not in facts:
+    if "options" not in facts["how"]:
         raise InvalidInputError("key", "be that of a match", repr(key))
-    return _restored(facts["matching"]["options"], arrays)
+    return _restored(facts["how"]["options"], arrays)
 
 
-def facts_of(matching: Matching, source: ShapeRecord, target: ShapeRecord) -> dict[str, object]:
-    """Return all that a map between two shapes follows from."""
-    ends = {"source": source.spectrum, "target": target.spectrum}
-    return {**ends, "matching": asdict(matching), "release": VERSION}
+def how_of(matching: Matching, source: ShapeRecord, target: ShapeRecord) -> dict[str, object]:
+    """Return what a map follows from beside its ends; modes that are not there do not matter."""
+    there = min(int(str(one.facts["k"])) for one in (source, target))
+    return {**asdict(matching), "k": min(matching.k, there)}
 
 
 def matched(
@@ -181,8 +182,7 @@ def matched(
     A map that is there is read whole, so that damage is found. BLAS gets one thread, as in
     `complete`.
     """
-    start, facts = time.perf_counter(), facts_of(matching, source, target)
-    key, replaced = facts_digest(facts), tuple[str, ...]()
+    start, key, replaced = time.perf_counter(), matching.key(source, target), tuple[str, ...]()
     try:
         found = load_match(store, key)
     except InvalidFileError as error:
@@ -197,7 +197,8 @@ def matched(
                 elastic=matching.elastic,
                 options=matching.options,
             )
-        store.keep_map(facts, _arrays(found))
+        how = how_of(matching, source, target)
+        store.keep_map(source.spectrum, target.spectrum, how, _arrays(found))
     return Matched(
         key=key,
         score=found.score,

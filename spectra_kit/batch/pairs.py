@@ -19,9 +19,7 @@ _ENDS = ("source", "target")
 
 @checked
 def find_pairs(
-    pairs: str | os.PathLike[str],
-    store: SpectrumStore,
-    plan: Plan | Mapping[str, object] | None = None,
+    pairs: str | os.PathLike[str], store: SpectrumStore, plan: Plan | None = None
 ) -> list[Pair]:
     """Return the pairs that are to be matched.
 
@@ -33,7 +31,7 @@ def find_pairs(
         further columns are handed on to the table.
     store : SpectrumStore
         Whose shapes.
-    plan : Plan or its facts, optional
+    plan : Plan, optional
         By which they were computed, where the store has several.
 
     Returns
@@ -64,8 +62,15 @@ def find_pairs(
     >>> [pair.name for pair in sk.batch.find_pairs("all", store)]
     ['animal0 to animal1', 'animal0 to animal2', 'animal1 to animal2']
     """
+    return pairs_of(pairs, store, None if plan is None else plan.facts)
+
+
+def pairs_of(
+    pairs: str | os.PathLike[str], store: SpectrumStore, facts: Mapping[str, object] | None
+) -> list[Pair]:
+    """Return the pairs that are to be matched: see `find_pairs`."""
     if os.fspath(pairs) == ALL:
-        names = sorted(records_of(store, plan))
+        names = sorted(records_of(store, facts))
         if len(names) < 2:
             raise InvalidInputError("store", "hold two shapes to match", len(names))
         return [Pair(source=a, target=b) for a, b in combinations(names, 2)]
@@ -88,14 +93,10 @@ def find_pairs(
     return found
 
 
-def records_of(
-    store: SpectrumStore, plan: Plan | Mapping[str, object] | None
-) -> dict[str, ShapeRecord]:
+def records_of(store: SpectrumStore, facts: Mapping[str, object] | None) -> dict[str, ShapeRecord]:
     """Return what a store holds of each name under a plan, or under the only one it has."""
-    if plan is None:
-        plan = only_plan(store)
-    facts = plan.facts if isinstance(plan, Plan) else plan
-    return {one.name: one for one in store.records() if one.facts == facts}
+    meant = only_plan(store) if facts is None else facts
+    return {one.name: one for one in store.records() if one.facts == meant}
 
 
 def only_plan(store: SpectrumStore, k: int | None = None) -> Mapping[str, object]:

@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-import os
-from importlib.util import find_spec
 from pathlib import Path
 from typing import get_args
 
 from spectra_kit._validate import quantity
-from spectra_kit.batch import (
-    BatchReport,
-    DaskEngine,
-    Engine,
-    Input,
-    compute_all,
-    find_inputs,
-    shard,
-    write_table,
-)
+from spectra_kit.batch import compute_all, find_inputs, write_table
 from spectra_kit.cli import program
 from spectra_kit.cli.options import refuse_given
 from spectra_kit.cli.output import check_output, tell
-from spectra_kit.cli.progress import counted, say
+from spectra_kit.cli.progress import counted
 from spectra_kit.cli.solving import check_solvers, make_solver
-from spectra_kit.cli.words import told
+from spectra_kit.cli.workers import engine_of, part_of, running, tell_run
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.store import Plan, SpectrumStore
 from spectra_kit.store.files import MARK
 from spectra_kit.store.plan import Descriptor
-
-_SOME = 20  # failures that are told of at most, where a table has room for all
 
 
 def batch(asked: program.Batch) -> None:
@@ -38,7 +25,7 @@ def batch(asked: program.Batch) -> None:
     known = get_args(Descriptor)
     if odd := [name for name in asked.descriptors if name not in known]:
         raise InvalidInputError("--descriptors", f"be among {', '.join(known)}", ", ".join(odd))
-    inputs = _part(asked, find_inputs(asked.paths))
+    inputs = part_of(asked, find_inputs(asked.paths))
     if asked.csv:
         check_output(asked.csv, [".csv"], [one.path for one in inputs])
     plan = Plan(
@@ -52,84 +39,23 @@ def batch(asked: program.Batch) -> None:
         descriptors=asked.descriptors,  # type: ignore[arg-type]
         precision=asked.precision,
     )
-    engine = _engine(asked, inputs)
+    engine = engine_of(asked, "shape", lambda: len(inputs))
     store = SpectrumStore(asked.out)
-    try:
-        with counted("computing", "shape") as progress:
-            report = compute_all(
-                inputs, store, plan, engine=engine, strict=asked.strict, progress=progress
-            )
-    except KeyboardInterrupt:
-        say("what is done is kept; the same command goes on with what is not")
-        raise
+    with running("computing", "shape") as progress:
+        report = compute_all(
+            inputs, store, plan, engine=engine, strict=asked.strict, progress=progress
+        )
     if asked.csv:
         write_table(asked.csv, report)
-    _tell(asked, report, len(inputs))
-
-
-def _part(asked: program.Batch, inputs: list[Input]) -> list[Input]:
-    if asked.shard is None:
-        return inputs
-    part, _, parts = asked.shard.partition("/")
-    if not (part.isdecimal() and parts.isdecimal()):
-        raise InvalidInputError("--shard", "be like 3/100, counted from 1", asked.shard)
-    return shard(inputs, int(part), int(parts))
-
-
-def _engine(asked: program.Batch, inputs: list[Input]) -> Engine | None:
-    """Return who works: workers, unless this process alone is asked for or is enough."""
-    own = ("nthreads", "memory_limit", "scheduler", "scheduler_file")
-    if asked.nworkers == 0:
-        refuse_given(asked, own, "with --nworkers 0, which is this process alone")
-        return None
-    scheduler = asked.scheduler
-    if not asked.scheduler_file and asked.nworkers is None:
-        scheduler = scheduler or os.environ.get("DASK_ADDRESS")
-    engine = DaskEngine(
-        scheduler=scheduler,
-        scheduler_file=asked.scheduler_file,
-        nworkers=asked.nworkers,
-        nthreads=asked.nthreads,
-        memory_limit=asked.memory_limit,
+    tell_run(
+        asked,
+        report,
+        noun="shape",
+        key="inputs",
+        count=len(inputs),
+        store=asked.out,
+        csv=asked.csv,
     )
-    told_to = scheduler or asked.scheduler_file or asked.nworkers is not None
-    if not told_to and (len(inputs) == 1 or find_spec("distributed") is None):
-        if len(inputs) > 1:
-            say("one shape at a time; pip install 'spectra_kit[batch]' lets all cores work")
-        return None
-    return engine
-
-
-def _tell(asked: program.Batch, report: BatchReport, count: int) -> None:
-    """Say what came of it; failures last, where they are seen."""
-    computed, done = report.computed, len(report.completed)
-    for text in report.replaced:
-        say(f"warning: {text}")
-    failed = [{"name": one.input.name, "reason": told(one.error)} for one in report.failed]
-    record = {
-        "inputs": count,
-        "computed": computed,
-        "known": done - computed,
-        "failed": failed,
-        "replaced": list(report.replaced),
-        "seconds": round(report.seconds, 3),
-        "store": asked.out,
-        "csv": asked.csv,
-    }
-    rate = f", {computed / report.seconds:.3g} a second" if computed else ""
-    lines = [
-        f"{quantity(count, 'shape')}: {computed:,} computed, {done - computed:,} known,"
-        f" {len(failed):,} failed; {report.seconds:.1f} s{rate}",
-        f"store: {asked.out}",
-    ]
-    tell(asked, record, "\n".join([*lines, *([f"table: {asked.csv}"] if asked.csv else [])]))
-    for one in failed:
-        say(f"failed: {one['name']}: {one['reason']}")
-    if failed:
-        raise InvalidInputError(
-            f"{quantity(len(failed), 'shape')} of {count:,} failed, as told above",
-            advice="mend or leave them out; what is done is kept",
-        )
 
 
 def store(asked: program.Store) -> None:

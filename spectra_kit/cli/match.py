@@ -43,7 +43,7 @@ from spectra_kit.viz import Page, View, plot_correspondence, plot_error_curves, 
 
 _MAPS = ("point_map.npy", "functional_map.npy", "report.json")
 _SIDES = ("source.npz", "target.npz")
-_MIRRORED = {"either": None, "kept": False, "reversed": True}
+MIRRORED = {"either": None, "kept": False, "reversed": True}
 _LINES = "hold lines of two integers, on the source and on the target"
 _PICTURES = ("correspondence.png", "functional_map.png", "errors.png")
 
@@ -88,7 +88,7 @@ def match_shapes(asked: program.Match) -> None:
     source = _solve(asked, asked.source, one)
     target = _solve(asked, asked.target, other)
     with step("matching"):
-        found, quality = _matched(source, target, landmarks, _MIRRORED[asked.sides])
+        found, quality = _matched(source, target, landmarks, MIRRORED[asked.sides])
     with step("judging the map"):
         quality |= quality_of(source, target, found.point_map)
         errors, label = None, ""

@@ -6,6 +6,7 @@ A command (see `program`) is a frozen dataclass of all its options; here are tho
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from importlib import import_module
@@ -82,7 +83,7 @@ class Command:
     """show the traceback of an error"""
 
     def __init_subclass__(cls) -> None:
-        cls.name = cls.__name__.lower()
+        cls.name = re.sub("(?<=[a-z])(?=[A-Z])", "-", cls.__name__).lower()
         cls.usage = f"usage: spectra-kit {cls.name} {cls.operands}"
 
     @classmethod

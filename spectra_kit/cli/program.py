@@ -165,14 +165,20 @@ class _Pair(options.Reading):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Known(_Pair):
+class _Sides(options.Command):
+    group = "input"
+
+    sides: Literal["either", "kept", "reversed"] = "either"
+    """whether the map may mirror (default: either, mirrored only if that is clearly better)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Known(_Sides, _Pair):
     group = "input"
 
     landmarks: Path | None = None
     """corresponding points: a line for each with its number on the source and on the target,
     counted from 0"""
-    sides: Literal["either", "kept", "reversed"] = "either"
-    """whether the map may mirror (default: either, mirrored only if that is clearly better)"""
     truth: Path | None = None
     """the true source point of each target point, an .npy file to measure errors by (negative:
     unknown)"""
@@ -339,7 +345,9 @@ class _Many(options.Read):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Workers(options.Command):
+class Workers(options.Command):
+    """Who works on many shapes, or on many pairs of them."""
+
     group = "workers"
     notes: ClassVar[Mapping[str, str]] = {
         "workers": "those of Dask; $DASK_ADDRESS is a scheduler, too"
@@ -348,7 +356,7 @@ class _Workers(options.Command):
     nworkers: int | None = None
     """processes on this machine, 0 for none but this one (default: one for each core)"""
     nthreads: int = 1
-    """shapes that each works on at a time"""
+    """shapes or pairs that each works on at a time"""
     memory_limit: Annotated[str, Parameter(metavar="SIZE")] = "auto"
     """of each process, such as 3GB"""
     scheduler: str | None = None
@@ -360,7 +368,7 @@ class _Workers(options.Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Batch(_Many, options.Operator, options.Solver, _Workers):
+class Batch(_Many, options.Operator, options.Solver, Workers):
     """Compute the spectra of many shapes into a store, each once, and a table of them."""
 
     outcome = "many spectra"
@@ -373,7 +381,7 @@ class Batch(_Many, options.Operator, options.Solver, _Workers):
     run = "batch.batch"
     operands = "INPUT... --out STORE [options]"
     notes: ClassVar[Mapping[str, str]] = {
-        **_Workers.notes,
+        **Workers.notes,
         "output": "what the store has already is not computed again; a table is replaced",
     }
 
@@ -395,7 +403,52 @@ class Batch(_Many, options.Operator, options.Solver, _Workers):
 
 
 @dataclass(frozen=True)
-class _Kept(options.Command):
+class _Store(options.Command):
+    group = "input"
+
+    store: Annotated[Path, Parameter(name="STORE", help="a folder that `batch` has filled")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Kept(_Store):
+    group = "input"
+
+    pairs: Annotated[Path, Parameter(metavar="all|FILE")]
+    """all shapes with all others, each two once; or a .csv file with columns `source` and `target`,
+    names of the store, and more for the table"""
+    k: Count | None = None
+    """number of modes: match the spectra that have so many (default: those there are)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchAll(_Kept, _Sides, Workers):
+    """Match shapes of a store in pairs, each once; the maps go into the store."""
+
+    outcome = "many maps"
+    examples = (
+        "match-all store --pairs all",
+        "match-all store --pairs pairs.csv --csv maps.csv",
+        "match-all store --pairs all --shard 3/100 --nworkers 0",
+    )
+    keys = (
+        "pairs, computed, known, failed, ambiguous, not_convincing, replaced, seconds, store, csv"
+    )
+    run = "match_all.match_pairs"
+    operands = "STORE --pairs all|FILE [options]"
+    notes: ClassVar[Mapping[str, str]] = {
+        **Workers.notes,
+        "output": "a map that is there is not searched for again; a table is replaced",
+    }
+
+    csv: Path | None = None
+    """write a row for each pair to this .csv file: score, margin, doubts, key of the map
+    (default: none)"""
+    strict: bool = False
+    """stop at the first pair that fails"""
+
+
+@dataclass(frozen=True)
+class _Looked(options.Command):
     group = "input"
 
     action: Annotated[
@@ -407,7 +460,7 @@ class _Kept(options.Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Store(_Kept):
+class Store(_Looked):
     """Look into a store of spectra: list what is there, read all of it, or remove what is old."""
 
     group = "output"
@@ -453,6 +506,7 @@ COMMANDS = (
     Similar,
     Label,
     Batch,
+    MatchAll,
     Store,
     Completion,
 )

@@ -140,7 +140,7 @@ class GroundedCholesky:
         return self.solutions([rhs])[0]
 
     def solutions(self, sides: Sequence[ArrayLike]) -> list[LinearSolution]:
-        """Solve for several right-hand sides at once, eight in little more than the time of one.
+        """Solve for several right-hand sides at once, which takes less time than one by one.
 
         Parameters
         ----------

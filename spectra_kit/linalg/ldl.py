@@ -65,8 +65,8 @@ class SparseLDL:
 
     Notes
     -----
-    A multifrontal factorisation in the order of `minimum_degree`; eight right-hand sides are
-    solved for in the time of one, so give it all there are at once. Compiled loops release the
+    A multifrontal factorisation in the order of `minimum_degree`; eight right-hand sides take
+    less than twice the time of one, so give it all there are at once. Compiled loops release the
     interpreter lock, in threads. The bits of a solution depend neither on the number of threads
     nor on the other right-hand sides. On operators
     of surfaces CHOLMOD from a wheel took five to seven times as long for a factor.

@@ -357,14 +357,21 @@ class SpectrumStore:
                 raise ValueError("its content has another hash than its name")
         return shape
 
-    def keep_map(self, facts: Mapping[str, object], arrays: Mapping[str, NDArray[Any]]) -> str:
+    def keep_map(
+        self,
+        source: str,
+        target: str,
+        how: Mapping[str, object],
+        arrays: Mapping[str, NDArray[Any]],
+    ) -> str:
         """Keep a map between two shapes, and return its key.
 
         Parameters
         ----------
-        facts : mapping
-            All that it follows from, as JSON can say it; among it the keys of two spectra as
-            ``source`` and ``target``, and the ``release`` that found it.
+        source, target : str
+            Keys of their spectra.
+        how : mapping
+            What else the map follows from, as JSON can say it; the release is added.
         arrays : mapping of str to ndarray
             What it is.
 
@@ -375,6 +382,8 @@ class SpectrumStore:
 
         Raises
         ------
+        InvalidInputError
+            If JSON cannot say `how`.
         StoreError
             If it cannot be written.
 
@@ -383,12 +392,16 @@ class SpectrumStore:
         >>> import tempfile
         >>> import numpy as np
         >>> import spectra_kit as sk
-        >>> store, facts = sk.store.SpectrumStore(tempfile.mkdtemp()), {"source": "", "target": ""}
-        >>> key = store.keep_map(facts, {"point_map": np.arange(3)})
+        >>> store = sk.store.SpectrumStore(tempfile.mkdtemp())
+        >>> key = store.keep_map("0" * 32, "1" * 32, {"k": 5}, {"point_map": np.arange(3)})
         >>> store.load_map(key)[1]["point_map"]
         array([0, 1, 2])
         """
-        key = facts_digest(facts)
+        facts = map_facts(source, target, how)
+        try:
+            key = facts_digest(facts)
+        except TypeError as error:
+            raise InvalidInputError("how", "be what JSON can say", f"more ({error})") from error
         with self._new("maps", key) as path:
             files.write(path, facts, **arrays)
         return key
@@ -419,7 +432,7 @@ class SpectrumStore:
         Returns
         -------
         facts : dict
-            As they were kept, but for tuples, which are lists now.
+            ``source``, ``target``, ``how`` and ``release``; tuples are lists now.
         arrays : dict of str to ndarray
             As they were kept.
 
@@ -699,7 +712,7 @@ class SpectrumStore:
         ]
         for entry in self.entries("maps"):
             facts = files.read_facts(entry.path)
-            if facts["release"] != VERSION or not kept.issuperset(_ends(facts)):
+            if facts["release"] != VERSION or not {facts["source"], facts["target"]} <= kept:
                 gone.append(entry.path)
         for entry in self.entries("records"):
             record = files.read_record(entry.path)
@@ -780,9 +793,9 @@ def _descriptor_facts(spectrum: str, name: str) -> dict[str, object]:
     return {"spectrum": spectrum, "descriptor": name}
 
 
-def _ends(facts: Mapping[str, object]) -> tuple[str, str]:
-    """Return the keys of the spectra that a map joins."""
-    return str(facts["source"]), str(facts["target"])
+def map_facts(source: str, target: str, how: Mapping[str, object]) -> dict[str, object]:
+    """Return all that a map between the shapes of two spectra follows from."""
+    return {"source": source, "target": target, "how": how, "release": VERSION}
 
 
 def _record_key(name: str, facts: Mapping[str, object]) -> str:

@@ -4,6 +4,7 @@ import json
 import re
 
 import pytest
+from conftest import creature
 from running import printed
 
 from spectra_kit.cli import main
@@ -11,7 +12,7 @@ from spectra_kit.cli.program import COMMANDS, app, parse
 from spectra_kit.embeddings import ShapeDNA
 from spectra_kit.geometry import TriangleMesh, sphere, write
 from spectra_kit.learning import NearestNeighbour, Recipe, save_labeller, train_classifier
-from spectra_kit.store import SpectrumStore
+from spectra_kit.store import Plan, SpectrumStore, complete
 
 NAMES = [command.name for command in COMMANDS]
 SMALL = ("demo", "--points", "500", "-q", "--json")
@@ -25,6 +26,7 @@ CHEAP = {  # what is not SMALL with four modes
     "similar": ("a.off", ".", "-q", "--json", "-k", "20"),
     "label": ("a.off", "known.safetensors", "-q", "--json"),
     "batch": ("a.off", "-o", "spectra", "-q", "--json", "-k", "4", "--nworkers", "0"),
+    "match-all": ("known", "--pairs", "all", "-q", "--json", "--nworkers", "0"),
     "store": ("list", "known", "-q", "--json"),
     "completion": ("bash", "--json"),
 }
@@ -38,7 +40,7 @@ def help_of(capsys, monkeypatch, *arguments, width=80):
 def test_the_story_has_each_command_with_an_example(capsys, monkeypatch):
     story = help_of(capsys, monkeypatch)
     assert max(map(len, story.splitlines())) <= 79
-    told = re.findall(r"^  (\w+) .*  spectra-kit (\w+) \S", story, flags=re.MULTILINE)
+    told = re.findall(r"^  ([\w-]+) .*  spectra-kit ([\w-]+) \S", story, flags=re.MULTILINE)
     assert told == [(name, name) for name in NAMES]
     assert story.count("\n") <= len(NAMES) + 7, "a line for each command, and little beside"
     assert "Exit codes: 0 fine, 1 bug, 2 bad usage or file, 3 solver failed" in story
@@ -85,7 +87,7 @@ def test_one_word_has_one_meaning_over_all_commands():
 @pytest.mark.parametrize("name", NAMES)
 def test_json_is_one_object_with_the_keys_that_the_help_names(name, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    SpectrumStore("known")
+    store = SpectrumStore("known")
     if name in ("match", "similar", "label", "batch"):
         ball = sphere(subdivisions=2).geometry
         for file in ("a.off", "b.off"):
@@ -93,6 +95,10 @@ def test_json_is_one_object_with_the_keys_that_the_help_names(name, capsys, monk
         recipe = Recipe(embeddings=(ShapeDNA(count=3),), k=5)
         known = train_classifier([ball, ball], [0, 1], recipe=recipe, method=NearestNeighbour())
         save_labeller("known.safetensors", known)
+    if name == "match-all":
+        write(creature(600), "a.off")
+        for animal in ("cat", "lion"):
+            complete(store, animal, "a.off", Plan(k=30))
     out, err = printed(capsys, name, *CHEAP.get(name, (*SMALL, "-k", "4")))
     assert err == ""
     assert out.count("\n") < 120  # the numbers of an array are on one line

@@ -155,6 +155,14 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     report = batch.compute_all(inputs, spectra, plan)
     done = report.completed[0][1]
     dataset = learning.StoreDataset(spectra)
+    store.complete(spectra, "copy.obj", folder / "mesh.obj", plan)
+    pair_of_names = batch.Pair(source="mesh.obj", target="copy.obj")
+    made = batch.Matched(
+        **{"key": "0" * 32, "score": 0.1, "margin": 2.0, "mirror_margin": 2.0, "coverage": 1.5},
+        **{"orientation": 1.0, "mirrored": False, "ambiguous": False, "convincing": True},
+        **{"doubts": (), "computed": True, "replaced": (), "seconds": 0.1},
+    )
+    maps = batch.MatchReport(matched=((pair_of_names, made),), failed=(), seconds=0.1)
     portrait = viz.Portrait(geometry=mesh, labels=halves, lines=("x",))
     quick = matching.MatchOptions(
         **{"first_samples": 12, "growing": 8, "growing_samples": 40, "grown_modes": 10},
@@ -182,6 +190,10 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             done,
             done.record,
             batch.DaskEngine(scheduler="tcp://127.0.0.1:8786"),
+            pair_of_names,
+            batch.Matching(),
+            made,
+            maps,
         ),
         *(dataset, recipe, classifier, segmenter, index, portrait, learning.Training(epochs=1)),
         *(viz.View(), sk.RayleighRitz(), geodesics.Automatic(), given, map_errors),
@@ -270,6 +282,18 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("inputs", inputs),
         ("DaskEngine.scheduler_file DaskEngine.nworkers", None),
         ("compute_all.store complete.store", spectra),
+        ("find_pairs.store match_all.store load_match.store", spectra),
+        ("match_all.pairs", []),
+        ("find_pairs.pairs", "all"),
+        ("match_all.plan find_pairs.plan", plan),
+        ("Matching.k", 30),
+        ("Matching.key.source Matching.key.target", done.record),
+        ("SpectrumStore.keep_map.source SpectrumStore.keep_map.target", "0" * 32),
+        ("how", {"k": 5}),
+        ("arrays", {"point_map": same}),
+        ("Pair.source Pair.target", "mesh.obj"),
+        ("load_match.key SpectrumStore.load_map.key SpectrumStore.has_map.key", "0" * 32),
+        ("write_match_table.report", maps),
         ("complete.file", "mesh.obj"),
         ("SpectrumStore.descriptor.name SpectrumStore.descriptor_key.name", "dna"),
         ("SpectrumStore.entries.kind", "shapes"),
@@ -391,6 +415,11 @@ ALSO = {
     "Problem.remedies": {"array"},
     "BatchReport.completed": {"array"},
     "BatchReport.failed": {"array"},
+    "MatchReport.matched": {"array"},
+    "MatchReport.failed": {"array"},
+    "match_all.pairs": {"array"},
+    "Matched.doubts": {"array of U"},
+    "Matched.replaced": {"array of U"},
     "inputs": {"array"},
     "Completed.replaced": {"array of U"},
     "Plan.solver": {"Arpack"},

@@ -1,0 +1,71 @@
+"""Match many pairs of shapes of a store."""
+
+from __future__ import annotations
+
+from spectra_kit.batch import Matching, write_match_table
+from spectra_kit.batch.match_all import match_records
+from spectra_kit.batch.pairs import only_plan, pairs_of, records_of
+from spectra_kit.cli import program
+from spectra_kit.cli.match import MIRRORED
+from spectra_kit.cli.output import check_output
+from spectra_kit.cli.workers import engine_of, part_of, running, tell_run
+from spectra_kit.errors import InvalidInputError
+from spectra_kit.matching.prepare import LOWEST_K
+from spectra_kit.store import SpectrumStore
+from spectra_kit.store.files import MARK
+
+
+def match_pairs(asked: program.MatchAll) -> None:
+    """Match pairs of a store, tell what failed, write the table."""
+    if not (asked.store / MARK).is_file():
+        raise InvalidInputError(f"{str(asked.store)!r} is no store", advice="name one")
+    if asked.csv:
+        check_output(asked.csv, [".csv"], [asked.pairs])
+    store = SpectrumStore(asked.store)
+    plan = only_plan(store, asked.k)
+    if (k := int(str(plan["k"]))) < LOWEST_K:
+        raise InvalidInputError(
+            "store",
+            f"hold spectra of at least {LOWEST_K} modes to match",
+            f"those of {k}",
+            advice="compute them with more (150 match best)",
+        )
+    records = records_of(store, plan)
+    pairs = part_of(asked, pairs_of(asked.pairs, store, plan))
+    matching = Matching(k=k, mirrored=MIRRORED[asked.sides])
+
+    def missing() -> int:
+        ends = [(records.get(pair.source), records.get(pair.target)) for pair in pairs]
+        return sum(
+            a is not None and b is not None and not store.has_map(matching.key(a, b))
+            for a, b in ends
+        )
+
+    engine = engine_of(asked, "pair", missing)
+    with running("matching", "pair") as progress:
+        report = match_records(
+            store,
+            pairs,
+            records,
+            matching=matching,
+            engine=engine,
+            strict=asked.strict,
+            progress=progress,
+        )
+    if asked.csv:
+        write_match_table(asked.csv, report)
+    found = [one for _, one in report.matched]
+    doubts = {
+        "ambiguous": sum(one.ambiguous for one in found),
+        "not_convincing": sum(not one.convincing for one in found),
+    }
+    tell_run(
+        asked,
+        report,
+        noun="pair",
+        key="pairs",
+        count=len(pairs),
+        store=asked.store,
+        csv=asked.csv,
+        more=doubts,
+    )

@@ -1,0 +1,116 @@
+"""What the commands of many shapes share: their part of the work, who does it, what came of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+
+from spectra_kit._validate import quantity
+from spectra_kit.batch import BatchReport, DaskEngine, Engine, MatchReport, shard
+from spectra_kit.batch.inputs import Named
+from spectra_kit.cli import program
+from spectra_kit.cli.options import refuse_given
+from spectra_kit.cli.output import tell
+from spectra_kit.cli.progress import counted, say
+from spectra_kit.cli.words import told
+from spectra_kit.errors import InvalidInputError
+
+
+def part_of(asked: program.Workers, inputs: Sequence[Named]) -> Sequence[Named]:
+    """Return the part that `--shard` asks for."""
+    if asked.shard is None:
+        return inputs
+    part, _, parts = asked.shard.partition("/")
+    if not (part.isdecimal() and parts.isdecimal()):
+        raise InvalidInputError("--shard", "be like 3/100, counted from 1", asked.shard)
+    return shard(inputs, int(part), int(parts))
+
+
+def engine_of(asked: program.Workers, noun: str, missing: Callable[[], int]) -> Engine | None:
+    """Return who works: workers, unless this process alone is asked for or is enough.
+
+    It is enough if nothing is `missing`, which is counted only where it matters.
+    """
+    own = ("nthreads", "memory_limit", "scheduler", "scheduler_file")
+    if asked.nworkers == 0:
+        refuse_given(asked, own, "with --nworkers 0, which is this process alone")
+        return None
+    scheduler = asked.scheduler
+    if not asked.scheduler_file and asked.nworkers is None:
+        scheduler = scheduler or os.environ.get("DASK_ADDRESS")
+    engine = DaskEngine(
+        scheduler=scheduler,
+        scheduler_file=asked.scheduler_file,
+        nworkers=asked.nworkers,
+        nthreads=asked.nthreads,
+        memory_limit=asked.memory_limit,
+    )
+    count = missing()
+    if not count:
+        return None
+    told_to = scheduler or asked.scheduler_file or asked.nworkers is not None
+    if not told_to and (count == 1 or find_spec("distributed") is None):
+        if count > 1:
+            say(f"one {noun} at a time; pip install 'spectra_kit[batch]' lets all cores work")
+        return None
+    return engine
+
+
+@contextmanager
+def running(text: str, noun: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a bar while a run goes on; say that one that was interrupted has lost nothing."""
+    try:
+        with counted(text, noun) as progress:
+            yield progress
+    except KeyboardInterrupt:
+        say("what is done is kept; the same command goes on with what is not")
+        raise
+
+
+def tell_run(
+    asked: program.Workers,
+    report: BatchReport | MatchReport,
+    *,
+    noun: str,
+    key: str,
+    count: int,
+    store: Path,
+    csv: Path | None,
+    more: dict[str, int] | None = None,
+) -> None:
+    """Say what came of a run; failures last, where they are seen. `more` is told of results."""
+    for text in report.replaced:
+        say(f"warning: {text}")
+    things = [(one[0].name, one[1]) for one in report.failed]
+    failed = [{"name": name, "reason": told(error)} for name, error in things]
+    computed, known = report.computed, count - len(failed) - report.computed
+    record = {
+        key: count,
+        "computed": computed,
+        "known": known,
+        "failed": failed,
+        **(more or {}),
+        "replaced": list(report.replaced),
+        "seconds": round(report.seconds, 3),
+        "store": store,
+        "csv": csv,
+    }
+    rate = f", {computed / report.seconds:.3g} a second" if computed else ""
+    lines = [
+        f"{quantity(count, noun)}: {computed:,} computed, {known:,} known,"
+        f" {len(failed):,} failed; {report.seconds:.1f} s{rate}",
+        *(f"{name.replace('_', ' ')}: {value:,}" for name, value in (more or {}).items()),
+        f"store: {store}",
+        *([f"table: {csv}"] if csv else []),
+    ]
+    tell(asked, record, "\n".join(lines))
+    for one in failed:
+        say(f"failed: {one['name']}: {one['reason']}")
+    if failed:
+        raise InvalidInputError(
+            f"{quantity(len(failed), noun)} of {count:,} failed, as told above",
+            advice="mend or leave them out; what is done is kept",
+        )
