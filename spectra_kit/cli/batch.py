@@ -37,6 +37,7 @@ def batch(asked: program.Batch) -> None:
         cloud=asked.cloud,
         seed=asked.seed,
         descriptors=asked.descriptors,  # type: ignore[arg-type]
+        operators=("stiffness", "gradient") if asked.tensors else (),
         precision=asked.precision,
     )
     engine = engine_of(asked, "shape", lambda: len(inputs))

@@ -396,8 +396,10 @@ class Batch(_Many, options.Operator, options.Solver, Workers):
         tuple[str, ...], Parameter(converter=options.words, n_tokens=1, metavar="NAME,...")
     ] = ()
     """also keep these: hks, wks, gps, dna (default: none)"""
+    tensors: bool = False
+    """also keep what networks ask for: Laplacians, frames and gradients"""
     precision: Literal["float64", "float32"] = "float64"
-    """of eigenvectors and descriptors in the store"""
+    """of eigenvectors, descriptors and tensors in the store"""
     strict: bool = False
     """stop at the first shape that fails"""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -21,7 +20,6 @@ from spectra_kit.learning.tensors import ShapeTensors
 from spectra_kit.linalg.torch_device import check_float_dtype
 from spectra_kit.operators import laplacian, tangent_gradient
 from spectra_kit.store import Plan, ShapeRecord, SpectrumStore
-from spectra_kit.store import files as store_files
 
 
 class _Entry(NamedTuple):
@@ -30,7 +28,8 @@ class _Entry(NamedTuple):
     name: str
     shape: str  #: Keys in the store.
     spectrum: str
-    descriptors: tuple[tuple[str, str], ...]  #: Names and files.
+    descriptors: Mapping[str, str]
+    operators: Mapping[str, str]  #: Those that are kept; others are assembled.
 
 
 @checked
@@ -38,7 +37,7 @@ class _Entry(NamedTuple):
 class StoreDataset(Dataset[ShapeTensors]):
     """Shapes of a store as tensors, in the order of their names.
 
-    Geometries, modes and descriptors are read; operators, which cost little beside modes, are
+    Everything is read, but for operators that the plan did not keep (`Plan.operators`): these are
     assembled anew each time. Loads and is copied to workers quickly: it holds names alone.
 
     Parameters
@@ -48,7 +47,7 @@ class StoreDataset(Dataset[ShapeTensors]):
     plan : Plan, optional
         Only what was computed by it; needed where shapes were computed by several.
     operators : tuple of {"stiffness", "gradient"}, default both
-        Which to assemble: the weak Laplacian; frames, and slopes along their axes.
+        Which there shall be: the weak Laplacian; frames, and slopes along their axes.
     oriented : bool, default True
         Let the normals of frames point outwards, as `tangent_gradient` does. Surfaces without an
         outer side are refused then; of clouds it takes as long as their modes.
@@ -97,18 +96,17 @@ class StoreDataset(Dataset[ShapeTensors]):
     def __post_init__(self) -> None:
         check_float_dtype(self.dtype)
         records = _of_one_plan([*self.store.records()], self.plan)
-        wanted = any(record.descriptors for record in records)
-        places = {e.key: str(e.path) for e in self.store.entries("descriptors")} if wanted else {}
-        try:
-            entries = tuple(
-                _Entry(
-                    *(record.name, record.shape, record.spectrum),
-                    tuple((name, places[key]) for name, key in record.descriptors.items()),
-                )
-                for record in records
+        entries = tuple(
+            _Entry(
+                *(one.name, one.shape, one.spectrum, one.descriptors),
+                {
+                    name: key
+                    for name, key in one.operators.items()
+                    if name != "gradient" or self.oriented  # which kept ones are
+                },
             )
-        except KeyError as error:
-            raise _gone("descriptors") from error
+            for one in records
+        )
         assembly = {name: records[0].facts[name] for name in ("operator", "boundary")}
         object.__setattr__(self, "_entries", entries)
         object.__setattr__(self, "_assembly", assembly)
@@ -145,18 +143,31 @@ class StoreDataset(Dataset[ShapeTensors]):
             eigenvalues=eigenvalues,
             eigenvectors=eigenvectors,
             descriptors={
-                name: self._tensor(store_files.read(Path(place))[1]["values"])
-                for name, place in entry.descriptors
+                name: self._tensor(self.store.load_descriptor(key))
+                for name, key in entry.descriptors.items()
             },
         )
-        return self._with_operators(item, shape)
+        return self._with_operators(item, shape, entry.operators)
 
-    def _with_operators(self, item: ShapeTensors, shape: Geometry) -> ShapeTensors:
+    def _with_operators(
+        self, item: ShapeTensors, shape: Geometry, kept: Mapping[str, str]
+    ) -> ShapeTensors:
         if "stiffness" in self.operators:
-            stiffness = laplacian(shape, **self._assembly).stiffness
+            key = kept.get("stiffness")
+            stiffness: Any = (
+                self.store.load_operator(key)
+                if key
+                else laplacian(shape, **self._assembly).stiffness
+            )
             item = item._replace(stiffness=csr_tensor(stiffness, self.dtype))
         if "gradient" in self.operators:
-            frames, x, y = tangent_gradient(shape, oriented=self.oriented)
+            key = kept.get("gradient")
+            gradient: Any = (
+                self.store.load_operator(key)
+                if key
+                else tangent_gradient(shape, oriented=self.oriented)
+            )
+            frames, x, y = gradient
             item = item._replace(
                 frames=self._tensor(frames),
                 gradient_x=csr_tensor(x, self.dtype),

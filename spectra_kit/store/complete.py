@@ -111,6 +111,9 @@ def complete(
             _check_memory(path, plan, shape.n)
         spectrum = store.spectrum(shape, plan)
         signatures = {kind: store.descriptor(shape, plan, kind) for kind in plan.descriptors}
+        operators: dict[str, str] = {
+            kind: store.keep_operator(shape, plan, kind) for kind in plan.operators
+        }
     for one in caught:
         if not issubclass(one.category, SpectraKitWarning):
             warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
@@ -127,7 +130,8 @@ def complete(
         shape=shape_digest(shape),
         spectrum=key,
         descriptors=descriptors,
-        sizes=store.sizes(shape_digest(shape), key, *descriptors.values()),
+        operators=operators,
+        sizes=store.sizes(shape_digest(shape), key, *descriptors.values(), *operators.values()),
         kind="mesh" if isinstance(shape, TriangleMesh) else "cloud",
         points=shape.n,
         faces=len(shape.faces) if isinstance(shape, TriangleMesh) else 0,

@@ -22,7 +22,7 @@ from spectra_kit.errors import (
     StoreError,
 )
 
-Kind = Literal["shapes", "spectra", "descriptors", "maps", "records"]
+Kind = Literal["shapes", "spectra", "descriptors", "operators", "maps", "records"]
 
 FORMAT_VERSION = 1
 _LISTS = ("eigenvalues", "dna", "problems", "warnings")  # of a record
@@ -35,9 +35,9 @@ class StoredEntry(NamedTuple):
 
     Attributes
     ----------
-    kind : {"shapes", "spectra", "descriptors", "maps", "records"}
-        What it holds: a geometry, its modes, a signature, a map between two, or which of these
-        belong to a name.
+    kind : {"shapes", "spectra", "descriptors", "operators", "maps", "records"}
+        What it holds: a geometry, its modes, a signature, an operator, a map between two, or which
+        of these belong to a name.
     key : str
         Hash of all that its content follows from.
     path : Path
@@ -82,8 +82,8 @@ class ShapeRecord:
         What was computed, and how: see `Plan`.
     shape, spectrum : str
         Keys of the geometry and of its modes.
-    descriptors : dict of str to str
-        Keys of the signatures.
+    descriptors, operators : dict of str to str
+        Keys of the signatures, and of the operators.
     sizes : dict of str to int
         Bytes of all these entries, by their keys.
     kind : {"mesh", "cloud"}
@@ -116,6 +116,7 @@ class ShapeRecord:
     shape: str
     spectrum: str
     descriptors: Mapping[str, str]
+    operators: Mapping[str, str]
     sizes: Mapping[str, int]
     kind: Literal["mesh", "cloud"]
     points: int

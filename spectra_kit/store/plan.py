@@ -44,9 +44,12 @@ class Plan:
     descriptors : tuple of {"hks", "wks", "gps", "dna"}, optional
         Signatures to keep beside the spectrum: heat and wave kernel, global point signature, and
         ShapeDNA, each with its default options.
+    operators : tuple of {"stiffness", "gradient"}, optional
+        Operators to keep beside the spectrum, for networks: the Laplacian; and frames with the
+        gradients in them, normals outwards (`operators.tangent_gradient`).
     precision : {"float64", "float32"}, default "float64"
-        In which eigenvectors and descriptors of points are kept. Eigenvalues and masses are kept in
-        float64.
+        In which eigenvectors, descriptors of points and operators are kept. Eigenvalues and masses
+        are kept in float64.
 
     Raises
     ------
@@ -69,6 +72,7 @@ class Plan:
     cloud: int | None = None
     seed: int = 0
     descriptors: tuple[Descriptor, ...] = ()
+    operators: tuple[Literal["stiffness", "gradient"], ...] = ()
     precision: Literal["float64", "float32"] = "float64"
 
     def __post_init__(self) -> None:
@@ -76,8 +80,9 @@ class Plan:
         check_count("seed", self.seed, low=0)
         if self.cloud is not None:
             check_count("cloud", self.cloud, low=4)
-        if len(set(self.descriptors)) < len(self.descriptors):
-            raise InvalidInputError("descriptors", "be named once each", self.descriptors)
+        for name in ("descriptors", "operators"):
+            if len(set(named := getattr(self, name))) < len(named):
+                raise InvalidInputError(name, "be named once each", named)
 
     def prepared(self, shape: Geometry) -> Geometry:
         """Return a shape as it is looked at: repaired, and sampled, where the plan says so.
@@ -175,7 +180,8 @@ class Plan:
     def facts(self) -> dict[str, object]:
         """What decides all that is kept of a file."""
         reading = {"repair": self.repair, "cloud": self.cloud, "seed": self.seed}
-        return {**self.solved, **reading, "descriptors": list(self.descriptors)}
+        kept = {"descriptors": list(self.descriptors), "operators": list(self.operators)}
+        return {**self.solved, **reading, **kept}
 
 
 def describe(name: str, spectrum: object) -> object:

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path, parsing
@@ -23,10 +24,18 @@ from spectra_kit._version import VERSION
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh
+from spectra_kit.operators import TangentGradient
 from spectra_kit.spectra import Spectrum
 from spectra_kit.spectra.spectrum import plain
 from spectra_kit.store import files
 from spectra_kit.store.files import Damage, Kind, ShapeRecord, StoredEntry
+from spectra_kit.store.operators import (
+    OperatorName,
+    gradient_of,
+    operator_facts,
+    packed,
+    stiffness_of,
+)
 from spectra_kit.store.plan import Descriptor, Plan, describe
 
 Found = TypeVar("Found")
@@ -35,6 +44,7 @@ _SUFFIX: Mapping[Kind, str] = {
     "shapes": ".npz",
     "spectra": ".npz",
     "descriptors": ".npz",
+    "operators": ".npz",
     "maps": ".npz",
     "records": ".json",
 }
@@ -285,6 +295,112 @@ class SpectrumStore:
         """
         return facts_digest(_descriptor_facts(spectrum, name))
 
+    def load_descriptor(self, key: str) -> Floats:
+        """Return a signature.
+
+        Parameters
+        ----------
+        key : str
+            As `descriptor_key` returns it, and `records` tell.
+
+        Returns
+        -------
+        ndarray of shape (n, c), or (c,) of ShapeDNA
+            In the precision in which it was kept.
+
+        Raises
+        ------
+        InvalidFileError
+            If there is none, or it is damaged.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store, animal = sk.store.SpectrumStore(tempfile.mkdtemp()), sk.geometry.creature(600)
+        >>> _ = store.descriptor(animal, sk.store.Plan(k=12), "hks")
+        >>> key = store.descriptor_key(store.key(animal, sk.store.Plan(k=12)), "hks")
+        >>> store.load_descriptor(key).shape
+        (600, 16)
+        """
+        values: Floats = files.read(self._place("descriptors", key))[1]["values"]
+        return values
+
+    def keep_operator(self, shape: Geometry, plan: Plan, name: OperatorName) -> str:
+        """Keep an operator of a shape, assembled unless it is there, and return its key.
+
+        Parameters
+        ----------
+        shape : TriangleMesh or PointCloud
+            As it is looked at: see `Plan.prepared`.
+        plan : Plan
+            Which Laplacian, and in which precision.
+        name : {"stiffness", "gradient"}
+            Which.
+
+        Returns
+        -------
+        str
+            For `load_operator`.
+
+        Raises
+        ------
+        InvalidInputError
+            As of `Plan.laplacian`, and of `tangent_gradient` with outward normals.
+        StoreError
+            If it cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store, plan = sk.store.SpectrumStore(tempfile.mkdtemp()), sk.store.Plan()
+        >>> key = store.keep_operator(sk.geometry.creature(600), plan, "stiffness")
+        >>> store.load_operator(key).shape
+        (600, 600)
+        """
+        facts = operator_facts(shape_digest(shape), plan, name)
+        key = facts_digest(facts)
+        path = self._place("operators", key)
+
+        def kept() -> str:
+            with self._new("operators", key) as place:
+                files.write(place, facts, **packed(shape, plan, name))
+            return key
+
+        return _known(lambda: files.read(path) and key if path.exists() else None, kept)
+
+    def load_operator(self, key: str) -> csr_array | TangentGradient:
+        """Return an operator.
+
+        Parameters
+        ----------
+        key : str
+            As `keep_operator` returns it, and `records` tell.
+
+        Returns
+        -------
+        csr_array of shape (n, n), or TangentGradient
+            The stiffness; or frames and gradients.
+
+        Raises
+        ------
+        InvalidFileError
+            If there is none, or it is damaged.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store, plan = sk.store.SpectrumStore(tempfile.mkdtemp()), sk.store.Plan()
+        >>> key = store.keep_operator(sk.geometry.creature(600), plan, "gradient")
+        >>> store.load_operator(key).frames.shape
+        (600, 3, 3)
+        """
+        header, arrays = files.read(self._place("operators", key))
+        stiffness = header["facts"]["kept"] == "stiffness"
+        return stiffness_of(arrays) if stiffness else gradient_of(arrays)
+
     def keep_shape(self, shape: Geometry) -> str:
         """Keep a geometry, and return its key.
 
@@ -508,8 +624,9 @@ class SpectrumStore:
         >>> store.keep_record(
         ...     sk.store.ShapeRecord(
         ...         name="cat.off", file="", facts=plan.facts, shape="", spectrum="",
-        ...         descriptors={}, sizes={}, kind="cloud", points=0, faces=0, area=0.0,
-        ...         components=0, zero_modes=0, level="residuals", residual=0.0, eigenvalues=(),
+        ...         descriptors={}, operators={}, sizes={}, kind="cloud", points=0, faces=0,
+        ...         area=0.0, components=0, zero_modes=0, level="residuals", residual=0.0,
+        ...         eigenvalues=(),
         ...     )
         ... )
         >>> store.record("cat.off", plan).name
@@ -526,7 +643,7 @@ class SpectrumStore:
         Parameters
         ----------
         *keys : str
-            Of geometries, spectra, descriptors or maps.
+            Of geometries, spectra, descriptors, operators or maps.
 
         Returns
         -------
@@ -605,7 +722,7 @@ class SpectrumStore:
 
         Parameters
         ----------
-        kind : {"shapes", "spectra", "descriptors", "maps", "records"}, optional
+        kind : {"shapes", "spectra", "descriptors", "operators", "maps", "records"}, optional
             Which.
 
         Yields
@@ -710,6 +827,12 @@ class SpectrumStore:
             for entry in self.entries("descriptors")
             if files.read_facts(entry.path)["spectrum"] not in kept
         ]
+        for entry in self.entries("operators"):
+            facts = files.read_facts(entry.path)
+            if facts["release"] == VERSION:
+                used.add(str(facts["shape"]))
+            else:
+                gone.append(entry.path)
         for entry in self.entries("maps"):
             facts = files.read_facts(entry.path)
             if facts["release"] != VERSION or not {facts["source"], facts["target"]} <= kept:

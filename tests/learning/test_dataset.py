@@ -3,6 +3,7 @@
 import os
 import pickle
 import warnings
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -315,10 +316,27 @@ def test_what_cannot_be_read_is_told(tmp_path):
     with pytest.raises(InvalidFileError) as caught:
         dataset[0]
     assert caught.value.__notes__ == ["of the shape 'ring'"]
+    complete(store, "ring", tmp_path / "ring.ply", Plan(k=8, descriptors=("dna",)))
     paths["descriptors"].unlink()
-    refused("store", "hold the descriptors that its records name", StoreDataset, store)
+    with pytest.raises(InvalidFileError, match="there is no such file"):
+        dataset[0]
     with pytest.raises(IndexError):
         dataset[1]
+
+
+def test_operators_that_are_kept_are_those_that_are_assembled(store, tmp_path):
+    own = fill(tmp_path, SHAPES, replace(PLAN, operators=("stiffness", "gradient")))
+    for one, other in zip(StoreDataset(own), StoreDataset(store), strict=True):
+        assert_same(one, other)
+    files = {entry.path for entry in own.entries("operators")}
+    assert len(files) == 2 * len(SHAPES)
+    sides = (StoreDataset(kept, oriented=False)[0] for kept in (own, store))
+    assert_same(*sides)  # assembled, as those that are kept have outer sides
+    for path in files:
+        path.unlink()
+    with pytest.raises(InvalidFileError, match="there is no such file"):
+        StoreDataset(own)[0]
+    assert StoreDataset(own, operators=())[0].stiffness is None
 
 
 def test_a_surface_without_an_outer_side_is_refused_unless_that_does_not_matter(tmp_path):

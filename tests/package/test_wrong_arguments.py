@@ -150,7 +150,8 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     folder = Path(tempfile.mkdtemp())
     atexit.register(shutil.rmtree, folder)
     geometry.write(mesh, folder / "mesh.obj")
-    plan, spectra = store.Plan(k=8, descriptors=("dna",)), store.SpectrumStore(folder / "store")
+    plan = store.Plan(k=8, descriptors=("dna",), operators=("stiffness",))
+    spectra = store.SpectrumStore(folder / "store")
     inputs = [batch.Input(name="mesh.obj", path=folder / "mesh.obj")]
     report = batch.compute_all(inputs, spectra, plan)
     done = report.completed[0][1]
@@ -232,7 +233,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("features", (signature, signature)),
         ("fit_functional_map.oriented", (oriented, oriented)),
         ("gradient", slopes),
-        ("operators", interop.to_diffusion_net(spectrum, laplacian, slopes)),
+        ("from_diffusion_net.operators", interop.to_diffusion_net(spectrum, laplacian, slopes)),
         ("mismatches.source mismatches.target", prepared),
         ("Union.parts start subspace", given),
         ("embedding", embeddings.HeatSignature(count=4)),
@@ -242,7 +243,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("embed_batch.points", torch.rand(2, 9, 3)),
         ("embed_batch.mass", torch.ones(2, 9)),
         ("mesh_eigenvalues.points", torch.tensor(np.array(ball.points))),
-        ("eigenvalues.stiffness", interop.to_diffusion_net(spectrum, laplacian)[1]),
+        ("eigenvalues.stiffness", interop.to_diffusion_net(spectrum, laplacian, slopes).L),
         ("eigenvalues.mass", torch.tensor(np.array(spectrum.mass))),
         ("eigenvalues.fixed", [0, 1]),
         ("train_classifier.shapes train_segmenter.shapes", [mesh, ball]),
@@ -297,6 +298,9 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("complete.file", "mesh.obj"),
         ("SpectrumStore.descriptor.name SpectrumStore.descriptor_key.name", "dna"),
         ("SpectrumStore.entries.kind", "shapes"),
+        ("keep_operator.name", "stiffness"),
+        ("load_operator.key", done.record.operators["stiffness"]),
+        ("load_descriptor.key", done.record.descriptors["dna"]),
         ("SpectrumStore.shape.key", done.record.shape),
         ("SpectrumStore.load.key SpectrumStore.descriptor_key.spectrum", done.record.spectrum),
         ("shard.part shard.parts", 1),
@@ -424,6 +428,7 @@ ALSO = {
     "Completed.replaced": {"array of U"},
     "Plan.solver": {"Arpack"},
     "Plan.descriptors": {"array"},
+    "Plan.operators": {"array"},
     "StoreDataset.operators": {"array"},
     "ShapeRecord.problems": {"array of U"},
     "ShapeRecord.warnings": {"array of U"},

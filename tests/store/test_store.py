@@ -26,6 +26,7 @@ from spectra_kit.errors import (
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, write
 from spectra_kit.linalg.memory import memory_of
 from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
+from spectra_kit.operators import tangent_gradient
 from spectra_kit.spectra import Spectrum
 from spectra_kit.store import Plan, SpectrumStore, complete
 from spectra_kit.store.plan import NAMES
@@ -137,6 +138,20 @@ def test_descriptors_are_those_of_the_catalogue(store, name):
         np.testing.assert_array_equal(store.descriptor(mesh, PLAN, name), expected)
 
 
+def test_operators_are_those_that_are_assembled(store):
+    mesh, gradient = bumpy(), tangent_gradient(bumpy(), oriented=True)
+    for precision, tolerance in (("float64", 0.0), ("float32", 1e-6)):
+        plan = Plan(k=12, operator="cotan", precision=precision)
+        stiffness = store.load_operator(store.keep_operator(mesh, plan, "stiffness"))
+        frames, x, y = store.load_operator(store.keep_operator(mesh, plan, "gradient"))
+        assert stiffness.dtype == x.dtype == frames.dtype == precision
+        for kept, made in ((stiffness, sk.cotan_laplacian(mesh).stiffness), (x, gradient.x),
+                           (y, gradient.y)):  # fmt: skip
+            assert abs(kept - made).max() <= tolerance * abs(made).max()
+        np.testing.assert_allclose(frames, gradient.frames, atol=tolerance)
+    assert len(list(store.entries("operators"))) == 4
+
+
 def test_entries_are_for_numpy_alone_to_read(store):
     key = store.key(bumpy(), PLAN)
     store.spectrum(bumpy(), PLAN)
@@ -168,13 +183,13 @@ def emptied(_):
 def filled(store, tmp_path):
     """A store with one shape, two descriptors and a record."""
     write(bumpy(), tmp_path / "bumpy.off")
-    plan = Plan(k=12, descriptors=("hks", "dna"))
+    plan = Plan(k=12, descriptors=("hks", "dna"), operators=("stiffness", "gradient"))
     complete(store, "bumpy", tmp_path / "bumpy.off", plan)
     return store, lambda: complete(store, "bumpy", tmp_path / "bumpy.off", plan)
 
 
 @pytest.mark.parametrize("damage", [cut, flip, emptied])
-@pytest.mark.parametrize("kind", ["shapes", "spectra", "descriptors", "records"])
+@pytest.mark.parametrize("kind", ["shapes", "spectra", "descriptors", "operators", "records"])
 def test_damage_is_named_and_made_good(filled, kind, damage):
     store, again = filled
     before = content(store.path)
@@ -206,7 +221,7 @@ def test_what_is_damaged_is_warned_of(store):
     assert store.verify() == []
 
 
-@pytest.mark.parametrize("kind", ["shapes", "spectra", "descriptors"])
+@pytest.mark.parametrize("kind", ["shapes", "spectra", "descriptors", "operators"])
 def test_an_entry_under_another_name_is_found(filled, kind):
     store, _ = filled
     entry = next(store.entries(kind))
@@ -238,7 +253,7 @@ def test_clean_removes_other_releases_orphans_and_leftovers(filled, monkeypatch)
     kept = {entry.path for entry in store.entries()}
     with monkeypatch.context() as other:
         other.setattr("spectra_kit.store.plan.VERSION", "0.0.1")
-        plan = Plan(k=5, descriptors=("hks",))
+        plan = Plan(k=5, descriptors=("hks",), operators=("stiffness",))
         store.descriptor(creature(600), plan, "hks")
         write(creature(600), store.path / "old.off")
         complete(store, "old", store.path / "old.off", plan)
@@ -250,7 +265,7 @@ def test_clean_removes_other_releases_orphans_and_leftovers(filled, monkeypatch)
     os.utime(old, (two_days_ago, two_days_ago))
     gone = store.clean()
     assert old in gone
-    assert len(gone) == 5  # shape, spectrum, descriptor, record and what a writer has left
+    assert len(gone) == 6  # shape, spectrum, descriptor, operator, record, what a writer has left
     assert {entry.path for entry in store.entries()} == kept
     assert young.exists()
 
@@ -352,6 +367,7 @@ def test_a_store_that_may_only_be_read():
         ("cloud", "be at least 4", {"cloud": 3}),
         ("seed", "be at least 0", {"seed": -1}),
         ("descriptors", "be named once each", {"descriptors": ("hks", "dna", "hks")}),
+        ("operators", "be named once each", {"operators": ("gradient", "gradient")}),
     ],
 )
 def test_plans_that_cannot_be(argument, expected, options):
