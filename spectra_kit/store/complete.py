@@ -131,7 +131,7 @@ def complete(
         spectrum=key,
         descriptors=descriptors,
         operators=operators,
-        sizes=store.sizes(shape_digest(shape), key, *descriptors.values(), *operators.values()),
+        sizes=store.sizes([shape_digest(shape), key, *descriptors.values(), *operators.values()]),
         kind="mesh" if isinstance(shape, TriangleMesh) else "cloud",
         points=shape.n,
         faces=len(shape.faces) if isinstance(shape, TriangleMesh) else 0,

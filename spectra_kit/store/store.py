@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -637,12 +637,12 @@ class SpectrumStore:
         with self._new("records", key) as path, atomic_path(path) as part:
             part.write_text(text)
 
-    def sizes(self, *keys: str) -> dict[str, int]:
+    def sizes(self, keys: Sequence[str]) -> dict[str, int]:
         """Return the bytes of those entries of some keys that are there.
 
         Parameters
         ----------
-        *keys : str
+        keys : sequence of str
             Of geometries, spectra, descriptors, operators or maps.
 
         Returns
@@ -654,7 +654,7 @@ class SpectrumStore:
         --------
         >>> import tempfile
         >>> import spectra_kit as sk
-        >>> sk.store.SpectrumStore(tempfile.mkdtemp()).sizes("0" * 32)
+        >>> sk.store.SpectrumStore(tempfile.mkdtemp()).sizes(["0" * 32])
         {}
         """
         kinds = [kind for kind in _SUFFIX if kind != "records"]
@@ -685,7 +685,7 @@ class SpectrumStore:
         >>> store.holds(sk.store.complete(store, "animal", folder / "animal.off", plan).record)
         True
         """
-        return self.sizes(*record.sizes) == record.sizes
+        return self.sizes([*record.sizes]) == record.sizes
 
     def records(self, plan: Plan | None = None) -> Iterator[ShapeRecord]:
         """Yield what is known of each name, in the order of the names' hashes.
