@@ -21,7 +21,7 @@ from spectra_kit.cli.program import COMMANDS
 from spectra_kit.errors import InvalidInputError, OutOfMemoryError
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, sphere, write
 
-OTHERS = ("batch", "store", "completion")  # of many files, of a folder, of none
+OTHERS = ("batch", "match-all", "store", "completion")  # of many files, of a folder, of none
 NAMES = [command.name for command in COMMANDS if command.name not in OTHERS]
 
 

@@ -236,7 +236,7 @@ def test_all_that_training_imports_is_packed():
     homes = packages_distributions()
     imported = {home for name in done.stdout.split() for home in homes.get(name, [])}
     there = {"torch", "numpy", "scipy"}  # and what these bring
-    assert imported - there - {"spectra_kit"} == set(NEEDED) - {"llvmlite"}  # which numba needs
+    assert imported - there - {"spectra_kit"} == set(NEEDED)
 
 
 def test_wheels_for_this_python_are_unpacked_once(tmp_path, monkeypatch):
