@@ -26,7 +26,7 @@ from measure.shapes import data_folder
 
 from spectra_kit._files import atomic_path
 
-_SHAPES = {"memory": 500}  # others have --shapes, too
+_SHAPES = {"memory": 500, "broken": 300}  # others have --shapes, too
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -35,7 +35,7 @@ def _parser() -> argparse.ArgumentParser:
     add("out", type=Path, help="folder for everything")
     add("--trials", nargs="+", choices=[*TRIALS], default=[*TRIALS], metavar="TRIAL",
         help=f"of {', '.join(TRIALS)} (all)")  # fmt: skip
-    add("--shapes", type=int, help="how many (2000; of memory 500)")
+    add("--shapes", type=int, help="how many (2000; of memory 500, of broken 300)")
     add("--workers", type=int, default=2, help="(%(default)s)")
     add(
         "--memory-limit", default="3GB", help="of each worker, in the trial of memory (%(default)s)"

@@ -30,6 +30,9 @@ def test_trials_tell_what_happened(setting):
     told = TRIALS["damaged"](setting)
     assert told["found"] == told["of these three"] == told["computed"] == 3
     assert told["as undisturbed"]
+    told = TRIALS["broken"](setting)
+    assert (told["broken"], told["named"], told["others that failed"]) == (30, 30, 0)
+    assert told["computed"] == 4
     told = TRIALS["memory"](setting)
     assert told["computed"] == 4
     assert 0.05 < told["GB, largest process"] <= told["GB, all processes"] < 8

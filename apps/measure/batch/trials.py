@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -215,6 +215,35 @@ def _dask(setting: Setting) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
                 process.kill()
 
 
+def _broken(setting: Setting) -> Facts:
+    """Thirty files that are broken in ten ways, among the shapes."""
+    folder = setting.store("broken-files")
+    folder.mkdir(parents=True)
+    whole = setting.shapes[0].read_bytes()
+    text = "OFF\n3 1 0\n0 0 0\n1 0 0\n{}\n{}\n"
+    ways: dict[str, bytes] = {
+        "empty.ply": b"",
+        "cut.ply": whole[: len(whole) // 2],
+        "header.ply": whole[:60],
+        "zeros.ply": bytes(len(whole)),
+        "words.obj": b"these are words\n",
+        "nan.off": text.format("nan 1 0", "3 0 1 2").encode(),
+        "outside.off": text.format("0 1 0", "3 0 1 7").encode(),
+        "few.off": text.format("0 1 0", "3 0 1 2").encode(),  # points for so many modes
+        "short.off": b"OFF\n3 1 0\n0 0 0\n",
+        "packed.npz": b"PK\x03\x04" + bytes(50),
+    }
+    paths = [folder / f"{i}-{name}" for i in range(3) for name in ways]
+    for path in paths:
+        path.write_bytes(ways[path.name.split("-", 1)[1]])
+    mixed = replace(setting, shapes=[*setting.shapes, *paths])
+    told, _ = mixed.run(setting.store("broken"), *setting.shared)
+    reasons = {one["name"]: one["reason"] for one in told["failed"]}
+    return {"broken": len(paths), "named": sum(str(x.absolute()) in reasons for x in paths),
+            "others that failed": len(reasons) - len(paths), "computed": told["computed"],
+            "reasons": sorted({reason.split(": ", 1)[-1] for reason in reasons.values()})}  # fmt: skip
+
+
 def _memory(setting: Setting) -> Facts:
     """Follow the memory of all processes of a run over meshes of very different size."""
     store, peak, highest = setting.store("memory"), 0, 0
@@ -269,5 +298,6 @@ TRIALS: dict[str, Callable[[Setting], Facts]] = {
     "damaged": _damaged,
     "concurrent": _concurrent,
     "cluster": _cluster,
+    "broken": _broken,
     "memory": _memory,
 }
