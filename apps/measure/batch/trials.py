@@ -239,9 +239,13 @@ def _broken(setting: Setting) -> Facts:
     mixed = replace(setting, shapes=[*setting.shapes, *paths])
     told, _ = mixed.run(setting.store("broken"), *setting.shared)
     reasons = {one["name"]: one["reason"] for one in told["failed"]}
-    return {"broken": len(paths), "named": sum(str(x.absolute()) in reasons for x in paths),
-            "others that failed": len(reasons) - len(paths), "computed": told["computed"],
-            "reasons": sorted({reason.split(": ", 1)[-1] for reason in reasons.values()})}  # fmt: skip
+    return {
+        "broken": len(paths),
+        "named": sum(str(path.absolute()) in reasons for path in paths),
+        "others that failed": len(reasons) - len(paths),
+        "computed": told["computed"],
+        "reasons": sorted({reason.split(": ", 1)[-1] for reason in reasons.values()}),
+    }
 
 
 def _memory(setting: Setting) -> Facts:
