@@ -128,6 +128,7 @@ class DaskEngine:
                 processes=True,
                 dashboard_address="127.0.0.1:0",
                 silence_logs="CRITICAL",
+                preload="spectra_kit.batch.preload",
             ) as cluster,
             distributed.Client(cluster) as client,
         ):

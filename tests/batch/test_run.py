@@ -1,6 +1,8 @@
 """Runs over many shapes: results beside failures, once each, whoever works."""
 
 import csv
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -277,3 +279,24 @@ def test_workers_refuse_what_will_not_fit(scans, store):
     write(creature(9000), store.path / "large.off")
     report = compute_all(find_inputs([store.path / "large.off"]), store, plan, engine=engine)
     assert "need about 0." in str(report.failed[0].error)
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_workers_without_a_word_of_theirs(tmp_path):
+    for i in range(8):
+        write(creature(6000, seed=i), tmp_path / f"animal{i}.off")
+    command = [sys.executable, "-m", "spectra_kit", "batch", str(tmp_path), "-k", "200",
+               "--nworkers", "1", "--out", str(tmp_path / "store")]  # fmt: skip
+    run = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    spectra, deadline = tmp_path / "store" / "spectra", time.monotonic() + 90
+    while time.monotonic() < deadline and not [*spectra.rglob("*.npz")]:
+        time.sleep(0.05)
+    workers = psutil.Process(run.pid).children(recursive=True)
+    os.killpg(run.pid, signal.SIGINT)  # as a terminal does
+    out, err = run.communicate(timeout=60)
+    assert (run.returncode, out) == (130, "")
+    assert err == "what is done is kept; the same command goes on with what is not\ninterrupted\n"
+    assert psutil.wait_procs(workers, timeout=10)[1] == []
