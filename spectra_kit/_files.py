@@ -62,7 +62,7 @@ def is_special(path: str | os.PathLike[str]) -> bool:
 
 def replace(part: Path, target: Path) -> None:
     """Rename `part` over `target`, which hands on its owner and its rights, as far as they go."""
-    if target.exists():
+    with suppress(FileNotFoundError):  # none was there, or it is gone
         old = target.stat()
         # To give files away is the right of the superuser, and not everywhere.
         with suppress(OSError, AttributeError):

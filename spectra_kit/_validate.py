@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import fields
 from typing import Any, TypeVar, cast
 
@@ -218,6 +220,23 @@ def _rebuild(cls: type[Any], values: dict[str, Any]) -> Any:
     return cls(**values)
 
 
+_heard: ContextVar[list[SpectraKitWarning] | None] = ContextVar("_heard", default=None)
+
+
+@contextmanager
+def hearing() -> Iterator[list[SpectraKitWarning]]:
+    """Collect what `warn` says inside, instead of saying it: in this thread, and in no other.
+
+    `warnings.catch_warnings` changes what all threads of a process do.
+    """
+    heard: list[SpectraKitWarning] = []
+    token = _heard.set(heard)
+    try:
+        yield heard
+    finally:
+        _heard.reset(token)
+
+
 def warn(
     message: str,
     category: type[SpectraKitWarning],
@@ -227,6 +246,11 @@ def warn(
     where: str = "",
 ) -> None:
     """Warn at the line that called the package, however deep inside the reason was found."""
+    if (heard := _heard.get()) is not None:
+        made = category(message, advice=advice, remedies=remedies)
+        made.where = where
+        heard.append(made)
+        return
     level, frame = 1, sys._getframe()
     while frame.f_back and frame.f_globals["__name__"].partition(".")[0] == "spectra_kit":
         level, frame = level + 1, frame.f_back

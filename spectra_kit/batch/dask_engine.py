@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import os
+import pickle
+import re
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from typing import Any
 
 from spectra_kit._checked import checked
 from spectra_kit._optional import optional
-from spectra_kit._validate import check_count
+from spectra_kit._validate import check_count, warn
 from spectra_kit.batch.run import Task
-from spectra_kit.errors import EngineLostError, InvalidInputError, WorkerError
+from spectra_kit.errors import (
+    EngineLostError,
+    InvalidInputError,
+    SpectraKitWarning,
+    WorkerError,
+)
 from spectra_kit.linalg.memory import memory_of
 from spectra_kit.linalg.threads import single_threaded
 
+_LOOK = 1.0  # seconds after which workers are counted again
+_SIZE = re.compile(r"auto|none|0|[0-9.]+(e[0-9]+)? *([kmgt]i?)?b?", re.IGNORECASE)
 _AHEAD = 4  # tasks handed out for each thread: none waits, and the scheduler has little to remember
 _ALLOWED_FAILURES = 10  # deaths of workers that a shape may be near by chance
 # What a task needs is known only while it runs: results are small, nothing is worth spilling, and
@@ -82,6 +92,10 @@ class DaskEngine:
         check_count("nthreads", self.nthreads, low=1)
         if self.nworkers is not None:
             check_count("nworkers", self.nworkers, low=1)
+        if not _SIZE.fullmatch(self.memory_limit):
+            raise InvalidInputError(
+                "memory_limit", "be a size such as 3GB, or auto", repr(self.memory_limit)
+            )
         if None not in (self.scheduler, self.scheduler_file):
             raise InvalidInputError("scheduler_file", "be left out where `scheduler` is given")
         here = {"nworkers": None, "nthreads": 1, "memory_limit": "auto"}
@@ -121,7 +135,15 @@ class DaskEngine:
             return
         with (
             dask.config.set(_SETTINGS),
-            distributed.LocalCluster(
+            self._local(distributed) as cluster,
+            distributed.Client(cluster) as client,
+        ):
+            yield client
+
+    def _local(self, distributed: Any) -> Any:
+        """Start the workers of this machine."""
+        try:
+            return distributed.LocalCluster(
                 n_workers=self.nworkers or os.cpu_count(),
                 threads_per_worker=self.nthreads,
                 memory_limit=self.memory_limit,
@@ -129,10 +151,12 @@ class DaskEngine:
                 dashboard_address="127.0.0.1:0",
                 silence_logs="CRITICAL",
                 preload="spectra_kit.batch.preload",
-            ) as cluster,
-            distributed.Client(cluster) as client,
-        ):
-            yield client
+            )
+        except RuntimeError as error:
+            raise EngineLostError(
+                f"no workers could be started: {error}",
+                advice="a script that starts some must do so under `if __name__ == '__main__':`",
+            ) from error
 
 
 def _spread(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
@@ -146,7 +170,12 @@ def _spread(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | Ba
             waiting[future.key] = task
             ready.add(future)
 
-    hand_out(_AHEAD * max(1, sum(client.nthreads().values())))
+    threads, looked = sum(client.nthreads().values()), time.monotonic()
+    if not threads:
+        warn("the scheduler has no workers yet; waiting for the first one", SpectraKitWarning)
+    _check_pickled(first := next(todo, None))
+    todo = chain([first] if first else [], todo)
+    hand_out(_AHEAD * max(1, threads))
     for future in ready:
         task = waiting.pop(future.key)
         if future.cancelled():
@@ -161,7 +190,22 @@ def _spread(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | Ba
                 advice="as for lack of memory: let fewer workers have more of it",
             )
         yield task, future.result() if error is None else error
-        hand_out(1)
+        if time.monotonic() - looked > _LOOK:  # workers come and go
+            threads, looked = sum(client.nthreads().values()), time.monotonic()
+        hand_out(max(1, _AHEAD * threads - len(waiting)))
+
+
+def _check_pickled(task: Task | None) -> None:
+    """Refuse what cannot be handed to another process."""
+    try:
+        pickle.dumps(task)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise InvalidInputError(
+            "engine",
+            "be handed what can be pickled",
+            f"{type(task).__name__}: {error}",
+            advice="make the parts of its solver frozen dataclasses, or take no workers",
+        ) from error
 
 
 def _do(task: Task) -> Any:

@@ -107,14 +107,7 @@ def find_inputs(sources: Sequence[str | os.PathLike[str]]) -> list[Input]:
     found = [one for source in sources for one in _inputs_of(os.fspath(source))]
     if not found:
         raise InvalidInputError("sources", "name a file at least", "none")
-    counts = Counter(one.name for one in found)
-    if twice := [name for name, count in counts.items() if count > 1]:
-        raise InvalidInputError(
-            "sources",
-            "name each file once",
-            f"{len(twice):,} several times, such as {twice[0]!r}",
-            advice="leave one out, or give names in a manifest",
-        )
+    refuse_twice("sources", [one.name for one in found])
     return found
 
 
@@ -152,6 +145,19 @@ def shard(inputs: Sequence[Named], part: int, parts: int) -> list[Named]:
     check_count("parts", parts, low=1)
     check_count("part", part, low=1, high=parts)
     return [one for one in inputs if int(facts_digest({"name": one.name}), 16) % parts == part - 1]
+
+
+def refuse_twice(argument: str, names: Sequence[str]) -> None:
+    """Refuse things of one name: results are kept and told by names."""
+    if len(set(names)) == len(names):
+        return
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    raise InvalidInputError(
+        argument,
+        "have names of their own",
+        f"{len(twice):,} several times, such as {twice[0]!r}",
+        advice="leave one out, or name them in a manifest",
+    )
 
 
 def _inputs_of(source: str) -> Iterator[Input]:

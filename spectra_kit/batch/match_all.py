@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._validate import Brief
-from spectra_kit.batch.inputs import Pair
+from spectra_kit.batch.inputs import Pair, refuse_twice
 from spectra_kit.batch.matched import Matched, Matching, matched
 from spectra_kit.batch.pairs import records_of
 from spectra_kit.batch.run import Engine, work
@@ -192,20 +192,25 @@ def match_records(
 ) -> MatchReport:
     """Match pairs of which `records` tell what the store holds: see `match_all`."""
     clock = Clock()
-    searches, failed = list[_Search](), dict[str, Exception]()
+    refuse_twice("pairs", [repr((pair.source, pair.target)) for pair in pairs])
+    searches, found = list[_Search](), dict[tuple[str, str], Any]()
     for pair in in_tiles(pairs):
         if unknown := _unknown(pair, records):
             if strict:
                 raise unknown
-            failed[pair.name] = unknown
+            found[pair.source, pair.target] = unknown
         else:
             ends = (records[pair.source], records[pair.target])
             searches.append(_Search(pair, *ends, Path(store.path), matching))
-    found, others = work(searches, len(searches), engine=engine, strict=strict, progress=progress)
-    failed |= others
+    results = work(searches, engine=engine, strict=strict, progress=progress)
+    found |= {
+        (one.pair.source, one.pair.target): result
+        for one, result in zip(searches, results, strict=True)
+    }
+    told = [(pair, found[pair.source, pair.target]) for pair in pairs]
     return MatchReport(
-        matched=tuple((pair, found[pair.name]) for pair in pairs if pair.name in found),
-        failed=tuple(FailedPair(pair, failed[pair.name]) for pair in pairs if pair.name in failed),
+        matched=tuple((pair, one) for pair, one in told if isinstance(one, Matched)),
+        failed=tuple(FailedPair(pair, one) for pair, one in told if isinstance(one, Exception)),
         seconds=clock.total,
     )
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import time
-import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -15,8 +14,8 @@ from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
 from spectra_kit._fingerprint import facts_digest
-from spectra_kit._validate import Brief, check_count
-from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError, InvalidInputError
+from spectra_kit._validate import Brief, check_count, hearing
+from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.linalg.threads import single_threaded_blas
 from spectra_kit.matching import (
     Candidate,
@@ -188,8 +187,7 @@ def matched(
     except InvalidFileError as error:
         found, replaced = None, (damage(error),)
     if computed := found is None:
-        with single_threaded_blas(), warnings.catch_warnings():
-            warnings.simplefilter("ignore", DoubtfulMatchWarning)  # `convincing` tells
+        with single_threaded_blas(), hearing():  # `convincing` tells of doubts
             found = match(
                 *(_prepared(os.fspath(store.path), x.shape, x.spectrum) for x in (source, target)),
                 k=matching.k,

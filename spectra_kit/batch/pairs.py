@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Mapping
 from itertools import combinations
 from pathlib import Path
 
 from spectra_kit._checked import checked
+from spectra_kit._version import VERSION
 from spectra_kit.batch.inputs import Pair, rows_of
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.store import Plan, ShapeRecord, SpectrumStore
@@ -82,39 +82,42 @@ def pairs_of(
         )
         for row in rows_of(Path(pairs), "pairs", _ENDS)
     ]
-    counts = Counter(pair.name for pair in found)
-    if twice := [name for name, count in counts.items() if count > 1]:
-        raise InvalidInputError(
-            "pairs",
-            "name each pair once",
-            f"{len(twice):,} several times, such as {twice[0]!r}",
-            advice="leave one out",
-        )
     return found
 
 
 def records_of(store: SpectrumStore, facts: Mapping[str, object] | None) -> dict[str, ShapeRecord]:
     """Return what a store holds of each name under a plan, or under the only one it has."""
-    meant = only_plan(store) if facts is None else facts
-    return {one.name: one for one in store.records() if one.facts == meant}
+    meant = only_plan(store) if facts is None else _of_spectra(facts)
+    return {one.name: one for one in store.records() if _of_spectra(one.facts) == meant}
 
 
 def only_plan(store: SpectrumStore, k: int | None = None) -> Mapping[str, object]:
-    """Return the facts of the plan that a store has spectra of, with k modes if that is told."""
+    """Return by what a store's spectra were computed, those with k modes if that is told.
+
+    Those of other releases do not count, nor what else was kept beside them.
+    """
     plans = list[Mapping[str, object]]()
     for one in store.records():
-        if one.facts not in plans and k in (None, one.facts["k"]):
-            plans.append(one.facts)
+        meant = _of_spectra(one.facts)
+        if meant not in plans and k in (None, meant["k"]) and meant["release"] == VERSION:
+            plans.append(meant)
     if not plans:
         kind = "spectra" if k is None else f"spectra of {k} modes"
         raise InvalidInputError("store", f"hold {kind}", "none", advice="compute them first")
     if len(plans) > 1:
-        modes = " and ".join(str(one["k"]) for one in plans)
+        modes = sorted({str(one["k"]) for one in plans})
+        differ = [name for name in plans[0] if any(one[name] != plans[0][name] for one in plans)]
         raise InvalidInputError(
             "store",
             "hold spectra of one plan, or be told of which",
-            f"those of {len(plans)}, with {modes} modes",
+            f"those of {len(plans)}, which differ in {', '.join(differ)} ({' and '.join(modes)}"
+            " modes)",
             advice="name it by {}",
             remedies=("plan",),
         )
     return plans[0]
+
+
+def _of_spectra(facts: Mapping[str, object]) -> dict[str, object]:
+    """Return those facts of a plan that decide spectra."""
+    return {name: fact for name, fact in facts.items() if name not in ("descriptors", "operators")}

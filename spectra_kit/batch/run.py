@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._validate import Brief
-from spectra_kit.batch.inputs import Input
+from spectra_kit.batch.inputs import Input, refuse_twice
 from spectra_kit.errors import InvalidInputError, StoreError
 from spectra_kit.store import Completed, Plan, SpectrumStore, complete
 from spectra_kit.store.complete import known
@@ -138,6 +138,8 @@ def compute_all(
 
     Raises
     ------
+    InvalidInputError
+        If two inputs have one name.
     StoreError
         If the store cannot be written: no other shape could be kept either.
     SpectraKitError
@@ -156,56 +158,57 @@ def compute_all(
     >>> report.computed, [str(failed.error).split(": ")[-1] for failed in report.failed]
     (1, ['the file is empty'])
     """
+    refuse_twice("inputs", [one.name for one in inputs])
     clock = Clock()
-    completed, todo = dict[str, Any](), list[Task]()
+    found, todo = list[Any](), list[Task]()
     for one in inputs:
-        if (there := known(store, one.name, one.path, plan)) is not None:
-            completed[one.name] = there
-            if progress is not None:
-                progress(len(completed), len(inputs))
-        else:
+        there = known(store, one.name, one.path, plan)
+        if there is None:
             todo.append(_Completion(one, Path(store.path), plan))
-    made, failed = work(
-        todo, len(inputs), engine=engine, strict=strict, progress=progress, before=len(completed)
-    )
-    completed |= made
+        found.append(there)
+        if there is not None and progress is not None:
+            progress(len(found) - len(todo), len(inputs))
+    before = len(found) - len(todo)
+    made = iter(work(todo, engine=engine, strict=strict, progress=progress, before=before))
+    told = [(x, next(made) if y is None else y) for x, y in zip(inputs, found, strict=True)]
     return BatchReport(
-        completed=tuple((x, completed[x.name]) for x in inputs if x.name in completed),
-        failed=tuple(Failed(x, failed[x.name]) for x in inputs if x.name in failed),
+        completed=tuple((one, done) for one, done in told if isinstance(done, Completed)),
+        failed=tuple(Failed(one, done) for one, done in told if isinstance(done, Exception)),
         seconds=clock.total,
     )
 
 
 def work(
     tasks: Sequence[Task],
-    count: int,
     *,
     engine: Engine | None,
     strict: bool,
     progress: Callable[[int, int], object] | None,
     before: int = 0,
-) -> tuple[dict[str, Any], dict[str, Exception]]:
-    """Return what came of tasks, and what they raised, by their names.
+) -> list[Any | Exception]:
+    """Return what came of each task, or what it raised.
 
-    They are told to be so many in all, some of which were done `before`. Without any no engine is
-    begun.
+    So many other things were done `before`. Without a task no engine is begun.
     """
-    completed, failed = dict[str, Any](), dict[str, Exception]()
     if not tasks:
-        return completed, failed
+        return []
+    found, places = dict[int, Any](), {id(task): i for i, task in enumerate(tasks)}
     results = (engine or _in_this_process)(tasks)
     if not isinstance(results, Iterable):
         raise InvalidInputError("engine", "return tasks with their results", repr(results))
-    for task, result in results:
-        if isinstance(result, BaseException):
-            if strict or not isinstance(result, Exception) or isinstance(result, StoreError):
+    try:
+        for task, result in results:
+            if isinstance(result, BaseException) and (
+                strict or not isinstance(result, Exception) or isinstance(result, StoreError)
+            ):
                 raise result
-            failed[task.name] = result
-        else:
-            completed[task.name] = result
-        if progress is not None:
-            progress(before + len(completed) + len(failed), count)
-    return completed, failed
+            found[places[id(task)]] = result
+            if progress is not None:
+                progress(before + len(found), before + len(tasks))
+    finally:
+        if isinstance(results, Generator):
+            results.close()  # workers end now, not when somebody collects what is left of them
+    return [found[i] for i in range(len(tasks))]
 
 
 def _in_this_process(tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:

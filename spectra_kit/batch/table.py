@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from spectra_kit._checked import checked
@@ -18,6 +19,7 @@ from spectra_kit.store import Completed
 
 _OWN = ("name", "kind", "points", "faces", "area", "components", "zero_modes", "level", "residual",
         "problems", "warnings", "same_as", "shape", "spectrum")  # fmt: skip
+_NUMBERED = re.compile(r"(eigenvalue|dna)_\d+")
 _OF_PAIRS = ("source", "target", "score", "coverage", "margin", "mirror_margin", "orientation",
              "mirrored", "ambiguous", "convincing", "doubts", "map")  # fmt: skip
 
@@ -59,13 +61,19 @@ def write_table(path: str | os.PathLike[str], report: BatchReport) -> None:
     >>> (folder / "table.csv").read_text().splitlines()[0].split(",")[-2:]
     ['eigenvalue_1', 'eigenvalue_2']
     """
-    rows = [_row(one, done) for one, done in report.completed]
+    check_columns([one for one, _ in report.completed])
+    records = [done.record for _, done in report.completed]
+    columns = [
+        *("name", *_further(one for one, _ in report.completed), *_OWN[1:]),
+        *(f"eigenvalue_{i}" for i in range(max((len(r.eigenvalues) for r in records), default=0))),
+        *(f"dna_{i + 1}" for i in range(max((len(r.dna) for r in records), default=0))),
+    ]
     first = dict[str, str]()
-    for row in rows:
-        row["same_as"] = first.setdefault(row["shape"], row["name"])
-        if row["same_as"] == row["name"]:
-            row["same_as"] = ""
-    _write(path, rows, _OWN)
+    rows = (
+        _row(one, done, first.setdefault(done.record.shape, one.name))
+        for one, done in report.completed
+    )
+    _write(path, columns, rows)
 
 
 @checked
@@ -101,15 +109,41 @@ def write_match_table(path: str | os.PathLike[str], report: MatchReport) -> None
     >>> path.read_text().split(",")[:3]
     ['source', 'target', 'score']
     """
-    _write(path, [_match_row(pair, found) for pair, found in report.matched], _OF_PAIRS)
+    pairs = [pair for pair, _ in report.matched]
+    check_columns(pairs)
+    columns = ["source", "target", *_further(pairs), *_OF_PAIRS[2:]]
+    _write(path, columns, (_match_row(pair, found) for pair, found in report.matched))
+
+
+def check_columns(things: Sequence[Input | Pair]) -> None:
+    """Refuse further columns that have the names of a table's own: best before the work."""
+    taken = set[str]()
+    for one in things:
+        own = _OWN if isinstance(one, Input) else _OF_PAIRS
+        taken |= {name for name in one.columns if name in own or _NUMBERED.fullmatch(name)}
+    if taken:
+        raise InvalidInputError(
+            "columns",
+            "not have the names of the table's own",
+            ", ".join(map(repr, sorted(taken))),
+            advice="name them otherwise",
+        )
+
+
+def _further(things: Iterable[Input | Pair]) -> list[str]:
+    """Return the names of further columns."""
+    return list(dict.fromkeys(name for one in things for name in one.columns))
 
 
 def _write(
-    path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]], own: Sequence[str]
+    path: str | os.PathLike[str], columns: Sequence[str], rows: Iterable[Mapping[str, Any]]
 ) -> None:
-    columns = list(dict.fromkeys(name for row in rows for name in row))
-    with atomic_path(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, columns or own)
+    """Write rows as they come; names of files may be bytes of no text."""
+    with (
+        atomic_path(path) as part,
+        part.open("w", newline="", encoding="utf-8", errors="surrogateescape") as file,
+    ):
+        writer = csv.DictWriter(file, columns)
         writer.writeheader()
         writer.writerows(rows)
 
@@ -129,18 +163,10 @@ def _match_row(pair: Pair, found: Matched) -> dict[str, Any]:
         "doubts": "; ".join(found.doubts),
         "map": found.key,
     }
-    _refuse_taken(pair.columns, own)
     return {"source": pair.source, "target": pair.target, **pair.columns, **own}
 
 
-def _refuse_taken(columns: Mapping[str, str], own: Mapping[str, Any]) -> None:
-    if taken := [name for name in columns if name in own]:
-        raise InvalidInputError(
-            "columns", "not have the names of the table's own", ", ".join(map(repr, taken))
-        )
-
-
-def _row(one: Input, done: Completed) -> dict[str, Any]:
+def _row(one: Input, done: Completed, first: str) -> dict[str, Any]:
     record = done.record
     own: Mapping[str, Any] = {
         "name": one.name,
@@ -154,11 +180,10 @@ def _row(one: Input, done: Completed) -> dict[str, Any]:
         "residual": f"{record.residual:.1e}",
         "problems": "; ".join(record.problems),
         "warnings": "; ".join(record.warnings),
-        "same_as": "",
+        "same_as": "" if first == one.name else first,
         "shape": record.shape,
         "spectrum": record.spectrum,
     }
-    _refuse_taken(one.columns, own)
     values = {f"eigenvalue_{i}": repr(value) for i, value in enumerate(record.eigenvalues)}
     signature = {f"dna_{i}": repr(value) for i, value in enumerate(record.dna, start=1)}
     return {"name": one.name, **one.columns, **own, **values, **signature}

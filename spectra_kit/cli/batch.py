@@ -7,6 +7,7 @@ from typing import get_args
 
 from spectra_kit._validate import quantity
 from spectra_kit.batch import compute_all, find_inputs, write_table
+from spectra_kit.batch.table import check_columns
 from spectra_kit.cli import program
 from spectra_kit.cli.options import refuse_given
 from spectra_kit.cli.output import check_output, tell
@@ -28,6 +29,7 @@ def batch(asked: program.Batch) -> None:
     inputs = part_of(asked, find_inputs(asked.paths))
     if asked.csv:
         check_output(asked.csv, [".csv"], [one.path for one in inputs])
+        check_columns(inputs)
     plan = Plan(
         k=asked.k,
         solver=make_solver(asked.solver, asked, asked.k),
@@ -61,8 +63,9 @@ def batch(asked: program.Batch) -> None:
 
 def store(asked: program.Store) -> None:
     """List, read, or clean a store."""
-    if asked.action != "verify":
-        refuse_given(asked, ["remove"], f"on {asked.action}")
+    for name, action in (("remove", "verify"), ("unnamed", "clean")):
+        if asked.action != action:
+            refuse_given(asked, [name], f"on {asked.action}")
     if not (asked.store / MARK).is_file():
         raise InvalidInputError(f"{str(asked.store)!r} is no store", advice="name one")
     kept = SpectrumStore(asked.store)
@@ -73,7 +76,7 @@ def store(asked: program.Store) -> None:
         damaged = [{"path": str(one.path), "reason": one.reason} for one in found]
         removed = [one.path for one in found] if asked.remove else []
     elif asked.action == "clean":
-        removed = kept.clean()
+        removed = kept.clean(unnamed=asked.unnamed)
     entries = list(kept.entries())
     size = sum(entry.size for entry in entries)
     shapes = []

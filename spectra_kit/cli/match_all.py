@@ -5,6 +5,7 @@ from __future__ import annotations
 from spectra_kit.batch import Matching, write_match_table
 from spectra_kit.batch.match_all import match_records
 from spectra_kit.batch.pairs import only_plan, pairs_of, records_of
+from spectra_kit.batch.table import check_columns
 from spectra_kit.cli import program
 from spectra_kit.cli.match import MIRRORED
 from spectra_kit.cli.output import check_output
@@ -32,6 +33,8 @@ def match_pairs(asked: program.MatchAll) -> None:
         )
     records = records_of(store, plan)
     pairs = part_of(asked, pairs_of(asked.pairs, store, plan))
+    if asked.csv:
+        check_columns(pairs)
     matching = Matching(k=k, mirrored=MIRRORED[asked.sides])
 
     def missing() -> int:

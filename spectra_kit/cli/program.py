@@ -474,6 +474,8 @@ class Store(_Looked):
 
     remove: bool = False
     """of verify: take out what is damaged, to be computed again"""
+    unnamed: bool = False
+    """of clean: also what belongs to no name any more, as of files that have changed"""
 
 
 @dataclass(frozen=True)

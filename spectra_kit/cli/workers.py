@@ -39,7 +39,8 @@ def engine_of(asked: program.Workers, noun: str, missing: Callable[[], int]) -> 
         refuse_given(asked, own, "with --nworkers 0, which is this process alone")
         return None
     scheduler = asked.scheduler
-    if not asked.scheduler_file and asked.nworkers is None:
+    local = asked.nworkers, asked.nthreads, asked.memory_limit
+    if not asked.scheduler_file and local == (None, 1, "auto"):  # no workers here are described
         scheduler = scheduler or os.environ.get("DASK_ADDRESS")
     engine = DaskEngine(
         scheduler=scheduler,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spectra_kit._checked import checked
-from spectra_kit._validate import check_count, warn
+from spectra_kit._validate import check_count, hearing, warn
 from spectra_kit.errors import DoubtfulDistanceWarning, InvalidInputError
 from spectra_kit.geodesics.heat import HeatGeodesics, solved_together
 from spectra_kit.geodesics.sources import SourcesLike, check_sources
@@ -168,15 +167,10 @@ def _average_halves(matrix: NDArray[Any]) -> None:
 @contextmanager
 def _telling_once() -> Iterator[None]:
     """Gather doubts about distances, and tell of them in one warning at the end."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", DoubtfulDistanceWarning)
+    with hearing() as doubts:
         yield
-    doubts = [one for one in caught if issubclass(one.category, DoubtfulDistanceWarning)]
-    for other in caught:
-        if other not in doubts:
-            warnings.warn_explicit(other.message, other.category, other.filename, other.lineno)
     if doubts:
         warn(
-            f"{len(doubts)} of the fields are in doubt; of the first, {doubts[0].message}",
+            f"{len(doubts)} of the fields are in doubt; of the first, {doubts[0]}",
             DoubtfulDistanceWarning,
         )

@@ -304,6 +304,14 @@ def _descriptors(items: Sequence[ShapeTensors]) -> dict[str, Tensor]:
     if any([*item.descriptors] != names for item in items):
         raise InvalidInputError("items", "have the same `descriptors`", "others")
     several = {name: [item.descriptors[name] for item in items] for name in names}
+    for name, some in several.items():
+        if len(widths := {values.shape[-1] for values in some}) > 1:
+            raise InvalidInputError(
+                "items",
+                f"have as many numbers each in the descriptor {name!r}",
+                " and ".join(map(str, sorted(widths))),
+                advice="surfaces of several components have fewer: leave them, or it, out",
+            )
     return {
         name: torch.stack(some) if some[0].ndim == 1 else pad_sequence(some, batch_first=True)
         for name, some in several.items()

@@ -5,21 +5,20 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 from spectra_kit._checked import checked
 from spectra_kit._fingerprint import shape_digest
-from spectra_kit._validate import Brief
+from spectra_kit._validate import Brief, hearing
 from spectra_kit.eigensolvers.doubts import warn_of_doubts
 from spectra_kit.errors import (
     DamagedEntryWarning,
     InvalidFileError,
     OutOfMemoryError,
-    SpectraKitWarning,
 )
 from spectra_kit.geometry import Geometry, TriangleMesh, diagnose, read
+from spectra_kit.geometry.formats.gltf import buffer_files
 from spectra_kit.linalg.memory import memory_limit
 from spectra_kit.linalg.threads import single_threaded_blas
 from spectra_kit.spectra import Spectrum
@@ -100,8 +99,7 @@ def complete(
     start, path = time.perf_counter(), Path(file)
     if (there := known(store, name, path, plan)) is not None:
         return there
-    with warnings.catch_warnings(record=True) as caught, single_threaded_blas():
-        warnings.simplefilter("always")
+    with hearing() as heard, single_threaded_blas():
         digest = _digest(path)
         old = _old_record(store, name, plan)
         shape, problems = _shape(store, path, plan, old if old and old.file == digest else None)
@@ -114,12 +112,10 @@ def complete(
         operators: dict[str, str] = {
             kind: store.keep_operator(shape, plan, kind) for kind in plan.operators
         }
-    for one in caught:
-        if not issubclass(one.category, SpectraKitWarning):
-            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
-    replaced = tuple(str(x.message) for x in caught if x.category is DamagedEntryWarning)
+    replaced = tuple(str(one) for one in heard if isinstance(one, DamagedEntryWarning))
     certificate = spectrum.certificate
     assert certificate is not None  # `eigensolve` certifies
+    store.keep_shape(shape)  # where somebody has cleaned meanwhile
     descriptors: dict[str, str] = {
         kind: store.descriptor_key(key, kind) for kind in plan.descriptors
     }
@@ -182,10 +178,9 @@ def _check_memory(path: Path, plan: Plan, n: int) -> None:
 
 def _doubts(spectrum: Spectrum, plan: Plan) -> tuple[str, ...]:
     """Return what `eigensolve` warns of, also where it was not called now."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with hearing() as heard:
         warn_of_doubts(spectrum, plan.solver)
-    return tuple(str(one.message) for one in caught)
+    return tuple(map(str, heard))
 
 
 def _old_record(store: SpectrumStore, name: str, plan: Plan) -> ShapeRecord | None:
@@ -216,8 +211,11 @@ def _shape(
 
 
 def _digest(path: Path) -> str:
-    """Hash of the bytes of a file."""
+    """Hash of the bytes of a file, and of those that hold its arrays."""
     if not path.is_file():
         return ""  # `read` says why there are none
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+    found = hashlib.blake2b(digest_size=16)
+    for part in (path, *(buffer_files(path) if path.suffix.lower() == ".gltf" else ())):
+        with part.open("rb") as file:
+            found.update(hashlib.file_digest(file, "blake2b").digest())
+    return found.hexdigest()

@@ -80,6 +80,13 @@ class Plan:
         check_count("seed", self.seed, low=0)
         if self.cloud is not None:
             check_count("cloud", self.cloud, low=4)
+        if " at 0x" in repr(self.solver):
+            raise InvalidInputError(
+                "solver",
+                "tell all that decides its results by its repr",
+                repr(self.solver),
+                advice="a place in memory tells nothing: make its parts frozen dataclasses",
+            )
         for name in ("descriptors", "operators"):
             if len(set(named := getattr(self, name))) < len(named):
                 raise InvalidInputError(name, "be named once each", named)
@@ -179,7 +186,8 @@ class Plan:
     @property
     def facts(self) -> dict[str, object]:
         """What decides all that is kept of a file."""
-        reading = {"repair": self.repair, "cloud": self.cloud, "seed": self.seed}
+        seed = None if self.cloud is None else self.seed  # of nothing else
+        reading = {"repair": self.repair, "cloud": self.cloud, "seed": seed}
         kept = {"descriptors": list(self.descriptors), "operators": list(self.operators)}
         return {**self.solved, **reading, **kept}
 

@@ -102,7 +102,12 @@ class SpectrumStore:
         if mark.exists():
             self._check_format(mark)
             return
-        if root.exists() and (not root.is_dir() or any(root.iterdir())):
+        # Others may be about to make it, whose temporary files begin with a dot.
+        own = root.is_dir() and all(path.name.startswith(".") for path in root.iterdir())
+        if mark.exists():
+            self._check_format(mark)
+            return
+        if root.exists() and not own:
             raise InvalidInputError(
                 "path",
                 "be a store, an empty folder or a new one",
@@ -659,7 +664,8 @@ class SpectrumStore:
         """
         kinds = [kind for kind in _SUFFIX if kind != "records"]
         places = ((key, self._place(kind, key)) for key in keys for kind in kinds)
-        return {key: path.stat().st_size for key, path in places if path.exists()}
+        found = ((key, _state(path)) for key, path in places)
+        return {key: state.st_size for key, state in found if state is not None}
 
     def holds(self, record: ShapeRecord) -> bool:
         """Return whether all entries of a record are there, as many bytes as they had.
@@ -685,7 +691,9 @@ class SpectrumStore:
         >>> store.holds(sk.store.complete(store, "animal", folder / "animal.off", plan).record)
         True
         """
-        return self.sizes([*record.sizes]) == record.sizes
+        kept = (*record.descriptors.values(), *record.operators.values())
+        keys = [record.shape, record.spectrum, *kept]
+        return self.sizes(keys) == record.sizes and record.sizes.keys() == set(keys)
 
     def records(self, plan: Plan | None = None) -> Iterator[ShapeRecord]:
         """Yield what is known of each name, in the order of the names' hashes.
@@ -741,8 +749,9 @@ class SpectrumStore:
         """
         for one in _SUFFIX if kind is None else (kind,):
             for path in self._files(one):
-                if not path.name.startswith("."):
-                    yield StoredEntry(one, path.stem, path, path.stat().st_size)
+                state = None if path.name.startswith(".") else _state(path)
+                if state is not None:
+                    yield StoredEntry(one, path.stem, path, state.st_size)
 
     def verify(
         self, *, remove: bool = False, progress: Callable[[int, int], object] | None = None
@@ -789,11 +798,18 @@ class SpectrumStore:
                 progress(i + 1, len(entries))
         return found
 
-    def clean(self) -> list[Path]:
+    def clean(self, *, unnamed: bool = False) -> list[Path]:
         """Remove what nothing will ask for again.
 
         These are entries of other releases, geometries that belong to no entry that stays, and
-        what writers have left that ended a day ago or earlier.
+        what writers have left. Geometries and leftovers of the last day stay, as somebody may be
+        about to need them.
+
+        Parameters
+        ----------
+        unnamed : bool, default False
+            Also remove what no record names and is older than a day: results of files that have
+            changed since, and those that were asked for without a name (`spectrum`).
 
         Returns
         -------
@@ -814,43 +830,41 @@ class SpectrumStore:
         >>> sk.store.SpectrumStore(tempfile.mkdtemp()).clean()
         []
         """
-        gone, used, kept = list[Path](), set[str](), set[str]()
-        for entry in self.entries("spectra"):
-            facts = files.read_facts(entry.path)
-            if facts["release"] == VERSION:
-                used.add(str(facts["shape"]))
-                kept.add(entry.key)
+        before = time.time() - _LEFT
+        gone, used, named = list[Path](), set[str](), set[str]()
+        for entry in self.entries("records"):
+            record = files.read_record(entry.path)
+            if record.facts["release"] == VERSION:
+                used.add(record.shape)
+                named |= {record.spectrum, *record.operators.values()}
             else:
                 gone.append(entry.path)
-        gone += [
-            entry.path
-            for entry in self.entries("descriptors")
-            if files.read_facts(entry.path)["spectrum"] not in kept
-        ]
-        for entry in self.entries("operators"):
-            facts = files.read_facts(entry.path)
-            if facts["release"] == VERSION:
-                used.add(str(facts["shape"]))
-            else:
+
+        def stays(entry: StoredEntry, facts: Mapping[str, object]) -> bool:
+            wanted = not unnamed or entry.key in named or not _older(entry.path, before)
+            return facts["release"] == VERSION and wanted
+
+        kept = set[str]()
+        for kind in ("spectra", "operators"):
+            for entry in self.entries(kind):
+                facts = files.read_facts(entry.path)
+                if stays(entry, facts):
+                    used.add(str(facts["shape"]))
+                    kept.add(entry.key)
+                else:
+                    gone.append(entry.path)
+        for entry in self.entries("descriptors"):
+            if files.read_facts(entry.path)["spectrum"] not in kept:
                 gone.append(entry.path)
         for entry in self.entries("maps"):
             facts = files.read_facts(entry.path)
             if facts["release"] != VERSION or not {facts["source"], facts["target"]} <= kept:
                 gone.append(entry.path)
-        for entry in self.entries("records"):
-            record = files.read_record(entry.path)
-            if record.facts["release"] == VERSION:
-                used.add(record.shape)
-            else:
+        for entry in self.entries("shapes"):
+            if entry.key not in used and _older(entry.path, before):
                 gone.append(entry.path)
-        gone += [entry.path for entry in self.entries("shapes") if entry.key not in used]
-        old = time.time() - _LEFT
-        gone += [
-            path
-            for kind in _SUFFIX
-            for path in self._files(kind)
-            if path.name.startswith(".") and path.stat().st_mtime < old
-        ]
+        left = (path for kind in _SUFFIX for path in self._files(kind) if path.name[0] == ".")
+        gone += [path for path in left if _older(path, before)]
         for path in gone:
             files.remove(path)
         return gone
@@ -906,6 +920,19 @@ class SpectrumStore:
                 f"the store has format version {version}, this spectra_kit reads up to"
                 f" {files.FORMAT_VERSION}; upgrade it",
             )
+
+
+def _state(path: Path) -> os.stat_result | None:
+    """Return what the system knows of a file; None where it is gone, as others may take it."""
+    try:
+        return path.stat()
+    except FileNotFoundError:
+        return None
+
+
+def _older(path: Path, time: float) -> bool:
+    state = _state(path)
+    return state is not None and state.st_mtime < time
 
 
 def _spectrum_facts(shape: str, plan: Plan) -> dict[str, object]:

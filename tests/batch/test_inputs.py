@@ -83,7 +83,7 @@ def test_sources_that_name_nothing_or_one_thing_twice(folder):
         with pytest.raises(ValueError, match=f"`'.*'` must {expected}"):
             find_inputs([source])
     refused("sources", "name a file at least, got none", find_inputs, [])
-    refused("sources", "name each file once, got 1 several times", find_inputs,
+    refused("sources", "have names of their own, got 1 several times", find_inputs,
             ["scans/a.ply", "scans/*.ply"])  # fmt: skip
 
 

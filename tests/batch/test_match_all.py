@@ -1,6 +1,7 @@
 """Maps of many pairs: the true ones, once each, whoever works; failures beside results."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from spectra_kit.batch.match_all import in_tiles
 from spectra_kit.batch.matched import KEPT, _prepared
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError, InvalidInputError
 from spectra_kit.geometry import TriangleMesh, mirrored, write
-from spectra_kit.store import Plan, SpectrumStore
+from spectra_kit.store import Plan, SpectrumStore, complete
 
 PLAN = Plan(k=60)
 QUICK = Matching(
@@ -261,7 +262,8 @@ def test_tables_that_are_none_of_pairs(store, tmp_path, text, problem):
 
 def test_pairs_that_cannot_be(store, tmp_path):
     (tmp_path / "pairs.csv").write_text("source,target\na,b\nb,a\na,b\n")
-    refused("pairs", "name each pair once", find_pairs, tmp_path / "pairs.csv", store)
+    twice = find_pairs(tmp_path / "pairs.csv", store)
+    refused("pairs", "have names of their own, got 1", match_all, store, twice)
     with pytest.raises(InvalidFileError, match="there is no such file"):
         find_pairs(tmp_path / "none.csv", store)
     empty = SpectrumStore(tmp_path / "empty")
@@ -318,3 +320,26 @@ def test_workers_end_with_the_bytes_of_one_process(store, shapes, tmp_path, monk
     assert [one.name for one, _ in report.matched] == [one.name for one, _ in alone.matched]
     assert [str(x.error) for x in report.failed] == [str(x.error) for x in alone.failed]
     assert match_all(other, pairs, matching=QUICK, engine=DaskEngine(nworkers=1)).computed == 0
+
+
+def test_pairs_whose_names_sound_alike_are_two(tmp_path):
+    store = SpectrumStore(tmp_path / "store")
+    for seed, name in enumerate(("a", "a to b", "b to c", "c")):
+        write(creature(520, seed=seed), tmp_path / "shape.off")
+        complete(store, name, tmp_path / "shape.off", PLAN)
+    pairs = [Pair(source="a", target="b to c"), Pair(source="a to b", target="c")]
+    assert pairs[0].name == pairs[1].name
+    one, other = match_all(store, pairs, matching=QUICK).matched
+    assert one[1].key != other[1].key
+    for pair, found in (one, other):
+        ends = [store.record(name, PLAN) for name in (pair.source, pair.target)]
+        assert found.key == QUICK.key(*ends)
+
+
+def test_what_else_a_plan_keeps_makes_no_other_spectra(store, tmp_path):
+    for record in list(store.records()):
+        write(store.shape(record.shape), tmp_path / "shape.ply")
+        more = replace(PLAN, descriptors=("hks",))
+        complete(store, record.name, tmp_path / "shape.ply", more)
+    report = match_all(store, find_pairs("all", store)[:1], matching=QUICK)
+    assert len(report.matched) == 1

@@ -16,6 +16,7 @@ from conftest import bumpy, creature, moved, refused
 
 import spectra_kit as sk
 from spectra_kit.batch import DaskEngine, Input, compute_all, find_inputs, write_table
+from spectra_kit.batch.table import check_columns
 from spectra_kit.errors import EngineLostError, InvalidFileError, StoreError
 from spectra_kit.geometry import write
 from spectra_kit.store import Plan, SpectrumStore
@@ -136,6 +137,21 @@ def test_a_table_has_a_row_for_each_shape(scans, store, tmp_path):
         assert (row["components"], row["zero_modes"], row["level"]) == ("1", "1", "verified")
 
 
+@pytest.mark.parametrize("column", ["area", "eigenvalue_0", "dna_12"])
+def test_columns_of_a_tables_own_are_refused_before_the_work(column, scans):
+    check_columns([Input(name="a", path=scans, columns={"age": "3", "eigenvalue": "4"})])
+    one = Input(name="a", path=scans, columns={column: "3"})
+    refused("columns", "not have the names of the table's own", check_columns, [one])
+
+
+def test_names_of_files_may_be_no_text(scans, store, tmp_path):
+    name = os.fsdecode(b"caf\xe9.ply")
+    (tmp_path / name).write_bytes((scans / "bumpy.ply").read_bytes())
+    report = compute_all(find_inputs([tmp_path / name]), store, PLAN)
+    write_table(tmp_path / "table.csv", report)
+    assert b"caf\xe9.ply" in (tmp_path / "table.csv").read_bytes()
+
+
 def test_tables_of_other_columns_and_of_nothing(scans, store, tmp_path):
     one = Input(name="a", path=scans / "bumpy.ply", columns={"area": "3"})
     report = compute_all([one], store, PLAN)
@@ -157,6 +173,7 @@ def test_tables_of_other_columns_and_of_nothing(scans, store, tmp_path):
         ("scheduler_file", "be left out", {"scheduler": "tcp://a:1", "scheduler_file": "b"}),
         ("nworkers", "be left out where there is a scheduler", {"scheduler": "a", "nworkers": 2}),
         ("nthreads", "be left out where there is a", {"scheduler_file": "a", "nthreads": 2}),
+        ("memory_limit", "be a size such as 3GB, or auto", {"memory_limit": "lots"}),
         ("memory_limit", "be left out where", {"scheduler": "a", "memory_limit": "1GB"}),
     ],
 )
@@ -182,6 +199,11 @@ def test_an_engine_is_not_begun_for_what_is_there(scans, store):
     inputs = find_inputs([scans / "bumpy.ply", scans / "copy.ply"])
     compute_all(inputs, store, PLAN)
     assert len(compute_all(inputs, store, PLAN, engine=engine).completed) == 2
+
+
+def test_inputs_of_one_name(scans, store):
+    twice = [Input(name="x", path=scans / file) for file in ("bumpy.ply", "animal0.off")]
+    refused("inputs", "have names of their own, got 1", compute_all, twice, store, PLAN)
 
 
 class Killed:
@@ -270,6 +292,26 @@ def test_a_scheduler_that_is_not_there():
         pytest.raises(EngineLostError, match=r"no scheduler answers at tcp://127\.0\.0\.1:"),
     ):
         list(engine([]))
+
+
+@pytest.mark.slow
+def test_workers_end_with_a_run_that_fails(scans, store):
+    before = len(psutil.Process().children(recursive=True))
+    inputs = find_inputs([scans / "words.obj", scans / "bumpy.ply"])
+    with pytest.raises(InvalidFileError) as caught:  # which keeps the frames of the run alive
+        compute_all(inputs, store, PLAN, engine=DaskEngine(nworkers=1), strict=True)
+    assert len(psutil.Process().children(recursive=True)) <= before + 1  # a tracker of semaphores
+    assert caught.value.path
+
+
+@pytest.mark.slow
+def test_what_cannot_be_handed_to_workers_is_told(scans, store):
+    class Local(sk.Arpack):
+        """A solver that only this function knows."""
+
+    engine, inputs = DaskEngine(nworkers=1), find_inputs([scans / "bumpy.ply"])
+    refused("engine", "be handed what can be pickled", compute_all, inputs, store,
+            Plan(k=6, solver=Local()), engine=engine)  # fmt: skip
 
 
 @pytest.mark.slow

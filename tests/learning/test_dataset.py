@@ -357,6 +357,10 @@ def test_items_that_do_not_fit_together_are_refused(exact):
         ([], "hold at least one shape"),
         ([ring, few], "have as many modes each"),
         ([ring, sheet._replace(descriptors={})], "have the same `descriptors`"),
+        (
+            [ring, ring._replace(descriptors={**ring.descriptors, "dna": ring.mass[:3]})],
+            "have as many numbers each in the descriptor 'dna'",
+        ),
         ([ring, sheet._replace(stiffness=None)], "all have `stiffness`, or none"),
         ([ring._replace(labels=torch.tensor(1)), sheet], "all have `labels`, or none"),
     ):

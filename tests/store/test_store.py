@@ -7,6 +7,8 @@ import subprocess
 import sys
 import tempfile
 import time
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -248,6 +250,56 @@ def test_verify_without_a_wish_removes_nothing(filled):
 # --- what nobody needs any more ---
 
 
+def aged(path):
+    """Let a file be two days old."""
+    then = time.time() - 48 * 3600
+    os.utime(path, (then, then))
+
+
+def test_clean_removes_what_belongs_to_no_name_if_asked(store, tmp_path):
+    path = tmp_path / "a.off"
+    for seed in range(3):
+        write(creature(520, seed=seed), path)
+        complete(store, "a", path, Plan(k=5, descriptors=("hks",), operators=("stiffness",)))
+    for entry in store.entries():
+        aged(entry.path)
+    assert store.clean() == []
+    assert len(store.clean(unnamed=True)) == 2 * 4  # shape, spectrum, descriptor, operator
+    assert not complete(store, "a", path, Plan(k=5, descriptors=("hks",), operators=("stiffness",)
+                                               )).computed  # fmt: skip
+    assert store.verify() == []
+
+
+class Cleaning(sk.Arpack):
+    """A solver beside which somebody else cleans the store."""
+
+    def eigenpairs(self, laplacian, k):
+        for entry in STORES[-1].entries("shapes"):
+            aged(entry.path)  # as if it took two days
+        STORES[-1].clean()
+        return super().eigenpairs(laplacian, k)
+
+
+STORES = []
+
+
+def test_a_store_that_is_cleaned_beside_a_run_keeps_what_the_run_needs(store, tmp_path):
+    STORES.append(store)
+    write(bumpy(), tmp_path / "a.off")
+    done = complete(store, "a", tmp_path / "a.off", Plan(k=5, solver=Cleaning()))
+    assert store.holds(done.record)
+    np.testing.assert_array_equal(store.shape(done.record.shape).points, bumpy().points)
+
+
+@pytest.mark.parametrize("kind", ["shapes", "spectra", "descriptors", "operators"])
+def test_what_is_gone_is_made_again(filled, kind):
+    store, again = filled
+    before = content(store.path)
+    next(store.entries(kind)).path.unlink()
+    assert again().computed == (kind == "spectra")
+    assert content(store.path) == before
+
+
 def test_clean_removes_other_releases_orphans_and_leftovers(filled, monkeypatch):
     store, _ = filled
     kept = {entry.path for entry in store.entries()}
@@ -261,11 +313,13 @@ def test_clean_removes_other_releases_orphans_and_leftovers(filled, monkeypatch)
     young = old.with_name(".fedcba9876543210.npz")
     for path in (old, young):
         path.write_bytes(b"half")
-    two_days_ago = time.time() - 48 * 3600
-    os.utime(old, (two_days_ago, two_days_ago))
+    aged(old)
     gone = store.clean()
     assert old in gone
-    assert len(gone) == 6  # shape, spectrum, descriptor, operator, record, what a writer has left
+    assert len(gone) == 5  # spectrum, descriptor, operator, record, what a writer has left
+    orphan = next(entry.path for entry in store.entries("shapes") if entry.path not in kept)
+    aged(orphan)  # of the last day it might be one that a run has kept and is solving for
+    assert store.clean() == [orphan]
     assert {entry.path for entry in store.entries()} == kept
     assert young.exists()
 
@@ -323,6 +377,18 @@ def test_other_things_are_no_stores(tmp_path):
         SpectrumStore("/dev/null/store")
 
 
+def test_many_may_make_a_store_at_once(tmp_path):
+    def made(name):
+        return SpectrumStore(tmp_path / name).keep_shape(bumpy())
+
+    with ThreadPoolExecutor(8) as pool:
+        keys = list(pool.map(made, [f"{i // 8}" for i in range(320)]))
+    assert len(set(keys)) == 1
+    (tmp_path / "left").mkdir()
+    (tmp_path / "left" / ".0123456789abcdef.json").write_text("{")  # of one that was killed
+    assert made("left") == keys[0]
+
+
 def test_a_full_disk_leaves_nothing_half(store):
     resource = pytest.importorskip("resource", reason="limits of files are Unix's")
     store.spectrum(bumpy(), PLAN)
@@ -372,6 +438,67 @@ def test_a_store_that_may_only_be_read():
 )
 def test_plans_that_cannot_be(argument, expected, options):
     refused(argument, expected, Plan, **options)
+
+
+def test_a_solver_that_does_not_tell_what_it_is():
+    for solver in (sk.RayleighRitz(subspace=lambda points, mass: points), Silent()):
+        refused("solver", "tell all that decides its results", Plan, solver=solver)
+
+
+class Silent:
+    """A solver without a repr."""
+
+    promise = "exact"
+
+    def eigenpairs(self, laplacian, k):
+        return sk.Arpack().eigenpairs(laplacian, k)
+
+
+def test_seeds_of_nothing_make_no_other_plan():
+    assert Plan(seed=1).facts == Plan().facts
+    assert Plan(seed=1, cloud=50).facts != Plan(cloud=50).facts
+
+
+def test_a_file_whose_arrays_lie_beside_it_is_read_again_if_these_change(store, tmp_path):
+    mesh = creature(520)
+    arrays = mesh.points.astype("<f4").tobytes() + mesh.faces.astype("<u4").tobytes()
+    (tmp_path / "a.bin").write_bytes(arrays)
+    size = 12 * mesh.n
+    views = [{"buffer": 0, "byteLength": size},
+             {"buffer": 0, "byteOffset": size, "byteLength": len(arrays) - size}]  # fmt: skip
+    accessors = [{"bufferView": 0, "componentType": 5126, "count": mesh.n, "type": "VEC3"},
+                 {"bufferView": 1, "componentType": 5125, "count": 3 * len(mesh.faces),
+                  "type": "SCALAR"}]  # fmt: skip
+    tree = {
+        "asset": {"version": "2.0"}, "buffers": [{"uri": "a.bin", "byteLength": len(arrays)}],
+        "bufferViews": views, "accessors": accessors, "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}], "scene": 0,
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+    }  # fmt: skip
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    first = complete(store, "a", tmp_path / "a.gltf", PLAN)
+    assert not complete(store, "a", tmp_path / "a.gltf", PLAN).computed
+    doubled = (2 * mesh.points).astype("<f4").tobytes() + arrays[size:]
+    (tmp_path / "a.bin").write_bytes(doubled)
+    second = complete(store, "a", tmp_path / "a.gltf", PLAN)
+    assert second.computed
+    assert second.record.area == pytest.approx(4 * first.record.area)
+
+
+def test_threads_tell_their_own_damage(store, tmp_path):
+    files = [tmp_path / f"{i}.off" for i in range(8)]
+    for i, file in enumerate(files):
+        write(creature(520, seed=i), file)
+        complete(store, file.stem, file, PLAN)
+    for entry in store.entries("spectra"):
+        entry.path.write_bytes(b"")
+    filters = list(warnings.filters)
+    with ThreadPoolExecutor(4) as pool:
+        done = list(pool.map(lambda file: complete(store, file.stem, file, PLAN), files))
+    assert warnings.filters == filters
+    for one in done:
+        assert one.computed
+        assert [one.record.spectrum in text for text in one.replaced] == [True]
 
 
 def test_plans_that_do_not_fit_their_shape():

@@ -119,6 +119,17 @@ def _words(data: bytes, start: int) -> tuple[int, int]:
     return int.from_bytes(first, "little"), int.from_bytes(second, "little")
 
 
+def buffer_files(path: Path) -> list[Path]:
+    """Return the files beside a .gltf that hold its arrays, as far as it can be read."""
+    try:
+        buffers = json.loads(path.read_bytes()).get("buffers", [])
+        names = [buffer.get("uri") or "data:" for buffer in buffers]
+    except (ValueError, AttributeError, TypeError):
+        return []  # to read it tells what is wrong
+    files = (path.parent / unquote(name) for name in names if not name.startswith("data:"))
+    return [file for file in files if file.is_file()]
+
+
 def _buffers(tree: dict[str, Any], binary: memoryview | None, folder: Path) -> list[memoryview]:
     found: list[memoryview] = []
     for buffer in tree.get("buffers", []):
