@@ -15,7 +15,7 @@ from typing import Any
 from spectra_kit._checked import checked
 from spectra_kit._optional import optional
 from spectra_kit._validate import check_count, warn
-from spectra_kit.batch.run import Task
+from spectra_kit.batch.run import Task, in_this_process
 from spectra_kit.errors import (
     EngineLostError,
     InvalidInputError,
@@ -25,9 +25,10 @@ from spectra_kit.errors import (
 from spectra_kit.linalg.memory import memory_of
 from spectra_kit.linalg.threads import single_threaded
 
+_LONG, _MOST = 0.5, 16  # seconds of work to hand out at once, and tasks
 _LOOK = 1.0  # seconds after which workers are counted again
 _SIZE = re.compile(r"auto|none|0|[0-9.]+(e[0-9]+)? *([kmgt]i?)?b?", re.IGNORECASE)
-_AHEAD = 4  # tasks handed out for each thread: none waits, and the scheduler has little to remember
+_AHEAD = 4  # parcels handed out for each thread: none waits, the scheduler has little to remember
 _ALLOWED_FAILURES = 10  # deaths of workers that a shape may be near by chance
 # What a task needs is known only while it runs: results are small, nothing is worth spilling, and
 # a worker that pauses for memory which its libraries keep would never go on.
@@ -160,39 +161,52 @@ class DaskEngine:
 
 
 def _spread(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
+    """Hand tasks out, several at a time where they are quick, and yield results as they come."""
     distributed: Any = optional("distributed", extra="batch", needed_by="a run with workers")
-    todo, waiting = iter(tasks), dict[str, Task]()
+    todo, waiting = iter(tasks), dict[str, tuple[Task, ...]]()
     ready = distributed.as_completed()
-
-    def hand_out(count: int) -> None:
-        for task in islice(todo, count):
-            future = client.submit(_do, task, pure=False)
-            waiting[future.key] = task
-            ready.add(future)
-
     threads, looked = sum(client.nthreads().values()), time.monotonic()
     if not threads:
         warn("the scheduler has no workers yet; waiting for the first one", SpectraKitWarning)
     _check_pickled(first := next(todo, None))
     todo = chain([first] if first else [], todo)
-    hand_out(_AHEAD * max(1, threads))
+    together = 1  # so many tasks take about `_LONG` seconds
+
+    def hand_out(some: tuple[Task, ...]) -> None:
+        future = client.submit(_do, some, pure=False)
+        waiting[future.key] = some
+        ready.add(future)
+
+    def fill() -> None:
+        while len(waiting) < _AHEAD * max(1, threads) and (some := tuple(islice(todo, together))):
+            hand_out(some)
+
+    fill()
     for future in ready:
-        task = waiting.pop(future.key)
+        some = waiting.pop(future.key)
         if future.cancelled():
             raise EngineLostError(
                 "the scheduler was lost",
                 advice="what is done is kept; the same command goes on with what is not",
             )
         error = future.exception()
-        if isinstance(error, distributed.KilledWorker):
-            error = WorkerError(
-                "the process that worked on it died each time it was tried",
-                advice="as for lack of memory: let fewer workers have more of it",
-            )
-        yield task, future.result() if error is None else error
+        if error is None:
+            results, seconds = future.result()
+            yield from zip(some, results, strict=True)
+            together = max(1, min(_MOST, int(_LONG * len(some) / max(seconds, 1e-9))))
+        elif len(some) > 1:  # one of them is to blame: each for itself
+            for task in some:
+                hand_out((task,))
+        else:
+            if isinstance(error, distributed.KilledWorker):
+                error = WorkerError(
+                    "the process that worked on it died each time it was tried",
+                    advice="as for lack of memory: let fewer workers have more of it",
+                )
+            yield some[0], error
         if time.monotonic() - looked > _LOOK:  # workers come and go
             threads, looked = sum(client.nthreads().values()), time.monotonic()
-        hand_out(max(1, _AHEAD * threads - len(waiting)))
+        fill()
 
 
 def _check_pickled(task: Task | None) -> None:
@@ -208,10 +222,16 @@ def _check_pickled(task: Task | None) -> None:
         ) from error
 
 
-def _do(task: Task) -> Any:
+def _do(tasks: tuple[Task, ...]) -> tuple[list[Any | Exception], float]:
+    """Do tasks one after the other; return what came of them or was raised, and the seconds."""
     distributed: Any = optional("distributed", extra="batch", needed_by="a run with workers")
     worker = distributed.get_worker()
     limit = worker.memory_manager.memory_limit  # of the process; None for none
     share = limit / 2**30 / worker.state.nthreads if limit else None
+    start, results = time.monotonic(), list[Any]()
     with single_threaded(), memory_of(share):
-        return task()
+        for _, result in in_this_process(tasks):
+            results.append(result)
+    if len(tasks) == 1 and isinstance(results[0], Exception):
+        raise results[0]  # Dask knows how to hand over what cannot be pickled
+    return results, time.monotonic() - start

@@ -193,7 +193,7 @@ def work(
     if not tasks:
         return []
     found, places = dict[int, Any](), {id(task): i for i, task in enumerate(tasks)}
-    results = (engine or _in_this_process)(tasks)
+    results = (engine or in_this_process)(tasks)
     if not isinstance(results, Iterable):
         raise InvalidInputError("engine", "return tasks with their results", repr(results))
     try:
@@ -211,7 +211,7 @@ def work(
     return [found[i] for i in range(len(tasks))]
 
 
-def _in_this_process(tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
+def in_this_process(tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
     """Do one task after the other, here."""
     for task in tasks:
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from spectra_kit._checked import checked
@@ -127,7 +127,7 @@ def complete(
         spectrum=key,
         descriptors=descriptors,
         operators=operators,
-        sizes=store.sizes([shape_digest(shape), key, *descriptors.values(), *operators.values()]),
+        sizes={},
         kind="mesh" if isinstance(shape, TriangleMesh) else "cloud",
         points=shape.n,
         faces=len(shape.faces) if isinstance(shape, TriangleMesh) else 0,
@@ -141,6 +141,7 @@ def complete(
         problems=problems,
         warnings=_doubts(spectrum, plan),
     )
+    record = replace(record, sizes=store.sizes(record))
     if record != old:
         store.keep_record(record)
     return Completed(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -103,11 +103,13 @@ class SpectrumStore:
             self._check_format(mark)
             return
         # Others may be about to make it, whose temporary files begin with a dot.
-        own = root.is_dir() and all(path.name.startswith(".") for path in root.iterdir())
+        free = not root.exists() or (
+            root.is_dir() and all(path.name.startswith(".") for path in root.iterdir())
+        )
         if mark.exists():
             self._check_format(mark)
             return
-        if root.exists() and not own:
+        if not free:
             raise InvalidInputError(
                 "path",
                 "be a store, an empty folder or a new one",
@@ -642,13 +644,13 @@ class SpectrumStore:
         with self._new("records", key) as path, atomic_path(path) as part:
             part.write_text(text)
 
-    def sizes(self, keys: Sequence[str]) -> dict[str, int]:
-        """Return the bytes of those entries of some keys that are there.
+    def sizes(self, record: ShapeRecord) -> dict[str, int]:
+        """Return the bytes of those entries of a record that are there.
 
         Parameters
         ----------
-        keys : sequence of str
-            Of geometries, spectra, descriptors, operators or maps.
+        record : ShapeRecord
+            As `record` returns it.
 
         Returns
         -------
@@ -658,13 +660,22 @@ class SpectrumStore:
         Examples
         --------
         >>> import tempfile
+        >>> from pathlib import Path
         >>> import spectra_kit as sk
-        >>> sk.store.SpectrumStore(tempfile.mkdtemp()).sizes(["0" * 32])
-        {}
+        >>> folder = Path(tempfile.mkdtemp())
+        >>> sk.geometry.write(sk.geometry.creature(600), folder / "animal.off")
+        >>> store, plan = sk.store.SpectrumStore(folder / "store"), sk.store.Plan(k=12)
+        >>> record = sk.store.complete(store, "animal", folder / "animal.off", plan).record
+        >>> store.sizes(record) == record.sizes
+        True
         """
-        kinds = [kind for kind in _SUFFIX if kind != "records"]
-        places = ((key, self._place(kind, key)) for key in keys for kind in kinds)
-        found = ((key, _state(path)) for key, path in places)
+        kinds: tuple[tuple[Kind, Iterable[str]], ...] = (
+            ("shapes", [record.shape]),
+            ("spectra", [record.spectrum]),
+            ("descriptors", record.descriptors.values()),
+            ("operators", record.operators.values()),
+        )
+        found = ((key, _state(self._place(kind, key))) for kind, keys in kinds for key in keys)
         return {key: state.st_size for key, state in found if state is not None}
 
     def holds(self, record: ShapeRecord) -> bool:
@@ -692,8 +703,8 @@ class SpectrumStore:
         True
         """
         kept = (*record.descriptors.values(), *record.operators.values())
-        keys = [record.shape, record.spectrum, *kept]
-        return self.sizes(keys) == record.sizes and record.sizes.keys() == set(keys)
+        sizes = self.sizes(record)
+        return sizes == record.sizes and sizes.keys() == {record.shape, record.spectrum, *kept}
 
     def records(self, plan: Plan | None = None) -> Iterator[ShapeRecord]:
         """Yield what is known of each name, in the order of the names' hashes.
@@ -877,7 +888,7 @@ class SpectrumStore:
 
     def _place(self, kind: Kind, key: str) -> Path:
         """Return where an entry is or would be: in one of 256 folders, none of which gets large."""
-        return self._root / kind / key[:2] / f"{key}{_SUFFIX[kind]}"
+        return Path(f"{self.path}/{kind}/{key[:2]}/{key}{_SUFFIX[kind]}")
 
     def _files(self, kind: Kind) -> Iterator[Path]:
         for folder in sorted((self._root / kind).glob("??")):
