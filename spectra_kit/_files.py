@@ -62,8 +62,11 @@ def is_special(path: str | os.PathLike[str]) -> bool:
 
 def replace(part: Path, target: Path) -> None:
     """Rename `part` over `target`, which hands on its owner and its rights, as far as they go."""
-    with suppress(FileNotFoundError):  # none was there, or it is gone
+    try:
         old = target.stat()
+    except OSError:  # none is there, or no more; or links that lead in a circle
+        old = None
+    if old is not None:
         # To give files away is the right of the superuser, and not everywhere.
         with suppress(OSError, AttributeError):
             os.chown(part, old.st_uid, old.st_gid)
