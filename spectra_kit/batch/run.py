@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import random
+import socket
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
@@ -14,6 +17,8 @@ from spectra_kit.batch.inputs import Input, refuse_twice
 from spectra_kit.errors import InvalidInputError, StoreError
 from spectra_kit.store import Completed, Plan, SpectrumStore, complete
 from spectra_kit.store.complete import known
+
+Thing = TypeVar("Thing")
 
 
 class Failed(NamedTuple):
@@ -114,7 +119,8 @@ def compute_all(
 ) -> BatchReport:
     """Compute what a plan wants of all inputs, but for what the store has already.
 
-    Interrupted, it loses what is in work; called again, it goes on.
+    Interrupted, it loses what is in work; called again, it goes on. Several runs may share a store:
+    each goes in an order of its own, and meets what others have done.
 
     Parameters
     ----------
@@ -127,7 +133,7 @@ def compute_all(
     engine : Engine, optional
         Who works, such as a `DaskEngine`; by default this process, one shape after the other.
     strict : bool, default False
-        Stop at the first failure, and raise it.
+        Stop at the first failure, and raise it; go in the order of the inputs.
     progress : callable, optional
         Told how many inputs of how many are done.
 
@@ -160,22 +166,34 @@ def compute_all(
     """
     refuse_twice("inputs", [one.name for one in inputs])
     clock = Clock()
-    found, todo = list[Any](), list[Task]()
-    for one in inputs:
-        there = known(store, one.name, one.path, plan)
-        if there is None:
-            todo.append(_Completion(one, Path(store.path), plan))
-        found.append(there)
-        if there is not None and progress is not None:
+    found, todo = list[Any](), list[int]()
+    for i, one in enumerate(inputs):
+        found.append(known(store, one.name, one.path, plan))
+        if found[i] is None:
+            todo.append(i)
+        elif progress is not None:
             progress(len(found) - len(todo), len(inputs))
+    todo = todo if strict else own_order(todo)
+    tasks = [_Completion(inputs[i], Path(store.path), plan) for i in todo]
     before = len(found) - len(todo)
-    made = iter(work(todo, engine=engine, strict=strict, progress=progress, before=before))
-    told = [(x, next(made) if y is None else y) for x, y in zip(inputs, found, strict=True)]
+    results = work(tasks, engine=engine, strict=strict, progress=progress, before=before)
+    for i, result in zip(todo, results, strict=True):
+        found[i] = result
+    told = [*zip(inputs, found, strict=True)]
     return BatchReport(
         completed=tuple((one, done) for one, done in told if isinstance(done, Completed)),
         failed=tuple(Failed(one, done) for one, done in told if isinstance(done, Exception)),
         seconds=clock.total,
     )
+
+
+def own_order(things: Sequence[Thing]) -> list[Thing]:
+    """Return things in an order of this process's own, for runs that share a store.
+
+    Not just from another beginning: one that comes to where another is would go on in step.
+    """
+    own = random.Random(f"{socket.gethostname()} {os.getpid()}")
+    return own.sample(things, len(things))
 
 
 def work(

@@ -113,6 +113,38 @@ def test_an_engine_that_is_none(scans, store):
             PLAN, engine=lambda tasks: None)  # fmt: skip
 
 
+RUN = """
+import sys, time
+from pathlib import Path
+import spectra_kit as sk
+store, ready = sk.store.SpectrumStore(sys.argv[1]), Path(sys.argv[3])
+inputs = sk.batch.find_inputs([sys.argv[2]])
+ready.touch()
+while len([*ready.parent.glob("ready*")]) < 2:
+    time.sleep(0.001)
+report = sk.batch.compute_all(inputs, store, sk.store.Plan(k=6))
+assert [one.name for one, _ in report.completed] == [one.name for one in inputs]
+print(report.computed)
+"""
+
+
+@pytest.mark.slow
+def test_two_runs_into_one_store_share_the_work(store, tmp_path):
+    (tmp_path / "scans").mkdir()
+    for i in range(40):
+        write(creature(520, seed=i), tmp_path / "scans" / f"{i}.off")
+    here = [sys.executable, "-c", RUN, str(store.path), str(tmp_path / "scans")]
+    both = [
+        subprocess.Popen([*here, str(tmp_path / f"ready{i}")], stdout=subprocess.PIPE, text=True)
+        for i in range(2)
+    ]
+    computed = [int(process.communicate(timeout=120)[0]) for process in both]
+    assert 40 <= sum(computed) < 55  # in one order, more than half would be computed by both
+    alone = SpectrumStore(tmp_path / "alone")
+    compute_all(find_inputs([tmp_path / "scans"]), alone, PLAN)
+    assert entries(store) == entries(alone)
+
+
 # --- tables ---
 
 
