@@ -106,6 +106,11 @@ class BatchReport(Brief):
         """What was damaged, and made again."""
         return tuple(text for _, done in self.completed for text in done.replaced)
 
+    @property
+    def renewed(self) -> tuple[str, ...]:
+        """Names that stood for other bytes before: of files that have changed, or of others."""
+        return tuple(one.name for one, done in self.completed if done.renewed)
+
 
 @checked
 def compute_all(

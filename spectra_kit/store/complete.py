@@ -42,6 +42,9 @@ class Completed(Brief):
         Whether a spectrum was solved for, or was there.
     replaced : tuple of str
         What was damaged and computed again.
+    renewed : bool
+        Whether its name stood for other bytes before, of a file that has changed since or of
+        another: what was known of these is known by this name no more.
     seconds : float
         That it took.
     """
@@ -49,6 +52,7 @@ class Completed(Brief):
     record: ShapeRecord
     computed: bool
     replaced: tuple[str, ...]
+    renewed: bool
     seconds: float
 
 
@@ -150,6 +154,7 @@ def complete(
         record=record,
         computed=solved or any(key in text for text in replaced),
         replaced=replaced,
+        renewed=old is not None and old.file != digest,
         seconds=time.perf_counter() - start,
     )
 
@@ -164,7 +169,7 @@ def known(store: SpectrumStore, name: str, file: Path, plan: Plan) -> Completed 
     if record is None or record.file != _digest(file) or not store.holds(record):
         return None
     seconds = time.perf_counter() - start
-    return Completed(record=record, computed=False, replaced=(), seconds=seconds)
+    return Completed(record=record, computed=False, replaced=(), renewed=False, seconds=seconds)
 
 
 def _check_memory(path: Path, plan: Plan, n: int) -> None:

@@ -527,6 +527,7 @@ def test_a_file_that_changed_is_computed_anew_and_one_renamed_is_known(store, tm
     write(creature(600), tmp_path / "a.off")
     changed = complete(store, "a", tmp_path / "a.off", PLAN)
     assert changed.computed
+    assert [one.renewed for one in (first, second, changed)] == [False, False, True]
     assert store.record("a", PLAN).spectrum == changed.record.spectrum
     assert [record.name for record in store.records(PLAN)].count("a") == 1
     assert list(store.records(Plan(k=13))) == []
