@@ -15,10 +15,13 @@ from spectra_kit._clock import Clock
 from spectra_kit._validate import Brief
 from spectra_kit.batch.inputs import Input, refuse_twice
 from spectra_kit.errors import InvalidInputError, StoreError
+from spectra_kit.linalg.threads import ranges
 from spectra_kit.store import Completed, Plan, SpectrumStore, complete
-from spectra_kit.store.complete import known
+from spectra_kit.store.complete import begin, known
 
 Thing = TypeVar("Thing")
+
+_ALIKE = 32  # inputs of similar size that stay side by side for a solver that takes several
 
 
 class Failed(NamedTuple):
@@ -38,7 +41,11 @@ class Failed(NamedTuple):
 
 @runtime_checkable
 class Task(Protocol):
-    """Something to be done, here or elsewhere: it can be pickled, and called."""
+    """Something to be done, here or elsewhere: it can be pickled, and called.
+
+    What gains from several tasks of its kind at once may have a static method ``begin(tasks)``. It
+    yields a function for each, in their order, that does what is left of it.
+    """
 
     @property
     def name(self) -> str:
@@ -70,6 +77,12 @@ class _Completion:
 
     def __call__(self) -> Completed:
         return complete(SpectrumStore(self.store), self.input.name, self.input.path, self.plan)
+
+    @staticmethod
+    def begin(tasks: Sequence[_Completion]) -> Iterator[Callable[[], Completed]]:
+        """Return what is left of those of one run: see `store.complete.begin`."""
+        store, plan = SpectrumStore(tasks[0].store), tasks[0].plan
+        return begin(store, ((task.input.name, task.input.path) for task in tasks), plan)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle it with paths from the root: who works may have another folder as theirs."""
@@ -178,7 +191,8 @@ def compute_all(
             todo.append(i)
         elif progress is not None:
             progress(len(found) - len(todo), len(inputs))
-    todo = todo if strict else own_order(todo)
+    if not strict:
+        todo = _in_own_order(todo, inputs, plan)
     tasks = [_Completion(inputs[i], Path(store.path), plan) for i in todo]
     before = len(found) - len(todo)
     results = work(tasks, engine=engine, strict=strict, progress=progress, before=before)
@@ -190,6 +204,21 @@ def compute_all(
         failed=tuple(Failed(one, done) for one, done in told if isinstance(done, Exception)),
         seconds=clock.total,
     )
+
+
+def _in_own_order(todo: list[int], inputs: Sequence[Input], plan: Plan) -> list[int]:
+    """Return the places of inputs in an order of our own, those of one size side by side.
+
+    Unless one by one is as good for the solver.
+    """
+    if not hasattr(plan.solver, "begin"):
+        return own_order(todo)
+    alike = sorted(todo, key=lambda i: _bytes(inputs[i].path))
+    return [i for cut in own_order(ranges(len(alike), _ALIKE)) for i in alike[slice(*cut)]]
+
+
+def _bytes(path: Path) -> int:
+    return path.stat().st_size if path.is_file() else 0  # `read` says why there is none
 
 
 def own_order(things: Sequence[Thing]) -> list[Thing]:
@@ -236,8 +265,10 @@ def work(
 
 def in_this_process(tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
     """Do one task after the other, here."""
-    for task in tasks:
+    todo = list(tasks)
+    begin = getattr(todo[0], "begin", None) if todo else None
+    for task, rest in zip(todo, begin(todo) if begin else todo, strict=True):
         try:
-            yield task, task()
+            yield task, rest()
         except Exception as error:  # noqa: BLE001  # one task's failure, told with its name
             yield task, error

@@ -217,21 +217,58 @@ class SpectrumStore:
         >>> store.spectrum(sk.geometry.creature(600), sk.store.Plan(k=12)).k
         12
         """
-        facts = _spectrum_facts(shape_digest(shape), plan)
-        key = facts_digest(facts)
+        key = self.key(shape, plan)
 
         def solved() -> Spectrum:
-            self.keep_shape(shape)
             made = eigensolve(plan.laplacian(shape), plan.k, plan.solver)
-            made = made.described(made.certificate, replace(made.provenance, seconds={}))
-            vectors = made.eigenvectors.astype(plan.precision)
-            arrays = {"eigenvalues": made.eigenvalues, "eigenvectors": vectors, "mass": made.mass}
-            certificate = plain(made.certificate) if made.certificate else None
-            with self._new("spectra", key) as path:
-                write_spectrum_file(path, arrays, certificate, vars(made.provenance), facts=facts)
-            return replace(made, eigenvectors=vectors)  # as all others will see it
+            return self.keep_spectrum(shape, plan, made)
 
         return _known(lambda: self.load(key), solved)
+
+    def keep_spectrum(self, shape: Geometry, plan: Plan, made: Spectrum) -> Spectrum:
+        """Keep a spectrum that was computed as a plan says, and its shape.
+
+        Parameters
+        ----------
+        shape : TriangleMesh or PointCloud
+            As it is looked at: see `Plan.prepared`.
+        plan : Plan
+            By which it was computed.
+        made : Spectrum
+            Of `Plan.laplacian`, by the solver of the plan.
+
+        Returns
+        -------
+        Spectrum
+            As all others will see it: in the precision of the plan, without the times in its
+            provenance.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store = sk.store.SpectrumStore(tempfile.mkdtemp())
+        >>> animal, plan = sk.geometry.creature(600), sk.store.Plan(k=12, solver=sk.Dense())
+        >>> made = sk.eigensolve(plan.laplacian(animal), plan.k, plan.solver)
+        >>> store.keep_spectrum(animal, plan, made).k
+        12
+        >>> store.key(animal, plan) in store
+        True
+        """
+        facts = _spectrum_facts(shape_digest(shape), plan)
+        self.keep_shape(shape)
+        made = made.described(made.certificate, replace(made.provenance, seconds={}))
+        vectors = made.eigenvectors.astype(plan.precision)
+        arrays = {"eigenvalues": made.eigenvalues, "eigenvectors": vectors, "mass": made.mass}
+        certificate = plain(made.certificate) if made.certificate else None
+        with self._new("spectra", facts_digest(facts)) as path:
+            write_spectrum_file(path, arrays, certificate, vars(made.provenance), facts=facts)
+        return replace(made, eigenvectors=vectors)
 
     def descriptor(self, shape: Geometry, plan: Plan, name: Descriptor) -> Floats:
         """Return a signature of a shape; compute and keep it, and the spectrum, if it is not there.

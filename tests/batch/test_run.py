@@ -113,6 +113,24 @@ def test_an_engine_that_is_none(scans, store):
             PLAN, engine=lambda tasks: None)  # fmt: skip
 
 
+def test_shapes_that_go_together_have_the_modes_of_each_alone(store, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    plan = Plan(k=12, solver=sk.Neo())
+    for i in range(4):
+        write(creature(700 + 20 * i, seed=i), tmp_path / f"{i}.off")
+    (tmp_path / "empty.off").touch()
+    told = []
+    inputs = find_inputs([str(tmp_path / "*.off")])
+    report = compute_all(inputs, store, plan, progress=lambda *args: told.append(args))
+    assert told == [(i + 1, 5) for i in range(5)]
+    assert (report.computed, len(report.failed)) == (4, 1)
+    assert [one for one, _ in report.completed] == inputs[:4]
+    for one, done in report.completed:
+        alone = sk.eigensolve(plan.laplacian(sk.read(one.path)), 12, sk.Neo())
+        np.testing.assert_allclose(done.record.eigenvalues, alone.eigenvalues, rtol=1e-5, atol=1e-9)
+    assert compute_all(inputs, store, plan).computed == 0
+
+
 RUN = """
 import sys, time
 from pathlib import Path
