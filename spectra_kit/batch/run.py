@@ -17,7 +17,8 @@ from spectra_kit.batch.inputs import Input, refuse_twice
 from spectra_kit.errors import InvalidInputError, StoreError
 from spectra_kit.linalg.threads import ranges
 from spectra_kit.store import Completed, Plan, SpectrumStore, complete
-from spectra_kit.store.complete import begin, known
+from spectra_kit.store.complete import known
+from spectra_kit.store.together import begin
 
 Thing = TypeVar("Thing")
 
@@ -80,7 +81,7 @@ class _Completion:
 
     @staticmethod
     def begin(tasks: Sequence[_Completion]) -> Iterator[Callable[[], Completed]]:
-        """Return what is left of those of one run: see `store.complete.begin`."""
+        """Return what is left of those of one run: see `store.together.begin`."""
         store, plan = SpectrumStore(tasks[0].store), tasks[0].plan
         return begin(store, ((task.input.name, task.input.path) for task in tasks), plan)
 

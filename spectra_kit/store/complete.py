@@ -1,45 +1,34 @@
-"""`complete`: from a file to all that a plan wants of it, unless the store has that already.
-
-`begin` does the same for many files, of which it solves several together where that is sooner.
-"""
+"""`complete`: from a file to all that a plan wants of it, unless the store has that already."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import suppress
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 from spectra_kit._checked import checked
 from spectra_kit._fingerprint import shape_digest
 from spectra_kit._validate import Brief, hearing
-from spectra_kit.eigensolvers import eigensolve_many
 from spectra_kit.eigensolvers.doubts import warn_of_doubts
 from spectra_kit.errors import (
     DamagedEntryWarning,
     InvalidFileError,
     OutOfMemoryError,
-    SpectraKitError,
     SpectraKitWarning,
 )
 from spectra_kit.geometry import Geometry, TriangleMesh, diagnose, read
 from spectra_kit.geometry.formats.gltf import buffer_files
 from spectra_kit.linalg.memory import memory_limit
-from spectra_kit.linalg.threads import single_threaded_blas, thread_count
-from spectra_kit.operators import Laplacian
+from spectra_kit.linalg.threads import single_threaded_blas
 from spectra_kit.spectra import Spectrum
 from spectra_kit.store.files import ShapeRecord, remove, warn_of_damage
 from spectra_kit.store.plan import Plan
 from spectra_kit.store.store import SpectrumStore
 
 _BLOCK = 1 << 20  # bytes that are hashed at a time
-#: Points that share a pass of a solver that takes several shapes at once.
-_PASS, _PASS_OF_DEVICE = 4096, 65536
 
 
 @checked
@@ -116,56 +105,13 @@ def complete(
     False
     """
     path = Path(file)
-    return known(store, name, path, plan) or _finished(store, _read(store, name, path, plan), plan)
-
-
-def begin(
-    store: SpectrumStore, files: Iterable[tuple[str, Path]], plan: Plan
-) -> Iterator[Callable[[], Completed]]:
-    """Yield what is left to do for each of many named files, with the result of `complete`.
-
-    Shapes are solved for together where that is sooner than one by one.
-    """
-    most = _points_together(plan.solver)
-    rest, reads, points = list[Callable[[], Completed]](), dict[str, _Read](), 0
-    for name, path in files:
-        rest.append(partial(complete, store, name, path, plan))
-        with suppress(Exception):  # on its own it fails for itself, and is told
-            if most and known(store, name, path, plan) is None:
-                one = _read(store, name, path, plan)
-                if one.key in reads:  # of two names of one shape, one is solved for
-                    one = replace(one, is_new=False)
-                elif one.is_new:
-                    reads[one.key] = one
-                points += one.shape.n
-                rest[-1] = partial(_finished, store, one, plan)
-        if points >= most:
-            _solve(store, reads.values(), plan)
-            yield from rest
-            rest, reads, points = [], {}, 0
-    _solve(store, reads.values(), plan)
-    yield from rest
-
-
-def _points_together(solver: Any) -> int:
-    """Return how many points are worth solving for together; 0 if none are.
-
-    A pass of several shapes costs a processor what it costs one by one, but can be done beside
-    other passes; an accelerator idles while it has one small shape.
-    """
-    if not hasattr(solver, "begin"):
-        return 0
-    if _on_device(solver):
-        return 2 * _PASS_OF_DEVICE
-    return 2 * _PASS * thread_count() if thread_count() > 1 else 0
-
-
-def _on_device(solver: Any) -> bool:
-    return getattr(solver, "device", "cpu") != "cpu"
+    if (there := known(store, name, path, plan)) is not None:
+        return there
+    return finished(store, read_file(store, name, path, plan), plan)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Read:
+class FileRead:
     """A file that was read, and what the store has of it."""
 
     name: str
@@ -179,10 +125,10 @@ class _Read:
     start: float
 
 
-def _read(store: SpectrumStore, name: str, path: Path, plan: Plan) -> _Read:
+def read_file(store: SpectrumStore, name: str, path: Path, plan: Plan) -> FileRead:
     """Read a file, or find its geometry in the store."""
     start = time.perf_counter()
-    with hearing() as heard:
+    with hearing() as heard, single_threaded_blas():
         digest = _digest(path)
         old = _old_record(store, name, plan)
         shape, problems = _shape(store, path, plan, old if old and old.file == digest else None)
@@ -190,7 +136,7 @@ def _read(store: SpectrumStore, name: str, path: Path, plan: Plan) -> _Read:
         is_new = key not in store
         if is_new:
             _check_memory(path, plan, shape.n)
-    return _Read(
+    return FileRead(
         name=name,
         digest=digest,
         old=old,
@@ -207,28 +153,7 @@ def _damaged(heard: Iterable[SpectraKitWarning]) -> tuple[str, ...]:
     return tuple(str(one) for one in heard if isinstance(one, DamagedEntryWarning))
 
 
-def _solve(store: SpectrumStore, reads: Collection[_Read], plan: Plan) -> None:
-    """Keep the spectra of those that can be solved for together.
-
-    Whoever asks for another solves for it alone, and is told why that fails.
-    """
-    if not reads:
-        return
-    shapes, laplacians = list[Geometry](), list[Laplacian]()
-    with hearing(), single_threaded_blas(), suppress(SpectraKitError, MemoryError):
-        for one in reads:
-            with suppress(SpectraKitError):
-                laplacian = plan.laplacian(one.shape)
-                if plan.k <= len(laplacian.free):
-                    shapes.append(one.shape)
-                    laplacians.append(laplacian)
-        batch = _PASS_OF_DEVICE if _on_device(plan.solver) else _PASS
-        solved = eigensolve_many(laplacians, plan.k, plan.solver, batch=batch)
-        for shape, spectrum in zip(shapes, solved, strict=True):
-            store.keep_spectrum(shape, plan, spectrum)
-
-
-def _finished(store: SpectrumStore, one: _Read, plan: Plan) -> Completed:
+def finished(store: SpectrumStore, one: FileRead, plan: Plan) -> Completed:
     """Compute and keep what is missing of a file that was read."""
     shape, key = one.shape, one.key
     with hearing() as heard, single_threaded_blas():

@@ -36,8 +36,8 @@ from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 from spectra_kit.operators import tangent_gradient
 from spectra_kit.spectra import Spectrum
 from spectra_kit.store import Plan, SpectrumStore, complete
-from spectra_kit.store.complete import begin
 from spectra_kit.store.plan import NAMES
+from spectra_kit.store.together import begin
 
 PLAN = Plan(k=12)
 
