@@ -208,8 +208,11 @@ def _is_integer(value: Any) -> bool:
     )
 
 
+_FLOATS = float, np.floating
+
+
 def _is_number(value: Any) -> bool:
-    return _is_integer(value) or isinstance(value, float | np.floating)
+    return isinstance(value, _FLOATS) or _is_integer(value)  # a record holds many floats
 
 
 _NUMBER_OR_NAN = NewType("_NUMBER_OR_NAN", float)
