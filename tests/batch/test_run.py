@@ -16,6 +16,7 @@ from conftest import bumpy, creature, moved, refused
 
 import spectra_kit as sk
 from spectra_kit.batch import DaskEngine, Input, compute_all, find_inputs, write_table
+from spectra_kit.batch.preload import own_device
 from spectra_kit.batch.table import check_columns
 from spectra_kit.errors import EngineLostError, InvalidFileError, StoreError
 from spectra_kit.geometry import write
@@ -229,6 +230,29 @@ def test_tables_of_other_columns_and_of_nothing(scans, store, tmp_path):
 )
 def test_engines_that_cannot_be(argument, expected, options):
     refused(argument, expected, DaskEngine, **options)
+
+
+@pytest.mark.parametrize(
+    ("visible", "number", "own"),
+    [
+        ("0,1,2", 1, "1"),
+        ("0,1,2", 5, "2"),
+        ("GPU-8f,GPU-2c", 2, "GPU-8f"),
+        ("", 3, ""),
+        ("4", 1, "4"),
+    ],
+)
+def test_workers_take_devices_by_turns(visible, number, own, monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    assert own_device(number) == own
+
+
+@pytest.mark.slow
+def test_each_local_worker_sees_a_device_of_its_own(monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "5,7")
+    with DaskEngine(nworkers=2)._client() as client:
+        seen = client.run(lambda: os.environ["CUDA_VISIBLE_DEVICES"])
+    assert sorted(seen.values()) == ["5", "7"]
 
 
 @pytest.mark.slow
