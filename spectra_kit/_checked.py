@@ -208,8 +208,11 @@ def _is_integer(value: Any) -> bool:
     )
 
 
+_FLOATS = float, np.floating
+
+
 def _is_number(value: Any) -> bool:
-    return _is_integer(value) or isinstance(value, float | np.floating)
+    return isinstance(value, _FLOATS) or _is_integer(value)  # a record holds many floats
 
 
 _NUMBER_OR_NAN = NewType("_NUMBER_OR_NAN", float)
@@ -283,8 +286,9 @@ def _sequence(base: type, args: tuple[Any, ...]) -> _Kind:
             return False
         if not several and len(value) != len(kinds):
             return False
-        each = repeat(kinds[0]) if several else kinds
-        return all(k is None or k.accepts(v) for k, v in zip(each, value, strict=False))
+        if several:
+            return kinds[0] is None or all(map(kinds[0].accepts, value))
+        return all(k is None or k.accepts(v) for k, v in zip(kinds, value, strict=True))
 
     size = "" if several else f"{len(kinds)} "
     words = f"{base.__name__.lower()} of {size}{_several(kinds[0])}"

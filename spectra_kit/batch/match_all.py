@@ -13,7 +13,7 @@ from spectra_kit._validate import Brief
 from spectra_kit.batch.inputs import Pair, refuse_twice
 from spectra_kit.batch.matched import Matched, Matching, matched
 from spectra_kit.batch.pairs import records_of
-from spectra_kit.batch.run import Engine, work
+from spectra_kit.batch.run import Engine, own_order, work
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.store import Plan, ShapeRecord, SpectrumStore
 
@@ -104,7 +104,8 @@ def match_all(
 ) -> MatchReport:
     """Match pairs of shapes of a store, but for those whose map it has already.
 
-    Interrupted, it loses what is in work; called again, it goes on.
+    Interrupted, it loses what is in work; called again, it goes on. Several runs may share a store:
+    each goes in an order of its own, and meets what others have done.
 
     Parameters
     ----------
@@ -194,7 +195,7 @@ def match_records(
     clock = Clock()
     refuse_twice("pairs", [repr((pair.source, pair.target)) for pair in pairs])
     searches, found = list[_Search](), dict[tuple[str, str], Any]()
-    for pair in in_tiles(pairs):
+    for pair in in_tiles(pairs, list if strict else own_order):
         if unknown := _unknown(pair, records):
             if strict:
                 raise unknown
@@ -215,16 +216,22 @@ def match_records(
     )
 
 
-def in_tiles(pairs: Sequence[Pair]) -> Iterator[Pair]:
-    """Yield the pairs so that few shapes take part in those of a while."""
+def in_tiles(
+    pairs: Sequence[Pair], order: Callable[[Sequence[int]], list[int]] = list
+) -> Iterator[Pair]:
+    """Yield the pairs so that few shapes take part in those of a while.
+
+    `order` says in which the rows of tiles come.
+    """
     places: dict[str, int] = {}
     for pair in pairs:
         for name in (pair.source, pair.target):
             places.setdefault(name, len(places))
+    rows = order(range(-(-len(places) // _TILE)))
 
     def tile(pair: Pair) -> tuple[int, ...]:
         i, j = places[pair.source], places[pair.target]
-        return i // _TILE, j // _TILE, i, j
+        return rows[i // _TILE], j // _TILE, i, j
 
     yield from sorted(pairs, key=tile)
 

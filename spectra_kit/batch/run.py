@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import os
+import random
+import socket
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._validate import Brief
 from spectra_kit.batch.inputs import Input, refuse_twice
 from spectra_kit.errors import InvalidInputError, StoreError
+from spectra_kit.linalg.threads import ranges
 from spectra_kit.store import Completed, Plan, SpectrumStore, complete
 from spectra_kit.store.complete import known
+from spectra_kit.store.together import begin
+
+Thing = TypeVar("Thing")
+
+_ALIKE = 32  # inputs of similar size that stay side by side for a solver that takes several
 
 
 class Failed(NamedTuple):
@@ -33,7 +42,11 @@ class Failed(NamedTuple):
 
 @runtime_checkable
 class Task(Protocol):
-    """Something to be done, here or elsewhere: it can be pickled, and called."""
+    """Something to be done, here or elsewhere: it can be pickled, and called.
+
+    What gains from several tasks of its kind at once may have a static method ``begin(tasks)``. It
+    yields a function for each, in their order, that does what is left of it.
+    """
 
     @property
     def name(self) -> str:
@@ -65,6 +78,12 @@ class _Completion:
 
     def __call__(self) -> Completed:
         return complete(SpectrumStore(self.store), self.input.name, self.input.path, self.plan)
+
+    @staticmethod
+    def begin(tasks: Sequence[_Completion]) -> Iterator[Callable[[], Completed]]:
+        """Return what is left of those of one run: see `store.together.begin`."""
+        store, plan = SpectrumStore(tasks[0].store), tasks[0].plan
+        return begin(store, ((task.input.name, task.input.path) for task in tasks), plan)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle it with paths from the root: who works may have another folder as theirs."""
@@ -101,6 +120,11 @@ class BatchReport(Brief):
         """What was damaged, and made again."""
         return tuple(text for _, done in self.completed for text in done.replaced)
 
+    @property
+    def renewed(self) -> tuple[str, ...]:
+        """Names that stood for other bytes before: of files that have changed, or of others."""
+        return tuple(one.name for one, done in self.completed if done.renewed)
+
 
 @checked
 def compute_all(
@@ -114,7 +138,8 @@ def compute_all(
 ) -> BatchReport:
     """Compute what a plan wants of all inputs, but for what the store has already.
 
-    Interrupted, it loses what is in work; called again, it goes on.
+    Interrupted, it loses what is in work; called again, it goes on. Several runs may share a store:
+    each goes in an order of its own, and meets what others have done.
 
     Parameters
     ----------
@@ -127,7 +152,7 @@ def compute_all(
     engine : Engine, optional
         Who works, such as a `DaskEngine`; by default this process, one shape after the other.
     strict : bool, default False
-        Stop at the first failure, and raise it.
+        Stop at the first failure, and raise it; go in the order of the inputs.
     progress : callable, optional
         Told how many inputs of how many are done.
 
@@ -160,22 +185,50 @@ def compute_all(
     """
     refuse_twice("inputs", [one.name for one in inputs])
     clock = Clock()
-    found, todo = list[Any](), list[Task]()
-    for one in inputs:
-        there = known(store, one.name, one.path, plan)
-        if there is None:
-            todo.append(_Completion(one, Path(store.path), plan))
-        found.append(there)
-        if there is not None and progress is not None:
+    found, todo = list[Any](), list[int]()
+    for i, one in enumerate(inputs):
+        found.append(known(store, one.name, one.path, plan))
+        if found[i] is None:
+            todo.append(i)
+        elif progress is not None:
             progress(len(found) - len(todo), len(inputs))
+    if not strict:
+        todo = _in_own_order(todo, inputs, plan)
+    tasks = [_Completion(inputs[i], Path(store.path), plan) for i in todo]
     before = len(found) - len(todo)
-    made = iter(work(todo, engine=engine, strict=strict, progress=progress, before=before))
-    told = [(x, next(made) if y is None else y) for x, y in zip(inputs, found, strict=True)]
+    results = work(tasks, engine=engine, strict=strict, progress=progress, before=before)
+    for i, result in zip(todo, results, strict=True):
+        found[i] = result
+    told = [*zip(inputs, found, strict=True)]
     return BatchReport(
         completed=tuple((one, done) for one, done in told if isinstance(done, Completed)),
         failed=tuple(Failed(one, done) for one, done in told if isinstance(done, Exception)),
         seconds=clock.total,
     )
+
+
+def _in_own_order(todo: list[int], inputs: Sequence[Input], plan: Plan) -> list[int]:
+    """Return the places of inputs in an order of our own, those of one size side by side.
+
+    Unless one by one is as good for the solver.
+    """
+    if not hasattr(plan.solver, "begin"):
+        return own_order(todo)
+    alike = sorted(todo, key=lambda i: _bytes(inputs[i].path))
+    return [i for cut in own_order(ranges(len(alike), _ALIKE)) for i in alike[slice(*cut)]]
+
+
+def _bytes(path: Path) -> int:
+    return path.stat().st_size if path.is_file() else 0  # `read` says why there is none
+
+
+def own_order(things: Sequence[Thing]) -> list[Thing]:
+    """Return things in an order of this process's own, for runs that share a store.
+
+    Not just from another beginning: one that comes to where another is would go on in step.
+    """
+    own = random.Random(f"{socket.gethostname()} {os.getpid()}")
+    return own.sample(things, len(things))
 
 
 def work(
@@ -213,8 +266,10 @@ def work(
 
 def in_this_process(tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
     """Do one task after the other, here."""
-    for task in tasks:
+    todo = list(tasks)
+    begin = getattr(todo[0], "begin", None) if todo else None
+    for task, rest in zip(todo, begin(todo) if begin else todo, strict=True):
         try:
-            yield task, task()
+            yield task, rest()
         except Exception as error:  # noqa: BLE001  # one task's failure, told with its name
             yield task, error

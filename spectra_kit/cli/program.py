@@ -377,7 +377,7 @@ class Batch(_Many, options.Operator, options.Solver, Workers):
         "batch 'scans/*.ply' --out store --csv table.csv --descriptors hks",
         "batch subjects.csv --out store --shard 3/100 --nworkers 0",
     )
-    keys = "inputs, computed, known, failed, replaced, seconds, store, csv"
+    keys = "inputs, computed, known, failed, replaced, renewed, seconds, store, csv"
     run = "batch.batch"
     operands = "INPUT... --out STORE [options]"
     notes: ClassVar[Mapping[str, str]] = {

@@ -18,6 +18,8 @@ from spectra_kit.cli.progress import counted, say
 from spectra_kit.cli.words import told
 from spectra_kit.errors import InvalidInputError
 
+_NAMED = 3  # names that a line tells
+
 
 def part_of(asked: program.Workers, inputs: Sequence[Named]) -> Sequence[Named]:
     """Return the part that `--shard` asks for."""
@@ -85,6 +87,13 @@ def tell_run(
     """Say what came of a run; failures last, where they are seen. `more` is told of results."""
     for text in report.replaced:
         say(f"warning: {text}")
+    renewed = report.renewed if isinstance(report, BatchReport) else ()
+    if renewed:
+        rest = f" and {len(renewed) - _NAMED:,} more" if len(renewed) > _NAMED else ""
+        say(
+            f"warning: {quantity(len(renewed), 'name')} stood for other files before, or for other"
+            f" bytes, and now for these: {', '.join(renewed[:_NAMED])}{rest}"
+        )
     things = [(one[0].name, one[1]) for one in report.failed]
     failed = [{"name": name, "reason": told(error)} for name, error in things]
     computed, known = report.computed, count - len(failed) - report.computed
@@ -95,6 +104,7 @@ def tell_run(
         "failed": failed,
         **(more or {}),
         "replaced": list(report.replaced),
+        **({"renewed": list(renewed)} if isinstance(report, BatchReport) else {}),
         "seconds": round(report.seconds, 3),
         "store": store,
         "csv": csv,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from spectra_kit.errors import (
     DamagedEntryWarning,
     InvalidFileError,
     OutOfMemoryError,
+    SpectraKitWarning,
 )
 from spectra_kit.geometry import Geometry, TriangleMesh, diagnose, read
 from spectra_kit.geometry.formats.gltf import buffer_files
@@ -42,13 +44,17 @@ class Completed(Brief):
         Whether a spectrum was solved for, or was there.
     replaced : tuple of str
         What was damaged and computed again.
+    renewed : bool
+        Whether its name stood for other bytes before, of a file that has changed since or of
+        another: what was known of these is known by this name no more.
     seconds : float
-        That it took.
+        That it took, with what was solved for at the same time.
     """
 
     record: ShapeRecord
     computed: bool
     replaced: tuple[str, ...]
+    renewed: bool
     seconds: float
 
 
@@ -98,23 +104,65 @@ def complete(
     >>> sk.store.complete(store, "animal", folder / "animal.off", plan).computed
     False
     """
-    start, path = time.perf_counter(), Path(file)
+    path = Path(file)
     if (there := known(store, name, path, plan)) is not None:
         return there
+    return finished(store, read_file(store, name, path, plan), plan)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FileRead:
+    """A file that was read, and what the store has of it."""
+
+    name: str
+    digest: str
+    old: ShapeRecord | None
+    shape: Geometry
+    problems: tuple[str, ...]
+    key: str
+    is_new: bool
+    damaged: tuple[str, ...]
+    start: float
+
+
+def read_file(store: SpectrumStore, name: str, path: Path, plan: Plan) -> FileRead:
+    """Read a file, or find its geometry in the store."""
+    start = time.perf_counter()
     with hearing() as heard, single_threaded_blas():
         digest = _digest(path)
         old = _old_record(store, name, plan)
         shape, problems = _shape(store, path, plan, old if old and old.file == digest else None)
         key = store.key(shape, plan)
-        solved = key not in store
-        if solved:
+        is_new = key not in store
+        if is_new:
             _check_memory(path, plan, shape.n)
+    return FileRead(
+        name=name,
+        digest=digest,
+        old=old,
+        shape=shape,
+        problems=problems,
+        key=key,
+        is_new=is_new,
+        damaged=_damaged(heard),
+        start=start,
+    )
+
+
+def _damaged(heard: Iterable[SpectraKitWarning]) -> tuple[str, ...]:
+    return tuple(str(one) for one in heard if isinstance(one, DamagedEntryWarning))
+
+
+def finished(store: SpectrumStore, one: FileRead, plan: Plan) -> Completed:
+    """Compute and keep what is missing of a file that was read."""
+    shape, key = one.shape, one.key
+    with hearing() as heard, single_threaded_blas():
         spectrum = store.spectrum(shape, plan)
         signatures = {kind: store.descriptor(shape, plan, kind) for kind in plan.descriptors}
         operators: dict[str, str] = {
             kind: store.keep_operator(shape, plan, kind) for kind in plan.operators
         }
-    replaced = tuple(str(one) for one in heard if isinstance(one, DamagedEntryWarning))
+    replaced = (*one.damaged, *_damaged(heard))
     certificate = spectrum.certificate
     assert certificate is not None  # `eigensolve` certifies
     store.keep_shape(shape)  # where somebody has cleaned meanwhile
@@ -122,8 +170,8 @@ def complete(
         kind: store.descriptor_key(key, kind) for kind in plan.descriptors
     }
     record = ShapeRecord(
-        name=name,
-        file=digest,
+        name=one.name,
+        file=one.digest,
         facts=plan.facts,
         shape=shape_digest(shape),
         spectrum=key,
@@ -140,17 +188,18 @@ def complete(
         residual=float(certificate.relative_residuals.max()),
         eigenvalues=tuple(spectrum.eigenvalues.tolist()),
         dna=tuple(signatures["dna"].tolist()) if "dna" in signatures else (),
-        problems=problems,
+        problems=one.problems,
         warnings=_doubts(spectrum, plan),
     )
     record = replace(record, sizes=store.sizes(record))
-    if record != old:
+    if record != one.old:
         store.keep_record(record)
     return Completed(
         record=record,
-        computed=solved or any(key in text for text in replaced),
+        computed=one.is_new or any(key in text for text in replaced),
         replaced=replaced,
-        seconds=time.perf_counter() - start,
+        renewed=one.old is not None and one.old.file != one.digest,
+        seconds=time.perf_counter() - one.start,
     )
 
 
@@ -164,7 +213,7 @@ def known(store: SpectrumStore, name: str, file: Path, plan: Plan) -> Completed 
     if record is None or record.file != _digest(file) or not store.holds(record):
         return None
     seconds = time.perf_counter() - start
-    return Completed(record=record, computed=False, replaced=(), seconds=seconds)
+    return Completed(record=record, computed=False, replaced=(), renewed=False, seconds=seconds)
 
 
 def _check_memory(path: Path, plan: Plan, n: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from spectra_kit._arrays_file import read_arrays, write_arrays
 from spectra_kit._checked import checked
-from spectra_kit._files import parsing
+from spectra_kit._files import atomic_path, parsing
 from spectra_kit._validate import warn
 from spectra_kit.errors import (
     DamagedEntryWarning,
@@ -27,6 +28,14 @@ Kind = Literal["shapes", "spectra", "descriptors", "operators", "maps", "records
 FORMAT_VERSION = 1
 _LISTS = ("eigenvalues", "dna", "problems", "warnings")  # of a record
 MARK = "store.json"  #: A folder that holds this is a store.
+SUFFIX: Mapping[Kind, str] = {
+    "shapes": ".npz",
+    "spectra": ".npz",
+    "descriptors": ".npz",
+    "operators": ".npz",
+    "maps": ".npz",
+    "records": ".json",
+}
 REMEDY = "spectra-kit store verify --remove takes it out, and the next run computes it again"
 
 
@@ -130,6 +139,68 @@ class ShapeRecord:
     dna: tuple[float, ...] = ()
     problems: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+
+
+def check_or_mark(root: Path) -> None:
+    """Refuse a folder that is no store that can be read, or is to become none; mark a new one."""
+    mark = root / MARK
+    # Others may be about to make it, whose temporary files begin with a dot.
+    free = not root.exists() or (
+        root.is_dir() and all(path.name.startswith(".") for path in root.iterdir())
+    )
+    if mark.exists():
+        _check_format(mark)
+        return
+    if not free:
+        raise InvalidInputError(
+            "path",
+            "be a store, an empty folder or a new one",
+            str(root),
+            advice="name another folder",
+        )
+    content = {"format": "spectra_kit store", "version": FORMAT_VERSION}
+    with writing(mark):
+        root.mkdir(parents=True, exist_ok=True)
+        with atomic_path(mark) as part:
+            part.write_text(json.dumps(content) + "\n")
+
+
+def _check_format(mark: Path) -> None:
+    with parsing(mark, "mark of a store", remedy="restore it, or name another folder"):
+        content = json.loads(mark.read_text())
+        if content["format"] != "spectra_kit store":
+            raise KeyError("format")
+        version = int(content["version"])
+    if version > FORMAT_VERSION:
+        raise InvalidFileError(
+            mark,
+            f"the store has format version {version}, this spectra_kit reads up to"
+            f" {FORMAT_VERSION}; upgrade it",
+        )
+
+
+def place(root: str | os.PathLike[str], kind: Kind, key: str) -> Path:
+    """Return where an entry is or would be: in one of 256 folders, none of which gets large."""
+    return Path(f"{root}/{kind}/{key[:2]}/{key}{SUFFIX[kind]}")
+
+
+def places(root: str | os.PathLike[str], kind: Kind) -> Iterator[Path]:
+    """Yield the files of a kind, also those that are being written, in the order of their names."""
+    for folder in sorted((Path(root) / kind).glob("??")):
+        yield from sorted(folder.glob(f"*{SUFFIX[kind]}"))
+
+
+def state(path: Path) -> os.stat_result | None:
+    """Return what the system knows of a file; None where it is gone, as others may take it."""
+    try:
+        return path.stat()
+    except FileNotFoundError:
+        return None
+
+
+def record_facts(name: str, facts: Mapping[str, object]) -> dict[str, object]:
+    """Return what the key of a record is a hash of."""
+    return {"name": name, "facts": facts}
 
 
 def damage(error: InvalidFileError) -> str:

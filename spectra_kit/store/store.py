@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -27,7 +26,7 @@ from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh
 from spectra_kit.operators import TangentGradient
 from spectra_kit.spectra import Spectrum
 from spectra_kit.spectra.spectrum import plain
-from spectra_kit.store import files
+from spectra_kit.store import files, housekeeping
 from spectra_kit.store.files import Damage, Kind, ShapeRecord, StoredEntry
 from spectra_kit.store.operators import (
     OperatorName,
@@ -39,16 +38,6 @@ from spectra_kit.store.operators import (
 from spectra_kit.store.plan import Descriptor, Plan, describe
 
 Found = TypeVar("Found")
-
-_SUFFIX: Mapping[Kind, str] = {
-    "shapes": ".npz",
-    "spectra": ".npz",
-    "descriptors": ".npz",
-    "operators": ".npz",
-    "maps": ".npz",
-    "records": ".json",
-}
-_LEFT = 24 * 3600  # seconds after which what a writer has left was left by one that is gone
 
 
 @checked
@@ -96,31 +85,8 @@ class SpectrumStore:
     path: str | os.PathLike[str]
 
     def __post_init__(self) -> None:
-        root = Path(self.path)
-        object.__setattr__(self, "path", root)
-        mark = root / files.MARK
-        if mark.exists():
-            self._check_format(mark)
-            return
-        # Others may be about to make it, whose temporary files begin with a dot.
-        free = not root.exists() or (
-            root.is_dir() and all(path.name.startswith(".") for path in root.iterdir())
-        )
-        if mark.exists():
-            self._check_format(mark)
-            return
-        if not free:
-            raise InvalidInputError(
-                "path",
-                "be a store, an empty folder or a new one",
-                str(root),
-                advice="name another folder",
-            )
-        content = {"format": "spectra_kit store", "version": files.FORMAT_VERSION}
-        with files.writing(mark):
-            root.mkdir(parents=True, exist_ok=True)
-            with atomic_path(mark) as part:
-                part.write_text(json.dumps(content) + "\n")
+        object.__setattr__(self, "path", Path(self.path))
+        files.check_or_mark(Path(self.path))
 
     def key(self, shape: Geometry, plan: Plan) -> str:
         """Return the hash of all that a spectrum follows from.
@@ -217,21 +183,58 @@ class SpectrumStore:
         >>> store.spectrum(sk.geometry.creature(600), sk.store.Plan(k=12)).k
         12
         """
-        facts = _spectrum_facts(shape_digest(shape), plan)
-        key = facts_digest(facts)
+        key = self.key(shape, plan)
 
         def solved() -> Spectrum:
-            self.keep_shape(shape)
             made = eigensolve(plan.laplacian(shape), plan.k, plan.solver)
-            made = made.described(made.certificate, replace(made.provenance, seconds={}))
-            vectors = made.eigenvectors.astype(plan.precision)
-            arrays = {"eigenvalues": made.eigenvalues, "eigenvectors": vectors, "mass": made.mass}
-            certificate = plain(made.certificate) if made.certificate else None
-            with self._new("spectra", key) as path:
-                write_spectrum_file(path, arrays, certificate, vars(made.provenance), facts=facts)
-            return replace(made, eigenvectors=vectors)  # as all others will see it
+            return self.keep_spectrum(shape, plan, made)
 
         return _known(lambda: self.load(key), solved)
+
+    def keep_spectrum(self, shape: Geometry, plan: Plan, made: Spectrum) -> Spectrum:
+        """Keep a spectrum that was computed as a plan says, and its shape.
+
+        Parameters
+        ----------
+        shape : TriangleMesh or PointCloud
+            As it is looked at: see `Plan.prepared`.
+        plan : Plan
+            By which it was computed.
+        made : Spectrum
+            Of `Plan.laplacian`, by the solver of the plan.
+
+        Returns
+        -------
+        Spectrum
+            As all others will see it: in the precision of the plan, without the times in its
+            provenance.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import spectra_kit as sk
+        >>> store = sk.store.SpectrumStore(tempfile.mkdtemp())
+        >>> animal, plan = sk.geometry.creature(600), sk.store.Plan(k=12, solver=sk.Dense())
+        >>> made = sk.eigensolve(plan.laplacian(animal), plan.k, plan.solver)
+        >>> store.keep_spectrum(animal, plan, made).k
+        12
+        >>> store.key(animal, plan) in store
+        True
+        """
+        facts = _spectrum_facts(shape_digest(shape), plan)
+        self.keep_shape(shape)
+        made = made.described(made.certificate, replace(made.provenance, seconds={}))
+        vectors = made.eigenvectors.astype(plan.precision)
+        arrays = {"eigenvalues": made.eigenvalues, "eigenvectors": vectors, "mass": made.mass}
+        certificate = plain(made.certificate) if made.certificate else None
+        with self._new("spectra", facts_digest(facts)) as path:
+            write_spectrum_file(path, arrays, certificate, vars(made.provenance), facts=facts)
+        return replace(made, eigenvectors=vectors)
 
     def descriptor(self, shape: Geometry, plan: Plan, name: Descriptor) -> Floats:
         """Return a signature of a shape; compute and keep it, and the spectrum, if it is not there.
@@ -607,7 +610,7 @@ class SpectrumStore:
         >>> store.record("cat.off", sk.store.Plan()) is None
         True
         """
-        path = self._place("records", _record_key(name, plan.facts))
+        path = self._place("records", facts_digest(files.record_facts(name, plan.facts)))
         return files.read_record(path) if path.exists() else None
 
     def keep_record(self, record: ShapeRecord) -> None:
@@ -640,7 +643,7 @@ class SpectrumStore:
         'cat.off'
         """
         text = json.dumps(vars(record), sort_keys=True) + "\n"
-        key = _record_key(record.name, record.facts)
+        key = facts_digest(files.record_facts(record.name, record.facts))
         with self._new("records", key) as path, atomic_path(path) as part:
             part.write_text(text)
 
@@ -675,7 +678,7 @@ class SpectrumStore:
             ("descriptors", record.descriptors.values()),
             ("operators", record.operators.values()),
         )
-        found = ((key, _state(self._place(kind, key))) for kind, keys in kinds for key in keys)
+        found = ((key, files.state(self._place(kind, key))) for kind, keys in kinds for key in keys)
         return {key: state.st_size for key, state in found if state is not None}
 
     def holds(self, record: ShapeRecord) -> bool:
@@ -758,9 +761,9 @@ class SpectrumStore:
         >>> [entry.kind for entry in store.entries()]
         ['shapes', 'spectra']
         """
-        for one in _SUFFIX if kind is None else (kind,):
-            for path in self._files(one):
-                state = None if path.name.startswith(".") else _state(path)
+        for one in files.SUFFIX if kind is None else (kind,):
+            for path in files.places(self.path, one):
+                state = None if path.name.startswith(".") else files.state(path)
                 if state is not None:
                     yield StoredEntry(one, path.stem, path, state.st_size)
 
@@ -797,17 +800,7 @@ class SpectrumStore:
         >>> len(store.verify(remove=True)), len(list(store.entries()))
         (1, 0)
         """
-        found, entries = [], list(self.entries())
-        for i, entry in enumerate(entries):
-            try:
-                self._read_whole(entry)
-            except InvalidFileError as error:
-                found.append(Damage(entry.path, str(error.problem)))
-                if remove:
-                    files.remove(entry.path)
-            if progress is not None:
-                progress(i + 1, len(entries))
-        return found
+        return housekeeping.verify(self, remove=remove, progress=progress)
 
     def clean(self, *, unnamed: bool = False) -> list[Path]:
         """Remove what nothing will ask for again.
@@ -841,58 +834,12 @@ class SpectrumStore:
         >>> sk.store.SpectrumStore(tempfile.mkdtemp()).clean()
         []
         """
-        before = time.time() - _LEFT
-        gone, used, named = list[Path](), set[str](), set[str]()
-        for entry in self.entries("records"):
-            record = files.read_record(entry.path)
-            if record.facts["release"] == VERSION:
-                used.add(record.shape)
-                named |= {record.spectrum, *record.operators.values()}
-            else:
-                gone.append(entry.path)
-
-        def stays(entry: StoredEntry, facts: Mapping[str, object]) -> bool:
-            wanted = not unnamed or entry.key in named or not _older(entry.path, before)
-            return facts["release"] == VERSION and wanted
-
-        kept = set[str]()
-        for kind in ("spectra", "operators"):
-            for entry in self.entries(kind):
-                facts = files.read_facts(entry.path)
-                if stays(entry, facts):
-                    used.add(str(facts["shape"]))
-                    kept.add(entry.key)
-                else:
-                    gone.append(entry.path)
-        for entry in self.entries("descriptors"):
-            if files.read_facts(entry.path)["spectrum"] not in kept:
-                gone.append(entry.path)
-        for entry in self.entries("maps"):
-            facts = files.read_facts(entry.path)
-            if facts["release"] != VERSION or not {facts["source"], facts["target"]} <= kept:
-                gone.append(entry.path)
-        for entry in self.entries("shapes"):
-            if entry.key not in used and _older(entry.path, before):
-                gone.append(entry.path)
-        left = (path for kind in _SUFFIX for path in self._files(kind) if path.name[0] == ".")
-        gone += [path for path in left if _older(path, before)]
-        for path in gone:
-            files.remove(path)
-        return gone
+        return housekeeping.clean(self, unnamed=unnamed)
 
     # --- files ---
 
-    @property
-    def _root(self) -> Path:
-        return Path(self.path)
-
     def _place(self, kind: Kind, key: str) -> Path:
-        """Return where an entry is or would be: in one of 256 folders, none of which gets large."""
-        return Path(f"{self.path}/{kind}/{key[:2]}/{key}{_SUFFIX[kind]}")
-
-    def _files(self, kind: Kind) -> Iterator[Path]:
-        for folder in sorted((self._root / kind).glob("??")):
-            yield from sorted(folder.glob(f"*{_SUFFIX[kind]}"))
+        return files.place(self.path, kind, key)
 
     @contextmanager
     def _new(self, kind: Kind, key: str) -> Iterator[Path]:
@@ -901,49 +848,6 @@ class SpectrumStore:
         with files.writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             yield path
-
-    def _read_whole(self, entry: StoredEntry) -> None:
-        """Raise if an entry is damaged, or under another name than its content has."""
-        facts: Mapping[str, object] | None = None
-        if entry.kind == "records":
-            record = files.read_record(entry.path)
-            if entry.key != _record_key(record.name, record.facts):
-                raise InvalidFileError(entry.path, files.misnamed())
-        elif entry.kind == "shapes":
-            self.shape(entry.key)
-        elif entry.kind == "spectra":
-            Spectrum.load(entry.path)
-            facts = files.read_facts(entry.path)
-        else:
-            facts = files.read(entry.path)[0]["facts"]
-        if facts is not None and facts_digest(facts) != entry.key:
-            raise InvalidFileError(entry.path, files.misnamed())
-
-    def _check_format(self, mark: Path) -> None:
-        with parsing(mark, "mark of a store", remedy="restore it, or name another folder"):
-            content = json.loads(mark.read_text())
-            if content["format"] != "spectra_kit store":
-                raise KeyError("format")
-            version = int(content["version"])
-        if version > files.FORMAT_VERSION:
-            raise InvalidFileError(
-                mark,
-                f"the store has format version {version}, this spectra_kit reads up to"
-                f" {files.FORMAT_VERSION}; upgrade it",
-            )
-
-
-def _state(path: Path) -> os.stat_result | None:
-    """Return what the system knows of a file; None where it is gone, as others may take it."""
-    try:
-        return path.stat()
-    except FileNotFoundError:
-        return None
-
-
-def _older(path: Path, time: float) -> bool:
-    state = _state(path)
-    return state is not None and state.st_mtime < time
 
 
 def _spectrum_facts(shape: str, plan: Plan) -> dict[str, object]:
@@ -957,10 +861,6 @@ def _descriptor_facts(spectrum: str, name: str) -> dict[str, object]:
 def map_facts(source: str, target: str, how: Mapping[str, object]) -> dict[str, object]:
     """Return all that a map between the shapes of two spectra follows from."""
     return {"source": source, "target": target, "how": how, "release": VERSION}
-
-
-def _record_key(name: str, facts: Mapping[str, object]) -> str:
-    return facts_digest({"name": name, "facts": facts})
 
 
 def _known(known: Callable[[], Found | None], make: Callable[[], Found]) -> Found:

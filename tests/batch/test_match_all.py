@@ -22,6 +22,7 @@ from spectra_kit.batch import (
 )
 from spectra_kit.batch.match_all import in_tiles
 from spectra_kit.batch.matched import KEPT, _prepared
+from spectra_kit.batch.run import own_order
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError, InvalidInputError
 from spectra_kit.geometry import TriangleMesh, mirrored, write
 from spectra_kit.store import Plan, SpectrumStore, complete
@@ -275,10 +276,11 @@ def test_pairs_that_cannot_be(store, tmp_path):
     refused("how", "be what JSON can say", store.keep_map, "a", "b", {"k": object()}, {})
 
 
-def test_tiles_let_shapes_be_prepared_once_for_many_pairs(store):
+@pytest.mark.parametrize("order", [list, own_order])
+def test_tiles_let_shapes_be_prepared_once_for_many_pairs(store, order):
     names = [f"{i:02}" for i in range(20)]
     pairs = [Pair(source=a, target=b) for a in names for b in names if a < b]
-    ordered = list(in_tiles(pairs))
+    ordered = list(in_tiles(pairs, order))
     assert sorted(pair.name for pair in ordered) == sorted(pair.name for pair in pairs)
     kept, prepared = [], 0
     for pair in ordered:

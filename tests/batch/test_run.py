@@ -16,6 +16,7 @@ from conftest import bumpy, creature, moved, refused
 
 import spectra_kit as sk
 from spectra_kit.batch import DaskEngine, Input, compute_all, find_inputs, write_table
+from spectra_kit.batch.preload import own_device
 from spectra_kit.batch.table import check_columns
 from spectra_kit.errors import EngineLostError, InvalidFileError, StoreError
 from spectra_kit.geometry import write
@@ -113,6 +114,56 @@ def test_an_engine_that_is_none(scans, store):
             PLAN, engine=lambda tasks: None)  # fmt: skip
 
 
+def test_shapes_that_go_together_have_the_modes_of_each_alone(store, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    plan = Plan(k=12, solver=sk.Neo())
+    for i in range(4):
+        write(creature(700 + 20 * i, seed=i), tmp_path / f"{i}.off")
+    (tmp_path / "empty.off").touch()
+    told = []
+    inputs = find_inputs([str(tmp_path / "*.off")])
+    report = compute_all(inputs, store, plan, progress=lambda *args: told.append(args))
+    assert told == [(i + 1, 5) for i in range(5)]
+    assert (report.computed, len(report.failed)) == (4, 1)
+    assert [one for one, _ in report.completed] == inputs[:4]
+    for one, done in report.completed:
+        alone = sk.eigensolve(plan.laplacian(sk.read(one.path)), 12, sk.Neo())
+        np.testing.assert_allclose(done.record.eigenvalues, alone.eigenvalues, rtol=1e-5, atol=1e-9)
+    assert compute_all(inputs, store, plan).computed == 0
+
+
+RUN = """
+import sys, time
+from pathlib import Path
+import spectra_kit as sk
+store, ready = sk.store.SpectrumStore(sys.argv[1]), Path(sys.argv[3])
+inputs = sk.batch.find_inputs([sys.argv[2]])
+ready.touch()
+while len([*ready.parent.glob("ready*")]) < 2:
+    time.sleep(0.001)
+report = sk.batch.compute_all(inputs, store, sk.store.Plan(k=6))
+assert [one.name for one, _ in report.completed] == [one.name for one in inputs]
+print(report.computed)
+"""
+
+
+@pytest.mark.slow
+def test_two_runs_into_one_store_share_the_work(store, tmp_path):
+    (tmp_path / "scans").mkdir()
+    for i in range(40):
+        write(creature(520, seed=i), tmp_path / "scans" / f"{i}.off")
+    here = [sys.executable, "-c", RUN, str(store.path), str(tmp_path / "scans")]
+    both = [
+        subprocess.Popen([*here, str(tmp_path / f"ready{i}")], stdout=subprocess.PIPE, text=True)
+        for i in range(2)
+    ]
+    computed = [int(process.communicate(timeout=120)[0]) for process in both]
+    assert 40 <= sum(computed) < 55  # in one order, more than half would be computed by both
+    alone = SpectrumStore(tmp_path / "alone")
+    compute_all(find_inputs([tmp_path / "scans"]), alone, PLAN)
+    assert entries(store) == entries(alone)
+
+
 # --- tables ---
 
 
@@ -179,6 +230,29 @@ def test_tables_of_other_columns_and_of_nothing(scans, store, tmp_path):
 )
 def test_engines_that_cannot_be(argument, expected, options):
     refused(argument, expected, DaskEngine, **options)
+
+
+@pytest.mark.parametrize(
+    ("visible", "number", "own"),
+    [
+        ("0,1,2", 1, "1"),
+        ("0,1,2", 5, "2"),
+        ("GPU-8f,GPU-2c", 2, "GPU-8f"),
+        ("", 3, ""),
+        ("4", 1, "4"),
+    ],
+)
+def test_workers_take_devices_by_turns(visible, number, own, monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    assert own_device(number) == own
+
+
+@pytest.mark.slow
+def test_each_local_worker_sees_a_device_of_its_own(monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "5,7")
+    with DaskEngine(nworkers=2)._client() as client:
+        seen = client.run(lambda: os.environ["CUDA_VISIBLE_DEVICES"])
+    assert sorted(seen.values()) == ["5", "7"]
 
 
 @pytest.mark.slow

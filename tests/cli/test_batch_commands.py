@@ -64,6 +64,25 @@ def test_what_fails_is_named_with_its_reason_and_the_rest_goes_on(scans, capsys)
     assert "1 shape of 5 failed" in capsys.readouterr().err
 
 
+def test_names_that_stand_for_other_files_now_are_told(scans, capsys, monkeypatch):
+    run = ("batch", "scans", "--out", scans.parent / "store", *HERE)
+    assert record(capsys, *run)["renewed"] == []
+    others = scans.parent / "others"
+    (others / "scans").mkdir(parents=True)
+    for name in ("a.off", "b.ply"):  # one that differs, and a copy of one
+        shape = creature(520, seed=1) if name == "a.off" else creature(520)
+        write(shape, others / "scans" / name)
+    monkeypatch.chdir(others)
+    out, err = printed(capsys, *run, "--json")
+    told = json.loads(out)
+    assert (told["computed"], told["known"], told["renewed"]) == (1, 1, ["scans/a.off"])
+    assert err == (
+        "warning: 1 name stood for other files before, or for other bytes, and now for these:"
+        " scans/a.off\n"
+    )
+    assert record(capsys, *run)["renewed"] == []
+
+
 def test_strict_runs_stop(scans, capsys):
     (scans / "A.off").touch()
     line = refusal(capsys, "batch", "scans", "-o", "store", *HERE, "--strict")

@@ -10,7 +10,10 @@ import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -23,15 +26,18 @@ from spectra_kit.errors import (
     DamagedEntryWarning,
     InvalidFileError,
     OutOfMemoryError,
+    SpectraKitError,
     StoreError,
 )
 from spectra_kit.geometry import PointCloud, TriangleMesh, rectangle, write
 from spectra_kit.linalg.memory import memory_of
+from spectra_kit.linalg.threads import single_threaded
 from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 from spectra_kit.operators import tangent_gradient
 from spectra_kit.spectra import Spectrum
 from spectra_kit.store import Plan, SpectrumStore, complete
 from spectra_kit.store.plan import NAMES
+from spectra_kit.store.together import begin
 
 PLAN = Plan(k=12)
 
@@ -527,6 +533,7 @@ def test_a_file_that_changed_is_computed_anew_and_one_renamed_is_known(store, tm
     write(creature(600), tmp_path / "a.off")
     changed = complete(store, "a", tmp_path / "a.off", PLAN)
     assert changed.computed
+    assert [one.renewed for one in (first, second, changed)] == [False, False, True]
     assert store.record("a", PLAN).spectrum == changed.record.spectrum
     assert [record.name for record in store.records(PLAN)].count("a") == 1
     assert list(store.records(Plan(k=13))) == []
@@ -574,3 +581,71 @@ def test_what_needs_more_memory_than_there_is_is_not_tried(store, tmp_path):
         assert complete(store, "a", tmp_path / "a.off", PLAN).computed
     with memory_of(0.1 * needed):
         assert not complete(store, "a", tmp_path / "a.off", PLAN).computed
+
+
+# --- several at once ---
+
+
+@dataclass(frozen=True)
+class Together(sk.Dense):
+    """Solves exactly, and remembers how many it was given at once."""
+
+    asked: ClassVar[list[int]] = []
+
+    def begin(self, laplacians, k):
+        self.asked.append(len(laplacians))
+        return [partial(self.eigenpairs, one, k) for one in laplacians]
+
+
+def test_shapes_are_solved_for_together_and_each_fails_for_itself(store, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    monkeypatch.setattr(Together, "asked", [])
+    plan = Plan(k=12, solver=Together(), descriptors=("dna",))
+    for i in range(5):
+        write(creature(520 - i, seed=i), tmp_path / f"{i}.off")
+    (tmp_path / "copy.off").write_bytes((tmp_path / "0.off").read_bytes())
+    (tmp_path / "empty.off").touch()
+    write(PointCloud(np.random.default_rng(0).random((10, 3))), tmp_path / "few.ply")
+    paths = sorted(tmp_path.glob("*.*"))
+    alone = SpectrumStore(tmp_path / "alone")
+    done = list(begin(store, ((path.name, path) for path in paths), plan))
+    found = {path.name: rest for path, rest in zip(paths, done, strict=True)}
+    assert sum(Together.asked) == 5
+    assert max(Together.asked) > 1
+    for name, argument in (("empty.off", "the file is empty"), ("few.ply", "`k` must be at most")):
+        with pytest.raises(SpectraKitError, match=argument):
+            found.pop(name)()
+        with pytest.raises(SpectraKitError, match=argument):
+            complete(alone, name, tmp_path / name, plan)
+    made = {name: rest() for name, rest in found.items()}
+    assert [name for name, one in made.items() if not one.computed] == ["copy.off"]
+    for name, one in made.items():
+        assert one.record == complete(alone, name, tmp_path / name, plan).record
+    assert content(store.path) == content(alone.path)
+    again = begin(store, ((name, tmp_path / name) for name in made), plan)
+    assert not any(rest().computed for rest in again)
+
+
+def test_one_by_one_where_together_is_no_sooner(store, tmp_path, monkeypatch):
+    monkeypatch.setattr(Together, "asked", [])
+    files = [(f"{i}", tmp_path / f"{i}.off") for i in range(2)]
+    for i, (_, path) in enumerate(files):
+        write(creature(520, seed=i), path)
+    with single_threaded():
+        for rest in begin(store, files, Plan(k=6, solver=Together())):
+            assert rest().computed
+    assert Together.asked == []
+
+
+def test_what_is_damaged_is_told_by_those_that_go_together(store, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    plan = Plan(k=6, solver=Together())
+    write(creature(520), tmp_path / "a.off")
+    kept = complete(store, "a", tmp_path / "a.off", plan).record
+    path = store._place("shapes", kept.shape)
+    path.write_bytes(path.read_bytes()[:-100])
+    (rest,) = begin(store, [("a", tmp_path / "a.off")], plan)
+    done = rest()
+    assert not done.computed
+    assert [str(path) in text for text in done.replaced] == [True]
+    assert store.shape(kept.shape).n == 520
