@@ -21,6 +21,7 @@ from spectra_kit.functional_maps.fit import Landmarks, check_landmarks
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.geometry import Geometry
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas
+from spectra_kit.matching.alignment import Bent, bent, placed_candidates, side_of
 from spectra_kit.matching.candidates import sign_candidates
 from spectra_kit.matching.elastic import elastic_point_map
 from spectra_kit.matching.options import DEFAULT, MatchOptions
@@ -198,19 +199,31 @@ class _Search:
         """Return the refined candidates that mirror, or those that do not; the best first."""
         a, b, options = self._a, self._b, self._options
         maps = list(sign_candidates(a, b, mirrored=mirrored, options=options))
+        seen = a.surface is not None and b.surface is not None
+        sides = (side_of(a, options, mirrored=mirrored), side_of(b, options)) if seen else None
+        if sides is not None:
+            placed = (
+                self._scored(C, mirrored, rough=True) for C in placed_candidates(*sides, options)
+            )
+            maps += [c.functional_map for c in self._distinct(placed)[: options.placed]]
         fit = self._fit
         if fit is not None and ((orientation_of(a, b, fit) or 1.0) < 0) == mirrored:
             maps.append(fit)
         grown = self._distinct(self._scored(C, mirrored, rough=True) for C in maps)
+        starts = [c.functional_map for c in grown[: options.finalists]]
+        if sides is not None:
+            refined = [bent(*sides, C, options) for C in starts]
+            return self._distinct(
+                self._scored(one.functional_map, mirrored, alignment=one.distance)
+                for one in refined
+            )
         k = min(options.refined_modes, a.spectrum.k, b.spectrum.k)
-        refined, _ = zoomout_many(
+        rows1, rows2 = (
             a.spectrum.eigenvectors[a.samples, :k],
             b.spectrum.eigenvectors[b.samples, :k],
-            np.stack([c.functional_map for c in grown[: options.finalists]]),
-            k_final=k,
-            step=6,
         )
-        return self._distinct(self._scored(C, mirrored) for C in refined)
+        maps_, _ = zoomout_many(rows1, rows2, np.stack(starts), k_final=k, step=6)
+        return self._distinct(self._scored(C, mirrored) for C in maps_)
 
     def _fitted(self, landmarks: Pairs) -> Floats:
         """Return the functional map that fits the landmarks and what is seen from them."""
@@ -227,7 +240,9 @@ class _Search:
         source, target, k = self._a.spectrum, self._b.spectrum, self._options.grown_modes
         return fit_functional_map(source, target, f, g, k=k, landmarks=landmarks)
 
-    def _scored(self, C: Floats, mirrored: bool, *, rough: bool = False) -> Candidate:
+    def _scored(
+        self, C: Floats, mirrored: bool, *, rough: bool = False, alignment: float | None = None
+    ) -> Candidate:
         options = self._options
         values = mismatches(
             self._a,
@@ -238,6 +253,8 @@ class _Search:
             rough=rough,
             options=options,
         )
+        if alignment is not None:
+            values["alignment"] = alignment
         score = score_of(values, options=options)
         return Candidate(functional_map=C, score=score, mismatches=values, mirrored=mirrored)
 

@@ -15,7 +15,7 @@ class ScoreWeights:
 
     Parameters
     ----------
-    curvature, wave, spacing, embedding, orientation, landmarks : float
+    curvature, wave, spacing, embedding, orientation, alignment, landmarks : float
         See `mismatches`.
 
     Examples
@@ -26,10 +26,11 @@ class ScoreWeights:
     """
 
     curvature: float = 2.0
-    wave: float = 0.5
+    wave: float = 0.1
     spacing: float = 0.5
-    embedding: float = 1.0
+    embedding: float = 0.2
     orientation: float = 0.2
+    alignment: float = 0.6
     landmarks: float = 2.0
 
     def __post_init__(self) -> None:
@@ -69,9 +70,29 @@ class MatchOptions:
         The same for curvature.
     growing_curvatures : int, default 3
         How many of the smoothed curvatures candidates grow by, from the finest.
+    aligned_samples : int, default 400
+        On which the source is laid onto the target and bent.
+    turns : int, default 12
+        Turns about the longest axis that are tried, either way along it.
+    placed_modes : tuple of int, default (6, 9, 14, 20, 30)
+        To which the surfaces are smoothed as one is laid onto the other.
+    placed : int, default 8
+        Candidates that come of it.
+    bending_modes : int, default 20
+        In which the source is bent.
+    stiffness : float, default 0.3
+        Of the last of these modes, relative to the pull of the points.
+    bent_steps : int, default 4
+        From the grown modes to the refined ones.
+    aligned_normals : float, default 0.4
+        Length that normals count like, beside positions.
+    aligned_curvature : float, default 0.1
+        Of each curvature.
+    aligned_modes : float, default 0.5
+        Of all modes together.
     landmark_energies : int, default 20
         Of the wave kernel signature seen from each landmark.
-    finalists : int, default 6
+    finalists : int, default 16
         Candidates that are refined.
     refined_modes : int, default 60
         To which they are refined.
@@ -138,8 +159,18 @@ class MatchOptions:
     form_share: float = 0.5
     curvature_share: float = 0.1
     growing_curvatures: int = 3
+    aligned_samples: int = 400
+    turns: int = 12
+    placed_modes: tuple[int, ...] = (6, 9, 14, 20, 30)
+    placed: int = 8
+    bending_modes: int = 20
+    stiffness: float = 0.3
+    bent_steps: int = 4
+    aligned_normals: float = 0.4
+    aligned_curvature: float = 0.1
+    aligned_modes: float = 0.5
     landmark_energies: int = 20
-    finalists: int = 6
+    finalists: int = 16
     refined_modes: int = 60
     same: float = 0.05
     rival: float = 0.15
