@@ -14,7 +14,6 @@ from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.functional_maps import (
     bijective_zoomout,
     fit_functional_map,
-    functional_map_from_point_map,
     zoomout_many,
 )
 from spectra_kit.functional_maps.fit import Landmarks, check_landmarks
@@ -22,7 +21,12 @@ from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.geometry import Geometry
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas
 from spectra_kit.matching.candidates import sign_candidates
-from spectra_kit.matching.elastic import elastic_point_map
+from spectra_kit.matching.everywhere import (
+    by_bending,
+    by_modes,
+    functional_map_of,
+    on_matched,
+)
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.prepare import LOWEST_K, Prepared, curvatures, prepare
 from spectra_kit.matching.result import Candidate, Match
@@ -121,7 +125,7 @@ def match(
             advice="pass source_geometry and target_geometry",
         )
     ways = (False, True) if mirrored is None and seen else (bool(mirrored),)
-    pairs = None if landmarks is None else check_landmarks(landmarks, a.spectrum.n, b.spectrum.n)
+    pairs = None if landmarks is None else _matched_on(landmarks, a, b)
     fewer = min(a.spectrum.k, b.spectrum.k)
     a, b = a.truncate(fewer), b.truncate(fewer)
     with single_threaded_blas():  # small products: the threads are ours
@@ -143,7 +147,7 @@ def match(
         consistent=min(
             1.0 if side.surface is None else side.surface.oriented.consistent for side in (a, b)
         ),
-        coverage=coverage_over_chance(a.spectrum, b.spectrum, point_map),
+        coverage=coverage_over_chance(a.spectrum, b.spectrum, on_matched(a, b, point_map)),
         candidates=tuple(c for way in found for c in way),
         options=options,
     )
@@ -160,6 +164,16 @@ def match(
     return made
 
 
+def _matched_on(landmarks: Landmarks, a: Prepared, b: Prepared) -> Pairs:
+    """Return checked landmarks, or on dense surfaces the points that stand for them."""
+    one, other = check_landmarks(landmarks, a.whole.n, b.whole.n)
+    if a.dense is not None:
+        one = a.dense.closest[one]
+    if b.dense is not None:
+        other = b.dense.closest[other]
+    return one, other
+
+
 def _refined(
     a: Prepared, b: Prepared, chosen: Candidate, k: int, elastic: bool, options: MatchOptions
 ) -> tuple[Ints, Floats]:
@@ -172,17 +186,19 @@ def _refined(
     result = bijective_zoomout(
         a.spectrum, b.spectrum, start, k_final=k, step=max(step, 1), features=features
     )
+    dense = a.dense is not None or b.dense is not None
     if not elastic or a.surface is None or b.surface is None:
-        return result.point_map, result.functional_map
+        if not dense:
+            return result.point_map, result.functional_map
+        point_map, _, _ = by_modes(a, b, result, options)
+        return point_map, functional_map_of(a, b, point_map, k)
     rows1 = a.spectrum.eigenvectors[:, :k] @ result.functional_map.T
     rows2 = b.spectrum.eigenvectors[:, :k]
     if features is not None:
         rows1, rows2 = np.hstack([rows1, features[0]]), np.hstack([rows2, features[1]])
     way_there = nearest(rows1, rows2)
-    point_map = elastic_point_map(
-        a.surface, b.surface, way_there, mirrored=chosen.mirrored, options=options
-    )
-    return point_map, functional_map_from_point_map(a.spectrum, b.spectrum, point_map, k=k)
+    point_map, _, _ = by_bending(a, b, way_there, mirrored=chosen.mirrored, options=options)
+    return point_map, functional_map_of(a, b, point_map, k)
 
 
 class _Search:
