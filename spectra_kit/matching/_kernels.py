@@ -12,6 +12,8 @@ from spectra_kit.linalg.compiled import compiled
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_BLOCK = 512  # points
+
 
 @compiled()
 def farthest_along_edges(
@@ -19,16 +21,24 @@ def farthest_along_edges(
 ) -> tuple[Ints, Ints, Floats]:
     """Return `count` points, those `first` and then each as far as possible from all before it.
 
-    With them, of each point of the graph (CSR): the position of the closest one, -1 where none can
-    be reached, and its distance. A new point is followed no further than it is the closest, so all
-    of it costs O(n log n log count), and O(n) for each to find the farthest.
+    With them, of each point of the graph (CSR): the position of the closest one and its distance. A
+    new point is followed no further than it is the closest, so all walks cost O(n log n log count).
     """
     n = len(starts) - 1
     chosen = np.empty(count, np.int64)
     closest = np.full(n, -1, np.int64)
     apart = np.full(n, np.inf)
+    # The largest distance of each block, or what it was: distances only shrink.
+    tops = np.full(-(-n // _BLOCK), np.inf)
     for c in range(count):
-        centre = first[c] if c < len(first) else apart.argmax()
+        centre = first[c] if c < len(first) else np.int64(-1)
+        while centre < 0:
+            b = tops.argmax()
+            block = apart[b * _BLOCK : (b + 1) * _BLOCK]
+            within = block.argmax()
+            if block[within] == tops[b]:
+                centre = np.int64(b * _BLOCK + within)
+            tops[b] = block[within]
         chosen[c], closest[centre], apart[centre] = centre, c, 0.0
         heap = [(0.0, np.int64(centre))]
         while len(heap):

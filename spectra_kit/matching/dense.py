@@ -78,9 +78,8 @@ def thinned(unit: Spectrum, placed: Placed, count: int) -> Dense:
 
     density = np.einsum("nk,nk->n", unit.eigenvectors, unit.eigenvectors) / unit.k
     edges = neighbours(placed.oriented.faces, unit.n)
-    i, j = edges.coords
+    i, j = np.repeat(np.arange(unit.n), np.diff(edges.indptr)), edges.indices
     apart = np.linalg.norm(placed.points[i] - placed.points[j], axis=1)
-    edges = sparse.csr_array(edges)
     edges.data = apart * np.sqrt(0.5 * (density[i] + density[j]))
     graph, first = rows_of(edges), np.array([density.argmax()])
     while True:
@@ -98,12 +97,15 @@ def thinned(unit: Spectrum, placed: Placed, count: int) -> Dense:
     )
 
 
-def neighbours(faces: Ints, n: int) -> sparse.coo_array:
+def neighbours(faces: Ints, n: int) -> sparse.csr_array:
     """Return which of n points are joined by a side of a triangle, in both directions: ones."""
     i, j = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    apart = i != j
-    keys = np.unique(np.concatenate([(i * n + j)[apart], (j * n + i)[apart]]))
-    return sparse.coo_array((np.ones(len(keys)), (keys // n, keys % n)), shape=(n, n))
+    proper = i != j
+    ones = np.ones(int(proper.sum()))
+    one_way = sparse.coo_array((ones, (i[proper], j[proper])), shape=(n, n)).tocsr()
+    both = sparse.csr_array(one_way + one_way.T)
+    both.data[:] = 1.0
+    return both
 
 
 def image(oriented: OrientedTriangles, closest: Ints, count: int) -> tuple[Ints, Floats]:
@@ -165,8 +167,8 @@ def _lift(placed: Placed, chosen: Ints, closest: Ints, scale: Floats) -> sparse.
     Distances times the `scale` of each point are below 1 within reach.
     """
     n, count = len(closest), len(chosen)
-    around = sparse.csr_array(neighbours(closest[placed.oriented.faces], count))
-    lift = sparse.csr_array((around + sparse.eye_array(count)).tocsr()[closest])
+    around = neighbours(closest[placed.oriented.faces], count) + sparse.eye_array(count)
+    lift = sparse.csr_array(around.tocsr()[closest])
     i = np.repeat(np.arange(n), np.diff(lift.indptr))
     apart = placed.points[i] - placed.points[chosen[lift.indices]]
     squared = np.einsum("pr,pr->p", apart, apart) * scale[i] ** 2
