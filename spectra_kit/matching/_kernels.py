@@ -17,7 +17,11 @@ _BLOCK = 512  # points
 
 @compiled()
 def farthest_along_edges(
-    starts: NDArray[np.int32], neighbours: NDArray[np.int32], lengths: Floats, first: Ints, count: int
+    starts: NDArray[np.int32],
+    neighbours: NDArray[np.int32],
+    lengths: Floats,
+    first: Ints,
+    count: int,
 ) -> tuple[Ints, Ints, Floats]:
     """Return `count` points, those `first` and then each as far as possible from all before it.
 

@@ -40,7 +40,7 @@ class Dense(Rebuilt):
         orthonormal.
         """
         whole, count = self.placed, len(self.chosen)
-        mass = np.bincount(self.closest, whole.mass, count)
+        mass = np.bincount(self.closest, whole.mass, count).astype(np.float64)
         points = whole.points[self.chosen]
         modes = Spectrum(
             self.spectrum.eigenvalues,

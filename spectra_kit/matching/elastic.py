@@ -38,6 +38,7 @@ def bend_onto(
     way_there: Ints,
     *,
     mirrored: bool = False,
+    fine_rounds: int = 0,
     options: MatchOptions = DEFAULT,
 ) -> Bent:
     """Bend the source as rigidly as possible onto the target.
@@ -51,12 +52,16 @@ def bend_onto(
     """
     start = mirror_image(source) if mirrored else source
     bend, rotate = _bending(start.points, start.oriented, source.mass, options.pull)
+    fine = max(options.pull, len(source.points))  # rigid below the spacing of the points
     tree = cKDTree(rows_of(target.points, target.oriented, options))
     bent = target.points[way_there]
-    for i in range(options.rounds):
+    rounds = options.rounds + fine_rounds
+    for i in range(rounds):
+        if i == options.rounds:
+            bend, rotate = _bending(start.points, start.oriented, source.mass, fine)
         bends = options.bends if i else options.first_bends
         bent = bend(bent, target.points[way_there], bends)
-        if i + 1 < options.rounds:
+        if i + 1 < rounds:
             way_there = tree.query(rows_of(bent, start.oriented, options))[1]
     return Bent(bent, rotate(bent), start)
 
@@ -93,7 +98,7 @@ def mirror_image(placed: Placed) -> Placed:
 def _bending(
     points: Floats, oriented: OrientedTriangles, mass: Floats, pull: float
 ) -> tuple[Callable[[Floats, Floats, int], Floats], Callable[[Floats], Floats]]:
-    """Return two functions of bent `points`: bend them on to goals so many times; how they turned."""
+    """Return two functions of bent points: bend them to goals so many times; how they turned."""
     i, j, w = _edges(points, oriented)
     n = len(points)
     graph = sparse.coo_array((w, (i, j)), shape=(n, n)).tocsr()

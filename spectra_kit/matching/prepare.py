@@ -126,8 +126,8 @@ def prepare(
     ------
     InvalidInputError
         If the spectrum has fewer than 30 modes, no constant mode or several components,
-        `n_samples` is below 200 or `n_points` below 1000, the geometry has other points or another area, or its faces have
-        no consistent winding (`operators.oriented_triangles`).
+        `n_samples` is below 200 or `n_points` below 1000, the geometry has other points or another
+        area, or its faces have no consistent winding (`operators.oriented_triangles`).
 
     Examples
     --------
