@@ -13,7 +13,8 @@ import numpy as np
 from scipy import sparse
 
 from spectra_kit._types import Floats, Ints
-from spectra_kit._validate import Rebuilt
+from spectra_kit._validate import Rebuilt, quantity
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.linalg.products import rows_of
 from spectra_kit.linalg.threads import in_threads, shares
 from spectra_kit.matching.placed import Placed
@@ -84,6 +85,13 @@ def thinned(unit: Spectrum, placed: Placed, count: int) -> Dense:
     graph, first = rows_of(edges), np.array([density.argmax()])
     while True:
         chosen, closest, apart = farthest_along_edges(*graph, first, count)
+        if (closest < 0).any():
+            raise InvalidInputError(
+                "geometry",
+                "be connected, as its spectrum is",
+                f"{quantity((closest < 0).sum(), 'point')} in pieces too small to be matched",
+                advice="leave them out of both (geometry.components)",
+            )
         held = np.unique(image(placed.oriented, closest, count)[0])
         if len(held) == count:
             break

@@ -127,7 +127,8 @@ def prepare(
     InvalidInputError
         If the spectrum has fewer than 30 modes, no constant mode or several components,
         `n_samples` is below 200 or `n_points` below 1000, the geometry has other points or another
-        area, or its faces have no consistent winding (`operators.oriented_triangles`).
+        area, its faces have no consistent winding (`operators.oriented_triangles`), or a dense
+        one has a tiny piece that is not connected to the rest.
 
     Examples
     --------

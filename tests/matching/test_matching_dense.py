@@ -287,3 +287,14 @@ def test_bad_input_is_named(coarse) -> None:
     spectrum = sk.spectrum(coarse, 30)
     refused("n_points", "be at least 1000", prepare, spectrum, coarse, n_points=999)
     refused("precise", "be False without both", match, spectrum, spectrum, precise=True)
+
+
+def test_a_piece_that_no_point_stands_for_is_named(mesh) -> None:
+    """Four points beside the body, of which its spectrum knows nothing."""
+    corners = 1e-3 * np.vstack([np.zeros(3), np.eye(3)]) + mesh.points.max(axis=0)
+    sides = mesh.n + np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    both = TriangleMesh(np.vstack([mesh.points, corners]), np.vstack([mesh.faces, sides]))
+    one = sk.spectrum(mesh, 30)
+    vectors = np.vstack([one.eigenvectors, np.zeros((4, 30))])
+    spectrum = sk.Spectrum(one.eigenvalues, vectors, np.append(one.mass, np.full(4, 1e-7)))
+    refused("geometry", "be connected, as its spectrum is", prepare, spectrum, both, n_points=FEW)
