@@ -7,12 +7,15 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from spectra_kit._checked import checked
-from spectra_kit._types import Floats
+from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import check_faces, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps.checks import at_unit_area, check_functional_map, check_sizes
 from spectra_kit.functional_maps.nearest import nearest
+from spectra_kit.linalg.threads import in_threads, ranges
 from spectra_kit.spectra import Spectrum
+
+_BLOCK = 2**18  # coordinates of rows at a time: a hundred times as many while they are projected
 
 
 @checked
@@ -63,25 +66,7 @@ def precise_map(
     images = at_unit_area(source).eigenvectors[:, :k1] @ C.T
     rows = at_unit_area(target).eigenvectors[:, :k2]
     closest = nearest(rows, images, exact=True)
-
-    # One candidate for each triangle around the nearest vertex of each target point.
-    corners = sparse.csr_array(
-        (np.ones(triangles.size), (triangles.ravel(), np.repeat(np.arange(len(triangles)), 3))),
-        shape=(source.n, len(triangles)),
-    )
-    candidates = corners[closest].tocoo()
-    point, face = candidates.coords
-    weights, squared = _project(rows[point], images[triangles[face]])
-    # Targets of vertices without a triangle keep the vertex.
-    order = np.lexsort((squared, point))
-    first = order[np.unique(point[order], return_index=True)[1]]
-    bare = np.setdiff1d(np.arange(target.n), point)
-    values = np.concatenate([weights[first].ravel(), np.ones(len(bare))])
-    columns = np.concatenate([triangles[face[first]].ravel(), closest[bare]])
-    at = np.concatenate([np.repeat(point[first], 3), bare])
-    result = sparse.csr_array((values, (at, columns)), shape=(target.n, source.n))
-    result.eliminate_zeros()
-    return result
+    return into_triangles(rows, images, triangles, closest)
 
 
 @checked
@@ -136,6 +121,40 @@ def functional_map_from_precise_map(
     real_array("data of precise", precise.data)
     values = precise @ at_unit_area(source).eigenvectors[:, :k1]
     return at_unit_area(target).truncate(k2).project(values)
+
+
+def into_triangles(
+    rows: Floats, images: Floats, triangles: Ints, closest: Ints
+) -> sparse.csr_array:
+    """Return barycentric coordinates of the points nearest to `rows` on triangles of `images`.
+
+    Of rows (n2, d) on triangles (f, 3) of images (n1, d), as (n2, n1); of each row those triangles
+    that its `closest` image, (n2,), is a corner of. Threads share the rows.
+    """
+    n1, n2 = len(images), len(rows)
+    around = sparse.csr_array(
+        (np.ones(triangles.size), (triangles.ravel(), np.repeat(np.arange(len(triangles)), 3))),
+        shape=(n1, len(triangles)),
+    )
+
+    def project(start: int, stop: int) -> tuple[Ints, Ints, Floats]:
+        candidates = around[closest[start:stop]].tocoo()
+        point, face = candidates.coords
+        weights, squared = _project(rows[start:stop][point], images[triangles[face]])
+        order = np.lexsort((squared, point))
+        first = order[np.unique(point[order], return_index=True)[1]]
+        # Where the closest is a corner of none, the row stays with it.
+        bare = np.setdiff1d(np.arange(stop - start), point)
+        values = np.concatenate([weights[first].ravel(), np.ones(len(bare))])
+        columns = np.concatenate([triangles[face[first]].ravel(), closest[start:stop][bare]])
+        return np.concatenate([np.repeat(point[first], 3), bare]) + start, columns, values
+
+    share = max(1, _BLOCK // rows.shape[1])
+    parts = in_threads(project, ranges(n2, share))
+    at, columns, values = (np.concatenate(part) for part in zip(*parts, strict=True))
+    result = sparse.csr_array((values, (at, columns)), shape=(n2, n1))
+    result.eliminate_zeros()
+    return result
 
 
 def _project(points: Floats, corners: Floats) -> tuple[Floats, Floats]:

@@ -7,6 +7,7 @@ positions and normals tell what lengths cannot: how far along a limb a point is.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -17,47 +18,87 @@ from spectra_kit.linalg.ldl import SparseLDL
 from spectra_kit.linalg.threads import in_threads, ranges
 from spectra_kit.matching.curvature import outward_normals
 from spectra_kit.matching.options import DEFAULT, MatchOptions
-from spectra_kit.matching.prepare import Surface
+from spectra_kit.matching.placed import Placed
 from spectra_kit.operators.oriented import OrientedTriangles
 
 _SHARE = 2500  # rotations that a thread works out at a time
 
 
-def elastic_point_map(
-    source: Surface,
-    target: Surface,
+class Bent(NamedTuple):
+    """A surface bent onto another."""
+
+    points: Floats  # (n, 3) where its points are now
+    rotations: Floats  # (n, 3, 3) how each of them turned
+    start: Placed  # what was bent: the source, or its mirror image
+
+
+def bend_onto(
+    source: Placed,
+    target: Placed,
     way_there: Ints,
     *,
     mirrored: bool = False,
+    fine_rounds: int = 0,
     options: MatchOptions = DEFAULT,
-) -> Ints:
-    """Refine a map by bending the source as rigidly as possible onto the target.
+) -> Bent:
+    """Bend the source as rigidly as possible onto the target.
 
-    From the target point of each source point, `way_there`, to the source point of each target
-    point, (n2,); with `mirrored`, the target is a mirror image. Each round lowers
+    From the target point of each source point, `way_there`; with `mirrored`, the target is a mirror
+    image. Each round lowers
     ``1/2 sum_ij w_ij |(y_i - y_j) - R_i (x_i - x_j)|^2 + p sum_i m_i |y_i - c_i|^2``, where i j
     runs over all edges in both directions, over positions y and rotations R in turn (Sorkine and
     Alexa, *As-Rigid-As-Possible Surface Modeling*, SGP 2007, with cotangent weights w), c being the
     target points; then the nearest in position and normal become the new c.
     """
-    points = source.points * ([-1.0, 1.0, 1.0] if mirrored else 1.0)
-    oriented = source.oriented.reversed() if mirrored else source.oriented
-    bend, scale = _bending(points, oriented, source.mass, options.pull), options.normal_length
-    there = np.hstack([target.points, scale * outward_normals(target.points, target.oriented)])
-    tree = cKDTree(there)
+    start = mirror_image(source) if mirrored else source
+    bend, rotate = _bending(start.points, start.oriented, source.mass, options.pull)
+    fine = max(options.pull, len(source.points))  # rigid below the spacing of the points
+    tree = cKDTree(rows_of(target.points, target.oriented, options))
     bent = target.points[way_there]
-    for i in range(options.rounds):
+    rounds = options.rounds + fine_rounds
+    for i in range(rounds):
+        if i == options.rounds:
+            bend, rotate = _bending(start.points, start.oriented, source.mass, fine)
         bends = options.bends if i else options.first_bends
         bent = bend(bent, target.points[way_there], bends)
-        here = np.hstack([bent, scale * outward_normals(bent, oriented)])
-        way_there = tree.query(here)[1]
+        if i + 1 < rounds:
+            way_there = tree.query(rows_of(bent, start.oriented, options))[1]
+    return Bent(bent, rotate(bent), start)
+
+
+def elastic_point_map(
+    source: Placed,
+    target: Placed,
+    way_there: Ints,
+    *,
+    mirrored: bool = False,
+    options: MatchOptions = DEFAULT,
+) -> Ints:
+    """Return the source point that each target point meets, (n2,), once the source is bent."""
+    bent = bend_onto(source, target, way_there, mirrored=mirrored, options=options)
+    here = rows_of(bent.points, bent.start.oriented, options)
+    there = rows_of(target.points, target.oriented, options)
     return np.asarray(cKDTree(here).query(there)[1], dtype=np.int64)
+
+
+def rows_of(points: Floats, oriented: OrientedTriangles, options: MatchOptions) -> Floats:
+    """Return positions and normals, (n, 6), in which points that meet are near."""
+    return np.hstack([points, options.normal_length * outward_normals(points, oriented)])
+
+
+def mirror_image(placed: Placed) -> Placed:
+    """Return a surface as a mirror shows it."""
+    return Placed(
+        points=placed.points * [-1.0, 1.0, 1.0],
+        mass=placed.mass,
+        oriented=placed.oriented.reversed(),
+    )
 
 
 def _bending(
     points: Floats, oriented: OrientedTriangles, mass: Floats, pull: float
-) -> Callable[[Floats, Floats, int], Floats]:
-    """Return the function that bends `points` to goals, from some positions, so many times."""
+) -> tuple[Callable[[Floats, Floats, int], Floats], Callable[[Floats], Floats]]:
+    """Return two functions of bent points: bend them to goals so many times; how they turned."""
     i, j, w = _edges(points, oriented)
     n = len(points)
     graph = sparse.coo_array((w, (i, j)), shape=(n, n)).tocsr()
@@ -69,15 +110,18 @@ def _bending(
     heads = sparse.csr_array((np.ones(len(j)), (j, np.arange(len(j)))), shape=(n, len(j)))
     both, difference = sparse.csr_array(tails + heads), sparse.csr_array(tails - heads)
 
+    def rotate(bent: Floats) -> Floats:
+        outer = (w[:, None] * sides)[:, :, None] * (bent[i] - bent[j])[:, None, :]
+        return _rotations((both @ outer.reshape(-1, 9)).reshape(n, 3, 3))
+
     def bend(bent: Floats, goals: Floats, times: int) -> Floats:
         for _ in range(times):
-            outer = (w[:, None] * sides)[:, :, None] * (bent[i] - bent[j])[:, None, :]
-            rotations = _rotations((both @ outer.reshape(-1, 9)).reshape(n, 3, 3))
+            rotations = rotate(bent)
             turned = 0.5 * np.einsum("eij,ej->ei", rotations[i] + rotations[j], sides)
             bent = factor.solve(difference @ (w[:, None] * turned) + (pull * mass)[:, None] * goals)
         return bent
 
-    return bend
+    return bend, rotate
 
 
 def _rotations(covariances: Floats) -> Floats:

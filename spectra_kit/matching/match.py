@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from scipy import sparse
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
@@ -19,11 +20,12 @@ from spectra_kit.functional_maps import (
 )
 from spectra_kit.functional_maps.fit import Landmarks, check_landmarks
 from spectra_kit.functional_maps.nearest import nearest
+from spectra_kit.functional_maps.precise import into_triangles
 from spectra_kit.geometry import Geometry
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas
 from spectra_kit.matching.alignment import Bent, bent, placed_candidates, side_of
 from spectra_kit.matching.candidates import sign_candidates
-from spectra_kit.matching.elastic import elastic_point_map
+from spectra_kit.matching.everywhere import all_placed, by_bending, by_modes, on_matched
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.prepare import LOWEST_K, Prepared, curvatures, prepare
 from spectra_kit.matching.result import Candidate, Match
@@ -49,6 +51,7 @@ def match(
     mirrored: bool | None = None,
     k: int = 150,
     elastic: bool = True,
+    precise: bool = False,
     options: MatchOptions = DEFAULT,
 ) -> Match:
     """Find which point of the source corresponds to each point of the target.
@@ -72,6 +75,9 @@ def match(
         the shorter are left out, as descriptors depend on all modes.
     elastic : bool, default True
         Whether to bend the source onto the target in the end, where both geometries are given.
+    precise : bool, default False
+        Whether to find where on the triangles of the source each target point lies as well: needs
+        both geometries.
     options : MatchOptions
         What is tried and believed.
 
@@ -84,8 +90,8 @@ def match(
     ------
     InvalidInputError
         If a spectrum has fewer than 30 modes, no constant mode or several components, `k` is below
-        30, `mirrored` is given without both geometries, or landmarks are empty, unpaired or out of
-        range.
+        30, `mirrored` or `precise` is given without both geometries, or landmarks are empty,
+        unpaired or out of range.
 
     Warns
     -----
@@ -121,8 +127,15 @@ def match(
             mirrored,
             advice="pass source_geometry and target_geometry",
         )
+    if precise and not seen:
+        raise InvalidInputError(
+            "precise",
+            "be False without both geometries",
+            precise,
+            advice="pass source_geometry and target_geometry",
+        )
     ways = (False, True) if mirrored is None and seen else (bool(mirrored),)
-    pairs = None if landmarks is None else check_landmarks(landmarks, a.spectrum.n, b.spectrum.n)
+    pairs = None if landmarks is None else _matched_on(landmarks, a, b)
     fewer = min(a.spectrum.k, b.spectrum.k)
     a, b = a.truncate(fewer), b.truncate(fewer)
     with single_threaded_blas():  # small products: the threads are ours
@@ -131,7 +144,7 @@ def match(
         if len(found) == 2 and found[1][0].score * options.mirrored_by < found[0][0].score:
             found.reverse()
         chosen = found[0][0]
-        point_map, functional_map = _refined(a, b, chosen, k, elastic, options)
+        point_map, functional_map, on_faces = _refined(a, b, chosen, k, elastic, options, precise)
     opposite = [c.score for c in found[-1]] if len(found) == 2 else []
     rivals = [c.score for c in found[0][1:] if _apart(c, chosen) > options.rival]
     made = Match(
@@ -144,8 +157,9 @@ def match(
         consistent=min(
             1.0 if side.surface is None else side.surface.oriented.consistent for side in (a, b)
         ),
-        coverage=coverage_over_chance(a.spectrum, b.spectrum, point_map),
+        coverage=coverage_over_chance(a.spectrum, b.spectrum, on_matched(a, b, point_map)),
         candidates=tuple(c for way in found for c in way),
+        precise=on_faces,
         options=options,
     )
     if not made.convincing:
@@ -161,10 +175,26 @@ def match(
     return made
 
 
+def _matched_on(landmarks: Landmarks, a: Prepared, b: Prepared) -> Pairs:
+    """Return checked landmarks, or on dense surfaces the points that stand for them."""
+    one, other = check_landmarks(landmarks, a.whole.n, b.whole.n)
+    if a.dense is not None:
+        one = a.dense.closest[one]
+    if b.dense is not None:
+        other = b.dense.closest[other]
+    return one, other
+
+
 def _refined(
-    a: Prepared, b: Prepared, chosen: Candidate, k: int, elastic: bool, options: MatchOptions
-) -> tuple[Ints, Floats]:
-    """Return the point map and the functional map that a candidate is refined to."""
+    a: Prepared,
+    b: Prepared,
+    chosen: Candidate,
+    k: int,
+    elastic: bool,
+    options: MatchOptions,
+    precise: bool = False,
+) -> tuple[Ints, Floats, sparse.csr_array | None]:
+    """Return the maps of all points that a candidate is refined to: see `Match`."""
     start = chosen.functional_map[:k, :k]
     step = -(-(k - len(start)) // options.last_steps)
     curved = curvatures(a, b)
@@ -174,16 +204,18 @@ def _refined(
         a.spectrum, b.spectrum, start, k_final=k, step=max(step, 1), features=features
     )
     if not elastic or a.surface is None or b.surface is None:
-        return result.point_map, result.functional_map
-    rows1 = a.spectrum.eigenvectors[:, :k] @ result.functional_map.T
-    rows2 = b.spectrum.eigenvectors[:, :k]
-    if features is not None:
-        rows1, rows2 = np.hstack([rows1, features[0]]), np.hstack([rows2, features[1]])
-    way_there = nearest(rows1, rows2)
-    point_map = elastic_point_map(
-        a.surface, b.surface, way_there, mirrored=chosen.mirrored, options=options
-    )
-    return point_map, functional_map_from_point_map(a.spectrum, b.spectrum, point_map, k=k)
+        point_map, here, there = by_modes(a, b, result, options)
+    else:
+        rows1 = a.spectrum.eigenvectors[:, :k] @ result.functional_map.T
+        rows2 = b.spectrum.eigenvectors[:, :k]
+        if features is not None:
+            rows1, rows2 = np.hstack([rows1, features[0]]), np.hstack([rows2, features[1]])
+        way_there = nearest(rows1, rows2)
+        mirrored = chosen.mirrored
+        point_map, here, there = by_bending(a, b, way_there, mirrored=mirrored, options=options)
+    faces = all_placed(a).oriented.faces if precise else None
+    on_faces = None if faces is None else into_triangles(there, here, faces, point_map)
+    return point_map, functional_map_from_point_map(a.whole, b.whole, point_map, k=k), on_faces
 
 
 class _Search:

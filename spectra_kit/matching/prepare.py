@@ -12,9 +12,11 @@ from spectra_kit._validate import Rebuilt, check_count
 from spectra_kit.descriptors import farthest_points, wave_kernel_signature
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry
-from spectra_kit.linalg.threads import blas_threads_for
+from spectra_kit.linalg.threads import blas_threads_for, single_threaded_blas
 from spectra_kit.matching.curvature import smoothed_mean_curvature
-from spectra_kit.operators.oriented import OrientedTriangles, area_form, oriented_triangles
+from spectra_kit.matching.dense import Dense, thinned
+from spectra_kit.matching.placed import Placed
+from spectra_kit.operators.oriented import area_form, oriented_triangles
 from spectra_kit.spectra import Spectrum
 
 LOWEST_K = 30  # modes without which there is no matching
@@ -24,12 +26,9 @@ _CURVATURES = (80, 40, 20, 10)  # modes whose heat times smooth the curvature, f
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Surface(Rebuilt):
+class Surface(Placed):
     """What the geometry of a surface adds to its spectrum, at unit area."""
 
-    points: Floats  # (n, 3)
-    mass: Floats  # (n,), of the spectrum
-    oriented: OrientedTriangles  # which side is out
     #: Smoothed mean curvature, (n, 4), fine to coarse: minus its mean, divided by its standard
     #: deviation (zero where it does not vary).
     curvature: Floats
@@ -41,6 +40,8 @@ class Surface(Rebuilt):
 class Prepared(Rebuilt):
     """A surface, ready to be matched; `prepare` makes it. All at unit area.
 
+    Of a dense surface, n counts the well-spread points on which it is matched.
+
     Attributes
     ----------
     spectrum : Spectrum
@@ -51,12 +52,20 @@ class Prepared(Rebuilt):
         Wave kernel signature.
     surface : Surface or None
         What the geometry adds; None without one.
+    dense : Dense or None
+        Of a dense surface: all its points, and which were chosen.
     """
 
     spectrum: Spectrum
     samples: Ints
     wave: Floats
     surface: Surface | None = None
+    dense: Dense | None = None
+
+    @property
+    def whole(self) -> Spectrum:
+        """The spectrum on all points of the surface, dense or not."""
+        return self.spectrum if self.dense is None else self.dense.spectrum
 
     def truncate(self, k: int) -> Prepared:
         """Return the surface prepared with its first k modes alone.
@@ -73,18 +82,24 @@ class Prepared(Rebuilt):
         """
         if check_count("k", k, low=LOWEST_K, high=self.spectrum.k) == self.spectrum.k:
             return self
-        surface = self.surface
-        placed = None if surface is None else (surface.points, surface.oriented)
-        return _gathered(self.spectrum.truncate(k), placed, len(self.samples))
+        if self.dense is not None:
+            whole, count = self.dense.spectrum.truncate(k), len(self.dense.chosen)
+            return _gathered_on(thinned(whole, self.dense.placed, count), len(self.samples))
+        return _gathered(self.spectrum.truncate(k), self.surface, len(self.samples))
 
     def __repr__(self) -> str:
         seen = "spectrum alone" if self.surface is None else "spectrum and geometry"
-        return f"Prepared(n={self.spectrum.n}, k={self.spectrum.k}, from {seen})"
+        some = "" if self.dense is None else f" of {self.dense.spectrum.n}"
+        return f"Prepared(n={self.spectrum.n}{some}, k={self.spectrum.k}, from {seen})"
 
 
 @checked
 def prepare(
-    spectrum: Spectrum, geometry: Geometry | None = None, *, n_samples: int = 600
+    spectrum: Spectrum,
+    geometry: Geometry | None = None,
+    *,
+    n_samples: int = 600,
+    n_points: int = 5000,
 ) -> Prepared:
     """Gather what `match` needs to know of a surface.
 
@@ -98,6 +113,9 @@ def prepare(
         front from the back.
     n_samples : int, default 600
         Points on which candidates are refined; capped at n.
+    n_points : int, default 5000
+        A surface with a geometry and more than twice as many points is dense: it is matched on
+        about so many, well spread, and the map is carried to all points in the end.
 
     Returns
     -------
@@ -108,8 +126,9 @@ def prepare(
     ------
     InvalidInputError
         If the spectrum has fewer than 30 modes, no constant mode or several components,
-        `n_samples` is below 200, the geometry has other points or another area, or its faces have
-        no consistent winding (`operators.oriented_triangles`).
+        `n_samples` is below 200 or `n_points` below 1000, the geometry has other points or another
+        area, its faces have no consistent winding (`operators.oriented_triangles`), or a dense
+        one has a tiny piece that is not connected to the rest.
 
     Examples
     --------
@@ -119,6 +138,7 @@ def prepare(
     Prepared(n=1000, k=60, from spectrum and geometry)
     """
     check_count("n_samples", n_samples, low=200)
+    check_count("n_points", n_points, low=1000)
     if spectrum.k < LOWEST_K:
         raise InvalidInputError(
             "spectrum",
@@ -144,23 +164,32 @@ def prepare(
     unit = spectrum.rescale(scale)
     with blas_threads_for(unit.eigenvectors.size):
         placed = None if geometry is None else _placed(unit, geometry, scale)
-        return _gathered(unit, placed, min(n_samples, unit.n))
+        if placed is None or unit.n <= 2 * n_points:
+            return _gathered(unit, placed, min(n_samples, unit.n))
+    with single_threaded_blas():
+        return _gathered_on(thinned(unit, placed, n_points), min(n_samples, n_points))
+
+
+def _gathered_on(dense: Dense, n_samples: int) -> Prepared:
+    """Return a dense surface with all that depends on its modes, at its chosen points."""
+    return _gathered(*dense.at_chosen(), n_samples, dense)
 
 
 def _gathered(
-    unit: Spectrum, placed: tuple[Floats, OrientedTriangles] | None, n_samples: int
+    unit: Spectrum, placed: Placed | None, n_samples: int, dense: Dense | None = None
 ) -> Prepared:
     """Return a surface at unit area with all that depends on its modes."""
     return Prepared(
         spectrum=unit,
         samples=farthest_points(unit, n_samples),
         wave=wave_kernel_signature(unit, count=60),
-        surface=None if placed is None else _surface(unit, *placed),
+        surface=None if placed is None else _surface(unit, placed),
+        dense=dense,
     )
 
 
-def _placed(unit: Spectrum, geometry: Geometry, scale: float) -> tuple[Floats, OrientedTriangles]:
-    """Return the points of a geometry at unit area, and which side is out."""
+def _placed(unit: Spectrum, geometry: Geometry, scale: float) -> Placed:
+    """Return a geometry at unit area, and which side is out."""
     if geometry.n != unit.n:
         raise InvalidInputError(
             "geometry", f"be the mesh or cloud of the spectrum, of {unit.n} points", geometry.n
@@ -174,23 +203,23 @@ def _placed(unit: Spectrum, geometry: Geometry, scale: float) -> tuple[Floats, O
             f"{area:.3g} times its area",
             advice="pass the geometry that the spectrum was computed of",
         )
-    return geometry.points * scale, oriented
+    return Placed(points=geometry.points * scale, mass=unit.mass, oriented=oriented)
 
 
-def _surface(unit: Spectrum, points: Floats, oriented: OrientedTriangles) -> Surface:
+def _surface(unit: Spectrum, placed: Placed) -> Surface:
     """Return what the geometry adds to the spectrum."""
     curvature = smoothed_mean_curvature(
-        unit, points, oriented, tuple(min(mode, unit.k - 1) for mode in _CURVATURES)
+        unit, placed.points, placed.oriented, tuple(min(mode, unit.k - 1) for mode in _CURVATURES)
     )
     curvature -= unit.mass @ curvature
     spread = np.sqrt(unit.mass @ curvature**2)
     varies = spread > _EVEN
     return Surface(
-        points=points,
+        points=placed.points,
         mass=unit.mass,
-        oriented=oriented,
+        oriented=placed.oriented,
         curvature=np.divide(curvature, spread, out=np.zeros_like(curvature), where=varies),
-        form=area_form(oriented, unit.eigenvectors[:, : min(FORM_K, unit.k)]),
+        form=area_form(placed.oriented, unit.eigenvectors[:, : min(FORM_K, unit.k)]),
     )
 
 

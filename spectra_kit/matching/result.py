@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from scipy import sparse
+
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt
@@ -65,9 +67,14 @@ class Match(Rebuilt):
         for meshes.
     coverage : float
         Area of the source that the target points reach, over what as many thrown at random would
-        reach: above 1.1 for right maps, whatever the resolutions.
+        reach: above 1.1 for right maps, whatever the resolutions. Of dense surfaces, by the points
+        that they are matched on.
     candidates : tuple of Candidate
         Those that were refined and came out different, the chosen one first.
+    precise : csr_array of shape (n2, n1) or None
+        Where on a triangle of the source each target point lies, if that was asked for: rows of at
+        most three barycentric coordinates, which are positive and sum to 1. The map times values at
+        the source points, or the points themselves, gives those at the target points.
     options : MatchOptions
         How they were found and judged.
     """
@@ -81,6 +88,7 @@ class Match(Rebuilt):
     consistent: float
     coverage: float
     candidates: tuple[Candidate, ...]
+    precise: sparse.csr_array | None = None
     options: MatchOptions = DEFAULT
 
     @property
