@@ -43,7 +43,8 @@ class Side(NamedTuple):
         turns = positions[:q].T @ (self.forms[:, :q, :q] @ positions[:q])
         normals = np.stack([turns[:, 1, 2], turns[:, 2, 0], turns[:, 0, 1]], axis=1)
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-        return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+        out: Floats = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+        return out
 
 
 class Bent(NamedTuple):
@@ -150,7 +151,7 @@ def _fitted(
             columns1.append(mapped * source.rows[:, :q] @ C.T)
             columns2.append(mapped * target.rows[:, :q])
         back, forth, distance = _both_ways(np.hstack(columns1), np.hstack(columns2))
-        C = np.linalg.lstsq(V, U[back], rcond=None)[0]
+        C = np.asarray(np.linalg.lstsq(V, U[back], rcond=None)[0], dtype=np.float64)
         displacement = _displacement(
             source, there, U @ positions[:k], back, forth, min(k, options.bending_modes), options
         )

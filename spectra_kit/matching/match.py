@@ -23,7 +23,7 @@ from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.functional_maps.precise import into_triangles
 from spectra_kit.geometry import Geometry
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas
-from spectra_kit.matching.alignment import Bent, bent, placed_candidates, side_of
+from spectra_kit.matching.alignment import bent, placed_candidates, side_of
 from spectra_kit.matching.candidates import sign_candidates
 from spectra_kit.matching.everywhere import all_placed, by_bending, by_modes, on_matched
 from spectra_kit.matching.options import DEFAULT, MatchOptions
