@@ -5,7 +5,7 @@ import pytest
 from conftest import bumpy, creature, refused
 from measure.matching.protocols import Protocol, make_protocol
 from measure.matching.sets import USUAL, PairSet, pair_sets, triangulated_sets
-from measure.matching.subjects import Subject, demo_subjects
+from measure.matching.subjects import LACKING, Subject, demo_subjects, truth_between
 from measure.matching.triangulations import TRIANGULATIONS, rounding, triangulated
 
 from spectra_kit import TriangleMesh
@@ -75,18 +75,42 @@ def made(animal):
 def test_they_are_one_surface_with_its_landmarks(animal, made):
     edge = np.sqrt(animal.mesh.area / animal.mesh.n)
     for kind, subject in made.items():
-        distances = (
-            animal.geometry.points[animal.landmarks] - subject.geometry.points[subject.landmarks]
+        there = subject.landmarks != LACKING
+        assert there.mean() > 0.9, kind
+        apart = np.linalg.norm(
+            animal.geometry.points[animal.landmarks[there]]
+            - subject.geometry.points[subject.landmarks[there]],
+            axis=1,
         )
-        assert np.linalg.norm(distances, axis=1).mean() < edge, kind
+        assert apart.mean() < edge, kind
+        assert rounding(animal, subject) == pytest.approx(
+            100 * apart.mean() / np.sqrt(animal.mesh.area)
+        )
         if kind != "cloud":
             assert len(components(subject.mesh)) == 1
             assert subject.mesh.area == pytest.approx(animal.mesh.area, rel=0.06)
     assert rounding(animal, made["isotropic"]) == 0
-    off = distances  # of the last
-    assert rounding(animal, subject) == pytest.approx(
-        100 * np.linalg.norm(off, axis=1).mean() / np.sqrt(animal.mesh.area)
-    )
+
+
+def test_landmarks_of_what_is_cut_off_are_lost(animal, monkeypatch):
+    low = animal.mesh.points[:, 2].min() + 0.3 * np.ptp(animal.mesh.points[:, 2])
+
+    def cut(mesh, rng):
+        kept = mesh.faces[(mesh.points[mesh.faces][:, :, 2] > low).all(axis=1)]
+        return TriangleMesh(mesh.points, kept).without_unreferenced()
+
+    monkeypatch.setitem(TRIANGULATIONS, "cut", cut)
+    made = triangulated(animal, "cut")
+    far = animal.mesh.points[animal.landmarks, 2] < low - np.sqrt(animal.mesh.area / animal.mesh.n)
+    assert far.any()
+    assert (made.landmarks[far] == LACKING).all()
+    truth = truth_between(animal, made)
+    both = made.landmarks != LACKING
+    np.testing.assert_array_equal(truth.source, animal.landmarks[both])
+    np.testing.assert_array_equal(truth.symmetric, animal.mirrored[both])
+    back = truth_between(made, animal)  # where the mirror image is lost, the landmark is, too
+    assert len(back.source) == (both & (made.mirrored != LACKING)).sum()
+    assert (back.symmetric >= 0).all()
 
 
 def slenderness(mesh):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from measure.matching.protocols import Protocol, make_protocol
-from measure.matching.subjects import Subject, demo_subjects, subjects_in
+from measure.matching.subjects import LACKING, Subject, demo_subjects, subjects_in
 from measure.matching.triangulations import TRIANGULATIONS, rounding, triangulated
 from measure.shapes import data_folder
 from spectra_kit._validate import check_count
@@ -114,7 +114,9 @@ def triangulated_sets(pairs: PairSet, *, count: int, seed: int = 0) -> list[Pair
         subjects = {source: pairs.subjects[source] for source, _ in kept}
         subjects |= {made[target][kind].name: made[target][kind] for target in targets}
         off = [rounding(pairs.subjects[target], made[target][kind]) for target in targets]
+        lost = [(made[target][kind].landmarks == LACKING).mean() for target in targets]
         note = f"the points of landmarks are {np.mean(off):.2f} away from them on average"
+        note += f" (without {np.mean(lost):.1%} that are lost)" if any(lost) else ""
         if passed:
             note += f"; passed over, as marching cubes change their topology: {', '.join(passed)}"
         sets.append(

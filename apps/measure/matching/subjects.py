@@ -17,6 +17,8 @@ from spectra_kit.correspondence import Truth
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature
 
+#: A landmark that a subject lacks.
+LACKING = -1
 _KEYS = ("V", "F", "corres")
 
 
@@ -27,14 +29,19 @@ class Subject(Rebuilt):
     #: Letters name the class, digits the subject within it: ``cat0`` and ``cat10`` are of one.
     name: str
     geometry: Geometry  #: With n points; a cloud can be a target alone.
-    landmarks: Ints  #: (c,): entry i is the same place of the body in every subject of a class.
+    #: (c,): entry i is the same place of the body in every subject of a class; -1 where this one
+    #: lacks it.
+    landmarks: Ints
     mirrored: Ints | None = None  #: (c,): the place on the other side of the body.
 
     def __post_init__(self) -> None:
         for name in ("landmarks", "mirrored"):
             values = getattr(self, name)
             if values is not None:
-                array = check_indices(f"{name} of {self.name}", values, self.geometry.n)
+                given = np.asarray(values)
+                there = np.where(given == LACKING, 0, given)
+                check_indices(f"{name} of {self.name}", there, self.geometry.n)
+                array = given.astype(np.int64)
                 if array.ndim != 1 or array.shape != np.shape(self.landmarks):
                     raise InvalidInputError(
                         f"{name} of {self.name}",
@@ -66,13 +73,20 @@ class Subject(Rebuilt):
 
 
 def truth_between(source: Subject, target: Subject) -> Truth:
-    """Tell which points of two subjects of one class correspond, with mirror images if known."""
+    """Tell which points of two subjects of one class correspond, with mirror images if known.
+
+    Landmarks that one of them lacks are left out.
+    """
     if len(source.landmarks) != len(target.landmarks):
         raise InvalidInputError(
             f"`source` and `target` must share their landmarks, got {len(source.landmarks)} of"
             f" {source.name} and {len(target.landmarks)} of {target.name}; match within a class"
         )
-    return Truth(source.landmarks, target.landmarks, source.mirrored)
+    places = [source.landmarks, target.landmarks]
+    if source.mirrored is not None:
+        places.append(source.mirrored)
+    both = np.all([place != LACKING for place in places], axis=0)
+    return Truth(*(place[both] for place in places))
 
 
 def subjects_in(folder: str | os.PathLike[str]) -> dict[str, Subject]:

@@ -13,7 +13,7 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from measure.matching.subjects import Subject
+from measure.matching.subjects import LACKING, Subject
 from spectra_kit._types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, largest_component, sample
@@ -104,13 +104,17 @@ TRIANGULATIONS: dict[str, Callable[[TriangleMesh, np.random.Generator], Geometry
 
 
 def triangulated(subject: Subject, kind: str, *, seed: int = 0) -> Subject:
-    """Return a subject in one of `TRIANGULATIONS`, each landmark at the vertex nearest to it.
+    """Return a subject in one of `TRIANGULATIONS`, each landmark at the point nearest to it.
 
-    ``NAME-KIND`` is its name. Nearest in space: bodies that touch themselves may lose some
-    landmarks to the other side.
+    ``NAME-KIND`` is its name. A landmark that is farther from the surface than half an edge of the
+    subject is lacking: marching cubes lose fingers.
     """
-    made = TRIANGULATIONS[kind](subject.mesh, np.random.default_rng(seed))
-    _, nearest = cKDTree(made.points).query(subject.mesh.points)
+    mesh = subject.mesh
+    made = TRIANGULATIONS[kind](mesh, np.random.default_rng(seed))
+    _, nearest = cKDTree(made.points).query(mesh.points)
+    if isinstance(made, TriangleMesh):
+        squares, *_ = igl.point_mesh_squared_distance(mesh.points, made.points, made.faces)
+        nearest = np.where(squares > _edge(mesh) ** 2 / 4, LACKING, nearest)
     mirrored = subject.mirrored
     return Subject(
         f"{subject.name}-{kind.replace(' ', '_')}",
@@ -122,8 +126,16 @@ def triangulated(subject: Subject, kind: str, *, seed: int = 0) -> Subject:
 
 def rounding(subject: Subject, made: Subject) -> float:
     """Return the mean distance of landmarks from where they were, in 100 / root of the area."""
-    there, here = (s.geometry.points[s.landmarks] for s in (subject, made))
-    return float(100 * np.linalg.norm(there - here, axis=1).mean() / np.sqrt(subject.mesh.area))
+    there = made.landmarks != LACKING
+    before = subject.geometry.points[subject.landmarks[there]]
+    apart = np.linalg.norm(before - made.geometry.points[made.landmarks[there]], axis=1)
+    return float(100 * apart.mean() / np.sqrt(subject.mesh.area))
+
+
+def _edge(mesh: TriangleMesh) -> float:
+    """Return the mean length of the edges."""
+    a, b = mesh.points[mesh.unique_edges[0]].transpose(1, 0, 2)
+    return float(np.linalg.norm(a - b, axis=1).mean())
 
 
 def _euler(mesh: TriangleMesh) -> int:
