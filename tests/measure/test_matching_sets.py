@@ -140,18 +140,18 @@ def along_over_across(mesh):
     a, b = mesh.points[mesh.unique_edges[0]].transpose(1, 0, 2)
     ring = np.cross([0.0, 0.0, 1.0], (a + b) / 2)
     along = ((b - a) * ring / np.linalg.norm(ring, axis=1, keepdims=True)).sum(axis=1)
-    across = np.sqrt(((b - a) ** 2).sum(axis=1) - along**2)
+    across = np.sqrt(np.maximum(((b - a) ** 2).sum(axis=1) - along**2, 0))
     return np.abs(along).mean() / across.mean()
 
 
 def test_anisotropic_triangles_are_long_where_a_tube_is_straight():
-    minor = 0.1
+    minor = 0.2
     tube = torus(n=2000, major=1.0, minor=minor).geometry
     turn = 0.1 * np.sqrt(tube.area)  # the metric of positions and normals is 1 + (turn k)^2
     expected = np.sqrt((1 + (turn / minor) ** 2) / (1 + turn**2))
     made = TRIANGULATIONS["anisotropic"](tube, np.random.default_rng(0))
-    assert expected > 2
-    assert along_over_across(made) == pytest.approx(expected, rel=0.2)
+    assert expected > 1.6
+    assert along_over_across(made) == pytest.approx(expected, rel=0.1)
 
 
 def test_the_seed_decides(animal, made):
