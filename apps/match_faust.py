@@ -1,20 +1,30 @@
-r"""Match a set of meshes whose correspondence is known, and measure the maps.
+r"""Match sets of shapes whose correspondence is known, and measure the maps.
 
-    python apps/match_faust.py OUT --data faust_r                       # 100 random pairs
-    python apps/match_faust.py OUT --data faust_r --backends exact neo
-    python apps/match_faust.py OUT --data faust_r --methods match pyfm --pyfm-python other/python
-    python apps/match_faust.py OUT --data faust_r --protocol ren-300
-    python apps/match_faust.py OUT --data tosca_r --protocol same-class --only cat
+    python apps/match_faust.py OUT                                      # 100 random pairs of FAUST
+    python apps/match_faust.py OUT --data faust_r smal_r scape_a tosca_r
+    python apps/match_faust.py OUT --data smal_r --protocol random --pairs 60
+    python apps/match_faust.py OUT --data tosca_r --only cat
+    python apps/match_faust.py OUT --data faust_r --triangulations --pairs 5
+    python apps/match_faust.py OUT --backends exact neo
+    python apps/match_faust.py OUT --methods match pyfm --pyfm-python other/python
+    python apps/match_faust.py OUT --protocol ren-300
     python apps/match_faust.py OUT --demo                               # an animal, no data
 
-The data are NAME.npz files: vertices V, faces F, corres (vertices in corresponding places, the same
-number in each file) and corres_sym (their mirror images), all counted from 0.
+A set is a folder of NAME.npz files, or the name of one in $SPECTRA_KIT_DATA: vertices V, faces F,
+corres (vertices in corresponding places, the same number in each file) and corres_sym (their mirror
+images, where they are known), all counted from 0. Of faust_r, and of folders with other names, 100
+random pairs are matched, of smal_r and scape_a all, of tosca_r all within a class;
+--protocol and --pairs say otherwise.
 
-OUT gets the spectra, the maps (source vertex of each target vertex; the name of the .npy ends with
+With --triangulations the targets are made anew in six ways: as they are, with anisotropic
+triangles, simplified by quadrics, dense, by marching cubes, and as a cloud.
+
+OUT gets the spectra, the maps (source vertex of each target point; the name of the .npy ends with
 the digest in pairs.csv), measurements.jsonl with a line for each pair as soon as it is matched,
-matching.md, matching.json, pairs.csv, accuracy curves, and pictures of the best, median and worst
-pair. The same command after an interruption computes only what is missing. Results are remembered
-by their inputs, the options and the code: other weights, or another version, are measured anew.
+matching.md, matching.json, pairs.csv, accuracy curves, how far confidences can be believed, and
+pictures of the best, the median and the worst pairs. The same command after an interruption
+computes only what is missing. Results are remembered by their inputs, the options and the code:
+other weights, or another version, are measured anew.
 """
 
 from __future__ import annotations
@@ -28,32 +38,35 @@ from pathlib import Path
 from measure.command import exit_code, parser_of
 from measure.matching.methods import METHODS
 from measure.matching.pairs import BACKENDS, KINDS, Pair, Pairs, Spectra, match_all, ways
-from measure.matching.protocols import PROTOCOLS, Protocol, make_protocol
-from measure.matching.report import draw_extremes, write_report
-from measure.matching.subjects import Subject, demo_subjects, subjects_in
-from measure.shapes import data_folder
+from measure.matching.protocols import PROTOCOLS
+from measure.matching.report import Matched, draw_extremes, write_report
+from measure.matching.sets import PairSet, demo_set, pair_sets, triangulated_sets
 
-from spectra_kit.errors import InvalidInputError, MissingDependencyError
+from spectra_kit.errors import MissingDependencyError
 
 DEFAULT = next(iter(METHODS))
+_FEW = 5  # pairs in six triangulations, where no other number is asked for
+_ALL = 10**9  # pairs to draw these from
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = parser_of("match_faust.py", __doc__)
     add = parser.add_argument
     add("out", type=Path, help="folder for everything")
-    add("--data", type=Path, help="folder of subjects (default: $SPECTRA_KIT_DATA/faust_r)")
+    add("--data", nargs="+", default=["faust_r"], metavar="SET",
+        help="folders, or names of sets in $SPECTRA_KIT_DATA (default: faust_r)")  # fmt: skip
     add("--demo", action="store_true", help="a demo animal in four poses instead, 12 pairs")
-    add("--only", nargs="+", metavar="PREFIX", help="only subjects whose names begin so")
+    add("--only", nargs="+", default=(), metavar="PREFIX", help="subjects whose names begin so")
+    add("--triangulations", action="store_true", help="the targets in six triangulations")
     add(
         "--protocol",
         choices=list(PROTOCOLS),
-        default="random",
-        help="which pairs, and which errors count (default: %(default)s)",
+        help="which pairs, and which errors count (default: what is usual for each set)",
     )
-    add("--pairs", type=int, metavar="N", help="draw N of them (random: 100; others: all)")
+    add("--pairs", type=int, metavar="N",
+        help="draw N of each set (random: 100; triangulations: 5; others: all)")  # fmt: skip
     add("--seed", type=int, default=0, help="of the draw (%(default)s)")
-    add("--pair-list", type=Path, help="of ren-300 (default: ren_pairs.txt beside the data)")
+    add("--pair-list", type=Path, help="of ren-300 (default: ren_pairs.txt in each set)")
     add("--backends", nargs="+", choices=list(BACKENDS), default=["exact"], metavar="NAME",
         help=f"spectra: {', '.join(BACKENDS)} (default: exact)")  # fmt: skip
     add("--methods", nargs="+", choices=list(METHODS), default=[DEFAULT], metavar="NAME",
@@ -66,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
         help="distances along edges, or exact ones: minutes a pair (%(default)s)")  # fmt: skip
     add("--jobs", type=int, default=os.cpu_count() or 1,
         help="pairs side by side, on one thread each (%(default)s)")  # fmt: skip
-    add("--no-pictures", action="store_true", help="do not draw best, median and worst pairs")
+    add("--no-pictures", action="store_true", help="do not draw pairs")
     return parser
 
 
@@ -78,57 +91,59 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _match(args: argparse.Namespace) -> bool:
     """Match and report; return whether there is a result."""
-    subjects, protocol = _problem(args)
-    chosen = ways(args.geometry, args.backends, args.methods)
-    spectra = Spectra(
-        folder=args.out,
-        contenders=list(dict.fromkeys(way.basis for way in chosen)),
-        problems=list(subjects),
-        subjects=subjects,
-        k=args.k,
-        weights=args.weights,
-    )
-    pairs = Pairs(
-        folder=args.out,
-        contenders=chosen,
-        problems=[Pair(*names) for names in protocol.pairs],
-        spectra=spectra,
-        geodesics=args.geodesics,
-        pyfm_python=args.pyfm_python,
-    )
-    results = match_all(pairs, jobs=args.jobs, progress=True)
-    report = write_report(results, pairs, protocol)
+    matched = [_matched(one, args) for one in _sets(args)]
+    report = write_report(args.out, matched)
     print(report.read_text(), flush=True)
     print(f"report: {report}")
     if not args.no_pictures:
         try:
-            for path in draw_extremes(results, pairs, protocol, up="z" if args.demo else None):
-                print(f"picture: {path}")
+            for one in matched:
+                for path in draw_extremes(one, up="z" if args.demo else None):
+                    print(f"picture: {path}")
         except MissingDependencyError as error:
             print(f"best, median and worst pairs are not drawn: {error}", file=sys.stderr)
-    return any(result.ok for result in results)
+    return any(result.ok for one in matched for result in one.results)
 
 
-def _problem(args: argparse.Namespace) -> tuple[dict[str, Subject], Protocol]:
-    """Subjects, and the pairs of them."""
-    if args.demo:
-        subjects = demo_subjects()
-        return subjects, make_protocol("all-pairs", subjects.values(), count=args.pairs)
-    folder = args.data or data_folder("faust_r")
-    if folder is None:
-        raise InvalidInputError("name a folder with --data, set SPECTRA_KIT_DATA, or try --demo")
-    subjects = subjects_in(folder)
-    if args.only:
-        subjects = {n: s for n, s in subjects.items() if n.startswith(tuple(args.only))}
-    protocol = make_protocol(
-        args.protocol,
-        subjects.values(),
-        count=args.pairs,
-        seed=args.seed,
-        listed=args.pair_list or folder / "ren_pairs.txt",
+def _matched(pair_set: PairSet, args: argparse.Namespace) -> Matched:
+    """Match the pairs of one set in all ways that are asked for."""
+    chosen = ways(args.geometry, args.backends, args.methods)
+    spectra = Spectra(
+        folder=args.out,
+        contenders=list(dict.fromkeys(way.basis for way in chosen)),
+        problems=list(pair_set.subjects),
+        subjects=pair_set.subjects,
+        k=args.k,
+        weights=args.weights,
     )
-    used = {name for pair in protocol.pairs for name in pair}
-    return {name: subject for name, subject in subjects.items() if name in used}, protocol
+    study = Pairs(
+        folder=args.out,
+        contenders=chosen,
+        problems=[Pair(*names) for names in pair_set.protocol.pairs],
+        spectra=spectra,
+        geodesics=args.geodesics,
+        pyfm_python=args.pyfm_python,
+    )
+    return Matched(pair_set, study, match_all(study, jobs=args.jobs, progress=True))
+
+
+def _sets(args: argparse.Namespace) -> list[PairSet]:
+    """Return the sets that are asked for."""
+    if args.demo:
+        sets = [demo_set(None if args.triangulations else args.pairs)]
+    else:
+        sets = pair_sets(
+            args.data,
+            protocol=args.protocol,
+            count=_ALL if args.triangulations else args.pairs,
+            seed=args.seed,
+            only=args.only,
+            listed=args.pair_list,
+        )
+    if not args.triangulations:
+        return sets
+    count = _FEW if args.pairs is None else args.pairs
+    return [made for one in sets for made in triangulated_sets(one, count=count, seed=args.seed)]
 
 
 if __name__ == "__main__":

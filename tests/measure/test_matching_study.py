@@ -8,12 +8,13 @@ import match_faust as app
 import numpy as np
 import pytest
 from conftest import bumpy, creature, refused
-from measure.matching import methods, pyfm_peer
+from measure.matching import methods, pyfm_peer, sets
 from measure.matching.measures import THRESHOLDS, best_candidate, measure_map
 from measure.matching.methods import METHODS, Entry, Outcome, Side
 from measure.matching.pairs import BACKENDS, KINDS, Pair, Pairs, Spectra, match_all, ways
 from measure.matching.protocols import Protocol, make_protocol
-from measure.matching.report import summarize, write_report
+from measure.matching.report import Matched, summarize, write_report
+from measure.matching.sets import PairSet
 from measure.matching.subjects import Subject, demo_subjects, subjects_in, truth_between
 from measure.study import Result
 
@@ -76,6 +77,18 @@ def test_a_folder_of_subjects(tmp_path):
     assert truth_between(found["cat2"], found["cat10"]).symmetric is None
 
 
+def test_mirror_images_that_are_the_landmarks_are_none(tmp_path):
+    write_subject(tmp_path / "mesh052.npz", bumpy(), corres=[3, 1], corres_sym=[3, 1])
+    [found] = subjects_in(tmp_path).values()
+    assert found.mirrored is None
+
+
+def test_errors_are_measured_along_meshes_alone():
+    subject = Subject("a", bumpy().as_cloud(), [0, 1])
+    assert subject.digest != Subject("a", bumpy(), [0, 1]).digest
+    refused("a", "be a mesh, to measure distances along it", lambda: subject.mesh)
+
+
 @pytest.fixture(scope="module")
 def zoo():
     names = ["cat0", "cat1", "cat10", "dog1", "dog2", "horse0"]
@@ -93,7 +106,7 @@ def test_random_pairs_are_ordered_distinct_and_extend_each_other(zoo):
     assert set(everything) == set(make_protocol("all-pairs", zoo).pairs)
 
 
-def test_pairs_within_a_class_and_listed_ones_count_the_smaller_error(zoo, tmp_path):
+def test_pairs_within_a_class_and_listed_ones(zoo, tmp_path):
     protocol = make_protocol("same-class", zoo)
     assert len(protocol.pairs) == 3 * 2 + 2
     assert all(a.rstrip("0123456789") == b.rstrip("0123456789") for a, b in protocol.pairs)
@@ -101,8 +114,8 @@ def test_pairs_within_a_class_and_listed_ones_count_the_smaller_error(zoo, tmp_p
     path.write_text("cat0\tdog1\n\ndog1 cat0\ncat0 lion7\n")
     listed = make_protocol("ren-300", zoo, listed=path)
     assert listed.pairs == (("cat0", "dog1"), ("dog1", "cat0"))
-    assert protocol.symmetric
-    assert listed.symmetric
+    assert listed.symmetric  # they count the smaller error
+    assert not protocol.symmetric
     assert not make_protocol("all-pairs", zoo).symmetric
 
 
@@ -298,12 +311,18 @@ def test_failures_say_why(study):
     [unsolved] = match_all(study(k=5000), jobs=0)  # more than vertices
     assert unsolved.reason.startswith("creature0: ")
     assert "`k` must be" in unsolved.reason
-    text = write_report(results, few, Protocol("random", (("a", "b"),))).read_text()
+    text = reported(few, results).read_text()
     assert "Nothing was measured" in text
     assert "Not matched" in text
 
 
 # --- sums and report ---
+
+
+def reported(pairs, results, *, name="toys"):
+    pairs.folder.mkdir(exist_ok=True)
+    toys = PairSet(name, pairs.spectra.subjects, PROTOCOL)
+    return write_report(pairs.folder, [Matched(toys, pairs, results)])
 
 
 PROTOCOL = Protocol("random", (("s0", "t"),))
@@ -313,7 +332,14 @@ LISTED = Protocol("ren-300", PROTOCOL.pairs)
 def record(direct, either, **fields):
     names = ["symmetric", "auc", "auc_either", "coverage", "energy", "bijectivity", "orientation"]
     made_up = {**dict.fromkeys(names, 0.5), "oracle": 1.0, "margin": 0.1, "seconds": 2.0}
-    made_up |= {"cpu_seconds": 1.0, "flipped": False, "ambiguous": False, "status": "ok", "key": ""}
+    made_up |= {
+        "confidence": float("nan"),
+        "cpu_seconds": 1.0,
+        "flipped": False,
+        "ambiguous": False,
+        "status": "ok",
+        "key": "",
+    }
     curves = dict.fromkeys(["accuracy", "accuracy_either"], [1.0] * len(THRESHOLDS))
     return {**made_up, **curves, "direct": direct, "either": either, **fields}
 
@@ -333,13 +359,17 @@ def test_summaries_do_their_sums():
     records = [result.record for result in made_up_results()[:3]]
     exact = summarize(records, PROTOCOL)
     assert (exact["mean"], exact["median"], exact["bad"]) == (4, 2, pytest.approx(1 / 3))
+    assert exact["worst"] == 9
     assert (exact["pairs"], exact["direct"], exact["either"]) == (3, 4, 1.5)
     assert (exact["flipped"], exact["partly"]) == (0, 1)
     counted = summarize(records, LISTED)
     assert (counted["mean"], counted["bad"]) == (1.5, 0)
     warned = [{**one, "ambiguous": i != 1} for i, one in enumerate(records)]
     found = summarize(warned, PROTOCOL)
-    assert (found["warned"], found["false_alarms"]) == (1, 1)
+    assert (found["doubted_wrong"], found["doubted_right"]) == (1, 1)
+    sure = [{**one, "confidence": c} for one, c in zip(warned, (0.4, 0.5, 0.6), strict=True)]
+    found = summarize(sure, PROTOCOL)  # a confidence says more than a yes or no
+    assert (found["doubted_wrong"], found["doubted_right"]) == (0, 1)
     one_sided = [*records[:2], {**records[2], "symmetric": float("nan")}]
     unknown = summarize(one_sided, PROTOCOL)  # without a symmetric truth nothing is flipped
     assert (unknown["flipped"], unknown["partly"]) == (None, None)
@@ -351,13 +381,12 @@ def cells_of(text):
 
 def test_report_names_protocol_numbers_and_ratio(study):
     pairs, results = study(), made_up_results()
-    pairs.folder.mkdir(exist_ok=True)
-    text = write_report(results, pairs, PROTOCOL).read_text()
-    head = ["wks-zoomout, exact", "3", "**4.00**", "2.00", "33%"]
-    assert any(cells[:5] == head for cells in cells_of(text))
+    text = reported(pairs, results).read_text()
+    head = ["toys", "wks-zoomout, exact", "3", "**4.00**", "2.00", "9.00", "33%", "1.00", "0/1"]
+    assert any(cells[:9] == head for cells in cells_of(text))
     for words in (
-        "ordered pairs drawn at random",
-        "wks-zoomout, neo: 2.00 times the mean error with exact spectra",
+        "toys: 1 pairs (random: ordered pairs drawn at random",
+        "toys, wks-zoomout, neo: 2.00 times the mean error with exact spectra",
         "along the edges of the source",
         "left for right",
         "A pair has one thread",
@@ -367,30 +396,59 @@ def test_report_names_protocol_numbers_and_ratio(study):
     found = json.loads((pairs.folder / "matching.json").read_text())
     assert found["summaries"][1]["mean"] == 8
     assert found["geodesics"] == "edges"
-    assert (pairs.folder / "accuracy.png").stat().st_size > 10_000
+    assert (pairs.folder / "accuracy-toys.png").stat().st_size > 10_000
     [own] = ways(methods=["pyfm"])
     unknown = {"symmetric": float("nan")}
     results = [replace(result, contender=own) for result in made_up_results(**unknown)[:3]]
     exact = study(geodesics="exact")
-    text = write_report(results, exact, PROTOCOL).read_text()
+    text = reported(exact, results).read_text()
     assert "exact geodesic distances on the source" in text
     assert "pyfm: pyFM with the parameters of its README (version 1.3.1): 30 modes" in text
-    [cells] = [cells for cells in cells_of(text) if cells[:1] == ["pyfm"]]
-    assert cells[6:12] == ["4.00", "", "1.50", "", "", "1.00"]  # direct to best finalist
+    [_, cells] = [cells for cells in cells_of(text) if cells[1:2] == ["pyfm"]]
+    assert cells[3:8] == ["4.00", "", "", "", ""]  # direct to partly
     summary = json.loads((pairs.folder / "matching.json").read_text())["summaries"][0]
     assert (summary["symmetric"], summary["flipped"]) == (None, None)
+
+
+def test_sets_are_reported_beside_each_other(study):
+    pairs, results = study(), made_up_results()[:3]
+    pairs.folder.mkdir(exist_ok=True)
+    worse = [
+        Result(r.contender, r.problem, 0, record(3 * r.record["direct"], r.record["either"]))
+        for r in results
+    ]
+    subjects = pairs.spectra.subjects
+    plain = PairSet("plain", subjects, PROTOCOL, against="plain")
+    cloud = PairSet("cloud", subjects, PROTOCOL, "points are off", against="plain")
+    both = [Matched(plain, pairs, results), Matched(cloud, pairs, worse)]
+    text = write_report(pairs.folder, both).read_text()
+    assert "- cloud, wks-zoomout, exact: 3.00 times that of plain" in text
+    assert "- plain, wks" not in text
+    assert "without self pairs); points are off" in text
+    lines = list(csv.DictReader((pairs.folder / "pairs.csv").read_text().splitlines()))
+    assert [line["set"] for line in lines] == ["plain"] * 3 + ["cloud"] * 3
+    found = json.loads((pairs.folder / "matching.json").read_text())
+    assert [(row["set"], row["worst"]) for row in found["summaries"]] == [
+        ("plain", 9),
+        ("cloud", 27),
+    ]
+    assert not list(pairs.folder.glob("calibration*"))  # no confidence was told
+    sure = [replace(r, record={**r.record, "confidence": 0.7}) for r in results]
+    write_report(pairs.folder, [Matched(plain, pairs, sure)])
+    [picture] = pairs.folder.glob("calibration-mesh-exact-wks-zoomout.png")
+    assert picture.stat().st_size > 10_000
 
 
 # --- the app ---
 
 
 def test_the_app_matches_draws_and_goes_on(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(app, "demo_subjects", lambda: demo_subjects(500, poses=2))
+    monkeypatch.setattr(sets, "demo_subjects", lambda: demo_subjects(500, poses=2))
     command = [str(tmp_path), "--demo", "--pairs", "2", "-k", "30", "--jobs", "0"]
     command += ["--methods", PLAIN]
     assert app.main(command) == 0
     said, err = capsys.readouterr()
-    picture = tmp_path / "extremes-mesh-exact-wks-zoomout.png"
+    picture = tmp_path / "extremes-demo-mesh-exact-wks-zoomout.png"
     assert f"picture: {picture}" in said
     assert picture.stat().st_size > 20_000
     assert err == ""  # no bar in a pipe
@@ -404,11 +462,11 @@ def test_the_app_matches_draws_and_goes_on(tmp_path, capsys, monkeypatch):
 
 def test_the_app_says_what_is_wrong_and_can_be_interrupted(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("SPECTRA_KIT_DATA", raising=False)
-    monkeypatch.setattr(app, "demo_subjects", lambda: demo_subjects(500, poses=2))
+    monkeypatch.setattr(sets, "demo_subjects", lambda: demo_subjects(500, poses=2))
     out = str(tmp_path / "out")
     few = ["--demo", "--pairs", "1", "--jobs", "0", "--no-pictures", "--methods", PLAIN]
     for command, said in (
-        ([], "name a folder with --data"),
+        ([], "`data` must be folders, or names of sets in SPECTRA_KIT_DATA, got 'faust_r'"),
         (["--data", str(tmp_path)], "must hold .npz files"),
         (["--demo", "--jobs", "-1"], "`jobs` must be at least 0"),
     ):

@@ -24,8 +24,8 @@ from spectra_kit.correspondence import (
 )
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps import nearest_rows, zoomout
-from spectra_kit.geometry import TriangleMesh
-from spectra_kit.operators import robust_laplacian
+from spectra_kit.geometry import Geometry, TriangleMesh
+from spectra_kit.operators import laplacian
 from spectra_kit.operators.oriented import oriented_triangles
 from spectra_kit.spectra import Spectrum
 
@@ -47,11 +47,12 @@ def measure_map(
     best: Ints | None = None,
     geodesics: Geodesics = "edges",
 ) -> Measured:
-    """Measure a map between vertices, in hundredths of the root of the source's area.
+    """Measure a map from points to vertices, in hundredths of the root of the source's area.
 
-    `back` is the target vertex of each source vertex (see `correspondence.way_back`), `best` the
-    map of the candidate that is best by the truth, if another than the chosen one. Distances are
-    those on the source's mesh, also between clouds; NaN is what cannot be known.
+    The source is a mesh. `back` is the target point of each source vertex (see
+    `correspondence.way_back`), `best` the map of the candidate that is best by the truth, if
+    another than the chosen one. Distances are those on the source's mesh, also between clouds; NaN
+    is what cannot be known.
 
     ``either`` is the mean of the smaller error at each correspondence, against the truth and its
     mirror image; ``accuracy`` are shares up to each of `THRESHOLDS`, ``bijectivity`` is the mean
@@ -64,7 +65,7 @@ def measure_map(
     if best is not None:
         rival = geodesic_errors(source.mesh, best, truth, method=geodesics)
         oracle = min(oracle, float(rival.mean()))
-    laplacian_1, laplacian_2 = (robust_laplacian(subject.mesh) for subject in (source, target))
+    laplacian_1, laplacian_2 = (laplacian(subject.geometry) for subject in (source, target))
     return {
         "direct": float(errors.direct.mean()),
         "symmetric": float("nan") if errors.symmetric is None else float(errors.symmetric.mean()),
@@ -75,8 +76,9 @@ def measure_map(
         "coverage": coverage(p, laplacian_1.mass),
         "energy": dirichlet_energy(laplacian_1, laplacian_2, p),
         "bijectivity": float(bijectivity_errors(source.mesh, p, back).mean()),
-        "orientation": _orientation(source.mesh, target.mesh, p),
+        "orientation": _orientation(source.mesh, target.geometry, p),
         "oracle": oracle,
+        "confidence": outcome.confidence,
         "margin": outcome.margin,
         "ambiguous": bool(outcome.ambiguous),
         "seconds": outcome.seconds,
@@ -118,7 +120,7 @@ def best_candidate(
     return zoomout(a, b, candidates[best], k_final=min(a.k, b.k), step=_STEP).point_map
 
 
-def _orientation(source: TriangleMesh, target: TriangleMesh, point_map: Ints) -> float:
+def _orientation(source: TriangleMesh, target: Geometry, point_map: Ints) -> float:
     try:
         a, b = oriented_triangles(source), oriented_triangles(target)
     except InvalidInputError:  # a surface without a consistent winding has no orientation

@@ -42,6 +42,8 @@ class Outcome:
     cpu_seconds: float
     #: (k, k): functional maps that it chose among, the chosen one first, where it reports them.
     candidates: tuple[Floats, ...] = ()
+    #: How likely it thinks its map right, from 0 to 1; NaN where it does not say.
+    confidence: float = float("nan")
     #: By how much the chosen one was better; NaN where it does not say.
     margin: float = float("nan")
     ambiguous: bool = False  #: Whether it warns that the map may be flipped.

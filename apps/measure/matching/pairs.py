@@ -22,7 +22,7 @@ from spectra_kit._validate import check_count
 from spectra_kit.catalogue import SOLVERS, SUBSPACES
 from spectra_kit.correspondence import way_back
 from spectra_kit.eigensolvers import Eigensolver, eigensolve
-from spectra_kit.geometry import Geometry
+from spectra_kit.geometry import Geometry, TriangleMesh
 from spectra_kit.geometry.shapes import distinct_rows
 from spectra_kit.operators import laplacian
 from spectra_kit.spectra import Spectrum
@@ -115,6 +115,7 @@ class Pairs(Study[Way, Pair]):
     """Maps between subjects, and their errors."""
 
     name: ClassVar[str] = "pair"
+    version: ClassVar[int] = 2
     fresh: ClassVar[bool] = False
 
     spectra: Spectra  #: Of all subjects.
@@ -215,16 +216,20 @@ def match_all(pairs: Pairs, *, jobs: int = 1, progress: bool = False) -> list[Re
 
 
 def geometry_of(subject: Subject, kind: Kind) -> Geometry:
-    """Return the mesh, or its vertices alone, of those at one place the first."""
-    return subject.mesh if kind == "mesh" else subject.mesh.as_cloud().without_duplicates()
+    """Return the geometry, or its points alone, of those at one place the first."""
+    geometry = subject.geometry
+    if kind == "mesh" or not isinstance(geometry, TriangleMesh):
+        return geometry
+    return geometry.as_cloud().without_duplicates()
 
 
 def _points_of(subject: Subject, kind: Kind) -> tuple[Ints, Ints]:
-    """Return the vertex of each point of `geometry_of`, and the point of each vertex."""
-    if kind == "mesh":
-        same = np.arange(subject.mesh.n)
+    """Return the point of the subject for each of `geometry_of`, and the other way round."""
+    geometry = subject.geometry
+    if geometry_of(subject, kind) is geometry:
+        same = np.arange(geometry.n)
         return same, same
-    return distinct_rows(subject.mesh.points)
+    return distinct_rows(geometry.points)
 
 
 @cache

@@ -20,9 +20,9 @@ PROTOCOLS = {
     "random": "ordered pairs drawn at random, without self pairs",
     "all-pairs": "all ordered pairs, without self pairs",
     "ren-300": f"the pairs listed by Ren et al. 2018 as far as present{_SMALLER}",
-    "same-class": f"ordered pairs within each class, without self pairs{_SMALLER}",
+    "same-class": "ordered pairs within each class, without self pairs",
 }
-_SYMMETRIC = ("ren-300", "same-class")
+_SYMMETRIC = ("ren-300",)
 _RANDOM = 100  # pairs, where no other number is asked for
 
 

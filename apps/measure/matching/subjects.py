@@ -1,4 +1,4 @@
-"""`Subject`: a mesh with points that correspond to those of other subjects."""
+"""`Subject`: a geometry with points that correspond to those of other subjects."""
 
 from __future__ import annotations
 
@@ -15,26 +15,33 @@ from spectra_kit._types import Ints
 from spectra_kit._validate import Rebuilt, check_count, check_indices, frozen
 from spectra_kit.correspondence import Truth
 from spectra_kit.errors import InvalidInputError
-from spectra_kit.geometry import TriangleMesh, creature
+from spectra_kit.geometry import Geometry, TriangleMesh, creature
 
+#: A landmark that a subject lacks.
+LACKING = -1
 _KEYS = ("V", "F", "corres")
 
 
 @dataclass(frozen=True, eq=False)
 class Subject(Rebuilt):
-    """A mesh, and the vertex of each landmark that all subjects of a class share."""
+    """A geometry, and the point of each landmark that all subjects of a class share."""
 
     #: Letters name the class, digits the subject within it: ``cat0`` and ``cat10`` are of one.
     name: str
-    mesh: TriangleMesh  #: With n vertices.
-    landmarks: Ints  #: (c,): entry i is the same place of the body in every subject of a class.
+    geometry: Geometry  #: With n points; a cloud can be a target alone.
+    #: (c,): entry i is the same place of the body in every subject of a class; -1 where this one
+    #: lacks it.
+    landmarks: Ints
     mirrored: Ints | None = None  #: (c,): the place on the other side of the body.
 
     def __post_init__(self) -> None:
         for name in ("landmarks", "mirrored"):
             values = getattr(self, name)
             if values is not None:
-                array = check_indices(f"{name} of {self.name}", values, self.mesh.n)
+                given = np.asarray(values)
+                there = np.where(given == LACKING, 0, given)
+                check_indices(f"{name} of {self.name}", there, self.geometry.n)
+                array = given.astype(np.int64)
                 if array.ndim != 1 or array.shape != np.shape(self.landmarks):
                     raise InvalidInputError(
                         f"{name} of {self.name}",
@@ -44,33 +51,51 @@ class Subject(Rebuilt):
                 object.__setattr__(self, name, frozen(array))
 
     @property
+    def mesh(self) -> TriangleMesh:
+        """The geometry of a source: errors are distances along it."""
+        if not isinstance(self.geometry, TriangleMesh):
+            raise InvalidInputError(
+                self.name, "be a mesh, to measure distances along it", "a cloud"
+            )
+        return self.geometry
+
+    @property
     def species(self) -> str:
         """The name without its digits: what it shares with the others of its class."""
         return self.name.rstrip("0123456789")
 
     @cached_property
     def digest(self) -> str:
-        """Hash of mesh and landmarks: what it is, wherever its file lies."""
+        """Hash of geometry and landmarks: what it is, wherever its file lies."""
+        faces = [self.geometry.faces] if isinstance(self.geometry, TriangleMesh) else []
         mirrored = np.empty(0) if self.mirrored is None else self.mirrored
-        return arrays_digest(self.mesh.points, self.mesh.faces, self.landmarks, mirrored)
+        return arrays_digest(self.geometry.points, *faces, self.landmarks, mirrored)
 
 
 def truth_between(source: Subject, target: Subject) -> Truth:
-    """Tell which points of two subjects of one class correspond, with mirror images if known."""
+    """Tell which points of two subjects of one class correspond, with mirror images if known.
+
+    Landmarks that one of them lacks are left out.
+    """
     if len(source.landmarks) != len(target.landmarks):
         raise InvalidInputError(
             f"`source` and `target` must share their landmarks, got {len(source.landmarks)} of"
             f" {source.name} and {len(target.landmarks)} of {target.name}; match within a class"
         )
-    return Truth(source.landmarks, target.landmarks, source.mirrored)
+    places = [source.landmarks, target.landmarks]
+    if source.mirrored is not None:
+        places.append(source.mirrored)
+    both = np.all([place != LACKING for place in places], axis=0)
+    return Truth(*(place[both] for place in places))
 
 
 def subjects_in(folder: str | os.PathLike[str]) -> dict[str, Subject]:
     """Read the subjects of a folder, by name.
 
     They are ``NAME.npz`` files with vertices ``V`` (n, 3), faces ``F`` (f, 3), ``corres`` (c,) and,
-    where there is a symmetry, ``corres_sym`` (c,), all counted from 0. Other files, and npz files
-    without ``corres``, are left alone.
+    where there is a symmetry, ``corres_sym`` (c,), all counted from 0. A ``corres_sym`` that equals
+    ``corres`` states none, as in sets without mirrored truth. Other files, and npz files without
+    ``corres``, are left alone.
     """
     root = Path(folder)
     found = (_read(path) for path in sorted(root.glob("*.npz")))
@@ -102,4 +127,7 @@ def _read(path: Path) -> Subject | None:
             return None
         arrays = dict(file.items())
         mesh = TriangleMesh(arrays["V"].astype(np.float64), arrays["F"].astype(np.int64))
-        return Subject(path.stem, mesh, arrays["corres"], arrays.get("corres_sym"))
+        landmarks, mirrored = arrays["corres"], arrays.get("corres_sym")
+        if mirrored is not None and np.array_equal(landmarks, mirrored):
+            mirrored = None
+        return Subject(path.stem, mesh, landmarks, mirrored)
