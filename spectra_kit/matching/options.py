@@ -108,7 +108,7 @@ class MatchOptions:
         Of a rough score.
     least_mismatch : float, default 1e-3
         Below which maps count as equally good.
-    mirrored_by : float, default 1.5
+    mirrored_by : float, default 3.0
         How many times better a mirrored map must be to be believed.
     last_steps : int, default 3
         From the refined modes to the end.
@@ -178,7 +178,7 @@ class MatchOptions:
     scored_curvatures: int = 2
     rough_samples: int = 200
     least_mismatch: float = 1e-3
-    mirrored_by: float = 1.5
+    mirrored_by: float = 3.0
     last_steps: int = 3
     curvature_scale: float = 2.0
     pull: float = 400.0
