@@ -103,6 +103,8 @@ class Matched(Brief):
         How good the map is: see `Match`.
     orientation : float or None
         Of it.
+    confidence : float
+        How likely it is right.
     mirrored, ambiguous, convincing : bool
         What it is believed to be.
     doubts : tuple of str
@@ -121,6 +123,7 @@ class Matched(Brief):
     mirror_margin: float
     coverage: float
     orientation: float | None
+    confidence: float
     mirrored: bool
     ambiguous: bool
     convincing: bool
@@ -204,6 +207,7 @@ def matched(
         mirror_margin=found.mirror_margin,
         coverage=found.coverage,
         orientation=found.orientation,
+        confidence=found.confidence,
         mirrored=found.mirrored,
         ambiguous=found.ambiguous,
         convincing=found.convincing,
@@ -231,7 +235,7 @@ def _arrays(match: Match) -> dict[str, NDArray[Any]]:
     candidates = match.candidates
     judged = [
         float(match.mirrored),
-        np.nan if match.orientation is None else match.orientation,
+        *(np.nan if one is None else one for one in (match.orientation, match.torn)),
         *(match.margin, match.mirror_margin, match.consistent, match.coverage),
     ]
     return {
@@ -251,9 +255,10 @@ def _arrays(match: Match) -> dict[str, NDArray[Any]]:
 def _restored(options: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Match:
     """Return the match of such arrays; lists among its options were tuples."""
     kept = tuple((int(modes), int(count)) for modes, count in options["kept"])
+    placed = tuple(int(modes) for modes in options["placed_modes"])
     weights = ScoreWeights(**options["weights"])
     judged: list[float] = arrays["judged"].tolist()
-    mirrored, orientation, margin, mirror_margin, consistent, coverage = judged
+    mirrored, orientation, torn, margin, mirror_margin, consistent, coverage = judged
     mismatches = {
         name.removeprefix(_MISMATCH): values.tolist()
         for name, values in arrays.items()
@@ -279,6 +284,9 @@ def _restored(options: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) ->
         mirror_margin=mirror_margin,
         consistent=consistent,
         coverage=coverage,
+        torn=None if np.isnan(torn) else torn,
         candidates=candidates,
-        options=MatchOptions(**{**options, "kept": kept, "weights": weights}),
+        options=MatchOptions(
+            **{**options, "kept": kept, "placed_modes": placed, "weights": weights}
+        ),
     )

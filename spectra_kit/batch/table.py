@@ -21,7 +21,7 @@ _OWN = ("name", "kind", "points", "faces", "area", "components", "zero_modes", "
         "problems", "warnings", "same_as", "shape", "spectrum")  # fmt: skip
 _NUMBERED = re.compile(r"(eigenvalue|dna)_\d+")
 _OF_PAIRS = ("source", "target", "score", "coverage", "margin", "mirror_margin", "orientation",
-             "mirrored", "ambiguous", "convincing", "doubts", "map")  # fmt: skip
+             "confidence", "mirrored", "ambiguous", "convincing", "doubts", "map")  # fmt: skip
 
 
 @checked
@@ -96,8 +96,8 @@ def write_match_table(path: str | os.PathLike[str], report: MatchReport) -> None
     -----
     Columns: ``source``, ``target`` and those of the pairs; ``score`` and ``coverage``, ``margin``
     and ``mirror_margin`` over rivals, and ``orientation`` of the map, as `Match` has them;
-    ``mirrored``, ``ambiguous``, ``convincing``, and the ``doubts`` behind the two; the key ``map``
-    of the store, for `load_match`.
+    ``confidence``, ``mirrored``, ``ambiguous``, ``convincing``, and the ``doubts`` behind them; the
+    key ``map`` of the store, for `load_match`.
 
     Examples
     --------
@@ -157,6 +157,7 @@ def _match_row(pair: Pair, found: Matched) -> dict[str, Any]:
         "margin": repr(found.margin),
         "mirror_margin": repr(found.mirror_margin),
         "orientation": "" if found.orientation is None else repr(found.orientation),
+        "confidence": repr(found.confidence),
         "mirrored": found.mirrored,
         "ambiguous": found.ambiguous,
         "convincing": found.convincing,

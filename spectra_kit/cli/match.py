@@ -168,6 +168,7 @@ def _matched(
     return found, {
         "prepare_seconds": middle - start,
         "match_seconds": time.perf_counter() - middle,
+        "confidence": found.confidence,
         "convincing": found.convincing,
         "ambiguous": found.ambiguous,
         **({"doubts": doubts_of(found)} if found.doubts else {}),
@@ -235,6 +236,7 @@ def doubts_of(found: Match) -> str:
         "consistent": "it is in doubt which side of a cloud is out",
         "coverage": "it covers hardly more of the source than chance would",
         "score": "the surfaces look no more alike than unrelated ones",
+        "torn": "it takes neighbours apart",
     }
     return ", ".join(told[name] for name in found.doubts)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -35,6 +36,7 @@ from spectra_kit.matching.score import (
     orientation_of,
     score_of,
 )
+from spectra_kit.matching.tears import torn
 from spectra_kit.spectra import Spectrum
 
 Pairs = tuple[Ints, Ints]
@@ -143,36 +145,72 @@ def match(
         found = in_threads(search.candidates, ((way,) for way in ways))
         if len(found) == 2 and found[1][0].score * options.mirrored_by < found[0][0].score:
             found.reverse()
-        chosen = found[0][0]
-        point_map, functional_map, on_faces = _refined(a, b, chosen, k, elastic, options, precise)
+        made = [
+            _Finished(one, *_refined(a, b, one, k, elastic, options, precise))
+            for one in _contenders(found[0], options)
+        ]
+    best = min(made, key=lambda one: one.judged(a, b, options))
+    chosen = best.candidate
     opposite = [c.score for c in found[-1]] if len(found) == 2 else []
-    rivals = [c.score for c in found[0][1:] if _apart(c, chosen) > options.rival]
-    made = Match(
-        point_map=point_map,
-        functional_map=functional_map,
+    rivals = [c.score for c in found[0] if _apart(c, chosen) > options.rival]
+    others = [c for way in found for c in way if c is not chosen]
+    result = Match(
+        point_map=best.point_map,
+        functional_map=best.functional_map,
         mirrored=chosen.mirrored,
-        orientation=orientation_of(a, b, functional_map),
+        orientation=orientation_of(a, b, best.functional_map),
         margin=min(rivals) / chosen.score if rivals else float("inf"),
         mirror_margin=min(opposite) / chosen.score if opposite else float("inf"),
         consistent=min(
             1.0 if side.surface is None else side.surface.oriented.consistent for side in (a, b)
         ),
-        coverage=coverage_over_chance(a.spectrum, b.spectrum, on_matched(a, b, point_map)),
-        candidates=tuple(c for way in found for c in way),
-        precise=on_faces,
+        coverage=coverage_over_chance(a.spectrum, b.spectrum, on_matched(a, b, best.point_map)),
+        torn=best.torn(a, b),
+        candidates=(chosen, *others),
+        precise=best.precise,
         options=options,
     )
-    if not made.convincing:
+    if not result.convincing:
         warn(
-            f"no convincing map: its mismatch is {made.score:.2f} (right maps: below"
-            f" {options.convincing_score:g}), and it covers {made.coverage:.2f} times as much as"
-            f" chance would (right maps: {options.convincing_coverage:g} and more)",
+            f"no convincing map: its confidence is {result.confidence:.2f}; what speaks against it:"
+            f" {', '.join(result.doubts) or 'nothing alone'}",
             DoubtfulMatchWarning,
             advice="the surfaces may not correspond; look at the map, give {}, or try another"
             " {} (150 match best)",
             remedies=("landmarks", "k"),
         )
-    return made
+    return result
+
+
+class _Finished(NamedTuple):
+    """What a candidate was refined to."""
+
+    candidate: Candidate
+    point_map: Ints
+    functional_map: Floats
+    precise: sparse.csr_array | None
+
+    def torn(self, a: Prepared, b: Prepared) -> float | None:
+        """Return how much of it is torn; None without geometries."""
+        if a.surface is None or b.surface is None:
+            return None
+        return torn(a.surface, b.surface, on_matched(a, b, self.point_map))
+
+    def judged(self, a: Prepared, b: Prepared, options: MatchOptions) -> float:
+        """Return its score, the worse the more it is torn."""
+        share = self.torn(a, b)
+        worse = 1.0 if share is None else (share + options.least_mismatch) ** options.torn_weight
+        return self.candidate.score * worse
+
+
+def _contenders(candidates: list[Candidate], options: MatchOptions) -> list[Candidate]:
+    """Return the candidates, the best first, that score too much alike to tell them apart."""
+    kept = candidates[:1]
+    for c in candidates[1:]:
+        near = c.score <= options.contest * kept[0].score
+        if near and all(_apart(c, other) > options.rival for other in kept):
+            kept.append(c)
+    return kept[: options.contenders]
 
 
 def _matched_on(landmarks: Landmarks, a: Prepared, b: Prepared) -> Pairs:

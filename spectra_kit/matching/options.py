@@ -110,6 +110,12 @@ class MatchOptions:
         Below which maps count as equally good.
     mirrored_by : float, default 3.0
         How many times better a mirrored map must be to be believed.
+    contest : float, default 1.05
+        Candidates whose scores are within that factor of the best are all refined to the end.
+    contenders : int, default 4
+        How many of them at most.
+    torn_weight : float, default 0.12
+        Exponent of the share of a map that is torn, beside its score.
     last_steps : int, default 3
         From the refined modes to the end.
     curvature_scale : float, default 2.0
@@ -133,12 +139,14 @@ class MatchOptions:
         Size of it below which a map may be flipped in parts: right ones had 0.7 and more.
     clear_sides : float, default 0.9
         Share of the triangles that agree below which it is in doubt which side of a cloud is out.
-    convincing_score : float, default 0.47
-        Above which the two do not correspond. Set, like the next, between 48 right maps (bodies and
-        animals, some of different kinds) and 42 between unrelated shapes, one of which passed; of
-        others, 1 of 44 right ones was doubted, and none of 43 passed.
+    convincing_score : float, default 0.5
+        Above which a score speaks against the map: unrelated shapes had 0.55 and more, nine of ten
+        right maps 0.44 and less.
+    convincing_torn : float, default 0.02
+        The same of the share that is torn: unrelated shapes had 0.02 and more, nine of ten right
+        maps 0.015 and less.
     convincing_coverage : float, default 1.1
-        Below which they do not.
+        Below which coverage does: all right maps had more.
 
     Examples
     --------
@@ -179,6 +187,9 @@ class MatchOptions:
     rough_samples: int = 200
     least_mismatch: float = 1e-3
     mirrored_by: float = 3.0
+    contest: float = 1.05
+    contenders: int = 4
+    torn_weight: float = 0.12
     last_steps: int = 3
     curvature_scale: float = 2.0
     pull: float = 400.0
@@ -190,7 +201,8 @@ class MatchOptions:
     doubtful_mirror: float = 1.1
     clear_orientation: float = 0.5
     clear_sides: float = 0.9
-    convincing_score: float = 0.47
+    convincing_score: float = 0.5
+    convincing_torn: float = 0.02
     convincing_coverage: float = 1.1
 
     def __post_init__(self) -> None:

@@ -10,10 +10,11 @@ from scipy import sparse
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt
+from spectra_kit.matching.confidence import confidence_of
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 
 #: What may be wrong with a map: see `Match.doubts`.
-Doubt = Literal["margin", "mirror_margin", "orientation", "consistent", "coverage", "score"]
+Doubt = Literal["margin", "mirror_margin", "orientation", "consistent", "coverage", "score", "torn"]
 
 
 @checked
@@ -56,8 +57,9 @@ class Match(Rebuilt):
         Near 1 if the map keeps it, near -1 if it mirrors; far from both, parts of it are
         flipped. None if a geometry is missing.
     margin : float
-        Score of the next best candidate of the same orientation over that of the chosen one, at
-        least 1; infinite if no other was found. Maps that differ in small parts do not count.
+        Score of the best other candidate of the same orientation over that of the chosen one; below
+        1 if that one is torn more. Infinite if no other was found. Maps that differ in small parts
+        do not count.
     mirror_margin : float
         Score of the best candidate of the other orientation (mirrored, if the chosen one is not)
         over that of the chosen one; near 1 for bodies whose halves are alike, infinite if there
@@ -69,6 +71,9 @@ class Match(Rebuilt):
         Area of the source that the target points reach, over what as many thrown at random would
         reach: above 1.1 for right maps, whatever the resolutions. Of dense surfaces, by the points
         that they are matched on.
+    torn : float or None
+        Share of the target's edges whose ends lead far apart: six times their length and more. None
+        if a geometry is missing.
     candidates : tuple of Candidate
         Those that were refined and came out different, the chosen one first.
     precise : csr_array of shape (n2, n1) or None
@@ -87,6 +92,7 @@ class Match(Rebuilt):
     mirror_margin: float
     consistent: float
     coverage: float
+    torn: float | None
     candidates: tuple[Candidate, ...]
     precise: sparse.csr_array | None = None
     options: MatchOptions = DEFAULT
@@ -97,6 +103,17 @@ class Match(Rebuilt):
         return self.candidates[0].score
 
     @property
+    def confidence(self) -> float:
+        """How likely the map is right, in [0, 1], by its score, tears, margin and coverage.
+
+        Calibrated on bodies and animals. It does not see symmetries: of a surface that is one with
+        itself turned or mirrored, a wrong map looks like a right one. See `ambiguous`.
+        """
+        return confidence_of(
+            score=self.score, torn=self.torn, margin=self.margin, coverage=self.coverage
+        )
+
+    @property
     def ambiguous(self) -> bool:
         """Whether the map may be flipped, in whole or in part.
 
@@ -104,20 +121,19 @@ class Match(Rebuilt):
         the map is not what it should be, or the sides of a cloud are in doubt. A surface with a
         symmetry that no rival happened to show, such as a sphere, may pass for clear.
         """
-        return not set(self.doubts) <= {"coverage", "score"}
+        return not set(self.doubts) <= {"coverage", "score", "torn"}
 
     @property
     def convincing(self) -> bool:
-        """Whether this is a map at all: the two may be shapes that do not correspond.
+        """Whether the map is rather right than wrong: its confidence is 0.5 or more.
 
-        It is none if it covers hardly more of the source than chance would, or if the features of
-        the points that it joins fit no better than those of unrelated shapes.
+        Shapes that do not correspond have no convincing map.
         """
-        return not {"coverage", "score"} & set(self.doubts)
+        return self.confidence >= 0.5
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
-        """Names of the attributes that speak against the map; see `ambiguous`, `convincing`."""
+        """Names of the attributes that speak against the map."""
         limits, kept = self.options, 1.0
         if self.orientation is not None:
             kept = -self.orientation if self.mirrored else self.orientation
@@ -128,6 +144,7 @@ class Match(Rebuilt):
             "consistent": self.consistent >= limits.clear_sides,
             "coverage": self.coverage >= limits.convincing_coverage,
             "score": self.score <= limits.convincing_score,
+            "torn": self.torn is None or self.torn <= limits.convincing_torn,
         }
         return tuple(name for name, fine in clear.items() if not fine)
 
@@ -137,5 +154,5 @@ class Match(Rebuilt):
         doubt += "" if self.convincing else ", not convincing"
         return (
             f"Match({len(self.point_map)} points, k={len(self.functional_map)}, {how},"
-            f" margin {self.margin:.2f}{doubt})"
+            f" confidence {self.confidence:.2f}{doubt})"
         )

@@ -58,6 +58,7 @@ def match_best(source: Side, target: Side) -> Outcome:
         found.point_map,
         *clock.read(),
         candidates=tuple(candidate.functional_map for candidate in found.candidates),
+        confidence=found.confidence,
         margin=found.margin,
         ambiguous=found.ambiguous,
     )
