@@ -181,5 +181,8 @@ def _both_ways(rows1: Floats, rows2: Floats) -> tuple[Ints, Ints, float]:
     """Return which row of the first is nearest to each of the second, the reverse, how near."""
     first, second = rows1.astype(np.float32), rows2.astype(np.float32)
     squares = (second**2).sum(axis=1)[:, None] + (first**2).sum(axis=1) - 2 * second @ first.T
-    least = [np.sqrt(np.maximum(squares.min(axis=axis), 0).mean()) for axis in (0, 1)]
-    return squares.argmin(axis=1), squares.argmin(axis=0), float(sum(least)) / 2
+    back, forth = squares.argmin(axis=1), squares.argmin(axis=0)
+    apart = [
+        ((x - y) ** 2).sum(axis=1).mean() for x, y in ((rows2, rows1[back]), (rows1, rows2[forth]))
+    ]
+    return back, forth, float(np.sqrt(apart).mean())
