@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -129,7 +129,22 @@ def match(
         found = in_threads(search.candidates, ((way,) for way in ways))
         if len(found) == 2 and found[1][0].score * options.mirrored_by < found[0][0].score:
             found.reverse()
-        chosen = found[0][0]
+        return matched_from(a, b, found, k=k, elastic=elastic, options=options)
+
+
+def matched_from(
+    a: Prepared,
+    b: Prepared,
+    found: Sequence[Sequence[Candidate]],
+    *,
+    k: int,
+    elastic: bool,
+    options: MatchOptions,
+) -> Match:
+    """Refine the first of the candidates found, those of either orientation; the best first."""
+    chosen = found[0][0]
+    k = min(k, a.spectrum.k, b.spectrum.k)
+    with single_threaded_blas():
         point_map, functional_map = _refined(a, b, chosen, k, elastic, options)
     opposite = [c.score for c in found[-1]] if len(found) == 2 else []
     rivals = [c.score for c in found[0][1:] if _apart(c, chosen) > options.rival]
