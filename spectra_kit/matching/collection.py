@@ -25,7 +25,7 @@ from spectra_kit.matching.result import Candidate, Match
 from spectra_kit.matching.score import mismatches, score_of
 from spectra_kit.matching.synchronise import LEAD, Found, Frames, apart, groups, synchronised
 
-_LEADS = (LEAD, 2 * LEAD)  # modes from which implied maps are grown anew: the better one counts
+_LEADS = (LEAD, 12)  # modes from which implied maps are grown anew: the better one counts
 
 
 @checked
@@ -95,13 +95,16 @@ class Collection(Rebuilt):
 
     @property
     def cycle_errors(self) -> dict[str, float]:
-        """Mean cycle error of the pairs of each surface; large where its place is in doubt."""
-        return {
-            name: float(
-                np.mean([x.cycle_error for x in self.pairs if name in (x.source, x.target)])
-            )
-            for name in self.shapes
-        }
+        """Mean cycle error of the pairs of each surface; large where its place is in doubt.
+
+        Of its convincing pairs, or of all where none is.
+        """
+        errors: dict[str, float] = {}
+        for name in self.shapes:
+            own = [one for one in self.pairs if name in (one.source, one.target)]
+            fitting = [one for one in own if one.convincing] or own
+            errors[name] = float(np.mean([one.cycle_error for one in fitting]))
+        return errors
 
     def candidate(self, source: str, target: str) -> Candidate:
         """Return the map between two surfaces that the frames imply, before it is refined.

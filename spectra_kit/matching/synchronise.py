@@ -37,7 +37,7 @@ Pair = tuple[int, int]
 #: Modes that composed maps are cut off at. On nine animals of SMAL, maps by way of a third one,
 #: grown anew from 12 modes, scored within 1.5 % of those of the pair itself, from 30 within 4.5 %;
 #: wrong maps were 4 % behind.
-LEAD = 12
+LEAD = 8
 _COMPARED = 20  # modes in which maps are compared: right ones of those animals were within 0.12
 _SAME = 0.1  # squared difference per mode of maps that count as one
 _CROSSINGS = 3  # pairs across two clusters that are matched, at least, where there are as many
