@@ -1,4 +1,7 @@
-"""Match two surfaces without mirroring them: candidates, their scores, the best one refined."""
+"""Match two surfaces without mirroring them: candidates, their scores, the best one refined.
+
+And many, so that their maps agree: `match_collection`.
+"""
 
 from spectra_kit.matching.collection import CollectedPair, Collection, match_collection
 from spectra_kit.matching.match import match
