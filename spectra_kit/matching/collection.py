@@ -25,7 +25,7 @@ from spectra_kit.matching.result import Candidate, Match
 from spectra_kit.matching.score import mismatches, score_of
 from spectra_kit.matching.synchronise import LEAD, Found, Frames, apart, groups, synchronised
 
-_LEADS = (LEAD, 12, 24)  # modes from which implied maps are grown anew: the better one counts
+_LEADS = (LEAD, 12, 24)  # modes from which implied maps are grown anew: the best one counts
 
 
 @checked

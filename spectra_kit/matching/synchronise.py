@@ -38,6 +38,7 @@ Pair = tuple[int, int]
 #: animals of SMAL, the 36 maps implied had a mean error of 4.7 (hundredths of the root of the area)
 #: when grown anew from 8 modes, and of 5.7 from 12; hippos joined them rightly from 8 modes alone.
 LEAD = 8
+_JUDGED = (LEAD, 24)  # the better one counts: the lowest modes of a limb are the same all around it
 _COMPARED = 20  # modes in which maps are compared
 _SAME = 0.1  # squared difference per mode of maps that count as one: wrong ones had 0.14 and more
 _CROSSINGS = 3  # pairs across two clusters that are matched, at least, where there are as many
@@ -137,12 +138,23 @@ class _Clusters:
             if self._label[i] != self._label[j]:
                 self._join(*(np.flatnonzero(self._label == self._label[x]) for x in (i, j)))
                 told(len(self._shapes) - len(np.unique(self._label)) + 1)
-        self._label = groups(
-            len(self._shapes), self._found
-        )  # a foreign surface shall bend no other
+        for q in self._outvoted():  # the early ones were joined by few pairs; now all have a say
+            others = np.flatnonzero(np.arange(len(self._shapes)) != q)
+            self._join(others, np.array([q]))
+        # From here on, a foreign surface bends no other.
+        self._label = groups(len(self._shapes), self._found)
         for _ in range(_SWEEPS):
             self._fit(range(len(self._shapes)))
         return Frames(self._frames, self._mirrored > 0, self._found)
+
+    def _outvoted(self) -> list[int]:
+        """Return the surfaces most of whose pairs, by themselves, would map them otherwise."""
+        votes = np.zeros((len(self._shapes), 2))
+        for (i, j), found in self._found.items():
+            if found.convincing:
+                other = apart(found.maps[0], self._frames[j] @ self._frames[i].T) > _SAME
+                votes[[i, j], int(other)] += 1
+        return [int(q) for q in np.flatnonzero(votes[:, 1] > votes[:, 0])]
 
     def _pair(self, i: int, j: int) -> Found:
         """Return what is found for the pair, matched if it is not yet."""
@@ -193,17 +205,24 @@ class _Clusters:
         """Return mean log scores of what each T implies, (c,), and the T that fits that best."""
         frames = self._frames
 
-        def judge(p: int, q: int) -> tuple[list[float], Floats]:
-            grown = self._grown(p, q, frames[q] @ maps @ frames[p].T)
+        def judge(p: int, q: int) -> tuple[Floats, Floats]:
             turns = (mirrored + self._mirrored[p] + self._mirrored[q]) % 2 > 0
-            logs = [self._log_cost(p, q, *one, rough) for one in zip(grown, turns, strict=True)]
-            return logs, frames[q].T @ grown @ frames[p]
+            implied = frames[q] @ maps @ frames[p].T
+            grown = np.stack([self._grown(p, q, implied, lead) for lead in _JUDGED])
+            logs = np.array(
+                [
+                    [self._log_cost(p, q, *one, rough) for one in zip(C, turns, strict=True)]
+                    for C in grown
+                ]
+            )
+            best, every = logs.argmin(axis=0), np.arange(len(maps))
+            return logs[best, every], frames[q].T @ grown[best, every] @ frames[p]
 
         logs, fits = zip(*in_threads(judge, pairs), strict=True)
         return np.mean(logs, axis=0), np.mean(fits, axis=0)
 
-    def _grown(self, p: int, q: int, maps: Floats) -> Floats:
-        return coupled_zoomout(self._samples[p], self._samples[q], maps, LEAD)
+    def _grown(self, p: int, q: int, maps: Floats, lead: int = LEAD) -> Floats:
+        return coupled_zoomout(self._samples[p], self._samples[q], maps, lead)
 
     def _log_cost(self, p: int, q: int, C: Floats, mirrored: bool, rough: bool) -> float:
         values = mismatches(
@@ -213,7 +232,9 @@ class _Clusters:
             options=self._options,
         )
         score = score_of(values, options=self._options)
-        return float(np.log(score * (self._options.mirrored_by if mirrored else 1.0)))
+        # A map that was to keep the sides may turn them over as it grows.
+        turned = mirrored or values.get("orientation", 0.0) > 0.5
+        return float(np.log(score * (self._options.mirrored_by if turned else 1.0)))
 
     def _fit(self, members: Iterable[int]) -> None:
         """Fit each frame to those of the nearest surfaces of its cluster."""
