@@ -1,5 +1,9 @@
-"""Match two surfaces without mirroring them: candidates, their scores, the best one refined."""
+"""Match two surfaces without mirroring them: candidates, their scores, the best one refined.
 
+And many, so that their maps agree: `match_collection`.
+"""
+
+from spectra_kit.matching.collection import CollectedPair, Collection, match_collection
 from spectra_kit.matching.match import match
 from spectra_kit.matching.options import MatchOptions, ScoreWeights
 from spectra_kit.matching.prepare import Prepared, prepare
@@ -13,12 +17,15 @@ from spectra_kit.matching.score import (
 
 __all__ = [
     "Candidate",
+    "CollectedPair",
+    "Collection",
     "Match",
     "MatchOptions",
     "Prepared",
     "ScoreWeights",
     "coverage_over_chance",
     "match",
+    "match_collection",
     "mismatches",
     "orientation_of",
     "prepare",

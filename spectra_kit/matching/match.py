@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -145,6 +145,25 @@ def match(
         found = in_threads(search.candidates, ((way,) for way in ways))
         if len(found) == 2 and found[1][0].score * options.mirrored_by < found[0][0].score:
             found.reverse()
+        return matched_from(a, b, found, k=k, elastic=elastic, options=options, precise=precise)
+
+
+def matched_from(
+    a: Prepared,
+    b: Prepared,
+    found: Sequence[Sequence[Candidate]],
+    *,
+    k: int,
+    elastic: bool,
+    options: MatchOptions,
+    precise: bool = False,
+) -> Match:
+    """Refine the first of the candidates found, those of either orientation; the best first.
+
+    Those that score as well, but for little, are refined, too, and the least torn is chosen.
+    """
+    k = min(k, a.spectrum.k, b.spectrum.k)
+    with single_threaded_blas():
         made = [
             _Finished(one, *_refined(a, b, one, k, elastic, options, precise))
             for one in _contenders(found[0], options)
@@ -203,9 +222,9 @@ class _Finished(NamedTuple):
         return self.candidate.score * worse
 
 
-def _contenders(candidates: list[Candidate], options: MatchOptions) -> list[Candidate]:
+def _contenders(candidates: Sequence[Candidate], options: MatchOptions) -> list[Candidate]:
     """Return the candidates, the best first, that score too much alike to tell them apart."""
-    kept = candidates[:1]
+    kept = [*candidates[:1]]
     for c in candidates[1:]:
         near = c.score <= options.contest * kept[0].score
         if near and all(_apart(c, other) > options.rival for other in kept):

@@ -130,6 +130,15 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     candidate = matching.Candidate(
         functional_map=identity, score=0.1, mismatches={"wave": 0.1}, mirrored=False
     )
+    two = {"a": prepared, "b": prepared}
+    collected = matching.CollectedPair(
+        **{"source": "a", "target": "b", "score": 0.1, "score_alone": 0.1},
+        **{"cycle_error": 0.1, "convincing": True},
+    )
+    collection = matching.Collection(
+        **{"shapes": two, "frames": np.stack([identity] * 2), "mirrored": np.zeros(2, dtype=bool)},
+        **{"groups": (("a", "b"),), "pairs": (collected,)},
+    )
     panel = viz.Panel(values=mesh.points[:, 0], limit=1.0)
     map_errors = correspondence.MapErrors(np.ones(n), same)
     given = subspaces.GivenBasis(spectrum.eigenvectors)
@@ -202,6 +211,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), correspondence.Truth(same, same)),
         *(geometry.sample_with_origin(mesh, 50, seed=0), geometry.Normalization.unit_box(mesh)),
         *(geometry.Problem(1, "a hole", "mend it"), geodesics.FacePoint(0, (1.0, 0.0, 0.0))),
+        *(collected, collection),
         subspaces.canonical_frame(mesh.points, spectrum.mass),
         functional_maps.precise_map(spectrum, spectrum, identity, mesh.faces),
     )
@@ -278,6 +288,15 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("score_of.values", {"wave": 0.1}),
         ("match.landmarks fit_functional_map.landmarks", ([0, 1], [0, 1])),
         ("mismatches.landmarks", (np.array([0, 1]), np.array([0, 1]))),
+        ("Collection.shapes match_collection.shapes", two),
+        ("Collection.frames", collection.frames),
+        ("Collection.mirrored", collection.mirrored),
+        ("Collection.groups", collection.groups),
+        ("Collection.pairs", collection.pairs),
+        ("Collection.pair.source Collection.candidate.source", "a"),
+        ("Collection.pair.target Collection.candidate.target", "b"),
+        ("Collection.pair.k", 30),
+        ("Collection.pair.elastic match_collection.mirrored", False),
         # Many shapes.
         ("find_inputs.sources", ["mesh.obj"]),
         ("inputs", inputs),
@@ -321,7 +340,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("samples cap animate_modes.width", 100),
         ("sample.n sample_with_origin.n", 50),
         ("max_iterations Prepared.truncate.k", 35),
-        ("match.options", quick),
+        ("match.options match_collection.options", quick),
         ("k_final", 24),
         ("k_start zoomout_many.k_final", 10),
         ("creature.n_points creature_pair.n_source n_target", 520),
@@ -380,7 +399,7 @@ def instances() -> dict[str, Any]:
 USUAL = {int: 6, float: 0.5, str: "a", bool: True}
 
 # Clouds have no area, a lone candidate no rival, and zero modes no relative error.
-MAY_BE_INFINITE = {"diagnose", "match", "compare_spectra"}
+MAY_BE_INFINITE = {"diagnose", "match", "Collection.pair", "compare_spectra"}
 
 # What is right besides values of the kind of the example.
 ALSO = {
@@ -410,6 +429,9 @@ ALSO = {
     "Recipe.solver": {"Arpack"},
     # Empty sequences, which are arrays of floats to NumPy.
     "Match.candidates": {"array"},
+    "Collection.groups": {"array"},
+    "Collection.mirrored": {"array"},
+    "Collection.pairs": {"array"},
     "pareto_front.points": {"array"},
     "write_explorer.names": {"array of U"},
     "Panel.lines": {"array"},
