@@ -2,6 +2,7 @@
 
 from spectra_kit.matching.match import match
 from spectra_kit.matching.options import MatchOptions, ScoreWeights
+from spectra_kit.matching.partial import match_part
 from spectra_kit.matching.prepare import Prepared, prepare
 from spectra_kit.matching.result import Candidate, Match
 from spectra_kit.matching.score import (
@@ -19,6 +20,7 @@ __all__ = [
     "ScoreWeights",
     "coverage_over_chance",
     "match",
+    "match_part",
     "mismatches",
     "orientation_of",
     "prepare",

@@ -7,6 +7,7 @@ positions and normals tell what lengths cannot: how far along a limb a point is.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -34,7 +35,30 @@ def elastic_point_map(
     """Refine a map by bending the source as rigidly as possible onto the target.
 
     From the target point of each source point, `way_there`, to the source point of each target
-    point, (n2,); with `mirrored`, the target is a mirror image. Each round lowers
+    point, (n2,); with `mirrored`, the target is a mirror image. See `bent_onto`.
+    """
+    return bent_onto(source, target, way_there, mirrored=mirrored, options=options).back
+
+
+class Bent(NamedTuple):
+    """A source that was bent onto a target."""
+
+    points: Floats  # (n1, 3): of the source
+    there: Ints  # (n1,): the target point that is nearest to each of them
+    back: Ints  # (n2,): the source point that is nearest to each of the target
+
+
+def bent_onto(
+    source: Surface,
+    target: Surface,
+    way_there: Ints,
+    *,
+    mirrored: bool = False,
+    options: MatchOptions = DEFAULT,
+) -> Bent:
+    """Bend the source as rigidly as possible onto the target.
+
+    Each round lowers
     ``1/2 sum_ij w_ij |(y_i - y_j) - R_i (x_i - x_j)|^2 + p sum_i m_i |y_i - c_i|^2``, where i j
     runs over all edges in both directions, over positions y and rotations R in turn (Sorkine and
     Alexa, *As-Rigid-As-Possible Surface Modeling*, SGP 2007, with cotangent weights w), c being the
@@ -51,7 +75,8 @@ def elastic_point_map(
         bent = bend(bent, target.points[way_there], bends)
         here = np.hstack([bent, scale * outward_normals(bent, oriented)])
         way_there = tree.query(here)[1]
-    return np.asarray(cKDTree(here).query(there)[1], dtype=np.int64)
+    back = cKDTree(here).query(there)[1]
+    return Bent(bent, np.asarray(way_there, np.int64), np.asarray(back, np.int64))
 
 
 def _bending(

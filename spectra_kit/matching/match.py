@@ -12,6 +12,7 @@ from spectra_kit._validate import check_count, warn
 from spectra_kit.descriptors import landmark_wave_kernel_signature, normalize_descriptors
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.functional_maps import (
+    Correspondence,
     bijective_zoomout,
     fit_functional_map,
     functional_map_from_point_map,
@@ -164,25 +165,31 @@ def _refined(
     a: Prepared, b: Prepared, chosen: Candidate, k: int, elastic: bool, options: MatchOptions
 ) -> tuple[Ints, Floats]:
     """Return the point map and the functional map that a candidate is refined to."""
-    start = chosen.functional_map[:k, :k]
-    step = -(-(k - len(start)) // options.last_steps)
-    curved = curvatures(a, b)
-    scale = options.curvature_scale
-    features = curved and (scale * curved[0], scale * curved[1])
-    result = bijective_zoomout(
-        a.spectrum, b.spectrum, start, k_final=k, step=max(step, 1), features=features
-    )
+    found, way_there = spectral_map(a, b, chosen.functional_map[:k, :k], k, options)
     if not elastic or a.surface is None or b.surface is None:
-        return result.point_map, result.functional_map
-    rows1 = a.spectrum.eigenvectors[:, :k] @ result.functional_map.T
-    rows2 = b.spectrum.eigenvectors[:, :k]
-    if features is not None:
-        rows1, rows2 = np.hstack([rows1, features[0]]), np.hstack([rows2, features[1]])
-    way_there = nearest(rows1, rows2)
+        return found.point_map, found.functional_map
     point_map = elastic_point_map(
         a.surface, b.surface, way_there, mirrored=chosen.mirrored, options=options
     )
     return point_map, functional_map_from_point_map(a.spectrum, b.spectrum, point_map, k=k)
+
+
+def spectral_map(
+    a: Prepared, b: Prepared, start: Floats, k: int, options: MatchOptions
+) -> tuple[Correspondence, Ints]:
+    """Refine a functional map to k modes; return also the target point of each source point."""
+    step = -(-(k - len(start)) // options.last_steps)
+    curved = curvatures(a, b)
+    scale = options.curvature_scale
+    features = curved and (scale * curved[0], scale * curved[1])
+    found = bijective_zoomout(
+        a.spectrum, b.spectrum, start, k_final=k, step=max(step, 1), features=features
+    )
+    rows1 = a.spectrum.eigenvectors[:, :k] @ found.functional_map.T
+    rows2 = b.spectrum.eigenvectors[:, :k]
+    if features is not None:
+        rows1, rows2 = np.hstack([rows1, features[0]]), np.hstack([rows2, features[1]])
+    return found, nearest(rows1, rows2)
 
 
 class _Search:

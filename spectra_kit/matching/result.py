@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import Rebuilt
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 
+Bools = NDArray[np.bool_]
 #: What may be wrong with a map: see `Match.doubts`.
 Doubt = Literal["margin", "mirror_margin", "orientation", "consistent", "coverage", "score"]
 
@@ -70,6 +74,9 @@ class Match(Rebuilt):
         Those that were refined and came out different, the chosen one first.
     options : MatchOptions
         How they were found and judged.
+    covered : ndarray of bool of shape (n2,), optional
+        Which target points have a partner on a source that is a part; see `match_part`. None where
+        both are wholes, and all points have one.
     """
 
     point_map: Ints
@@ -82,6 +89,7 @@ class Match(Rebuilt):
     coverage: float
     candidates: tuple[Candidate, ...]
     options: MatchOptions = DEFAULT
+    covered: Bools | None = None
 
     @property
     def score(self) -> float:
