@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from spectra_kit._checked import checked
 from spectra_kit._types import Floats, Ints
@@ -43,6 +43,8 @@ _TRIED = 12  # regions that are matched
 _REFINED = 3  # of which are followed
 _ROUNDS = 3  # in which their borders move
 _KEPT = 40  # modes of a map that outlive a move of the border
+_LOOSE = 0.1  # at unit area of the part: how far from its border nothing pulls it
+_FIRST_BENDS, _BENDS = 30, 4  # a border that nothing pulls needs more of them to settle
 _REACH = 0.05  # at unit area of the whole: what is farther off the bent part is no partner
 _ELSEWHERE = 0.1  # mean distance of images, from which on a candidate is a rival
 
@@ -134,10 +136,14 @@ def match_part(
             best.reverse()
         alike = [t for t in trials if t.candidate.mirrored == best[0].candidate.mirrored]
         ends = [search.followed(trial) for trial in alike[:_REFINED]]
-        ends.sort(key=lambda end: end.score)
-        chosen = ends[0]
+        # Wrong regions grow alike to right ones as they move: where each began counts as well.
+        steps = sorted(zip(ends, alike, strict=False), key=lambda step: _through(*step))
+        chosen = steps[0][0]
         side, bent = search.finished(chosen, k)
-        rivals = [t.score for t in (*ends[1:], *alike) if search.apart(t, chosen) > _ELSEWHERE]
+        rivals = [
+            *(_through(*step) for step in steps[1:] if search.apart(step[0], chosen) > _ELSEWHERE),
+            *(t.score for t in alike[_REFINED:] if search.apart(t, chosen) > _ELSEWHERE),
+        ]
     covered = covered_by(part, whole, bent)
     around = bent.back[chosen.piece.vertices]
     made = Match(
@@ -147,7 +153,7 @@ def match_part(
         orientation=orientation_of(
             part, side, functional_map_from_point_map(part.spectrum, side.spectrum, around, k=k)
         ),
-        margin=min(rivals) / chosen.score if rivals else float("inf"),
+        margin=min(rivals) / _through(*steps[0]) if rivals else float("inf"),
         mirror_margin=best[1].score / best[0].score if len(best) == 2 else float("inf"),
         consistent=1.0,
         coverage=coverage_over_chance(part.spectrum, side.spectrum, around),
@@ -200,16 +206,18 @@ class _PartSearch:
         return sorted(found, key=lambda trial: trial.score)
 
     def followed(self, trial: _Trial) -> _Trial:
-        """Return the best of a trial and those that its border leads to."""
-        seen = [trial]
+        """Return the trial that its border leads to, as long as each is better than the last."""
         for _ in range(_ROUNDS):
-            bent = self._bent(seen[-1])
+            bent = self._bent(trial)
             piece = region(self.whole, covered_by(self.part, self.whole, bent))
             if piece is None or len(piece.vertices) < LEAST_POINTS:
                 break
             side = _prepared(piece, self.low)
-            seen.append(self._retried(piece, side, bent.back[piece.vertices], trial))
-        return min(seen, key=lambda trial: trial.score)
+            moved = self._retried(piece, side, bent.back[piece.vertices], trial)
+            if moved.score >= trial.score:
+                break
+            trial = moved
+        return trial
 
     def finished(self, trial: _Trial, k: int) -> tuple[Prepared, Bent]:
         """Return the region with k modes, and the part bent onto the whole by as many."""
@@ -243,28 +251,48 @@ class _PartSearch:
         candidate = Candidate(functional_map=C, score=score, mismatches=values, mirrored=mirrored)
         return _Trial(piece, side, candidate)
 
+    def _loose(self, area: float) -> Surface:
+        """Return the part at an area, without mass near its border: nothing pulls it there.
+
+        The maps to a region end at the border of the region, right or wrong; the border of a bent
+        part shall be where the rest of it says.
+        """
+        surface = self.part.surface
+        assert surface is not None
+        mesh = mesh_of(self.part)
+        depth = dijkstra(
+            edge_graph(mesh), directed=False, indices=mesh.boundary_vertices, min_only=True
+        )
+        held = depth >= min(_LOOSE, np.median(depth))
+        return replace(surface, points=surface.points * area**0.5, mass=surface.mass * area * held)
+
     def _bent(self, trial: _Trial) -> Bent:
         return self._bent_by(trial.candidate.functional_map, trial, trial.side, self.low)
 
     def _bent_by(self, start: Floats, trial: _Trial, side: Prepared, k: int) -> Bent:
         """Bend the part onto the whole, at the size of the region, from a map to the region."""
-        assert self.part.surface is not None
         assert self.whole.surface is not None
         way_there = spectral_map(self.part, side, start, k, self.options)[1]
         return bent_onto(
-            _sized(self.part.surface, trial.piece.area),
+            self._loose(trial.piece.area),
             self.whole.surface,
             trial.piece.vertices[way_there],
             mirrored=trial.candidate.mirrored,
-            options=self.options,
+            options=replace(self.options, first_bends=_FIRST_BENDS, bends=_BENDS),
         )
+
+
+def _through(end: _Trial, start: _Trial) -> float:
+    """Return the score of a trial, and where it began: their geometric mean."""
+    return float(np.sqrt(end.score * start.score))
 
 
 def covered_by(part: Prepared, whole: Prepared, bent: Bent) -> Bools:
     """Tell which points of the whole lie on the part that was bent onto it.
 
-    Not those that are beyond its border where that is nearest, or farther off than the reach; nor
-    pieces of the rest that the part itself hardly touches.
+    Not those that are beyond its border where that is nearest, by more than half the step from the
+    neighbours to the border, or farther off than the reach; nor pieces of the rest that the part
+    itself hardly touches.
     """
     assert whole.surface is not None
     mesh, points = mesh_of(part), whole.surface.points
@@ -273,7 +301,8 @@ def covered_by(part: Prepared, whole: Prepared, bent: Bent) -> Bools:
     border = np.isin(np.arange(mesh.n), mesh.boundary_vertices)
     there = bent.points[bent.back]
     outwards = there - middle[bent.back]
-    beyond = border[bent.back] & (((points - there) * outwards).sum(axis=1) > 0)
+    step = ((points - there - 0.5 * outwards) * outwards).sum(axis=1)
+    beyond = border[bent.back] & (step > 0)
     near = np.flatnonzero(~beyond & (np.linalg.norm(points - there, axis=1) < _REACH))
     links = _links(edge_graph(mesh_of(whole)))
     _, piece = connected_components(links[near][:, near], directed=False)
@@ -292,11 +321,6 @@ def _links(graph: sparse.csr_array) -> sparse.csr_array:
     out = graph.copy()
     out.data[:] = 1.0
     return out
-
-
-def _sized(surface: Surface, area: float) -> Surface:
-    """Return a surface at unit area with another area."""
-    return replace(surface, points=surface.points * area**0.5, mass=surface.mass * area)
 
 
 def _prepared(piece: Region, k: int) -> Prepared:

@@ -18,7 +18,6 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from spectra_kit._types import Floats, Ints
@@ -66,8 +65,13 @@ def region(whole: Prepared, kept: Bools) -> Region | None:
     faces = mesh.faces[kept[mesh.faces].sum(axis=1) >= 2]
     if not len(faces):
         return None
-    piece = largest_component(TriangleMesh(mesh.points, faces))
-    return Region(piece.mesh, piece.vertex_index, piece.mesh.area / mesh.area)
+    return _piece(whole, TriangleMesh(mesh.points, faces))
+
+
+def _piece(whole: Prepared, mesh: TriangleMesh) -> Region:
+    """Return the largest piece of a mesh of some of the triangles of a whole."""
+    piece = largest_component(mesh)
+    return Region(piece.mesh, piece.vertex_index, piece.mesh.area / mesh_of(whole).area)
 
 
 def mesh_of(side: Prepared) -> TriangleMesh:
@@ -84,7 +88,7 @@ def likely_regions(part: Prepared, whole: Prepared, count: int) -> list[Region]:
     family differ in their area alone, so each names one by each measure. The whole is a family.
     """
     k = min(_COMPARED, part.spectrum.k, whole.spectrum.k)
-    signatures, values = _seen(part.spectrum.truncate(k))
+    wanted = _seen(part.spectrum.truncate(k))
 
     def unlikeness(piece: Region) -> tuple[float, float]:
         operator = cotan_laplacian(piece.mesh)
@@ -92,14 +96,12 @@ def likely_regions(part: Prepared, whole: Prepared, count: int) -> list[Region]:
         pairs = ritz_pairs(operator.stiffness, operator.mass, basis, k, rank_tol=_DEPENDENT)
         if len(pairs.eigenvalues) < k:  # too small for the modes of the whole to tell
             return np.inf, np.inf
-        spectrum = Spectrum(
-            np.append(0.0, pairs.eigenvalues[1:]), pairs.eigenvectors, operator.mass
-        )
-        found = _seen(spectrum.rescale(spectrum.area**-0.5))
-        return np.abs(found[0] - signatures).mean(), np.abs(found[1] - values).mean()
+        values = np.append(0.0, pairs.eigenvalues[1:])
+        found = Spectrum(values, pairs.eigenvectors, operator.mass)
+        seen = _seen(found.rescale(found.area**-0.5))
+        return float(np.abs(seen[0] - wanted[0]).mean()), float(np.abs(seen[1] - wanted[1]).mean())
 
-    everything = region(whole, np.ones(whole.spectrum.n, dtype=bool))
-    families = [family for family in ([everything], *_families(whole)) if family]
+    families = [family for family in _families(whole) if family]
     measured = [[(unlikeness(piece), piece) for piece in family] for family in families]
     ranked = []
     for way in (0, 1):
@@ -146,7 +148,8 @@ def limb_ends(whole: Prepared) -> Ints:
 
 
 def _families(whole: Prepared) -> Iterator[list[Region]]:
-    """Yield regions within, and beyond, the same distance of one or two ends of limbs."""
+    """Yield the whole, then regions beyond, and within, a distance of one or two ends of limbs."""
+    yield [_piece(whole, mesh_of(whole))]
     mass, graph = whole.spectrum.mass, edge_graph(mesh_of(whole))
     ends = limb_ends(whole)
     distances = dijkstra(graph, directed=False, indices=ends)
