@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -46,6 +47,7 @@ _KEPT = 40  # modes of a map that outlive a move of the border
 _LOOSE = 0.1  # at unit area of the part: how far from its border nothing pulls it
 _FIRST_BENDS, _BENDS = 30, 4  # a border that nothing pulls needs more of them to settle
 _REACH = 0.05  # at unit area of the whole: what is farther off the bent part is no partner
+_STRICTER = 0.85  # the best of many regions has to be better than a map between wholes
 _ELSEWHERE = 0.1  # mean distance of images, from which on a candidate is a rival
 
 
@@ -125,26 +127,21 @@ def match_part(
         _check_mesh(name, side)
     k = min(check_count("k", k, low=LOWEST_K), part.spectrum.k, whole.spectrum.k)
     if not len(mesh_of(part).boundary_vertices):
-        found = match(part, whole, mirrored=mirrored, k=k, options=options)
-        return replace(found, covered=np.ones(whole.spectrum.n, dtype=bool))
+        usual = match(part, whole, mirrored=mirrored, k=k, options=options)
+        return replace(usual, covered=np.ones(whole.spectrum.n, dtype=bool))
     ways = (False, True) if mirrored is None else (mirrored,)
     search = _PartSearch(part, whole, min(options.refined_modes, k), options)
     with single_threaded_blas():
         trials = search.trials(ways)
-        best = [next(t for t in trials if t.candidate.mirrored == way) for way in ways]
-        if len(best) == 2 and best[1].score * options.mirrored_by < best[0].score:
-            best.reverse()
-        alike = [t for t in trials if t.candidate.mirrored == best[0].candidate.mirrored]
-        ends = [search.followed(trial) for trial in alike[:_REFINED]]
-        # Wrong regions grow alike to right ones as they move: where each began counts as well.
-        steps = sorted(zip(ends, alike, strict=False), key=lambda step: _through(*step))
-        chosen = steps[0][0]
+        found = [search.ends([t for t in trials if t.candidate.mirrored == way]) for way in ways]
+        if len(found) == 2 and found[1][0].value * options.mirrored_by < found[0][0].value:
+            found.reverse()
+        best, *others = found[0]
+        chosen = best.trial
         side, bent = search.finished(chosen, k)
-        rivals = [
-            *(_through(*step) for step in steps[1:] if search.apart(step[0], chosen) > _ELSEWHERE),
-            *(t.score for t in alike[_REFINED:] if search.apart(t, chosen) > _ELSEWHERE),
-        ]
+        rivals = [end.value for end in others if search.apart(end.trial, chosen) > _ELSEWHERE]
     covered = covered_by(part, whole, bent)
+    judged = replace(options, convincing_score=_STRICTER * options.convincing_score)
     around = bent.back[chosen.piece.vertices]
     made = Match(
         point_map=bent.back,
@@ -153,18 +150,18 @@ def match_part(
         orientation=orientation_of(
             part, side, functional_map_from_point_map(part.spectrum, side.spectrum, around, k=k)
         ),
-        margin=min(rivals) / _through(*steps[0]) if rivals else float("inf"),
-        mirror_margin=best[1].score / best[0].score if len(best) == 2 else float("inf"),
+        margin=min(rivals) / best.value if rivals else float("inf"),
+        mirror_margin=found[1][0].value / best.value if len(found) == 2 else float("inf"),
         consistent=1.0,
         coverage=coverage_over_chance(part.spectrum, side.spectrum, around),
         candidates=tuple(t.candidate for t in (chosen, *trials)),
-        options=options,
+        options=judged,
         covered=covered,
     )
     if not made.convincing:
         warn(
             f"no convincing part: the mismatch is {made.score:.2f} (right parts: below"
-            f" {options.convincing_score:g}), and the map covers {made.coverage:.2f} times as much"
+            f" {judged.convincing_score:g}), and the map covers {made.coverage:.2f} times as much"
             f" as chance would (right ones: {options.convincing_coverage:g} and more)",
             DoubtfulMatchWarning,
             advice="it may be no part of this surface; look at `covered`",
@@ -183,6 +180,16 @@ class _Trial:
     @property
     def score(self) -> float:
         return self.candidate.score
+
+
+class _End(NamedTuple):
+    """Where a trial led, and the geometric mean of the scores there and where it began.
+
+    Wrong regions grow alike to right ones as they move, so where each began counts as well.
+    """
+
+    trial: _Trial
+    value: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +211,13 @@ class _PartSearch:
             for candidates in in_threads(search.candidates, ((way,) for way in ways)):
                 found += [_Trial(piece, side, candidate) for candidate in candidates]
         return sorted(found, key=lambda trial: trial.score)
+
+    def ends(self, trials: Sequence[_Trial]) -> list[_End]:
+        """Return where trials lead, the best first; those far behind stay where they are."""
+        ends = [self.followed(trial) for trial in trials[:_REFINED]]
+        values = [np.sqrt(e.score * t.score) for e, t in zip(ends, trials, strict=False)]
+        behind = [_End(trial, trial.score) for trial in trials[_REFINED:]]
+        return sorted((*map(_End, ends, map(float, values)), *behind), key=lambda end: end.value)
 
     def followed(self, trial: _Trial) -> _Trial:
         """Return the trial that its border leads to, as long as each is better than the last."""
@@ -280,11 +294,6 @@ class _PartSearch:
             mirrored=trial.candidate.mirrored,
             options=replace(self.options, first_bends=_FIRST_BENDS, bends=_BENDS),
         )
-
-
-def _through(end: _Trial, start: _Trial) -> float:
-    """Return the score of a trial, and where it began: their geometric mean."""
-    return float(np.sqrt(end.score * start.score))
 
 
 def covered_by(part: Prepared, whole: Prepared, bent: Bent) -> Bools:

@@ -321,7 +321,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("samples cap animate_modes.width", 100),
         ("sample.n sample_with_origin.n", 50),
         ("max_iterations Prepared.truncate.k", 35),
-        ("match.options", quick),
+        ("match.options match_part.options", quick),
         ("k_final", 24),
         ("k_start zoomout_many.k_final", 10),
         ("creature.n_points creature_pair.n_source n_target", 520),

@@ -6,7 +6,9 @@ A cut is a plane in the reference body, `REFERENCE` of the data set, which stand
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +49,31 @@ class Part:
     vertices: Ints  #: (n,): ascending
 
 
+class CutPair(NamedTuple):
+    """Numbers of two FAUST bodies, the first of which is cut, and the cut."""
+
+    part: int
+    whole: int
+    kind: str
+    seed: int
+
+    def __str__(self) -> str:
+        return f"{self.part:03d}-{self.whole:03d}-{self.kind}-{self.seed}"
+
+
+def cut_pairs(persons: Sequence[int], count: int, *, seed: int = 0) -> list[CutPair]:
+    """Draw bodies of different persons in different poses, kinds of cuts in turn.
+
+    Body 10 p + q is person p in pose q. A larger number adds pairs to those of a smaller one.
+    """
+    rng, pairs = np.random.default_rng(seed), []
+    for i in range(count):
+        (one, other), (pose, another) = rng.permutation(persons)[:2], rng.permutation(10)[:2]
+        kind = KINDS[i % len(KINDS)]
+        pairs.append(CutPair(int(10 * one + pose), int(10 * other + another), kind, i))
+    return pairs
+
+
 def cut_landmarks(reference: Subject, kind: str, seed: int) -> Bools:
     """Choose a cut of a kind, and tell which landmarks are left, (c,).
 
@@ -67,7 +94,8 @@ def cut_landmarks(reference: Subject, kind: str, seed: int) -> Bools:
     inside = sparse.diags_array(beyond.astype(np.float64))
     _, piece = connected_components(sparse.csr_array(inside @ graph @ inside), directed=False)
     tips = [int(((points - end) ** 2).sum(axis=1).argmin()) for end in ends]
-    return ~(beyond & np.isin(piece, piece[tips]))[reference.landmarks]
+    left: Bools = ~(beyond & np.isin(piece, piece[tips]))
+    return left[reference.landmarks]
 
 
 def left_of(subject: Subject, kept: Bools) -> Bools:
