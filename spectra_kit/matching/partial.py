@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from spectra_kit._checked import checked
-from spectra_kit._types import Floats, Ints
+from spectra_kit._types import Bools, Floats, Ints
 from spectra_kit._validate import check_count, warn
 from spectra_kit.correspondence import edge_graph
 from spectra_kit.eigensolvers import spectrum
@@ -25,7 +25,6 @@ from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.prepare import LOWEST_K, Prepared, Surface, prepare
 from spectra_kit.matching.regions import (
     LEAST_POINTS,
-    Bools,
     Region,
     likely_regions,
     mesh_of,

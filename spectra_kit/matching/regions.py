@@ -17,10 +17,9 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
-from spectra_kit._types import Floats, Ints
+from spectra_kit._types import Bools, Floats, Ints
 from spectra_kit.correspondence import edge_graph
 from spectra_kit.descriptors import wave_kernel_signature
 from spectra_kit.geometry import TriangleMesh, largest_component
@@ -28,8 +27,6 @@ from spectra_kit.linalg.ritz import ritz_pairs
 from spectra_kit.matching.prepare import Prepared
 from spectra_kit.operators import cotan_laplacian
 from spectra_kit.spectra import Spectrum
-
-Bools = NDArray[np.bool_]
 
 LEAST_POINTS = 200  # of a region that can be matched
 _APART = 0.3  # at unit area, the distance between ends of limbs: toes of a foot are one

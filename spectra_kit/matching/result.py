@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from spectra_kit._checked import checked
-from spectra_kit._types import Floats, Ints
+from spectra_kit._types import Bools, Floats, Ints
 from spectra_kit._validate import Rebuilt
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 
-Bools = NDArray[np.bool_]
 #: What may be wrong with a map: see `Match.doubts`.
 Doubt = Literal["margin", "mirror_margin", "orientation", "consistent", "coverage", "score"]
 
@@ -90,6 +87,15 @@ class Match(Rebuilt):
     candidates: tuple[Candidate, ...]
     options: MatchOptions = DEFAULT
     covered: Bools | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.covered is not None and self.covered.shape != self.point_map.shape:
+            raise InvalidInputError(
+                "covered",
+                "have the shape of `point_map`",
+                f"{self.covered.shape} and {self.point_map.shape}",
+            )
 
     @property
     def score(self) -> float:

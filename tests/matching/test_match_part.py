@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import bumpy, creature, data_folder, refused
@@ -96,6 +98,7 @@ def test_a_closed_part_is_a_whole(whole) -> None:
     usual = match(whole, whole, **options)
     assert usual.covered is None
     np.testing.assert_array_equal(found.point_map, usual.point_map)
+    refused("covered", "have the shape of", replace, found, covered=found.covered[1:])
 
 
 @pytest.mark.slow

@@ -380,7 +380,7 @@ def instances() -> dict[str, Any]:
 USUAL = {int: 6, float: 0.5, str: "a", bool: True}
 
 # Clouds have no area, a lone candidate no rival, and zero modes no relative error.
-MAY_BE_INFINITE = {"diagnose", "match", "compare_spectra"}
+MAY_BE_INFINITE = {"diagnose", "match", "match_part", "compare_spectra"}
 
 # What is right besides values of the kind of the example.
 ALSO = {

@@ -11,16 +11,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from measure.matching.subjects import Subject
-from spectra_kit._types import Floats, Ints
+from spectra_kit._types import Bools, Floats, Ints
 from spectra_kit.correspondence import edge_graph
 from spectra_kit.geometry import TriangleMesh, largest_component
-
-Bools = NDArray[np.bool_]
 
 REFERENCE = "tr_reg_000"
 _TILT = 15.0  # degrees, the most by which a plane leans
