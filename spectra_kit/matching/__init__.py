@@ -6,6 +6,7 @@ And many, so that their maps agree: `match_collection`.
 from spectra_kit.matching.collection import CollectedPair, Collection, match_collection
 from spectra_kit.matching.match import match
 from spectra_kit.matching.options import MatchOptions, ScoreWeights
+from spectra_kit.matching.partial import match_part
 from spectra_kit.matching.prepare import Prepared, prepare
 from spectra_kit.matching.result import Candidate, Match
 from spectra_kit.matching.score import (
@@ -26,6 +27,7 @@ __all__ = [
     "coverage_over_chance",
     "match",
     "match_collection",
+    "match_part",
     "mismatches",
     "orientation_of",
     "prepare",

@@ -66,19 +66,27 @@ def bend_onto(
     return Bent(bent, rotate(bent), start)
 
 
-def elastic_point_map(
+class Met(NamedTuple):
+    """Who meets whom, once a source is bent onto a target."""
+
+    points: Floats  # (n1, 3): of the source
+    there: Ints  # (n1,): the target point that is nearest to each of them
+    back: Ints  # (n2,): the source point that is nearest to each of the target
+
+
+def meeting(
     source: Placed,
     target: Placed,
     way_there: Ints,
     *,
     mirrored: bool = False,
     options: MatchOptions = DEFAULT,
-) -> Ints:
-    """Return the source point that each target point meets, (n2,), once the source is bent."""
+) -> Met:
+    """Return who meets whom, once the source is bent onto the target as `bend_onto` does it."""
     bent = bend_onto(source, target, way_there, mirrored=mirrored, options=options)
     here = rows_of(bent.points, bent.start.oriented, options)
     there = rows_of(target.points, target.oriented, options)
-    return np.asarray(cKDTree(here).query(there)[1], dtype=np.int64)
+    return Met(bent.points, cKDTree(there).query(here)[1], cKDTree(here).query(there)[1])
 
 
 def rows_of(points: Floats, oriented: OrientedTriangles, options: MatchOptions) -> Floats:

@@ -14,6 +14,7 @@ from spectra_kit._validate import check_count, warn
 from spectra_kit.descriptors import landmark_wave_kernel_signature, normalize_descriptors
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidInputError
 from spectra_kit.functional_maps import (
+    Correspondence,
     bijective_zoomout,
     fit_functional_map,
     functional_map_from_point_map,
@@ -253,26 +254,41 @@ def _refined(
 ) -> tuple[Ints, Floats, sparse.csr_array | None]:
     """Return the maps of all points that a candidate is refined to: see `Match`."""
     start = chosen.functional_map[:k, :k]
-    step = -(-(k - len(start)) // options.last_steps)
-    curved = curvatures(a, b)
-    scale = options.curvature_scale
-    features = curved and (scale * curved[0], scale * curved[1])
-    result = bijective_zoomout(
-        a.spectrum, b.spectrum, start, k_final=k, step=max(step, 1), features=features
-    )
     if not elastic or a.surface is None or b.surface is None:
-        point_map, here, there = by_modes(a, b, result, options)
+        point_map, here, there = by_modes(a, b, _zoomed(a, b, start, k, options)[0], options)
     else:
-        rows1 = a.spectrum.eigenvectors[:, :k] @ result.functional_map.T
-        rows2 = b.spectrum.eigenvectors[:, :k]
-        if features is not None:
-            rows1, rows2 = np.hstack([rows1, features[0]]), np.hstack([rows2, features[1]])
-        way_there = nearest(rows1, rows2)
+        _, way_there = spectral_map(a, b, start, k, options)
         mirrored = chosen.mirrored
         point_map, here, there = by_bending(a, b, way_there, mirrored=mirrored, options=options)
     faces = all_placed(a).oriented.faces if precise else None
     on_faces = None if faces is None else into_triangles(there, here, faces, point_map)
     return point_map, functional_map_from_point_map(a.whole, b.whole, point_map, k=k), on_faces
+
+
+def spectral_map(
+    a: Prepared, b: Prepared, start: Floats, k: int, options: MatchOptions
+) -> tuple[Correspondence, Ints]:
+    """Refine a functional map to k modes; return also the target point of each source point."""
+    found, features = _zoomed(a, b, start, k, options)
+    rows1 = a.spectrum.eigenvectors[:, :k] @ found.functional_map.T
+    rows2 = b.spectrum.eigenvectors[:, :k]
+    if features is not None:
+        rows1, rows2 = np.hstack([rows1, features[0]]), np.hstack([rows2, features[1]])
+    return found, nearest(rows1, rows2)
+
+
+def _zoomed(
+    a: Prepared, b: Prepared, start: Floats, k: int, options: MatchOptions
+) -> tuple[Correspondence, tuple[Floats, Floats] | None]:
+    """Refine a functional map to k modes; return also what joined them."""
+    step = -(-(k - len(start)) // options.last_steps)
+    curved = curvatures(a, b)
+    scale = options.curvature_scale
+    features = curved and (scale * curved[0], scale * curved[1])
+    found = bijective_zoomout(
+        a.spectrum, b.spectrum, start, k_final=k, step=max(step, 1), features=features
+    )
+    return found, features
 
 
 class _Search:

@@ -8,8 +8,9 @@ from typing import Literal
 from scipy import sparse
 
 from spectra_kit._checked import checked
-from spectra_kit._types import Floats, Ints
+from spectra_kit._types import Bools, Floats, Ints
 from spectra_kit._validate import Rebuilt
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.matching.confidence import confidence_of
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 
@@ -82,6 +83,9 @@ class Match(Rebuilt):
         the source points, or the points themselves, gives those at the target points.
     options : MatchOptions
         How they were found and judged.
+    covered : ndarray of bool of shape (n2,), optional
+        Which target points have a partner on a source that is a part; see `match_part`. None where
+        both are wholes, and all points have one.
     """
 
     point_map: Ints
@@ -96,6 +100,16 @@ class Match(Rebuilt):
     candidates: tuple[Candidate, ...]
     precise: sparse.csr_array | None = None
     options: MatchOptions = DEFAULT
+    covered: Bools | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.covered is not None and self.covered.shape != self.point_map.shape:
+            raise InvalidInputError(
+                "covered",
+                "have the shape of `point_map`",
+                f"{self.covered.shape} and {self.point_map.shape}",
+            )
 
     @property
     def score(self) -> float:

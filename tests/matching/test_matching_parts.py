@@ -28,7 +28,7 @@ from spectra_kit.matching.curvature import outward_normals, smoothed_mean_curvat
 from spectra_kit.matching.elastic import (
     _bending,
     _edges,
-    elastic_point_map,
+    meeting,
 )
 from spectra_kit.operators import oriented_triangles
 
@@ -157,7 +157,7 @@ def test_bending_repairs_a_noisy_map(source, image) -> None:
     noisy = np.argsort(near, axis=1)[truth, np.random.default_rng(2).integers(12, size=len(truth))]
     assert (noisy != truth).mean() > 0.8
     for target, reflect in ((source, False), (image, True)):
-        found = elastic_point_map(source.surface, target.surface, noisy, mirrored=reflect)
+        found = meeting(source.surface, target.surface, noisy, mirrored=reflect).back
         assert (found == truth).all()
 
 

@@ -340,7 +340,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         ("samples cap animate_modes.width", 100),
         ("sample.n sample_with_origin.n", 50),
         ("max_iterations Prepared.truncate.k", 35),
-        ("match.options match_collection.options", quick),
+        ("match.options match_collection.options match_part.options", quick),
         ("k_final", 24),
         ("k_start zoomout_many.k_final", 10),
         ("creature.n_points creature_pair.n_source n_target", 520),
@@ -399,7 +399,7 @@ def instances() -> dict[str, Any]:
 USUAL = {int: 6, float: 0.5, str: "a", bool: True}
 
 # Clouds have no area, a lone candidate no rival, and zero modes no relative error.
-MAY_BE_INFINITE = {"diagnose", "match", "Collection.pair", "compare_spectra"}
+MAY_BE_INFINITE = {"diagnose", "match", "match_part", "Collection.pair", "compare_spectra"}
 
 # What is right besides values of the kind of the example.
 ALSO = {
