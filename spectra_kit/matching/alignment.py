@@ -47,7 +47,7 @@ class Side(NamedTuple):
         return out
 
 
-class Bent(NamedTuple):
+class Laid(NamedTuple):
     """A map, and how well the source lies on the target with it."""
 
     functional_map: Floats  # (k, k)
@@ -85,7 +85,7 @@ def placed_candidates(source: Side, target: Side, options: MatchOptions) -> Floa
 
     Stretched along its axes to the spread of the target, and turned about the longest one.
     """
-    found = list[Bent]()
+    found = list[Laid]()
     for turn in _turns(options.turns):
         stretched = (source.positions / source.spread) @ turn * target.spread
         found.append(_fitted(source, target, stretched, turn, None, options.placed_modes, options))
@@ -93,7 +93,7 @@ def placed_candidates(source: Side, target: Side, options: MatchOptions) -> Floa
     return np.stack([bent.functional_map for bent in found])
 
 
-def bent(source: Side, target: Side, functional_map: Floats, options: MatchOptions) -> Bent:
+def bent(source: Side, target: Side, functional_map: Floats, options: MatchOptions) -> Laid:
     """Refine a map to some 60 modes, the source bent onto the target by what the map says."""
     k = len(functional_map)
     back, _, _ = _both_ways(source.rows[:, :k] @ functional_map.T, target.rows[:, :k])
@@ -123,7 +123,7 @@ def _fitted(
     functional_map: Floats | None,
     modes: Sequence[int],
     options: MatchOptions,
-) -> Bent:
+) -> Laid:
     """Alternate between who corresponds to whom and how the source is bent, for growing k.
 
     With a `turn`, normals only turn, and every axis counts alike: limbs that are bent much are
@@ -156,7 +156,7 @@ def _fitted(
             source, there, U @ positions[:k], back, forth, min(k, options.bending_modes), options
         )
     assert C is not None
-    return Bent(functional_map=C, displacement=displacement, distance=distance)
+    return Laid(functional_map=C, displacement=displacement, distance=distance)
 
 
 def _displacement(

@@ -304,8 +304,8 @@ class _Search:
         """Return the refined candidates that mirror, or those that do not; the best first."""
         a, b, options = self._a, self._b, self._options
         maps = list(sign_candidates(a, b, mirrored=mirrored, options=options))
-        seen = a.surface is not None and b.surface is not None
-        sides = (side_of(a, options, mirrored=mirrored), side_of(b, options)) if seen else None
+        bends = curvatures(a, b) is not None  # else normals tell nothing of who is whom
+        sides = (side_of(a, options, mirrored=mirrored), side_of(b, options)) if bends else None
         if sides is not None:
             placed = (
                 self._scored(C, mirrored, rough=True) for C in placed_candidates(*sides, options)

@@ -19,7 +19,7 @@ from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.errors import DoubtfulMatchWarning
 from spectra_kit.geometry import Component, largest_component
 from spectra_kit.matching import Prepared, match, match_part, prepare
-from spectra_kit.matching.elastic import Bent
+from spectra_kit.matching.elastic import Met
 from spectra_kit.matching.partial import covered_by
 from spectra_kit.matching.regions import likely_regions, limb_ends, region
 
@@ -173,7 +173,7 @@ def test_a_part_in_its_place_covers_itself(mesh, whole, headless) -> None:
     places = whole.surface.points
     there = headless.vertex_index
     back = cKDTree(places[there]).query(places)[1]
-    covered = covered_by(piece, whole, Bent(places[there], there, back))
+    covered = covered_by(piece, whole, Met(places[there], there, back))
     assert covered[there].all()
     left = np.isin(np.arange(mesh.n), there)
     assert overlap(covered, left, whole.spectrum.mass) > 0.97

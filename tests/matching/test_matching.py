@@ -31,6 +31,8 @@ from spectra_kit.matching import (
     match,
     prepare,
 )
+from spectra_kit.matching.confidence import confidence_of
+from spectra_kit.matching.tears import edges_of, torn
 
 K = 100
 TURN = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
@@ -189,7 +191,7 @@ def test_clouds_have_sides_too(mesh) -> None:
 
 def test_unlike_surfaces_score_badly(source) -> None:
     """One of them has fewer points than samples are asked for."""
-    with pytest.warns(DoubtfulMatchWarning, match="no convincing map: its mismatch is 0.[5-9]"):
+    with pytest.warns(DoubtfulMatchWarning, match="no convincing map: its confidence is 0.[0-4]"):
         found = match(source, prepared(sphere(subdivisions=2).geometry, 60))
     assert found.score > 0.4
     assert np.isfinite(found.margin)
@@ -212,6 +214,8 @@ def test_unlike_surfaces_score_badly(source) -> None:
         ({"consistent": 0.8}, ("consistent",)),
         ({"margin": 1.01, "coverage": 0.9}, ("margin", "coverage")),
         ({"score": 0.6}, ("score",)),
+        ({"torn": 0.05}, ("torn",)),
+        ({"torn": None}, ()),
         ({"margin": 1.01, "options": MatchOptions(clear_margin=1.0)}, ()),
     ],
     ids=str,
@@ -222,12 +226,36 @@ def test_doubts_are_facts(facts, doubts) -> None:
     )
     clear = {"margin": np.inf, "mirror_margin": np.inf, "orientation": 0.9, "mirrored": False}
     found = Match(
-        **{**clear, "consistent": 1.0, "coverage": 1.5, **facts},
+        **{**clear, "consistent": 1.0, "coverage": 1.5, "torn": 0.0, **facts},
         point_map=np.arange(5), functional_map=np.eye(3), candidates=(candidate,),
     )  # fmt: skip
     assert found.doubts == doubts
-    assert found.convincing == (not {"score", "coverage"} & set(doubts))
-    assert found.ambiguous == bool(set(doubts) - {"score", "coverage"})
+    assert found.convincing == (found.confidence >= 0.5)
+    assert found.ambiguous == bool(set(doubts) - {"score", "coverage", "torn"})
+
+
+def test_confidence_falls_with_all_that_speaks_against_a_map() -> None:
+    """And is a probability, whatever the evidence."""
+    good = {"score": 0.2, "torn": 0.001, "margin": 1.3, "coverage": 1.5}
+    bad = {"score": 0.6, "torn": 0.08, "margin": 1.0, "coverage": 1.0}
+    best, worst = confidence_of(**good), confidence_of(**bad)
+    assert 0 <= worst < 0.5 < best <= 1
+    for name, value in bad.items():
+        assert worst < confidence_of(**{**good, name: value}) < best
+    sure = confidence_of(**{**good, "margin": np.inf})
+    assert sure == confidence_of(**{**good, "margin": 2.0})  # more says no more
+
+
+def test_a_map_is_torn_where_neighbours_part(mesh, source) -> None:
+    """None of the identity is, most of a map at random, or the edges of one point that is moved."""
+    surface, every = source.surface, np.arange(mesh.n)
+    assert torn(surface, surface, every) == 0.0
+    assert torn(surface, surface, np.random.default_rng(0).permutation(mesh.n)) > 0.5
+    far = int(np.linalg.norm(surface.points - surface.points[0], axis=1).argmax())
+    edges = edges_of(surface.oriented)
+    moved_one = every.copy()
+    moved_one[0] = far  # all of its edges lead far, and no other
+    assert torn(surface, surface, moved_one) == (edges == 0).any(axis=1).mean()
 
 
 def test_coverage_is_measured_by_what_chance_would_cover() -> None:
