@@ -47,6 +47,8 @@ _KEPT = 40  # modes of a map that outlive a move of the border
 _LOOSE = 0.1  # at unit area of the part: how far from its border nothing pulls it
 _FIRST_BENDS, _BENDS = 30, 4  # a border that nothing pulls needs more of them to settle
 _REACH = 0.05  # at unit area of the whole: what is farther off the bent part is no partner
+_SCORE = 0.4  # above which it is no part: the best of many regions is better than a map of wholes
+_MIRRORED_BY = 1.5  # how many times better a mirrored part must be: regions differ in score, too
 _ELSEWHERE = 0.1  # mean distance of images, from which on a candidate is a rival
 
 
@@ -133,7 +135,7 @@ def match_part(
     with single_threaded_blas():
         trials = search.trials(ways)
         found = [search.ends([t for t in trials if t.candidate.mirrored == way]) for way in ways]
-        if len(found) == 2 and found[1][0].value * options.mirrored_by < found[0][0].value:
+        if len(found) == 2 and found[1][0].value * _MIRRORED_BY < found[0][0].value:
             found.reverse()
         best, *others = found[0]
         chosen = best.trial
@@ -154,12 +156,13 @@ def match_part(
         coverage=coverage_over_chance(part.spectrum, side.spectrum, around),
         torn=_torn(part, side, around),
         candidates=tuple(t.candidate for t in (chosen, *trials)),
-        options=options,
+        options=replace(options, convincing_score=_SCORE),
         covered=covered,
     )
     if not made.convincing:
         warn(
-            f"no convincing part: the confidence in the map is {made.confidence:.2f}",
+            f"no convincing part: its mismatch is {made.score:.2f} (right parts: below {_SCORE:g}), and"
+            f" it covers {made.coverage:.2f} times as much as chance would",
             DoubtfulMatchWarning,
             advice="it may be no part of this surface; look at `covered`",
         )

@@ -141,8 +141,11 @@ class Match(Rebuilt):
     def convincing(self) -> bool:
         """Whether the map is rather right than wrong: its confidence is 0.5 or more.
 
-        Shapes that do not correspond have no convincing map.
+        Shapes that do not correspond have no convincing map. Of a part, for which confidence is not
+        calibrated, neither score nor coverage may speak against it.
         """
+        if self.covered is not None:
+            return not {"coverage", "score"} & set(self.doubts)
         return self.confidence >= 0.5
 
     @property
