@@ -86,9 +86,10 @@ def placed_candidates(source: Side, target: Side, options: MatchOptions) -> Floa
     Stretched along its axes to the spread of the target, and turned about the longest one.
     """
     found = list[Laid]()
+    modes = [m for m in options.placed_modes if m < options.grown_modes] + [options.grown_modes]
     for turn in _turns(options.turns):
         stretched = (source.positions / source.spread) @ turn * target.spread
-        found.append(_fitted(source, target, stretched, turn, None, options.placed_modes, options))
+        found.append(_fitted(source, target, stretched, turn, None, modes, options))
     found.sort(key=lambda bent: bent.distance)
     return np.stack([bent.functional_map for bent in found])
 
@@ -172,7 +173,8 @@ def _displacement(
     U = source.rows[:, :count]
     rows = np.vstack([U, U[back]])
     goals = np.vstack([there[forth] - here, there - here[back]])
-    smooth = source.eigenvalues[:count] / source.eigenvalues[options.bending_modes]
+    last = min(options.bending_modes, len(source.eigenvalues) - 1)
+    smooth = source.eigenvalues[:count] / source.eigenvalues[last]
     normal = rows.T @ rows + np.diag(options.stiffness * len(rows) * smooth)
     return np.asarray(cho_solve(cho_factor(normal), rows.T @ goals))
 

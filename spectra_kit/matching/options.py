@@ -74,8 +74,8 @@ class MatchOptions:
         On which the source is laid onto the target and bent.
     turns : int, default 12
         Turns about the longest axis that are tried, either way along it.
-    placed_modes : tuple of int, default (6, 9, 14, 20, 30)
-        To which the surfaces are smoothed as one is laid onto the other.
+    placed_modes : tuple of int, default (6, 9, 14, 20)
+        To which surfaces are smoothed as one is laid onto the other; at last to the grown modes.
     placed : int, default 8
         Candidates that come of it.
     bending_modes : int, default 20
@@ -148,6 +148,11 @@ class MatchOptions:
     convincing_coverage : float, default 1.1
         Below which coverage does: all right maps had more.
 
+    Raises
+    ------
+    InvalidInputError
+        If a number is out of range.
+
     Examples
     --------
     >>> import spectra_kit as sk
@@ -169,7 +174,7 @@ class MatchOptions:
     growing_curvatures: int = 3
     aligned_samples: int = 400
     turns: int = 12
-    placed_modes: tuple[int, ...] = (6, 9, 14, 20, 30)
+    placed_modes: tuple[int, ...] = (6, 9, 14, 20)
     placed: int = 8
     bending_modes: int = 20
     stiffness: float = 0.3
@@ -210,6 +215,8 @@ class MatchOptions:
             if isinstance(value, int):
                 check_count(name, value, low=1)
         check_weights({k: v for k, v in vars(self).items() if isinstance(v, float)})
+        for modes in self.placed_modes:
+            check_count("placed_modes", modes, low=1)
 
 
 #: What functions take without options of their own.

@@ -161,8 +161,8 @@ def match_part(
     )
     if not made.convincing:
         warn(
-            f"no convincing part: its mismatch is {made.score:.2f} (right parts: below {_SCORE:g}), and"
-            f" it covers {made.coverage:.2f} times as much as chance would",
+            f"no convincing part: its mismatch is {made.score:.2f} (right parts: below"
+            f" {_SCORE:g}), and it covers {made.coverage:.2f} times as much as chance would",
             DoubtfulMatchWarning,
             advice="it may be no part of this surface; look at `covered`",
         )

@@ -169,7 +169,8 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     pair_of_names = batch.Pair(source="mesh.obj", target="copy.obj")
     made = batch.Matched(
         **{"key": "0" * 32, "score": 0.1, "margin": 2.0, "mirror_margin": 2.0, "coverage": 1.5},
-        **{"orientation": 1.0, "mirrored": False, "ambiguous": False, "convincing": True},
+        **{"orientation": 1.0, "confidence": 0.9, "mirrored": False},
+        **{"ambiguous": False, "convincing": True},
         **{"doubts": (), "computed": True, "replaced": (), "seconds": 0.1},
     )
     maps = batch.MatchReport(matched=((pair_of_names, made),), failed=(), seconds=0.1)
