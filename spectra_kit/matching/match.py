@@ -253,7 +253,7 @@ def _refined(
     precise: bool = False,
 ) -> tuple[Ints, Floats, sparse.csr_array | None]:
     """Return the maps of all points that a candidate is refined to: see `Match`."""
-    start = chosen.functional_map[:k, :k]
+    start = _sharpened(a, b, chosen.functional_map[:k, :k], options)
     if not elastic or a.surface is None or b.surface is None:
         point_map, here, there = by_modes(a, b, _zoomed(a, b, start, k, options)[0], options)
     else:
@@ -263,6 +263,22 @@ def _refined(
     faces = all_placed(a).oriented.faces if precise else None
     on_faces = None if faces is None else into_triangles(there, here, faces, point_map)
     return point_map, functional_map_from_point_map(a.whole, b.whole, point_map, k=k), on_faces
+
+
+def _sharpened(a: Prepared, b: Prepared, functional_map: Floats, options: MatchOptions) -> Floats:
+    """Return a map of bent surfaces with all but its lowest modes found anew, by modes alone.
+
+    Positions hold a map together while it is searched for; hands and feet, whose poses differ, come
+    out sharper without them.
+    """
+    low, k = options.grown_modes, len(functional_map)
+    if a.surface is None or b.surface is None or k <= low:
+        return functional_map
+    rows1, rows2 = a.spectrum.eigenvectors[a.samples, :k], b.spectrum.eigenvectors[b.samples, :k]
+    start = functional_map[None, :low, :low]
+    maps, _ = zoomout_many(rows1, rows2, start, k_final=k, step=6)
+    sharp: Floats = maps[0]
+    return sharp
 
 
 def spectral_map(
