@@ -51,7 +51,6 @@ class Laid(NamedTuple):
     """A map, and how well the source lies on the target with it."""
 
     functional_map: Floats  # (k, k)
-    displacement: Floats  # (m, 3): coefficients of what moves the source
     distance: float  # between nearest points, normals and curvatures, both ways
 
 
@@ -157,7 +156,7 @@ def _fitted(
             source, there, U @ positions[:k], back, forth, min(k, options.bending_modes), options
         )
     assert C is not None
-    return Laid(functional_map=C, displacement=displacement, distance=distance)
+    return Laid(functional_map=C, distance=distance)
 
 
 def _displacement(
