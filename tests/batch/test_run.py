@@ -85,8 +85,8 @@ def test_a_run_that_was_interrupted_goes_on(scans, store):
     class StoppedError(Exception):
         pass
 
-    def stop(done, count):
-        if done == 2:
+    def stop(done, count):  # runs go each in an order of its own: broken files may be first
+        if any(True for _ in store.entries("spectra")):
             raise StoppedError
 
     inputs = find_inputs([scans])
@@ -94,8 +94,8 @@ def test_a_run_that_was_interrupted_goes_on(scans, store):
         compute_all(inputs, store, PLAN, progress=stop)
     there = len(list(store.entries("spectra")))
     report = compute_all(inputs, store, PLAN)
-    assert there + report.computed == 3
-    assert there > 0
+    assert there == 1
+    assert report.computed == 2
 
 
 def test_strict_runs_stop_at_the_first_failure(scans, store):
