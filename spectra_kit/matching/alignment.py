@@ -147,7 +147,8 @@ def _fitted(
         columns1 = [U @ moved * weight, share * normals1, bends * source.curvature]
         columns2 = [there * weight, share * normals2, bends * target.curvature]
         if C is not None:
-            q, mapped = len(C), options.aligned_modes / np.sqrt(len(C))
+            share_of_modes = options.held_modes if turn is None else options.aligned_modes
+            q, mapped = len(C), share_of_modes / np.sqrt(len(C))
             columns1.append(mapped * source.rows[:, :q] @ C.T)
             columns2.append(mapped * target.rows[:, :q])
         back, forth, distance = _both_ways(np.hstack(columns1), np.hstack(columns2))

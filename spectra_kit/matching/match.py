@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -71,7 +70,7 @@ def match(
         the scores; the final map is free to leave them by a little.
     mirrored : bool, optional
         Whether maps turn the surface over. Both are tried without it, and those that do not are
-        preferred, unless a mirrored one is 1.5 times better: as a mirrored copy is, but not one
+        preferred, unless a mirrored one is 3 times better: as a mirrored copy is, but not one
         that is bent as well and looks much like its mirror image. Say so where it is known.
     k : int, default 150
         Modes to end with; fewer where a spectrum has fewer. Of the longer one the modes beyond
@@ -159,35 +158,29 @@ def matched_from(
     options: MatchOptions,
     precise: bool = False,
 ) -> Match:
-    """Refine the first of the candidates found, those of either orientation; the best first.
-
-    Those that score as well, but for little, are refined, too, and the least torn is chosen.
-    """
-    k = min(k, a.spectrum.k, b.spectrum.k)
+    """Refine the first of the candidates found, those of either orientation; the best first."""
+    k, chosen = min(k, a.spectrum.k, b.spectrum.k), found[0][0]
     with single_threaded_blas():
-        made = [
-            _Finished(one, *_refined(a, b, one, k, elastic, options, precise))
-            for one in _contenders(found[0], options)
-        ]
-    best = min(made, key=lambda one: one.judged(a, b, options))
-    chosen = best.candidate
+        point_map, functional_map, on_faces = _refined(a, b, chosen, k, elastic, options, precise)
+    matched = on_matched(a, b, point_map)
+    seen = None if a.surface is None or b.surface is None else (a.surface, b.surface)
     opposite = [c.score for c in found[-1]] if len(found) == 2 else []
     rivals = [c.score for c in found[0] if _apart(c, chosen) > options.rival]
     others = [c for way in found for c in way if c is not chosen]
     result = Match(
-        point_map=best.point_map,
-        functional_map=best.functional_map,
+        point_map=point_map,
+        functional_map=functional_map,
         mirrored=chosen.mirrored,
-        orientation=orientation_of(a, b, best.functional_map),
+        orientation=orientation_of(a, b, functional_map),
         margin=min(rivals) / chosen.score if rivals else float("inf"),
         mirror_margin=min(opposite) / chosen.score if opposite else float("inf"),
         consistent=min(
             1.0 if side.surface is None else side.surface.oriented.consistent for side in (a, b)
         ),
-        coverage=coverage_over_chance(a.spectrum, b.spectrum, on_matched(a, b, best.point_map)),
-        torn=best.torn(a, b),
+        coverage=coverage_over_chance(a.spectrum, b.spectrum, matched),
+        torn=None if seen is None else torn(*seen, matched),
         candidates=(chosen, *others),
-        precise=best.precise,
+        precise=on_faces,
         options=options,
     )
     if not result.convincing:
@@ -200,37 +193,6 @@ def matched_from(
             remedies=("landmarks", "k"),
         )
     return result
-
-
-class _Finished(NamedTuple):
-    """What a candidate was refined to."""
-
-    candidate: Candidate
-    point_map: Ints
-    functional_map: Floats
-    precise: sparse.csr_array | None
-
-    def torn(self, a: Prepared, b: Prepared) -> float | None:
-        """Return how much of it is torn; None without geometries."""
-        if a.surface is None or b.surface is None:
-            return None
-        return torn(a.surface, b.surface, on_matched(a, b, self.point_map))
-
-    def judged(self, a: Prepared, b: Prepared, options: MatchOptions) -> float:
-        """Return its score, the worse the more it is torn."""
-        share = self.torn(a, b)
-        worse = 1.0 if share is None else (share + options.least_mismatch) ** options.torn_weight
-        return self.candidate.score * worse
-
-
-def _contenders(candidates: Sequence[Candidate], options: MatchOptions) -> list[Candidate]:
-    """Return the candidates, the best first, that score too much alike to tell them apart."""
-    kept = [*candidates[:1]]
-    for c in candidates[1:]:
-        near = c.score <= options.contest * kept[0].score
-        if near and all(_apart(c, other) > options.rival for other in kept):
-            kept.append(c)
-    return kept[: options.contenders]
 
 
 def _matched_on(landmarks: Landmarks, a: Prepared, b: Prepared) -> Pairs:

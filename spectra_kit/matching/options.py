@@ -15,22 +15,23 @@ class ScoreWeights:
 
     Parameters
     ----------
-    curvature, wave, spacing, embedding, orientation, alignment, landmarks : float
+    curvature, wave, spacing, embedding, orientation, alignment, lengths, landmarks : float
         See `mismatches`.
 
     Examples
     --------
     >>> import spectra_kit as sk
     >>> sk.matching.ScoreWeights().curvature
-    2.0
+    1.5
     """
 
-    curvature: float = 2.0
+    curvature: float = 1.5
     wave: float = 0.1
     spacing: float = 0.5
-    embedding: float = 0.2
-    orientation: float = 0.2
+    embedding: float = 0.5
+    orientation: float = 0.4
     alignment: float = 0.6
+    lengths: float = 1.0
     landmarks: float = 2.0
 
     def __post_init__(self) -> None:
@@ -89,10 +90,13 @@ class MatchOptions:
     aligned_curvature : float, default 0.1
         Of each curvature.
     aligned_modes : float, default 0.5
-        Of all modes together.
+        Of all modes together, as one is laid onto the other.
+    held_modes : float, default 4.0
+        The same as the source is bent: shapes of different kinds, drawn to the nearest point,
+        leave a right map.
     landmark_energies : int, default 20
         Of the wave kernel signature seen from each landmark.
-    finalists : int, default 16
+    finalists : int, default 8
         Candidates that are refined.
     refined_modes : int, default 60
         To which they are refined.
@@ -110,12 +114,6 @@ class MatchOptions:
         Below which maps count as equally good.
     mirrored_by : float, default 3.0
         How many times better a mirrored map must be to be believed.
-    contest : float, default 1.05
-        Candidates whose scores are within that factor of the best are all refined to the end.
-    contenders : int, default 4
-        How many of them at most.
-    torn_weight : float, default 0.12
-        Exponent of the share of a map that is torn, beside its score.
     last_steps : int, default 3
         From the refined modes to the end.
     curvature_scale : float, default 2.0
@@ -182,8 +180,9 @@ class MatchOptions:
     aligned_normals: float = 0.4
     aligned_curvature: float = 0.1
     aligned_modes: float = 0.5
+    held_modes: float = 4.0
     landmark_energies: int = 20
-    finalists: int = 16
+    finalists: int = 8
     refined_modes: int = 60
     same: float = 0.05
     rival: float = 0.15
@@ -192,9 +191,6 @@ class MatchOptions:
     rough_samples: int = 200
     least_mismatch: float = 1e-3
     mirrored_by: float = 3.0
-    contest: float = 1.05
-    contenders: int = 4
-    torn_weight: float = 0.12
     last_steps: int = 3
     curvature_scale: float = 2.0
     pull: float = 400.0

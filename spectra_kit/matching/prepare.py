@@ -15,6 +15,7 @@ from spectra_kit.geometry import Geometry
 from spectra_kit.linalg.threads import blas_threads_for, single_threaded_blas
 from spectra_kit.matching.curvature import smoothed_mean_curvature
 from spectra_kit.matching.dense import Dense, thinned
+from spectra_kit.matching.lengths import lengths_from
 from spectra_kit.matching.placed import Placed
 from spectra_kit.operators.oriented import area_form, oriented_triangles
 from spectra_kit.spectra import Spectrum
@@ -22,6 +23,7 @@ from spectra_kit.spectra import Spectrum
 LOWEST_K = 30  # modes without which there is no matching
 FORM_K = 40  # modes of the area form
 _EVEN = 1e-6  # at unit area, a curvature that varies less than that does not vary: a sphere
+_ENDS = 60  # samples from which lengths are measured: the first are the tips of limbs
 _CURVATURES = (80, 40, 20, 10)  # modes whose heat times smooth the curvature, fine to coarse
 
 
@@ -33,6 +35,7 @@ class Surface(Placed):
     #: deviation (zero where it does not vary).
     curvature: Floats
     form: Floats  # (q, q, q): the integrals of ``u_a du_b ^ du_c`` of the lowest modes
+    lengths: Floats  # (p, n): of the ways from the first samples to all points
 
 
 @checked
@@ -179,11 +182,12 @@ def _gathered(
     unit: Spectrum, placed: Placed | None, n_samples: int, dense: Dense | None = None
 ) -> Prepared:
     """Return a surface at unit area with all that depends on its modes."""
+    samples = farthest_points(unit, n_samples)
     return Prepared(
         spectrum=unit,
-        samples=farthest_points(unit, n_samples),
+        samples=samples,
         wave=wave_kernel_signature(unit, count=60),
-        surface=None if placed is None else _surface(unit, placed),
+        surface=None if placed is None else _surface(unit, placed, samples),
         dense=dense,
     )
 
@@ -206,7 +210,7 @@ def _placed(unit: Spectrum, geometry: Geometry, scale: float) -> Placed:
     return Placed(points=geometry.points * scale, mass=unit.mass, oriented=oriented)
 
 
-def _surface(unit: Spectrum, placed: Placed) -> Surface:
+def _surface(unit: Spectrum, placed: Placed, samples: Ints) -> Surface:
     """Return what the geometry adds to the spectrum."""
     curvature = smoothed_mean_curvature(
         unit, placed.points, placed.oriented, tuple(min(mode, unit.k - 1) for mode in _CURVATURES)
@@ -220,6 +224,7 @@ def _surface(unit: Spectrum, placed: Placed) -> Surface:
         oriented=placed.oriented,
         curvature=np.divide(curvature, spread, out=np.zeros_like(curvature), where=varies),
         form=area_form(placed.oriented, unit.eigenvectors[:, : min(FORM_K, unit.k)]),
+        lengths=lengths_from(placed, samples[:_ENDS]),
     )
 
 

@@ -12,6 +12,7 @@ from spectra_kit._validate import check_indices, real_array
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.functional_maps.checks import check_point_map
 from spectra_kit.functional_maps.nearest import nearest
+from spectra_kit.matching.lengths import changed
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.prepare import Prepared, curvatures
 from spectra_kit.spectra import Spectrum
@@ -53,7 +54,8 @@ def mismatches(
         length; ``spacing``: ``|C diag(lambda1) - diag(lambda2) C|^2 / |lambda2|^2``, zero for
         isometries; ``wave``: relative difference of the wave kernel signatures; ``curvature``: that
         of the smoothed mean curvatures, both ways, where both surfaces bend; ``orientation``:
-        (1 - t) / 2 with the orientation t of `orientation_of`; ``landmarks``: biharmonic distance
+        (1 - t) / 2 with the orientation t of `orientation_of`; ``lengths``: that of the lengths of
+        ways between 60 samples of either side, unless `rough`; ``landmarks``: biharmonic distance
         between where the map takes the landmarks and where they belong, relative to the root mean
         square of the source.
     """
@@ -80,6 +82,11 @@ def mismatches(
         )
         found = nearest(b.eigenvectors[on_target, :k], rows1)
         values["landmarks"] = _biharmonic(a, pool1[found], on_source)
+    if source.surface is not None and target.surface is not None and not rough:
+        ends1, ends2 = len(source.surface.lengths), len(target.surface.lengths)
+        values["lengths"] = changed(
+            source.surface.lengths, target.surface.lengths, back[:ends2], forth[:ends1]
+        )
     curved = curvatures(source, target)
     if curved is not None:
         fine = options.scored_curvatures
@@ -115,7 +122,7 @@ def score_of(values: dict[str, float], *, options: MatchOptions = DEFAULT) -> fl
     --------
     >>> import spectra_kit as sk
     >>> print(sk.matching.score_of({"curvature": 0.5, "wave": 0.1}))
-    0.464
+    0.433
     """
     weights, least = asdict(options.weights), options.least_mismatch
     if not values or not set(values) <= set(weights):

@@ -19,8 +19,8 @@ def torn(source: Placed, target: Placed, point_map: Ints) -> float:
     wrong one is torn, as it leads from a leg to the tail and back.
     """
     edges = edges_of(target.oriented)
-    long = np.maximum(_lengths(target.points, edges), _spacing(source))
-    return float((_lengths(source.points[point_map], edges) > _FAR * long).mean())
+    long = np.maximum(lengths_of(target.points, edges), _spacing(source))
+    return float((lengths_of(source.points, point_map[edges]) > _FAR * long).mean())
 
 
 def edges_of(oriented: OrientedTriangles) -> Ints:
@@ -30,10 +30,11 @@ def edges_of(oriented: OrientedTriangles) -> Ints:
     return np.unique(both, axis=0)
 
 
-def _lengths(points: Floats, edges: Ints) -> Floats:
+def lengths_of(points: Floats, edges: Ints) -> Floats:
+    """Return the lengths of edges (e, 2) between points (n, 3)."""
     out: Floats = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
     return out
 
 
 def _spacing(surface: Placed) -> float:
-    return float(_lengths(surface.points, edges_of(surface.oriented)).mean())
+    return float(lengths_of(surface.points, edges_of(surface.oriented)).mean())
