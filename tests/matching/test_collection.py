@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from functools import cache
 from itertools import combinations, permutations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -64,8 +65,14 @@ def stranger() -> Prepared:
 
 
 @pytest.fixture(scope="module")
-def collection(stranger) -> Collection:
-    return match_collection({"ring": stranger, **poses()})
+def kept(tmp_path_factory) -> Path:
+    """Folder of pairs that are matched already."""
+    return tmp_path_factory.mktemp("pairs")
+
+
+@pytest.fixture(scope="module")
+def collection(stranger, kept) -> Collection:
+    return match_collection({"ring": stranger, **poses()}, folder=kept)
 
 
 # --- one animal in some poses, and a ring ----------------------------------------------------
@@ -103,8 +110,8 @@ def test_a_stranger_is_named_and_its_maps_are_doubtful(collection) -> None:
 
 
 @pytest.mark.slow
-def test_a_stranger_moves_nothing(collection) -> None:
-    alone = match_collection(poses())
+def test_a_stranger_moves_nothing(collection, kept) -> None:
+    alone = match_collection(poses(), folder=kept)
     for pair in combinations(POSES, 2):
         ours, theirs = collection.candidate(*pair), alone.candidate(*pair)
         assert float(apart(ours.functional_map, theirs.functional_map)) < 1e-3
