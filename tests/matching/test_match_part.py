@@ -60,7 +60,7 @@ def part(headless) -> Prepared:
 
 @pytest.mark.slow
 def test_what_is_cut_off_a_copy_has_no_partner(mesh, headless, whole, part) -> None:
-    found = match_part(part, whole, mirrored=False)
+    found = match_part(part, whole, mirrored=False, options=FEW)
     left = np.isin(np.arange(mesh.n), headless.vertex_index)
     mass = whole.spectrum.mass
     assert overlap(found.covered, left, mass) > 0.97
