@@ -11,6 +11,12 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+# Processes of pytest-xdist share the cores, before NumPy is imported: threads of BLAS spin while
+# they wait for one another, and beside other work a test of ten seconds then takes minutes.
+if processes := os.environ.get("PYTEST_XDIST_WORKER_COUNT"):
+    share = max(1, (os.cpu_count() or 1) // int(processes))
+    os.environ.setdefault("OMP_NUM_THREADS", str(share))
+
 import numpy as np
 import pytest
 

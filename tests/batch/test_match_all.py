@@ -1,6 +1,7 @@
 """Maps of many pairs: the true ones, once each, whoever works; failures beside results."""
 
 import csv
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -58,9 +59,33 @@ def filled(path, shapes, names=("animal", "image", "shuffled"), plan=PLAN):
     return store
 
 
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory, shapes):
+    return filled(tmp_path_factory.mktemp("solved"), shapes)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory, solved):
+    """A store with quick maps of all pairs, and the report of the run that made them."""
+    store = copy_of(solved, tmp_path_factory.mktemp("run") / "store")
+    return store, match_all(store, find_pairs("all", store), matching=QUICK)
+
+
+def copy_of(store, path):
+    shutil.copytree(store.path, path)
+    return SpectrumStore(path)
+
+
 @pytest.fixture
-def store(tmp_path, shapes):
-    return filled(tmp_path / "store", shapes)
+def store(tmp_path, solved):
+    """Spectra without maps, the test's own."""
+    return copy_of(solved, tmp_path / "store")
+
+
+@pytest.fixture
+def mapped(tmp_path, run):
+    """The same with all maps."""
+    return copy_of(run[0], tmp_path / "mapped")
 
 
 def content(store):
@@ -73,8 +98,10 @@ def test_maps_are_the_true_ones_and_those_of_match(store):
         *("animal to image", "animal to shuffled", "image to shuffled")
     ]
     told = []
+    _prepared.cache_clear()
     report = match_all(store, pairs, progress=lambda *args: told.append(args))
     assert told == [(1, 3), (2, 3), (3, 3)]
+    assert _prepared.cache_info().misses == 3  # once each, for two pairs
     assert (report.computed, report.failed, report.replaced) == (3, (), ())
     _, order = shuffled(creature(600), 0)
     truths = [np.arange(600), order, order]
@@ -89,9 +116,10 @@ def test_maps_are_the_true_ones_and_those_of_match(store):
         assert (kept.ambiguous, kept.convincing) == (found.ambiguous, found.convincing)
 
 
-def test_a_restored_match_is_the_match(store):
+def test_a_restored_match_is_the_match(run):
     options = QUICK.options
-    (_, found), *_ = match_all(store, find_pairs("all", store)[:1], matching=QUICK).matched
+    store, report = run
+    (_, found), *_ = report.matched
     kept = load_match(store, found.key)
     a, b = (store.record(name, PLAN) for name in ("animal", "image"))
     sides = [sk.prepare(store.load(one.spectrum), store.shape(one.shape)) for one in (a, b)]
@@ -108,9 +136,9 @@ def test_a_restored_match_is_the_match(store):
     assert load_match(store, "0" * 32) is None
 
 
-def test_a_second_run_searches_for_nothing_and_writes_nothing(store):
+def test_a_second_run_searches_for_nothing_and_writes_nothing(run, mapped):
+    store, first = mapped, run[1]
     pairs = find_pairs("all", store)
-    first = match_all(store, pairs, matching=QUICK)
     before = {entry.path: entry.path.stat().st_mtime_ns for entry in store.entries()}
     again = match_all(store, pairs, matching=QUICK)
     assert (first.computed, again.computed) == (3, 0)
@@ -129,21 +157,20 @@ def test_a_run_that_was_interrupted_goes_on(store):
         pass
 
     def stop(done, count):
-        if done == 2:
+        if done == 1:
             raise StoppedError
 
-    pairs = find_pairs("all", store)
+    pairs = find_pairs("all", store)[:2]
     with pytest.raises(StoppedError):
         match_all(store, pairs, matching=QUICK, progress=stop)
-    assert len(content(store)) == 2
+    assert len(content(store)) == 1
     before = content(store)
     assert match_all(store, pairs, matching=QUICK).computed == 1
     assert before.items() <= content(store).items()
 
 
-def test_a_damaged_map_is_told_of_and_made_again(store):
-    pairs = find_pairs("all", store)
-    match_all(store, pairs, matching=QUICK)
+def test_a_damaged_map_is_told_of_and_made_again(mapped):
+    store, pairs = mapped, find_pairs("all", mapped)
     whole = content(store)
     one, other, third = store.entries("maps")
     one.path.write_bytes(one.path.read_bytes()[:-1000])
@@ -213,9 +240,8 @@ def test_several_plans_in_one_store(store, shapes):
     assert len(load_match(store, found.key).functional_map) == 40
 
 
-def test_maps_go_with_the_spectra_that_they_join(store, monkeypatch):
-    pairs = find_pairs("all", store)
-    match_all(store, pairs, matching=QUICK)
+def test_maps_go_with_the_spectra_that_they_join(mapped, monkeypatch):
+    store, pairs = mapped, find_pairs("all", mapped)
     assert store.clean() == []
     for entry in store.entries("spectra"):
         if entry.key == store.record("image", PLAN).spectrum:
@@ -277,7 +303,7 @@ def test_pairs_that_cannot_be(store, tmp_path):
 
 
 @pytest.mark.parametrize("order", [list, own_order])
-def test_tiles_let_shapes_be_prepared_once_for_many_pairs(store, order):
+def test_tiles_let_shapes_be_prepared_once_for_many_pairs(order):
     names = [f"{i:02}" for i in range(20)]
     pairs = [Pair(source=a, target=b) for a in names for b in names if a < b]
     ordered = list(in_tiles(pairs, order))
@@ -288,9 +314,6 @@ def test_tiles_let_shapes_be_prepared_once_for_many_pairs(store, order):
             prepared += name not in kept
             kept = [*(one for one in kept if one != name), name][-KEPT:]
     assert prepared < 0.6 * len(pairs)
-    _prepared.cache_clear()
-    match_all(store, find_pairs("all", store), matching=QUICK)
-    assert _prepared.cache_info().misses == 3
 
 
 def test_a_table_has_a_row_for_each_pair(store, tmp_path):
@@ -312,13 +335,13 @@ def test_a_table_has_a_row_for_each_pair(store, tmp_path):
 
 
 @pytest.mark.slow
-def test_workers_end_with_the_bytes_of_one_process(store, shapes, tmp_path, monkeypatch):
+def test_workers_end_with_the_bytes_of_one_process(mapped, solved, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    pairs = [*find_pairs("all", store), Pair(source="animal", target="nobody")]
-    alone = match_all(store, pairs, matching=QUICK)
-    other = filled("other", shapes)  # a path that workers in another folder would not find
+    pairs = [*find_pairs("all", mapped), Pair(source="animal", target="nobody")]
+    alone = match_all(mapped, pairs, matching=QUICK)
+    other = copy_of(solved, "other")  # a path that workers in another folder would not find
     report = match_all(other, pairs, matching=QUICK, engine=DaskEngine(nworkers=2))
-    assert content(store) == content(other)
+    assert content(mapped) == content(other)
     assert [one.name for one, _ in report.matched] == [one.name for one, _ in alone.matched]
     assert [str(x.error) for x in report.failed] == [str(x.error) for x in alone.failed]
     assert match_all(other, pairs, matching=QUICK, engine=DaskEngine(nworkers=1)).computed == 0

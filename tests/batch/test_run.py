@@ -44,6 +44,12 @@ def store(tmp_path):
     return SpectrumStore(tmp_path / "store")
 
 
+def write_sizes(folder, count, n=642):
+    """Write one body in so many sizes: another shape each, and at once made."""
+    for i in range(count):
+        write(moved(bumpy(n), 0, 0, 0, scale=1 + i / 100), folder / f"{i}.off")
+
+
 def entries(store):
     return {
         entry.path.relative_to(store.path): entry.path.read_bytes() for entry in store.entries()
@@ -150,8 +156,7 @@ print(report.computed)
 @pytest.mark.slow
 def test_two_runs_into_one_store_share_the_work(store, tmp_path):
     (tmp_path / "scans").mkdir()
-    for i in range(40):
-        write(creature(520, seed=i), tmp_path / "scans" / f"{i}.off")
+    write_sizes(tmp_path / "scans", 40)
     here = [sys.executable, "-c", RUN, str(store.path), str(tmp_path / "scans")]
     both = [
         subprocess.Popen([*here, str(tmp_path / f"ready{i}")], stdout=subprocess.PIPE, text=True)
@@ -297,8 +302,7 @@ class Killed:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # whoever talks to the dead says so
 def test_workers_that_are_killed_lose_nothing(scans, store, tmp_path):
-    for i in range(6):
-        write(creature(1500, seed=i), tmp_path / f"animal{i}.off")
+    write_sizes(tmp_path, 6, n=2562)
     inputs, killed = find_inputs([str(tmp_path / "*.off")]), Killed()
     report = compute_all(inputs, store, PLAN, engine=DaskEngine(nworkers=1), progress=killed)
     assert killed.count >= 1
@@ -399,8 +403,7 @@ def test_workers_refuse_what_will_not_fit(scans, store):
 
 @pytest.mark.slow
 def test_ctrl_c_ends_workers_without_a_word_of_theirs(tmp_path):
-    for i in range(8):
-        write(creature(6000, seed=i), tmp_path / f"animal{i}.off")
+    write_sizes(tmp_path, 8, n=2562)
     command = [sys.executable, "-m", "spectra_kit", "batch", str(tmp_path), "-k", "200",
                "--nworkers", "1", "--out", str(tmp_path / "store")]  # fmt: skip
     run = subprocess.Popen(

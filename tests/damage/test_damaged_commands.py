@@ -22,6 +22,7 @@ from frame import Case, part, pytest_generate_tests  # noqa: F401
 from spectra_kit import Spectrum, write
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
+from spectra_kit.linalg.compiled import cache_folder
 
 _FEW = 0.02  # of the cases asked for
 _OLD, _NEW = 4, 6  # modes
@@ -165,8 +166,9 @@ def _odd_environments(folder: Path) -> list[dict[str, str]]:
     full = folder / "full"
     full.mkdir(mode=0o500)
     caches = ("NUMBA_CACHE_DIR", "MPLCONFIGDIR", "XDG_CACHE_HOME")
+    compiled = {"NUMBA_CACHE_DIR": str((cache_folder() or folder).parent)}  # compiling takes long
     return [
-        {"HOME": nowhere, "XDG_CONFIG_HOME": "", "XDG_CACHE_HOME": ""},
+        {"HOME": nowhere, "XDG_CONFIG_HOME": "", "XDG_CACHE_HOME": "", **compiled},
         {"DISPLAY": ":77", "WAYLAND_DISPLAY": "none"},
         dict.fromkeys(caches, nowhere),
         dict.fromkeys(caches, str(full)),

@@ -5,11 +5,12 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from spectra_kit.linalg.threads import (
     blas_threads_for,
@@ -79,8 +80,17 @@ def blas_threads() -> list[int]:
     return [i["num_threads"] for i in threadpool_info() if i["user_api"] == "blas"]
 
 
+@pytest.fixture
+def _three_threads() -> Iterator[None]:
+    """Threads for BLAS to keep or lose, whatever the environment gives it."""
+    with threadpool_limits(3, user_api="blas"):
+        yield
+
+
+@pytest.mark.usefixtures("_three_threads")
 def test_large_blocks_keep_their_threads() -> None:
     before = blas_threads()
+    assert set(before) == {3}
     with blas_threads_for(10**8):
         assert blas_threads() == before
     with single_threaded_blas(), blas_threads_for(10**8):  # nor is one limit lifted by another
@@ -90,12 +100,14 @@ def test_large_blocks_keep_their_threads() -> None:
     assert blas_threads() == before
 
 
+@pytest.mark.usefixtures("_three_threads")
 def test_any_thread_may_limit_blas_and_the_last_to_leave_restores_it() -> None:
     def limited() -> list[int]:
         with single_threaded_blas():
             return blas_threads()
 
     before = blas_threads()
+    assert set(before) == {3}
     assert set(limited()) == {1}  # here first, then elsewhere
     with ThreadPoolExecutor(1) as pool:
         assert set(pool.submit(limited).result()) == {1}

@@ -18,12 +18,16 @@ from spectra_kit.descriptors import biharmonic_distances
 from spectra_kit.eigensolvers import eigensolve
 from spectra_kit.errors import DoubtfulMatchWarning
 from spectra_kit.geometry import Component, largest_component
-from spectra_kit.matching import Prepared, match, match_part, prepare
+from spectra_kit.matching import MatchOptions, Prepared, match, match_part, prepare
 from spectra_kit.matching.elastic import Met
 from spectra_kit.matching.partial import covered_by
 from spectra_kit.matching.regions import likely_regions, limb_ends, region
 
-K = 100
+K = 60
+# A search of few candidates: enough for parts of the very same surface.
+FEW = MatchOptions(
+    orders=8, growing=16, kept=((8, 8),), turns=4, placed=2, finalists=3, rounds=1, bends=1
+)
 
 
 def cut(mesh: TriangleMesh, left: np.ndarray) -> Component:
@@ -32,7 +36,7 @@ def cut(mesh: TriangleMesh, left: np.ndarray) -> Component:
 
 @pytest.fixture(scope="module")
 def mesh() -> TriangleMesh:
-    return creature(1000)
+    return creature(700)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +60,7 @@ def part(headless) -> Prepared:
 
 @pytest.mark.slow
 def test_what_is_cut_off_a_copy_has_no_partner(mesh, headless, whole, part) -> None:
-    found = match_part(part, whole, mirrored=False)
+    found = match_part(part, whole, mirrored=False, options=FEW)
     left = np.isin(np.arange(mesh.n), headless.vertex_index)
     mass = whole.spectrum.mass
     assert overlap(found.covered, left, mass) > 0.97
@@ -74,7 +78,7 @@ def test_what_is_cut_off_a_copy_has_no_partner(mesh, headless, whole, part) -> N
 @pytest.mark.slow
 def test_a_mirrored_part_is_seen_as_one(mesh, headless, whole) -> None:
     image = headless.mesh.with_points(headless.mesh.points * [1, -1, 1])
-    found = match_part(prepared(image, K), whole)
+    found = match_part(prepared(image, K), whole, options=FEW)
     assert found.mirrored
     left = np.isin(np.arange(mesh.n), headless.vertex_index)
     assert overlap(found.covered, left, whole.spectrum.mass) > 0.95
@@ -86,7 +90,7 @@ def test_a_limb_and_a_scan_with_a_hole(mesh, whole) -> None:
     near = np.linalg.norm(mesh.points - mesh.points[0], axis=1) < 0.2
     for left, least in ((front, 0.9), (~near, 0.97)):
         piece = cut(mesh, left)
-        found = match_part(prepared(piece.mesh, K), whole, mirrored=False)
+        found = match_part(prepared(piece.mesh, K), whole, mirrored=False, options=FEW)
         kept = np.isin(np.arange(mesh.n), piece.vertex_index)
         assert overlap(found.covered, kept, whole.spectrum.mass) > least
 
@@ -106,7 +110,7 @@ def test_what_is_no_part_is_doubted(whole) -> None:
     ball = bumpy(642)
     half = cut(ball, ball.points[:, 2] > 0)
     with pytest.warns(DoubtfulMatchWarning, match="no convincing part"):
-        found = match_part(prepared(half.mesh, K), whole, mirrored=False)
+        found = match_part(prepared(half.mesh, K), whole, mirrored=False, options=FEW)
     assert not found.convincing
     assert {"score", "coverage"} & set(found.doubts)
 

@@ -1,6 +1,7 @@
 """The trials of runs over many shapes: they tell what happened, on a few shapes."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,10 +28,11 @@ def test_trials_tell_what_happened(setting):
     assert told["computed"] == [4, 4, 0]
     assert told["failed"] == [0, 0]
     assert told["same bytes"]
-    told = TRIALS["damaged"](setting)
+    here = replace(setting, workers=0)  # one process: what is told is the same, and sooner
+    told = TRIALS["damaged"](here)
     assert told["found"] == told["of these three"] == told["computed"] == 3
     assert told["as undisturbed"]
-    told = TRIALS["broken"](setting)
+    told = TRIALS["broken"](here)
     assert (told["broken"], told["named"], told["others that failed"]) == (30, 30, 0)
     assert told["computed"] == 4
     told = TRIALS["memory"](setting)

@@ -617,7 +617,8 @@ def test_a_killed_run_on_a_stream_ends_as_one_in_a_single_go(tmp_path):
                 time.sleep(0.05)
             group = int((tmp_path / "killed" / "group").read_text())
             autogroup = Path(f"/proc/{group}/autogroup")
-            assert not autogroup.exists() or autogroup.read_text().split()[-1] == "5"
+            nice = str(min(os.nice(0) + 5, 19))  # of these tests, and five more
+            assert not autogroup.exists() or autogroup.read_text().split()[-1] == nice
             os.killpg(group, signal.SIGSTOP)
             while sys.platform == "linux" and set(states(group)) - {"T", "Z"}:
                 time.sleep(0.05)
