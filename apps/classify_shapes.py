@@ -60,7 +60,9 @@ def _classify(args: argparse.Namespace) -> bool:
     table = rows_named(args.rows) if args.rows else FREE + TRAINED * args.trained
     most = most_shots(shapes) - args.validate
     numbers = args.shots or [q for q in (1, 3, 5, 10) if q <= most]
-    vectors = Vectors(folder=args.out, contenders=[], problems=[], shapes=shapes)
+    vectors = Vectors(
+        folder=args.out, contenders=[], problems=[], shapes=shapes, validated=args.validate
+    )
     draws = Draws(
         folder=args.out,
         contenders=[row._replace(shots=shots) for row in table for shots in numbers],
@@ -68,7 +70,6 @@ def _classify(args: argparse.Namespace) -> bool:
         shapes=shapes,
         vectors=vectors,
         draws=args.draws,
-        validated=args.validate,
     )
     results = classify_all(draws, jobs=args.jobs, progress=True)
     report = write_report(results, draws)

@@ -200,6 +200,9 @@ class _Hierarchical(nn.Module):
         self.backbone = _BACKBONES[sizes.backbone](config, known)
         del self.backbone.head  # that of NEO plays no part, either
         self.known = known
+        # So many norms of each point by itself leave features that are nearly the same of all
+        # shapes: without what they have in common, a head learns to tell them apart.
+        self.norm = nn.BatchNorm1d(sizes.width)
         self.out = nn.Linear(sizes.width, outputs)
 
     def forward(self, batch: Batch) -> Tensor:
@@ -209,7 +212,8 @@ class _Hierarchical(nn.Module):
             own = mass > 0
             known = features[own][None] if self.known else None
             answers.append(self.backbone.features(points[own][None], mass[own][None], known)[0])
-        out: Tensor = self.out(pad_sequence(answers, batch_first=True))
+        told = self.out(self.norm(torch.cat(answers))).split(list(map(len, answers)))
+        out = pad_sequence(told, batch_first=True)
         return F.pad(out, (0, 0, 0, batch.points.shape[1] - out.shape[1]))
 
 

@@ -78,6 +78,25 @@ def test_what_was_not_seen_is_told_right_in_any_unit_and_place(shapes, method):
         np.testing.assert_allclose(moved.scores, told.scores, atol=1e-3)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("backbone", ["pointnet++", "point-transformer"])
+def test_hierarchical_networks_learn_from_turned_eggs_and_a_ring(backbone):
+    ball = sphere(subdivisions=3).geometry.points[::2]
+    shapes = [PointCloud(ball * axes) for axes in ([1, 1, 1], [1, 1, 2.5], [1, 2.5, 2.5])]
+    shapes += [torus(n=300, minor=0.3).geometry]
+    recipe = Recipe(embeddings=(Coordinates(),))
+    _, curve = fit(
+        recipe,
+        Hierarchical(backbone=backbone, width=16, features=False),
+        [prepared(recipe, shape)[0] for shape in shapes] * 4,
+        [torch.tensor(i) for i in range(4)] * 4,
+        classes=4,
+        training=Training(epochs=24, points=100, smoothing=0.0),
+    )
+    # Who knows nothing has log 4, and stays there.
+    assert np.mean([seen["loss"] for seen in curve[-6:]]) < 0.9 * np.log(4)
+
+
 def test_one_example_a_class_is_enough_for_each_head(shapes):
     clouds, _ = shapes
     for head in HEADS:

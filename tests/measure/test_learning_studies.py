@@ -116,12 +116,11 @@ def test_more_examples_than_there_are(shapes, validated, most):
         drawn(shapes, most + 1, [0], validated=validated)
 
 
-def draws_of(shapes, folder, *rows, **options):
-    vectors = Vectors(folder=folder, contenders=[], problems=[], shapes=shapes)
+def draws_of(shapes, folder, *rows, validated=False):
+    vectors = Vectors(folder=folder, contenders=[], problems=[], shapes=shapes, validated=validated)
     return Draws(
-        folder=folder, contenders=rows, problems=[0, 1], shapes=shapes, vectors=vectors, draws=3,
-        **options,
-    )  # fmt: skip
+        folder=folder, contenders=rows, problems=[0, 1], shapes=shapes, vectors=vectors, draws=3
+    )
 
 
 def test_classes_are_told_by_heads_also_turned_and_remembered(shapes, tmp_path, monkeypatch):
@@ -141,6 +140,21 @@ def test_classes_are_told_by_heads_also_turned_and_remembered(shapes, tmp_path, 
     again = classify_all(study, jobs=0)
     assert [r.record for r in again] == [r.record for r in results]
     assert (tmp_path / "measurements.jsonl").read_text() == before
+
+
+def test_what_is_chosen_by_sees_no_test_shape(shapes, tmp_path, monkeypatch):
+    seen = set()
+
+    def noted(shapes, i, *options, **names):
+        seen.add(i)
+        return shape_of(shapes, i, *options, **names)
+
+    monkeypatch.setattr(classification, "shape_of", noted)
+    study = draws_of(shapes, tmp_path, Row(MESH, "dna", "nearest", 3), validated=True)
+    results = classify_all(study, jobs=0)
+    assert seen == set(shapes.train)
+    assert all(result.record["turned"] == [] for result in results)
+    assert np.sum([r.record["confused"] for r in results]) == 6 * 3  # one of each class is left
 
 
 @pytest.mark.slow

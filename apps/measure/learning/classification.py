@@ -132,7 +132,10 @@ def shape_of(shapes: LabelledSet, i: int, kind: str, *, seed: int, turned: bool)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Vectors(Study[View, Part]):
-    """The embeddings `WHOLE` of the shapes of a set, and of the test split also turned."""
+    """The embeddings `WHOLE` of the shapes of a set, and of the test split also turned.
+
+    Where they are validated no shape of the test split is embedded.
+    """
 
     name: ClassVar[str] = "vectors"
     sources: ClassVar[tuple[str, ...]] = SOURCES
@@ -140,6 +143,7 @@ class Vectors(Study[View, Part]):
 
     shapes: LabelledSet
     seeds: Sequence[int] = ()
+    validated: bool = False  #: There is only something to choose, by the training split.
 
     def tasks(self) -> Iterable[tuple[View, Part, int]]:
         """See `Study`."""
@@ -158,8 +162,9 @@ class Vectors(Study[View, Part]):
         return [Part(own, start, min(start + _PART, count)) for start in range(0, count, _PART)]
 
     def _numbers(self, view: View, part: Part) -> list[int]:
-        numbers = range(part.start, part.stop)
-        return [i for i in numbers if not (view.turned and self.shapes.is_train[i])]
+        is_train = self.shapes.is_train
+        left_out = ~is_train if self.validated else is_train & view.turned
+        return [i for i in range(part.start, part.stop) if not left_out[i]]
 
     def facts(self, contender: View, problem: Part) -> dict[str, object]:
         """See `Study`."""
@@ -209,7 +214,8 @@ def _loaded(path: Path) -> dict[str, Floats]:
 class Draws(Study[Row, int]):
     """Shares of test shapes that are told right, after learning from a few; problems are seeds.
 
-    Where they are validated nothing is turned: there is only something to choose.
+    Where its vectors are validated, they are told of what the training split has left, and nothing
+    is turned.
     """
 
     name: ClassVar[str] = "draws"
@@ -220,8 +226,12 @@ class Draws(Study[Row, int]):
     shapes: LabelledSet
     vectors: Vectors  #: Of all views of all seeds.
     draws: int = 10  #: For each seed; of networks one.
-    validated: bool = False  #: Tested on what the training split has left, instead.
     missing: Mapping[tuple[View, Part], str] = field(default_factory=dict)  #: Why no vectors.
+
+    @property
+    def validated(self) -> bool:
+        """Whether they are told of what the training split has left, instead of test shapes."""
+        return self.vectors.validated
 
     def views(self, view: View) -> list[View]:
         """Return how the tested shapes are seen: as in this view, and turned."""
