@@ -358,7 +358,8 @@ def cluster(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_a_cluster_does_the_same_and_its_end_is_told(scans, cluster, store, tmp_path):
+@pytest.mark.parametrize("wait", [0.2, 1.2])  # until the client has noticed; until it asks again
+def test_a_cluster_does_the_same_and_its_end_is_told(scans, cluster, store, tmp_path, wait):
     address, scheduler = cluster
     inputs = find_inputs([scans])
     report = compute_all(inputs[:3], store, PLAN, engine=DaskEngine(scheduler=address))
@@ -369,9 +370,12 @@ def test_a_cluster_does_the_same_and_its_end_is_told(scans, cluster, store, tmp_
     def end(done, count):
         scheduler.kill()
         scheduler.wait()
-        time.sleep(0.2)
+        time.sleep(wait)
 
-    with pytest.raises(EngineLostError, match="the same command goes on"):
+    with (
+        dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
+        pytest.raises(EngineLostError, match="the same command goes on"),
+    ):
         compute_all(inputs, store, Plan(k=5), engine=DaskEngine(scheduler=address), progress=end)
     left = compute_all(inputs, store, Plan(k=5))
     assert len(left.completed) == 4
