@@ -4,10 +4,11 @@
     python apps/benchmark_batch.py OUT --trials speed killed
     python apps/benchmark_batch.py OUT --trials memory --shapes 100
 
-Every trial calls the command as a user does, and compares stores byte by byte. The pool's shapes of
-300 vertices and more are written to OUT/pool; for `memory`, sizes of 3,000 to 135,000 vertices in
-even steps of their logarithm, made of ood_public by subdivision and decimation, to OUT/sizes. OUT
-gets report.json; trials that are in it already are not repeated. Nothing else should run meanwhile.
+Every trial calls the command as a user does, and compares stores byte by byte, most of them with
+the one that `speed` leaves: it has to be the first. The pool's shapes of 300 vertices and more are
+written to OUT/pool; for `memory`, sizes of 3,000 to 135,000 vertices in even steps of their
+logarithm, made of ood_public by subdivision and decimation, to OUT/sizes. OUT gets report.json;
+trials that are in it already are not repeated. Nothing else should run meanwhile.
 """
 
 from __future__ import annotations

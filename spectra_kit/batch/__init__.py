@@ -15,32 +15,7 @@ On a command line: ``spectra-kit batch FOLDER --out STORE --csv table.csv``, and
 ``spectra-kit match-all STORE --pairs all --csv maps.csv``.
 """
 
-from spectra_kit.batch.dask_engine import DaskEngine
-from spectra_kit.batch.inputs import Input, Pair, find_inputs, shard
-from spectra_kit.batch.match_all import FailedPair, MatchReport, match_all
-from spectra_kit.batch.matched import Matched, Matching, load_match
-from spectra_kit.batch.pairs import find_pairs
-from spectra_kit.batch.run import BatchReport, Engine, Failed, Task, compute_all
-from spectra_kit.batch.table import write_match_table, write_table
+import lazy_loader
 
-__all__ = [
-    "BatchReport",
-    "DaskEngine",
-    "Engine",
-    "Failed",
-    "FailedPair",
-    "Input",
-    "MatchReport",
-    "Matched",
-    "Matching",
-    "Pair",
-    "Task",
-    "compute_all",
-    "find_inputs",
-    "find_pairs",
-    "load_match",
-    "match_all",
-    "shard",
-    "write_match_table",
-    "write_table",
-]
+# The names stand in __init__.pyi: who computes shapes need not wait for what matches them.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

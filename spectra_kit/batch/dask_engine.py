@@ -110,7 +110,7 @@ class DaskEngine:
 
     def __call__(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
         """Hand the tasks out, and yield results as they come."""
-        with self._client() as client:
+        with self._client() as client, _telling_of_its_end():
             yield from _spread(client, tasks)
 
     @property
@@ -160,6 +160,19 @@ class DaskEngine:
             ) from error
 
 
+@contextmanager
+def _telling_of_its_end() -> Iterator[None]:
+    """Tell that the scheduler was lost, however Dask has noticed."""
+    distributed: Any = optional("distributed", extra="batch", needed_by="a run with workers")
+    try:
+        yield
+    except (OSError, distributed.client.ClosedClientError) as error:
+        raise EngineLostError(
+            "the scheduler was lost",
+            advice="what is done is kept; the same command goes on with what is not",
+        ) from error
+
+
 def _spread(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | BaseException]]:
     """Hand tasks out, several at a time where they are quick, and yield results as they come."""
     distributed: Any = optional("distributed", extra="batch", needed_by="a run with workers")
@@ -185,10 +198,7 @@ def _spread(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | Ba
     for future in ready:
         some = waiting.pop(future.key)
         if future.cancelled():
-            raise EngineLostError(
-                "the scheduler was lost",
-                advice="what is done is kept; the same command goes on with what is not",
-            )
+            raise OSError("the client has given up")
         error = future.exception()
         if error is None:
             results, seconds = future.result()
@@ -204,7 +214,7 @@ def _spread(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[Task, Any | Ba
                     advice="as for lack of memory: let fewer workers have more of it",
                 )
             yield some[0], error
-        if time.monotonic() - looked > _LOOK:  # workers come and go
+        if time.monotonic() - looked > _LOOK and client.status == "running":  # workers come and go
             threads, looked = sum(client.nthreads().values()), time.monotonic()
         fill()
 

@@ -34,6 +34,9 @@ from spectra_kit.store.store import map_facts
 
 #: Prepared shapes that a worker keeps: those of a tile of `match_all` and the row that it works on.
 KEPT = 6
+#: What a table tells of a match beside its doubts.
+JUDGED = ("score", "coverage", "margin", "mirror_margin", "orientation", "confidence", "mirrored",
+          "ambiguous", "convincing")  # fmt: skip
 _MISMATCH = "mismatch_"  # before the names of mismatches, among those of arrays
 
 
@@ -151,6 +154,8 @@ def load_match(store: SpectrumStore, key: str) -> Match | None:
 
     Raises
     ------
+    InvalidInputError
+        If the map is none of `match_all`.
     InvalidFileError
         If the entry is damaged.
 
@@ -202,15 +207,7 @@ def matched(
         store.keep_map(source.spectrum, target.spectrum, how, _arrays(found))
     return Matched(
         key=key,
-        score=found.score,
-        margin=found.margin,
-        mirror_margin=found.mirror_margin,
-        coverage=found.coverage,
-        orientation=found.orientation,
-        confidence=found.confidence,
-        mirrored=found.mirrored,
-        ambiguous=found.ambiguous,
-        convincing=found.convincing,
+        **{name: getattr(found, name) for name in JUDGED},
         doubts=found.doubts,
         computed=computed,
         replaced=replaced,

@@ -42,8 +42,7 @@ def find_pairs(
     Raises
     ------
     InvalidInputError
-        If the store has fewer than two shapes, or several plans and none is given; if a file names
-        a pair twice.
+        If the store has fewer than two shapes, or several plans and none is given.
     InvalidFileError
         If the file is not there, or has no such columns, or an empty cell in them; or a record of
         the store is damaged.
@@ -74,7 +73,7 @@ def pairs_of(
         if len(names) < 2:
             raise InvalidInputError("store", "hold two shapes to match", len(names))
         return [Pair(source=a, target=b) for a, b in combinations(names, 2)]
-    found = [
+    return [
         Pair(
             source=row["source"],
             target=row["target"],
@@ -82,7 +81,6 @@ def pairs_of(
         )
         for row in rows_of(Path(pairs), "pairs", _ENDS)
     ]
-    return found
 
 
 def records_of(store: SpectrumStore, facts: Mapping[str, object] | None) -> dict[str, ShapeRecord]:

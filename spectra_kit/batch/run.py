@@ -8,12 +8,12 @@ import socket
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit._validate import Brief
-from spectra_kit.batch.inputs import Input, refuse_twice
+from spectra_kit.batch.inputs import Input, Named, Pair, refuse_twice
 from spectra_kit.errors import InvalidInputError, StoreError
 from spectra_kit.linalg.threads import ranges
 from spectra_kit.store import Completed, Plan, SpectrumStore, complete
@@ -21,22 +21,23 @@ from spectra_kit.store.complete import known
 from spectra_kit.store.together import begin
 
 Thing = TypeVar("Thing")
+Result = TypeVar("Result", bound="_Result")
 
 _ALIKE = 32  # inputs of similar size that stay side by side for a solver that takes several
 
 
 class Failed(NamedTuple):
-    """An input that could not be computed.
+    """An input that could not be computed, or a pair that could not be matched.
 
     Attributes
     ----------
-    input : Input
+    input : Input or Pair
         Which.
     error : Exception
         Why.
     """
 
-    input: Input
+    input: Input | Pair
     error: Exception
 
 
@@ -91,39 +92,45 @@ class _Completion:
         return _Completion, (there, self.store.absolute(), self.plan)
 
 
+@runtime_checkable
+class _Result(Protocol):
+    """What a store holds of an input, or of a pair."""
+
+    @property
+    def computed(self) -> bool: ...
+
+    @property
+    def replaced(self) -> tuple[str, ...]: ...
+
+
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
-class BatchReport(Brief):
+class BatchReport(Brief, Generic[Named, Result]):
     """What came of a run.
 
     Attributes
     ----------
-    completed : tuple of (Input, Completed)
-        In the order of the inputs.
+    completed : tuple of (Input, Completed) or (Pair, Matched)
+        In the order of the inputs, or of the pairs.
     failed : tuple of Failed
         In that order, too.
     seconds : float
         That it took.
     """
 
-    completed: tuple[tuple[Input, Completed], ...]
+    completed: tuple[tuple[Named, Result], ...]
     failed: tuple[Failed, ...]
     seconds: float
 
     @property
     def computed(self) -> int:
-        """How many spectra were solved for; the others were there."""
+        """How many spectra were solved for, or maps searched for; the others were there."""
         return sum(done.computed for _, done in self.completed)
 
     @property
     def replaced(self) -> tuple[str, ...]:
         """What was damaged, and made again."""
         return tuple(text for _, done in self.completed for text in done.replaced)
-
-    @property
-    def renewed(self) -> tuple[str, ...]:
-        """Names that stood for other bytes before: of files that have changed, or of others."""
-        return tuple(one.name for one, done in self.completed if done.renewed)
 
 
 @checked
@@ -135,7 +142,7 @@ def compute_all(
     engine: Engine | None = None,
     strict: bool = False,
     progress: Callable[[int, int], object] | None = None,
-) -> BatchReport:
+) -> BatchReport[Input, Completed]:
     """Compute what a plan wants of all inputs, but for what the store has already.
 
     Interrupted, it loses what is in work; called again, it goes on. Several runs may share a store:
@@ -199,9 +206,13 @@ def compute_all(
     results = work(tasks, engine=engine, strict=strict, progress=progress, before=before)
     for i, result in zip(todo, results, strict=True):
         found[i] = result
-    told = [*zip(inputs, found, strict=True)]
+    return report_of([*zip(inputs, found, strict=True)], clock)
+
+
+def report_of(told: Sequence[tuple[Named, Any]], clock: Clock) -> BatchReport[Named, Any]:
+    """Return the report of results, some of which are failures."""
     return BatchReport(
-        completed=tuple((one, done) for one, done in told if isinstance(done, Completed)),
+        completed=tuple((one, done) for one, done in told if not isinstance(done, Exception)),
         failed=tuple(Failed(one, done) for one, done in told if isinstance(done, Exception)),
         seconds=clock.total,
     )
@@ -219,7 +230,10 @@ def _in_own_order(todo: list[int], inputs: Sequence[Input], plan: Plan) -> list[
 
 
 def _bytes(path: Path) -> int:
-    return path.stat().st_size if path.is_file() else 0  # `read` says why there is none
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0  # `read` says why
 
 
 def own_order(things: Sequence[Thing]) -> list[Thing]:

@@ -58,6 +58,7 @@ def batch(asked: program.Batch) -> None:
         count=len(inputs),
         store=asked.out,
         csv=asked.csv,
+        renewed=[one.name for one, done in report.completed if done.renewed],
     )
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from spectra_kit.batch import Matching, write_match_table
-from spectra_kit.batch.match_all import match_records
+from spectra_kit.batch.match_table import OF_PAIRS
 from spectra_kit.batch.pairs import only_plan, pairs_of, records_of
+from spectra_kit.batch.run_pairs import match_records
 from spectra_kit.batch.table import check_columns
 from spectra_kit.cli import program
 from spectra_kit.cli.match import MIRRORED
@@ -34,7 +35,7 @@ def match_pairs(asked: program.MatchAll) -> None:
     records = records_of(store, plan)
     pairs = part_of(asked, pairs_of(asked.pairs, store, plan))
     if asked.csv:
-        check_columns(pairs)
+        check_columns(pairs, OF_PAIRS)
     matching = Matching(k=k, mirrored=MIRRORED[asked.sides])
 
     def missing() -> int:
@@ -57,7 +58,7 @@ def match_pairs(asked: program.MatchAll) -> None:
         )
     if asked.csv:
         write_match_table(asked.csv, report)
-    found = [one for _, one in report.matched]
+    found = [one for _, one in report.completed]
     doubts = {
         "ambiguous": sum(one.ambiguous for one in found),
         "not_convincing": sum(not one.convincing for one in found),

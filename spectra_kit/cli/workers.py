@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from spectra_kit._validate import quantity
-from spectra_kit.batch import BatchReport, DaskEngine, Engine, MatchReport, shard
+from spectra_kit.batch import BatchReport, DaskEngine, Engine, shard
 from spectra_kit.batch.inputs import Named
 from spectra_kit.cli import program
 from spectra_kit.cli.options import refuse_given
@@ -75,7 +76,7 @@ def running(text: str, noun: str) -> Iterator[Callable[[int, int], None]]:
 
 def tell_run(
     asked: program.Workers,
-    report: BatchReport | MatchReport,
+    report: BatchReport[Any, Any],
     *,
     noun: str,
     key: str,
@@ -83,11 +84,14 @@ def tell_run(
     store: Path,
     csv: Path | None,
     more: dict[str, int] | None = None,
+    renewed: list[str] | None = None,
 ) -> None:
-    """Say what came of a run; failures last, where they are seen. `more` is told of results."""
+    """Say what came of a run; failures last, where they are seen. `more` is told of results.
+
+    Names that are `renewed` stood for other bytes before.
+    """
     for text in report.replaced:
         say(f"warning: {text}")
-    renewed = report.renewed if isinstance(report, BatchReport) else ()
     if renewed:
         rest = f" and {len(renewed) - _NAMED:,} more" if len(renewed) > _NAMED else ""
         say(
@@ -104,7 +108,7 @@ def tell_run(
         "failed": failed,
         **(more or {}),
         "replaced": list(report.replaced),
-        **({"renewed": list(renewed)} if isinstance(report, BatchReport) else {}),
+        **({} if renewed is None else {"renewed": renewed}),
         "seconds": round(report.seconds, 3),
         "store": store,
         "csv": csv,

@@ -208,10 +208,10 @@ def known(store: SpectrumStore, name: str, file: Path, plan: Plan) -> Completed 
     start = time.perf_counter()
     try:
         record = store.record(name, plan)
-    except InvalidFileError:
-        return None  # `complete` makes it good, and tells
-    if record is None or record.file != _digest(file) or not store.holds(record):
-        return None
+        if record is None or record.file != _digest(file) or not store.holds(record):
+            return None
+    except (InvalidFileError, OSError):
+        return None  # `complete` makes it good, or tells
     seconds = time.perf_counter() - start
     return Completed(record=record, computed=False, replaced=(), renewed=False, seconds=seconds)
 

@@ -236,10 +236,13 @@ def read_facts(path: Path) -> dict[str, Any]:
         return dict(header["facts"])
 
 
-def read_record(path: Path) -> ShapeRecord:
-    """Return what is known of a name."""
+def read_record(path: Path) -> ShapeRecord | None:
+    """Return what is known of a name; None where it is gone, as others may take it."""
     with parsing(path, "record of a store", remedy=REMEDY):
-        content = json.loads(path.read_text())
+        try:
+            content = json.loads(path.read_text())
+        except FileNotFoundError:
+            return None
         lists = {name: tuple(content[name]) for name in _LISTS}
         return ShapeRecord(**{**content, **lists})
 

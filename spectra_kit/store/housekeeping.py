@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from spectra_kit._fingerprint import facts_digest
 from spectra_kit._version import VERSION
@@ -29,9 +30,10 @@ def verify(
         try:
             _read_whole(store, entry)
         except InvalidFileError as error:
-            found.append(Damage(entry.path, str(error.problem)))
-            if remove:
-                files.remove(entry.path)
+            if _is_there(entry):
+                found.append(Damage(entry.path, str(error.problem)))
+                if remove:
+                    files.remove(entry.path)
         if progress is not None:
             progress(i + 1, len(entries))
     return found
@@ -41,8 +43,8 @@ def _read_whole(store: SpectrumStore, entry: StoredEntry) -> None:
     """Raise if an entry is damaged, or under another name than its content has."""
     facts: Mapping[str, object] | None = None
     if entry.kind == "records":
-        record = files.read_record(entry.path)
-        facts = files.record_facts(record.name, record.facts)
+        if (record := files.read_record(entry.path)) is not None:
+            facts = files.record_facts(record.name, record.facts)
     elif entry.kind == "shapes":
         store.shape(entry.key)
     elif entry.kind == "spectra":
@@ -57,33 +59,28 @@ def _read_whole(store: SpectrumStore, entry: StoredEntry) -> None:
 def clean(store: SpectrumStore, *, unnamed: bool) -> list[Path]:
     """See `SpectrumStore.clean`."""
     before = time.time() - _LEFT
-    gone, used, named = list[Path](), set[str](), set[str]()
+    gone, used, named, kept = list[Path](), set[str](), set[str](), set[str]()
+    # Listed before what they follow from: what a run makes meanwhile is no orphan.
+    maps, descriptors = ([*store.entries(kind)] for kind in ("maps", "descriptors"))
     for entry in store.entries("records"):
-        record = files.read_record(entry.path)
+        if (record := files.read_record(entry.path)) is None:
+            continue
         if record.facts["release"] == VERSION:
             used.add(record.shape)
             named |= {record.spectrum, *record.operators.values()}
         else:
             gone.append(entry.path)
-
-    def stays(entry: StoredEntry, facts: Mapping[str, object]) -> bool:
+    for entry, facts in _with_facts(chain(store.entries("spectra"), store.entries("operators"))):
         wanted = not unnamed or entry.key in named or not _older(entry.path, before)
-        return facts["release"] == VERSION and wanted
-
-    kept = set[str]()
-    for kind in ("spectra", "operators"):
-        for entry in store.entries(kind):
-            facts = files.read_facts(entry.path)
-            if stays(entry, facts):
-                used.add(str(facts["shape"]))
-                kept.add(entry.key)
-            else:
-                gone.append(entry.path)
-    for entry in store.entries("descriptors"):
-        if files.read_facts(entry.path)["spectrum"] not in kept:
+        if wanted and facts["release"] == VERSION:
+            used.add(str(facts["shape"]))
+            kept.add(entry.key)
+        else:
             gone.append(entry.path)
-    for entry in store.entries("maps"):
-        facts = files.read_facts(entry.path)
+    for entry, facts in _with_facts(descriptors):
+        if facts["spectrum"] not in kept:
+            gone.append(entry.path)
+    for entry, facts in _with_facts(maps):
         if facts["release"] != VERSION or not {facts["source"], facts["target"]} <= kept:
             gone.append(entry.path)
     for entry in store.entries("shapes"):
@@ -95,6 +92,22 @@ def clean(store: SpectrumStore, *, unnamed: bool) -> list[Path]:
     for path in gone:
         files.remove(path)
     return gone
+
+
+def _with_facts(entries: Iterable[StoredEntry]) -> Iterator[tuple[StoredEntry, dict[str, Any]]]:
+    """Yield entries with what they follow from, but for those that others take out meanwhile."""
+    for entry in entries:
+        try:
+            facts = files.read_facts(entry.path)
+        except InvalidFileError:
+            if _is_there(entry):
+                raise
+        else:
+            yield entry, facts
+
+
+def _is_there(entry: StoredEntry) -> bool:
+    return files.state(entry.path) is not None
 
 
 def _older(path: Path, time: float) -> bool:

@@ -610,8 +610,8 @@ class SpectrumStore:
         >>> store.record("cat.off", sk.store.Plan()) is None
         True
         """
-        path = self._place("records", facts_digest(files.record_facts(name, plan.facts)))
-        return files.read_record(path) if path.exists() else None
+        key = facts_digest(files.record_facts(name, plan.facts))
+        return files.read_record(self._place("records", key))
 
     def keep_record(self, record: ShapeRecord) -> None:
         """Keep what belongs to a name, in the place of what was known of it under that plan.
@@ -736,7 +736,7 @@ class SpectrumStore:
         """
         for entry in self.entries("records"):
             record = files.read_record(entry.path)
-            if plan is None or record.facts == plan.facts:
+            if record is not None and (plan is None or record.facts == plan.facts):
                 yield record
 
     def entries(self, kind: Kind | None = None) -> Iterator[StoredEntry]:

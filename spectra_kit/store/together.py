@@ -33,22 +33,33 @@ def begin(
     most = _points_together(plan.solver)
     rest, reads, points = list[Callable[[], Completed]](), dict[str, FileRead](), 0
     for name, path in files:
-        rest.append(partial(complete, store, name, path, plan))
-        with suppress(Exception):  # on its own it fails for itself, and is told
-            if most and known(store, name, path, plan) is None:
-                one = read_file(store, name, path, plan)
-                if one.key in reads:  # of two names of one shape, one is solved for
-                    one = replace(one, is_new=False)
-                elif one.is_new:
-                    reads[one.key] = one
-                points += one.shape.n
-                rest[-1] = partial(finished, store, one, plan)
+        one = _read(store, name, path, plan) if most else None
+        if one is None:
+            rest.append(partial(complete, store, name, path, plan))
+        else:
+            if one.key in reads:  # of two names of one shape, one is solved for
+                one = replace(one, is_new=False)
+            elif one.is_new:
+                reads[one.key] = one
+            points += one.shape.n
+            rest.append(partial(finished, store, one, plan))
         if points >= most:
             _solve(store, reads.values(), plan)
             yield from rest
             rest, reads, points = [], {}, 0
     _solve(store, reads.values(), plan)
     yield from rest
+
+
+def _read(store: SpectrumStore, name: str, path: Path, plan: Plan) -> FileRead | None:
+    """Return a file that was read; None where nothing is left to do, or this fails.
+
+    `complete` tells which, when it is its turn.
+    """
+    with suppress(SpectraKitError, OSError, MemoryError):
+        if known(store, name, path, plan) is None:
+            return read_file(store, name, path, plan)
+    return None
 
 
 def _points_together(solver: Any) -> int:

@@ -21,9 +21,9 @@ from spectra_kit.batch import (
     shard,
     write_match_table,
 )
-from spectra_kit.batch.match_all import in_tiles
 from spectra_kit.batch.matched import KEPT, _prepared
 from spectra_kit.batch.run import own_order
+from spectra_kit.batch.run_pairs import in_tiles
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError, InvalidInputError
 from spectra_kit.geometry import TriangleMesh, mirrored, write
 from spectra_kit.store import Plan, SpectrumStore, complete
@@ -106,7 +106,7 @@ def test_maps_are_the_true_ones_and_those_of_match(store):
     _, order = shuffled(creature(600), 0)
     truths = [np.arange(600), order, order]
     for (pair, found), truth, turned in zip(
-        report.matched, truths, (True, False, True), strict=True
+        report.completed, truths, (True, False, True), strict=True
     ):
         kept = load_match(store, found.key)
         assert kept.mirrored == found.mirrored == turned
@@ -119,7 +119,7 @@ def test_maps_are_the_true_ones_and_those_of_match(store):
 def test_a_restored_match_is_the_match(run):
     options = QUICK.options
     store, report = run
-    (_, found), *_ = report.matched
+    (_, found), *_ = report.completed
     kept = load_match(store, found.key)
     a, b = (store.record(name, PLAN) for name in ("animal", "image"))
     sides = [sk.prepare(store.load(one.spectrum), store.shape(one.shape)) for one in (a, b)]
@@ -143,7 +143,7 @@ def test_a_second_run_searches_for_nothing_and_writes_nothing(run, mapped):
     again = match_all(store, pairs, matching=QUICK)
     assert (first.computed, again.computed) == (3, 0)
     assert before == {entry.path: entry.path.stat().st_mtime_ns for entry in store.entries()}
-    for (_, one), (_, other) in zip(first.matched, again.matched, strict=True):
+    for (_, one), (_, other) in zip(first.completed, again.completed, strict=True):
         assert (one.key, one.score, one.doubts) == (other.key, other.score, other.doubts)
     # Modes that are not there decide nothing; options do.
     more = Matching(k=90, options=QUICK.options)
@@ -193,8 +193,8 @@ def test_pairs_that_fail_are_told_and_the_rest_goes_on(tmp_path, shapes):
         Pair(source="nobody", target="image"),
     ]
     report = match_all(store, pairs, matching=QUICK)
-    assert [pair.name for pair, _ in report.matched] == ["animal to image"]
-    reasons = {failed.pair.name: str(failed.error) for failed in report.failed}
+    assert [pair.name for pair, _ in report.completed] == ["animal to image"]
+    reasons = {failed.input.name: str(failed.error) for failed in report.failed}
     assert [*reasons] == ["animal to parts", "animal to lion", "nobody to image"]
     assert "be of one connected surface" in reasons["animal to parts"]
     assert reasons["animal to lion"].startswith("`target` must be the name of a shape in the stor")
@@ -211,7 +211,7 @@ def test_shapes_that_are_gone_or_damaged_fail_by_themselves(store):
     entry.path.write_bytes(b"")
     pairs = [Pair(source="animal", target=name) for name in ("image", "shuffled")]
     report = match_all(store, pairs, matching=QUICK)
-    assert [pair.target for pair, _ in report.matched] == ["shuffled"]
+    assert [pair.target for pair, _ in report.completed] == ["shuffled"]
     assert isinstance(report.failed[0].error, InvalidFileError)
     entry.path.unlink()
     (failed,) = match_all(store, pairs, matching=QUICK).failed
@@ -222,7 +222,7 @@ def test_unlike_shapes_are_not_convincing_and_no_warning_is_given(tmp_path, shap
     write(bumpy(), tmp_path / "bumpy.off")
     store = filled(tmp_path / "store", {**shapes, "bumpy": tmp_path / "bumpy.off"},
                    ("animal", "bumpy"))  # fmt: skip
-    (_, found), *_ = match_all(store, find_pairs("all", store), matching=QUICK).matched
+    (_, found), *_ = match_all(store, find_pairs("all", store), matching=QUICK).completed
     assert not found.convincing
     assert {"score", "coverage"} & set(found.doubts)
     sides = [sk.read(path) for path in (shapes["animal"], tmp_path / "bumpy.off")]
@@ -236,7 +236,7 @@ def test_several_plans_in_one_store(store, shapes):
     pairs = find_pairs("all", store, Plan(k=40))
     assert [pair.name for pair in pairs] == ["animal to image"]
     refused("store", "hold spectra of one plan", match_all, store, pairs)
-    (_, found), *_ = match_all(store, pairs, Plan(k=40), matching=QUICK).matched
+    (_, found), *_ = match_all(store, pairs, Plan(k=40), matching=QUICK).completed
     assert len(load_match(store, found.key).functional_map) == 40
 
 
@@ -322,7 +322,7 @@ def test_a_table_has_a_row_for_each_pair(store, tmp_path):
     write_match_table(tmp_path / "maps.csv", report)
     with (tmp_path / "maps.csv").open(newline="") as file:
         (row,) = csv.DictReader(file)
-    (_, found), *_ = report.matched
+    (_, found), *_ = report.completed
     assert [*row][:3] == ["source", "target", "age"]
     assert (row["source"], row["target"], row["age"]) == ("animal", "image", "3")
     for name in ("score", "margin", "mirror_margin", "coverage", "orientation"):
@@ -342,7 +342,7 @@ def test_workers_end_with_the_bytes_of_one_process(mapped, solved, tmp_path, mon
     other = copy_of(solved, "other")  # a path that workers in another folder would not find
     report = match_all(other, pairs, matching=QUICK, engine=DaskEngine(nworkers=2))
     assert content(mapped) == content(other)
-    assert [one.name for one, _ in report.matched] == [one.name for one, _ in alone.matched]
+    assert [one.name for one, _ in report.completed] == [one.name for one, _ in alone.completed]
     assert [str(x.error) for x in report.failed] == [str(x.error) for x in alone.failed]
     assert match_all(other, pairs, matching=QUICK, engine=DaskEngine(nworkers=1)).computed == 0
 
@@ -354,7 +354,7 @@ def test_pairs_whose_names_sound_alike_are_two(tmp_path):
         complete(store, name, tmp_path / "shape.off", PLAN)
     pairs = [Pair(source="a", target="b to c"), Pair(source="a to b", target="c")]
     assert pairs[0].name == pairs[1].name
-    one, other = match_all(store, pairs, matching=QUICK).matched
+    one, other = match_all(store, pairs, matching=QUICK).completed
     assert one[1].key != other[1].key
     for pair, found in (one, other):
         ends = [store.record(name, PLAN) for name in (pair.source, pair.target)]
@@ -367,4 +367,4 @@ def test_what_else_a_plan_keeps_makes_no_other_spectra(store, tmp_path):
         more = replace(PLAN, descriptors=("hks",))
         complete(store, record.name, tmp_path / "shape.ply", more)
     report = match_all(store, find_pairs("all", store)[:1], matching=QUICK)
-    assert len(report.matched) == 1
+    assert len(report.completed) == 1

@@ -15,7 +15,16 @@ import pytest
 from conftest import bumpy, creature, moved, refused
 
 import spectra_kit as sk
-from spectra_kit.batch import DaskEngine, Input, compute_all, find_inputs, write_table
+from spectra_kit.batch import (
+    BatchReport,
+    DaskEngine,
+    Input,
+    Pair,
+    compute_all,
+    find_inputs,
+    write_match_table,
+    write_table,
+)
 from spectra_kit.batch.preload import own_device
 from spectra_kit.batch.table import check_columns
 from spectra_kit.errors import EngineLostError, InvalidFileError, StoreError
@@ -218,6 +227,16 @@ def test_tables_of_other_columns_and_of_nothing(scans, store, tmp_path):
     assert (tmp_path / "table.csv").read_text().startswith("name,kind,points")
 
 
+def test_reports_of_other_runs_are_refused(scans, store, tmp_path):
+    shapes = compute_all(find_inputs([scans / "bumpy.ply"]), store, PLAN)
+    pair = (Pair(source="a", target="b"), shapes.completed[0][1])
+    pairs = BatchReport(completed=(pair,), failed=(), seconds=0.0)
+    for table, report, made_by in ((write_table, pairs, "compute_all"),
+                                   (write_match_table, shapes, "match_all")):  # fmt: skip
+        refused("report", f"be what `{made_by}` returned", table, tmp_path / "table.csv", report)
+    assert not (tmp_path / "table.csv").exists()
+
+
 # --- workers ---
 
 
@@ -343,7 +362,8 @@ def cluster(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_a_cluster_does_the_same_and_its_end_is_told(scans, cluster, store, tmp_path):
+@pytest.mark.parametrize("wait", [0.2, 1.2])  # until the client has noticed; until it asks again
+def test_a_cluster_does_the_same_and_its_end_is_told(scans, cluster, store, tmp_path, wait):
     address, scheduler = cluster
     inputs = find_inputs([scans])
     report = compute_all(inputs[:3], store, PLAN, engine=DaskEngine(scheduler=address))
@@ -354,9 +374,12 @@ def test_a_cluster_does_the_same_and_its_end_is_told(scans, cluster, store, tmp_
     def end(done, count):
         scheduler.kill()
         scheduler.wait()
-        time.sleep(0.2)
+        time.sleep(wait)
 
-    with pytest.raises(EngineLostError, match="the same command goes on"):
+    with (
+        dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
+        pytest.raises(EngineLostError, match="the same command goes on"),
+    ):
         compute_all(inputs, store, Plan(k=5), engine=DaskEngine(scheduler=address), progress=end)
     left = compute_all(inputs, store, Plan(k=5))
     assert len(left.completed) == 4

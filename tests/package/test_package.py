@@ -45,6 +45,14 @@ def test_nothing_is_imported_before_it_is_asked_for() -> None:
     assert done.stdout.split("\n")[:4] == ["", names, "", "True"], done.stderr
 
 
+def test_a_run_over_shapes_does_not_wait_for_what_matches_them() -> None:
+    done = run(
+        "import sys; from spectra_kit.cli.program import NAMED; NAMED['batch'].load()\n"
+        "print('spectra_kit.batch.run' in sys.modules, 'spectra_kit.matching' in sys.modules)"
+    )
+    assert done.stdout == "True False\n", done.stderr
+
+
 def test_every_name_is_there() -> None:
     for name in dir(sk):
         assert getattr(sk, name) is not None

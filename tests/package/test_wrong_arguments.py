@@ -173,7 +173,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         **{"ambiguous": False, "convincing": True},
         **{"doubts": (), "computed": True, "replaced": (), "seconds": 0.1},
     )
-    maps = batch.MatchReport(matched=((pair_of_names, made),), failed=(), seconds=0.1)
+    maps = batch.BatchReport(completed=((pair_of_names, made),), failed=(), seconds=0.1)
     portrait = viz.Portrait(geometry=mesh, labels=halves, lines=("x",))
     quick = matching.MatchOptions(
         **{"first_samples": 12, "growing": 8, "growing_samples": 40, "grown_modes": 10},
@@ -204,7 +204,6 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
             pair_of_names,
             batch.Matching(),
             made,
-            maps,
         ),
         *(dataset, recipe, classifier, segmenter, index, portrait, learning.Training(epochs=1)),
         *(viz.View(), sk.RayleighRitz(), geodesics.Automatic(), given, map_errors),
@@ -442,8 +441,6 @@ ALSO = {
     "Problem.remedies": {"array"},
     "BatchReport.completed": {"array"},
     "BatchReport.failed": {"array"},
-    "MatchReport.matched": {"array"},
-    "MatchReport.failed": {"array"},
     "match_all.pairs": {"array"},
     "Matched.doubts": {"array of U"},
     "Matched.replaced": {"array of U"},

@@ -36,6 +36,8 @@ from spectra_kit.neo import NeoConfig, NeoNetwork, save_weights
 from spectra_kit.operators import tangent_gradient
 from spectra_kit.spectra import Spectrum
 from spectra_kit.store import Plan, SpectrumStore, complete
+from spectra_kit.store import files as store_files
+from spectra_kit.store.complete import known
 from spectra_kit.store.plan import NAMES
 from spectra_kit.store.together import begin
 
@@ -304,6 +306,38 @@ def test_what_is_gone_is_made_again(filled, kind):
     next(store.entries(kind)).path.unlink()
     assert again().computed == (kind == "spectra")
     assert content(store.path) == before
+
+
+def test_clean_beside_a_run_takes_nothing_new_and_misses_nothing_gone(filled, monkeypatch):
+    store, _ = filled
+    read, gone = store_files.read_facts, []
+
+    def meanwhile(path):
+        if path.parent.parent.name == "operators" and not gone:  # spectra are looked at
+            store.descriptor(creature(520), PLAN, "hks")
+            gone.append(path)
+            path.unlink()
+        return read(path)
+
+    monkeypatch.setattr(store_files, "read_facts", meanwhile)
+    assert store.clean() == []
+    assert len(gone) == 1
+    path = store._place("descriptors", store.descriptor_key(
+        store.key(creature(520), PLAN), "hks"))  # fmt: skip
+    assert path.exists()
+
+
+def test_what_others_take_out_is_no_damage(filled):
+    store, _ = filled
+    *_, last = store.entries()
+    assert last.kind == "records"
+    spectrum = next(store.entries("spectra"))
+
+    def take(done, count):
+        spectrum.path.unlink(missing_ok=True)
+        last.path.unlink(missing_ok=True)
+
+    assert store.verify(progress=take) == []
 
 
 def test_clean_removes_other_releases_orphans_and_leftovers(filled, monkeypatch):
@@ -624,6 +658,41 @@ def test_shapes_are_solved_for_together_and_each_fails_for_itself(store, tmp_pat
     assert content(store.path) == content(alone.path)
     again = begin(store, ((name, tmp_path / name) for name in made), plan)
     assert not any(rest().computed for rest in again)
+
+
+def out_of_reach(path):
+    """Write a glTF file whose arrays are in one that no system finds: its name is too long."""
+    path.write_text(json.dumps({"asset": {"version": "2.0"}, "buffers": [{"uri": 300 * "x"}]}))
+
+
+def test_a_file_out_of_reach_fails_when_it_is_its_turn(store, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    write(creature(520), tmp_path / "a.off")
+    out_of_reach(tmp_path / "b.gltf")
+    files = [(name, tmp_path / name) for name in ("b.gltf", "a.off")]
+    first, second = begin(store, files, Plan(k=6, solver=Together()))
+    assert second().computed
+    with pytest.raises(OSError, match="too long"):
+        first()
+
+
+def test_a_defect_shows_where_shapes_go_together(store, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    write(creature(520), tmp_path / "a.off")
+    monkeypatch.setattr("spectra_kit.store.together.read_file", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        list(begin(store, [("a", tmp_path / "a.off")], Plan(k=6, solver=Together())))
+
+
+def test_what_was_known_and_is_out_of_reach_is_known_no_more(store, tmp_path):
+    path = tmp_path / "a.gltf"
+    write(creature(520), path)
+    complete(store, "a", path, PLAN)
+    assert known(store, "a", path, PLAN) is not None
+    out_of_reach(path)
+    assert known(store, "a", path, PLAN) is None
+    with pytest.raises(OSError, match="too long"):
+        complete(store, "a", path, PLAN)
 
 
 def test_one_by_one_where_together_is_no_sooner(store, tmp_path, monkeypatch):

@@ -5,34 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
-from spectra_kit._validate import Brief
 from spectra_kit.batch.inputs import Pair, refuse_twice
 from spectra_kit.batch.matched import Matched, Matching, matched
 from spectra_kit.batch.pairs import records_of
-from spectra_kit.batch.run import Engine, own_order, work
+from spectra_kit.batch.run import BatchReport, Engine, own_order, report_of, work
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.store import Plan, ShapeRecord, SpectrumStore
 
 _TILE = 4  # sources by targets that are matched one after the other: shapes are prepared anew less
-
-
-class FailedPair(NamedTuple):
-    """A pair that could not be matched.
-
-    Attributes
-    ----------
-    pair : Pair
-        Which.
-    error : Exception
-        Why.
-    """
-
-    pair: Pair
-    error: Exception
 
 
 @dataclass(frozen=True)
@@ -62,36 +46,6 @@ class _Search:
 
 
 @checked
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MatchReport(Brief):
-    """What came of a run over pairs.
-
-    Attributes
-    ----------
-    matched : tuple of (Pair, Matched)
-        In the order of the pairs.
-    failed : tuple of FailedPair
-        In that order, too.
-    seconds : float
-        That it took.
-    """
-
-    matched: tuple[tuple[Pair, Matched], ...]
-    failed: tuple[FailedPair, ...]
-    seconds: float
-
-    @property
-    def computed(self) -> int:
-        """How many maps were searched for; the others were there."""
-        return sum(done.computed for _, done in self.matched)
-
-    @property
-    def replaced(self) -> tuple[str, ...]:
-        """What was damaged, and made again."""
-        return tuple(text for _, done in self.matched for text in done.replaced)
-
-
-@checked
 def match_all(
     store: SpectrumStore,
     pairs: Sequence[Pair],
@@ -101,7 +55,7 @@ def match_all(
     engine: Engine | None = None,
     strict: bool = False,
     progress: Callable[[int, int], object] | None = None,
-) -> MatchReport:
+) -> BatchReport[Pair, Matched]:
     """Match pairs of shapes of a store, but for those whose map it has already.
 
     Interrupted, it loses what is in work; called again, it goes on. Several runs may share a store:
@@ -126,13 +80,14 @@ def match_all(
 
     Returns
     -------
-    MatchReport
+    BatchReport
         Results and failures. The maps themselves are in the store: `load_match`.
 
     Raises
     ------
     InvalidInputError
-        If the store has no spectra, or those of several plans and none is given.
+        If the store has no spectra, or those of several plans and none is given; if a pair is named
+        twice.
     InvalidFileError
         If a record of the store is damaged.
     StoreError
@@ -163,7 +118,7 @@ def match_all(
     ... ]
     >>> _ = sk.batch.compute_all(inputs, store, plan)
     >>> report = sk.batch.match_all(store, sk.batch.find_pairs("all", store))
-    >>> pair, found = report.matched[0]
+    >>> pair, found = report.completed[0]
     >>> pair.name, found.mirrored
     ('animal to image', True)
     >>> sk.batch.load_match(store, found.key).point_map[:4]
@@ -190,7 +145,7 @@ def match_records(
     engine: Engine | None,
     strict: bool,
     progress: Callable[[int, int], object] | None,
-) -> MatchReport:
+) -> BatchReport[Pair, Matched]:
     """Match pairs of which `records` tell what the store holds: see `match_all`."""
     clock = Clock()
     refuse_twice("pairs", [repr((pair.source, pair.target)) for pair in pairs])
@@ -208,12 +163,7 @@ def match_records(
         (one.pair.source, one.pair.target): result
         for one, result in zip(searches, results, strict=True)
     }
-    told = [(pair, found[pair.source, pair.target]) for pair in pairs]
-    return MatchReport(
-        matched=tuple((pair, one) for pair, one in told if isinstance(one, Matched)),
-        failed=tuple(FailedPair(pair, one) for pair, one in told if isinstance(one, Exception)),
-        seconds=clock.total,
-    )
+    return report_of([(pair, found[pair.source, pair.target]) for pair in pairs], clock)
 
 
 def in_tiles(

@@ -1,0 +1,17 @@
+from .dask_engine import DaskEngine as DaskEngine
+from .inputs import Input as Input
+from .inputs import Pair as Pair
+from .inputs import find_inputs as find_inputs
+from .inputs import shard as shard
+from .match_table import write_match_table as write_match_table
+from .matched import Matched as Matched
+from .matched import Matching as Matching
+from .matched import load_match as load_match
+from .pairs import find_pairs as find_pairs
+from .run import BatchReport as BatchReport
+from .run import Engine as Engine
+from .run import Failed as Failed
+from .run import Task as Task
+from .run import compute_all as compute_all
+from .run_pairs import match_all as match_all
+from .table import write_table as write_table
