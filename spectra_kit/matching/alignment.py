@@ -96,7 +96,7 @@ def placed_candidates(source: Side, target: Side, options: MatchOptions) -> Floa
 def bent(source: Side, target: Side, functional_map: Floats, options: MatchOptions) -> Laid:
     """Refine a map to some 60 modes, the source bent onto the target by what the map says."""
     k = len(functional_map)
-    back, _, _ = _both_ways(source.rows[:, :k] @ functional_map.T, target.rows[:, :k])
+    back, _ = _both_ways(source.rows[:, :k] @ functional_map.T, target.rows[:, :k])
     here = source.rows[back, :k] @ source.positions[:k]
     u, _, vt = np.linalg.svd(here.T @ (target.rows[:, :k] @ target.positions[:k]))
     turn = (u * [1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
@@ -144,14 +144,16 @@ def _fitted(
         else:
             normals1, normals2 = U @ (source.normals[:k] @ turn), V @ target.normals[:k]
         share, bends = options.aligned_normals, options.aligned_curvature
-        columns1 = [U @ moved * weight, share * normals1, bends * source.curvature]
-        columns2 = [there * weight, share * normals2, bends * target.curvature]
+        seen1 = np.hstack([U @ moved * weight, share * normals1, bends * source.curvature])
+        seen2 = np.hstack([there * weight, share * normals2, bends * target.curvature])
+        columns1, columns2 = [seen1], [seen2]
         if C is not None:
             share_of_modes = options.held_modes if turn is None else options.aligned_modes
             q, mapped = len(C), share_of_modes / np.sqrt(len(C))
             columns1.append(mapped * source.rows[:, :q] @ C.T)
             columns2.append(mapped * target.rows[:, :q])
-        back, forth, distance = _both_ways(np.hstack(columns1), np.hstack(columns2))
+        back, forth = _both_ways(np.hstack(columns1), np.hstack(columns2))
+        distance = 0.5 * (_apart(seen2, seen1[back]) + _apart(seen1, seen2[forth]))
         C = np.asarray(np.linalg.lstsq(V, U[back], rcond=None)[0], dtype=np.float64)
         displacement = _displacement(
             source, there, U @ positions[:k], back, forth, min(k, options.bending_modes), options
@@ -179,12 +181,13 @@ def _displacement(
     return np.asarray(cho_solve(cho_factor(normal), rows.T @ goals))
 
 
-def _both_ways(rows1: Floats, rows2: Floats) -> tuple[Ints, Ints, float]:
-    """Return which row of the first is nearest to each of the second, the reverse, how near."""
+def _both_ways(rows1: Floats, rows2: Floats) -> tuple[Ints, Ints]:
+    """Return which row of the first is nearest to each of the second, and the reverse."""
     first, second = rows1.astype(np.float32), rows2.astype(np.float32)
     squares = (second**2).sum(axis=1)[:, None] + (first**2).sum(axis=1) - 2 * second @ first.T
-    back, forth = squares.argmin(axis=1), squares.argmin(axis=0)
-    apart = [
-        ((x - y) ** 2).sum(axis=1).mean() for x, y in ((rows2, rows1[back]), (rows1, rows2[forth]))
-    ]
-    return back, forth, float(np.sqrt(apart).mean())
+    return squares.argmin(axis=1), squares.argmin(axis=0)
+
+
+def _apart(rows: Floats, others: Floats) -> float:
+    """Return the root mean square distance."""
+    return float(np.sqrt(((rows - others) ** 2).sum(axis=1).mean()))

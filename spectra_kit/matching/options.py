@@ -22,15 +22,15 @@ class ScoreWeights:
     --------
     >>> import spectra_kit as sk
     >>> sk.matching.ScoreWeights().curvature
-    1.5
+    3.0
     """
 
-    curvature: float = 1.5
+    curvature: float = 3.0
     wave: float = 0.1
     spacing: float = 0.5
-    embedding: float = 0.5
-    orientation: float = 0.4
-    alignment: float = 0.6
+    embedding: float = 0.2
+    orientation: float = 0.2
+    alignment: float = 0.5
     lengths: float = 1.0
     landmarks: float = 2.0
 

@@ -122,7 +122,7 @@ def score_of(values: dict[str, float], *, options: MatchOptions = DEFAULT) -> fl
     --------
     >>> import spectra_kit as sk
     >>> print(sk.matching.score_of({"curvature": 0.5, "wave": 0.1}))
-    0.433
+    0.476
     """
     weights, least = asdict(options.weights), options.least_mismatch
     if not values or not set(values) <= set(weights):

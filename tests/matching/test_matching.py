@@ -281,7 +281,7 @@ def test_landmarks_settle_a_symmetry() -> None:
     a, b = prepared(one, 50), prepared(shuffled, 50)
     found = match(a, b, elastic=False)
     kept = [candidate.score for candidate in found.candidates if not candidate.mirrored]
-    assert max(kept[:4]) < 0.01  # one is as good as another
+    assert 5 * max(kept[:4]) < kept[4]  # one is as good as another, and far better than the rest
     here = np.array([0, 5, 17])
     for turned in (np.array([-1.0, -1, 1]), np.array([1.0, -1, -1])):
         images = np.argmin(((one.points[:, None] - turned * one.points) ** 2).sum(axis=2), axis=0)

@@ -30,6 +30,7 @@ from spectra_kit.matching.elastic import (
     _edges,
     meeting,
 )
+from spectra_kit.matching.lengths import changed
 from spectra_kit.operators import oriented_triangles
 
 K = 60
@@ -173,6 +174,25 @@ def test_mirrored_candidates_are_those_of_the_mirror_image(source, image) -> Non
     assert left[0] < 0.5 < left[1]
 
 
+# --- lengths --------------------------------------------------------------------------------
+
+
+def test_lengths_are_those_along_the_surface_and_the_same_for_a_copy(source, copy) -> None:
+    target, truth = copy
+    here, there = source.surface.lengths, target.surface.lengths
+    ends = source.samples[: len(here)]
+    np.testing.assert_array_equal(here[np.arange(len(here)), ends], 0)
+    between = here[:, ends]
+    np.testing.assert_allclose(between, between.T, rtol=1e-12)
+    straight = np.linalg.norm(source.surface.points[ends][:, None] - source.surface.points, axis=2)
+    assert (here >= straight * (1 - 1e-12)).all()
+    back, forth = truth[target.samples[: len(there)]], np.argsort(truth)[ends]
+    assert changed(here, there, back, forth) < 1e-12
+    rolled = np.roll(forth, 7)
+    assert changed(here, there, back, rolled) > 0.1
+    assert changed(there, here, rolled, back) == pytest.approx(changed(here, there, back, rolled))
+
+
 # --- scores ---------------------------------------------------------------------------------
 
 
@@ -183,7 +203,7 @@ def test_nothing_is_wrong_with_the_true_map(source, copy, rough) -> None:
     identity = mismatches(source, source, np.eye(K), rough=rough, landmarks=(points, points))
     assert set(identity) == {
         "embedding", "spacing", "wave", "curvature", "orientation", "landmarks"
-    }  # fmt: skip
+    } | ({"lengths"} if not rough else set())  # fmt: skip
     if rough:  # the landmarks are looked for among the samples
         assert 0 < identity.pop("landmarks") < 0.05
     assert max(map(abs, identity.values())) < 1e-12
