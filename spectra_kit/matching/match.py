@@ -26,7 +26,13 @@ from spectra_kit.geometry import Geometry
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas
 from spectra_kit.matching.alignment import bent, placed_candidates, side_of
 from spectra_kit.matching.candidates import sign_candidates
-from spectra_kit.matching.everywhere import all_placed, by_bending, by_modes, on_matched
+from spectra_kit.matching.everywhere import (
+    all_placed,
+    bent_distance,
+    by_bending,
+    by_modes,
+    on_matched,
+)
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.prepare import LOWEST_K, Prepared, curvatures, prepare
 from spectra_kit.matching.result import Candidate, Match
@@ -158,9 +164,10 @@ def matched_from(
     options: MatchOptions,
     precise: bool = False,
 ) -> Match:
-    """Refine the first of the candidates found, those of either orientation; the best first."""
-    k, chosen = min(k, a.spectrum.k, b.spectrum.k), found[0][0]
+    """Refine one of the first candidates found, those of either orientation; the best first."""
+    k = min(k, a.spectrum.k, b.spectrum.k)
     with single_threaded_blas():
+        chosen = _settled(a, b, found[0], options)
         point_map, functional_map, on_faces = _refined(a, b, chosen, k, elastic, options, precise)
     matched = on_matched(a, b, point_map)
     seen = None if a.surface is None or b.surface is None else (a.surface, b.surface)
@@ -193,6 +200,39 @@ def matched_from(
             remedies=("landmarks", "k"),
         )
     return result
+
+
+def _settled(
+    a: Prepared, b: Prepared, candidates: Sequence[Candidate], options: MatchOptions
+) -> Candidate:
+    """Return the best candidate, or a rival near to it whose source can be bent onto the target.
+
+    What modes can hardly tell, as the front of a body from its back, is told by how near the source
+    comes.
+    """
+    best, *others = candidates
+    rivals = [c for c in others if c.score <= options.contest * best.score]
+    close = _distinct([best, *rivals], options.rival)[: options.contenders]
+    if len(close) == 1 or a.surface is None or b.surface is None:
+        return best
+
+    def cost(c: Candidate) -> float:
+        there = nearest(
+            a.spectrum.eigenvectors[:, : len(c.functional_map)] @ c.functional_map.T,
+            b.spectrum.eigenvectors[:, : len(c.functional_map)],
+        )
+        return c.score * bent_distance(a, b, there, mirrored=c.mirrored, options=options)
+
+    return min(close, key=cost)
+
+
+def _distinct(candidates: Iterable[Candidate], apart: float) -> list[Candidate]:
+    """Return the candidates by score, without those that all but repeat a better one."""
+    kept: list[Candidate] = []
+    for c in sorted(candidates, key=lambda c: c.score):
+        if all(_apart(c, other) > apart for other in kept):
+            kept.append(c)
+    return kept
 
 
 def _matched_on(landmarks: Landmarks, a: Prepared, b: Prepared) -> Pairs:
@@ -288,17 +328,21 @@ class _Search:
             placed = (
                 self._scored(C, mirrored, rough=True) for C in placed_candidates(*sides, options)
             )
-            maps += [c.functional_map for c in self._distinct(placed)[: options.placed]]
+            maps += [c.functional_map for c in _distinct(placed, options.same)[: options.placed]]
         fit = self._fit
         if fit is not None and ((orientation_of(a, b, fit) or 1.0) < 0) == mirrored:
             maps.append(fit)
-        grown = self._distinct(self._scored(C, mirrored, rough=True) for C in maps)
+        scored = (self._scored(C, mirrored, rough=True) for C in maps)
+        grown = _distinct(scored, options.same)
         starts = [c.functional_map for c in grown[: options.finalists]]
         if sides is not None:
             refined = [bent(*sides, C, options) for C in starts]
-            return self._distinct(
-                self._scored(one.functional_map, mirrored, alignment=one.distance)
-                for one in refined
+            return _distinct(
+                (
+                    self._scored(one.functional_map, mirrored, alignment=one.distance)
+                    for one in refined
+                ),
+                options.same,
             )
         k = min(options.refined_modes, a.spectrum.k, b.spectrum.k)
         rows1, rows2 = (
@@ -306,7 +350,7 @@ class _Search:
             b.spectrum.eigenvectors[b.samples, :k],
         )
         maps_, _ = zoomout_many(rows1, rows2, np.stack(starts), k_final=k, step=6)
-        return self._distinct(self._scored(C, mirrored) for C in maps_)
+        return _distinct((self._scored(C, mirrored) for C in maps_), options.same)
 
     def _fitted(self, landmarks: Pairs) -> Floats:
         """Return the functional map that fits the landmarks and what is seen from them."""
@@ -340,14 +384,6 @@ class _Search:
             values["alignment"] = alignment
         score = score_of(values, options=options)
         return Candidate(functional_map=C, score=score, mismatches=values, mirrored=mirrored)
-
-    def _distinct(self, candidates: Iterable[Candidate]) -> list[Candidate]:
-        """Return the candidates by score, without those that all but repeat a better one."""
-        kept: list[Candidate] = []
-        for c in sorted(candidates, key=lambda c: c.score):
-            if all(_apart(c, other) > self._options.same for other in kept):
-                kept.append(c)
-        return kept
 
 
 def _apart(c: Candidate, other: Candidate) -> float:

@@ -114,6 +114,11 @@ class MatchOptions:
         Below which maps count as equally good.
     mirrored_by : float, default 3.0
         How many times better a mirrored map must be to be believed.
+    contest : float, default 1.25
+        Candidates whose scores are within that factor of the best are bent onto the target, too:
+        what counts is the score times the distance that is left.
+    contenders : int, default 4
+        How many at most, the best among them.
     last_steps : int, default 3
         From the refined modes to the end.
     curvature_scale : float, default 2.0
@@ -191,6 +196,8 @@ class MatchOptions:
     rough_samples: int = 200
     least_mismatch: float = 1e-3
     mirrored_by: float = 3.0
+    contest: float = 1.25
+    contenders: int = 4
     last_steps: int = 3
     curvature_scale: float = 2.0
     pull: float = 400.0
