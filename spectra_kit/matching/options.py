@@ -114,10 +114,10 @@ class MatchOptions:
         Below which maps count as equally good.
     mirrored_by : float, default 3.0
         How many times better a mirrored map must be to be believed.
-    contest : float, default 1.25
+    contest : float, default 1.15
         Candidates whose scores are within that factor of the best are bent onto the target, too:
         what counts is the score times the distance that is left.
-    contenders : int, default 4
+    contenders : int, default 3
         How many at most, the best among them.
     last_steps : int, default 3
         From the refined modes to the end.
@@ -142,9 +142,9 @@ class MatchOptions:
         Size of it below which a map may be flipped in parts: right ones had 0.7 and more.
     clear_sides : float, default 0.9
         Share of the triangles that agree below which it is in doubt which side of a cloud is out.
-    convincing_score : float, default 0.5
-        Above which a score speaks against the map: unrelated shapes had 0.55 and more, nine of ten
-        right maps 0.44 and less.
+    convincing_score : float, default 0.42
+        Above which a score speaks against the map: unrelated shapes had 0.43 and more, nine of ten
+        right maps 0.36 and less.
     convincing_torn : float, default 0.02
         The same of the share that is torn: unrelated shapes had 0.02 and more, nine of ten right
         maps 0.015 and less.
@@ -196,8 +196,8 @@ class MatchOptions:
     rough_samples: int = 200
     least_mismatch: float = 1e-3
     mirrored_by: float = 3.0
-    contest: float = 1.25
-    contenders: int = 4
+    contest: float = 1.15
+    contenders: int = 3
     last_steps: int = 3
     curvature_scale: float = 2.0
     pull: float = 400.0
@@ -209,7 +209,7 @@ class MatchOptions:
     doubtful_mirror: float = 1.1
     clear_orientation: float = 0.5
     clear_sides: float = 0.9
-    convincing_score: float = 0.5
+    convincing_score: float = 0.42
     convincing_torn: float = 0.02
     convincing_coverage: float = 1.1
 
