@@ -203,7 +203,7 @@ def test_unlike_surfaces_score_badly(source) -> None:
     ("facts", "doubts"),
     [
         ({}, ()),
-        ({"margin": 1.01}, ("margin",)),
+        ({"margin": 0.99}, ("margin",)),
         ({"margin": np.nan}, ("margin",)),
         ({"mirror_margin": 0.85}, ("mirror_margin",)),
         ({"mirror_margin": 1.01}, ()),
@@ -212,11 +212,12 @@ def test_unlike_surfaces_score_badly(source) -> None:
         ({"orientation": -0.9, "mirrored": True}, ()),
         ({"orientation": None}, ()),
         ({"consistent": 0.8}, ("consistent",)),
-        ({"margin": 1.01, "coverage": 0.9}, ("margin", "coverage")),
+        ({"margin": 0.99, "coverage": 0.9}, ("margin", "coverage")),
         ({"score": 0.6}, ("score",)),
         ({"torn": 0.05}, ("torn",)),
         ({"torn": None}, ()),
-        ({"margin": 1.01, "options": MatchOptions(clear_margin=1.0)}, ()),
+        ({"margin": 0.99, "options": MatchOptions(clear_margin=0.9)}, ()),
+        ({"margin": 1.02}, ()),
     ],
     ids=str,
 )
