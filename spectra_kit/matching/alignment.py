@@ -153,7 +153,7 @@ def _fitted(
             columns1.append(mapped * source.rows[:, :q] @ C.T)
             columns2.append(mapped * target.rows[:, :q])
         back, forth = _both_ways(np.hstack(columns1), np.hstack(columns2))
-        distance = 0.5 * (_apart(seen2, seen1[back]) + _apart(seen1, seen2[forth]))
+        distance = 0.5 * (_rms(seen2 - seen1[back]) + _rms(seen1 - seen2[forth]))
         C = np.asarray(np.linalg.lstsq(V, U[back], rcond=None)[0], dtype=np.float64)
         displacement = _displacement(
             source, there, U @ positions[:k], back, forth, min(k, options.bending_modes), options
@@ -188,6 +188,6 @@ def _both_ways(rows1: Floats, rows2: Floats) -> tuple[Ints, Ints]:
     return squares.argmin(axis=1), squares.argmin(axis=0)
 
 
-def _apart(rows: Floats, others: Floats) -> float:
-    """Return the root mean square distance."""
-    return float(np.sqrt(((rows - others) ** 2).sum(axis=1).mean()))
+def _rms(differences: Floats) -> float:
+    """Return the root mean square length of rows."""
+    return float(np.sqrt((differences**2).sum(axis=1).mean()))

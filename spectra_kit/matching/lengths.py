@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from spectra_kit._types import Floats, Ints
 from spectra_kit.matching.placed import Placed
-from spectra_kit.matching.tears import edges_of, lengths_of
+from spectra_kit.operators.oriented import OrientedTriangles
 
 _SHORT = 0.05  # lengths below that, of surfaces at unit area, say little
 
@@ -39,3 +39,16 @@ def changed(source: Floats, target: Floats, back: Ints, forth: Ints) -> float:
     """
     here, there = source[:, back], target[:, forth].T
     return float((np.abs(here - there) / (here + there + _SHORT)).mean())
+
+
+def edges_of(oriented: OrientedTriangles) -> Ints:
+    """Return the edges i < j of the triangles, (e, 2)."""
+    both = np.concatenate([oriented.faces[:, [c - 1, c]] for c in range(3)])
+    both.sort(axis=1)
+    return np.unique(both, axis=0)
+
+
+def lengths_of(points: Floats, edges: Ints) -> Floats:
+    """Return the lengths of edges (e, 2) between points (n, 3)."""
+    out: Floats = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    return out

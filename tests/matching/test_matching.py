@@ -32,7 +32,8 @@ from spectra_kit.matching import (
     prepare,
 )
 from spectra_kit.matching.confidence import confidence_of
-from spectra_kit.matching.tears import edges_of, torn
+from spectra_kit.matching.lengths import edges_of
+from spectra_kit.matching.tears import torn
 
 K = 100
 TURN = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]

@@ -28,6 +28,7 @@ from spectra_kit.matching.curvature import outward_normals, smoothed_mean_curvat
 from spectra_kit.matching.elastic import (
     _bending,
     _edges,
+    _rotations,
     meeting,
 )
 from spectra_kit.matching.everywhere import bent_distance
@@ -151,6 +152,28 @@ def test_bending_lowers_the_energy_every_time() -> None:
     assert np.abs(bent - goals).max() < 0.5 * np.abs(mesh.points - goals).max()
     moved = mesh.points @ Rotation.from_rotvec([1, 2, -0.5]).as_matrix().T + [3, 4, 5]
     assert bend(moved, moved, 5) == pytest.approx(moved, abs=1e-9)  # a rigid motion is no bend
+
+
+def test_rotations_are_those_of_the_singular_value_decomposition() -> None:
+    """Flat, reflected and tiny covariances, too; where they leave a choice, one as good."""
+    rng = np.random.default_rng(1)
+    S = rng.standard_normal((400, 3, 3))
+    S[:100, :, 2] *= 1e-3
+    S[100:150, :, 2] = 0.0
+    S[150:170, :, 1:] = 0.0
+    S[170:180] = 0.0
+    S[180:200] = np.eye(3) * rng.choice([-1.0, 1.0], size=(20, 3, 1))
+    S *= 10.0 ** rng.uniform(-8, 3, size=(400, 1, 1))
+    u, _, vt = np.linalg.svd(S)
+    vt[np.linalg.det(u @ vt) < 0, 2] *= -1
+    found, wanted = _rotations(S), np.swapaxes(u @ vt, 1, 2)
+    np.testing.assert_allclose(found @ np.swapaxes(found, 1, 2), np.tile(np.eye(3), (400, 1, 1)),
+                               atol=1e-9)  # fmt: skip
+    np.testing.assert_allclose(np.linalg.det(found), 1.0, atol=1e-9)
+    traces = np.einsum("nij,nji->n", found, S), np.einsum("nij,nji->n", wanted, S)
+    np.testing.assert_allclose(*traces, rtol=1e-9)
+    certain = np.r_[0:150, 200:400]
+    np.testing.assert_allclose(found[certain], wanted[certain], atol=1e-8)
 
 
 def test_bending_repairs_a_noisy_map(source, image) -> None:
