@@ -175,7 +175,8 @@ def _polar(covariances: Floats) -> Floats:
         M[[0, 1, 2], [0, 1, 2]] += 0.5 * (e1**2 - f)
         inverse = _cofactors(M)
         inverse /= (M[0] * inverse[0]).sum(axis=0)
-    return np.einsum("ijn,jkn->nik", cofactors + e1 * A, inverse)
+    out: Floats = np.einsum("ijn,jkn->nik", cofactors + e1 * A, inverse)
+    return out
 
 
 def _cofactors(A: Floats) -> Floats:

@@ -157,20 +157,20 @@ def test_bending_lowers_the_energy_every_time() -> None:
 def test_rotations_are_those_of_the_singular_value_decomposition() -> None:
     """Flat, reflected and tiny covariances, too; where they leave a choice, one as good."""
     rng = np.random.default_rng(1)
-    S = rng.standard_normal((400, 3, 3))
-    S[:100, :, 2] *= 1e-3
-    S[100:150, :, 2] = 0.0
-    S[150:170, :, 1:] = 0.0
-    S[170:180] = 0.0
-    S[180:200] = np.eye(3) * rng.choice([-1.0, 1.0], size=(20, 3, 1))
-    S *= 10.0 ** rng.uniform(-8, 3, size=(400, 1, 1))
-    u, _, vt = np.linalg.svd(S)
+    given = rng.standard_normal((400, 3, 3))
+    given[:100, :, 2] *= 1e-3
+    given[100:150, :, 2] = 0.0
+    given[150:170, :, 1:] = 0.0
+    given[170:180] = 0.0
+    given[180:200] = np.eye(3) * rng.choice([-1.0, 1.0], size=(20, 3, 1))
+    given *= 10.0 ** rng.uniform(-8, 3, size=(400, 1, 1))
+    u, _, vt = np.linalg.svd(given)
     vt[np.linalg.det(u @ vt) < 0, 2] *= -1
-    found, wanted = _rotations(S), np.swapaxes(u @ vt, 1, 2)
+    found, wanted = _rotations(given), np.swapaxes(u @ vt, 1, 2)
     np.testing.assert_allclose(found @ np.swapaxes(found, 1, 2), np.tile(np.eye(3), (400, 1, 1)),
                                atol=1e-9)  # fmt: skip
     np.testing.assert_allclose(np.linalg.det(found), 1.0, atol=1e-9)
-    traces = np.einsum("nij,nji->n", found, S), np.einsum("nij,nji->n", wanted, S)
+    traces = np.einsum("nij,nji->n", found, given), np.einsum("nij,nji->n", wanted, given)
     np.testing.assert_allclose(*traces, rtol=1e-9)
     certain = np.r_[0:150, 200:400]
     np.testing.assert_allclose(found[certain], wanted[certain], atol=1e-8)
