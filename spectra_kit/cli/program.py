@@ -176,6 +176,9 @@ class _Sides(options.Command):
 class _Known(_Sides, _Pair):
     group = "input"
 
+    part: bool = False
+    """SOURCE is a part, such as a scan that lacks a limb, and TARGET a whole: find which points of
+    the whole have a partner on the part, too (covered.npy)"""
     landmarks: Path | None = None
     """corresponding points: a line for each with its number on the source and on the target,
     counted from 0"""
@@ -191,7 +194,7 @@ class Match(_Known, options.Operator, options.Solver, options.FolderDrawing):
     outcome = "corresponding points"
     examples = (
         "match cat.off lion.off -o maps",
-        "match cat.off lion.off --landmarks pairs.txt",
+        "match scan.ply body.off --part -o parts",
         f"match {DEMO} {DEMO} --points 2000",
     )
     keys = "source, target, landmarks, match, written"
@@ -202,6 +205,9 @@ class Match(_Known, options.Operator, options.Solver, options.FolderDrawing):
     solver: SolverName = "automatic"
     output: Output = Path("match")
     """folder for the maps, the report and the pictures"""
+    precise: bool = False
+    """also find where on the triangles of SOURCE each target point lies: its barycentric
+    coordinates, a sparse matrix of SciPy (precise_map.npz)"""
 
 
 @dataclass(frozen=True, kw_only=True)
