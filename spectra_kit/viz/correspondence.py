@@ -69,6 +69,11 @@ class MatchedPair(Brief):
     name: str = ""
     names: tuple[str, str] = ("source", "target")
 
+    def __post_init__(self) -> None:
+        expected = f"have shape ({self.target.n},), one for each target point"
+        if self.covered is not None and np.shape(self.covered) != (self.target.n,):
+            raise InvalidInputError("covered", expected, np.shape(self.covered))
+
     def checked_map(self) -> Ints:
         """Return the point map if it fits the two geometries."""
         n = self.target.n
@@ -84,17 +89,6 @@ class MatchedPair(Brief):
     def checked_errors(self) -> Floats | None:
         """Return the errors at each target point, (n2,), NaN where not known."""
         return None if self.errors is None else self.errors.at_points(self.target.n)
-
-    def checked_cover(self) -> Bools:
-        """Return which target points have a partner, (n2,)."""
-        n = self.target.n
-        if self.covered is None:
-            return np.ones(n, dtype=bool)
-        if np.shape(self.covered) != (n,):
-            raise InvalidInputError(
-                "covered", f"have shape ({n},), one for each target point", np.shape(self.covered)
-            )
-        return self.covered
 
 
 @plotted
@@ -233,7 +227,9 @@ def _draw(
         rotation = view.rotation(pair.source)
         places = pair.source.points @ rotation.T
         box = places.min(axis=0), places.max(axis=0)
-        carried = np.where(pair.checked_cover()[:, None], places[point_map], np.nan)
+        carried = places[point_map]
+        if pair.covered is not None:
+            carried[np.logical_not(pair.covered)] = np.nan
         if error is not None:
             carried = np.column_stack([carried, error])
         for geometry, values in ((pair.source, places), (pair.target, carried)):
