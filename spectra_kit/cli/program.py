@@ -436,10 +436,11 @@ class MatchAll(_Kept, _Sides, Workers):
     examples = (
         "match-all store --pairs all",
         "match-all store --pairs pairs.csv --csv maps.csv",
-        "match-all store --pairs all --shard 3/100 --nworkers 0",
+        "match-all store --pairs all --together --csv maps.csv",
     )
     keys = (
-        "pairs, computed, known, failed, ambiguous, not_convincing, replaced, seconds, store, csv"
+        "pairs, computed, known, failed, ambiguous, not_convincing, groups, foreign, replaced,"
+        " seconds, store, csv"
     )
     run = "match_all.match_pairs"
     operands = "STORE --pairs all|FILE [options]"
@@ -453,6 +454,9 @@ class MatchAll(_Kept, _Sides, Workers):
     (default: none)"""
     strict: bool = False
     """stop at the first pair that fails"""
+    together: bool = False
+    """match the shapes as one collection, by this process alone: maps agree over all cycles (cycle
+    errors are in the table); groups of shapes that fit, and those that fit none, are named"""
 
 
 @dataclass(frozen=True)
