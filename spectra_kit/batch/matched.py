@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.linalg.threads import single_threaded_blas
 from spectra_kit.matching import (
     Candidate,
+    Collection,
     Match,
     MatchOptions,
     Prepared,
@@ -136,6 +137,13 @@ class Matched(Brief):
     seconds: float
 
 
+class Together(NamedTuple):
+    """A collection whose maps are kept, and the spectra that all of them follow from."""
+
+    collection: Collection
+    among: list[str]
+
+
 @checked
 def load_match(store: SpectrumStore, key: str) -> Match | None:
     """Return a match that a store keeps.
@@ -182,28 +190,39 @@ def how_of(matching: Matching, source: ShapeRecord, target: ShapeRecord) -> dict
 
 
 def matched(
-    store: SpectrumStore, source: ShapeRecord, target: ShapeRecord, matching: Matching
+    store: SpectrumStore,
+    source: ShapeRecord,
+    target: ShapeRecord,
+    matching: Matching,
+    together: Together | None = None,
 ) -> Matched:
-    """Match two shapes of a store, unless it has their map already.
+    """Match two shapes of a store, by themselves or `together`, unless it has that map already.
 
     A map that is there is read whole, so that damage is found. BLAS gets one thread, as in
     `complete`.
     """
-    start, key, replaced = time.perf_counter(), matching.key(source, target), tuple[str, ...]()
+    start, replaced = time.perf_counter(), tuple[str, ...]()
+    how = how_of(matching, source, target) | ({"among": together.among} if together else {})
+    key = facts_digest(map_facts(source.spectrum, target.spectrum, how))
     try:
         found = load_match(store, key)
     except InvalidFileError as error:
         found, replaced = None, (damage(error),)
     if computed := found is None:
         with single_threaded_blas(), hearing():  # `convincing` tells of doubts
-            found = match(
-                *(_prepared(os.fspath(store.path), x.shape, x.spectrum) for x in (source, target)),
-                k=matching.k,
-                mirrored=matching.mirrored,
-                elastic=matching.elastic,
-                options=matching.options,
-            )
-        how = how_of(matching, source, target)
+            if together and {source.name, target.name} <= {*together.collection.shapes}:
+                found = together.collection.pair(
+                    source.name, target.name, k=matching.k, elastic=matching.elastic
+                )
+            else:
+                place, ends = os.fspath(store.path), (source, target)
+                found = match(
+                    *(prepared(place, one.shape, one.spectrum) for one in ends),
+                    k=matching.k,
+                    mirrored=matching.mirrored,
+                    elastic=matching.elastic,
+                    options=matching.options,
+                )
         store.keep_map(source.spectrum, target.spectrum, how, _arrays(found))
     return Matched(
         key=key,
@@ -216,7 +235,7 @@ def matched(
 
 
 @lru_cache(maxsize=KEPT)
-def _prepared(store: str, shape: str, spectrum: str) -> Prepared:
+def prepared(store: str, shape: str, spectrum: str) -> Prepared:
     """Return a shape of a store, ready to be matched; the last few are kept for further pairs."""
     place = SpectrumStore(store)
     modes = place.load(spectrum)

@@ -10,7 +10,7 @@ from typing import Any
 from spectra_kit._checked import checked
 from spectra_kit._clock import Clock
 from spectra_kit.batch.inputs import Pair, refuse_twice
-from spectra_kit.batch.matched import Matched, Matching, matched
+from spectra_kit.batch.matched import Matched, Matching, Together, matched
 from spectra_kit.batch.pairs import records_of
 from spectra_kit.batch.run import BatchReport, Engine, own_order, report_of, work
 from spectra_kit.errors import InvalidInputError
@@ -28,20 +28,22 @@ class _Search:
     target: ShapeRecord
     store: Path
     matching: Matching
+    together: Together | None = None
 
     @property
     def name(self) -> str:
         return self.pair.name
 
     def __call__(self) -> Matched:
-        return matched(SpectrumStore(self.store), self.source, self.target, self.matching)
+        ends = (self.source, self.target)
+        return matched(SpectrumStore(self.store), *ends, self.matching, self.together)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle it with paths from the root: who works may have another folder as theirs."""
         return _Search, (
             *(self.pair, self.source, self.target),
             self.store.absolute(),
-            self.matching,
+            *(self.matching, self.together),
         )
 
 
@@ -145,6 +147,7 @@ def match_records(
     engine: Engine | None,
     strict: bool,
     progress: Callable[[int, int], object] | None,
+    together: Together | None = None,
 ) -> BatchReport[Pair, Matched]:
     """Match pairs of which `records` tell what the store holds: see `match_all`."""
     clock = Clock()
@@ -157,7 +160,7 @@ def match_records(
             found[pair.source, pair.target] = unknown
         else:
             ends = (records[pair.source], records[pair.target])
-            searches.append(_Search(pair, *ends, Path(store.path), matching))
+            searches.append(_Search(pair, *ends, Path(store.path), matching, together))
     results = work(searches, engine=engine, strict=strict, progress=progress)
     found |= {
         (one.pair.source, one.pair.target): result

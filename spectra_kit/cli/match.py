@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy import sparse
 
 from spectra_kit._types import Ints
 from spectra_kit._validate import check_indices
 from spectra_kit.cli import program, tables
 from spectra_kit.cli.inputs import assemble, load
-from spectra_kit.cli.options import DEMO
+from spectra_kit.cli.options import DEMO, refuse_given
 from spectra_kit.cli.output import as_json, check_folder, drawing, tell, together
 from spectra_kit.cli.progress import step
 from spectra_kit.cli.solving import check_solvers, solve
@@ -33,7 +34,7 @@ from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature_pair, write
 from spectra_kit.geometry.formats._arrays import text_lines, whole
 from spectra_kit.geometry.formats.numpy_arrays import read_npy
-from spectra_kit.matching import Match, match, prepare
+from spectra_kit.matching import Match, match, match_part, prepare
 from spectra_kit.matching.prepare import LOWEST_K
 from spectra_kit.matching.result import Doubt
 from spectra_kit.operators import Laplacian
@@ -42,6 +43,7 @@ from spectra_kit.spectra import Spectrum
 from spectra_kit.viz import Page, View, plot_correspondence, plot_error_curves, plot_functional_map
 
 _MAPS = ("point_map.npy", "functional_map.npy", "report.json")
+_COVERED, _PRECISE = "covered.npy", "precise_map.npz"
 _SIDES = ("source.npz", "target.npz")
 MIRRORED = {"either": None, "kept": False, "reversed": True}
 _LINES = "hold lines of two integers, on the source and on the target"
@@ -60,6 +62,8 @@ def match_shapes(asked: program.Match) -> None:
             " change",
             advice="repair or sample first, and match what came out",
         )
+    if asked.part:
+        refuse_given(asked, ["landmarks", "precise"], "with --part; match wholes")
     if asked.k < LOWEST_K:
         raise InvalidInputError(
             "-k", f"be at least {LOWEST_K}", asked.k, advice="solve for more (150 match best)"
@@ -69,8 +73,10 @@ def match_shapes(asked: program.Match) -> None:
     sides = _SIDES if renumbered or DEMO in (asked.source, asked.target) else ()
     drawn = _PICTURES if asked.truth or is_demo else _PICTURES[:2]
     pictures = () if asked.no_pictures else drawn
-    files = (*_MAPS, *sides, *pictures)
-    check_folder(folder, files, _MAPS + _SIDES + _PICTURES, asked.inputs)
+    more = (_COVERED,) * asked.part + (_PRECISE,) * asked.precise
+    files = (*_MAPS, *more, *sides, *pictures)
+    known = (*_MAPS, _COVERED, _PRECISE, *_SIDES, *_PICTURES)
+    check_folder(folder, files, known, asked.inputs)
 
     truth = landmarks = None
     one: Geometry
@@ -81,6 +87,7 @@ def match_shapes(asked: program.Match) -> None:
     else:
         one, _ = load(asked.source, asked, pose=1)
         other, _ = load(asked.target, asked, pose=2)
+    _check_triangles(asked, one, other)
     if asked.truth:
         truth = _read_truth(asked.truth, one.n, other.n)
     if asked.landmarks:
@@ -88,9 +95,9 @@ def match_shapes(asked: program.Match) -> None:
     source = _solve(asked, asked.source, one)
     target = _solve(asked, asked.target, other)
     with step("matching"):
-        found, quality = _matched(source, target, landmarks, MIRRORED[asked.sides])
+        found, quality = _matched(asked, source, target, landmarks)
     with step("judging the map"):
-        quality |= quality_of(source, target, found.point_map)
+        quality |= quality_of(source, target, found)
         errors, label = None, ""
         if truth is not None:
             errors, label = errors_of(source, found.point_map, truth)
@@ -111,6 +118,10 @@ def match_shapes(asked: program.Match) -> None:
     with step(f"writing {folder}"), writing as part:
         np.save(part / _MAPS[0], found.point_map)
         np.save(part / _MAPS[1], found.functional_map)
+        if found.covered is not None:
+            np.save(part / _COVERED, found.covered)
+        if found.precise is not None:
+            sparse.save_npz(part / _PRECISE, found.precise)
         (part / _MAPS[2]).write_text(as_json(record))
         for name, side in zip(sides, (source, target), strict=False):
             write(side.geometry, part / name)
@@ -123,7 +134,8 @@ def match_shapes(asked: program.Match) -> None:
         asked,
         {**record, "written": written},
         *(tables.headline(side.name, side.geometry, side.laplacian) for side in (source, target)),
-        f"the map: the point of {source.name} that each point of {target.name} is",
+        f"the map: the point of {source.name} that each{' covered' * asked.part} point of"
+        f" {target.name} is",
         tables.pairs({name.replace("_", " "): _told(value) for name, value in quality.items()}),
         "\n".join(f"written: {path}" for path in written),
     )
@@ -157,18 +169,38 @@ def _solve(asked: program.Match, name: str, geometry: Geometry) -> Side:
     return Side(name, geometry, laplacian, solve(laplacian, asked.k, asked.solver, asked))
 
 
+def _check_triangles(asked: program.Match, source: Geometry, target: Geometry) -> None:
+    """Refuse clouds where triangles are asked for."""
+    clouds = [not isinstance(side, TriangleMesh) for side in (source, target)]
+    if asked.part and any(clouds):
+        raise InvalidInputError("--part", "match a mesh to a mesh", "a point cloud")
+    if asked.precise and clouds[0]:
+        raise InvalidInputError(
+            "--precise",
+            "have a mesh as SOURCE, whose triangles it tells of",
+            "a point cloud",
+            advice="leave it out, or exchange the two",
+        )
+
+
 def _matched(
-    source: Side, target: Side, landmarks: tuple[Ints, Ints] | None, mirrored: bool | None
+    asked: program.Match, source: Side, target: Side, landmarks: tuple[Ints, Ints] | None
 ) -> tuple[Match, tables.Record]:
     """The maps, and what the match says of itself."""
     start = time.perf_counter()
     first, second = (prepare(side.spectrum, side.geometry) for side in (source, target))
     middle = time.perf_counter()
-    found = match(first, second, landmarks=landmarks, mirrored=mirrored, k=source.spectrum.k)
+    mirrored, k = MIRRORED[asked.sides], source.spectrum.k
+    if asked.part:
+        found = match_part(first, second, mirrored=mirrored, k=k)
+    else:
+        found = match(
+            *(first, second), landmarks=landmarks, mirrored=mirrored, k=k, precise=asked.precise
+        )
     return found, {
         "prepare_seconds": middle - start,
         "match_seconds": time.perf_counter() - middle,
-        "confidence": found.confidence,
+        "confidence": None if asked.part else found.confidence,  # of parts it is not calibrated
         "convincing": found.convincing,
         "ambiguous": found.ambiguous,
         **({"doubts": doubts_of(found)} if found.doubts else {}),
@@ -230,7 +262,7 @@ def doubts_of(found: Match) -> str:
     """Say what speaks against a match; nothing if nothing does."""
     other = "does not mirror" if found.mirrored else "mirrors"
     told: dict[Doubt, str] = {
-        "margin": "another map scores nearly as well",
+        "margin": "another map scores as well",
         "mirror_margin": f"one that {other} scores better",
         "orientation": "its orientation is not that of a whole map",
         "consistent": "it is in doubt which side of a cloud is out",
@@ -256,19 +288,36 @@ def errors_of(source: Side, point_map: Ints, truth: Ints) -> tuple[MapErrors, st
     return MapErrors(scaled, known), "straight-line error, 100 / √area"
 
 
-def quality_of(source: Side, target: Side, point_map: Ints) -> tables.Record:
-    """Judge a point map by itself; None stands for what cannot be measured on these shapes."""
-    shape, turned, missed = source.geometry, None, None
+def quality_of(source: Side, target: Side, found: Match) -> tables.Record:
+    """Judge a point map by itself, where it is covered; None stands for what cannot be measured.
+
+    What takes two wholes is not measured of a part.
+    """
+    shape, point_map, covered = source.geometry, found.point_map, found.covered
+    there = np.ones(len(point_map), dtype=bool) if covered is None else covered
+    turned = energy = missed = None
     with suppress(InvalidInputError):  # a surface without a consistent winding has no orientation
         a, b = (oriented_triangles(side.geometry) for side in (source, target))
-        turned = orientation(shape.points, a.faces, b.faces, point_map)
-    if isinstance(shape, TriangleMesh):  # from a source point to where the map takes its image
-        back = way_back(source.spectrum, target.spectrum, point_map)
-        missed = float(bijectivity_errors(shape, point_map, back).mean())
+        faces = b.faces[there[b.faces].all(axis=1)]
+        turned = orientation(shape.points, a.faces, faces, point_map)
+    if covered is None:
+        energy = dirichlet_energy(source.laplacian, target.laplacian, point_map)
+        if isinstance(shape, TriangleMesh):  # from a source point to where the map takes its image
+            back = way_back(source.spectrum, target.spectrum, point_map)
+            missed = float(bijectivity_errors(shape, point_map, back).mean())
+    mass = target.spectrum.mass
     return {
+        **(
+            {}
+            if covered is None
+            else {
+                "covered_points": int(covered.sum()),
+                "covered_area": float(mass[covered].sum() / mass.sum()),
+            }
+        ),
         "point_map_orientation": turned,
-        "coverage": coverage(point_map, source.spectrum.mass),
-        "dirichlet_energy": dirichlet_energy(source.laplacian, target.laplacian, point_map),
+        "coverage": coverage(point_map[there], source.spectrum.mass),
+        "dirichlet_energy": energy,
         "way_back_error": missed,
     }
 
@@ -292,6 +341,7 @@ def _draw(
         found.point_map,
         errors=errors,
         error_label=label,
+        covered=found.covered,
         view=View(asked.upwards, asked.turn),
         names=names if names[0] != names[1] else ("source", "target"),
         page=Page(title, f"{source.geometry.n:,} and {target.geometry.n:,} points", asked.dpi),

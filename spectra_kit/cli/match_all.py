@@ -7,8 +7,10 @@ from spectra_kit.batch.match_table import OF_PAIRS
 from spectra_kit.batch.pairs import only_plan, pairs_of, records_of
 from spectra_kit.batch.run_pairs import match_records
 from spectra_kit.batch.table import check_columns
+from spectra_kit.batch.together import OF_COLLECTED, collected
 from spectra_kit.cli import program
 from spectra_kit.cli.match import MIRRORED
+from spectra_kit.cli.options import refuse_given
 from spectra_kit.cli.output import check_output
 from spectra_kit.cli.workers import engine_of, part_of, running, tell_run
 from spectra_kit.errors import InvalidInputError
@@ -16,11 +18,17 @@ from spectra_kit.matching.prepare import LOWEST_K
 from spectra_kit.store import SpectrumStore
 from spectra_kit.store.files import MARK
 
+_OF_WORKERS = ("nworkers", "nthreads", "memory_limit", "scheduler", "scheduler_file", "shard")
+
 
 def match_pairs(asked: program.MatchAll) -> None:
     """Match pairs of a store, tell what failed, write the table."""
     if not (asked.store / MARK).is_file():
         raise InvalidInputError(f"{str(asked.store)!r} is no store", advice="name one")
+    if asked.together:
+        refuse_given(asked, _OF_WORKERS, "with --together, which one process does; match alone")
+        if asked.sides == "reversed":
+            raise InvalidInputError("--sides", "be either or kept with --together", asked.sides)
     if asked.csv:
         check_output(asked.csv, [".csv"], [asked.pairs])
     store = SpectrumStore(asked.store)
@@ -35,7 +43,7 @@ def match_pairs(asked: program.MatchAll) -> None:
     records = records_of(store, plan)
     pairs = part_of(asked, pairs_of(asked.pairs, store, plan))
     if asked.csv:
-        check_columns(pairs, OF_PAIRS)
+        check_columns(pairs, OF_PAIRS + OF_COLLECTED * asked.together)
     matching = Matching(k=k, mirrored=MIRRORED[asked.sides])
 
     def missing() -> int:
@@ -45,7 +53,12 @@ def match_pairs(asked: program.MatchAll) -> None:
             for a, b in ends
         )
 
-    engine = engine_of(asked, "pair", missing)
+    together = engine = None
+    if asked.together:
+        with running("joining", "shape") as progress:
+            together, pairs = collected(store, pairs, records, matching=matching, progress=progress)
+    else:
+        engine = engine_of(asked, "pair", missing)
     with running("matching", "pair") as progress:
         report = match_records(
             store,
@@ -55,6 +68,7 @@ def match_pairs(asked: program.MatchAll) -> None:
             engine=engine,
             strict=asked.strict,
             progress=progress,
+            together=together,
         )
     if asked.csv:
         write_match_table(asked.csv, report)
@@ -62,6 +76,8 @@ def match_pairs(asked: program.MatchAll) -> None:
     doubts = {
         "ambiguous": sum(one.ambiguous for one in found),
         "not_convincing": sum(not one.convincing for one in found),
+        "groups": together and together.collection.groups,
+        "foreign": together and together.collection.foreign,
     }
     tell_run(
         asked,

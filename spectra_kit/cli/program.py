@@ -176,6 +176,9 @@ class _Sides(options.Command):
 class _Known(_Sides, _Pair):
     group = "input"
 
+    part: bool = False
+    """SOURCE is a part, such as a scan that lacks a limb, and TARGET a whole: find which points of
+    the whole have a partner on the part, too (covered.npy)"""
     landmarks: Path | None = None
     """corresponding points: a line for each with its number on the source and on the target,
     counted from 0"""
@@ -191,7 +194,7 @@ class Match(_Known, options.Operator, options.Solver, options.FolderDrawing):
     outcome = "corresponding points"
     examples = (
         "match cat.off lion.off -o maps",
-        "match cat.off lion.off --landmarks pairs.txt",
+        "match scan.ply body.off --part -o parts",
         f"match {DEMO} {DEMO} --points 2000",
     )
     keys = "source, target, landmarks, match, written"
@@ -202,6 +205,9 @@ class Match(_Known, options.Operator, options.Solver, options.FolderDrawing):
     solver: SolverName = "automatic"
     output: Output = Path("match")
     """folder for the maps, the report and the pictures"""
+    precise: bool = False
+    """also find where on the triangles of SOURCE each target point lies: its barycentric
+    coordinates, a sparse matrix of SciPy (precise_map.npz)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -430,10 +436,11 @@ class MatchAll(_Kept, _Sides, Workers):
     examples = (
         "match-all store --pairs all",
         "match-all store --pairs pairs.csv --csv maps.csv",
-        "match-all store --pairs all --shard 3/100 --nworkers 0",
+        "match-all store --pairs all --together --csv maps.csv",
     )
     keys = (
-        "pairs, computed, known, failed, ambiguous, not_convincing, replaced, seconds, store, csv"
+        "pairs, computed, known, failed, ambiguous, not_convincing, groups, foreign, replaced,"
+        " seconds, store, csv"
     )
     run = "match_all.match_pairs"
     operands = "STORE --pairs all|FILE [options]"
@@ -447,6 +454,9 @@ class MatchAll(_Kept, _Sides, Workers):
     (default: none)"""
     strict: bool = False
     """stop at the first pair that fails"""
+    together: bool = False
+    """match the shapes as one collection, by this process alone: maps agree over all cycles (cycle
+    errors are in the table); groups of shapes that fit, and those that fit none, are named"""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -63,6 +63,13 @@ def engine_of(asked: program.Workers, noun: str, missing: Callable[[], int]) -> 
     return engine
 
 
+def _listed(value: int | Sequence[str | Sequence[str]]) -> str:
+    if isinstance(value, int):
+        return f"{value:,}"
+    names = (one if isinstance(one, str) else f"({', '.join(one)})" for one in value)
+    return ", ".join(names) or "none"
+
+
 @contextmanager
 def running(text: str, noun: str) -> Iterator[Callable[[int, int], None]]:
     """Show a bar while a run goes on; say that one that was interrupted has lost nothing."""
@@ -83,7 +90,7 @@ def tell_run(
     count: int,
     store: Path,
     csv: Path | None,
-    more: dict[str, int] | None = None,
+    more: Mapping[str, int | Sequence[str | Sequence[str]] | None] | None = None,
     renewed: list[str] | None = None,
 ) -> None:
     """Say what came of a run; failures last, where they are seen. `more` is told of results.
@@ -117,7 +124,11 @@ def tell_run(
     lines = [
         f"{quantity(count, noun)}: {computed:,} computed, {known:,} known,"
         f" {len(failed):,} failed; {report.seconds:.1f} s{rate}",
-        *(f"{name.replace('_', ' ')}: {value:,}" for name, value in (more or {}).items()),
+        *(
+            f"{name.replace('_', ' ')}: {_listed(value)}"
+            for name, value in (more or {}).items()
+            if value is not None
+        ),
         f"store: {store}",
         *([f"table: {csv}"] if csv else []),
     ]

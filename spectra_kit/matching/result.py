@@ -131,7 +131,7 @@ class Match(Rebuilt):
     def ambiguous(self) -> bool:
         """Whether the map may be flipped, in whole or in part.
 
-        That is: a rival is nearly as good, one of the other orientation is better, that of
+        That is: a rival scored as well, one of the other orientation clearly better, that of
         the map is not what it should be, or the sides of a cloud are in doubt. A surface with a
         symmetry that no rival happened to show, such as a sphere, may pass for clear.
         """

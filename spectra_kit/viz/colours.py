@@ -18,7 +18,7 @@ _EARLY = 0.4  # chroma rises faster than the lightness falls: clear colours half
 # Of distances from near to far: lightness falls, hue (degrees) turns from yellow to violet.
 _LIGHTNESS, _HUE, _CHROMA = (0.95, 0.56), (100.0, -75.0), (0.10, 0.13)
 
-UNKNOWN = (205, 205, 205)  # of a point whose error is not known
+UNKNOWN = (205, 205, 205)  # of a point whose error, or partner, is not known
 
 SQUARES = 9  # along the longer side
 _PIXELS = 96  # of the chart, along the side of a square

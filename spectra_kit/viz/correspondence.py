@@ -10,13 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spectra_kit._checked import checked
-from spectra_kit._types import Floats, Ints
+from spectra_kit._types import Bools, Floats, Ints
 from spectra_kit._validate import Brief, check_indices, check_positive
 from spectra_kit.correspondence import MapErrors
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.shapes import Geometry
 from spectra_kit.viz.camera import View, fitting_size
-from spectra_kit.viz.colours import error_colours, position_colours, refined, texture_colours
+from spectra_kit.viz.colours import (
+    UNKNOWN,
+    error_colours,
+    position_colours,
+    refined,
+    texture_colours,
+)
 from spectra_kit.viz.page import Page
 from spectra_kit.viz.pen import short
 from spectra_kit.viz.picture import plotted
@@ -47,6 +53,8 @@ class MatchedPair(Brief):
         The source point of each target point.
     errors : MapErrors, optional
         Of the map, which say at which target points they are.
+    covered : ndarray of bool of shape (n2,), optional
+        Which target points have a partner, where the source is a part; the others are grey.
     name : str
         Set beside the row, reading upwards.
     names : tuple of str
@@ -57,8 +65,14 @@ class MatchedPair(Brief):
     target: Geometry
     point_map: ArrayLike
     errors: MapErrors | None = None
+    covered: Bools | None = None
     name: str = ""
     names: tuple[str, str] = ("source", "target")
+
+    def __post_init__(self) -> None:
+        expected = f"have shape ({self.target.n},), one for each target point"
+        if self.covered is not None and np.shape(self.covered) != (self.target.n,):
+            raise InvalidInputError("covered", expected, np.shape(self.covered))
 
     def checked_map(self) -> Ints:
         """Return the point map if it fits the two geometries."""
@@ -86,6 +100,7 @@ def plot_correspondence(
     view: View = View(),
     page: Page = Page(),
     errors: MapErrors | None = None,
+    covered: Bools | None = None,
     transfer: Transfer = "colours",
     limit: float | None = None,
     error_label: str = "geodesic error, 100 / √area",
@@ -107,6 +122,8 @@ def plot_correspondence(
     errors : MapErrors, optional
         Of the map, drawn in a third column at the target points that they are of; those of a mesh
         are made by `correspondence.map_errors`.
+    covered : ndarray of bool of shape (n2,), optional
+        Which target points have a partner (`Match.covered`, of parts); the others are grey.
     transfer : {"colours", "texture"}, default "colours"
         What the map carries: gradual colours, or a chart of named squares.
     limit : float, optional
@@ -137,7 +154,12 @@ def plot_correspondence(
     Picture(path=None)
     """
     pair = MatchedPair(
-        source=source, target=target, point_map=point_map, errors=errors, names=names
+        source=source,
+        target=target,
+        point_map=point_map,
+        errors=errors,
+        covered=covered,
+        names=names,
     )
     return _draw([pair], True, transfer, limit, error_label, view, page)
 
@@ -206,6 +228,8 @@ def _draw(
         places = pair.source.points @ rotation.T
         box = places.min(axis=0), places.max(axis=0)
         carried = places[point_map]
+        if pair.covered is not None:
+            carried[np.logical_not(pair.covered)] = np.nan
         if error is not None:
             carried = np.column_stack([carried, error])
         for geometry, values in ((pair.source, places), (pair.target, carried)):
@@ -240,14 +264,19 @@ def _scene(
     dpi: int,
     transfer: Transfer,
 ) -> Scene:
-    """Colour by `values` (n, 3), places in the box; by errors, too, which are a fourth column."""
+    """Colour by `values` (n, 3), places in the box; by errors, too, which are a fourth column.
+
+    What has no place is grey.
+    """
     inches = fitting_size(geometry, rotation, _WIDEST, _TALLEST)
     width, height = (round(side * dpi) for side in inches)
     fine, values, normals = refined(geometry, values, width * height // _PIXELS[transfer])
+    places = np.nan_to_num(values[:, :3])
     if transfer == "texture":
-        colours = [texture_colours(values[:, :3], *box)]
+        colours = [texture_colours(places, *box)]
     else:
-        colours = [position_colours(values[:, :3], *box, squares=normals is not None)]
+        colours = [position_colours(places, *box, squares=normals is not None)]
+    colours[0][np.isnan(values[:, 0])] = UNKNOWN
     if values.shape[1] > 3:
         colours.append(error_colours(values[:, 3], limit))
     return Scene(geometry=fine, functions=colours, rotation=rotation, width=width, normals=normals)

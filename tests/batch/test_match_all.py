@@ -21,7 +21,7 @@ from spectra_kit.batch import (
     shard,
     write_match_table,
 )
-from spectra_kit.batch.matched import KEPT, _prepared
+from spectra_kit.batch.matched import KEPT, prepared
 from spectra_kit.batch.run import own_order
 from spectra_kit.batch.run_pairs import in_tiles
 from spectra_kit.errors import DoubtfulMatchWarning, InvalidFileError, InvalidInputError
@@ -98,10 +98,10 @@ def test_maps_are_the_true_ones_and_those_of_match(store):
         *("animal to image", "animal to shuffled", "image to shuffled")
     ]
     told = []
-    _prepared.cache_clear()
+    prepared.cache_clear()
     report = match_all(store, pairs, progress=lambda *args: told.append(args))
     assert told == [(1, 3), (2, 3), (3, 3)]
-    assert _prepared.cache_info().misses == 3  # once each, for two pairs
+    assert prepared.cache_info().misses == 3  # once each, for two pairs
     assert (report.computed, report.failed, report.replaced) == (3, (), ())
     _, order = shuffled(creature(600), 0)
     truths = [np.arange(600), order, order]
@@ -205,7 +205,7 @@ def test_pairs_that_fail_are_told_and_the_rest_goes_on(tmp_path, shapes):
 
 
 def test_shapes_that_are_gone_or_damaged_fail_by_themselves(store):
-    _prepared.cache_clear()
+    prepared.cache_clear()
     spectrum = store.record("image", PLAN).spectrum
     (entry,) = (one for one in store.entries("spectra") if one.key == spectrum)
     entry.path.write_bytes(b"")
@@ -303,7 +303,7 @@ def test_pairs_that_cannot_be(store, tmp_path):
 
 
 @pytest.mark.parametrize("order", [list, own_order])
-def test_tiles_let_shapes_be_prepared_once_for_many_pairs(order):
+def test_tiles_let_shapes_beprepared_once_for_many_pairs(order):
     names = [f"{i:02}" for i in range(20)]
     pairs = [Pair(source=a, target=b) for a in names for b in names if a < b]
     ordered = list(in_tiles(pairs, order))

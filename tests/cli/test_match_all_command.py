@@ -2,6 +2,7 @@
 
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from running import printed, record, refusal
 
 from spectra_kit.batch import load_match
 from spectra_kit.cli import main
-from spectra_kit.geometry import mirrored, write
+from spectra_kit.geometry import mirrored, torus, write
 from spectra_kit.store import SpectrumStore
 
 HERE = ("--nworkers", 0)
@@ -80,6 +81,33 @@ def record_of(capsys, *arguments):
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
+def test_maps_of_a_collection_agree_and_strangers_are_named(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for pose in (1, 2, 3):
+        write(creature(600, pose=pose), f"{pose}.off")
+    write(torus(n=700).geometry, "ring.off")
+    write(two_parts(), "parts.off")
+    printed(capsys, "batch", "*.off", "-o", "store", "-k", 60, *HERE)
+    (tmp_path / "pairs.csv").write_text(
+        "source,target\n1.off,2.off\n2.off,3.off\n3.off,1.off\n1.off,ring.off\nparts.off,1.off\n"
+    )
+    run = ("match-all", "store", "--pairs", "pairs.csv", "--together", "--csv", "maps.csv")
+    told = record_of(capsys, *run)
+    assert told["groups"] == [["1.off", "2.off", "3.off"], ["ring.off"]]
+    assert (told["foreign"], told["computed"]) == (["ring.off"], 4)
+    assert [one["name"] for one in told["failed"]] == ["parts.off to 1.off"]
+    rows = [*csv.DictReader(Path("maps.csv").read_text().splitlines())]
+    assert all(float(row["cycle_error"]) < 0.1 for row in rows[:3])
+    maps = [load_match(SpectrumStore("store"), row["map"]).point_map for row in rows[:3]]
+    around = maps[0][maps[1][maps[2]]]
+    assert (around == np.arange(600)).mean() > 0.9
+    main([*map(str, run)])
+    told = capsys.readouterr().out
+    assert "5 pairs: 0 computed, 4 known, 1 failed" in told
+    assert "groups: (1.off, 2.off, 3.off), (ring.off)\nforeign: ring.off\n" in told
+
+
 def test_stores_and_options_that_are_wrong(animals, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert "is no store" in refusal(capsys, "match-all", "nowhere", "--pairs", "all", *HERE)
@@ -90,6 +118,10 @@ def test_stores_and_options_that_are_wrong(animals, capsys, tmp_path, monkeypatc
     assert "`store` must hold spectra of 50 modes, got none" in line
     line = refusal(capsys, *run, "all", "--nthreads", 2, *HERE)
     assert "--nworkers 0, which is this process alone" in line
+    line = refusal(capsys, *run, "all", "--together", "--shard", "1/2")
+    assert "--shard has no effect with --together" in line
+    line = refusal(capsys, *run, "all", "--together", "--sides", "reversed")
+    assert "`--sides` must be either or kept with --together" in line
     write(creature(520), "cat.off")
     printed(capsys, "batch", "cat.off", "-o", "store", "-k", 12, *HERE)
     line = refusal(capsys, "match-all", "store", "--pairs", "all", *HERE)

@@ -8,11 +8,21 @@ import numpy as np
 import pytest
 from conftest import creature
 from running import printed, record, refusal
+from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from spectra_kit.cli import main, match
 from spectra_kit.cli.match import doubts_of
-from spectra_kit.geometry import creature_pair, mirrored, permuted, sphere, write
+from spectra_kit.geometry import (
+    TriangleMesh,
+    creature_pair,
+    largest_component,
+    mirrored,
+    permuted,
+    read,
+    sphere,
+    write,
+)
 
 FILES = {"point_map.npy", "functional_map.npy", "report.json"}
 
@@ -90,6 +100,48 @@ def test_clouds_are_matched_and_judged_as_far_as_they_can_be(files, tmp_path, ca
     assert result["match"]["way_back_error"] is None
 
 
+def test_points_inside_triangles_are_written_as_a_sparse_matrix(files, tmp_path, capsys):
+    pair, out = (files / "source.off", files / "target.off"), tmp_path / "out"
+    made = report(capsys, *pair, "-k", 40, "--precise", "-o", out)
+    assert str(out / "precise_map.npz") in made["written"]
+    precise = sparse.load_npz(out / "precise_map.npz")
+    np.testing.assert_allclose(precise.sum(axis=1), 1)
+    corners = read(pair[0]).faces[:, :, None] == precise.indices[: precise.indptr[1]]
+    assert corners.any(axis=1).all(axis=1).any()  # those of the first point are of one triangle
+    few = ("-k", 40, "-o", out)
+    assert "got precise_map.npz, which would stay" in refused(capsys, *pair, *few)
+
+
+def test_a_part_that_lacks_nothing_covers_all(files, tmp_path, capsys):
+    pair, out = (files / "animal.off", files / "permuted.off"), tmp_path / "out"
+    found = report(capsys, *pair, "-k", 40, "--part", "-o", out)["match"]
+    assert set(os.listdir(out)) == FILES | {"covered.npy"}
+    assert np.load(out / "covered.npy").all()
+    np.testing.assert_array_equal(np.load(out / "point_map.npy"), np.load(files / "order.npy"))
+    assert (found["covered_points"], found["covered_area"]) == (600, 1)
+    assert found["confidence"] is found["dirichlet_energy"] is found["way_back_error"] is None
+
+
+@pytest.mark.slow
+def test_what_the_part_lacks_is_not_covered(files, tmp_path, capsys):
+    animal, out = creature(600), tmp_path / "out"
+    left = animal.points[:, 0] < 0.6  # no head, no neck
+    faces = animal.faces[left[animal.faces].all(axis=1)]
+    part = largest_component(TriangleMesh(animal.points, faces))
+    write(part.mesh, tmp_path / "part.off")
+    pair = (tmp_path / "part.off", files / "animal.off", "--part", "--sides", "kept")
+    text, _ = printed(capsys, "match", *pair, "-k", 40, "-o", out, "--dpi", 30)
+    assert f"the map: the point of {pair[0]} that each covered point of {pair[1]} is" in text
+    covered, kept = np.load(out / "covered.npy"), np.isin(np.arange(600), part.vertex_index)
+    assert (covered == kept).mean() > 0.95
+    found = json.loads((out / "report.json").read_text())["match"]
+    assert found["covered_points"] == covered.sum()
+    assert found["covered_area"] == pytest.approx(part.mesh.area / animal.area, rel=0.1)
+    assert found["coverage"] > 0.9
+    assert found["point_map_orientation"] > 0.9
+    assert (out / "correspondence.png").is_file()
+
+
 def test_the_demo_draws_its_pictures(tmp_path, capsys, monkeypatch):
     folder = tmp_path / "demo"
     command = ("match", "demo", "demo", "--points", 500, "-k", 30, "--dpi", 30, "-o", folder)
@@ -117,7 +169,7 @@ def test_the_demo_draws_its_pictures(tmp_path, capsys, monkeypatch):
     ("doubts", "why"),
     [
         ((), ""),
-        (("margin", "mirror_margin"), "scores nearly as well, one that mirrors scores better"),
+        (("margin", "mirror_margin"), "scores as well, one that mirrors scores better"),
         (("orientation", "consistent"), "whole map, it is in doubt which side of a cloud is out"),
         (("coverage", "score"), "than chance would, the surfaces look no more alike than"),
     ],
@@ -136,7 +188,7 @@ def test_an_ambiguous_match_says_why(tmp_path, capsys):
         write(ball.with_points(points * [1.0, 1.0, 1.7]), path)
     result = report(capsys, *eggs, "-k", 30, "--sides", "kept", "-o", tmp_path / "out")
     assert result["match"]["ambiguous"] is True
-    assert "another map scores nearly as well" in result["match"]["doubts"]
+    assert "another map scores as well" in result["match"]["doubts"]
     assert result["match"]["other_side"] is None  # not tried
 
 
@@ -190,6 +242,10 @@ def test_bad_input_is_refused_before_the_work(files, tmp_path, capsys, monkeypat
         (("--landmarks", landmarks, "--cloud", 700), "repair or sample first"),
         (("-o", tmp_path / "no" / "out"), "cannot make"),
         (("-o", tmp_path / "broken.npy"), "a file has that name"),
+        (("--part", "--landmarks", landmarks), "--landmarks has no effect with --part; match"),
+        (("--part", "--precise"), "--precise has no effect with --part; match wholes, or leave"),
+        (("--part", "--cloud", 700), "`--part` must match a mesh to a mesh, got a point cloud"),
+        (("--precise", "--cloud", 700), "`--precise` must have a mesh as SOURCE"),
         (("-k", 20), "`-k` must be at least 30, got 20; solve for more (150 match best)"),
     ):
         assert message in refused(capsys, *pair, *out, *options)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import refused
 from drawing import can_draw, draw, grey, page  # noqa: F401
 
 from spectra_kit.correspondence import Truth, map_errors
@@ -94,6 +95,19 @@ def test_errors_are_drawn_where_they_are_whatever_the_order_of_the_truth():
     some = map_errors(source, wrong, Truth(truth[[5, 3, 5]], [5, 3, 5])).at_points(target.n)
     assert np.flatnonzero(~np.isnan(some)).tolist() == [3, 5]
     np.testing.assert_array_equal(some[[3, 5]], drawn[0][[3, 5]])
+
+
+@pytest.mark.parametrize("transfer", ["colours", "texture"])
+def test_what_is_not_covered_is_grey(tmp_path, transfer):
+    mesh = PAIR[0]
+    same, nothing = range(mesh.n), np.zeros(mesh.n, dtype=bool)
+    style = {"transfer": transfer, "names": ("x", "x"), "page": Page(dpi=40)}
+    plot_correspondence(tmp_path / "map.png", mesh, mesh, same, covered=nothing, **style)
+    picture = page(tmp_path / "map.png")[20:]
+    columns = np.flatnonzero((np.ptp(picture, axis=2) > 12).any(axis=0))
+    assert columns.max() < picture.shape[1] / 2  # of the source alone
+    assert (picture[:, picture.shape[1] // 2 :] < 210).all(axis=2).mean() > 0.05
+    refused("covered", "have shape", plot_correspondence, mesh, mesh, same, covered=nothing[1:])
 
 
 def test_a_functional_map_is_dark_where_it_is_large(tmp_path):
