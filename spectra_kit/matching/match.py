@@ -205,25 +205,31 @@ def matched_from(
 def _settled(
     a: Prepared, b: Prepared, candidates: Sequence[Candidate], options: MatchOptions
 ) -> Candidate:
-    """Return the best candidate, or a rival near to it whose source can be bent onto the target.
+    """Return the best candidate; where bodies of one kind meet, by how near the bent source comes.
 
-    What modes can hardly tell, as the front of a body from its back, is told by how near the source
-    comes.
+    Of one body in two poses modes can hardly tell the front from the back, but the right map brings
+    the source down onto the target, to the spacing of its points. Of two species no map does, and
+    how near one comes tells nothing.
     """
     best, *others = candidates
     rivals = [c for c in others if c.score <= options.contest * best.score]
     close = _distinct([best, *rivals], options.rival)[: options.contenders]
     if len(close) == 1 or a.surface is None or b.surface is None:
         return best
+    gaps = [_left(a, b, c, options) for c in close]
+    spacing = 1 / np.sqrt(min(a.spectrum.n, b.spectrum.n))  # at unit area
+    if min(gaps) > spacing:
+        return best
+    costs = [c.score * gap**2 for c, gap in zip(close, gaps, strict=True)]
+    return close[int(np.argmin(costs))]
 
-    def cost(c: Candidate) -> float:
-        there = nearest(
-            a.spectrum.eigenvectors[:, : len(c.functional_map)] @ c.functional_map.T,
-            b.spectrum.eigenvectors[:, : len(c.functional_map)],
-        )
-        return c.score * bent_distance(a, b, there, mirrored=c.mirrored, options=options)
 
-    return min(close, key=cost)
+def _left(a: Prepared, b: Prepared, candidate: Candidate, options: MatchOptions) -> float:
+    """Return the distance to the target that is left once the source is bent by a candidate."""
+    C = candidate.functional_map
+    rows1, rows2 = a.spectrum.eigenvectors[:, : len(C)] @ C.T, b.spectrum.eigenvectors[:, : len(C)]
+    there = nearest(rows1, rows2)
+    return bent_distance(a, b, there, mirrored=candidate.mirrored, options=options)
 
 
 def _distinct(candidates: Iterable[Candidate], apart: float) -> list[Candidate]:

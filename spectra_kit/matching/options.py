@@ -115,9 +115,10 @@ class MatchOptions:
     mirrored_by : float, default 3.0
         How many times better a mirrored map must be to be believed.
     contest : float, default 1.15
-        Candidates whose scores are within that factor of the best are bent onto the target, too:
-        what counts is the score times the distance that is left.
-    contenders : int, default 3
+        Candidates whose scores are within that factor of the best are bent onto the target, too.
+        If one leaves no more than the spacing of the points, what counts is the score times the
+        square of what each leaves.
+    contenders : int, default 4
         How many at most, the best among them.
     last_steps : int, default 3
         From the refined modes to the end.
@@ -198,7 +199,7 @@ class MatchOptions:
     least_mismatch: float = 1e-3
     mirrored_by: float = 3.0
     contest: float = 1.15
-    contenders: int = 3
+    contenders: int = 4
     last_steps: int = 3
     curvature_scale: float = 2.0
     pull: float = 400.0
