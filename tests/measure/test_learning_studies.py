@@ -159,7 +159,7 @@ def test_what_is_chosen_by_sees_no_test_shape(shapes, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_network_learns_from_clouds(shapes, tmp_path, monkeypatch):
-    monkeypatch.setitem(classification.SHOWN, "pointnet", 300)
+    monkeypatch.setattr(classification, "SHOWN", 300)
     row = Row(View("cloud", "predicted"), "coordinates", "pointnet", 4)
     study = draws_of(shapes, tmp_path, row)
     results = classify_all(study, jobs=0)

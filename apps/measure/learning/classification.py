@@ -38,8 +38,8 @@ SOURCES = tuple(
 POINTS = 2048  #: Of a cloud.
 K = 96  #: Modes.
 _PART = 50  # shapes of one measurement of vectors
-#: Shapes that a network is shown, whatever the number of examples: as many as an hour allows.
-SHOWN = {"pointnet": 30_000, "pointnet++": 6_000, "point-transformer": 10_000}
+#: Shapes that a network is shown, whatever the number of examples: an hour of a core at most.
+SHOWN = 30_000
 COPIES = 7  #: Of each example, stretched.
 _SEEN = 512  # points of each at a time; all of them in tests
 
@@ -349,7 +349,7 @@ def _by_network(
 
 def training_of(row: Row, examples: int, seed: int) -> learning.Training:
     """Return how a network is trained that learns from so many examples."""
-    epochs = max(1, SHOWN[row.method] // (examples * (1 + COPIES)))
+    epochs = max(1, SHOWN // (examples * (1 + COPIES)))
     return learning.Training(
         epochs=epochs, batch=16, points=_SEEN, copies=COPIES, smoothing=0.0, seed=seed
     )

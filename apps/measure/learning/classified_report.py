@@ -105,9 +105,8 @@ def write_report(results: Results, draws: Draws) -> Path:
             " *turned*: what random rotations of the tested shapes change, in points, on average"
             " over the columns.",
             tables.table(header, body),
-            "Networks see shapes and stretched copies of them,"
-            f" {', '.join(f'{count:,} ({name})' for name, count in SHOWN.items())} in all: as many"
-            " as about an hour of a core allows. To each network its time, not its epochs.",
+            f"Networks see shapes and stretched copies of them, {SHOWN:,} in all: as many as about"
+            " an hour of a core allows to the slowest.",
             tables.listed(f"`{name}` for heads: `{what!r}`" for name, what in WHOLE.items()),
             tables.listed(f"`{name}` for networks: `{what!r}`" for name, what in OF_POINTS.items()),
             tables.listed(f"`{name}`: `{what!r}`" for name, what in {**HEADS, **NETWORKS}.items()),
