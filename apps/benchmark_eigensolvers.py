@@ -5,11 +5,14 @@
     python apps/benchmark_eigensolvers.py OUT --quick        # without the slowest methods
     python apps/benchmark_eigensolvers.py OUT --set animal --sizes 2000 8000 32000 64000
     python apps/benchmark_eigensolvers.py OUT --file bunny.obj
+    python apps/benchmark_eigensolvers.py OUT --set models --models 26 26 8 --repeats 1
+    python apps/benchmark_eigensolvers.py OUT --set demo --sizes 1000 2000 -k 16    # a small trial
 
 By default the set of real meshes and clouds of measure/recipes.py is solved: means over it and the
 worst of it, also of the members that no constant was tuned on. The demo animal at each size, and
-clouds from it or from a file, show how times grow, and no more. Clouds get the Delaunay operator,
-meshes the robust one. OUT gets
+clouds from it or from a file, show how times grow, and no more. Clouds of well-known models, all of
+some sizes, tell where the network pays: sizes.json, sizes.md and sizes.png, with a panel for each
+size. Clouds get the Delaunay operator, meshes the robust one. OUT gets
 benchmark.json, benchmark.md and the plots; every solve is a line of OUT/measurements.jsonl as soon
 as it ends, so the same command after an interruption, or with more sizes, computes only what is
 missing. What was measured with another code or other options is measured again. Nothing else should
@@ -30,16 +33,22 @@ from dataclasses import replace
 from pathlib import Path
 
 from measure.command import add_threads, exit_code, parser_of
-from measure.eigensolvers.methods import METHODS, QUICK, contenders
+from measure.eigensolvers.methods import METHODS, QUICK, STARTS, contenders
 from measure.eigensolvers.report import write_report
-from measure.eigensolvers.studies import KINDS, Preparation, Solves, sizes_of
+from measure.eigensolvers.sizes import write_sizes
+from measure.eigensolvers.studies import KINDS, Preparation, Solves, clouds_of, sizes_of
 from measure.machine import describe_machine, most_memory
-from measure.recipes import REAL, Recipe
+from measure.recipes import REAL, Recipe, model_sources
 from measure.store import Store
 from measure.study import run
 from measure.worker import Limits
 
 from spectra_kit._validate import check_count
+
+# Points by default: of the animal, and of every model, whose numbers the NEO paper has times of.
+_SIZES = {"animal": [2000, 8000, 32000, 64000, 131000, 512000], "models": [8192, 65536, 500_000]}
+_DEMO = ("creature:2000", "creature:4000")
+_OF_SIZES = ("models", "demo")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -47,18 +56,20 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("out", type=Path, help="folder for measurements, tables and plots")
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--set", choices=("real", "animal"), default="real", help="default: real")
+    what.add_argument("--set", choices=("real", "animal", "models", "demo"), default="real",
+        help="default: real")  # fmt: skip
     what.add_argument("--members", nargs="+", choices=list(REAL), metavar="NAME",
         help=f"of the real ones: {', '.join(REAL)}")  # fmt: skip
     what.add_argument("--file", default="", help="a mesh instead")
-    sizes = [2000, 8000, 32000, 64000, 131000, 512000]
-    add("--sizes", type=int, nargs="+", default=sizes, metavar="N",
-        help="points of the animal, and of clouds from a file")  # fmt: skip
+    add("--sizes", type=int, nargs="+", metavar="N",
+        help="points of the animal, and of clouds from a file or of models")  # fmt: skip
+    add("--models", type=int, nargs="+", default=[], metavar="N",
+        help="only so many models at each of the sizes (default: all)")  # fmt: skip
     add("-k", type=int, default=96, help="modes (%(default)s)")
     add("--geometry", nargs="+", choices=KINDS, default=list(KINDS), help="default: both")
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS),
-        metavar="NAME", help=f"of {', '.join(METHODS)} (default: all)")  # fmt: skip
+    which.add_argument("--methods", nargs="+", choices=list(METHODS), metavar="NAME",
+        help=f"of {', '.join(METHODS)} (default: all; of models {', '.join(STARTS)})")  # fmt: skip
     slow = ", ".join(name for name in METHODS if name not in QUICK)
     which.add_argument("--quick", action="store_const", const=list(QUICK), dest="methods",
         help=f"all but {slow}")  # fmt: skip
@@ -84,7 +95,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _problems(args: argparse.Namespace) -> list[Recipe]:
     if args.file or args.set == "animal":
-        return sizes_of(args.file, args.sizes, args.geometry)
+        return sizes_of(args.file, args.sizes or _SIZES["animal"], args.geometry)
+    if args.set in _OF_SIZES:
+        sources = _DEMO if args.set == "demo" else model_sources()
+        return clouds_of(sources, args.sizes or _SIZES["models"], args.models)
     return [REAL[name] for name in args.members or REAL if REAL[name].kind in args.geometry]
 
 
@@ -97,6 +111,8 @@ def _measure(args: argparse.Namespace) -> None:
         memory=most_memory() if args.memory is None else args.memory * 1e9,
     )
     prepared = Preparation(folder=args.out, problems=_problems(args), k=args.k)
+    of_sizes = args.set in _OF_SIZES
+    methods = args.methods or (STARTS if of_sizes else METHODS)
     store = Store(args.out)
     made = run(
         prepared,
@@ -109,7 +125,7 @@ def _measure(args: argparse.Namespace) -> None:
         folder=args.out,
         problems=prepared.problems,
         prepared=prepared,
-        contenders=contenders(args.methods, args.device),
+        contenders=contenders(methods, args.device),
         repeats=args.repeats,
         threads=args.threads,
         machine=args.machine or platform.node(),
@@ -121,7 +137,7 @@ def _measure(args: argparse.Namespace) -> None:
         device="cuda" if "cuda" in args.device else "cpu",
         commit=args.commit,
     )
-    paths = write_report(study, results, made, machine)
+    paths = (write_sizes if of_sizes else write_report)(study, results, made, machine)
     print(paths[1].read_text())
     print("written:", *paths, sep="\n  ")
 

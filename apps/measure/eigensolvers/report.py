@@ -93,7 +93,7 @@ def write_report(
             ]
             for name, found in groups.items()
         },
-        "results": [_as_json(row) for row in rows],
+        "results": [as_json(row) for row in rows],
         "exponents": [
             {"geometry": kind, "device": who.device, "method": who.name, **fit._asdict()}
             for (kind, who), fit in fitted.items()
@@ -101,14 +101,14 @@ def write_report(
     }
     paths = [tables.write_json(folder / "benchmark.json", record), folder / "benchmark.md"]
     parts = [
-        *_head(study, rows, machine),
+        *head(study, rows, machine),
         *(part for name, found in groups.items() for part in _summary(name, found)),
         *_promises(groups.get(ALL, ())),
         *_members(ready),
         *(_table(here) for _, here in _grouped(rows, lambda row: row.problem)),
         *_exponent_lines(rows),
-        *_solver_lines(rows),
-        *_missing([*ready, *rows]),
+        *solver_lines(rows),
+        *missing([*ready, *rows]),
     ]
     tables.write_markdown(paths[1], parts)
     if len(points := _pareto_points(groups.get(ALL, ()))) > 1:
@@ -143,7 +143,7 @@ def _groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
     }
 
 
-def _as_json(row: Row) -> Record:
+def as_json(row: Row) -> Record:
     seconds = {"seconds": row.values("seconds"), "median_seconds": row.median("seconds")}
     last = row.results[-1].record
     return {
@@ -158,7 +158,7 @@ def _as_json(row: Row) -> Record:
     }
 
 
-def _head(study: Solves, rows: Sequence[Row], machine: Record) -> list[str]:
+def head(study: Solves, rows: Sequence[Row], machine: Record) -> list[str]:
     waiting = max((value for row in rows for value in row.values("waiting")), default=0.0)
     return [
         f"k = {study.prepared.k} modes; median of {study.repeats} interleaved runs."
@@ -321,12 +321,12 @@ def _exponent_lines(rows: Sequence[Row]) -> list[str]:
     return [f"Exponents of time against points, from {FIT_FROM:,} points on:", told] if told else []
 
 
-def _solver_lines(rows: Sequence[Row]) -> list[str]:
+def solver_lines(rows: Sequence[Row]) -> list[str]:
     solvers = {row.contender.name: row.contender.solver for row in rows if row.contender.solver}
     return ["What the names stand for:", tables.listed(f"{n}: `{s}`" for n, s in solvers.items())]
 
 
-def _missing(rows: Iterable[Row | Repeats[str, Recipe]]) -> list[str]:
+def missing(rows: Iterable[Row | Repeats[str, Recipe]]) -> list[str]:
     reasons: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         if not row.ok:

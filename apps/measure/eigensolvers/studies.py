@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from spectra_kit._files import atomic_path
 from spectra_kit._validate import check_count
 from spectra_kit.catalogue import OPERATORS, SOLVERS
 from spectra_kit.eigensolvers import eigensolve
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
 from spectra_kit.operators import Laplacian
 from spectra_kit.spectra import Spectrum
@@ -48,6 +50,27 @@ def sizes_of(source: str, sizes: Iterable[int], kinds: Iterable[str] = KINDS) ->
         )
         for kind in kinds
         for points in ((0,) if source and kind == "mesh" else sizes)
+    ]
+
+
+def clouds_of(
+    sources: Sequence[str], sizes: Sequence[int], most: Sequence[int] = ()
+) -> list[Recipe]:
+    """Return clouds of every source at every size, or of the first so many sources at each.
+
+    The only trait of a cloud is its size, by which they are summarised.
+    """
+    if most and len(most) != len(sizes):
+        raise InvalidInputError("most", f"hold a number for each of {len(sizes)} sizes", len(most))
+    return [
+        Recipe(
+            name=f"{Path(source).name}, {points:,} points",
+            sources=(source,),
+            steps=(("sample", points),),
+            traits=(f"{points:,} points",),
+        )
+        for points, count in zip(sizes, most or [None] * len(sizes), strict=True)
+        for source in sources[:count]
     ]
 
 

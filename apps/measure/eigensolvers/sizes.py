@@ -1,0 +1,222 @@
+"""Clouds of many models at several sizes: who is quicker and nearer, and where the network pays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from measure import tables
+from measure.eigensolvers.methods import METHODS, Contender
+from measure.eigensolvers.report import as_json, head, missing, solver_lines
+from measure.eigensolvers.studies import Solves
+from measure.eigensolvers.summary import Row, Summary, summaries
+from measure.figures import ROUNDING, dots, legend, panels, save, undominated
+from measure.paper import SECONDS_NOTE, seconds_told
+from measure.recipes import Recipe
+from measure.store import Record
+from measure.study import Result, repeats_of
+from spectra_kit.viz import ParetoPoint
+
+_SAME = 1.05  # times closer than this are equal
+_FIGURES = ("seconds", "typical_error")
+
+
+class Lead(NamedTuple):
+    """A method that begins with the network, and the best without it that takes no longer."""
+
+    contender: Contender
+    rival: Contender | None  #: By their means; none, where all take longer.
+    ratio: float  #: The rival's typical error over its own.
+    models: tuple[str, ...]  #: Where nothing without it is as quick and as near.
+    measured: int  #: Models.
+
+
+def leads(rows: Sequence[Row]) -> list[Lead]:
+    """Compare at one size; rivals are on the same device or on the processor."""
+    found = [one for one in summaries(rows) if not one.lost and {*_FIGURES} <= one.over.keys()]
+    answers = []
+    for one in found:
+        who = one.contender
+        if not who.method.network:
+            continue
+        rivals = [
+            other
+            for other in found
+            if not other.contender.method.network and other.contender.device in ("cpu", who.device)
+        ]
+        (seconds, *_), (error, *_) = (one.over[figure] for figure in _FIGURES)
+        in_time = [other for other in rivals if other.over["seconds"].mean <= _SAME * seconds]
+        best = min(in_time, key=lambda other: other.over["typical_error"].mean, default=None)
+        beside = {other.contender for other in rivals}
+        wins = [
+            str(row.problem)
+            for row in rows
+            if row.contender == who
+            and not any(_beats(o, row) for o in rows if o.contender in beside)
+        ]
+        ratio = (
+            max(best.over["typical_error"].mean, ROUNDING) / max(error, ROUNDING)
+            if best
+            else np.inf
+        )
+        answers.append(Lead(who, best.contender if best else None, ratio, tuple(wins), one.members))
+    return answers
+
+
+def write_sizes(
+    study: Solves,
+    results: Iterable[Result[Contender, Recipe]],
+    prepared: Iterable[Result[str, Recipe]],
+    machine: Record,
+) -> list[Path]:
+    """Write ``sizes.json``, ``sizes.md`` and ``sizes.png`` into the folder; return their paths."""
+    rows, folder = repeats_of(results), study.folder
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row.problem.traits[0], []).append(row)
+    found = {size: summaries(these) for size, these in groups.items()}
+    told = {size: leads(these) for size, these in groups.items()}
+    record = {
+        "machine": machine,
+        "settings": {"k": study.prepared.k, "repeats": study.repeats},
+        "sizes": {
+            size: [
+                {
+                    **{"method": one.contender.name, "device": one.contender.device},
+                    **{"models": one.members, "lost": one.lost},
+                    **{figure: over._asdict() for figure, over in one.over.items()},
+                }
+                for one in summed
+            ]
+            for size, summed in found.items()
+        },
+        "leads": {size: [lead._asdict() for lead in some] for size, some in told.items()},
+        "results": [as_json(row) for row in rows],
+    }
+    paths = [tables.write_json(folder / "sizes.json", record), folder / "sizes.md"]
+    points = {size: _points(summed) for size, summed in found.items()}
+    settings, _, stops, busy = head(study, rows, machine)
+    parts = [
+        *("# Time against error", settings),
+        "Seconds leave out assembly and certificate; each solve has a process of its own, which has"
+        " solved something small before. Errors are those of the eigenvalues, relative, in the mean"
+        " over the modes, against ARPACK at machine precision. Both have geometric means over the"
+        " models here; then the worst. Bold: no other method on that device is both faster and"
+        " more accurate.",
+        *(stops, busy),
+        _table(found, points),
+        SECONDS_NOTE,
+        "## Where the network pays",
+        "Beside each method that begins with it: the best without it in its time, whose error is"
+        " so many times its own (less than 1: the network does not pay), and on how many models"
+        " nothing without it was both as quick and as near.",
+        _lead_table(told),
+        *solver_lines(rows),
+        *missing([*repeats_of(prepared), *rows]),
+    ]
+    tables.write_markdown(paths[1], parts)
+    if any(points.values()):
+        paths.append(_draw(points, folder / "sizes.png"))
+    return paths
+
+
+def _beats(other: Row, row: Row) -> bool:
+    """Whether another is as quick on the same model, and as near."""
+    times = other.median("seconds"), row.median("seconds")
+    errors = other.largest("eigenvalue_error"), row.largest("eigenvalue_error")
+    if other.problem != row.problem or None in (*times, *errors):
+        return False
+    own = max(errors[1], ROUNDING)
+    return bool(times[0] <= _SAME * times[1] and errors[0] <= own)  # type: ignore[operator]
+
+
+def _points(found: Iterable[Summary]) -> list[ParetoPoint]:
+    """Return who solved every model: geometric means, with their worst."""
+    points = []
+    for one in found:
+        if not one.lost and {*_FIGURES} <= one.over.keys():
+            time, error = (one.over[figure] for figure in _FIGURES)
+            point = ParetoPoint(
+                name=str(one.contender),
+                group=one.contender.name,
+                seconds=time.mean,
+                error=error.mean,
+                league=one.contender.device,
+                worst=(time.worst, error.worst),
+            )
+            points.append(point)
+    return points
+
+
+def _table(found: dict[str, list[Summary]], points: dict[str, list[ParetoPoint]]) -> str:
+    """Return one row for each method; bold where nothing on its device is quicker and nearer."""
+    best = {size: undominated(here) for size, here in points.items()}
+    at = {size: {str(one.contender): one for one in some} for size, some in found.items()}
+    header = ["method"]
+    for size in found:
+        header += [f"{size}: s", "worst", "the paper's", "error", "worst", "on"]
+    lines = []
+    for who in dict.fromkeys(name for some in at.values() for name in some):
+        cells = [who]
+        for size in found:
+            one = at[size].get(who)
+            time, error = (one.over.get(f) if one else None for f in _FIGURES)
+            cells += [tables.number(x) for x in time[:2]] if time else [tables.NONE] * 2
+            name, points_there = who.partition(" ")[0], int(size.split()[0].replace(",", ""))
+            cells.append(tables.number(seconds_told(name, points_there)))
+            if error:
+                cells += [tables.number(x, ".1e") for x in error[:2]]
+                cells.append(error.where.rpartition(", ")[0])
+            else:
+                cells += [tables.NONE] * 3
+            if who in best[size]:
+                cells[-6] = f"**{cells[-6]}**"
+        lines.append(cells)
+    return tables.table(header, lines)
+
+
+def _lead_table(told: dict[str, list[Lead]]) -> str:
+    header = ("size", "method", "the best in its time", "times its error", "pays on", "of")
+    lines = [
+        [
+            *(size, str(lead.contender), str(lead.rival or "none")),
+            *(tables.number(lead.ratio), str(len(lead.models)), str(lead.measured)),
+        ]
+        for size, some in told.items()
+        for lead in some
+    ]
+    return tables.table(header, lines)
+
+
+def _draw(points: dict[str, list[ParetoPoint]], path: Path) -> Path:
+    """Draw a panel for each size: means as dots, thin lines to the worst, fronts in grey."""
+    figure, axes = panels(
+        "Error against time: geometric means over models, thin lines to the worst",
+        len(points),
+        width=4 + 4.2 * len(points),
+    )
+    order = list(METHODS)
+    for panel, (size, here) in zip(axes, points.items(), strict=True):
+        for league in dict.fromkeys(point.league for point in here):
+            names = undominated(point for point in here if point.league == league)
+            front = sorted((p for p in here if p.name in names), key=lambda p: p.seconds)
+            places = np.array([(p.seconds, max(p.error, ROUNDING)) for p in front])
+            panel.plot(*places.T, color="0.8", lw=3, drawstyle="steps-post", zorder=0)
+        for point in here:
+            style = dots(order.index(point.group)) | {"ls": "", "mec": "white", "mew": 0.5}
+            if point.league != "cpu":
+                style |= {"mec": style["color"], "mfc": "white"}
+            x, y = point.seconds, max(point.error, ROUNDING)
+            assert point.worst is not None
+            slow, far = point.worst[0], max(point.worst[1], y)
+            bar = {"color": style["color"], "alpha": 0.35, "lw": 1}
+            panel.plot([x, slow], [y, y], **bar)
+            panel.plot([x, x], [y, far], **bar)
+            panel.plot([x], [y], label=point.name, **style)
+        panel.set(title=size, xlabel="seconds", xscale="log", yscale="log")
+    axes[0].set(ylabel="relative eigenvalue error")
+    legend(figure, max(axes, key=lambda panel: len(panel.lines)), beside=True)
+    return save(figure, path)
