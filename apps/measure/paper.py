@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 
@@ -75,13 +75,6 @@ _ERRORS: dict[str, tuple[tuple[Mapping[str, str | int], Told], ...]] = {
     ),
 }
 
-#: Beside a table with the paper's figures.
-NOTE = (
-    "*The paper's*: its figures where it has measured the same, of a network of 5.4 M weights and"
-    " m = 192, on models of its own. Its code halves the eigenvector error that both define, and"
-    " may pair one predicted mode with several exact ones. From its tables "
-)
-
 
 def errors_told(question: str, labels: Mapping[str, str | int]) -> Told | None:
     """Return what the paper tells beside a row of an answer, or None."""
@@ -89,6 +82,18 @@ def errors_told(question: str, labels: Mapping[str, str | int]) -> Told | None:
         if wanted.items() <= labels.items():
             return told
     return None
+
+
+def note(told: Iterable[Told]) -> str:
+    """Say what the paper's figures in a table are of, or nothing where there are none."""
+    sources = dict.fromkeys(f"*{one.table}* ({one.setting})" for one in told)
+    if not sources:
+        return ""
+    return (
+        "*The paper's*: of a network of 5.4 M weights and m = 192, on models of its own. Its code"
+        " halves the eigenvector error that both define, and may pair one predicted mode with"
+        f" several exact ones. From its tables {'; '.join(sources)}."
+    )
 
 
 #: Name of a method -> points -> its seconds in the paper.

@@ -144,6 +144,7 @@ def _groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def as_json(row: Row) -> Record:
+    """Return all that was measured of one method on one problem."""
     seconds = {"seconds": row.values("seconds"), "median_seconds": row.median("seconds")}
     last = row.results[-1].record
     return {
@@ -159,6 +160,7 @@ def as_json(row: Row) -> Record:
 
 
 def head(study: Solves, rows: Sequence[Row], machine: Record) -> list[str]:
+    """Return settings, what the columns are, where solvers stop, and whether it was quiet."""
     waiting = max((value for row in rows for value in row.values("waiting")), default=0.0)
     return [
         f"k = {study.prepared.k} modes; median of {study.repeats} interleaved runs."
@@ -322,11 +324,13 @@ def _exponent_lines(rows: Sequence[Row]) -> list[str]:
 
 
 def solver_lines(rows: Sequence[Row]) -> list[str]:
+    """Return what the names of methods stand for."""
     solvers = {row.contender.name: row.contender.solver for row in rows if row.contender.solver}
     return ["What the names stand for:", tables.listed(f"{n}: `{s}`" for n, s in solvers.items())]
 
 
 def missing(rows: Iterable[Row | Repeats[str, Recipe]]) -> list[str]:
+    """Return what was not measured, and why."""
     reasons: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         if not row.ok:

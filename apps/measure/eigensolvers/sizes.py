@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from measure import tables
-from measure.eigensolvers.methods import METHODS, Contender
+from measure.eigensolvers.methods import Contender
 from measure.eigensolvers.report import as_json, head, missing, solver_lines
 from measure.eigensolvers.studies import Solves
 from measure.eigensolvers.summary import Row, Summary, summaries
-from measure.figures import ROUNDING, dots, legend, panels, save, undominated
+from measure.figures import ROUNDING, colour, dots, legend, panels, save, undominated
 from measure.paper import SECONDS_NOTE, seconds_told
 from measure.recipes import Recipe
 from measure.store import Record
 from measure.study import Result, repeats_of
-from spectra_kit.viz import ParetoPoint
+from spectra_kit.viz import ParetoPoint, pareto_front
+from spectra_kit.viz.axes import log_ticks
 
 _SAME = 1.05  # times closer than this are equal
 _FIGURES = ("seconds", "typical_error")
@@ -198,25 +199,34 @@ def _draw(points: dict[str, list[ParetoPoint]], path: Path) -> Path:
         len(points),
         width=4 + 4.2 * len(points),
     )
-    order = list(METHODS)
+    styles = _styles(dict.fromkeys(point.group for here in points.values() for point in here))
     for panel, (size, here) in zip(axes, points.items(), strict=True):
         for league in dict.fromkeys(point.league for point in here):
-            names = undominated(point for point in here if point.league == league)
-            front = sorted((p for p in here if p.name in names), key=lambda p: p.seconds)
+            front = pareto_front([p for p in here if p.league == league], floor=ROUNDING)
             places = np.array([(p.seconds, max(p.error, ROUNDING)) for p in front])
             panel.plot(*places.T, color="0.8", lw=3, drawstyle="steps-post", zorder=0)
         for point in here:
-            style = dots(order.index(point.group)) | {"ls": "", "mec": "white", "mew": 0.5}
-            if point.league != "cpu":
-                style |= {"mec": style["color"], "mfc": "white"}
+            style = styles[point.group] | ({} if point.league == "cpu" else {"mfc": "white"})
             x, y = point.seconds, max(point.error, ROUNDING)
             assert point.worst is not None
             slow, far = point.worst[0], max(point.worst[1], y)
-            bar = {"color": style["color"], "alpha": 0.35, "lw": 1}
-            panel.plot([x, slow], [y, y], **bar)
-            panel.plot([x, x], [y, far], **bar)
-            panel.plot([x], [y], label=point.name, **style)
+            panel.plot([x, slow], [y, y], color=style["color"], alpha=0.35, lw=1)
+            panel.plot([x, x], [y, far], color=style["color"], alpha=0.35, lw=1)
+            panel.plot([x], [y], ls="", label=point.name, **style)
         panel.set(title=size, xlabel="seconds", xscale="log", yscale="log")
+        log_ticks(panel.xaxis, plain=True)
     axes[0].set(ylabel="relative eigenvalue error")
     legend(figure, max(axes, key=lambda panel: len(panel.lines)), beside=True)
     return save(figure, path)
+
+
+def _styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Give each kind of method, by the first word of its name, a colour; and each its marker."""
+    kinds: dict[str, list[str]] = {}
+    for name in names:
+        kinds.setdefault(name.partition("-")[0], []).append(name)
+    return {
+        name: dots(j) | {"color": colour(i)}
+        for i, members in enumerate(kinds.values())
+        for j, name in enumerate(members)
+    }

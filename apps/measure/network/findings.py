@@ -222,17 +222,6 @@ def of_rotation(rows: Sequence[Row]) -> list[Finding]:
     return found
 
 
-def of_worst(rows: Sequence[Row]) -> list[Finding]:
-    """The worst model of each set against the median one."""
-    found = []
-    for row in rows:
-        means = row.means()
-        worst = row.cases[int(means.argmax())].shape
-        text = f"{row.place}: worst model, {worst}, times the median one"
-        found.append(Finding(text, float(means.max() / np.median(means))))
-    return found
-
-
 def _beside(row: Row, rows: Sequence[Row]) -> list[Row]:
     """Rows of the same place, itself among them."""
     return [other for other in rows if other.place == row.place]
