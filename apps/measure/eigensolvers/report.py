@@ -83,17 +83,9 @@ def write_report(
             for row in rows
         },
         "summaries": {
-            name: [
-                {
-                    **{"method": one.contender.name, "device": one.contender.device},
-                    **{"members": one.members, "lost": one.lost, "above": one.above},
-                    **{figure: over._asdict() for figure, over in one.over.items()},
-                }
-                for one in found
-            ]
-            for name, found in groups.items()
+            name: [summary_as_json(one) for one in found] for name, found in groups.items()
         },
-        "results": [as_json(row) for row in rows],
+        "results": [row_as_json(row) for row in rows],
         "exponents": [
             {"geometry": kind, "device": who.device, "method": who.name, **fit._asdict()}
             for (kind, who), fit in fitted.items()
@@ -143,7 +135,16 @@ def _groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
     }
 
 
-def as_json(row: Row) -> Record:
+def summary_as_json(one: Summary) -> Record:
+    """Return a summary as JSON."""
+    return {
+        **{"method": one.contender.name, "device": one.contender.device},
+        **{"members": one.members, "lost": one.lost, "above": one.above},
+        **{figure: over._asdict() for figure, over in one.over.items()},
+    }
+
+
+def row_as_json(row: Row) -> Record:
     """Return all that was measured of one method on one problem."""
     seconds = {"seconds": row.values("seconds"), "median_seconds": row.median("seconds")}
     last = row.results[-1].record

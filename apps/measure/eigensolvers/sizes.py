@@ -10,7 +10,7 @@ import numpy as np
 
 from measure import tables
 from measure.eigensolvers.methods import Contender
-from measure.eigensolvers.report import as_json, head, missing, solver_lines
+from measure.eigensolvers.report import head, missing, row_as_json, solver_lines, summary_as_json
 from measure.eigensolvers.studies import Solves
 from measure.eigensolvers.summary import Row, Summary, summaries
 from measure.figures import ROUNDING, colour, dots, legend, panels, save, undominated
@@ -83,19 +83,9 @@ def write_sizes(
     record = {
         "machine": machine,
         "settings": {"k": study.prepared.k, "repeats": study.repeats},
-        "sizes": {
-            size: [
-                {
-                    **{"method": one.contender.name, "device": one.contender.device},
-                    **{"models": one.members, "lost": one.lost},
-                    **{figure: over._asdict() for figure, over in one.over.items()},
-                }
-                for one in summed
-            ]
-            for size, summed in found.items()
-        },
+        "summaries": {size: [*map(summary_as_json, some)] for size, some in found.items()},
         "leads": {size: [lead._asdict() for lead in some] for size, some in told.items()},
-        "results": [as_json(row) for row in rows],
+        "results": [row_as_json(row) for row in rows],
     }
     paths = [tables.write_json(folder / "sizes.json", record), folder / "sizes.md"]
     points = {size: _points(summed) for size, summed in found.items()}

@@ -235,8 +235,7 @@ QUESTIONS: dict[str, Question] = {
     "accuracy": Question(
         "Accuracy and time",
         "Statistics over models of each model's mean over modes. Times are medians of wall time"
-        " and leave out assembly and certificates. `fast` marks a solver that no other one, ARPACK"
-        " among them, beats in both span error and time.",
+        " and leave out assembly and certificates; benchmark_eigensolvers.py compares them better.",
         _everywhere,
         _all,
         found.of_accuracy,

@@ -13,11 +13,11 @@ from matplotlib.axes import Axes
 from measure import figures, paper, tables
 from measure.machine import describe_machine, machine_line
 from measure.network import per_model
-from measure.network.findings import Finding, Row, undominated
+from measure.network.findings import Finding, Row
 from measure.network.questions import Answer
 from measure.store import Record
 from spectra_kit._types import Floats
-from spectra_kit.viz import Page, ParetoPoint, plot_comparison
+from spectra_kit.viz import Page, plot_comparison
 
 ERRORS = {"span": "span error", "vector": "eigenvector error", "value": "eigenvalue error"}
 _LINES = 6  # in one panel
@@ -132,8 +132,7 @@ def _error_table(rows: Sequence[Row], question: str) -> str:
         head += [f"{title}, mean ± std", "median", "IQR"]
     told = [_told_by_paper(question, row) for row in rows]
     head += [f"the paper's {title}" for title in ERRORS.values() if any(told)]
-    head += ["seconds", "ARPACK s", "fast"]
-    quick = undominated(rows) if "solver" in names else []
+    head += ["seconds", "ARPACK s"]
     lines = []
     for row, theirs in zip(rows, told, strict=True):
         cells = [f"{v:,}" if isinstance(v, int) else v for v in row.labels.values()]
@@ -143,10 +142,8 @@ def _error_table(rows: Sequence[Row], question: str) -> str:
             cells += [f"{of['mean']} ± {of['std']}", of["median"], of["iqr"]]
         if any(told):
             cells += [tables.number(getattr(theirs, error, None)) for error in ERRORS]
-        cells += [f"{row.seconds:.2f}", f"{row.exact_seconds:.2f}", "yes" if row in quick else ""]
+        cells += [f"{row.seconds:.2f}", f"{row.exact_seconds:.2f}"]
         lines.append(cells)
-    if "solver" not in names:
-        head, lines = head[:-1], [line[:-1] for line in lines]
     note = paper.note(theirs for theirs in told if theirs)
     return "\n\n".join([tables.table(head, lines), *([note] if note else [])])
 
@@ -204,8 +201,6 @@ def _draw(answer: Answer, folder: Path) -> list[Path]:
             drawn.append(_spread(here, title, path.with_name(f"{path.name}.png")))
         else:
             drawn.append(_modes(here, title, path.with_name(f"{path.name}-modes.png")))
-        if name == "accuracy":
-            drawn.append(_against_time(here, title, path.with_name(f"{path.name}-time.png")))
     quantity = {"accuracy": "points", "precision": "points", "redundancy": "m"}.get(name, "")
     for models in dict.fromkeys(row.place.models for row in rows if quantity):
         these = [row for row in rows if row.place.models == models]
@@ -279,22 +274,6 @@ def _against(rows: Sequence[Row], quantity: str, path: Path) -> Path:
         figures.ticks(panel, [int(row.labels[quantity]) for row in rows])
     figures.legend(figure, axes[0])
     return figures.save(figure, path)
-
-
-def _against_time(rows: Sequence[Row], title: str, path: Path) -> Path:
-    """Span error against seconds, one dot for each method, ARPACK's time as a line."""
-    points = [
-        ParetoPoint(
-            name=row.method.name,
-            group=row.method.group,
-            seconds=row.seconds,
-            error=row.mean(),
-        )
-        for row in _best_bandwidths(rows)
-    ]
-    exact = float(np.median([row.exact_seconds for row in rows]))
-    marks = {"ARPACK, exact": exact}
-    return figures.draw_pareto(path, points, marks=marks, ylabel="mean span error", title=title)
 
 
 def _ranking(beside: per_model.Beside, path: Path) -> Path:

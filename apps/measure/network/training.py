@@ -15,6 +15,7 @@ from measure.network.methods import check_labels, label
 from spectra_kit._types import Floats
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo.pretrained import load_pretrained
+from spectra_kit.viz.axes import log_ticks
 
 _TITLE = "Validation error against hours of training"
 _NOTE = (
@@ -25,9 +26,9 @@ _NOTE = (
 )
 _FEWEST = 4  # validations for the three numbers of a law
 _FURTHER = 10  # times the hours, up to where the law is drawn
-_SHIFTS = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 601)])  # s0 over the samples of the run
-# History of a record -> what is told of it beside the name.
-_QUANTITIES = {"validation": "", "smoothed": ", smoothed"}
+_SHIFTS = np.concatenate([[0.0], np.geomspace(1e-3, 1e2, 501)])  # s0 over the samples of the run
+# In the history of a record -> what it is.
+_ERRORS = {"validation": "as predicted", "smoothed": "after smoothing"}
 
 
 class Law(NamedTuple):
@@ -43,15 +44,17 @@ class Law(NamedTuple):
 
 
 def fitted(samples: Floats, errors: Floats) -> Law | None:
-    """Fit a law to logarithms of errors, by least squares; None where there are too few, or rise."""
+    """Fit a law by least squares of logarithms; None for too few errors, or rising ones."""
     if len(samples) < _FEWEST:
         return None
-    logs, best = np.log(errors), (np.inf, Law(0.0, 0.0, 0.0))
-    for shift in _SHIFTS * samples[-1]:
-        slope, height = np.polyfit(x := np.log(samples + shift), logs, 1)
-        left = float(((logs - height - slope * x) ** 2).sum())
-        best = min(best, (left, Law(float(np.exp(height)), float(shift), -float(slope))))
-    return best[1] if best[1].p > 0 else None
+
+    def line(s0: float) -> tuple[float, Floats]:
+        fit, left, *_ = np.polyfit(np.log(samples + s0), np.log(errors), 1, full=True)
+        return float(left.sum()), fit
+
+    s0 = min(_SHIFTS * samples[-1], key=lambda s0: line(s0)[0])
+    slope, height = line(s0)[1]
+    return Law(float(np.exp(height)), float(s0), float(-slope)) if slope < 0 else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +62,7 @@ class Curve:
     """Validations of one network in its last run: mean errors after so many samples."""
 
     name: str
+    what: str  #: Which errors.
     m: int
     samples: Floats
     hours: Floats  #: Of the run, by the clock.
@@ -81,15 +85,13 @@ class Curve:
 def training_curves(weights: str) -> list[Curve]:
     """Read the validations in a weights file, as predicted and, if they are there, smoothed."""
     found = load_pretrained(weights)
-    curves = []
-    for quantity, told in _QUANTITIES.items():
-        rows = [row for row in found.record.get("history", []) if row.get(quantity)]
+    curves, device = [], str(found.record.get("device", ""))
+    for name, what in _ERRORS.items():
+        rows = [row for row in found.record.get("history", []) if row.get(name)]
         if rows:
-            names = ("samples", "seconds", quantity)
-            samples, seconds, errors = np.array([[row[n] for n in names] for row in rows], float).T
-            device = str(found.record.get("device", ""))
-            name = label(weights) + told
-            curves.append(Curve(name, found.config.m, samples, seconds / 3600, errors, device))
+            columns = [[row["samples"], row["seconds"] / 3600, row[name]] for row in rows]
+            numbers = np.array(columns, float).T
+            curves.append(Curve(label(weights), what, found.config.m, *numbers, device=device))
     if not curves:
         raise InvalidInputError(
             "weights",
@@ -103,18 +105,14 @@ def training_curves(weights: str) -> list[Curve]:
 def untold(weights: str) -> str:
     """Say what the record in a weights file lacks that the law would need."""
     record = load_pretrained(weights).record
-    lacks = ["an error before the first sample, and ends of shorter schedules: the law goes through"
-             " validations on the way, at rates that had not fallen yet"]  # fmt: skip
-    if "device" not in record:
-        lacks.append("how many cores the hours are of")
-    lacks.append("the hours that the samples took to make")
-    begun = record.get("begun_with", {})
-    if begun:
-        lacks.append(
-            f"the validations of the weights that it began with ({begun.get('samples', 0):,} samples,"
-            f" {begun.get('minutes', 0) / 60:.1f} hours, which are not in the curve)"
+    lacks = "an error before the first sample, ends of shorter schedules (the law goes through"
+    lacks += " validations on the way, at rates that had not fallen yet), the time to make samples"
+    lacks += "" if "device" in record else ", the number of cores"
+    if begun := record.get("begun_with"):
+        lacks += (
+            f", these errors of the weights that it began with, after {begun['samples']:,} samples"
         )
-    return f"The record of {label(weights)} lacks {'; '.join(lacks)}."
+    return f"The record of {label(weights)} lacks: {lacks}."
 
 
 def write_training(weights: Sequence[str], folder: Path) -> str:
@@ -127,11 +125,12 @@ def write_training(weights: Sequence[str], folder: Path) -> str:
     records = [
         {
             "weights": curve.name,
+            "errors": curve.what,
             "m": curve.m,
             "device": curve.device,
             "samples": curve.samples,
             "hours": curve.hours,
-            "error": curve.errors,
+            "span_error": curve.errors,
             "law": curve.law and curve.law._asdict(),
             "promise": curve.promise,
         }
@@ -144,21 +143,12 @@ def write_training(weights: Sequence[str], folder: Path) -> str:
 
 
 def _table(curves: Sequence[Curve]) -> str:
-    head = [
-        "weights",
-        "m",
-        "on",
-        "validations",
-        "samples, first",
-        "error",
-        "samples, last",
-        "hours",
-    ]
-    head += ["error", "least", "p", "s0", "ten times the hours"]
+    head = ["weights", "m", "on", "errors", "validations", "samples, first", "error"]
+    head += ["samples, last", "hours", "error", "least", "p", "s0", "ten times the hours"]
     lines = []
     for curve in curves:
         law = curve.law or Law(*[float("nan")] * 3)
-        cells = [curve.name, str(curve.m), curve.device or tables.NONE, str(len(curve.samples))]
+        cells = [curve.name, str(curve.m), curve.device, curve.what, str(len(curve.samples))]
         cells += [tables.number(curve.samples[0], ",.0f"), tables.number(curve.errors[0])]
         cells += [tables.number(curve.samples[-1], ",.0f"), tables.number(curve.hours[-1])]
         cells += [tables.number(curve.errors[-1]), tables.number(curve.errors.min())]
@@ -169,16 +159,21 @@ def _table(curves: Sequence[Curve]) -> str:
 
 def _draw(curves: Sequence[Curve], path: Path) -> Path:
     """Draw validations as dots, and their law on to ten times the hours."""
-    figure, (panel,) = figures.panels("Span error of validation samples against hours of training")
+    kinds = list(dict.fromkeys(curve.what for curve in curves))
+    title = "Span error of validation samples against core-hours of training"
+    figure, axes = figures.panels(title, len(kinds))
     for i, curve in enumerate(curves):
-        panel.plot(curve.hours, curve.errors, **figures.dots(i) | {"ls": ""}, label=curve.name)
-        if curve.law is not None:
+        panel = axes[kinds.index(curve.what)]
+        name = f"{curve.name}, {curve.device or 'cores untold'}, {curve.what}"
+        panel.plot(curve.hours, curve.errors, **figures.dots(i) | {"ls": ""}, label=name)
+        if law := curve.law:
             hours = np.geomspace(curve.hours[0], _FURTHER * curve.hours[-1], 200)
-            errors = curve.law.at(hours * (curve.samples[-1] / curve.hours[-1]))
-            told = f"{curve.law.c:.2g} (samples + {curve.law.s0:,.0f})$^{{-{curve.law.p:.3f}}}$"
+            errors = law.at(hours * (curve.samples[-1] / curve.hours[-1]))
+            told = f"{law.c:.2g} (samples + {law.s0:,.0f})$^{{-{law.p:.3f}}}$"
             panel.plot(hours, errors, color=figures.colour(i), ls="--", lw=1.2, label=told)
-    devices = {curve.device or "cores untold" for curve in curves}
-    what = f"hours of training ({'; '.join(sorted(devices))})"
-    panel.set(xlabel=what, ylabel="span error", xscale="log", yscale="log")
-    figures.legend(figure, panel)
+        panel.set(title=curve.what, xlabel="hours", xscale="log", yscale="log")
+    axes[0].set(ylabel="span error")
+    for panel in axes:
+        log_ticks(panel.yaxis)
+        panel.legend(fontsize=8, frameon=False)
     return figures.save(figure, path)
