@@ -10,12 +10,14 @@ from conftest import bumpy
 from measure.eigensolvers import studies
 from measure.eigensolvers.methods import METHODS, Contender, Method, contenders
 from measure.eigensolvers.report import write_report
+from measure.eigensolvers.sizes import leads
 from measure.eigensolvers.studies import (
     EXACT,
     OPERATOR,
     Preparation,
     Solves,
     assemble,
+    clouds_of,
     sizes_of,
 )
 from measure.eigensolvers.summary import summaries
@@ -127,9 +129,12 @@ def test_a_method_is_what_is_told_of_it(name):
     solver = method.make("cpu")
     assert callable(solver.eigenpairs)
     tolerance = getattr(solver, "rtol", getattr(solver, "tol", None))
-    assert {"1e-6": tolerance == 1e-6, "rounding": not tolerance}.get(
-        method.stops, tolerance is None
-    )
+    if method.stops == "rounding":
+        assert not tolerance
+    elif tolerance is None:
+        assert method.stops in ("", "default")
+    else:
+        assert float(method.stops) == tolerance
     options = Contender(name).solver  # in the same words every time: it is part of the key
     assert options == (repr(method.make("cpu")) if method.present else "")
     assert " at 0x" not in options
@@ -358,3 +363,62 @@ def test_a_member_of_the_set_is_not_excused_by_another(tmp_path):
     solves.prepared.file(OPERATOR, HARD, ".npz").touch()
     stopped = Result(Contender("eigsh"), EASY, 0, {"status": "stopped", "reason": "took long"})
     assert solves.excuse(Contender("eigsh"), HARD, [stopped]) == ""
+
+
+# --- many models at several sizes ---
+
+
+def test_models_are_solved_at_every_size(tmp_path, monkeypatch):
+    monkeypatch.setenv("SPECTRA_KIT_DATA", str(tmp_path))
+    (tmp_path / "ood_public").mkdir()
+    for name, mesh in (("ball", bumpy()), ("egg", bumpy(seed=1))):
+        np.savez(tmp_path / "ood_public" / f"{name}.npz", V=mesh.points, F=mesh.faces)
+    out = tmp_path / "out"
+    command = [
+        str(out),
+        "--set",
+        "models",
+        "--sizes",
+        "600",
+        "700",
+        "--models",
+        "2",
+        "1",
+        "-k",
+        "6",
+    ]
+    command += ["--repeats", "1", "--threads", "1", "--methods", "arpack", "cascade-1e-2"]
+    assert app.main(command) == 0
+    record = json.loads((out / "sizes.json").read_text())
+    counts = {size: found[0]["members"] for size, found in record["summaries"].items()}
+    assert counts == {"600 points": 2, "700 points": 1}
+    assert (out / "sizes.png").stat().st_size > 5000
+    table = (out / "sizes.md").read_text()
+    assert re.search(r"^\| arpack +\|.*\| +(ball|egg) \|", table, re.MULTILINE)
+    measured = (out / "measurements.jsonl").read_text()
+    assert app.main(command) == 0
+    assert (out / "measurements.jsonl").read_text() == measured
+    assert app.main([*command[:7], "2", "-k", "6"]) == 2  # a count for each size
+
+
+def test_waves_are_as_many_as_the_network_has_functions():
+    waves, neo = METHODS["fourier"].make("cpu"), METHODS["neo-raw"].make("cpu")
+    assert waves.subspace.m == 1 + neo.subspace.n_functions
+    smoothed, default = METHODS["fourier-smoothed"].make("cpu"), METHODS["neo"].make("cpu")
+    assert (smoothed.max_steps, smoothed.target) == (default.smoothing, default.target)
+
+
+def test_the_network_pays_where_nothing_without_it_is_as_quick_and_as_near():
+    a, b = clouds_of(("a", "b"), [600])
+    results = [
+        *(on(a, "neo", 1.0, 1e-4), on(b, "neo", 1.0, 1e-4)),
+        *(on(a, "fourier", 0.25, 1e-2), on(b, "fourier", 1.0, 1e-4)),  # 0.5 s and 1e-3
+        *(on(a, "arpack", 2.0, 0.0), on(b, "arpack", 2.0, 0.0)),
+        *(on(a, "neo-raw", 0.1, 1e-1), on(b, "neo-raw", 0.1, 1e-1)),
+        *(on(a, "refined-neo", 9.0, 1e-14), on(b, "refined-neo", 9.0, 1e-14)),
+    ]
+    neo, raw, refined = leads(repeats_of(results))
+    assert (neo.contender.name, neo.rival.name, neo.ratio) == ("neo", "fourier", pytest.approx(10))
+    assert (neo.models, neo.measured) == (("a, 600 points",), 2)
+    assert (raw.rival, raw.ratio, len(raw.models)) == (None, np.inf, 2)
+    assert (refined.rival.name, refined.ratio, refined.models) == ("arpack", 1, ())

@@ -37,34 +37,40 @@ class Lead(NamedTuple):
 
 def leads(rows: Sequence[Row]) -> list[Lead]:
     """Compare at one size; rivals are on the same device or on the processor."""
-    found = [one for one in summaries(rows) if not one.lost and {*_FIGURES} <= one.over.keys()]
+    found = {str(one.contender): one for one in summaries(rows) if _compared(one)}
     answers = []
-    for one in found:
+    for one in found.values():
         who = one.contender
         if not who.method.network:
             continue
-        rivals = [
-            other
-            for other in found
-            if not other.contender.method.network and other.contender.device in ("cpu", who.device)
-        ]
-        (seconds, *_), (error, *_) = (one.over[figure] for figure in _FIGURES)
-        in_time = [other for other in rivals if other.over["seconds"].mean <= _SAME * seconds]
-        best = min(in_time, key=lambda other: other.over["typical_error"].mean, default=None)
-        beside = {other.contender for other in rivals}
-        wins = [
-            str(row.problem)
+        others = [
+            row
             for row in rows
-            if row.contender == who
-            and not any(_beats(o, row) for o in rows if o.contender in beside)
+            if not row.contender.method.network and row.contender.device in ("cpu", who.device)
         ]
-        ratio = (
-            max(best.over["typical_error"].mean, ROUNDING) / max(error, ROUNDING)
-            if best
-            else np.inf
+        names = dict.fromkeys(str(row.contender) for row in others)
+        time, error = (one.over[figure].mean for figure in _FIGURES)
+        rivals = [found[name] for name in names if name in found]
+        in_time = [o for o in rivals if o.over["seconds"].mean <= _SAME * time]
+        best = min(in_time, key=lambda o: o.over["typical_error"].mean, default=None)
+        least = max(best.over["typical_error"].mean, ROUNDING) if best else np.inf
+        mine = [row for row in rows if row.contender == who and row.values("eigenvalue_error")]
+        wins = (row for row in mine if not any(_beats(other, row) for other in others))
+        answers.append(
+            Lead(
+                contender=who,
+                rival=best.contender if best else None,
+                ratio=least / max(error, ROUNDING),
+                models=tuple(str(row.problem) for row in wins),
+                measured=len(mine),
+            )
         )
-        answers.append(Lead(who, best.contender if best else None, ratio, tuple(wins), one.members))
     return answers
+
+
+def _compared(one: Summary) -> bool:
+    """Whether it solved every model, and its errors are known."""
+    return not one.lost and {*_FIGURES} <= one.over.keys()
 
 
 def write_sizes(
@@ -128,7 +134,7 @@ def _points(found: Iterable[Summary]) -> list[ParetoPoint]:
     """Return who solved every model: geometric means, with their worst."""
     points = []
     for one in found:
-        if not one.lost and {*_FIGURES} <= one.over.keys():
+        if _compared(one):
             time, error = (one.over[figure] for figure in _FIGURES)
             point = ParetoPoint(
                 name=str(one.contender),

@@ -62,6 +62,7 @@ def clouds_of(
     """
     if most and len(most) != len(sizes):
         raise InvalidInputError("most", f"hold a number for each of {len(sizes)} sizes", len(most))
+    counts = most or [len(sources)] * len(sizes)
     return [
         Recipe(
             name=f"{Path(source).name}, {points:,} points",
@@ -69,7 +70,7 @@ def clouds_of(
             steps=(("sample", points),),
             traits=(f"{points:,} points",),
         )
-        for points, count in zip(sizes, most or [None] * len(sizes), strict=True)
+        for points, count in zip(sizes, counts, strict=True)
         for source in sources[:count]
     ]
 

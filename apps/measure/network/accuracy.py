@@ -61,7 +61,6 @@ class Accuracy(Study[Method, Case]):
         return {
             "n": exact.n,
             "dimension": comparison.span_dimension,
-            "steps": predicted.provenance.iterations,
             "span": comparison.span_error.tolist(),
             "vector": comparison.vector_error.tolist(),
             "value": comparison.eigenvalue_error.tolist(),

@@ -17,7 +17,8 @@ from spectra_kit.eigensolvers import Neo
 STEPS = (0, 1, Neo.smoothing)
 #: The column by which models are ranked.
 WORST = "eigenvalue error"
-_ONCE, _RATIO, _RATIO_ONCE = "after one step", "ratio", "ratio after one step"
+_ONCE = "after one step"
+_RATIOS = _RATIO, _RATIO_ONCE = "ratio", "ratio after one step"
 #: The columns that a figure shows.
 DRAWN = (WORST, f"{WORST}, waves", _ONCE, f"{_ONCE}, waves")
 
@@ -42,24 +43,20 @@ class Beside:
 def beside(rows: Sequence[Row]) -> Iterator[Beside]:
     """Gather the rows of each place; of plane waves those of the best bandwidth, by their means."""
     for place in dict.fromkeys(row.place for row in rows if row.cases):
-        here = [row for row in rows if row.place == place and row.cases]
-        mine = {row.labels["steps"]: row for row in here if row.method.poses}
-        waves = {
-            steps: min(
-                (row for row in here if row.labels["steps"] == steps and not row.method.poses),
-                key=lambda row: row.mean("value" if row.labels["steps"] else "span"),
-            )
-            for steps in STEPS
-        }
-        cases = tuple(
-            case
-            for case in mine[0].cases
-            if all(case in row.cases for row in (*mine.values(), *waves.values()))
-        )
+        best: dict[tuple[bool, int], Row] = {}
+        for row in (row for row in rows if row.place == place and row.cases):
+            key = bool(row.method.poses), int(row.labels["steps"])
+            error = "value" if key[1] else "span"
+            if key not in best or row.mean(error) < best[key].mean(error):
+                best[key] = row
+        if len(best) < 2 * len(STEPS):  # what failed everywhere is told elsewhere
+            continue
+        mine, waves = ({n: best[network, n] for n in STEPS} for network in (True, False))
+        measured = [row.cases for row in best.values()]
+        cases = tuple(case for case in measured[0] if all(case in some for some in measured))
 
-        def of_each(row: Row, error: str, cases: tuple[Case, ...] = cases) -> Floats:
-            means = dict(zip(row.cases, row.means(error), strict=True))
-            return np.array([means[case] for case in cases])
+        def of_each(row: Row, error: str, wanted: tuple[Case, ...] = cases) -> Floats:
+            return row.means(error)[[row.cases.index(case) for case in wanted]]
 
         before, once, done = STEPS
         columns = {
@@ -73,9 +70,6 @@ def beside(rows: Sequence[Row]) -> Iterator[Beside]:
         }
         columns[_RATIO] = columns[f"{WORST}, waves"] / columns[WORST]
         columns[_RATIO_ONCE] = columns[f"{_ONCE}, waves"] / columns[_ONCE]
-        for name, row in (("steps", mine[done]), ("steps, waves", waves[done])):
-            steps = dict(zip(row.cases, (record["steps"] for record in row.records), strict=True))
-            columns[name] = np.array([steps[case] for case in cases], dtype=float)
         yield Beside(place, mine[done].method, cases, columns)
 
 
@@ -87,9 +81,6 @@ def mean(name: str, values: Floats) -> float:
 def worst(name: str, values: Floats) -> float:
     """Return the worst of a column."""
     return float(values.min() if name in _RATIOS else values.max())
-
-
-_RATIOS = (_RATIO, _RATIO_ONCE)
 
 
 def findings(rows: Sequence[Row]) -> list[Finding]:

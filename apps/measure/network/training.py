@@ -64,10 +64,10 @@ class Curve:
     name: str
     what: str  #: Which errors.
     m: int
+    device: str  #: Where it was trained, if the record tells.
     samples: Floats
     hours: Floats  #: Of the run, by the clock.
     errors: Floats
-    device: str = ""  #: Where it was trained, if the record tells.
 
     @cached_property
     def law(self) -> Law | None:
@@ -91,7 +91,7 @@ def training_curves(weights: str) -> list[Curve]:
         if rows:
             columns = [[row["samples"], row["seconds"] / 3600, row[name]] for row in rows]
             numbers = np.array(columns, float).T
-            curves.append(Curve(label(weights), what, found.config.m, *numbers, device=device))
+            curves.append(Curve(label(weights), what, found.config.m, device, *numbers))
     if not curves:
         raise InvalidInputError(
             "weights",
