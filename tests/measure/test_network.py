@@ -277,7 +277,7 @@ def test_neo_is_set_beside_waves_that_are_smoothed_alike():
 def test_smoothed_methods_are_what_neo_does(animal, tmp_path):
     case = Case(shape=animal, points=1200)
     study = Accuracy(folder=Store(tmp_path).folder, contenders=[], problems=[], k=10)
-    exact, found, comparison = study.compare(network("small", steps=2), case)
+    _, found, comparison = study.compare(network("small", steps=2), case)
     solved = eigensolve(case.laplacian(), 10, Neo(smoothing=2))
     np.testing.assert_allclose(found.eigenvalues, solved.eigenvalues, rtol=1e-9, atol=1e-12)
     assert comparison.span_dimension == 10
@@ -408,7 +408,7 @@ def test_the_app_asks_one_question_draws_the_worst_and_continues(tiny, tmp_path,
     said, err = capsys.readouterr()
     assert "](figures/worst-real-1-ball.png)" in said
     assert (out / "figures" / "worst-real-1-ball.png").stat().st_size > 5000
-    assert (out / "report.md").read_text().count("## ") == 1
+    assert (out / "report.md").read_text().count("\n## ") == 1
     assert said.rstrip().endswith("report.md")
     assert err == ""
     measured = (out / "measurements.jsonl").read_text()
