@@ -3,17 +3,15 @@
     python apps/benchmark_eigensolvers.py OUT                 # hours; needs SPECTRA_KIT_DATA
     python apps/benchmark_eigensolvers.py OUT --members hippo "bunny cloud" --methods cascade eigsh
     python apps/benchmark_eigensolvers.py OUT --quick        # without the slowest methods
-    python apps/benchmark_eigensolvers.py OUT --set animal --sizes 2000 8000 32000 64000
-    python apps/benchmark_eigensolvers.py OUT --file bunny.obj
+    python apps/benchmark_eigensolvers.py OUT --file bunny.obj --sizes 8000 64000 512000
     python apps/benchmark_eigensolvers.py OUT --set models --models 26 26 8 --repeats 1
     python apps/benchmark_eigensolvers.py OUT --set demo --sizes 1000 2000 -k 16    # a small trial
 
 By default the set of real meshes and clouds of measure/recipes.py is solved: means over it and the
-worst of it, also of the members that no constant was tuned on. The demo animal at each size, and
-clouds from it or from a file, show how times grow, and no more. Clouds of well-known models, all of
-some sizes, tell where the network pays: sizes.json, sizes.md and sizes.png, with a panel for each
-size. Clouds get the Delaunay operator, meshes the robust one. OUT gets
-benchmark.json, benchmark.md and the plots; every solve is a line of OUT/measurements.jsonl as soon
+worst of it, also of the members that no constant was tuned on; OUT gets benchmark.json, .md and a
+plot. Clouds of well-known models, of a file or of the demo, of some sizes, tell how times grow and
+where the network pays: OUT gets sizes.json, .md and .png, with a panel for each size. Clouds get the
+Delaunay operator, meshes the robust one. Every solve is a line of OUT/measurements.jsonl as soon
 as it ends, so the same command after an interruption, or with more sizes, computes only what is
 missing. What was measured with another code or other options is measured again. Nothing else should
 run on the machine meanwhile; the report says if something did.
@@ -36,7 +34,7 @@ from measure.command import add_threads, exit_code, parser_of
 from measure.eigensolvers.methods import METHODS, QUICK, STARTS, contenders
 from measure.eigensolvers.report import write_report
 from measure.eigensolvers.sizes import write_sizes
-from measure.eigensolvers.studies import KINDS, Preparation, Solves, clouds_of, sizes_of
+from measure.eigensolvers.studies import KINDS, Preparation, Solves, clouds_of
 from measure.machine import describe_machine, most_memory
 from measure.recipes import REAL, Recipe, model_sources
 from measure.store import Store
@@ -45,10 +43,9 @@ from measure.worker import Limits
 
 from spectra_kit._validate import check_count
 
-# Points by default: of the animal, and of every model, whose numbers the NEO paper has times of.
-_SIZES = {"animal": [2000, 8000, 32000, 64000, 131000, 512000], "models": [8192, 65536, 500_000]}
+# Points by default: the NEO paper has times of about as many.
+_SIZES = [8192, 65536, 500_000]
 _DEMO = ("creature:2000", "creature:4000")
-_OF_SIZES = ("models", "demo")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -56,13 +53,13 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("out", type=Path, help="folder for measurements, tables and plots")
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--set", choices=("real", "animal", "models", "demo"), default="real",
+    what.add_argument("--set", choices=("real", "models", "demo"), default="real",
         help="default: real")  # fmt: skip
     what.add_argument("--members", nargs="+", choices=list(REAL), metavar="NAME",
         help=f"of the real ones: {', '.join(REAL)}")  # fmt: skip
     what.add_argument("--file", default="", help="a mesh instead")
     add("--sizes", type=int, nargs="+", metavar="N",
-        help="points of the animal, and of clouds from a file or of models")  # fmt: skip
+        help="points of clouds from models, the demo or a file")  # fmt: skip
     add("--models", type=int, nargs="+", default=[], metavar="N",
         help="only so many models at each of the sizes (default: all)")  # fmt: skip
     add("-k", type=int, default=96, help="modes (%(default)s)")
@@ -93,12 +90,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     return exit_code(lambda: _measure(args))
 
 
+def _of_sizes(args: argparse.Namespace) -> bool:
+    return bool(args.file) or args.set in ("models", "demo")
+
+
 def _problems(args: argparse.Namespace) -> list[Recipe]:
-    if args.file or args.set == "animal":
-        return sizes_of(args.file, args.sizes or _SIZES["animal"], args.geometry)
-    if args.set in _OF_SIZES:
-        sources = _DEMO if args.set == "demo" else model_sources()
-        return clouds_of(sources, args.sizes or _SIZES["models"], args.models)
+    if _of_sizes(args):
+        sources = (args.file,) if args.file else _DEMO if args.set == "demo" else model_sources()
+        return clouds_of(sources, args.sizes or _SIZES, args.models)
     return [REAL[name] for name in args.members or REAL if REAL[name].kind in args.geometry]
 
 
@@ -111,7 +110,7 @@ def _measure(args: argparse.Namespace) -> None:
         memory=most_memory() if args.memory is None else args.memory * 1e9,
     )
     prepared = Preparation(folder=args.out, problems=_problems(args), k=args.k)
-    of_sizes = args.set in _OF_SIZES
+    of_sizes = _of_sizes(args)
     methods = args.methods or (STARTS if of_sizes else METHODS)
     store = Store(args.out)
     made = run(

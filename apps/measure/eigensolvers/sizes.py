@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -102,7 +102,7 @@ def write_sizes(
         " solved something small before. Errors are those of the eigenvalues, relative, in the mean"
         " over the modes, against ARPACK at machine precision. Both have geometric means over the"
         " models here; then the worst. Bold: no other method on that device is both faster and"
-        " more accurate.",
+        " more accurate. Exponents are of time against points.",
         *(stops, busy),
         _table(found, points),
         SECONDS_NOTE,
@@ -152,17 +152,17 @@ def _table(found: dict[str, list[Summary]], points: dict[str, list[ParetoPoint]]
     """Return one row for each method; bold where nothing on its device is quicker and nearer."""
     best = {size: undominated(here) for size, here in points.items()}
     at = {size: {str(one.contender): one for one in some} for size, some in found.items()}
-    header = ["method"]
+    header = ["method", "exponent"]
     for size in found:
         header += [f"{size}: s", "worst", "the paper's", "error", "worst", "on"]
     lines = []
     for who in dict.fromkeys(name for some in at.values() for name in some):
-        cells = [who]
+        cells = [who, tables.number(_exponent({n: at[n].get(who) for n in at}), ".2f")]
         for size in found:
             one = at[size].get(who)
             time, error = (one.over.get(f) if one else None for f in _FIGURES)
             cells += [tables.number(x) for x in time[:2]] if time else [tables.NONE] * 2
-            name, points_there = who.partition(" ")[0], int(size.split()[0].replace(",", ""))
+            name, points_there = who.partition(" ")[0], _points_of(size)
             cells.append(tables.number(seconds_told(name, points_there)))
             if error:
                 cells += [tables.number(x, ".1e") for x in error[:2]]
@@ -173,6 +173,17 @@ def _table(found: dict[str, list[Summary]], points: dict[str, list[ParetoPoint]]
                 cells[-6] = f"**{cells[-6]}**"
         lines.append(cells)
     return tables.table(header, lines)
+
+
+def _exponent(ones: Mapping[str, Summary | None]) -> float:
+    """Fit time against points; NaN for fewer than three sizes, as a line fits two always."""
+    seconds = {_points_of(n): one.over["seconds"].mean for n, one in ones.items() if one}
+    known = [(n, s) for n, s in seconds.items() if np.isfinite(s)]
+    return float(np.polyfit(*np.log(known).T, 1)[0]) if len(known) > 2 else float("nan")
+
+
+def _points_of(size: str) -> int:
+    return int(size.split()[0].replace(",", ""))
 
 
 def _lead_table(told: dict[str, list[Lead]]) -> str:
