@@ -179,7 +179,10 @@ def _exponent(ones: Mapping[str, Summary | None]) -> float:
     """Fit time against points; NaN for fewer than three sizes, as a line fits two always."""
     seconds = {_points_of(n): one.over["seconds"].mean for n, one in ones.items() if one}
     known = [(n, s) for n, s in seconds.items() if np.isfinite(s)]
-    return float(np.polyfit(*np.log(known).T, 1)[0]) if len(known) > 2 else float("nan")
+    if len(known) < 3:
+        return float("nan")
+    points, times = np.log(known).T
+    return float(np.polyfit(points, times, 1)[0])
 
 
 def _points_of(size: str) -> int:
