@@ -13,8 +13,8 @@ plot. Clouds of well-known models, of a file or of the demo, of some sizes, tell
 where the network pays: OUT gets sizes.json, .md and .png, with a panel for each size. Clouds get
 the Delaunay operator, meshes the robust one. Every solve is a line of OUT/measurements.jsonl as
 soon as it ends, so the same command after an interruption, or with more sizes, computes only what
-is missing. What was measured with another code or other options is measured again. Nothing else should
-run on the machine meanwhile; the report says if something did.
+is missing. What was measured with another code or other options is measured again. Nothing else
+should run on the machine meanwhile; the report says if something did.
 
 Other packages are optional: pip install lapy. For a machine without network, fetch the wheels,
 that of lapy among them, as evaluate_neo.py explains. Results from machines with an accelerator are
