@@ -125,7 +125,7 @@ def _sets(args: argparse.Namespace) -> dict[str, tuple[Shape, ...]]:
 
 
 def _pictures(answer: Answer, folder: Path, count: int) -> list[Path]:
-    if answer.name != "worst":
+    if answer.name != "models":
         return []
     folder.mkdir(parents=True, exist_ok=True)
     try:

@@ -303,6 +303,17 @@ _REAL = (
 REAL: dict[str, Recipe] = {line[0]: _member(*line) for line in _REAL}
 
 
+def model_sources() -> tuple[str, ...]:
+    """Name the well-known models in ``$SPECTRA_KIT_DATA/ood_public`` as sources, by their names."""
+    folder = data_folder("ood_public")
+    found = sorted(folder.glob("*.npz")) if folder else []
+    if not found:
+        raise InvalidInputError(
+            f"no models in {folder or 'ood_public'}; set SPECTRA_KIT_DATA, or take the demo"
+        )
+    return tuple(_OOD + path.stem for path in found)
+
+
 def real_meshes(names: Iterable[str] = REAL) -> tuple[Shape, ...]:
     """Make members of the set that are meshes, without those whose data are missing."""
     members = [REAL[name] for name in names]

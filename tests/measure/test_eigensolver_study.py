@@ -10,13 +10,14 @@ from conftest import bumpy
 from measure.eigensolvers import studies
 from measure.eigensolvers.methods import METHODS, Contender, Method, contenders
 from measure.eigensolvers.report import write_report
+from measure.eigensolvers.sizes import leads, write_sizes
 from measure.eigensolvers.studies import (
     EXACT,
     OPERATOR,
     Preparation,
     Solves,
     assemble,
-    sizes_of,
+    clouds_of,
 )
 from measure.eigensolvers.summary import summaries
 from measure.recipes import REAL, Recipe
@@ -32,21 +33,11 @@ from spectra_kit.metrics import compare_spectra
 PEERS = [name for name, method in METHODS.items() if method.peer]
 MACHINE = {"name": "box", "processor": "fast", "accelerator": "", "cores": 2, "threads": 1}
 MACHINE |= {"versions": {}, "commit": "", "code": ""}
-(CLOUD,) = sizes_of("", [600], ["cloud"])
-TINY = [
-    "--set",
-    "animal",
-    "--sizes",
-    "600",
-    "-k",
-    "6",
-    "--repeats",
-    "1",
-    "--threads",
-    "1",
-    "--geometry",
-    "cloud",
-]
+(CLOUD,) = clouds_of(["creature:600"], [600])
+SMALL = Recipe(
+    name="small", sources=("creature:600",), steps=(("sample", 600),), traits=("smooth",)
+)
+TINY = ["--members", "small", "-k", "6", "--repeats", "1", "--threads", "1"]
 TINY += ["--methods", "arpack", "eigsh", "--machine", "test", "--commit", "c0"]
 
 
@@ -64,8 +55,10 @@ def study(folder, names=("arpack",), given=(CLOUD,), **options):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("benchmark")
-    assert app.main([str(folder), *TINY]) == 0
-    return folder
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(app, "REAL", {"small": SMALL})
+        assert app.main([str(folder), *TINY]) == 0
+        yield folder
 
 
 def test_json_says_what_was_measured(finished):
@@ -90,15 +83,15 @@ def test_json_says_what_was_measured(finished):
         assert result["residual_max"] < 1e-9
         assert result["eigenvalue_error"] < 1e-9
         assert result["eigenvalue_error"] <= result["eigenvalue_error_max"] < 1e-9
-    assert record["summaries"] == {}  # the animal is in no headline
+    assert {*record["summaries"]} == {"all", "for tuning", "cloud", "smooth"}
 
 
 def test_tables_and_plots_are_written_and_a_rerun_measures_nothing(finished, capsys):
     text = (finished / "benchmark.md").read_text()
-    assert "### cloud, 600 points" in text
-    assert len(re.findall(r"^\| \**(?:arpack|eigsh)\** +\| rounding \|", text, re.MULTILINE)) == 2
+    told = text[text.index("### small") :]
+    assert len(re.findall(r"^\| \**(?:arpack|eigsh)\** +\| rounding \|", told, re.MULTILINE)) == 2
     pictures = {path.name for path in finished.glob("*.png")}
-    assert pictures == {"time-cloud.png"}
+    assert pictures == {"accuracy.png"}
     measured = (finished / "measurements.jsonl").read_text()
     assert app.main([str(finished), *TINY]) == 0
     assert (finished / "measurements.jsonl").read_text() == measured
@@ -127,9 +120,12 @@ def test_a_method_is_what_is_told_of_it(name):
     solver = method.make("cpu")
     assert callable(solver.eigenpairs)
     tolerance = getattr(solver, "rtol", getattr(solver, "tol", None))
-    assert {"1e-6": tolerance == 1e-6, "rounding": not tolerance}.get(
-        method.stops, tolerance is None
-    )
+    if method.stops == "rounding":
+        assert not tolerance
+    elif tolerance is None:
+        assert method.stops in ("", "default")
+    else:
+        assert float(method.stops) == tolerance
     options = Contender(name).solver  # in the same words every time: it is part of the key
     assert options == (repr(method.make("cpu")) if method.present else "")
     assert " at 0x" not in options
@@ -138,12 +134,13 @@ def test_a_method_is_what_is_told_of_it(name):
 # --- on what ---
 
 
-def test_a_file_has_one_mesh_and_clouds_of_any_size(tmp_path):
+def test_operators_are_of_unit_area_and_clouds_of_any_size(tmp_path):
     file = tmp_path / "ball.off"
     write(sphere(subdivisions=3).geometry, file)
-    found = sizes_of(str(file), (800, 700))
-    assert [str(p) for p in found] == ["mesh", "cloud, 700 points", "cloud, 800 points"]
-    mesh, cloud, _ = (assemble(recipe)[0] for recipe in found)
+    clouds = clouds_of([str(file)], (700, 800))
+    assert [str(p) for p in clouds] == ["ball.off, 700 points", "ball.off, 800 points"]
+    recipes = Recipe(name="mesh", sources=(str(file),)), clouds[0]
+    mesh, cloud = (assemble(recipe)[0] for recipe in recipes)
     assert (mesh.n, cloud.n) == (642, 700)
     assert [x.operator.split("(")[0] for x in (mesh, cloud)] == [
         *("robust_laplacian", "delaunay_laplacian")
@@ -153,7 +150,7 @@ def test_a_file_has_one_mesh_and_clouds_of_any_size(tmp_path):
     # Of unit area, so radius 1 / sqrt(4 pi): eigenvalues 4 pi l (l + 1).
     assert eigensolve(mesh, 4).eigenvalues[1:] == pytest.approx(8 * np.pi, rel=0.02)
     with pytest.raises(InvalidInputError, match="sizes"):
-        sizes_of("", (499,))
+        clouds_of([str(file)], (499,))
 
 
 # --- how ---
@@ -170,7 +167,7 @@ def test_without_exact_modes_there_are_no_errors_but_seconds(tmp_path):
     assert "eigenvalue_error" not in result.record
     stopped = Result(EXACT, CLOUD, 0, {"status": "stopped", "reason": "took more than 5 s"})
     text = write_report(solves, [result], [stopped], MACHINE)[1].read_text()
-    assert "- exact eigenvalues (cloud, 600 points): took more than 5 s" in text
+    assert "- exact eigenvalues (creature:600, 600 points): took more than 5 s" in text
     # Once they are there, it is measured again.
     (tmp_path / "elsewhere").rename(exact)
     (result,) = run(solves, Store(tmp_path), jobs=0)
@@ -209,24 +206,19 @@ def test_estimates_are_compared_to_true_errors(tmp_path, monkeypatch):
     assert (result.record["estimated"], result.record["apart"]) == (1, 0.0)
 
 
-def test_what_is_absent_failed_or_too_slow_is_not_tried(tmp_path, monkeypatch):
+def test_what_is_absent_or_failed_is_not_tried(tmp_path, monkeypatch):
     monkeypatch.setitem(METHODS, "lapy", Method(make=Arpack, needs="no_such_module"))
     solves = study(tmp_path)
-    eigsh, small, large, mesh = Contender("eigsh"), CLOUD, *sizes_of("", [700])[::-1]
-    assert solves.excuse(eigsh, mesh, []) == "there is no operator"
-    for problem in (large, mesh):
-        solves.prepared.file(OPERATOR, problem, ".npz").touch()
+    (other,) = clouds_of(["creature:600"], [700])
+    eigsh = Contender("eigsh")
+    assert solves.excuse(eigsh, other, []) == "there is no operator"
+    solves.prepared.file(OPERATOR, other, ".npz").touch()
     absent = "not installed: pip install no_such_module"
-    assert solves.excuse(Contender("lapy"), small, []) == absent
-    stopped = Result(eigsh, small, 0, {"status": "stopped", "reason": "took more than 9 s"})
-    assert (
-        solves.excuse(eigsh, large, [stopped]) == "stopped at cloud, 600 points: took more than 9 s"
-    )
-    failed = Result(eigsh, small, 0, {"status": "failed", "reason": "no"})
-    assert solves.excuse(eigsh, small, [failed]) == "no"
-    assert solves.excuse(eigsh, large, [failed]) == ""
-    assert solves.excuse(Contender("arpack"), large, [stopped]) == ""
-    assert solves.excuse(eigsh, mesh, [stopped]) == ""
+    assert solves.excuse(Contender("lapy"), CLOUD, []) == absent
+    failed = Result(eigsh, CLOUD, 0, {"status": "failed", "reason": "no"})
+    assert solves.excuse(eigsh, CLOUD, [failed]) == "no"
+    assert solves.excuse(eigsh, other, [failed]) == ""
+    assert solves.excuse(Contender("arpack"), CLOUD, [failed]) == ""
 
 
 # --- what follows ---
@@ -235,7 +227,7 @@ def test_what_is_absent_failed_or_too_slow_is_not_tried(tmp_path, monkeypatch):
 def measured(name, seconds, error, points=600, device="cpu", problem=None, **changes):
     record = {"status": "ok", "n": points, "seconds": seconds, "assembly_seconds": 0.1}
     record |= {"eigenvalue_error": error, "waiting": 0.0, **changes}
-    problem = problem or sizes_of("", [points], ["mesh"])[0]
+    problem = problem or Recipe(name=f"mesh, {points} points", sources=("a",))
     return Result(Contender(name, device), problem, 0, record)
 
 
@@ -253,8 +245,6 @@ def test_the_report_says_who_is_best_what_is_missing_and_what_disturbed(tmp_path
         measured("fourier", 0.6, 1e-1),  # beaten
         measured("lapy", 0.01, None),  # of unknown accuracy
         measured("neo", 0.05, 2e-4, device="cuda"),
-        *(measured("eigsh", n / 1000, None, n) for n in (8000, 16000, 32000)),
-        *(measured("neo", n / 8000, None, n) for n in (8000, 16000)),
         measured("spectra", None, None, status="skipped", reason="too slow"),
     ]
     text = report(tmp_path, results)
@@ -263,8 +253,7 @@ def test_the_report_says_who_is_best_what_is_missing_and_what_disturbed(tmp_path
     assert "up to 25% of a solve's time was spent waiting for a core" in text
     cells = next(x for x in text.splitlines() if x.startswith("| **neo**")).replace(" ", "")
     assert cells.startswith("|**neo**||0.5|10.00|0.6|")
-    assert "members" not in text  # of one animal at many sizes
-    assert "- mesh, cpu: eigsh 1.00 (3 sizes)\n" in text  # and none for two sizes
+    assert "members" not in text  # of no set
     assert "- spectra (mesh, 600 points): too slow" in text
 
 
@@ -353,8 +342,75 @@ def test_what_is_not_there_is_skipped_with_a_reason(tmp_path, monkeypatch):
     assert solves.excuse(Contender("eigsh"), igea, []) == told
 
 
-def test_a_member_of_the_set_is_not_excused_by_another(tmp_path):
-    solves = study(tmp_path, given=())
-    solves.prepared.file(OPERATOR, HARD, ".npz").touch()
-    stopped = Result(Contender("eigsh"), EASY, 0, {"status": "stopped", "reason": "took long"})
-    assert solves.excuse(Contender("eigsh"), HARD, [stopped]) == ""
+# --- many models at several sizes ---
+
+
+def test_models_are_solved_at_every_size(tmp_path, monkeypatch):
+    monkeypatch.setenv("SPECTRA_KIT_DATA", str(tmp_path))
+    (tmp_path / "ood_public").mkdir()
+    mesh = bumpy()
+    for name, longer in (("ball", 1), ("egg", 2)):
+        points = mesh.points * [1, 1, longer]
+        np.savez(tmp_path / "ood_public" / f"{name}.npz", V=points, F=mesh.faces)
+    out = tmp_path / "out"
+    command = [
+        str(out),
+        "--set",
+        "models",
+        "--sizes",
+        "600",
+        "700",
+        "--models",
+        "2",
+        "1",
+        "-k",
+        "6",
+    ]
+    command += ["--repeats", "1", "--threads", "1", "--methods", "arpack", "cascade-1e-2"]
+    assert app.main(command) == 0
+    record = json.loads((out / "sizes.json").read_text())
+    counts = {size: found[0]["members"] for size, found in record["summaries"].items()}
+    assert counts == {"600 points": 2, "700 points": 1}
+    assert (out / "sizes.png").stat().st_size > 5000
+    table = (out / "sizes.md").read_text()
+    assert re.search(r"^\| arpack +\|.*\| +(ball|egg) \|", table, re.MULTILINE)
+    measured = (out / "measurements.jsonl").read_text()
+    assert app.main(command) == 0
+    assert (out / "measurements.jsonl").read_text() == measured
+    assert app.main([*command[:7], "2", "-k", "6"]) == 2  # a count for each size
+
+
+def test_waves_are_as_many_as_the_network_has_functions():
+    waves, neo = METHODS["fourier"].make("cpu"), METHODS["neo-raw"].make("cpu")
+    assert waves.subspace.m == neo.subspace.n_functions
+    smoothed, default = METHODS["fourier-smoothed"].make("cpu"), METHODS["neo"].make("cpu")
+    assert (smoothed.max_steps, smoothed.target) == (default.smoothing, default.target)
+
+
+def test_the_network_pays_where_nothing_without_it_is_as_quick_and_as_near():
+    a, b = clouds_of(("a", "b"), [600])
+    results = [
+        *(on(a, "neo", 1.0, 1e-4), on(b, "neo", 1.0, 1e-4)),
+        *(on(a, "fourier", 0.25, 1e-2), on(b, "fourier", 1.0, 1e-4)),  # 0.5 s and 1e-3
+        *(on(a, "arpack", 2.0, 0.0), on(b, "arpack", 2.0, 0.0)),
+        *(on(a, "neo-raw", 0.1, 1e-1), on(b, "neo-raw", 0.1, 1e-1)),
+        *(on(a, "refined-neo", 9.0, 1e-14), on(b, "refined-neo", 9.0, 1e-14)),
+    ]
+    neo, raw, refined = leads(repeats_of(results))
+    assert (neo.contender.name, neo.rival.name, neo.ratio) == ("neo", "fourier", pytest.approx(10))
+    assert (neo.models, neo.measured) == (("a, 600 points",), 2)
+    assert (raw.rival, raw.ratio, len(raw.models)) == (None, np.inf, 2)
+    assert (refined.rival.name, refined.ratio, refined.models) == ("arpack", 1, ())
+
+
+def test_exponents_are_of_three_sizes_and_more(tmp_path):
+    sizes = (8000, 16000, 32000)
+    results = [
+        *(on(r, "eigsh", n / 1000, 1e-14) for n in sizes for r in clouds_of(("a",), [n])),
+        *(on(r, "neo", n / 8000, 1e-2) for n in sizes[:2] for r in clouds_of(("a",), [n])),
+    ]
+    prepared = Preparation(folder=tmp_path, problems=(), k=96)
+    solves = Solves(folder=tmp_path, contenders=(), problems=(), prepared=prepared)
+    text = write_sizes(solves, results, [], MACHINE)[1].read_text()
+    assert re.search(r"^\| eigsh +\| +1\.00 \|", text, re.MULTILINE)
+    assert re.search(r"^\| neo +\| +- \|", text, re.MULTILINE)

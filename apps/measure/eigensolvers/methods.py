@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,6 +33,7 @@ class Method:
     accuracy: float = 0.0
     #: Whether it takes many times longer than the rest, and a quick comparison leaves it out.
     slow: bool = False
+    network: bool = False  #: Whether it begins with what the network predicts.
 
     @property
     def present(self) -> bool:
@@ -40,20 +42,23 @@ class Method:
 
 
 _RTOL, _AT_RTOL = 1e-6, "1e-6"  # of every method of ours that takes one
+_LOOSE = "1e-2"
 _EXACT = "rounding"
-_STOPS = {"exact": _EXACT, "to tolerance": _AT_RTOL}
 
 
 def _ours(
-    name: str, *, neo: str = "", device: bool = False, needs: str = "", **options: Any
+    name: str, *, neo: str = "", device: bool = False, stops: str = "", **options: Any
 ) -> Method:
-    """Return a solver of the catalogue; one that goes to a tolerance goes to ours.
+    """Return a solver of the catalogue; one that goes to a tolerance goes to ours, or to `stops`.
 
     The network takes the place of its option `neo`; with `device` it has an option of that name.
     """
     solver = SOLVERS[name]
     if solver.promise == "to tolerance":
-        options["rtol"] = _RTOL
+        stops = stops or _AT_RTOL
+        options["rtol"] = float(stops)
+    elif solver.promise == "exact" and "accuracy" not in options:
+        stops = _EXACT
 
     def make(where: str) -> Eigensolver:
         placed = {"device": where} if device else {}
@@ -63,11 +68,20 @@ def _ours(
 
     return Method(
         make=make,
-        stops="" if "accuracy" in options else _STOPS.get(solver.promise, ""),
+        stops=stops,
         accuracy=options.get("accuracy", 0.0),
         devices=("cpu", "cuda") if device else ("cpu",),
-        needs=needs,
+        network=name == "neo" or bool(neo),
     )
+
+
+def _waves(m: int, steps: int) -> Method:
+    """Return plane waves in place of the network's functions, and so many steps of smoothing.
+
+    Steps, target and places are those of `Neo`.
+    """
+    waves = SUBSPACES["fourier"](m=m, bandwidth=7.0)
+    return _ours("cascade", subspace=waves, coarsest=sys.maxsize, max_steps=steps, device=True)
 
 
 def _theirs(solver: Eigensolver, stops: str, *, needs: str = "", slow: bool = False) -> Method:
@@ -76,19 +90,28 @@ def _theirs(solver: Eigensolver, stops: str, *, needs: str = "", slow: bool = Fa
 
 #: Name -> backend, in the order of tables: predictions, solvers to a tolerance, other packages.
 METHODS: dict[str, Method] = {
-    "fourier": _ours("fourier", subspace=SUBSPACES["fourier"](m=320, bandwidth=7.0)),
+    # As many as the shipped network has functions, with the constant; and what takes its time.
+    "fourier": _waves(257, 0),
+    "fourier-smoothed": _waves(257, 20),
+    "fourier-512": _waves(512, 0),
+    "fourier-512-smoothed": _waves(512, 20),
     "neo": _ours("neo", device=True),
     "neo-2": _ours("neo", device=True, poses=2),
     "neo-raw": _ours("neo", device=True, smoothing=0),
     "neo-cap": _ours("neo", device=True, cap=2048),
+    "neo-1e-5": _ours("neo", device=True, target=1e-5),
     "automatic-1e-2": _ours("automatic", device=True, accuracy=1e-2),
     "automatic-1e-3": _ours("automatic", device=True, accuracy=1e-3),
     "automatic-1e-5": _ours("automatic", device=True, accuracy=1e-5),
     "automatic-1e-8": _ours("automatic", device=True, accuracy=1e-8),
+    "cascade-1e-2": _ours("cascade", device=True, target=1e-2),
     "cascade": _ours("cascade", device=True),
     "cascade-1e-5": _ours("cascade", device=True, target=1e-5),
     "refined": _ours("refined"),
     "refined-neo": _ours("refined", neo="start"),
+    "refined-neo-1e-2": _ours("refined", neo="start", stops=_LOOSE),
+    "refined-random": _ours("refined", start=SUBSPACES["random"](m=144)),
+    "refined-random-1e-2": _ours("refined", start=SUBSPACES["random"](m=144), stops=_LOOSE),
     "arpack": _ours("arpack"),
     "eigsh": _theirs(peers.ScipyEigsh(), _EXACT),
     "eigsh-1e-6": _theirs(peers.ScipyEigsh(tol=_RTOL), _AT_RTOL),
@@ -96,6 +119,13 @@ METHODS: dict[str, Method] = {
     "lapy": _theirs(peers.LapySolver(), _EXACT, needs="lapy"),
     "spectra": _theirs(peers.LibiglSpectra(), "default", slow=True),
 }
+#: What tells where the network pays: predictions, starts, a cascade without it, and exact modes.
+STARTS = tuple(
+    name
+    for name in METHODS
+    if name.partition("-")[0] in ("fourier", "neo", "cascade", "refined", "arpack")
+    or name == BASELINE
+)
 #: What a quick comparison measures.
 QUICK = tuple(name for name, method in METHODS.items() if not method.slow)
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeVar
-
-import numpy as np
+from typing import TypeVar
 
 from measure import tables
-from measure.eigensolvers.methods import BASELINE, METHODS, Contender
+from measure.eigensolvers.methods import BASELINE, Contender
 from measure.eigensolvers.studies import FACTOR, KINDS, OPERATOR, SEEN, Solves
 from measure.eigensolvers.summary import LIMITS, Row, Summary, memory, summaries
-from measure.figures import dots, draw_pareto, legend, panels, save, ticks, undominated
+from measure.figures import draw_pareto, undominated
 from measure.machine import machine_line
 from measure.recipes import Recipe
 from measure.store import Record
@@ -23,37 +21,7 @@ from spectra_kit.viz import ParetoPoint
 Item = TypeVar("Item")
 Name = TypeVar("Name")
 
-#: Below this many points a solve is mostly overhead: such sizes take no part in exponents.
-FIT_FROM = 7500
-#: A line through two sizes fits always, and says nothing about a third.
-FIT_SIZES = 3
-
 _BUSY = 0.05  # of a solve's time without a core; times are longer than they should be
-
-
-class Fit(NamedTuple):
-    """An exponent, and the number of sizes that it was fitted to."""
-
-    exponent: float
-    sizes: int
-
-
-def exponents(rows: Iterable[Row]) -> dict[tuple[str, Contender], Fit]:
-    """Fit an exponent for each geometry and contender with enough sizes from `FIT_FROM` on.
-
-    Of one surface: members of the set differ in more than their size.
-    """
-    lines: dict[tuple[str, Contender], dict[int, float]] = {}
-    for row in rows:
-        seconds = row.median("seconds")
-        if seconds is not None and row.first("n") >= FIT_FROM and not row.problem.traits:
-            line = lines.setdefault((row.problem.kind, row.contender), {})
-            line[row.first("n")] = seconds
-    return {
-        name: Fit(float(np.polyfit(np.log([*line]), np.log([*line.values()]), 1)[0]), len(line))
-        for name, line in lines.items()
-        if len(line) >= FIT_SIZES
-    }
 
 
 def write_report(
@@ -64,14 +32,12 @@ def write_report(
 ) -> list[Path]:
     """Write ``benchmark.json``, ``benchmark.md`` and the plots into the folder of the study.
 
-    Return their paths: JSON, Markdown, then ``accuracy.png`` over the members of the set, or
-    ``time-KIND.png`` over the sizes of another surface.
+    Return their paths: JSON, Markdown, then ``accuracy.png`` over the members of the set.
     """
     rows, ready, folder = repeats_of(results), repeats_of(prepared), study.folder
-    fitted = exponents(rows)
     groups = {name: summaries(some) for name, some in _groups(rows).items()}
     record = {
-        "schema": 4,
+        "schema": 5,
         "machine": machine,
         "settings": {"k": study.prepared.k, "repeats": study.repeats, "operators": KINDS},
         "methods": {
@@ -83,32 +49,19 @@ def write_report(
             for row in rows
         },
         "summaries": {
-            name: [
-                {
-                    **{"method": one.contender.name, "device": one.contender.device},
-                    **{"members": one.members, "lost": one.lost, "above": one.above},
-                    **{figure: over._asdict() for figure, over in one.over.items()},
-                }
-                for one in found
-            ]
-            for name, found in groups.items()
+            name: [summary_as_json(one) for one in found] for name, found in groups.items()
         },
-        "results": [_as_json(row) for row in rows],
-        "exponents": [
-            {"geometry": kind, "device": who.device, "method": who.name, **fit._asdict()}
-            for (kind, who), fit in fitted.items()
-        ],
+        "results": [row_as_json(row) for row in rows],
     }
     paths = [tables.write_json(folder / "benchmark.json", record), folder / "benchmark.md"]
     parts = [
-        *_head(study, rows, machine),
+        *head(study, rows, machine),
         *(part for name, found in groups.items() for part in _summary(name, found)),
         *_promises(groups.get(ALL, ())),
         *_members(ready),
         *(_table(here) for _, here in _grouped(rows, lambda row: row.problem)),
-        *_exponent_lines(rows),
-        *_solver_lines(rows),
-        *_missing([*ready, *rows]),
+        *solver_lines(rows),
+        *missing([*ready, *rows]),
     ]
     tables.write_markdown(paths[1], parts)
     if len(points := _pareto_points(groups.get(ALL, ()))) > 1:
@@ -118,9 +71,6 @@ def write_report(
         }
         title = f"{len({row.problem for row in rows})} real meshes and clouds"
         paths.append(draw_pareto(folder / "accuracy.png", points, title=title, **labels))
-    for kind, these in _grouped(rows, lambda row: row.problem.kind):
-        if any(row.ok and not row.problem.traits for row in these):
-            paths.append(_draw_times(kind, these, fitted, folder / f"time-{kind}.png"))
     return paths
 
 
@@ -143,7 +93,17 @@ def _groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
     }
 
 
-def _as_json(row: Row) -> Record:
+def summary_as_json(one: Summary) -> Record:
+    """Return a summary as JSON."""
+    return {
+        **{"method": one.contender.name, "device": one.contender.device},
+        **{"members": one.members, "lost": one.lost, "above": one.above},
+        **{figure: over._asdict() for figure, over in one.over.items()},
+    }
+
+
+def row_as_json(row: Row) -> Record:
+    """Return all that was measured of one method on one problem."""
     seconds = {"seconds": row.values("seconds"), "median_seconds": row.median("seconds")}
     last = row.results[-1].record
     return {
@@ -158,7 +118,8 @@ def _as_json(row: Row) -> Record:
     }
 
 
-def _head(study: Solves, rows: Sequence[Row], machine: Record) -> list[str]:
+def head(study: Solves, rows: Sequence[Row], machine: Record) -> list[str]:
+    """Return settings, what the columns are, where solvers stop, and whether it was quiet."""
     waiting = max((value for row in rows for value in row.values("waiting")), default=0.0)
     return [
         f"k = {study.prepared.k} modes; median of {study.repeats} interleaved runs."
@@ -312,21 +273,14 @@ def _table(here: Sequence[Row]) -> str:
     )
 
 
-def _exponent_lines(rows: Sequence[Row]) -> list[str]:
-    lines: dict[str, list[str]] = {}
-    for (kind, who), fit in exponents(rows).items():
-        told = f"{who.name} {fit.exponent:.2f} ({fit.sizes} sizes)"
-        lines.setdefault(f"{kind}, {who.device}", []).append(told)
-    told = tables.listed(f"{place}: {', '.join(values)}" for place, values in lines.items())
-    return [f"Exponents of time against points, from {FIT_FROM:,} points on:", told] if told else []
-
-
-def _solver_lines(rows: Sequence[Row]) -> list[str]:
+def solver_lines(rows: Sequence[Row]) -> list[str]:
+    """Return what the names of methods stand for."""
     solvers = {row.contender.name: row.contender.solver for row in rows if row.contender.solver}
     return ["What the names stand for:", tables.listed(f"{n}: `{s}`" for n, s in solvers.items())]
 
 
-def _missing(rows: Iterable[Row | Repeats[str, Recipe]]) -> list[str]:
+def missing(rows: Iterable[Row | Repeats[str, Recipe]]) -> list[str]:
+    """Return what was not measured, and why."""
     reasons: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         if not row.ok:
@@ -361,29 +315,6 @@ def _point(
         league=who.device,
         worst=worst,
     )
-
-
-def _draw_times(
-    kind: str, rows: Sequence[Row], fitted: Mapping[tuple[str, Contender], Fit], path: Path
-) -> Path:
-    """Draw seconds against points, both logarithmic, a line for each method."""
-    figure, (panel,) = panels(f"{kind}: time to solve", width=9)
-    lines: dict[Contender, dict[int, float]] = {}
-    for row in rows:
-        seconds = row.median("seconds")
-        if seconds is not None:
-            lines.setdefault(row.contender, {})[row.first("n")] = seconds
-    for who, line in lines.items():
-        fit = fitted.get((kind, who))
-        style = dots(list(METHODS).index(who.name))  # the same in every figure
-        if who.method.peer:
-            style |= {"ls": "--", "mfc": "white"}
-        power = "" if fit is None else f"  $N^{{{fit.exponent:.2f}}}$"
-        panel.plot(list(line), list(line.values()), label=f"{who}{power}", **style)
-    panel.set(xlabel="points N", ylabel="seconds", yscale="log")
-    ticks(panel, (n for line in lines.values() for n in line))
-    legend(figure, panel, beside=True)
-    return save(figure, path)
 
 
 def _grouped(items: Iterable[Item], key: Callable[[Item], Name]) -> list[tuple[Name, list[Item]]]:

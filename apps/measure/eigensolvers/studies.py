@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from spectra_kit._files import atomic_path
 from spectra_kit._validate import check_count
 from spectra_kit.catalogue import OPERATORS, SOLVERS
 from spectra_kit.eigensolvers import eigensolve
+from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import sphere
 from spectra_kit.operators import Laplacian
 from spectra_kit.spectra import Spectrum
@@ -33,21 +35,27 @@ SEEN = 1e-11
 _LARGE = 10_000, 20_000  # points; spheres of five and six subdivisions have 10,242 and 40,962
 
 
-def sizes_of(source: str, sizes: Iterable[int], kinds: Iterable[str] = KINDS) -> list[Recipe]:
-    """Return the recipes of a scaling study, smallest first within each kind.
+def clouds_of(
+    sources: Sequence[str], sizes: Sequence[int], most: Sequence[int] = ()
+) -> list[Recipe]:
+    """Return clouds of every source at every size, or of the first so many sources at each.
 
-    Clouds are drawn uniformly from the surface of a file's mesh, which has one size itself; the
-    demo animal, where the source is "", meets a size within 1 per cent.
+    The only trait of a cloud is its size, by which they are summarised.
     """
-    sizes = sorted({check_count("sizes", size, low=500) for size in sizes})
+    if most and len(most) != len(sizes):
+        raise InvalidInputError("most", f"hold a number for each of {len(sizes)} sizes", len(most))
+    for size in sizes:
+        check_count("sizes", size, low=500)
+    counts = most or [len(sources)] * len(sizes)
     return [
         Recipe(
-            name=f"{kind}, {points:,} points" if points else kind,
-            sources=(source or f"creature:{points}",),
-            steps=(("sample", points),) if kind == "cloud" else (),
+            name=f"{Path(source).name}, {points:,} points",
+            sources=(source,),
+            steps=(("sample", points),),
+            traits=(f"{points:,} points",),
         )
-        for kind in kinds
-        for points in ((0,) if source and kind == "mesh" else sizes)
+        for points, count in zip(sizes, counts, strict=True)
+        for source in sources[:count]
     ]
 
 
@@ -140,7 +148,7 @@ class Solves(Study[Contender, Recipe]):
         }
 
     def excuse(self, contender: Contender, problem: Recipe, before: Sequence[Solved]) -> str:
-        """Leave out what is not there, what has failed here, and what was too slow before."""
+        """Leave out what is not there, and what has failed here."""
         if not contender.method.present:
             return f"not installed: pip install {contender.method.needs}"
         if not self.prepared.has(OPERATOR, problem):
@@ -148,12 +156,8 @@ class Solves(Study[Contender, Recipe]):
         for result in before:
             if result.contender != contender or result.ok:
                 continue
-            if result.problem == problem:
+            if result.problem == problem:  # elsewhere each is tried: a larger one may be easier
                 return result.reason
-            # In the set every member is tried: a larger one may be easier.
-            grown = result.problem.kind == problem.kind and not problem.traits
-            if grown and result.record["status"] == "stopped":
-                return f"stopped at {result.problem}: {result.reason}"
         return ""
 
     def measure(self, contender: Contender, problem: Recipe) -> Record:

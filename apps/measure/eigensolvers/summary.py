@@ -18,7 +18,8 @@ Row = Repeats[Contender, Recipe]
 #: over those of the best of all others.
 LIMITS = {"over_asked": 1.0, "behind": 1.25}
 
-_RATIOS = ("slowdown", "behind")  # figures whose mean is geometric
+# Figures whose mean is geometric.
+_GEOMETRIC = ("slowdown", "behind", "seconds", "typical_error")
 
 
 class Over(NamedTuple):
@@ -44,8 +45,8 @@ class Summary(NamedTuple):
 def summaries(rows: Sequence[Row]) -> list[Summary]:
     """Summarise each contender that has solved something: what it took, and what came of it.
 
-    Ratios of seconds have a geometric mean, all others an arithmetic one, which their largest
-    decide.
+    Seconds, their ratios and typical errors have a geometric mean, all others an arithmetic one,
+    which their largest decide.
     """
     members = list(dict.fromkeys(str(row.problem) for row in rows if row.ok))
     found = []
@@ -73,9 +74,11 @@ def _figures(row: Row, rows: Sequence[Row]) -> dict[str, float | None]:
     seconds, asked = row.median("seconds"), row.contender.method.accuracy
     base = [other.median("seconds") for other in others if str(other.contender) == BASELINE]
     found = {
+        "seconds": seconds,
         "slowdown": tables.ratio(seconds, base[0] if base else None),
         "bytes": memory(row),
         **{name: row.largest(name) for name in ("eigenvalue_error", "residual_max")},
+        "typical_error": row.largest("eigenvalue_error"),
         **{name: row.largest(name) for name in ("apart", "low")},
     }
     if asked:
@@ -103,6 +106,7 @@ def _over(figure: str, values: Mapping[str, float | None], lost: Sequence[str]) 
         return None
     where = max(known, key=lambda name: known[name])
     numbers = np.array([*known.values()])
-    mean = np.exp(np.log(numbers).mean()) if figure in _RATIOS else numbers.mean()
+    with np.errstate(divide="ignore"):  # an error of zero makes the mean zero
+        mean = np.exp(np.log(numbers).mean()) if figure in _GEOMETRIC else numbers.mean()
     mean = min(mean, numbers.max())  # which that of equal numbers may exceed, by rounding
     return Over(float("nan") if lost else float(mean), known[where], where)

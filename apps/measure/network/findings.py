@@ -19,7 +19,6 @@ Labels = Mapping[str, str | int]
 #: Labels that others are compared with.
 CLOUD, AWARE = "cloud, Delaunay", "mass-aware"
 _REAL, _REFERENCE_POINTS = "real", 8192
-_SAME_TIME = 1.05  # times closer than this are equal
 
 
 class Goal(NamedTuple):
@@ -99,15 +98,12 @@ class Row:
 
 
 def of_accuracy(rows: Sequence[Row]) -> list[Finding]:
-    """Error of one pose, its lead over plane waves, its growth with N, the best at equal time.
-
-    Where ARPACK, which is exact, takes less time, it is the best.
-    """
+    """Error of one pose, its lead over plane waves, its growth with N."""
     found = []
     for row in rows:
         if row.method.poses == 1:
             found += _of_one_pose(row, rows)
-    return found + [_in_time(row, rows) for row in rows if row.method.poses]
+    return found
 
 
 def _of_one_pose(row: Row, rows: Sequence[Row]) -> list[Finding]:
@@ -132,28 +128,6 @@ def _of_one_pose(row: Row, rows: Sequence[Row]) -> list[Finding]:
                 if growth is not None:
                     found.append(Finding(text, growth, _GROWTH if real else ()))
     return found
-
-
-def _in_time(row: Row, rows: Sequence[Row]) -> Finding:
-    text = f"{row.place}, best in the time of {row.method}"
-    if _arpack_beats(row):
-        times = f"({row.seconds:.2f} s): ARPACK is faster ({row.exact_seconds:.2f} s)"
-        return Finding(f"{text} {times} and exact, span error", 0.0)
-    in_time = [o for o in _beside(row, rows) if o.seconds <= _SAME_TIME * row.seconds]
-    best = min(in_time, key=Row.mean)
-    return Finding(f"{text}: {best.method}", best.mean())
-
-
-def undominated(rows: Sequence[Row]) -> list[Row]:
-    """Return the rows that neither ARPACK nor a row of the same place beats.
-
-    To beat is to have less span error or time and not more of the other.
-    """
-    return [
-        row
-        for row in rows
-        if not _arpack_beats(row) and not any(_beats(other, row) for other in _beside(row, rows))
-    ]
 
 
 def of_precision(rows: Sequence[Row]) -> list[Finding]:
@@ -222,17 +196,6 @@ def of_rotation(rows: Sequence[Row]) -> list[Finding]:
     return found
 
 
-def of_worst(rows: Sequence[Row]) -> list[Finding]:
-    """The worst model of each set against the median one."""
-    found = []
-    for row in rows:
-        means = row.means()
-        worst = row.cases[int(means.argmax())].shape
-        text = f"{row.place}: worst model, {worst}, times the median one"
-        found.append(Finding(text, float(means.max() / np.median(means))))
-    return found
-
-
 def _beside(row: Row, rows: Sequence[Row]) -> list[Row]:
     """Rows of the same place, itself among them."""
     return [other for other in rows if other.place == row.place]
@@ -257,14 +220,3 @@ def _growth(small: Row, large: Row) -> float | None:
     both = errors[0].keys() & errors[1].keys()
     below, above = (sum(float(error[shape]) for shape in both) for error in errors)
     return above / below if both else None
-
-
-def _arpack_beats(row: Row) -> bool:
-    """Whether the exact modes take less time."""
-    return row.exact_seconds < row.seconds
-
-
-def _beats(other: Row, row: Row) -> bool:
-    """Whether `other` is better in span error or time and not worse in either."""
-    figures = (other.mean(), other.seconds), (row.mean(), row.seconds)
-    return figures[0] != figures[1] and all(a <= b for a, b in zip(*figures, strict=True))

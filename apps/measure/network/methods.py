@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import torch
 
 from spectra_kit._types import Floats
+from spectra_kit.eigensolvers import Cascade, Eigensolver, Neo
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.neo import NeoSubspace, load_pretrained
 from spectra_kit.subspaces import AmbientFourier
@@ -32,6 +34,8 @@ class Method:
     columns: int  #: Of the basis.
     device: str = "cpu"  #: Where the basis lies, and the algebra runs.
     poses: int = 0  #: In how many a network predicts; 0 without one, or where it is not alone.
+    #: What solves, where the modes are smoothed after Rayleigh-Ritz in the basis.
+    solver: Eigensolver | None = None
 
     def __str__(self) -> str:
         return self.name
@@ -43,12 +47,13 @@ def network(
     poses: Poses = 1,
     dtype: Precision = "float32",
     weighted: bool = True,
+    steps: int = 0,
     device: str = "cpu",
 ) -> Method:
     """Return a trained network as a method, by its name or file.
 
     If it is not `weighted`, the attention gets masses of one; frame and Rayleigh-Ritz keep the
-    true ones.
+    true ones. With `steps` of smoothing at most, it is `Neo`.
     """
     subspace = NeoSubspace(weights, poses=poses, dtype=dtype, device=device)
 
@@ -57,32 +62,39 @@ def network(
         return subspace.predict(points, mass if weighted else np.ones(len(mass)), frame)
 
     options = {"poses": poses, "dtype": dtype, "weighted": weighted, "device": device}
+    solver = Neo(weights=weights, poses=poses, dtype=dtype, device=device, smoothing=steps)
     return Method(
-        name=f"neo {label(weights)}, {poses} pose{'s' * (poses > 1)}",
+        name=f"neo {label(weights)}, {poses} pose{'s' * (poses > 1)}{_smoothed(steps)}",
         group="network",
-        facts={"neo": load_pretrained(weights).sha256, **options},
+        facts={"neo": load_pretrained(weights).sha256, **options, **_steps(steps)},
         basis=basis,
         columns=1 + poses * functions_of(weights),
         device=device,
         poses=poses,
+        solver=solver if steps else None,
     )
 
 
-def waves(m: int, bandwidth: float, *, device: str = "cpu") -> Method:
-    """Return `AmbientFourier` as a method: m plane waves; the best bandwidth grows with m."""
+def waves(m: int, bandwidth: float, *, steps: int = 0, device: str = "cpu") -> Method:
+    """Return `AmbientFourier` as a method: m plane waves; the best bandwidth grows with m.
+
+    With `steps` of smoothing at most, those that `Neo` makes.
+    """
     subspace = AmbientFourier(m=m, bandwidth=bandwidth)
+    solver = Cascade(subspace=subspace, coarsest=sys.maxsize, max_steps=steps, device=device)
 
     def basis(points: Floats, mass: Floats) -> torch.Tensor:
         writable = np.require(subspace(points, mass), requirements=["C", "W"])  # as torch needs it
         return torch.from_numpy(writable).to(device)
 
     return Method(
-        name=f"fourier m={m}, bandwidth {bandwidth:g}",
+        name=f"fourier m={m}, bandwidth {bandwidth:g}{_smoothed(steps)}",
         group="plane waves",
-        facts={"fourier": m, "bandwidth": bandwidth, "device": device},
+        facts={"fourier": m, "bandwidth": bandwidth, "device": device, **_steps(steps)},
         basis=basis,
         columns=m,
         device=device,
+        solver=solver if steps else None,
     )
 
 
@@ -96,6 +108,14 @@ def joined(parts: Sequence[Method]) -> Method:
         columns=sum(part.columns for part in parts),
         device=parts[0].device,
     )
+
+
+def _smoothed(steps: int) -> str:
+    return f", smoothed in {steps} step{'s' * (steps > 1)}" if steps else ""
+
+
+def _steps(steps: int) -> dict[str, int]:
+    return {"steps": steps} if steps else {}  # none: as it was before there were any
 
 
 def functions_of(weights: str) -> int:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from measure.network import findings as found
+from measure.network import per_model
 from measure.network.accuracy import Accuracy
 from measure.network.cases import Case
 from measure.network.findings import Finding, Labels, Row
@@ -65,9 +66,9 @@ class Settings:
         """Return a network on the device of the settings, by default the first."""
         return network(weights or self.weights[0], device=self.device, **options)
 
-    def waves(self, m: int) -> list[Method]:
+    def waves(self, m: int, **options: Any) -> list[Method]:
         """Return m plane waves at every bandwidth."""
-        return [waves(m, bandwidth, device=self.device) for bandwidth in self.bandwidths]
+        return [waves(m, bandwidth, device=self.device, **options) for bandwidth in self.bandwidths]
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,9 +182,11 @@ def _rotations(settings: Settings) -> Places:
             )
 
 
-def _at_focus(settings: Settings) -> Places:
+def _clouds_and_meshes(settings: Settings) -> Places:
+    yield from _sampled(settings, [settings.focus])
     for models, shapes in settings.sets.items():
-        yield {"models": models}, tuple(Case(shape=s, points=settings.focus) for s in shapes)
+        cases = tuple(Case(shape=shape, points=None) for shape in shapes)
+        yield {"models": f"{models}, own meshes"}, cases
 
 
 def _one(settings: Settings) -> Methods:
@@ -201,6 +204,14 @@ def _all(settings: Settings) -> Methods:
         methods += settings.waves(m)
     # Each once: networks of one size have the same rivals.
     return [({"solver": name}, one) for name, one in {one.name: one for one in methods}.items()]
+
+
+def _smoothed(settings: Settings) -> Methods:
+    """Each as it predicts, after one step, and as `Neo` goes on by default."""
+    m = 1 + functions_of(settings.weights[0])
+    for steps in per_model.STEPS:
+        yield {"steps": steps}, settings.network(steps=steps)
+        yield from (({"steps": steps}, rival) for rival in settings.waves(m, steps=steps))
 
 
 def _precisions(settings: Settings) -> Methods:
@@ -224,8 +235,7 @@ QUESTIONS: dict[str, Question] = {
     "accuracy": Question(
         "Accuracy and time",
         "Statistics over models of each model's mean over modes. Times are medians of wall time"
-        " and leave out assembly and certificates. `fast` marks a solver that no other one, ARPACK"
-        " among them, beats in both span error and time.",
+        " and leave out assembly and certificates; benchmark_eigensolvers.py compares them better.",
         _everywhere,
         _all,
         found.of_accuracy,
@@ -265,11 +275,14 @@ QUESTIONS: dict[str, Question] = {
         _one,
         found.of_rotation,
     ),
-    "worst": Question(
-        "The worst models",
-        "By mean span error, with the mode that lies furthest outside the span.",
-        _at_focus,
-        _one,
-        found.of_worst,
+    "models": Question(
+        "Model by model",
+        "`Neo()` by default, the worst model first, beside plane waves of equal m that are smoothed"
+        " alike: by one step each, and until the same target is met. *Before*: in the span of all"
+        " functions; *after*: in that of the modes. Ratios are those of the waves' error to the"
+        " network's, with geometric means; the worst ratio is the least.",
+        _clouds_and_meshes,
+        _smoothed,
+        per_model.findings,
     ),
 }

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from matplotlib.axes import Axes
 
-from measure import figures, tables
+from measure import figures, paper, tables
 from measure.machine import describe_machine, machine_line
-from measure.network.findings import Finding, Row, undominated
+from measure.network import per_model
+from measure.network.findings import Finding, Row
 from measure.network.questions import Answer
 from measure.store import Record
 from spectra_kit._types import Floats
-from spectra_kit.viz import Page, ParetoPoint, plot_comparison
+from spectra_kit.viz import Page, plot_comparison
 
 ERRORS = {"span": "span error", "vector": "eigenvector error", "value": "eigenvalue error"}
 _LINES = 6  # in one panel
@@ -39,13 +41,14 @@ def write_answer(answer: Answer, folder: Path, *, pictures: Sequence[Path] = ())
             "title": question.title,
             "note": question.note,
             "environment": _machine(),
-            "rows": [_row_record(row) for row in answer.rows],
+            "rows": [_row_record(row, answer.name) for row in answer.rows],
             "findings": [_finding_record(finding) for finding in answer.findings],
             "figures": links,
         },
     )
     failures = dict.fromkeys(failure for row in answer.rows for failure in row.failures)
-    table = {"rotation": _rotation_table, "worst": _worst_table}.get(answer.name, _error_table)
+    tell = partial(_error_table, question=answer.name)
+    table = {"rotation": _rotation_table, "models": _model_table}.get(answer.name, tell)
     return tables.write_markdown(
         folder / f"{answer.name}.md",
         [
@@ -82,7 +85,7 @@ def statistics(values: Floats) -> dict[str, float]:
     return {"mean": float(values.mean()), "std": float(values.std()), **spread}
 
 
-def _row_record(row: Row) -> Record:
+def _row_record(row: Row, question: str) -> Record:
     """Statistics over cases, per mode, and the mean of each case."""
     record: Record = {
         **row.labels,
@@ -92,6 +95,8 @@ def _row_record(row: Row) -> Record:
     }
     if not row.cases:
         return record
+    if theirs := _told_by_paper(question, row):
+        record["paper"] = theirs._asdict()
     record |= {"seconds": row.seconds, "exact_seconds": row.exact_seconds}
     record["models_measured"] = [case.shape.name for case in row.cases]
     for error in ERRORS:
@@ -120,25 +125,33 @@ def _finding_line(finding: Finding) -> str:
     return f"{finding.text}: **{tables.number(finding.value)}**{goals}"
 
 
-def _error_table(rows: Sequence[Row]) -> str:
+def _error_table(rows: Sequence[Row], question: str) -> str:
     names = list(rows[0].labels)
     head = [*names, "functions", "clouds"]
     for title in ERRORS.values():
         head += [f"{title}, mean ± std", "median", "IQR"]
-    head += ["seconds", "ARPACK s", "fast"]
-    quick = undominated(rows) if "solver" in names else []
+    told = [_told_by_paper(question, row) for row in rows]
+    head += [f"the paper's {title}" for title in ERRORS.values() if any(told)]
+    head += ["seconds", "ARPACK s"]
     lines = []
-    for row in rows:
+    for row, theirs in zip(rows, told, strict=True):
         cells = [f"{v:,}" if isinstance(v, int) else v for v in row.labels.values()]
         cells += [str(row.method.columns), str(len(row.cases))]
         for error in ERRORS:
             of = {name: tables.number(x) for name, x in statistics(row.means(error)).items()}
             cells += [f"{of['mean']} ± {of['std']}", of["median"], of["iqr"]]
-        cells += [f"{row.seconds:.2f}", f"{row.exact_seconds:.2f}", "yes" if row in quick else ""]
+        if any(told):
+            cells += [tables.number(getattr(theirs, error, None)) for error in ERRORS]
+        cells += [f"{row.seconds:.2f}", f"{row.exact_seconds:.2f}"]
         lines.append(cells)
-    if "solver" not in names:
-        head, lines = head[:-1], [line[:-1] for line in lines]
-    return tables.table(head, lines)
+    note = paper.note(theirs for theirs in told if theirs)
+    return "\n\n".join([tables.table(head, lines), *([note] if note else [])])
+
+
+def _told_by_paper(question: str, row: Row) -> paper.Told | None:
+    """Return the paper's figures where the row is the network's alone, in one pose, unsmoothed."""
+    alone = row.method.poses == 1 and row.method.solver is None
+    return paper.errors_told(question, row.labels) if alone else None
 
 
 def _rotation_table(rows: Sequence[Row]) -> str:
@@ -152,21 +165,19 @@ def _rotation_table(rows: Sequence[Row]) -> str:
     return tables.table(head, lines)
 
 
-def _worst_table(rows: Sequence[Row]) -> str:
-    lines = []
-    for row in rows:
-        means, span = [row.means(error) for error in ERRORS], row.modes("span")
-        for i in _worst_first(row):
-            mode = int(span[i].argmax())
-            cells = [row.place.models, row.cases[i].shape.name]
-            cells += [tables.number(mean[i]) for mean in means]
-            lines.append([*cells, str(mode), tables.number(span[i, mode])])
-    head = ["models", "model", *ERRORS.values(), "worst mode", "its span error"]
-    return tables.table(head, lines)
+def _model_table(rows: Sequence[Row]) -> str:
+    return "\n\n".join(f"### {beside.place}\n\n{_of(beside)}" for beside in per_model.beside(rows))
 
 
-def _worst_first(row: Row) -> list[int]:
-    return [int(i) for i in np.argsort(-row.means(), kind="stable")]
+def _of(beside: per_model.Beside) -> str:
+    order, columns = beside.worst_first, beside.columns.items()
+    lines = [
+        [beside.cases[i].shape.name, *(tables.number(values[i]) for _, values in columns)]
+        for i in order
+    ]
+    for name, pick in (("**mean**", per_model.mean), ("**worst**", per_model.worst)):
+        lines.append([name, *(tables.number(pick(*column)) for column in columns)])
+    return tables.table(["model", *beside.columns], lines)
 
 
 # --- figures ---
@@ -175,20 +186,21 @@ def _worst_first(row: Row) -> list[int]:
 def _draw(answer: Answer, folder: Path) -> list[Path]:
     """Draw what a question has to show: ``QUESTION-WHAT.png`` each."""
     rows, name = [row for row in answer.rows if row.cases], answer.name
+    if name == "models":
+        return [
+            _ranking(beside, folder / f"models-{_slug(beside.place.models)}.png")
+            for beside in per_model.beside(rows)
+        ]
     drawn = []
     for place in dict.fromkeys(row.place for row in rows):
         here = [row for row in rows if row.place == place]
         title = str(place)
         points = f"-{place.points}-points" if place.points else ""
         path = folder / f"{name}-{place.models}{points}"
-        if name == "worst":
-            drawn.append(_ranking(here[0], title, path.with_name(f"{path.name}.png")))
-        elif name == "rotation":
+        if name == "rotation":
             drawn.append(_spread(here, title, path.with_name(f"{path.name}.png")))
         else:
             drawn.append(_modes(here, title, path.with_name(f"{path.name}-modes.png")))
-        if name == "accuracy":
-            drawn.append(_against_time(here, title, path.with_name(f"{path.name}-time.png")))
     quantity = {"accuracy": "points", "precision": "points", "redundancy": "m"}.get(name, "")
     for models in dict.fromkeys(row.place.models for row in rows if quantity):
         these = [row for row in rows if row.place.models == models]
@@ -198,28 +210,32 @@ def _draw(answer: Answer, folder: Path) -> list[Path]:
 
 
 def draw_worst(answer: Answer, folder: Path, *, count: int = 3) -> list[Path]:
-    """Draw the worst modes of the worst shapes of each set: exact, predicted, difference."""
+    """Draw the worst modes of the models that `Neo` does worst: exact, predicted, difference."""
     drawn = []
-    for row in (row for row in answer.rows if row.cases):
-        for rank, i in enumerate(_worst_first(row)[:count], start=1):
-            case, span = row.cases[i], row.modes("span")[i]
-            exact, predicted, comparison = answer.study.compare(row.method, case)
-            name = f"worst-{row.place.models}-{rank}-{case.shape.name.replace(' ', '-')}.png"
+    for beside in per_model.beside(answer.rows):
+        for rank, i in enumerate(beside.worst_first[:count], start=1):
+            case, error = beside.cases[i], beside.columns[per_model.WORST][i]
+            exact, predicted, comparison = answer.study.compare(beside.method, case)
+            name = f"worst-{_slug(beside.place.models)}-{rank}-{_slug(case.shape.name)}.png"
             plot_comparison(
                 folder / name,
                 case.geometry(),
                 exact,
                 predicted,
                 comparison,
-                modes=[int(mode) for mode in np.argsort(-span)[:_DRAWN]],
+                modes=[int(mode) for mode in np.argsort(-comparison.span_error)[:_DRAWN]],
                 page=Page(
-                    f"{case.shape}: the worst of {exact.k} modes",
-                    f"{row.method}; mean span error {span.mean():.1e}",
+                    f"{case}: the worst of {exact.k} modes",
+                    f"{beside.method}; mean eigenvalue error {error:.1e}",
                     dpi=120,
                 ),
             )
             drawn.append(folder / name)
     return drawn
+
+
+def _slug(text: str) -> str:
+    return text.replace(", ", "-").replace(" ", "-")
 
 
 def _modes(rows: Sequence[Row], title: str, path: Path) -> Path:
@@ -260,28 +276,15 @@ def _against(rows: Sequence[Row], quantity: str, path: Path) -> Path:
     return figures.save(figure, path)
 
 
-def _against_time(rows: Sequence[Row], title: str, path: Path) -> Path:
-    """Span error against seconds, one dot for each method, ARPACK's time as a line."""
-    points = [
-        ParetoPoint(
-            name=row.method.name,
-            group=row.method.group,
-            seconds=row.seconds,
-            error=row.mean(),
-        )
-        for row in _best_bandwidths(rows)
-    ]
-    exact = float(np.median([row.exact_seconds for row in rows]))
-    marks = {"ARPACK, exact": exact}
-    return figures.draw_pareto(path, points, marks=marks, ylabel="mean span error", title=title)
-
-
-def _ranking(row: Row, title: str, path: Path) -> Path:
-    """Shapes by span error, worst first."""
-    figure, (panel,) = figures.panels(f"{title}, {row.method}")
-    order, means = _worst_first(row), row.means()
-    panel.bar(range(len(order)), means[order], color=figures.colour(0))
-    _named(panel, [row.cases[i].shape.name for i in order])
+def _ranking(beside: per_model.Beside, path: Path) -> Path:
+    """Errors of each model, the worst first."""
+    figure, (panel,) = figures.panels(f"{beside.place}, {beside.method}")
+    order = beside.worst_first
+    for i, name in enumerate(per_model.DRAWN):
+        style = figures.dots(i) | {"ls": ""}
+        panel.plot(range(len(order)), beside.columns[name][order], label=name, **style)
+    _named(panel, [beside.cases[i].shape.name for i in order], "error")
+    figures.legend(figure, panel)
     return figures.save(figure, path)
 
 
@@ -297,9 +300,9 @@ def _spread(rows: Sequence[Row], title: str, path: Path) -> Path:
     return figures.save(figure, path)
 
 
-def _named(panel: Axes, names: Sequence[str]) -> None:
+def _named(panel: Axes, names: Sequence[str], what: str = "mean span error") -> None:
     panel.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
-    panel.set(ylabel="mean span error", yscale="log")
+    panel.set(ylabel=what, yscale="log")
 
 
 def _told(row: Row, *, but: Sequence[str]) -> list[str]:
