@@ -4,6 +4,7 @@ And many, so that their maps agree: `match_collection`.
 """
 
 from spectra_kit.matching.collection import CollectedPair, Collection, match_collection
+from spectra_kit.matching.local import local_confidence
 from spectra_kit.matching.match import match
 from spectra_kit.matching.options import MatchOptions, ScoreWeights
 from spectra_kit.matching.partial import match_part
@@ -25,6 +26,7 @@ __all__ = [
     "Prepared",
     "ScoreWeights",
     "coverage_over_chance",
+    "local_confidence",
     "match",
     "match_collection",
     "match_part",
