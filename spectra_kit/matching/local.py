@@ -1,11 +1,11 @@
 """How likely each point of a map is right: what a whole map hides, such as a limb that is turned.
 
 A logistic, like `confidence`, of how sure the whole map is, and of what is seen around each point:
-how much wave kernel signatures and curvatures differ, and how edges are stretched. Fitted by maximum
-likelihood to 30,000 points of 75 pairs (30 of animals of SMAL, 15 each of SCAPE, FAUST and TOSCA);
+how much wave kernel signatures and curvatures differ, and how edges are stretched. Fitted by
+maximum likelihood to 30,000 points of 75 pairs (30 of SMAL, 15 each of SCAPE, FAUST and TOSCA);
 a point is right within 8 hundredths of the root of the area. By eight-fold cross-validation over
-pairs a right point had more confidence than a wrong one in 88 of 100 cases, 86 within maps that are
-right as a whole.
+pairs, a right point had more confidence than a wrong one in 88 of 100 cases, 86 within maps that
+are right as a whole.
 """
 
 from __future__ import annotations

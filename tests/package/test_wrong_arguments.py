@@ -139,6 +139,11 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         **{"shapes": two, "frames": np.stack([identity] * 2), "mirrored": np.zeros(2, dtype=bool)},
         **{"groups": (("a", "b"),), "pairs": (collected,)},
     )
+    found = matching.Match(
+        **{"point_map": same, "functional_map": identity, "mirrored": False, "orientation": 1.0},
+        **{"margin": 2.0, "mirror_margin": 2.0, "consistent": 1.0, "coverage": 1.5, "torn": 0.0},
+        candidates=(candidate,),
+    )
     panel = viz.Panel(values=mesh.points[:, 0], limit=1.0)
     map_errors = correspondence.MapErrors(np.ones(n), same)
     given = subspaces.GivenBasis(spectrum.eigenvectors)
@@ -211,7 +216,7 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
         *(sk.ModeCount(verified=3, radius=0.1, floor=2.0), correspondence.Truth(same, same)),
         *(geometry.sample_with_origin(mesh, 50, seed=0), geometry.Normalization.unit_box(mesh)),
         *(geometry.Problem(1, "a hole", "mend it"), geodesics.FacePoint(0, (1.0, 0.0, 0.0))),
-        *(collected, collection),
+        *(collected, collection, found),
         subspaces.canonical_frame(mesh.points, spectrum.mass),
         functional_maps.precise_map(spectrum, spectrum, identity, mesh.faces),
     )
