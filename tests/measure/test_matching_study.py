@@ -4,6 +4,7 @@ import csv
 import json
 from dataclasses import replace
 
+import match_collection
 import match_faust as app
 import numpy as np
 import pytest
@@ -483,3 +484,20 @@ def test_the_app_says_what_is_wrong_and_can_be_interrupted(tmp_path, capsys, mon
     monkeypatch.setitem(METHODS, PLAIN, Entry(interrupted))
     assert app.main([out, *few, "-k", "30"]) == 130
     assert "the same command goes on from here" in capsys.readouterr().err
+
+
+def test_a_set_is_matched_as_one_collection(tmp_path, capsys):
+    for name, subject in demo_subjects(500, poses=3).items():
+        write_subject(tmp_path / f"{name}.npz", subject.mesh, corres=subject.landmarks)
+    out = str(tmp_path / "out")
+    command = [out, "--data", str(tmp_path), "--pairs", "2"]
+    assert match_collection.main(command) == 0
+    said, err = capsys.readouterr()
+    assert "3 shapes as one collection" in said
+    assert "groups of 3; fits no other: none" in said
+    assert err == ""  # no bar in a pipe
+    row = next(line for line in said.splitlines() if line.startswith("| 2 "))
+    assert float(row.split("|")[4]) < 5  # the worst pair
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "matched").iterdir()}
+    assert match_collection.main(command) == 0
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
