@@ -98,7 +98,8 @@ def test_the_next_batch_is_read_while_the_step_waits(monkeypatch):
         ready.release()
         return posed(*arguments)
 
-    expected = feed(config())(1)
+    with feed(config()) as batches:  # closed, so that its thread is not noted below
+        expected = batches(1)
     monkeypatch.setattr(feeding, "posed", noted)
     with feed(config()) as batches:
         batches(0)
