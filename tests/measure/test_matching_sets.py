@@ -6,7 +6,7 @@ from conftest import bumpy, creature, refused
 from measure.matching.protocols import Protocol, make_protocol
 from measure.matching.sets import USUAL, PairSet, pair_sets, triangulated_sets
 from measure.matching.subjects import LACKING, Subject, demo_subjects, truth_between
-from measure.matching.triangulations import TRIANGULATIONS, rounding, triangulated
+from measure.matching.triangulations import TRIANGULATIONS, finer, rounding, triangulated
 
 from spectra_kit import TriangleMesh
 from spectra_kit.errors import InvalidInputError
@@ -152,6 +152,18 @@ def test_anisotropic_triangles_are_long_where_a_tube_is_straight():
     made = TRIANGULATIONS["anisotropic"](tube, np.random.default_rng(0))
     assert expected > 1.6
     assert along_over_across(made) == pytest.approx(expected, rel=0.1)
+
+
+def test_finer_is_the_same_surface_with_its_vertices(animal):
+    made = finer(animal.mesh, 10_000)
+    assert 10_000 <= made.n < 20_000
+    np.testing.assert_allclose(made.points[: animal.mesh.n], animal.mesh.points, rtol=1e-6)
+    assert made.area == pytest.approx(animal.mesh.area, rel=1e-6)
+    edges, uses = np.unique(
+        np.sort(made.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), axis=0, return_counts=True
+    )
+    assert (uses == 2).all()
+    assert made.n - len(edges) + len(made.faces) == 2  # a sphere, as the animal is
 
 
 def test_the_seed_decides(animal, made):
