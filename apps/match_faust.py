@@ -98,7 +98,7 @@ def _match(args: argparse.Namespace) -> bool:
     if not args.no_pictures:
         try:
             for one in matched:
-                for path in draw_extremes(one, up="z" if args.demo else None):
+                for path in draw_extremes(one):
                     print(f"picture: {path}")
         except MissingDependencyError as error:
             print(f"best, median and worst pairs are not drawn: {error}", file=sys.stderr)

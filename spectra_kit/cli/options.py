@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 else:  # a text; but of a path the shell knows how to complete it
     File = str | Path
 
-Axis = Literal["x", "y", "z"]
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Count = Annotated[int, Parameter(name="-k", metavar="K")]
 Indices = Annotated[tuple[int, ...], Parameter(converter=_integers, n_tokens=1, metavar="I,J,...")]
 Output = Annotated[Path, Parameter(alias="-o")]
@@ -235,7 +235,7 @@ class Upright(Command):
     group = "drawing"
 
     up: Axis | None = None
-    """axis that points up in the picture (default: chosen by the shape)"""
+    """axis that points up in the picture, or down: --up=-y (default: chosen by the shape)"""
 
     @property
     def upwards(self) -> Axis | None:

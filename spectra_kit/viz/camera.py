@@ -15,7 +15,7 @@ from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry.sampling import sample
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 
-Up = Literal["x", "y", "z"]
+Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 _AZIMUTHS = np.deg2rad([30, -30, 60, -60, 150, -150, 120, -120])
 _ELEVATION = np.deg2rad(22.0)
@@ -33,8 +33,9 @@ class View:
 
     Attributes
     ----------
-    up : {"x", "y", "z"}, optional
-        The axis that points up in the picture; by default the one the geometry seems to stand on.
+    up : {"x", "y", "z", "-x", "-y", "-z"}, optional
+        The axis that points up in the picture, or, with a minus, down; by default the one the
+        geometry seems to stand on.
     turn : float, default 0
         Degrees to turn the geometry about that axis, from the view chosen: its front goes right.
 
@@ -74,14 +75,16 @@ class View:
             if (facing := _facing(points)) is not None:
                 return _turned(facing, facing[1], turn)
             up = "z" if _stands_on(points, 2) > max(_stands_on(points, 1), _STANDS) else "y"
-        axis, size = "xyz".index(up), np.ptp(points, axis=0)
+        axis, size = "xyz".index(up[-1]), np.ptp(points, axis=0)
+        vertical = np.eye(3)[axis] * (-1 if up.startswith("-") else 1)
         flat = size[axis] < 0.12 * np.delete(size, axis).min()
-        views = [_rotation(axis, azimuth, _STEEP if flat else _ELEVATION) for azimuth in _AZIMUTHS]
+        elevation = _STEEP if flat else _ELEVATION
+        views = [_rotation(vertical, azimuth, elevation) for azimuth in _AZIMUTHS]
         shown = [_coverage(points @ view.T) for view in views]
         best = 0
         for i in range(1, len(views)):
             best = i if shown[i] > _CLEARLY * shown[best] else best
-        return _turned(views[best], np.eye(3)[axis], turn)
+        return _turned(views[best], vertical, turn)
 
 
 def _turned(view: Floats, axis: Floats, degrees: float) -> Floats:
@@ -112,12 +115,13 @@ def _stands_on(points: Floats, axis: int) -> float:
     return float(np.prod(high - low) / max(np.prod(np.ptp(flat, axis=0)), 1e-300))
 
 
-def _rotation(up: int, azimuth: float, elevation: float) -> Floats:
-    """Look down by `elevation` at a geometry turned by `azimuth` around the axis `up`."""
+def _rotation(vertical: Floats, azimuth: float, elevation: float) -> Floats:
+    """Look down by `elevation` at a geometry turned by `azimuth` around the axis `vertical`."""
     # Facing the viewer at azimuth 0: +z for y-up (the habit of scans and games), -y for z-up (CAD).
-    front, side = (((0, 0, 1), (0, 1, 0)), ((0, 0, 1), (1, 0, 0)), ((0, -1, 0), (1, 0, 0)))[up]
+    front, side = (((0, 0, 1), (0, 1, 0)), ((0, 0, 1), (1, 0, 0)), ((0, -1, 0), (1, 0, 0)))[
+        int(np.abs(vertical).argmax())
+    ]
     level = np.cos(azimuth) * np.array(front) + np.sin(azimuth) * np.array(side)
-    vertical = np.eye(3)[up]
     towards = np.cos(elevation) * level + np.sin(elevation) * vertical
     right = np.cross(vertical, level)
     return np.stack([right, np.cross(towards, right), towards])

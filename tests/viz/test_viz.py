@@ -196,6 +196,10 @@ def test_nothing_stands_on_a_tip_and_a_sheet_is_seen_from_above():
     blunt = PointCloud(points[points[:, 2] > -0.9])  # its lowest tip along z cut off
     for up, axis in ((None, 1), ("z", 2), ("x", 0)):
         assert View(up).rotation(blunt)[1, axis] > 0.9
+    for up, axis in (("-x", 0), ("-y", 1), ("-z", 2)):
+        view = View(up).rotation(blunt)
+        assert view[1, axis] < -0.9
+        assert np.linalg.det(view) == pytest.approx(1)
     assert View().rotation(PointCloud(points[points[:, 2] > -0.3]))[1, 2] > 0.9
     rough = SHEET.copy()
     rough[:, 2] = np.maximum(0.01 * np.random.default_rng(0).normal(size=len(rough)), 0)
@@ -215,10 +219,17 @@ def test_what_lies_in_a_plane_is_faced():
 
 def test_a_turn_takes_the_front_to_the_right():
     points = np.random.default_rng(0).normal(size=(500, 3)) * [1.0, 1.5, 0.6]
-    for shape, up, axis in ((points, "y", 1), (points, "z", 2), (SHEET, None, 1)):
+    for shape, up, axis in (
+        (points, "y", 1),
+        (points, "z", 2),
+        (SHEET, None, 1),
+        (points, "-y", 1),
+    ):
         geometry = PointCloud(shape)
         view = View(up).rotation(geometry)
-        level = np.cross(view[0], np.eye(3)[axis])  # towards the viewer, and level
+        level = np.cross(
+            view[0], np.sign(view[1, axis]) * np.eye(3)[axis]
+        )  # towards the viewer, and level
         turned = View(up, turn=30.0).rotation(geometry)
         np.testing.assert_allclose(turned[:, axis], view[:, axis], atol=1e-12)  # as upright
         assert turned[0] @ level == pytest.approx(0.5)

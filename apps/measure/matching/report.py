@@ -326,7 +326,7 @@ def _draw_calibrations(matched: Sequence[Matched], folder: Path) -> list[Path]:
     ]
 
 
-def draw_extremes(matched: Matched, *, up: Literal["y", "z"] | None = None) -> list[Path]:
+def draw_extremes(matched: Matched) -> list[Path]:
     """Draw the best, the median and the worst maps of each way: ``extremes-SET-WAY.png``."""
     drawn = []
     protocol = matched.set.protocol
@@ -344,7 +344,7 @@ def draw_extremes(matched: Matched, *, up: Literal["y", "z"] | None = None) -> l
                 for i in sorted(chosen)
                 for error in [counted(ranked[i].record, protocol)]
             ],
-            view=View(up),
+            view=View(matched.set.up),
             page=Page(
                 f"{matched.set.name}, {way.method}: {way.basis.backend} spectra of {kind}",
                 f"mean geodesic errors of {len(ranked)} pairs, in hundredths of √area",

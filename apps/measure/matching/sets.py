@@ -15,9 +15,11 @@ from measure.matching.triangulations import TRIANGULATIONS, rounding, triangulat
 from measure.shapes import data_folder
 from spectra_kit._validate import check_count
 from spectra_kit.errors import InvalidInputError
+from spectra_kit.viz.camera import Up
 
 #: What is measured of a set where no other protocol is asked for; of others, random pairs.
 USUAL = {"smal_r": "all-pairs", "scape_a": "all-pairs", "tosca_r": "same-class"}
+_UP: dict[str, Up] = {"smal_r": "-y", "scape_a": "x", "tosca_r": "z"}  # else the view tells
 _ONE_CLASS = ("smal_r",)  # whose names do not tell classes by letters and digits
 
 
@@ -30,12 +32,15 @@ class PairSet:
     protocol: Protocol
     note: str = ""  #: What else a reader should know, in a sentence.
     against: str = ""  #: The name of the set whose errors these are compared with.
+    up: Up | None = None  #: The axis that points up in pictures, where it is known.
 
 
 def demo_set(count: int | None = None) -> PairSet:
     """Return the pairs of a demo animal in its poses, or so many of them."""
     subjects = demo_subjects()
-    return PairSet("demo", subjects, make_protocol("all-pairs", subjects.values(), count=count))
+    return PairSet(
+        "demo", subjects, make_protocol("all-pairs", subjects.values(), count=count), up="z"
+    )
 
 
 def pair_sets(
@@ -77,7 +82,9 @@ def pair_sets(
             listed=listed or folder / "ren_pairs.txt",
         )
         used = {name for pair in made.pairs for name in pair}
-        sets[name] = PairSet(name, {n: s for n, s in subjects.items() if n in used}, made)
+        sets[name] = PairSet(
+            name, {n: s for n, s in subjects.items() if n in used}, made, up=_UP.get(name)
+        )
     return list(sets.values())
 
 
@@ -126,6 +133,7 @@ def triangulated_sets(pairs: PairSet, *, count: int, seed: int = 0) -> list[Pair
                 Protocol(pairs.protocol.name, tuple(named)),
                 note,
                 against=f"{pairs.name}-isotropic",
+                up=pairs.up,
             )
         )
     return sets

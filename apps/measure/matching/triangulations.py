@@ -20,6 +20,7 @@ from spectra_kit._types import Floats, Ints
 from spectra_kit.errors import InvalidInputError
 from spectra_kit.geometry import Geometry, PointCloud, TriangleMesh, largest_component
 from spectra_kit.geometry.implicit import polygonize
+from spectra_kit.interop import to_pyvista
 from spectra_kit.matching.curvature import outward_normals
 from spectra_kit.operators.oriented import oriented_triangles
 
@@ -69,9 +70,7 @@ def finer(mesh: TriangleMesh, n: int) -> TriangleMesh:
 
     Vertices of `mesh` keep their numbers, and the surface is the same.
     """
-    import pyvista as pv
-
-    made = surface = pv.PolyData.from_regular_faces(mesh.points, mesh.faces)
+    made = surface = to_pyvista(mesh)
     length = 2 * np.sqrt(mesh.area / n)  # twice the edges of squares of a vertex each
     while made.n_points < n:
         made = surface.subdivide_adaptive(max_edge_len=length)
