@@ -111,7 +111,9 @@ def joined(parts: Sequence[Method]) -> Method:
 
 
 def _smoothed(steps: int) -> str:
-    return f", smoothed in {steps} step{'s' * (steps > 1)}" if steps else ""
+    if steps == 1:
+        return ", one step"
+    return f", smoothed in at most {steps} steps" if steps else ""
 
 
 def _steps(steps: int) -> dict[str, int]:
