@@ -1,3 +1,3 @@
 """The version, readable where the package runs from its source tree, uninstalled."""
 
-VERSION = "0.1.0"
+VERSION = "0.2.0"
