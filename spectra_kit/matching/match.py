@@ -147,7 +147,7 @@ def match(
     fewer = min(a.spectrum.k, b.spectrum.k)
     a, b = a.truncate(fewer), b.truncate(fewer)
     with single_threaded_blas():  # small products: the threads are ours
-        search = _Search(a, b, pairs, options)
+        search = Search(a, b, pairs, options)
         found = in_threads(search.candidates, ((way,) for way in ways))
         if len(found) == 2 and found[1][0].score * options.mirrored_by < found[0][0].score:
             found.reverse()
@@ -315,7 +315,7 @@ def _zoomed(
     return found, features
 
 
-class _Search:
+class Search:
     """The search for candidates of one pair."""
 
     def __init__(

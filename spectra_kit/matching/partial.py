@@ -20,7 +20,7 @@ from spectra_kit.functional_maps import functional_map_from_point_map
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas
 from spectra_kit.matching.elastic import Met, meeting
-from spectra_kit.matching.match import _Search, match, spectral_map
+from spectra_kit.matching.match import Search, match, spectral_map
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.prepare import LOWEST_K, Prepared, Surface, prepare
 from spectra_kit.matching.regions import (
@@ -70,6 +70,7 @@ def match_part(
     ----------
     part, whole : Prepared
         Connected meshes, prepared with their geometries; the whole best with 150 modes or more.
+        They are matched on all their points, however dense, which takes its time.
     mirrored : bool, optional
         As of `match`.
     k : int, default 150
@@ -124,11 +125,13 @@ def match_part(
     >>> print((found.covered == left).mean())
     0.9...
     """
+    sides = (part, whole)
+    part, whole = (side.on_all_points() for side in sides)
     for name, side in (("part", part), ("whole", whole)):
         _check_mesh(name, side)
     k = min(check_count("k", k, low=LOWEST_K), part.spectrum.k, whole.spectrum.k)
     if not len(mesh_of(part).boundary_vertices):
-        usual = match(part, whole, mirrored=mirrored, k=k, options=options)
+        usual = match(*sides, mirrored=mirrored, k=k, options=options)
         return replace(usual, covered=np.ones(whole.spectrum.n, dtype=bool))
     ways = (False, True) if mirrored is None else (mirrored,)
     search = _PartSearch(part, whole, min(options.refined_modes, k), options)
@@ -213,7 +216,7 @@ class _PartSearch:
         found = []
         for piece in likely_regions(self.part, self.whole, _TRIED):
             side = _prepared(piece, self.low)
-            search = _Search(few, side, None, self.options)
+            search = Search(few, side, None, self.options)
             for candidates in in_threads(search.candidates, ((way,) for way in ways)):
                 found += [_Trial(piece, side, candidate) for candidate in candidates]
         return sorted(found, key=lambda trial: trial.score)
@@ -339,7 +342,7 @@ def _links(graph: sparse.csr_array) -> sparse.csr_array:
 
 
 def _prepared(piece: Region, k: int) -> Prepared:
-    return prepare(spectrum(piece.mesh, k), piece.mesh)
+    return prepare(spectrum(piece.mesh, k), piece.mesh).on_all_points()
 
 
 def _extended(a: Spectrum, b: Spectrum, point_map: Ints, covered: Bools, k: int) -> Floats:

@@ -70,6 +70,18 @@ class Prepared(Rebuilt):
         """The spectrum on all points of the surface, dense or not."""
         return self.spectrum if self.dense is None else self.dense.spectrum
 
+    def on_all_points(self) -> Prepared:
+        """Return the surface prepared to be matched on all its points, dense or not.
+
+        Returns
+        -------
+        Prepared
+            As if `n_points` had been large enough.
+        """
+        if self.dense is None:
+            return self
+        return _gathered(self.dense.spectrum, self.dense.placed, len(self.samples))
+
     def truncate(self, k: int) -> Prepared:
         """Return the surface prepared with its first k modes alone.
 
