@@ -38,9 +38,8 @@ from spectra_kit.matching.prepare import LOWEST_K, Prepared, curvatures, prepare
 from spectra_kit.matching.result import Candidate, Match
 from spectra_kit.matching.score import (
     coverage_over_chance,
-    mismatches,
     orientation_of,
-    score_of,
+    scored,
 )
 from spectra_kit.matching.tears import torn
 from spectra_kit.spectra import Spectrum
@@ -376,20 +375,14 @@ class Search:
     def _scored(
         self, C: Floats, mirrored: bool, *, rough: bool = False, alignment: float | None = None
     ) -> Candidate:
-        options = self._options
-        values = mismatches(
-            self._a,
-            self._b,
-            C,
+        return scored(
+            *(self._a, self._b, C),
             mirrored=mirrored,
             landmarks=self._landmarks,
             rough=rough,
-            options=options,
+            alignment=alignment,
+            options=self._options,
         )
-        if alignment is not None:
-            values["alignment"] = alignment
-        score = score_of(values, options=options)
-        return Candidate(functional_map=C, score=score, mismatches=values, mirrored=mirrored)
 
 
 def _apart(c: Candidate, other: Candidate) -> float:

@@ -16,7 +16,7 @@ class ScoreWeights:
     Parameters
     ----------
     curvature, wave, spacing, embedding, orientation, alignment, lengths, landmarks : float
-        See `mismatches`.
+        See `mismatches`, which tells what they are and which of them a map may lack.
 
     Examples
     --------

@@ -33,9 +33,8 @@ from spectra_kit.matching.regions import (
 from spectra_kit.matching.result import Candidate, Match
 from spectra_kit.matching.score import (
     coverage_over_chance,
-    mismatches,
     orientation_of,
-    score_of,
+    scored,
 )
 from spectra_kit.matching.tears import torn
 from spectra_kit.spectra import Spectrum
@@ -158,7 +157,7 @@ def match_part(
         consistent=1.0,
         coverage=coverage_over_chance(part.spectrum, side.spectrum, around),
         torn=_torn(part, side, around),
-        candidates=tuple(t.candidate for t in (chosen, *trials)),
+        candidates=(chosen.candidate, *(t.candidate for t in trials if t is not chosen)),
         options=replace(options, convincing_score=_SCORE),
         covered=covered,
     )
@@ -269,10 +268,7 @@ class _PartSearch:
         k = min(_KEPT, self.low)
         start = functional_map_from_point_map(few.spectrum, side.spectrum, around, k=k)
         C = spectral_map(few, side, start, self.low, self.options)[0].functional_map
-        values = mismatches(few, side, C, mirrored=mirrored, options=self.options)
-        score = score_of(values, options=self.options)
-        candidate = Candidate(functional_map=C, score=score, mismatches=values, mirrored=mirrored)
-        return _Trial(piece, side, candidate)
+        return _Trial(piece, side, scored(few, side, C, mirrored=mirrored, options=self.options))
 
     def _loose(self, area: float) -> Surface:
         """Return the part at an area, without mass near its border: nothing pulls it there.

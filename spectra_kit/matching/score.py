@@ -15,6 +15,7 @@ from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.matching.lengths import changed
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.prepare import Prepared, curvatures
+from spectra_kit.matching.result import Candidate
 from spectra_kit.spectra import Spectrum
 
 
@@ -57,7 +58,25 @@ def mismatches(
         (1 - t) / 2 with the orientation t of `orientation_of`; ``lengths``: that of the lengths of
         ways between 60 samples of either side, unless `rough`; ``landmarks``: biharmonic distance
         between where the map takes the landmarks and where they belong, relative to the root mean
-        square of the source.
+        square of the source. The candidates of a `match` have an ``alignment`` besides, which a map
+        does not have by itself: how far the source, bent by it in its lowest modes, stays from the
+        target in positions, normals and curvature.
+
+    Raises
+    ------
+    InvalidInputError
+        If the map is not square, has more rows than either surface has modes or is not finite, or a
+        landmark is out of range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spectra_kit as sk
+    >>> animal = sk.geometry.creature(600)
+    >>> a = sk.prepare(sk.spectrum(animal, 60), animal)
+    >>> identity = sk.matching.mismatches(a, a, np.eye(60))
+    >>> max(identity.values()) < 1e-9
+    True
     """
     a, b = source.spectrum, target.spectrum
     functional_map = _square(functional_map, source, target)
@@ -131,6 +150,33 @@ def score_of(values: dict[str, float], *, options: MatchOptions = DEFAULT) -> fl
     total = sum(weights[name] for name in values)
     logs = sum(weights[name] * np.log(max(value, 0.0) + least) for name, value in values.items())
     return float(np.exp(logs / total))
+
+
+def scored(
+    source: Prepared,
+    target: Prepared,
+    functional_map: Floats,
+    *,
+    mirrored: bool,
+    landmarks: tuple[Ints, Ints] | None = None,
+    rough: bool = False,
+    alignment: float | None = None,
+    options: MatchOptions,
+) -> Candidate:
+    """Return a map with its mismatches and score; the `alignment` counts where it is known."""
+    values = mismatches(
+        *(source, target, functional_map),
+        mirrored=mirrored,
+        landmarks=landmarks,
+        rough=rough,
+        options=options,
+    )
+    if alignment is not None:
+        values["alignment"] = alignment
+    score = score_of(values, options=options)
+    return Candidate(
+        functional_map=functional_map, score=score, mismatches=values, mirrored=mirrored
+    )
 
 
 @checked
