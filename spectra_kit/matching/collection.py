@@ -20,7 +20,7 @@ from spectra_kit.matching._found import found_path, read_found, shape_key, write
 from spectra_kit.matching.coupled import Sampled, coupled_zoomout
 from spectra_kit.matching.match import match, matched_from
 from spectra_kit.matching.options import DEFAULT, MatchOptions
-from spectra_kit.matching.prepare import LOWEST_K, Prepared
+from spectra_kit.matching.prepare import LOWEST_K, REFINED_K, Prepared
 from spectra_kit.matching.result import Candidate, Match
 from spectra_kit.matching.score import scored
 from spectra_kit.matching.synchronise import LEAD, Found, Frames, apart, groups, synchronised
@@ -249,7 +249,7 @@ def match_collection(
     names, many = list(shapes), _checked(shapes, mirrored)
     check_count("neighbours", neighbours, low=1)
     count = min(shape.spectrum.k for shape in many) - 1
-    dnas = [shape_dna(shape.spectrum, min(count, options.refined_modes)) for shape in many]
+    dnas = [shape_dna(shape.spectrum, min(count, REFINED_K)) for shape in many]
     alone = _Alone(many, mirrored, None if folder is None else Path(folder), options)
     with single_threaded_blas():
         frames = synchronised(
@@ -302,8 +302,7 @@ class _Alone:
         """Return what `match` chooses from; what it would refine is worked out when asked for."""
         a, b, options = self._shapes[i], self._shapes[j], self._options
         with hearing():  # `convincing` tells of doubts
-            k = max(options.refined_modes, LOWEST_K)
-            one = match(a, b, mirrored=self._mirrored, k=k, elastic=False, options=options)
+            one = match(a, b, mirrored=self._mirrored, k=REFINED_K, elastic=False, options=options)
         return Found(
             maps=np.array([c.functional_map for c in one.candidates]),
             scores=np.array([c.score for c in one.candidates]),

@@ -22,7 +22,7 @@ from spectra_kit.linalg.threads import in_threads, single_threaded_blas
 from spectra_kit.matching.elastic import Met, meeting
 from spectra_kit.matching.match import Search, match, spectral_map
 from spectra_kit.matching.options import DEFAULT, MatchOptions
-from spectra_kit.matching.prepare import LOWEST_K, Prepared, Surface, prepare
+from spectra_kit.matching.prepare import LOWEST_K, REFINED_K, Prepared, Surface, prepare
 from spectra_kit.matching.regions import (
     LEAST_POINTS,
     Region,
@@ -75,7 +75,9 @@ def match_part(
     k : int, default 150
         Modes to end with, as of `match`.
     options : MatchOptions
-        What is tried and believed.
+        What is tried and believed; `convincing_score` counts below 0.4, as the best of many
+        regions scores better than a map of wholes, and a mirrored part need be 1.5 times better,
+        whatever `mirrored_by` says.
 
     Returns
     -------
@@ -133,7 +135,7 @@ def match_part(
         usual = match(*sides, mirrored=mirrored, k=k, options=options)
         return replace(usual, covered=np.ones(whole.spectrum.n, dtype=bool))
     ways = (False, True) if mirrored is None else (mirrored,)
-    search = _PartSearch(part, whole, min(options.refined_modes, k), options)
+    search = _PartSearch(part, whole, min(REFINED_K, k), options)
     with single_threaded_blas():
         trials = search.trials(ways)
         found = [search.ends([t for t in trials if t.candidate.mirrored == way]) for way in ways]
@@ -158,7 +160,7 @@ def match_part(
         coverage=coverage_over_chance(part.spectrum, side.spectrum, around),
         torn=_torn(part, side, around),
         candidates=(chosen.candidate, *(t.candidate for t in trials if t is not chosen)),
-        options=replace(options, convincing_score=_SCORE),
+        options=replace(options, convincing_score=min(_SCORE, options.convincing_score)),
         covered=covered,
     )
     if not made.convincing:
@@ -267,7 +269,7 @@ class _PartSearch:
         mirrored, few = trial.candidate.mirrored, self.part.truncate(self.low)
         k = min(_KEPT, self.low)
         start = functional_map_from_point_map(few.spectrum, side.spectrum, around, k=k)
-        C = spectral_map(few, side, start, self.low, self.options)[0].functional_map
+        C = spectral_map(few, side, start, self.low)[0].functional_map
         return _Trial(piece, side, scored(few, side, C, mirrored=mirrored, options=self.options))
 
     def _loose(self, area: float) -> Surface:
@@ -291,7 +293,7 @@ class _PartSearch:
     def _bent_by(self, start: Floats, trial: _Trial, side: Prepared, k: int) -> Met:
         """Bend the part onto the whole, at the size of the region, from a map to the region."""
         assert self.whole.surface is not None
-        way_there = spectral_map(self.part, side, start, k, self.options)[1]
+        way_there = spectral_map(self.part, side, start, k)[1]
         return meeting(
             self._loose(trial.piece.area),
             self.whole.surface,

@@ -18,6 +18,10 @@ from spectra_kit.matching.prepare import Prepared, curvatures
 from spectra_kit.matching.result import Candidate
 from spectra_kit.spectra import Spectrum
 
+_CURVATURES = 2  # of the smoothed ones that are scored, from the finest
+_ROUGH_SAMPLES = 200
+_LEAST = 1e-3  # below which mismatches count as equally good
+
 
 @checked
 def mismatches(
@@ -28,7 +32,6 @@ def mismatches(
     mirrored: bool = False,
     landmarks: tuple[Ints, Ints] | None = None,
     rough: bool = False,
-    options: MatchOptions = DEFAULT,
 ) -> dict[str, float]:
     """Return what a map of good surfaces keeps small, each in [0, about 1], dimensionless.
 
@@ -45,8 +48,6 @@ def mismatches(
     rough : bool, default False
         Look for the images of 200 samples among the samples only; else those of all samples among
         all points.
-    options : MatchOptions
-        How many samples and curvatures.
 
     Returns
     -------
@@ -80,7 +81,7 @@ def mismatches(
     """
     a, b = source.spectrum, target.spectrum
     functional_map = _square(functional_map, source, target)
-    k, few = len(functional_map), options.rough_samples
+    k, few = len(functional_map), _ROUGH_SAMPLES
     every1, every2 = np.arange(a.n), np.arange(b.n)
     pool1, pool2 = (source.samples, target.samples) if rough else (every1, every2)
     there, here = (every1[:few], every2[:few]) if rough else (source.samples, target.samples)
@@ -108,8 +109,7 @@ def mismatches(
         )
     curved = curvatures(source, target)
     if curved is not None:
-        fine = options.scored_curvatures
-        curved1, curved2 = curved[0][pool1, :fine], curved[1][pool2, :fine]
+        curved1, curved2 = curved[0][pool1, :_CURVATURES], curved[1][pool2, :_CURVATURES]
         there_and_back = _curvature_error(curved1[back], curved2[here]) * _curvature_error(
             curved1[there], curved2[forth]
         )
@@ -134,8 +134,7 @@ def score_of(values: dict[str, float], *, options: MatchOptions = DEFAULT) -> fl
     Returns
     -------
     float
-        Dimensionless, at least `MatchOptions.least_mismatch`: mismatches below that count as
-        equally good.
+        Dimensionless, at least 0.001: mismatches below that count as equally good.
 
     Examples
     --------
@@ -143,12 +142,12 @@ def score_of(values: dict[str, float], *, options: MatchOptions = DEFAULT) -> fl
     >>> print(sk.matching.score_of({"curvature": 0.5, "wave": 0.1}))
     0.476
     """
-    weights, least = asdict(options.weights), options.least_mismatch
+    weights = asdict(options.weights)
     if not values or not set(values) <= set(weights):
         expected = f"hold some of {sorted(weights)}, as `mismatches` returns them"
         raise InvalidInputError("values", expected, sorted(values))
     total = sum(weights[name] for name in values)
-    logs = sum(weights[name] * np.log(max(value, 0.0) + least) for name, value in values.items())
+    logs = sum(weights[name] * np.log(max(value, 0.0) + _LEAST) for name, value in values.items())
     return float(np.exp(logs / total))
 
 
@@ -169,7 +168,6 @@ def scored(
         mirrored=mirrored,
         landmarks=landmarks,
         rough=rough,
-        options=options,
     )
     if alignment is not None:
         values["alignment"] = alignment
