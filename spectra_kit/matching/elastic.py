@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from spectra_kit._types import Floats, Ints
 from spectra_kit.linalg.ldl import SparseLDL
-from spectra_kit.linalg.threads import in_threads, ranges
+from spectra_kit.linalg.threads import in_threads, ranges, thread_count
 from spectra_kit.matching.curvature import outward_normals
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.placed import Placed
@@ -76,6 +76,7 @@ class Met(NamedTuple):
     points: Floats  # (n1, 3): of the source
     there: Ints  # (n1,): the target point that is nearest to each of them
     back: Ints  # (n2,): the source point that is nearest to each of the target
+    gap: float  # how far they are apart, mean of both ways: lengths in which normals count
 
 
 def meeting(
@@ -90,7 +91,10 @@ def meeting(
     bent = bend_onto(source, target, way_there, mirrored=mirrored, options=options)
     here = rows_of(bent.points, bent.start.oriented)
     there = rows_of(target.points, target.oriented)
-    return Met(bent.points, cKDTree(there).query(here)[1], cKDTree(here).query(there)[1])
+    far_there, to_there = cKDTree(there).query(here, workers=thread_count())
+    far_back, back = cKDTree(here).query(there, workers=thread_count())
+    gap = float(np.mean([far_back.mean(), far_there.mean()]))
+    return Met(bent.points, to_there, back, gap)
 
 
 def rows_of(points: Floats, oriented: OrientedTriangles) -> Floats:

@@ -55,30 +55,6 @@ def by_bending(
     return _met(here, there), here, there
 
 
-def bent_distance(
-    source: Prepared,
-    target: Prepared,
-    way_there: Ints,
-    *,
-    mirrored: bool,
-    options: MatchOptions,
-) -> float:
-    """Return how far the source, bent onto the target, stays from it: mean of both ways.
-
-    On the points that they are matched on, from the target point of each source point; lengths in
-    which normals count, as in `bend_onto`.
-    """
-    assert source.surface is not None
-    assert target.surface is not None
-    bent = bend_onto(source.surface, target.surface, way_there, mirrored=mirrored, options=options)
-    here = rows_of(bent.points, bent.start.oriented)
-    there = rows_of(target.surface.points, target.surface.oriented)
-    gaps = [
-        cKDTree(x).query(y, workers=thread_count())[0] for x, y in ((here, there), (there, here))
-    ]
-    return float(np.mean([gap.mean() for gap in gaps]))
-
-
 def by_modes(
     source: Prepared, target: Prepared, found: Correspondence
 ) -> tuple[Ints, Floats, Floats]:

@@ -26,9 +26,9 @@ from spectra_kit.geometry import Geometry
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas
 from spectra_kit.matching.alignment import bent, placed_candidates, side_of
 from spectra_kit.matching.candidates import sign_candidates
+from spectra_kit.matching.elastic import meeting
 from spectra_kit.matching.everywhere import (
     all_placed,
-    bent_distance,
     by_bending,
     by_modes,
     on_matched,
@@ -242,7 +242,10 @@ def _left(a: Prepared, b: Prepared, candidate: Candidate, options: MatchOptions)
     C = candidate.functional_map
     rows1, rows2 = a.spectrum.eigenvectors[:, : len(C)] @ C.T, b.spectrum.eigenvectors[:, : len(C)]
     there = nearest(rows1, rows2)
-    return bent_distance(a, b, there, mirrored=candidate.mirrored, options=options)
+    assert a.surface is not None
+    assert b.surface is not None
+    mirrored = candidate.mirrored
+    return meeting(a.surface, b.surface, there, mirrored=mirrored, options=options).gap
 
 
 def _distinct(candidates: Iterable[Candidate], apart: float) -> list[Candidate]:

@@ -144,8 +144,9 @@ class Match(Rebuilt):
     def convincing(self) -> bool:
         """Whether the map is rather right than wrong: its confidence is 0.5 or more.
 
-        Shapes that do not correspond have no convincing map. Of a part, for which confidence is not
-        calibrated, neither score nor coverage may speak against it.
+        Bodies and animals that do not correspond rarely have such a map; surfaces without limbs,
+        such as a ring and an ellipsoid, look much alike and may have one. Of a part, for which
+        confidence is not calibrated, neither score nor coverage may speak against it.
         """
         if self.covered is not None:
             return not {"coverage", "score"} & set(self.doubts)

@@ -210,7 +210,7 @@ def test_a_part_in_its_place_covers_itself(mesh, whole, headless) -> None:
     places = whole.surface.points
     there = headless.vertex_index
     back = cKDTree(places[there]).query(places)[1]
-    covered = covered_by(piece, whole, Met(places[there], there, back))
+    covered = covered_by(piece, whole, Met(places[there], there, back, gap=0.0))
     assert covered[there].all()
     left = np.isin(np.arange(mesh.n), there)
     assert overlap(covered, left, whole.spectrum.mass) > 0.97

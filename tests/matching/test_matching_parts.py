@@ -32,7 +32,6 @@ from spectra_kit.matching.elastic import (
     _rotations,
     meeting,
 )
-from spectra_kit.matching.everywhere import bent_distance
 from spectra_kit.matching.lengths import changed
 from spectra_kit.operators import oriented_triangles
 
@@ -220,12 +219,12 @@ def test_lengths_are_those_along_the_surface_and_the_same_for_a_copy(source, cop
 def test_a_surface_is_bent_onto_its_copy_and_nowhere_else(source, copy) -> None:
     """The true map leaves no distance; one that takes the animal to its other end does."""
     target, truth = copy
-    options, there = MatchOptions(), np.argsort(truth)
+    there = np.argsort(truth)
     places = source.surface.points[:, 0]
     ranks = np.argsort(np.argsort(places))
     reversed_ends = np.argsort(places)[::-1][ranks]  # head to tail
     true, wrong = (
-        bent_distance(source, target, there[way], mirrored=False, options=options)
+        meeting(source.surface, target.surface, there[way]).gap
         for way in (np.arange(len(there)), reversed_ends)
     )
     assert true < 1e-9
