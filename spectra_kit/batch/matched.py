@@ -271,7 +271,6 @@ def _arrays(match: Match) -> dict[str, NDArray[Any]]:
 def _restored(options: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Match:
     """Return the match of such arrays; lists among its options were tuples."""
     kept = tuple((int(modes), int(count)) for modes, count in options["kept"])
-    placed = tuple(int(modes) for modes in options["placed_modes"])
     weights = ScoreWeights(**options["weights"])
     judged: list[float] = arrays["judged"].tolist()
     mirrored, orientation, torn, margin, mirror_margin, consistent, coverage = judged
@@ -302,7 +301,5 @@ def _restored(options: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) ->
         coverage=coverage,
         torn=None if np.isnan(torn) else torn,
         candidates=candidates,
-        options=MatchOptions(
-            **{**options, "kept": kept, "placed_modes": placed, "weights": weights}
-        ),
+        options=MatchOptions(**{**options, "kept": kept, "weights": weights}),
     )

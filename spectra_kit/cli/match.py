@@ -34,7 +34,7 @@ from spectra_kit.errors import InvalidFileError, InvalidInputError
 from spectra_kit.geometry import Geometry, TriangleMesh, creature_pair, write
 from spectra_kit.geometry.formats._arrays import text_lines, whole
 from spectra_kit.geometry.formats.numpy_arrays import read_npy
-from spectra_kit.matching import Match, match, match_part, prepare
+from spectra_kit.matching import Match, Prepared, match, match_part, prepare
 from spectra_kit.matching.prepare import LOWEST_K
 from spectra_kit.matching.result import Doubt
 from spectra_kit.operators import Laplacian
@@ -188,7 +188,7 @@ def _matched(
 ) -> tuple[Match, tables.Record]:
     """The maps, and what the match says of itself."""
     start = time.perf_counter()
-    first, second = (prepare(side.spectrum, side.geometry) for side in (source, target))
+    first, second = (_prepared(side) for side in (source, target))
     middle = time.perf_counter()
     mirrored, k = MIRRORED[asked.sides], source.spectrum.k
     if asked.part:
@@ -207,11 +207,19 @@ def _matched(
         "margin": found.margin,
         "other_side": found.mirror_margin,
         "score": found.score,
+        "torn": found.torn,
         "candidates": len(found.candidates),
         "mirrored": found.mirrored,
         "orientation": found.orientation,
         "coverage_over_chance": found.coverage,
     }
+
+
+def _prepared(side: Side) -> Prepared:
+    try:
+        return prepare(side.spectrum, side.geometry)
+    except InvalidInputError as error:
+        raise InvalidFileError(side.name, error) from error
 
 
 def _read_landmarks(path: Path, n_source: int, n_target: int) -> tuple[Ints, Ints]:

@@ -21,9 +21,20 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from spectra_kit._types import Floats, Ints
+from spectra_kit.matching.candidates import GROWING_CURVATURES
 from spectra_kit.matching.curvature import outward_normals
-from spectra_kit.matching.options import MatchOptions
-from spectra_kit.matching.prepare import Prepared
+from spectra_kit.matching.prepare import LOWEST_K, REFINED_K, Prepared
+
+SAMPLES = 400  # on which the source is laid onto the target and bent
+_LAID = (6, 9, 14, 20, LOWEST_K)  # modes to which surfaces are smoothed as one is laid on the other
+_BENT_STEPS = 4  # from these modes to the refined ones
+_BENDING_MODES = 20  # in which the source is bent
+_STIFFNESS = 0.3  # of the last of these modes, relative to the pull of the points
+_NORMALS = 0.4  # length that normals count like, beside positions
+_CURVATURE = 0.1  # of each curvature
+# Of all modes together, as one surface is laid onto the other, and as it is bent: there they hold a
+# right map, which shapes of different kinds, drawn to the nearest point, would leave.
+_MODES_LAID, _MODES_BENT = 0.5, 4.0
 
 
 class Side(NamedTuple):
@@ -54,11 +65,11 @@ class Laid(NamedTuple):
     distance: float  # between nearest points, normals and curvatures, both ways
 
 
-def side_of(prepared: Prepared, options: MatchOptions, *, mirrored: bool = False) -> Side:
+def side_of(prepared: Prepared, *, mirrored: bool = False) -> Side:
     """Return a surface at its samples; `mirrored`, its mirror image."""
     surface, spectrum = prepared.surface, prepared.spectrum
     assert surface is not None
-    chosen = prepared.samples[: options.aligned_samples]
+    chosen = prepared.samples[:SAMPLES]
     points = surface.points - surface.mass @ surface.points / surface.mass.sum()
     _, axes = np.linalg.eigh((points * surface.mass[:, None]).T @ points)
     axes = axes[:, ::-1]
@@ -72,37 +83,37 @@ def side_of(prepared: Prepared, options: MatchOptions, *, mirrored: bool = False
         rows=spectrum.eigenvectors[chosen],
         eigenvalues=spectrum.eigenvalues,
         forms=-forms if mirrored else forms,
-        curvature=surface.curvature[chosen, : options.growing_curvatures],
+        curvature=surface.curvature[chosen, :GROWING_CURVATURES],
         positions=spectrum.project(points),
         normals=spectrum.project(normals),
         spread=np.sqrt(surface.mass @ points**2 / surface.mass.sum()),
     )
 
 
-def placed_candidates(source: Side, target: Side, options: MatchOptions) -> Floats:
+def placed_candidates(source: Side, target: Side, turns: int) -> Floats:
     """Return functional maps, (c, 30, 30), of the source laid onto the target, the nearest first.
 
-    Stretched along its axes to the spread of the target, and turned about the longest one.
+    Stretched along its axes to the spread of the target, and turned about the longest one: so many
+    `turns`, either way along it.
     """
     found = list[Laid]()
-    modes = [m for m in options.placed_modes if m < options.grown_modes] + [options.grown_modes]
-    for turn in _turns(options.turns):
+    for turn in _turns(turns):
         stretched = (source.positions / source.spread) @ turn * target.spread
-        found.append(_fitted(source, target, stretched, turn, None, modes, options))
+        found.append(_fitted(source, target, stretched, turn, None, _LAID))
     found.sort(key=lambda bent: bent.distance)
     return np.stack([bent.functional_map for bent in found])
 
 
-def bent(source: Side, target: Side, functional_map: Floats, options: MatchOptions) -> Laid:
+def bent(source: Side, target: Side, functional_map: Floats) -> Laid:
     """Refine a map to some 60 modes, the source bent onto the target by what the map says."""
     k = len(functional_map)
     back, _ = _both_ways(source.rows[:, :k] @ functional_map.T, target.rows[:, :k])
     here = source.rows[back, :k] @ source.positions[:k]
     u, _, vt = np.linalg.svd(here.T @ (target.rows[:, :k] @ target.positions[:k]))
     turn = (u * [1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    most = min(options.refined_modes, source.rows.shape[1], target.rows.shape[1])
-    modes = np.unique(np.linspace(k, most, options.bent_steps).astype(int)).tolist()
-    return _fitted(source, target, source.positions @ turn, None, functional_map, modes, options)
+    most = min(REFINED_K, source.rows.shape[1], target.rows.shape[1])
+    modes = np.unique(np.linspace(k, most, _BENT_STEPS).astype(int)).tolist()
+    return _fitted(source, target, source.positions @ turn, None, functional_map, modes)
 
 
 def _turns(count: int) -> list[Floats]:
@@ -122,7 +133,6 @@ def _fitted(
     turn: Floats | None,
     functional_map: Floats | None,
     modes: Sequence[int],
-    options: MatchOptions,
 ) -> Laid:
     """Alternate between who corresponds to whom and how the source is bent, for growing k.
 
@@ -143,20 +153,20 @@ def _fitted(
             normals2 = target.bent_normals(target.positions[:k])
         else:
             normals1, normals2 = U @ (source.normals[:k] @ turn), V @ target.normals[:k]
-        share, bends = options.aligned_normals, options.aligned_curvature
-        seen1 = np.hstack([U @ moved * weight, share * normals1, bends * source.curvature])
-        seen2 = np.hstack([there * weight, share * normals2, bends * target.curvature])
+        bends1, bends2 = _CURVATURE * source.curvature, _CURVATURE * target.curvature
+        seen1 = np.hstack([U @ moved * weight, _NORMALS * normals1, bends1])
+        seen2 = np.hstack([there * weight, _NORMALS * normals2, bends2])
         columns1, columns2 = [seen1], [seen2]
         if C is not None:
-            share_of_modes = options.held_modes if turn is None else options.aligned_modes
-            q, mapped = len(C), share_of_modes / np.sqrt(len(C))
+            q, share = len(C), _MODES_BENT if turn is None else _MODES_LAID
+            mapped = share / np.sqrt(q)
             columns1.append(mapped * source.rows[:, :q] @ C.T)
             columns2.append(mapped * target.rows[:, :q])
         back, forth = _both_ways(np.hstack(columns1), np.hstack(columns2))
         distance = 0.5 * (_rms(seen2 - seen1[back]) + _rms(seen1 - seen2[forth]))
         C = np.asarray(np.linalg.lstsq(V, U[back], rcond=None)[0], dtype=np.float64)
         displacement = _displacement(
-            source, there, U @ positions[:k], back, forth, min(k, options.bending_modes), options
+            source, there, U @ positions[:k], back, forth, min(k, _BENDING_MODES)
         )
     assert C is not None
     return Laid(functional_map=C, distance=distance)
@@ -169,15 +179,14 @@ def _displacement(
     back: Ints,
     forth: Ints,
     count: int,
-    options: MatchOptions,
 ) -> Floats:
     """Return coefficients, (count, 3), that move points to their partners, smoothly."""
     U = source.rows[:, :count]
     rows = np.vstack([U, U[back]])
     goals = np.vstack([there[forth] - here, there - here[back]])
-    last = min(options.bending_modes, len(source.eigenvalues) - 1)
+    last = min(_BENDING_MODES, len(source.eigenvalues) - 1)
     smooth = source.eigenvalues[:count] / source.eigenvalues[last]
-    normal = rows.T @ rows + np.diag(options.stiffness * len(rows) * smooth)
+    normal = rows.T @ rows + np.diag(_STIFFNESS * len(rows) * smooth)
     return np.asarray(cho_solve(cho_factor(normal), rows.T @ goals))
 
 

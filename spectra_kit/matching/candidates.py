@@ -23,8 +23,18 @@ from scipy.linalg import solve_triangular
 
 from spectra_kit._types import Floats, Ints
 from spectra_kit.matching.options import DEFAULT, MatchOptions
-from spectra_kit.matching.prepare import Prepared, curvatures
+from spectra_kit.matching.prepare import LOWEST_K, Prepared, curvatures
 from spectra_kit.spectra import Spectrum
+
+#: How many of the smoothed curvatures candidates grow by, from the finest.
+GROWING_CURVATURES = 3
+_SIGNED = 7  # modes whose signs are tried, the constant among them: 2^6 choices
+_FIRST_SAMPLES = 48  # on which these are compared
+_SAMPLES = 200  # on which they grow
+_FORM_MODES = 8  # whose area forms are compared
+_FORMS_UNTIL = 20  # modes from which a map holds its orientation by itself, without area forms
+_FORM_SHARE = 0.5  # squared length of the area forms, relative to that of the modes
+_CURVATURE_SHARE = 0.1  # the same for curvature
 
 
 def sign_candidates(
@@ -39,16 +49,16 @@ def sign_candidates(
     They are those that fit best on the way; with `mirrored`, which needs both geometries, of those
     that mirror.
     """
-    samples = _sampled(source, target, mirrored, options)
-    maps, kept = _starts(source.spectrum, target.spectrum, options), dict(options.kept)
-    _, fits = samples.head(options.first_samples).nearest(maps)
+    samples = _sampled(source, target, mirrored)
+    maps, kept = _starts(source.spectrum, target.spectrum, options.orders), dict(options.kept)
+    _, fits = samples.head(_FIRST_SAMPLES).nearest(maps)
     maps = maps[_best(fits, options.growing)]
     Q, R = np.linalg.qr(samples.rows2)
-    for k in range(options.signed_modes, options.grown_modes + 1):
+    for k in range(_SIGNED, LOWEST_K + 1):
         nearest, fits = samples.nearest(maps)
         if k in kept:
             nearest = nearest[_best(fits, kept[k])]
-        k_next = min(k + 1, options.grown_modes)
+        k_next = min(k + 1, LOWEST_K)
         fit = solve_triangular(R[:k_next, :k_next], Q[:, :k_next].T)
         maps = fit @ samples.rows1[:, :k_next][nearest]
     return maps
@@ -59,16 +69,16 @@ def _best(fits: Floats, count: int) -> Ints:
     return np.argsort(-fits, kind="stable")[:count]
 
 
-def _starts(a: Spectrum, b: Spectrum, options: MatchOptions) -> Floats:
-    """Return signed permutations of the lowest modes, (c, 7, 7): all signs, likely orders.
+def _starts(a: Spectrum, b: Spectrum, count: int) -> Floats:
+    """Return signed permutations of the lowest modes, (c, 7, 7): all signs, so many likely orders.
 
     An order is the likelier, the less the logarithms of the eigenvalues that it pairs differ.
     """
-    m = options.signed_modes
+    m = _SIGNED
     logs1, logs2 = np.log(a.eigenvalues[1:m]), np.log(b.eigenvalues[1:m])
     orders = np.array(list(permutations(range(m - 1))))
     differ = ((logs1[orders] - logs2) ** 2).sum(axis=1)
-    orders = 1 + orders[np.argsort(differ, kind="stable")[: options.orders]]
+    orders = 1 + orders[np.argsort(differ, kind="stable")[:count]]
     ordered = np.eye(m)[np.insert(orders, 0, 0, axis=1)]
     constant = np.sign(a.eigenvectors[0, 0] * b.eigenvectors[0, 0])
     signs = np.array([(constant, *s) for s in product((1.0, -1.0), repeat=m - 1)])
@@ -79,7 +89,6 @@ def _starts(a: Spectrum, b: Spectrum, options: MatchOptions) -> Floats:
 class _Samples(NamedTuple):
     """What maps are compared by, at samples of both surfaces; None without the geometries."""
 
-    options: MatchOptions
     scale: Floats | None  # (pairs,) of the target's area forms
     rows1: Floats  # (s1, 30) modes of the source
     rows2: Floats  # (s2, 30) and of the target
@@ -99,15 +108,15 @@ class _Samples(NamedTuple):
 
         The fit is the sum of ``row2 . row1 - |row1|^2 / 2``: the larger, the nearer they are.
         """
-        k, options = maps.shape[1], self.options
+        k = maps.shape[1]
         columns1 = [self.rows1[:, :k] @ maps.transpose(0, 2, 1)]
         columns2 = [self.rows2[:, :k]]
-        if self.forms2 is not None and k < options.forms_until:
-            weight = np.sqrt(options.form_share * k / self.forms2.shape[1])
+        if self.forms2 is not None and k < _FORMS_UNTIL:
+            weight = np.sqrt(_FORM_SHARE * k / self.forms2.shape[1])
             columns1.append(weight * self._mapped_forms(maps))
             columns2.append(weight * self.forms2)
         if self.curved1 is not None and self.curved2 is not None:
-            weight = np.sqrt(options.curvature_share * k / self.curved2.shape[1])
+            weight = np.sqrt(_CURVATURE_SHARE * k / self.curved2.shape[1])
             there = weight * self.curved1
             columns1.append(np.broadcast_to(there, (len(maps), *there.shape)))
             columns2.append(weight * self.curved2)
@@ -129,12 +138,12 @@ class _Samples(NamedTuple):
         return np.asarray(turned.transpose(0, 2, 1, 3)[:, :, i, j] / self.scale)
 
 
-def _sampled(source: Prepared, target: Prepared, mirrored: bool, options: MatchOptions) -> _Samples:
+def _sampled(source: Prepared, target: Prepared, mirrored: bool) -> _Samples:
     """Return what candidates of one orientation grow by."""
-    first, second = (side.samples[: options.growing_samples] for side in (source, target))
+    first, second = (side.samples[:_SAMPLES] for side in (source, target))
     forms1 = forms2 = scale = curved1 = curved2 = None
     if source.surface is not None and target.surface is not None:
-        m = options.form_modes
+        m = _FORM_MODES
         forms1, on_target = (
             np.einsum(
                 "sl,lij->sij",
@@ -151,11 +160,13 @@ def _sampled(source: Prepared, target: Prepared, mirrored: bool, options: MatchO
         scale = np.sqrt((forms2**2).mean(axis=0))
         forms2 = (-forms2 if mirrored else forms2) / scale
     if both := curvatures(source, target):
-        few = options.growing_curvatures
-        curved1, curved2 = both[0][first, :few], both[1][second, :few]
-    rows1 = source.spectrum.eigenvectors[first, : options.grown_modes]
-    rows2 = target.spectrum.eigenvectors[second, : options.grown_modes]
-    return _Samples(options, scale, rows1, rows2, forms1, forms2, curved1, curved2)
+        curved1, curved2 = (
+            curved[chosen, :GROWING_CURVATURES]
+            for curved, chosen in zip(both, (first, second), strict=True)
+        )
+    rows1 = source.spectrum.eigenvectors[first, :LOWEST_K]
+    rows2 = target.spectrum.eigenvectors[second, :LOWEST_K]
+    return _Samples(scale, rows1, rows2, forms1, forms2, curved1, curved2)
 
 
 def _pairs(m: int) -> tuple[Ints, Ints]:

@@ -20,9 +20,9 @@ from spectra_kit.matching._found import found_path, read_found, shape_key, write
 from spectra_kit.matching.coupled import Sampled, coupled_zoomout
 from spectra_kit.matching.match import match, matched_from
 from spectra_kit.matching.options import DEFAULT, MatchOptions
-from spectra_kit.matching.prepare import LOWEST_K, Prepared
+from spectra_kit.matching.prepare import LOWEST_K, REFINED_K, Prepared
 from spectra_kit.matching.result import Candidate, Match
-from spectra_kit.matching.score import mismatches, score_of
+from spectra_kit.matching.score import scored
 from spectra_kit.matching.synchronise import LEAD, Found, Frames, apart, groups, synchronised
 
 _LEADS = (LEAD, 12, 24)  # modes from which implied maps are grown anew: the best one counts
@@ -40,7 +40,8 @@ class CollectedPair(Brief):
     score : float
         Of the map that the collection implies; see `score_of`.
     score_alone : float
-        Of the map that the pair by itself would have got.
+        Of the map that the pair by itself would have got, by the same mismatches: without the
+        alignment that its candidates have in `match`.
     cycle_error : float
         Squared difference per mode of the two maps, in their 20 lowest modes: 0 if they agree, 2 if
         they have nothing in common. Right maps of animals were within 0.12.
@@ -145,7 +146,8 @@ class Collection(Rebuilt):
         Returns
         -------
         Match
-            It has one candidate, and so no rival: both its margins are infinite.
+            It has one candidate, and so no rival: both its margins are infinite, and its confidence
+            is what it would be if a rival scored as well.
 
         Raises
         ------
@@ -217,9 +219,12 @@ def match_collection(
     Raises
     ------
     InvalidInputError
-        If there are fewer than two surfaces, only some have geometries, or `mirrored` is True.
+        If there are fewer than two surfaces, only some have geometries, `mirrored` is True, or
+        `folder` is a file.
     InvalidFileError
         If a file of the folder is damaged.
+    OSError
+        If the folder cannot be made, or not be written; what was kept before stays.
 
     Notes
     -----
@@ -244,7 +249,7 @@ def match_collection(
     names, many = list(shapes), _checked(shapes, mirrored)
     check_count("neighbours", neighbours, low=1)
     count = min(shape.spectrum.k for shape in many) - 1
-    dnas = [shape_dna(shape.spectrum, min(count, options.refined_modes)) for shape in many]
+    dnas = [shape_dna(shape.spectrum, min(count, REFINED_K)) for shape in many]
     alone = _Alone(many, mirrored, None if folder is None else Path(folder), options)
     with single_threaded_blas():
         frames = synchronised(
@@ -277,6 +282,8 @@ class _Alone:
         self._shapes, self._mirrored, self._options = shapes, mirrored, options
         self._folder, self._keys = folder, list[str]()
         if folder is not None:
+            if folder.exists() and not folder.is_dir():
+                raise InvalidInputError("folder", "be one, or not be there", f"the file {folder}")
             folder.mkdir(parents=True, exist_ok=True)
             self._keys = [shape_key(shape) for shape in shapes]
 
@@ -295,8 +302,7 @@ class _Alone:
         """Return what `match` chooses from; what it would refine is worked out when asked for."""
         a, b, options = self._shapes[i], self._shapes[j], self._options
         with hearing():  # `convincing` tells of doubts
-            k = max(options.refined_modes, LOWEST_K)
-            one = match(a, b, mirrored=self._mirrored, k=k, elastic=False, options=options)
+            one = match(a, b, mirrored=self._mirrored, k=REFINED_K, elastic=False, options=options)
         return Found(
             maps=np.array([c.functional_map for c in one.candidates]),
             scores=np.array([c.score for c in one.candidates]),
@@ -337,11 +343,7 @@ def _implied(
     candidates = []
     for lead in _LEADS:
         C = coupled_zoomout(source, target, implied[None], lead)[0]
-        values = mismatches(a, b, C, mirrored=mirrored, options=options)
-        score = score_of(values, options=options)
-        candidates.append(
-            Candidate(functional_map=C, score=score, mismatches=values, mirrored=mirrored)
-        )
+        candidates.append(scored(a, b, C, mirrored=mirrored, options=options))
     return min(candidates, key=lambda c: c.score)
 
 
@@ -354,17 +356,15 @@ def _told(
     options: MatchOptions,
 ) -> CollectedPair:
     """Return what became of a pair that was matched by itself."""
-    found = frames.found[i, j]
-    chosen = _implied(
-        *(shapes[i], shapes[j], frames.maps[j] @ frames.maps[i].T),
-        bool(frames.mirrored[i] != frames.mirrored[j]),
-        options,
-    )
+    a, b, found = shapes[i], shapes[j], frames.found[i, j]
+    implied, turns = frames.maps[j] @ frames.maps[i].T, frames.mirrored[i] != frames.mirrored[j]
+    chosen = _implied(a, b, implied, bool(turns), options)
+    alone = scored(a, b, found.maps[0], mirrored=bool(found.mirrored[0]), options=options)
     return CollectedPair(
         source=names[i],
         target=names[j],
         score=chosen.score,
-        score_alone=float(found.scores[0]),
+        score_alone=alone.score,
         cycle_error=float(apart(found.maps[0], chosen.functional_map)),
         convincing=found.convincing,
     )

@@ -19,12 +19,17 @@ _SEEN = -5.0  # its logarithm where it is not known: says neither yes nor no
 _MARGINS, _COVERAGES = (-0.1, 0.3), (0.8, 1.6)  # beyond which more says no more
 
 
-def confidence_of(*, score: float, torn: float | None, margin: float, coverage: float) -> float:
-    """Return how likely a map with such attributes of `Match` is right, in [0, 1]."""
+def confidence_of(
+    *, score: float, torn: float | None, margin: float | None, coverage: float
+) -> float:
+    """Return how likely a map with such attributes of `Match` is right, in [0, 1].
+
+    Without a margin, as of a map that was compared with no other, as if a rival scored as well.
+    """
     evidence = {
         "score": np.log(score),
         "torn": _SEEN if torn is None else np.log(torn + _LEAST),
-        "margin": np.clip(np.log(max(margin, 1e-9)), *_MARGINS),
+        "margin": 0.0 if margin is None else np.clip(np.log(max(margin, 1e-9)), *_MARGINS),
         "coverage": np.clip(coverage, *_COVERAGES),
     }
     logit = _INTERCEPT + sum(_WEIGHTS[name] * value for name, value in evidence.items())

@@ -15,12 +15,14 @@ from scipy.spatial import cKDTree
 
 from spectra_kit._types import Floats, Ints
 from spectra_kit.linalg.ldl import SparseLDL
-from spectra_kit.linalg.threads import in_threads, ranges
+from spectra_kit.linalg.threads import in_threads, ranges, thread_count
 from spectra_kit.matching.curvature import outward_normals
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.placed import Placed
 from spectra_kit.operators.oriented import OrientedTriangles
 
+PULL = 400.0  # weight of the target in bending: rigid below lengths of 1/20
+_NORMAL_LENGTH = 0.05  # that a turn of the normal by one radian counts like
 _SHARE = 10_000  # rotations that a thread works out at a time
 _ROOT_STEPS, _ROOT_ERROR = 40, 1e-12  # of Newton's method, which mostly takes a dozen
 _NO_ROTATION = 1e-9  # squared norm off 3 by that much
@@ -53,9 +55,9 @@ def bend_onto(
     target points; then the nearest in position and normal become the new c.
     """
     start = mirror_image(source) if mirrored else source
-    bend, rotate = _bending(start.points, start.oriented, source.mass, options.pull)
-    fine = max(options.pull, len(source.points))  # rigid below the spacing of the points
-    tree = cKDTree(rows_of(target.points, target.oriented, options))
+    bend, rotate = _bending(start.points, start.oriented, source.mass, PULL)
+    fine = max(PULL, len(source.points))  # rigid below the spacing of the points
+    tree = cKDTree(rows_of(target.points, target.oriented))
     bent = target.points[way_there]
     rounds = options.rounds + fine_rounds
     for i in range(rounds):
@@ -64,7 +66,7 @@ def bend_onto(
         bends = options.bends if i else options.first_bends
         bent = bend(bent, target.points[way_there], bends)
         if i + 1 < rounds:
-            way_there = tree.query(rows_of(bent, start.oriented, options))[1]
+            way_there = tree.query(rows_of(bent, start.oriented))[1]
     return Bent(bent, rotate(bent), start)
 
 
@@ -74,6 +76,7 @@ class Met(NamedTuple):
     points: Floats  # (n1, 3): of the source
     there: Ints  # (n1,): the target point that is nearest to each of them
     back: Ints  # (n2,): the source point that is nearest to each of the target
+    gap: float  # how far they are apart, mean of both ways: lengths in which normals count
 
 
 def meeting(
@@ -86,14 +89,17 @@ def meeting(
 ) -> Met:
     """Return who meets whom, once the source is bent onto the target as `bend_onto` does it."""
     bent = bend_onto(source, target, way_there, mirrored=mirrored, options=options)
-    here = rows_of(bent.points, bent.start.oriented, options)
-    there = rows_of(target.points, target.oriented, options)
-    return Met(bent.points, cKDTree(there).query(here)[1], cKDTree(here).query(there)[1])
+    here = rows_of(bent.points, bent.start.oriented)
+    there = rows_of(target.points, target.oriented)
+    far_there, to_there = cKDTree(there).query(here, workers=thread_count())
+    far_back, back = cKDTree(here).query(there, workers=thread_count())
+    gap = float(np.mean([far_back.mean(), far_there.mean()]))
+    return Met(bent.points, to_there, back, gap)
 
 
-def rows_of(points: Floats, oriented: OrientedTriangles, options: MatchOptions) -> Floats:
+def rows_of(points: Floats, oriented: OrientedTriangles) -> Floats:
     """Return positions and normals, (n, 6), in which points that meet are near."""
-    return np.hstack([points, options.normal_length * outward_normals(points, oriented)])
+    return np.hstack([points, _NORMAL_LENGTH * outward_normals(points, oriented)])
 
 
 def mirror_image(placed: Placed) -> Placed:

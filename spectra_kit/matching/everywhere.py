@@ -13,7 +13,7 @@ from spectra_kit.matching.dense import nearest_within, neighbours
 from spectra_kit.matching.elastic import bend_onto, mirror_image, rows_of
 from spectra_kit.matching.options import MatchOptions
 from spectra_kit.matching.placed import Placed
-from spectra_kit.matching.prepare import Prepared, curvatures
+from spectra_kit.matching.prepare import CURVATURE_SCALE, Prepared, curvatures
 
 # Goals on a dense target are exact, so that the bent surface may follow them closely in the end. On
 # five pairs of bodies errors fell by 3 per cent, as with five rounds.
@@ -51,36 +51,12 @@ def by_bending(
         start = mirror_image(source.dense.placed) if mirrored else source.dense.placed
         points = source.dense.carried(points, bent.rotations, start.points)
         oriented = start.oriented
-    here, there = rows_of(points, oriented, options), rows_of(onto.points, onto.oriented, options)
+    here, there = rows_of(points, oriented), rows_of(onto.points, onto.oriented)
     return _met(here, there), here, there
 
 
-def bent_distance(
-    source: Prepared,
-    target: Prepared,
-    way_there: Ints,
-    *,
-    mirrored: bool,
-    options: MatchOptions,
-) -> float:
-    """Return how far the source, bent onto the target, stays from it: mean of both ways.
-
-    On the points that they are matched on, from the target point of each source point; lengths in
-    which normals count, as in `bend_onto`.
-    """
-    assert source.surface is not None
-    assert target.surface is not None
-    bent = bend_onto(source.surface, target.surface, way_there, mirrored=mirrored, options=options)
-    here = rows_of(bent.points, bent.start.oriented, options)
-    there = rows_of(target.surface.points, target.surface.oriented, options)
-    gaps = [
-        cKDTree(x).query(y, workers=thread_count())[0] for x, y in ((here, there), (there, here))
-    ]
-    return float(np.mean([gap.mean() for gap in gaps]))
-
-
 def by_modes(
-    source: Prepared, target: Prepared, found: Correspondence, options: MatchOptions
+    source: Prepared, target: Prepared, found: Correspondence
 ) -> tuple[Ints, Floats, Floats]:
     """Return which source point is nearest to each target point in modes and curvature.
 
@@ -91,10 +67,13 @@ def by_modes(
     here = source.whole.eigenvectors[:, : C.shape[1]] @ C.T
     there = target.whole.eigenvectors[:, : len(C)]
     if (both := curvatures(source, target)) is not None:
-        scale = options.curvature_scale
+        lifted = (
+            curved if side.dense is None else side.dense.lift @ curved
+            for side, curved in zip((source, target), both, strict=True)
+        )
         here, there = (
-            np.hstack([rows, scale * (curved if side.dense is None else side.dense.lift @ curved)])
-            for rows, side, curved in zip((here, there), (source, target), both, strict=True)
+            np.hstack([rows, CURVATURE_SCALE * curved])
+            for rows, curved in zip((here, there), lifted, strict=True)
         )
     if source.dense is None and target.dense is None:
         return found.point_map, here, there

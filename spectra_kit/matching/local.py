@@ -38,7 +38,7 @@ def local_confidence(found: Match, source: Prepared, target: Prepared) -> Floats
     Parameters
     ----------
     found : Match
-        From `match` of these two.
+        From `match` of these two; of a part no confidence is known.
     source, target : Prepared
         With their geometries.
 
@@ -50,7 +50,8 @@ def local_confidence(found: Match, source: Prepared, target: Prepared) -> Floats
     Raises
     ------
     InvalidInputError
-        If a geometry is missing, or the map is one of other surfaces.
+        If a geometry is missing, or the map is one of surfaces of other numbers of points, or of a
+        part.
 
     Examples
     --------
@@ -64,6 +65,10 @@ def local_confidence(found: Match, source: Prepared, target: Prepared) -> Floats
     for name, side in (("source", source), ("target", target)):
         if side.surface is None:
             raise InvalidInputError(name, "come with its geometry", repr(side))
+    if found.covered is not None:
+        raise InvalidInputError(
+            "found", "map wholes", "a part", advice="`covered` is all that is known of its points"
+        )
     p = check_point_map("found", found.point_map, source.whole.n, target.whole.n)
     p = on_matched(source, target, p)
     k = min(source.spectrum.k, target.spectrum.k)

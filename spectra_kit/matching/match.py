@@ -26,26 +26,39 @@ from spectra_kit.geometry import Geometry
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas
 from spectra_kit.matching.alignment import bent, placed_candidates, side_of
 from spectra_kit.matching.candidates import sign_candidates
+from spectra_kit.matching.elastic import meeting
 from spectra_kit.matching.everywhere import (
     all_placed,
-    bent_distance,
     by_bending,
     by_modes,
     on_matched,
 )
 from spectra_kit.matching.options import DEFAULT, MatchOptions
-from spectra_kit.matching.prepare import LOWEST_K, Prepared, curvatures, prepare
+from spectra_kit.matching.prepare import (
+    CURVATURE_SCALE,
+    LOWEST_K,
+    REFINED_K,
+    Prepared,
+    curvatures,
+    prepare,
+)
 from spectra_kit.matching.result import Candidate, Match
 from spectra_kit.matching.score import (
     coverage_over_chance,
-    mismatches,
     orientation_of,
-    score_of,
+    scored,
 )
 from spectra_kit.matching.tears import torn
 from spectra_kit.spectra import Spectrum
 
 Pairs = tuple[Ints, Ints]
+
+_LANDMARK_ENERGIES = 20  # of the wave kernel signature seen from each landmark
+_SAME = 0.05  # squared difference per mode below which two maps are one
+_RIVAL = 0.15  # the same, below which one is no rival of the other
+_CONTEST = 1.15  # candidates whose scores are within that factor of the best are bent as well
+_CONTENDERS = 4  # how many at most, the best among them
+_LAST_STEPS = 3  # from the refined modes to the end
 
 
 @checked
@@ -147,7 +160,7 @@ def match(
     fewer = min(a.spectrum.k, b.spectrum.k)
     a, b = a.truncate(fewer), b.truncate(fewer)
     with single_threaded_blas():  # small products: the threads are ours
-        search = _Search(a, b, pairs, options)
+        search = Search(a, b, pairs, options)
         found = in_threads(search.candidates, ((way,) for way in ways))
         if len(found) == 2 and found[1][0].score * options.mirrored_by < found[0][0].score:
             found.reverse()
@@ -172,7 +185,7 @@ def matched_from(
     matched = on_matched(a, b, point_map)
     seen = None if a.surface is None or b.surface is None else (a.surface, b.surface)
     opposite = [c.score for c in found[-1]] if len(found) == 2 else []
-    rivals = [c.score for c in found[0] if _apart(c, chosen) > options.rival]
+    rivals = [c.score for c in found[0] if _apart(c, chosen) > _RIVAL]
     others = [c for way in found for c in way if c is not chosen]
     result = Match(
         point_map=point_map,
@@ -212,8 +225,8 @@ def _settled(
     how near one comes tells nothing.
     """
     best, *others = candidates
-    rivals = [c for c in others if c.score <= options.contest * best.score]
-    close = _distinct([best, *rivals], options.rival)[: options.contenders]
+    rivals = [c for c in others if c.score <= _CONTEST * best.score]
+    close = _distinct([best, *rivals], _RIVAL)[:_CONTENDERS]
     if len(close) == 1 or a.surface is None or b.surface is None:
         return best
     gaps = [_left(a, b, c, options) for c in close]
@@ -229,7 +242,10 @@ def _left(a: Prepared, b: Prepared, candidate: Candidate, options: MatchOptions)
     C = candidate.functional_map
     rows1, rows2 = a.spectrum.eigenvectors[:, : len(C)] @ C.T, b.spectrum.eigenvectors[:, : len(C)]
     there = nearest(rows1, rows2)
-    return bent_distance(a, b, there, mirrored=candidate.mirrored, options=options)
+    assert a.surface is not None
+    assert b.surface is not None
+    mirrored = candidate.mirrored
+    return meeting(a.surface, b.surface, there, mirrored=mirrored, options=options).gap
 
 
 def _distinct(candidates: Iterable[Candidate], apart: float) -> list[Candidate]:
@@ -261,11 +277,11 @@ def _refined(
     precise: bool = False,
 ) -> tuple[Ints, Floats, sparse.csr_array | None]:
     """Return the maps of all points that a candidate is refined to: see `Match`."""
-    start = _sharpened(a, b, chosen.functional_map[:k, :k], options)
+    start = _sharpened(a, b, chosen.functional_map[:k, :k])
     if not elastic or a.surface is None or b.surface is None:
-        point_map, here, there = by_modes(a, b, _zoomed(a, b, start, k, options)[0], options)
+        point_map, here, there = by_modes(a, b, _zoomed(a, b, start, k)[0])
     else:
-        _, way_there = spectral_map(a, b, start, k, options)
+        _, way_there = spectral_map(a, b, start, k)
         mirrored = chosen.mirrored
         point_map, here, there = by_bending(a, b, way_there, mirrored=mirrored, options=options)
     faces = all_placed(a).oriented.faces if precise else None
@@ -273,13 +289,13 @@ def _refined(
     return point_map, functional_map_from_point_map(a.whole, b.whole, point_map, k=k), on_faces
 
 
-def _sharpened(a: Prepared, b: Prepared, functional_map: Floats, options: MatchOptions) -> Floats:
+def _sharpened(a: Prepared, b: Prepared, functional_map: Floats) -> Floats:
     """Return a map of bent surfaces with all but its lowest modes found anew, by modes alone.
 
     Positions hold a map together while it is searched for; hands and feet, whose poses differ, come
     out sharper without them.
     """
-    low, k = options.grown_modes, len(functional_map)
+    low, k = LOWEST_K, len(functional_map)
     if a.surface is None or b.surface is None or k <= low:
         return functional_map
     rows1, rows2 = a.spectrum.eigenvectors[a.samples, :k], b.spectrum.eigenvectors[b.samples, :k]
@@ -289,11 +305,9 @@ def _sharpened(a: Prepared, b: Prepared, functional_map: Floats, options: MatchO
     return sharp
 
 
-def spectral_map(
-    a: Prepared, b: Prepared, start: Floats, k: int, options: MatchOptions
-) -> tuple[Correspondence, Ints]:
+def spectral_map(a: Prepared, b: Prepared, start: Floats, k: int) -> tuple[Correspondence, Ints]:
     """Refine a functional map to k modes; return also the target point of each source point."""
-    found, features = _zoomed(a, b, start, k, options)
+    found, features = _zoomed(a, b, start, k)
     rows1 = a.spectrum.eigenvectors[:, :k] @ found.functional_map.T
     rows2 = b.spectrum.eigenvectors[:, :k]
     if features is not None:
@@ -302,20 +316,19 @@ def spectral_map(
 
 
 def _zoomed(
-    a: Prepared, b: Prepared, start: Floats, k: int, options: MatchOptions
+    a: Prepared, b: Prepared, start: Floats, k: int
 ) -> tuple[Correspondence, tuple[Floats, Floats] | None]:
     """Refine a functional map to k modes; return also what joined them."""
-    step = -(-(k - len(start)) // options.last_steps)
+    step = -(-(k - len(start)) // _LAST_STEPS)
     curved = curvatures(a, b)
-    scale = options.curvature_scale
-    features = curved and (scale * curved[0], scale * curved[1])
+    features = curved and (CURVATURE_SCALE * curved[0], CURVATURE_SCALE * curved[1])
     found = bijective_zoomout(
         a.spectrum, b.spectrum, start, k_final=k, step=max(step, 1), features=features
     )
     return found, features
 
 
-class _Search:
+class Search:
     """The search for candidates of one pair."""
 
     def __init__(
@@ -329,38 +342,39 @@ class _Search:
         a, b, options = self._a, self._b, self._options
         maps = list(sign_candidates(a, b, mirrored=mirrored, options=options))
         bends = curvatures(a, b) is not None  # else normals tell nothing of who is whom
-        sides = (side_of(a, options, mirrored=mirrored), side_of(b, options)) if bends else None
+        sides = (side_of(a, mirrored=mirrored), side_of(b)) if bends else None
         if sides is not None:
             placed = (
-                self._scored(C, mirrored, rough=True) for C in placed_candidates(*sides, options)
+                self._scored(C, mirrored, rough=True)
+                for C in placed_candidates(*sides, options.turns)
             )
-            maps += [c.functional_map for c in _distinct(placed, options.same)[: options.placed]]
+            maps += [c.functional_map for c in _distinct(placed, _SAME)[: options.placed]]
         fit = self._fit
         if fit is not None and ((orientation_of(a, b, fit) or 1.0) < 0) == mirrored:
             maps.append(fit)
-        scored = (self._scored(C, mirrored, rough=True) for C in maps)
-        grown = _distinct(scored, options.same)
+        rough = (self._scored(C, mirrored, rough=True) for C in maps)
+        grown = _distinct(rough, _SAME)
         starts = [c.functional_map for c in grown[: options.finalists]]
         if sides is not None:
-            refined = [bent(*sides, C, options) for C in starts]
+            refined = [bent(*sides, C) for C in starts]
             return _distinct(
                 (
                     self._scored(one.functional_map, mirrored, alignment=one.distance)
                     for one in refined
                 ),
-                options.same,
+                _SAME,
             )
-        k = min(options.refined_modes, a.spectrum.k, b.spectrum.k)
+        k = min(REFINED_K, a.spectrum.k, b.spectrum.k)
         rows1, rows2 = (
             a.spectrum.eigenvectors[a.samples, :k],
             b.spectrum.eigenvectors[b.samples, :k],
         )
         maps_, _ = zoomout_many(rows1, rows2, np.stack(starts), k_final=k, step=6)
-        return _distinct((self._scored(C, mirrored) for C in maps_), options.same)
+        return _distinct((self._scored(C, mirrored) for C in maps_), _SAME)
 
     def _fitted(self, landmarks: Pairs) -> Floats:
         """Return the functional map that fits the landmarks and what is seen from them."""
-        count = self._options.landmark_energies
+        count = _LANDMARK_ENERGIES
         f, g = (
             normalize_descriptors(
                 side.spectrum,
@@ -370,26 +384,20 @@ class _Search:
             )
             for side, points in zip((self._a, self._b), landmarks, strict=True)
         )
-        source, target, k = self._a.spectrum, self._b.spectrum, self._options.grown_modes
+        source, target, k = self._a.spectrum, self._b.spectrum, LOWEST_K
         return fit_functional_map(source, target, f, g, k=k, landmarks=landmarks)
 
     def _scored(
         self, C: Floats, mirrored: bool, *, rough: bool = False, alignment: float | None = None
     ) -> Candidate:
-        options = self._options
-        values = mismatches(
-            self._a,
-            self._b,
-            C,
+        return scored(
+            *(self._a, self._b, C),
             mirrored=mirrored,
             landmarks=self._landmarks,
             rough=rough,
-            options=options,
+            alignment=alignment,
+            options=self._options,
         )
-        if alignment is not None:
-            values["alignment"] = alignment
-        score = score_of(values, options=options)
-        return Candidate(functional_map=C, score=score, mismatches=values, mirrored=mirrored)
 
 
 def _apart(c: Candidate, other: Candidate) -> float:

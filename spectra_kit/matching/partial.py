@@ -20,9 +20,9 @@ from spectra_kit.functional_maps import functional_map_from_point_map
 from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.linalg.threads import in_threads, single_threaded_blas
 from spectra_kit.matching.elastic import Met, meeting
-from spectra_kit.matching.match import _Search, match, spectral_map
+from spectra_kit.matching.match import Search, match, spectral_map
 from spectra_kit.matching.options import DEFAULT, MatchOptions
-from spectra_kit.matching.prepare import LOWEST_K, Prepared, Surface, prepare
+from spectra_kit.matching.prepare import LOWEST_K, REFINED_K, Prepared, Surface, prepare
 from spectra_kit.matching.regions import (
     LEAST_POINTS,
     Region,
@@ -33,9 +33,8 @@ from spectra_kit.matching.regions import (
 from spectra_kit.matching.result import Candidate, Match
 from spectra_kit.matching.score import (
     coverage_over_chance,
-    mismatches,
     orientation_of,
-    score_of,
+    scored,
 )
 from spectra_kit.matching.tears import torn
 from spectra_kit.spectra import Spectrum
@@ -70,12 +69,15 @@ def match_part(
     ----------
     part, whole : Prepared
         Connected meshes, prepared with their geometries; the whole best with 150 modes or more.
+        They are matched on all their points, however dense, which takes its time.
     mirrored : bool, optional
         As of `match`.
     k : int, default 150
         Modes to end with, as of `match`.
     options : MatchOptions
-        What is tried and believed.
+        What is tried and believed; `convincing_score` counts below 0.4, as the best of many
+        regions scores better than a map of wholes, and a mirrored part need be 1.5 times better,
+        whatever `mirrored_by` says.
 
     Returns
     -------
@@ -124,14 +126,16 @@ def match_part(
     >>> print((found.covered == left).mean())
     0.9...
     """
+    sides = (part, whole)
+    part, whole = (side.on_all_points() for side in sides)
     for name, side in (("part", part), ("whole", whole)):
         _check_mesh(name, side)
     k = min(check_count("k", k, low=LOWEST_K), part.spectrum.k, whole.spectrum.k)
     if not len(mesh_of(part).boundary_vertices):
-        usual = match(part, whole, mirrored=mirrored, k=k, options=options)
+        usual = match(*sides, mirrored=mirrored, k=k, options=options)
         return replace(usual, covered=np.ones(whole.spectrum.n, dtype=bool))
     ways = (False, True) if mirrored is None else (mirrored,)
-    search = _PartSearch(part, whole, min(options.refined_modes, k), options)
+    search = _PartSearch(part, whole, min(REFINED_K, k), options)
     with single_threaded_blas():
         trials = search.trials(ways)
         found = [search.ends([t for t in trials if t.candidate.mirrored == way]) for way in ways]
@@ -155,8 +159,8 @@ def match_part(
         consistent=1.0,
         coverage=coverage_over_chance(part.spectrum, side.spectrum, around),
         torn=_torn(part, side, around),
-        candidates=tuple(t.candidate for t in (chosen, *trials)),
-        options=replace(options, convincing_score=_SCORE),
+        candidates=(chosen.candidate, *(t.candidate for t in trials if t is not chosen)),
+        options=replace(options, convincing_score=min(_SCORE, options.convincing_score)),
         covered=covered,
     )
     if not made.convincing:
@@ -213,7 +217,7 @@ class _PartSearch:
         found = []
         for piece in likely_regions(self.part, self.whole, _TRIED):
             side = _prepared(piece, self.low)
-            search = _Search(few, side, None, self.options)
+            search = Search(few, side, None, self.options)
             for candidates in in_threads(search.candidates, ((way,) for way in ways)):
                 found += [_Trial(piece, side, candidate) for candidate in candidates]
         return sorted(found, key=lambda trial: trial.score)
@@ -265,11 +269,8 @@ class _PartSearch:
         mirrored, few = trial.candidate.mirrored, self.part.truncate(self.low)
         k = min(_KEPT, self.low)
         start = functional_map_from_point_map(few.spectrum, side.spectrum, around, k=k)
-        C = spectral_map(few, side, start, self.low, self.options)[0].functional_map
-        values = mismatches(few, side, C, mirrored=mirrored, options=self.options)
-        score = score_of(values, options=self.options)
-        candidate = Candidate(functional_map=C, score=score, mismatches=values, mirrored=mirrored)
-        return _Trial(piece, side, candidate)
+        C = spectral_map(few, side, start, self.low)[0].functional_map
+        return _Trial(piece, side, scored(few, side, C, mirrored=mirrored, options=self.options))
 
     def _loose(self, area: float) -> Surface:
         """Return the part at an area, without mass near its border: nothing pulls it there.
@@ -292,7 +293,7 @@ class _PartSearch:
     def _bent_by(self, start: Floats, trial: _Trial, side: Prepared, k: int) -> Met:
         """Bend the part onto the whole, at the size of the region, from a map to the region."""
         assert self.whole.surface is not None
-        way_there = spectral_map(self.part, side, start, k, self.options)[1]
+        way_there = spectral_map(self.part, side, start, k)[1]
         return meeting(
             self._loose(trial.piece.area),
             self.whole.surface,
@@ -339,7 +340,7 @@ def _links(graph: sparse.csr_array) -> sparse.csr_array:
 
 
 def _prepared(piece: Region, k: int) -> Prepared:
-    return prepare(spectrum(piece.mesh, k), piece.mesh)
+    return prepare(spectrum(piece.mesh, k), piece.mesh).on_all_points()
 
 
 def _extended(a: Spectrum, b: Spectrum, point_map: Ints, covered: Bools, k: int) -> Floats:

@@ -20,7 +20,9 @@ from spectra_kit.matching.placed import Placed
 from spectra_kit.operators.oriented import area_form, oriented_triangles
 from spectra_kit.spectra import Spectrum
 
-LOWEST_K = 30  # modes without which there is no matching
+LOWEST_K = 30  # modes without which there is no matching: to which candidates grow
+REFINED_K = 60  # modes to which candidates are refined
+CURVATURE_SCALE = 2.0  # of each curvature beside modes, in the last steps: it counts like four
 FORM_K = 40  # modes of the area form
 _EVEN = 1e-6  # at unit area, a curvature that varies less than that does not vary: a sphere
 _ENDS = 60  # samples from which lengths are measured: the first are the tips of limbs
@@ -69,6 +71,18 @@ class Prepared(Rebuilt):
     def whole(self) -> Spectrum:
         """The spectrum on all points of the surface, dense or not."""
         return self.spectrum if self.dense is None else self.dense.spectrum
+
+    def on_all_points(self) -> Prepared:
+        """Return the surface prepared to be matched on all its points, dense or not.
+
+        Returns
+        -------
+        Prepared
+            As if `n_points` had been large enough.
+        """
+        if self.dense is None:
+            return self
+        return _gathered(self.dense.spectrum, self.dense.placed, len(self.samples))
 
     def truncate(self, k: int) -> Prepared:
         """Return the surface prepared with its first k modes alone.

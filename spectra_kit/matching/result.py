@@ -120,11 +120,14 @@ class Match(Rebuilt):
     def confidence(self) -> float:
         """How likely the map is right, in [0, 1], by its score, tears, margin and coverage.
 
-        Calibrated on bodies and animals. It does not see symmetries: of a surface that is one with
-        itself turned or mirrored, a wrong map looks like a right one. See `ambiguous`.
+        Calibrated on `match` of bodies and animals, not on parts (`covered`). An only candidate, as
+        those of a collection are, has as much as if a rival scored as well. It does not see
+        symmetries: of a surface that is one with itself turned or mirrored, a wrong map looks like
+        a right one. See `ambiguous`.
         """
+        margin = self.margin if len(self.candidates) > 1 else None
         return confidence_of(
-            score=self.score, torn=self.torn, margin=self.margin, coverage=self.coverage
+            score=self.score, torn=self.torn, margin=margin, coverage=self.coverage
         )
 
     @property
@@ -141,8 +144,9 @@ class Match(Rebuilt):
     def convincing(self) -> bool:
         """Whether the map is rather right than wrong: its confidence is 0.5 or more.
 
-        Shapes that do not correspond have no convincing map. Of a part, for which confidence is not
-        calibrated, neither score nor coverage may speak against it.
+        Bodies and animals that do not correspond rarely have such a map; surfaces without limbs,
+        such as a ring and an ellipsoid, look much alike and may have one. Of a part, for which
+        confidence is not calibrated, neither score nor coverage may speak against it.
         """
         if self.covered is not None:
             return not {"coverage", "score"} & set(self.doubts)
@@ -169,7 +173,8 @@ class Match(Rebuilt):
         how = "mirrored" if self.mirrored else "not mirrored"
         doubt = ", ambiguous" if self.ambiguous else ""
         doubt += "" if self.convincing else ", not convincing"
-        return (
-            f"Match({len(self.point_map)} points, k={len(self.functional_map)}, {how},"
-            f" confidence {self.confidence:.2f}{doubt})"
-        )
+        sure = f"confidence {self.confidence:.2f}"
+        if self.covered is not None:
+            sure = f"{self.covered.sum()} covered"
+        size = f"{len(self.point_map)} points, k={len(self.functional_map)}"
+        return f"Match({size}, {how}, {sure}{doubt})"

@@ -15,7 +15,12 @@ from spectra_kit.functional_maps.nearest import nearest
 from spectra_kit.matching.lengths import changed
 from spectra_kit.matching.options import DEFAULT, MatchOptions
 from spectra_kit.matching.prepare import Prepared, curvatures
+from spectra_kit.matching.result import Candidate
 from spectra_kit.spectra import Spectrum
+
+_CURVATURES = 2  # of the smoothed ones that are scored, from the finest
+_ROUGH_SAMPLES = 200
+_LEAST = 1e-3  # below which mismatches count as equally good
 
 
 @checked
@@ -27,7 +32,6 @@ def mismatches(
     mirrored: bool = False,
     landmarks: tuple[Ints, Ints] | None = None,
     rough: bool = False,
-    options: MatchOptions = DEFAULT,
 ) -> dict[str, float]:
     """Return what a map of good surfaces keeps small, each in [0, about 1], dimensionless.
 
@@ -44,8 +48,6 @@ def mismatches(
     rough : bool, default False
         Look for the images of 200 samples among the samples only; else those of all samples among
         all points.
-    options : MatchOptions
-        How many samples and curvatures.
 
     Returns
     -------
@@ -57,11 +59,29 @@ def mismatches(
         (1 - t) / 2 with the orientation t of `orientation_of`; ``lengths``: that of the lengths of
         ways between 60 samples of either side, unless `rough`; ``landmarks``: biharmonic distance
         between where the map takes the landmarks and where they belong, relative to the root mean
-        square of the source.
+        square of the source. The candidates of a `match` have an ``alignment`` besides, which a map
+        does not have by itself: how far the source, bent by it in its lowest modes, stays from the
+        target in positions, normals and curvature.
+
+    Raises
+    ------
+    InvalidInputError
+        If the map is not square, has more rows than either surface has modes or is not finite, or a
+        landmark is out of range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spectra_kit as sk
+    >>> animal = sk.geometry.creature(600)
+    >>> a = sk.prepare(sk.spectrum(animal, 60), animal)
+    >>> identity = sk.matching.mismatches(a, a, np.eye(60))
+    >>> max(identity.values()) < 1e-9
+    True
     """
     a, b = source.spectrum, target.spectrum
     functional_map = _square(functional_map, source, target)
-    k, few = len(functional_map), options.rough_samples
+    k, few = len(functional_map), _ROUGH_SAMPLES
     every1, every2 = np.arange(a.n), np.arange(b.n)
     pool1, pool2 = (source.samples, target.samples) if rough else (every1, every2)
     there, here = (every1[:few], every2[:few]) if rough else (source.samples, target.samples)
@@ -89,8 +109,7 @@ def mismatches(
         )
     curved = curvatures(source, target)
     if curved is not None:
-        fine = options.scored_curvatures
-        curved1, curved2 = curved[0][pool1, :fine], curved[1][pool2, :fine]
+        curved1, curved2 = curved[0][pool1, :_CURVATURES], curved[1][pool2, :_CURVATURES]
         there_and_back = _curvature_error(curved1[back], curved2[here]) * _curvature_error(
             curved1[there], curved2[forth]
         )
@@ -115,8 +134,7 @@ def score_of(values: dict[str, float], *, options: MatchOptions = DEFAULT) -> fl
     Returns
     -------
     float
-        Dimensionless, at least `MatchOptions.least_mismatch`: mismatches below that count as
-        equally good.
+        Dimensionless, at least 0.001: mismatches below that count as equally good.
 
     Examples
     --------
@@ -124,13 +142,39 @@ def score_of(values: dict[str, float], *, options: MatchOptions = DEFAULT) -> fl
     >>> print(sk.matching.score_of({"curvature": 0.5, "wave": 0.1}))
     0.476
     """
-    weights, least = asdict(options.weights), options.least_mismatch
+    weights = asdict(options.weights)
     if not values or not set(values) <= set(weights):
         expected = f"hold some of {sorted(weights)}, as `mismatches` returns them"
         raise InvalidInputError("values", expected, sorted(values))
     total = sum(weights[name] for name in values)
-    logs = sum(weights[name] * np.log(max(value, 0.0) + least) for name, value in values.items())
+    logs = sum(weights[name] * np.log(max(value, 0.0) + _LEAST) for name, value in values.items())
     return float(np.exp(logs / total))
+
+
+def scored(
+    source: Prepared,
+    target: Prepared,
+    functional_map: Floats,
+    *,
+    mirrored: bool,
+    landmarks: tuple[Ints, Ints] | None = None,
+    rough: bool = False,
+    alignment: float | None = None,
+    options: MatchOptions,
+) -> Candidate:
+    """Return a map with its mismatches and score; the `alignment` counts where it is known."""
+    values = mismatches(
+        *(source, target, functional_map),
+        mirrored=mirrored,
+        landmarks=landmarks,
+        rough=rough,
+    )
+    if alignment is not None:
+        values["alignment"] = alignment
+    score = score_of(values, options=options)
+    return Candidate(
+        functional_map=functional_map, score=score, mismatches=values, mirrored=mirrored
+    )
 
 
 @checked

@@ -29,7 +29,7 @@ from spectra_kit._types import Floats, Ints
 from spectra_kit.linalg.threads import in_threads
 from spectra_kit.matching.coupled import Sampled, coupled_zoomout
 from spectra_kit.matching.options import MatchOptions
-from spectra_kit.matching.prepare import Prepared
+from spectra_kit.matching.prepare import REFINED_K, Prepared
 from spectra_kit.matching.score import mismatches, score_of
 
 Pair = tuple[int, int]
@@ -123,7 +123,7 @@ class _Clusters:
         matched: Callable[[int, int], Found],
         options: MatchOptions,
     ) -> None:
-        k = min(options.refined_modes, shapes[0].spectrum.k)
+        k = min(REFINED_K, shapes[0].spectrum.k)
         self._shapes, self._distances, self._options = shapes, distances, options
         self._matched, self._found = matched, dict[Pair, Found]()
         self._samples = [Sampled.of(shape, k) for shape in shapes]
@@ -229,7 +229,6 @@ class _Clusters:
             *(self._shapes[p], self._shapes[q], C),
             mirrored=mirrored,
             rough=rough,
-            options=self._options,
         )
         score = score_of(values, options=self._options)
         # A map that was to keep the sides may turn them over as it grows.

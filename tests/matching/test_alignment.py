@@ -9,10 +9,8 @@ from conftest import creature
 from spectra_kit import eigensolve, prepare, robust_laplacian
 from spectra_kit.geometry import TriangleMesh, mirrored
 from spectra_kit.matching import MatchOptions, Prepared
-from spectra_kit.matching.alignment import bent, placed_candidates, side_of
+from spectra_kit.matching.alignment import SAMPLES, bent, placed_candidates, side_of
 from spectra_kit.matching.curvature import outward_normals
-
-OPTIONS = MatchOptions()
 
 
 @pytest.fixture(scope="module")
@@ -38,20 +36,20 @@ def turned(mesh: TriangleMesh, source: Prepared, *, image: bool = False) -> Prep
 def test_a_turned_copy_lies_on_its_source(mesh, source, image) -> None:
     """Nothing is known of how the two lie: the first candidate is the identity, all but exact."""
     sides = (
-        side_of(source, OPTIONS, mirrored=image),
-        side_of(turned(mesh, source, image=image), OPTIONS),
+        side_of(source, mirrored=image),
+        side_of(turned(mesh, source, image=image)),
     )
-    C = placed_candidates(*sides, OPTIONS)[0]
+    C = placed_candidates(*sides, MatchOptions().turns)[0]
     assert np.linalg.norm(C - np.eye(30)) < 0.05 * np.sqrt(30)
-    made = bent(*sides, C, OPTIONS)
+    made = bent(*sides, C)
     assert made.functional_map == pytest.approx(np.eye(60), abs=1e-8)
     assert made.distance < 1e-6
 
 
 def test_normals_of_modes_are_those_of_triangles(source) -> None:
     """With more modes they come nearer: these leave out what is smaller than a limb."""
-    side, surface = side_of(source, OPTIONS), source.surface
-    chosen = source.samples[: OPTIONS.aligned_samples]
+    side, surface = side_of(source), source.surface
+    chosen = source.samples[:SAMPLES]
     points = surface.points - surface.mass @ surface.points
     axes = np.linalg.lstsq(points, source.spectrum.eigenvectors @ side.positions, rcond=None)[0]
     exact = outward_normals(surface.points, surface.oriented)[chosen] @ axes

@@ -25,6 +25,7 @@ from spectra_kit.matching import (
     prepare,
     score_of,
 )
+from spectra_kit.matching.confidence import confidence_of
 from spectra_kit.matching.synchronise import Found, apart, graph, groups, synchronised
 
 K = 60
@@ -115,6 +116,13 @@ def test_a_stranger_moves_nothing(collection, kept) -> None:
     for pair in combinations(POSES, 2):
         ours, theirs = collection.candidate(*pair), alone.candidate(*pair)
         assert float(apart(ours.functional_map, theirs.functional_map)) < 1e-3
+
+
+def test_a_map_without_a_rival_is_no_surer_for_it(collection) -> None:
+    one = collection.pair("1", "2", elastic=False)
+    assert one.margin == np.inf
+    facts = {"score": one.score, "torn": one.torn, "coverage": one.coverage}
+    assert one.confidence == confidence_of(**facts, margin=1.0)
 
 
 def test_pairs_tell_what_they_were_by_themselves(collection) -> None:
@@ -277,6 +285,7 @@ def test_what_is_no_collection_is_refused(collection) -> None:
         ),
         ("mirrored", "be False or None", {"1": one, "2": two}, {"mirrored": True}),
         ("neighbours", "be at least 1", {"1": one, "2": two}, {"neighbours": 0}),
+        ("folder", "be one, or not be there", {"1": one, "2": two}, {"folder": __file__}),
     ):
         refused(argument, expected, match_collection, shapes, **options)
     with pytest.raises(InvalidInputError, match="`shapes`"):

@@ -67,6 +67,9 @@ def test_what_it_cannot_know_is_refused(source, found) -> None:
     bare = prepare(source.spectrum)
     with pytest.raises(InvalidInputError, match="`target` must come with its geometry"):
         local_confidence(found, source, bare)
+    part = replace(found, covered=np.ones(N, dtype=bool))
+    with pytest.raises(InvalidInputError, match="`found` must map wholes, got a part"):
+        local_confidence(part, source, source)
     other = prepared(creature(700), 60)
     with pytest.raises(InvalidInputError, match="found"):
         local_confidence(found, source, other)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import igl
 import numpy as np
 import pytest
 from conftest import bumpy, creature, data_folder, refused
@@ -12,7 +13,7 @@ from measure.matching.subjects import subjects_in
 from scipy.spatial import cKDTree
 from test_matching import moved, prepared
 
-from spectra_kit import TriangleMesh, robust_laplacian
+from spectra_kit import TriangleMesh, robust_laplacian, spectrum
 from spectra_kit.correspondence import geodesic_distances
 from spectra_kit.descriptors import biharmonic_distances
 from spectra_kit.eigensolvers import eigensolve
@@ -105,6 +106,38 @@ def test_a_closed_part_is_a_whole(whole) -> None:
     refused("covered", "have the shape of", replace, found, covered=found.covered[1:])
 
 
+def finer(mesh: TriangleMesh) -> TriangleMesh:
+    return TriangleMesh(*igl.upsample(mesh.points, mesh.faces))
+
+
+def test_a_dense_surface_on_all_its_points_is_prepared_as_if_it_were_not_dense(mesh) -> None:
+    fine = finer(mesh)
+    modes = spectrum(fine, K)
+    thin, full = (prepare(modes, fine, n_points=count) for count in (1000, fine.n))
+    assert thin.spectrum.n < fine.n
+    same = thin.on_all_points()
+    assert full.on_all_points() is full
+    for name in ("samples", "wave"):
+        np.testing.assert_array_equal(getattr(same, name), getattr(full, name))
+    for name in ("points", "curvature", "form", "lengths"):
+        np.testing.assert_array_equal(getattr(same.surface, name), getattr(full.surface, name))
+
+
+@pytest.mark.slow
+def test_a_part_of_a_dense_surface_is_matched_on_all_points(mesh, headless) -> None:
+    whole, piece = finer(mesh), finer(headless.mesh)
+    dense = [prepare(spectrum(side, K), side, n_points=1000) for side in (piece, whole)]
+    found = match_part(*dense, mirrored=False, options=FEW)
+    assert len(found.covered) == whole.n
+    left = cKDTree(piece.points).query(whole.points)[0] == 0
+    assert overlap(found.covered, left, dense[1].whole.mass) > 0.97
+    both = np.flatnonzero(found.covered & left)
+    apart = np.linalg.norm(piece.points[found.point_map[both]] - whole.points[both], axis=1)
+    assert apart.mean() < 0.01 * whole.area**0.5
+    closed = match_part(dense[1], dense[1], k=30, mirrored=False)
+    assert closed.covered.shape == (whole.n,)
+
+
 @pytest.mark.slow
 def test_what_is_no_part_is_doubted(whole) -> None:
     ball = bumpy(642)
@@ -177,7 +210,7 @@ def test_a_part_in_its_place_covers_itself(mesh, whole, headless) -> None:
     places = whole.surface.points
     there = headless.vertex_index
     back = cKDTree(places[there]).query(places)[1]
-    covered = covered_by(piece, whole, Met(places[there], there, back))
+    covered = covered_by(piece, whole, Met(places[there], there, back, gap=0.0))
     assert covered[there].all()
     left = np.isin(np.arange(mesh.n), there)
     assert overlap(covered, left, whole.spectrum.mass) > 0.97

@@ -246,6 +246,7 @@ def test_confidence_falls_with_all_that_speaks_against_a_map() -> None:
         assert worst < confidence_of(**{**good, name: value}) < best
     sure = confidence_of(**{**good, "margin": np.inf})
     assert sure == confidence_of(**{**good, "margin": 2.0})  # more says no more
+    assert confidence_of(**{**good, "margin": None}) == confidence_of(**{**good, "margin": 1.0})
 
 
 def test_a_map_is_torn_where_neighbours_part(mesh, source) -> None:

@@ -7,7 +7,7 @@ from ast import literal_eval
 
 import numpy as np
 import pytest
-from conftest import creature
+from conftest import creature, refused
 from scipy.spatial.transform import Rotation
 from test_matching import prepared
 
@@ -26,17 +26,16 @@ from spectra_kit.matching import (
 from spectra_kit.matching.candidates import sign_candidates
 from spectra_kit.matching.curvature import outward_normals, smoothed_mean_curvature
 from spectra_kit.matching.elastic import (
+    PULL,
     _bending,
     _edges,
     _rotations,
     meeting,
 )
-from spectra_kit.matching.everywhere import bent_distance
 from spectra_kit.matching.lengths import changed
 from spectra_kit.operators import oriented_triangles
 
 K = 60
-PULL = MatchOptions().pull
 
 
 @pytest.fixture(scope="module")
@@ -220,12 +219,12 @@ def test_lengths_are_those_along_the_surface_and_the_same_for_a_copy(source, cop
 def test_a_surface_is_bent_onto_its_copy_and_nowhere_else(source, copy) -> None:
     """The true map leaves no distance; one that takes the animal to its other end does."""
     target, truth = copy
-    options, there = MatchOptions(), np.argsort(truth)
+    there = np.argsort(truth)
     places = source.surface.points[:, 0]
     ranks = np.argsort(np.argsort(places))
     reversed_ends = np.argsort(places)[::-1][ranks]  # head to tail
     true, wrong = (
-        bent_distance(source, target, there[way], mirrored=False, options=options)
+        meeting(source.surface, target.surface, there[way]).gap
         for way in (np.arange(len(there)), reversed_ends)
     )
     assert true < 1e-9
@@ -287,6 +286,12 @@ def test_the_score_is_a_geometric_mean() -> None:
     low, high = score_of({"wave": 0.1, "embedding": 0.3}), score_of({"wave": 0.1, "embedding": 0.4})
     assert 0.1 < low < high < 0.4
     assert score_of({"wave": 0.0, "embedding": -1e-17}) == pytest.approx(1e-3)
+
+
+def test_options_out_of_range_are_refused() -> None:
+    for name, value in (("orders", 0), ("kept", ((8, 0),)), ("kept", ((0, 8),)), ("turns", 0)):
+        refused(name, "be at least 1", MatchOptions, **{name: value})
+    refused("clear_margin", "be a finite weight", MatchOptions, clear_margin=np.nan)
 
 
 def test_options_are_what_their_documentation_says() -> None:

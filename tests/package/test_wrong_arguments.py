@@ -181,8 +181,8 @@ def examples() -> tuple[dict[str, Any], dict[str, Any]]:
     maps = batch.BatchReport(completed=((pair_of_names, made),), failed=(), seconds=0.1)
     portrait = viz.Portrait(geometry=mesh, labels=halves, lines=("x",))
     quick = matching.MatchOptions(
-        **{"first_samples": 12, "growing": 8, "growing_samples": 40, "grown_modes": 10},
-        **{"finalists": 1, "refined_modes": 20, "rough_samples": 40, "last_steps": 1, "rounds": 1},
+        **{"orders": 1, "growing": 8, "kept": ((8, 2),), "turns": 1, "placed": 1},
+        **{"finalists": 1, "rounds": 1, "bends": 1, "first_bends": 1},
     )
     instances = (  # whose methods are called, or which are arguments of their kind
         *(mesh, mesh.as_cloud(), laplacian, spectrum, spectrum.provenance, spectrum.certificate),
