@@ -3,9 +3,9 @@ r"""Match all shapes of a set as one collection, and measure maps between pairs 
     python apps/match_collection.py OUT                          # the 32 animals of smal_r
     python apps/match_collection.py OUT --data tosca_r --only cat
 
-OUT/matched holds what pairs by themselves found, so that the same command after an interruption
-goes on from there. Errors are those of all landmarks, along edges of the source, in hundredths of
-the root of its area; right is a mean below 8.
+OUT/matched holds what pairs by themselves found, so that the same command after an interruption, by
+the same code, goes on from there. Errors are those of all landmarks, along edges of the source, in
+hundredths of the root of its area; right is a mean below 8.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from measure import tables
 from measure.command import exit_code, parser_of
 from measure.matching.sets import PairSet, pair_sets
 from measure.matching.subjects import truth_between
+from measure.store import code_digest
 from tqdm import tqdm
 
 from spectra_kit import prepare, spectrum
@@ -62,7 +63,7 @@ def _match(args: argparse.Namespace) -> None:
     with tqdm(total=len(shapes), desc="joining", disable=None) as joining:
         found = match_collection(
             shapes,
-            folder=args.out / "matched",
+            folder=args.out / "matched" / code_digest(),
             progress=lambda done, _: joining.update(done - joining.n),
         )
     seconds = time.process_time() - start

@@ -8,27 +8,27 @@ where they are, and every tenth of the landmarks is found on both. Spectra are a
 seconds are wall time of `prepare` for both bodies and of `match`, memory is what these need above
 what was there before. Errors are along edges, in hundredths of the root of the area; those of the
 fine bodies also with each point moved to the nearest vertex of the coarse source, since there a
-point that is off by less than half an edge counts as right. OUT/dense.jsonl
-gets a line for each pair as soon as it is matched, and the same command after an interruption goes
-on from there.
+point that is off by less than half an edge counts as right.
+
+OUT/measurements.jsonl gets a line for each pair as soon as it is matched, and the same command
+after an interruption, by the same code, goes on from there.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from measure.command import exit_code, parser_of
+from measure.matching.pairs import Pair
 from measure.matching.sets import pair_sets
 from measure.matching.subjects import Subject, truth_between
 from measure.matching.triangulations import finer
+from measure.store import Record, Store, code_digest
 from measure.worker import Clocked, clocked
 from scipy.spatial import cKDTree
 
@@ -52,7 +52,7 @@ _COLUMNS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Match and print the table; return the exit code."""
     parser = parser_of("match_dense.py", __doc__)
-    parser.add_argument("out", type=Path, help="folder for the lines")
+    parser.add_argument("out", type=Path, help="folder for measurements")
     parser.add_argument("--data", default="faust_r", metavar="SET",
         help="a folder, or the name of a set in $SPECTRA_KIT_DATA (%(default)s)")  # fmt: skip
     parser.add_argument("--pairs", type=int, default=5, metavar="N")
@@ -64,31 +64,27 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _match_all(args: argparse.Namespace) -> None:
     [chosen] = pair_sets([args.data], count=args.pairs, seed=args.seed)
-    args.out.mkdir(parents=True, exist_ok=True)
-    lines = args.out / "dense.jsonl"
-    told = [json.loads(line) for line in lines.read_text().splitlines()] if lines.exists() else []
-    done = {(row["pair"], row["asked"]): row for row in told}
+    store = Store(args.out)
     rows = []
     for names in chosen.protocol.pairs:
-        key = ("--".join(names), args.vertices)
-        if key not in done:
-            pair = [chosen.subjects[name] for name in names]
-            done[key] = {"pair": key[0], "asked": key[1], **measure(*pair, key[1])}
-            with lines.open("a") as file:
-                file.write(json.dumps(done[key]) + os.linesep)
-        rows.append(done[key])
+        pair = Pair(*names)
+        key = f"{pair}, {args.vertices}, {code_digest()}"
+        rows.append(store.get(key) or store.add(key, measure(chosen.subjects, pair, args.vertices)))
         print(rows[-1], flush=True)
     print(table(rows))
 
 
-def measure(source: Subject, target: Subject, n: int) -> dict[str, Any]:
+def measure(subjects: Mapping[str, Subject], pair: Pair, n: int) -> Record:
     """Match a pair as it is and with `n` vertices: errors, seconds and gigabytes of the latter."""
+    source, target = (subjects[name] for name in pair)
     fine = [Subject(s.name, finer(s.mesh, n), s.landmarks, s.mirrored) for s in (source, target)]
     found, took = _matched(*fine)
     truth = truth_between(source, target)
     some = Truth(truth.source[::_THINNED], truth.target[::_THINNED])
     _, nearest = cKDTree(source.mesh.points).query(fine[0].mesh.points)
     return {
+        "status": "ok",
+        "pair": str(pair),
         "vertices": min(s.geometry.n for s in fine),
         "error": float(geodesic_errors(fine[0].mesh, found, some).mean()),
         "rounded": float(geodesic_errors(source.mesh, nearest[found], some).mean()),
@@ -107,7 +103,7 @@ def _matched(source: Subject, target: Subject) -> tuple[Ints, Clocked]:
         return match(*sides).point_map, took
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
+def table(rows: Sequence[Record]) -> str:
     """Return a line for each pair, and median and worst."""
     out = [f"{'pair':<26}" + "".join(f"{name:>10}" for name in _COLUMNS.values())]
     values = np.array([[row[name] for name in _COLUMNS] for row in rows])

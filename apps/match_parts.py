@@ -3,16 +3,15 @@ r"""Match FAUST bodies without an arm, a leg or the lower half against other per
     python apps/match_parts.py OUT                        # 60 pairs of bodies 40-79
     python apps/match_parts.py OUT --persons 0 2 --pairs 9
 
-OUT/parts.jsonl gets a line for each pair as soon as it is matched, and the same command after an
-interruption goes on from there. Errors are those of all landmarks that both bodies have left, found
-covered or not, along edges of the uncut body, in hundredths of the root of its area.
+OUT/measurements.jsonl gets a line for each pair as soon as it is matched, and the same command
+after an interruption, by the same code, goes on from there. Errors are those of all landmarks that
+both bodies have left, found covered or not, along edges of the uncut body, in hundredths of the
+root of its area.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import sys
 import time
 import warnings
@@ -34,6 +33,7 @@ from measure.matching.cuts import (
 )
 from measure.matching.subjects import Subject, subjects_in
 from measure.shapes import data_folder
+from measure.store import Store, code_digest
 
 from spectra_kit import prepare, spectrum
 from spectra_kit.correspondence import geodesic_distances
@@ -46,7 +46,7 @@ _MODES = 200
 def main(argv: Sequence[str] | None = None) -> int:
     """Match and print the table; return the exit code."""
     parser = parser_of("match_parts.py", __doc__)
-    parser.add_argument("out", type=Path, help="folder for the lines")
+    parser.add_argument("out", type=Path, help="folder for measurements")
     parser.add_argument("--data", type=Path, help="default: $SPECTRA_KIT_DATA/faust_r")
     parser.add_argument("--persons", type=int, nargs="+", default=[4, 5, 6, 7], metavar="P")
     parser.add_argument("--pairs", type=int, default=60, metavar="N")
@@ -60,17 +60,11 @@ def _match_all(args: argparse.Namespace) -> None:
     if folder is None:
         raise InvalidInputError("name a folder with --data, or set SPECTRA_KIT_DATA")
     subjects = subjects_in(folder)
-    args.out.mkdir(parents=True, exist_ok=True)
-    lines = args.out / "parts.jsonl"
-    told = [json.loads(line) for line in lines.read_text().splitlines()] if lines.exists() else []
-    done = {row["pair"]: row for row in told}
+    store = Store(args.out)
     rows = []
     for pair in cut_pairs(args.persons, args.pairs, seed=args.seed):
-        if str(pair) not in done:
-            done[str(pair)] = measure(subjects, pair)
-            with lines.open("a") as file:
-                file.write(json.dumps(done[str(pair)]) + os.linesep)
-        rows.append(done[str(pair)])
+        key = f"{pair}, {code_digest()}"
+        rows.append(store.get(key) or store.add(key, measure(subjects, pair)))
         print(rows[-1], flush=True)
     print(table(rows))
 
@@ -90,6 +84,7 @@ def measure(subjects: dict[str, Subject], pair: CutPair) -> dict[str, Any]:
     places = piece.vertices[found.point_map[other.landmarks[both]]]
     errors = geodesic_distances(one.mesh, one.landmarks[both], places)
     return {
+        "status": "ok",
         "pair": str(pair),
         "kind": pair.kind,
         "error": 100 * float(errors.mean()) / one.mesh.area**0.5,
