@@ -182,7 +182,8 @@ def cut(data):
 
 
 def flip(data):
-    return data[:-2000] + bytes([data[-2000] ^ 1]) + data[-1999:]
+    middle = len(data) // 2  # in the arrays, of small entries too
+    return data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
 
 
 def emptied(_):
