@@ -88,7 +88,7 @@ def _operators(size: int, count: int) -> Iterator[Laplacian]:
 
 def _meshes() -> Iterator[TriangleMesh]:
     folder = data_folder("train_pool")
-    if folder is None or not folder.is_dir():
+    if folder is None or not folder.exists():
         yield from (creature(4000, seed=seed) for seed in range(10_000))
         return
     pool = open_pool(folder, "val")

@@ -32,7 +32,7 @@ DEFAULTS: dict[str, Any] = {
     "batch": None,
     "n_points": 1024,
     "lr": 2e-3,
-    "validation": 128,
+    "validation": 512,
 }
 
 
@@ -58,7 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--batch", type=int, help="clouds per step (400 on an accelerator, 16 on a CPU)")
     add("--n-points", type=int, help="of each cloud (1024)")
     add("--lr", type=float, help="peak learning rate (0.002)")
-    add("--validation", type=int, help="number of validation samples (128)")
+    add("--validation", type=int, help="number of validation samples (512)")
     add("--workers", type=int, help="processes that make samples (all cores but one)")
     add("--capacity", type=int, default=32768, help="samples held in memory (%(default)s)")
     add("--packed", type=Path, default=Path(".leg"), help="folder of real meshes (%(default)s)")

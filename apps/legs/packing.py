@@ -38,7 +38,10 @@ def download_wheels(folder: Path, python: str, *, machine: str = "x86_64") -> li
 
 
 def use_wheels(folder: Path) -> None:
-    """Make the wheels for this Python importable, behind what is installed; unpack them once."""
+    """Make the wheels for this Python importable, before what is installed; unpack them once.
+
+    What is installed may be older than what training needs.
+    """
     wheels = folder / f"{sys.version_info.major}.{sys.version_info.minor}"
     site, part = wheels / "unpacked", wheels / "unpacking"
     if wheels.is_dir() and not site.is_dir():
@@ -47,7 +50,7 @@ def use_wheels(folder: Path) -> None:
                 archive.extractall(part)
         part.rename(site)
     if site.is_dir():
-        sys.path.append(str(site.resolve()))  # processes that are spawned inherit it
+        sys.path.insert(0, str(site.resolve()))  # processes that are spawned inherit it
 
 
 def pack_pools(meshes: Path, folder: Path) -> list[Path]:

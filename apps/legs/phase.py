@@ -127,7 +127,7 @@ def _compared(leg: Leg, place: Place) -> Leg:
 
 
 def _config(leg: Leg, packed: Path, split: str) -> CorpusConfig:
-    """Return what samples are made of: three of ten, or half to validate, are real meshes."""
+    """Return what samples are made of: half are meshes, and most come from real ones."""
     pool = packed / POOL.format(split)
     there = pool.is_file()
     return CorpusConfig(
@@ -136,7 +136,8 @@ def _config(leg: Leg, packed: Path, split: str) -> CorpusConfig:
         k=leg.config.network.k,
         pool=pool if there else None,
         pool_split=split,
-        pool_share=(0.3 if split == "train" else 0.5) if there else 0.0,
+        pool_share=(0.6 if split == "train" else 0.5) if there else 0.0,
+        mesh_share=0.5,
     )
 
 

@@ -64,6 +64,8 @@ def _csr_tensor(
 ) -> Tensor:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+        # From 2.11 on torch says so even where one opts out (pytorch/pytorch, pull request 183256).
+        warnings.filterwarnings("ignore", message="Sparse invariant checks are implicitly")
         return torch.sparse_csr_tensor(
             rows,
             columns,
