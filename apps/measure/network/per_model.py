@@ -17,7 +17,7 @@ from spectra_kit.eigensolvers import Neo
 STEPS = (0, 1, Neo.smoothing)
 #: The column by which models are ranked.
 WORST = "eigenvalue error"
-_ONCE = "after one step"
+_BEFORE, _ONCE = f"{WORST} before", "after one step"
 _RATIOS = _RATIO, _RATIO_ONCE = "ratio", "ratio after one step"
 #: The columns that a figure shows.
 DRAWN = (WORST, f"{WORST}, waves", _ONCE, f"{_ONCE}, waves")
@@ -63,6 +63,8 @@ def beside(rows: Sequence[Row]) -> Iterator[Beside]:
             "span error before": of_each(mine[before], "span"),
             "span error before, waves": of_each(waves[before], "span"),
             "span error after": of_each(mine[done], "span"),
+            _BEFORE: of_each(mine[before], "value"),
+            f"{_BEFORE}, waves": of_each(waves[before], "value"),
             WORST: of_each(mine[done], "value"),
             f"{WORST}, waves": of_each(waves[done], "value"),
             _ONCE: of_each(mine[once], "value"),
@@ -90,6 +92,7 @@ def findings(rows: Sequence[Row]) -> list[Finding]:
         for name, text in (
             (WORST, f"{WORST} of {one.method}"),
             ("span error before", "span error before smoothing"),
+            (_BEFORE, f"{WORST} before smoothing"),
             (_RATIO_ONCE, "times less than plane waves smoothed alike, by one step each"),
             (_RATIO, "times less than plane waves that go on to the same target"),
         ):
