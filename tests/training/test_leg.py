@@ -240,7 +240,10 @@ def test_all_that_training_imports_is_packed():
 
 
 def test_wheels_for_this_python_are_unpacked_once(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "path", list(sys.path))
+    installed = tmp_path / "site-packages"
+    installed.mkdir()
+    (installed / "a_tiny_package.py").write_text("ANSWER = 1")
+    monkeypatch.setattr(sys, "path", [str(installed), *sys.path])
     use_wheels(tmp_path)  # nothing is packed
     for version, answer in (("{}.{}".format(*sys.version_info), 42), ("3.1", 7)):
         (tmp_path / version).mkdir()
