@@ -42,6 +42,7 @@ from .errors import DoubtfulDistanceWarning as DoubtfulDistanceWarning
 from .errors import DoubtfulMatchWarning as DoubtfulMatchWarning
 from .errors import DoubtfulSpectrumWarning as DoubtfulSpectrumWarning
 from .errors import EngineLostError as EngineLostError
+from .errors import IgnoredContentWarning as IgnoredContentWarning
 from .errors import InvalidFileError as InvalidFileError
 from .errors import InvalidInputError as InvalidInputError
 from .errors import InvalidSpectrumError as InvalidSpectrumError
@@ -49,6 +50,7 @@ from .errors import MissingDependencyError as MissingDependencyError
 from .errors import OutOfMemoryError as OutOfMemoryError
 from .errors import SpectraKitError as SpectraKitError
 from .errors import SpectraKitWarning as SpectraKitWarning
+from .errors import SplitSurfaceWarning as SplitSurfaceWarning
 from .errors import StoreError as StoreError
 from .errors import WeightsError as WeightsError
 from .errors import WorkerError as WorkerError

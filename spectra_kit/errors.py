@@ -230,6 +230,14 @@ class SpectraKitWarning(_Advised, UserWarning):
     """Base class of every warning spectra_kit gives on purpose; with advice as errors have it."""
 
 
+class IgnoredContentWarning(SpectraKitWarning):
+    """A file or object holds more than was taken from it; the message says what was passed over."""
+
+
+class SplitSurfaceWarning(SpectraKitWarning):
+    """A surface falls into parts that touch, or nearly do, as along seams or between scan lines."""
+
+
 class DoubtfulSpectrumWarning(SpectraKitWarning):
     """Eigenvalues of an approximate solver are proved to be far too high."""
 
