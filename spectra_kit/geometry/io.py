@@ -9,9 +9,17 @@ from typing import Any, Literal
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path
-from spectra_kit.errors import InvalidFileError, InvalidInputError, OutOfMemoryError
+from spectra_kit._validate import hearing, warn
+from spectra_kit.errors import (
+    IgnoredContentWarning,
+    InvalidFileError,
+    InvalidInputError,
+    OutOfMemoryError,
+)
 from spectra_kit.geometry.formats import gltf, numpy_arrays, obj, off, ply, stl, xyz
 from spectra_kit.geometry.formats._arrays import Arrays
+from spectra_kit.geometry.formats._room import PACKED, format_of, unpacked
+from spectra_kit.geometry.formats.foreign import advice_for
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
 READERS: dict[str, Callable[[Path], Arrays]] = {
@@ -102,7 +110,7 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     True
     """
     path = Path(path)
-    reader = _lookup(READERS, path, "read")
+    reader = _lookup(READERS, path, "read", advice_for(path))
     if path.is_dir():
         raise InvalidFileError(path, "this is a folder, expected a file")
     if not path.exists():
@@ -110,7 +118,11 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     if path.stat().st_size == 0:
         raise InvalidFileError(path, "the file is empty")
     try:
-        points, faces = reader(path)
+        with hearing() as heard, unpacked(path) as plain:
+            points, faces = reader(plain)
+        if heard:
+            told = "; ".join(dict.fromkeys(map(str, heard)))
+            warn(told, IgnoredContentWarning, where=str(path))
         if faces is not None and kind != "cloud":
             return TriangleMesh(points, faces)
         if kind != "mesh":
@@ -167,11 +179,17 @@ def write(geometry: Geometry, path: str | os.PathLike[str]) -> None:
         writer(geometry, part)
 
 
-def _lookup(table: dict[str, Any], path: Path, action: str) -> Any:
+def is_readable(path: Path) -> bool:
+    """Whether the name is that of a format that `read` knows."""
+    return format_of(path) in READERS
+
+
+def _lookup(table: dict[str, Any], path: Path, action: str, advice: str = "") -> Any:
     try:
-        return table[path.suffix.lower()]
+        return table[format_of(path) if table is READERS else path.suffix.lower()]
     except KeyError as error:
-        known = ", ".join(sorted(table))
-        raise InvalidFileError(
-            path, f"cannot {action} the format {path.suffix!r}; known are {known}"
-        ) from error
+        known = f"known are {', '.join(sorted(table))}"
+        if advice:
+            known = f"{advice}; {known}, packed or not ({', '.join(PACKED)})"
+        problem = InvalidInputError(f"cannot {action} the format {path.suffix!r}", advice=known)
+        raise InvalidFileError(path, problem) from error
