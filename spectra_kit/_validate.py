@@ -78,7 +78,25 @@ def _check_three_columns(name: str, array: NDArray[np.generic], rows: str) -> No
     if array.ndim != 2 or array.shape[1] != 3:
         turned = array.ndim == 2 and len(array) == 3
         hint = "did you pass its transpose?" if turned else ""
+        if array.ndim == 2 and not turned and len(array):
+            hint = _columns_advice(name, array.shape[1], rows)
         raise InvalidInputError(name, f"have shape ({rows}, 3)", array.shape, advice=hint)
+
+
+def _columns_advice(name: str, columns: int, rows: str) -> str:
+    if columns == 2 and rows == "n":
+        return f"of planar ones, numpy.column_stack([{name}, numpy.zeros(len({name}))]) makes these"
+    if columns > 3 and rows == "n":
+        return f"if normals or colours follow the coordinates, {name}[:, :3] leaves them out"
+    if columns == 4:  # both are common, and no array says which it is
+        return (
+            f"quads are taken as pyvista.PolyData.from_regular_faces(points, {name}), tetrahedra as"
+            f" pyvista.UnstructuredGrid({{pyvista.CellType.TETRA: {name}}}, points)"
+            ".extract_surface()"
+        )
+    if columns > 4:
+        return f"polygons are taken as pyvista.PolyData.from_regular_faces(points, {name})"
+    return ""
 
 
 def check_indices(name: str, values: ArrayLike, n: int) -> Ints:
