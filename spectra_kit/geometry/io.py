@@ -9,9 +9,16 @@ from typing import Any, Literal
 
 from spectra_kit._checked import checked
 from spectra_kit._files import atomic_path
-from spectra_kit.errors import InvalidFileError, InvalidInputError, OutOfMemoryError
+from spectra_kit._validate import hearing, warn
+from spectra_kit.errors import (
+    IgnoredContentWarning,
+    InvalidFileError,
+    InvalidInputError,
+    OutOfMemoryError,
+)
 from spectra_kit.geometry.formats import gltf, numpy_arrays, obj, off, ply, stl, xyz
 from spectra_kit.geometry.formats._arrays import Arrays
+from spectra_kit.geometry.polygons import surface
 from spectra_kit.geometry.shapes import Geometry, PointCloud, TriangleMesh
 
 READERS: dict[str, Callable[[Path], Arrays]] = {
@@ -110,13 +117,12 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
     if path.stat().st_size == 0:
         raise InvalidFileError(path, "the file is empty")
     try:
-        points, faces = reader(path)
-        if faces is not None and kind != "cloud":
-            return TriangleMesh(points, faces)
-        if kind != "mesh":
-            return PointCloud(points)
-        problem = "holds points without faces, expected a mesh"
-        raise InvalidInputError(problem, advice="use {}", remedies=('kind="cloud"',))  # noqa: TRY301
+        with hearing() as heard:
+            geometry = _geometry(*reader(path), kind)
+        if heard:
+            told = "; ".join(dict.fromkeys(map(str, heard)))
+            warn(told, IgnoredContentWarning, where=str(path))
+        return geometry  # noqa: TRY300
     except InvalidInputError as error:
         raise InvalidFileError(path, error) from error
     except MemoryError as error:
@@ -124,6 +130,18 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
             f"{path}: reading these {path.stat().st_size:,} bytes needs more memory than there is",
             advice="simplify the shape or split the file",
         ) from error
+
+
+def _geometry(points: Any, faces: Any, kind: Literal["mesh", "cloud"] | None) -> Geometry:
+    """Return what is wanted of what a reader found."""
+    if isinstance(faces, InvalidInputError) and kind != "cloud":
+        raise faces
+    if faces is not None and kind != "cloud":
+        return surface(points, faces)
+    if kind != "mesh":
+        return PointCloud(points)
+    problem = "holds points without faces, expected a mesh"
+    raise InvalidInputError(problem, advice="use {}", remedies=('kind="cloud"',))
 
 
 @checked
