@@ -118,7 +118,8 @@ def read(path: str | os.PathLike[str], *, kind: Literal["mesh", "cloud"] | None 
         raise InvalidFileError(path, "the file is empty")
     try:
         with hearing() as heard:
-            geometry = _geometry(*reader(path), kind)
+            points, faces = reader(path)
+            geometry = _geometry(points, faces, kind)
         if heard:
             told = "; ".join(dict.fromkeys(map(str, heard)))
             warn(told, IgnoredContentWarning, where=str(path))

@@ -8,11 +8,11 @@ a hole is part of its outline, by a bridge that is passed twice.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mapbox_earcut
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import as_array, check_indices, quantity, warn
@@ -41,7 +41,7 @@ class Polygons(NamedTuple):
         return cls(np.array(flat, dtype=np.int64), np.array([len(row) for row in rows], np.int64))
 
 
-def surface(points: ArrayLike, faces: Polygons | ArrayLike) -> TriangleMesh:
+def surface(points: Any, faces: Any) -> TriangleMesh:
     """Return the mesh of polygons of any size, as files and other programs have them.
 
     Faces of fewer than three corners beside proper ones, and NaN points that no face uses, are left
@@ -70,7 +70,7 @@ def surface(points: ArrayLike, faces: Polygons | ArrayLike) -> TriangleMesh:
     TriangleMesh(4 vertices, 2 faces)
     """
     if not isinstance(faces, Polygons):
-        table = as_array("faces", faces)
+        table: NDArray[Any] = as_array("faces", faces)
         if table.ndim != 2 or table.shape[1] < 3 or table.dtype.kind not in "iu":
             return TriangleMesh(points, table)
         faces = Polygons.of(table)
@@ -87,9 +87,7 @@ def surface(points: ArrayLike, faces: Polygons | ArrayLike) -> TriangleMesh:
     return TriangleMesh(points, corners.reshape(-1, 3))
 
 
-def _without_unused_nan(
-    points: NDArray[np.generic], corners: Ints
-) -> tuple[NDArray[np.generic], Ints]:
+def _without_unused_nan(points: NDArray[Any], corners: Ints) -> tuple[NDArray[Any], Ints]:
     """Leave out points that are NaN or infinite where no face uses one of them."""
     if points.ndim != 2 or points.dtype.kind != "f" or np.isfinite(points).all():
         return points, corners

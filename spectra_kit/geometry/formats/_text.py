@@ -76,12 +76,40 @@ def passed_over(lines: Iterable[int], noun: str) -> None:
         warn(told, IgnoredContentWarning)
 
 
+def are_laid_out(widths: Ints, start: int, lines: Ints, *, lists: bool) -> bool:
+    """Whether rows of so many numbers lie on lines as programs write them.
+
+    Where a number is torn in two, the rows that follow may still add up to what is announced,
+    above all where lists may have any length. So rows stand on one line, together or alone; or
+    those on several begin and end with lines, and are lists of one length, more than one.
+
+    Parameters
+    ----------
+    widths : ndarray of shape (r,)
+        The numbers of each row.
+    start : int
+        The numbers before the first.
+    lines : ndarray
+        The numbers up to the end of each line, ascending.
+    lists : bool
+        Whether the rows are lists that tell their length.
+    """
+    ends = start + np.cumsum(widths)
+    starts = ends - widths
+    on_several = np.searchsorted(lines, ends) > np.searchsorted(lines, starts, side="right")
+    if not on_several.any():
+        return True
+    if not (np.isin(ends, lines).all() and np.isin(starts[starts > 0], lines).all()):
+        return False
+    return not lists or (on_several.sum() > 1 and bool((widths == widths[0]).all()))
+
+
 def numbers(text: bytes, dtype: type[np.generic], count: int) -> NDArray[Any] | None:
     """Return the numbers of a text of as many words, or None where a word is not exactly one."""
     if text.translate(None, _NUMERIC):
         return None
     try:
-        found = np.fromstring(text.decode(), dtype=dtype, sep=" ")  # type: ignore[call-overload]
+        found = np.fromstring(text.decode(), dtype=dtype, sep=" ")
     except (ValueError, DeprecationWarning):  # which one depends on the version of NumPy
         return None
     if len(found) != count or (dtype is np.int64 and count and np.abs(found).max() >= 2**62):

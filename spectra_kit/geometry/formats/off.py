@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from itertools import accumulate, islice
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ from spectra_kit.geometry.formats._arrays import (
 )
 from spectra_kit.geometry.formats._text import (
     Lines,
+    are_laid_out,
     numbers,
     passed_over,
     text_of,
@@ -136,12 +137,11 @@ def _hold_faces(lines: _Lines) -> bool:
 def _rows_of_flow(lines: _Lines, header: _Header) -> _Lines:
     """Return rows of numbers that flow, whatever lines they stand on; nothing where none fit.
 
-    Either all lines end where a row ends, or all rows where a line ends: a number that is torn in
-    two moves all that follow. Nothing tells corners from colours, of which there can be none.
+    Nothing tells corners from colours then, of which there can be none.
     """
     flow = [(number, word) for number, words in lines for word in words][header.words :]
     rows: _Lines = []
-    ends, end = {0}, 0
+    end = 0
     for i in range(min(header.n_points + header.n_faces, len(flow))):
         number, word = flow[end] if end < len(flow) else (0, "")
         if i >= header.n_points and not re.fullmatch(r"\d{1,9}", word):
@@ -149,10 +149,12 @@ def _rows_of_flow(lines: _Lines, header: _Header) -> _Lines:
         size = 3 + header.has_weights if i < header.n_points else 1 + int(word)
         rows.append((number, [word for _, word in flow[end : end + size]]))
         end += size
-        ends.add(end)
-    breaks = {*accumulate((len(words) for _, words in lines), initial=-header.words)}
-    breaks = {max(at, 0) for at in breaks}
-    return rows if end == len(flow) and (breaks <= ends or ends - {0} <= breaks) else []
+    widths = np.array([len(words) for _, words in rows], dtype=np.int64)
+    breaks = np.cumsum([len(words) for _, words in lines]) - header.words
+    n = header.n_points
+    of_points = are_laid_out(widths[:n], 0, breaks, lists=False)
+    of_faces = are_laid_out(widths[n:], int(widths[:n].sum()), breaks, lists=True)
+    return rows if end == len(flow) and of_points and of_faces else []
 
 
 def _divided(point: list[float], words: list[str]) -> list[float]:

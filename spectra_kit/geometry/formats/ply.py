@@ -16,7 +16,7 @@ from spectra_kit._types import Floats, Ints
 from spectra_kit._validate import quantity, warn
 from spectra_kit.errors import IgnoredContentWarning, InvalidInputError
 from spectra_kit.geometry.formats._arrays import Arrays, check_rest, real, whole
-from spectra_kit.geometry.formats._text import Lines, numbers, text_of
+from spectra_kit.geometry.formats._text import Lines, are_laid_out, numbers, text_of
 from spectra_kit.geometry.polygons import Polygons
 from spectra_kit.geometry.shapes import Geometry, TriangleMesh
 
@@ -58,7 +58,7 @@ def read(path: Path) -> Arrays:
         columns[element.name], offset = _read_element(element, body, offset)
     points = _points(columns.get("vertex", {}))
     try:
-        faces = _faces(elements, columns)
+        faces: Polygons | InvalidInputError | None = _faces(elements, columns)
     except InvalidInputError as error:  # who wants the points alone need not know
         faces = error
     if lines is None:
@@ -69,10 +69,7 @@ def read(path: Path) -> Arrays:
             " damaged"
         )
     else:
-        # Where a number is torn in two, rows that follow may still add up to what is announced.
-        ends = _row_ends(elements, columns)
-        if not (np.isin(lines, ends).all() or np.isin(ends[1:], lines).all()):
-            raise InvalidInputError("a row must end where its line ends; the file may be damaged")
+        _check_layout(elements, columns, lines)
     return points, faces
 
 
@@ -297,20 +294,20 @@ def _is_part(elements: list[_Element], rest: bytes, faces: Any) -> bool:
     return len(rest) % end == 0 and max(sizes) >= 3
 
 
-def _row_ends(elements: list[_Element], columns: dict[str, Columns]) -> Ints:
-    """Return how many numbers there are up to the end of each row, and 0."""
-    widths = [np.zeros(1, dtype=np.int64)]
+def _check_layout(elements: list[_Element], columns: dict[str, Columns], lines: Ints) -> None:
+    """Refuse text whose rows overlap with its lines, which end behind so many numbers."""
+    start = 0
     for element in elements:
-        if not columns[element.name]:
-            continue
-        widths.append(np.zeros(element.count, dtype=np.int64))
-        for p in element.properties:
-            lists = columns[element.name][p.name]
-            if p.size_dtype is None:
-                widths[-1] += 1
+        widths = np.zeros(element.count if columns[element.name] else 0, dtype=np.int64)
+        for column in columns[element.name].values():
+            if isinstance(column, Polygons):
+                widths += 1 + column.sizes
             else:
-                widths[-1] += 1 + (lists.sizes if isinstance(lists, Polygons) else lists.shape[1])
-    return np.cumsum(np.concatenate(widths))
+                widths += 1 + column.shape[1] if column.ndim == 2 else 1
+        has_lists = any(p.size_dtype is not None for p in element.properties)
+        if not are_laid_out(widths, start, lines, lists=has_lists):
+            raise InvalidInputError("a row must end where its line ends; the file may be damaged")
+        start += int(widths.sum())
 
 
 def _points(columns: Columns) -> NDArray[Any]:

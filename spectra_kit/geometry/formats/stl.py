@@ -77,19 +77,19 @@ def _ascii_corners(data: bytes) -> tuple[NDArray[np.float64], bool]:
     text = re.sub(r"\bend[ \t]+(solid|loop|facet)\b", r"end\1", text)
     head, *rest = re.split(r"^[ \t]*((?:end)?solid)\b.*$", text, flags=re.MULTILINE)
     # A first and a last line that are there twice are one of each.
-    marks, parts, outside = [], [], head.split()
+    marks: list[str] = []
+    parts: list[str] = []
+    outside = head.split()
     for mark, part in zip(rest[::2], rest[1::2], strict=True):
         if marks and marks[-1] == mark and not parts[-1].split():
             parts[-1] = part
             continue
         marks.append(mark)
         parts.append(part)
-    is_ended = marks[-1:] != ["solid"]
+    is_ended = len(marks) % 2 == 0
     outside += " ".join(parts[1::2]).split()
-    if (
-        marks + ["endsolid"] * (not is_ended) != ["solid", "endsolid"] * ((len(marks) + 1) // 2)
-        or outside
-    ):
+    pairs = ["solid", "endsolid"] * len(marks)
+    if marks != pairs[: len(marks)] or outside:
         raise InvalidInputError(
             "all facets must stand between a line `solid` and a line `endsolid`; the file may be"
             " cut short"
